@@ -52,7 +52,9 @@ def drawn_functions(motion: Motion, n_paths: int, random_state: Any) -> Aerodyna
 
 
 def mean_regressors(model: Aerodynamics) -> Vector:
-    """Return the mean (d,) of the rows that a model was learned from, zero where they are unknown."""
-    if model.learned is None:
-        return np.zeros(len(model.regressors))
-    return model.learned.training_rows().mean(axis=0)
+    """Return the mean (d,) of the rows that a model was learned from, or the middle of its ranges."""
+    if model.learned is not None:
+        return model.learned.training_rows().mean(axis=0)
+    if model.limits is not None:
+        return model.limits.mean(axis=0)
+    return np.zeros(len(model.regressors))

@@ -88,7 +88,11 @@ class Kept:
         own = lines_of(self.own_path)
         if any(run["commit"] != commit() for run in own):
             raise SystemExit(f"Got runs of another commit than {commit()}: remove {self.own_path}.")
-        runs = [*own, *lines_of(OTHERS / f"{name}.others"), *lines_of(self.other_path)]
+        kept = [*lines_of(OTHERS / f"{name}.others"), *lines_of(self.other_path)]
+        outdated = {run["method"] for run in kept if run["versions"].items() - versions().items()}
+        if outdated:
+            print(f"Kept runs are of other versions than installed: {outdated}", file=sys.stderr)
+        runs = [*own, *kept]
         self.memory = {run["name"]: run for run in runs}
         self.asked = {}
 

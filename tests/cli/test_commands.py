@@ -154,7 +154,7 @@ class TestValidate:
         assert command(["validate", str(bare), "test.csv", "--horizons", "1"]) == 0
         said = capsys.readouterr()
         # but for the stages that take long
-        assert all(" · " in line for line in said.err.splitlines())
+        assert all(line.startswith("evaluating ") for line in said.err.splitlines())
         assert said.out.startswith("brumby: log likelihood")
         assert files(tmp_path) == {"bare.joblib"}
 
@@ -187,6 +187,15 @@ class TestMargins:
         assert shown["excited"].notna().any()
         suggested = pd.read_csv(tmp_path / "out" / "suggested.csv")
         assert list(suggested["parameter"]) == ["FW_RR_P", "FW_RR_I", "FW_PR_P", "FW_PR_I"]
+
+    @pytest.mark.parametrize(
+        ("parameters", "words"),
+        [("gains are fine\n", "without parameters"), ("MC_ROLLRATE_P,0.1\n", "FW_RR_P or FW_PR_P")],
+    )
+    def test_a_file_without_the_loops_is_refused(self, refused, tmp_path, parameters, words):
+        path = tmp_path / "plane.param"
+        path.write_text(parameters)
+        refused(words, "margins", "--params", path, *self.WORDS)
 
 
 class TestFly:
@@ -331,11 +340,23 @@ class TestPlan:
         said = capsys.readouterr().out
         assert "no limits, not even a floor: set them by --growth" in said
 
-    def test_full_deflections_are_checked_before_the_search(self, refused):
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (
+                "elevator=0.5",
+                r"Got full deflections of \['elevator'\], but expected also .* move with the "
+                r"rudder: add",
+            ),
+            ("rudder=0", "Got full deflection of the rudder=0.0, but expected a number > 0"),
+            ("rudder=0.4 elevator=nan", "Got full deflection of the elevator=nan"),
+            ("rudder=0.4 flaps=0.1", "servo functions of ArduPilot lack 'flaps'"),
+        ],
+    )
+    def test_full_deflections_are_checked_before_the_search(self, words, message, refused):
         """Which would refuse its goal."""
         goal = ["--goal", "Cn_flaps"]
-        message = r"Got full deflections of \['elevator'\], but expected also .*rudder: add"
-        refused(message, "plan", *self.WORDS, *goal, "--full", "elevator=0.5")
+        refused(message, "plan", *self.WORDS, *goal, "--full", *words.split())
 
     def test_what_cannot_be_planned_is_one_line(self, refused):
         words = "controls of the trim lack 'elevon_left'.*elevator"

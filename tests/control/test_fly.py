@@ -4,13 +4,21 @@ import json
 import socket
 import struct
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.control import FlySettings, fly
-from skdgp.dynamics import Aerodynamics, Turbulence, simulate, standard_density, trim
+from skdgp.dynamics import (
+    Aerodynamics,
+    ScaleFactor,
+    Turbulence,
+    simulate,
+    standard_density,
+    trim,
+)
 
 GRAVITY = 9.80665
 FULL = {"aileron": 0.4, "elevator": 0.3, "rudder": 0.3, "thrust": 60.0}
@@ -59,7 +67,7 @@ class Autopilot:
 def flown(port, glider, steady):
     """Fly a model behind an autopilot that a function plays; return the result."""
 
-    def flown(play, model=None, full=FULL, **options):
+    def flown(play, model=None, full=FULL, aircraft=None, **options):
         ready = threading.Event()
         failures = []
 
@@ -77,7 +85,8 @@ def flown(port, glider, steady):
         thread.start()
         options = {"wait": 0.3, "port": port, "ready": ready.set} | options
         try:
-            return fly(model or glider.model(), glider.aircraft, steady, full, **options)
+            aircraft = aircraft or glider.aircraft
+            return fly(model or glider.model(), aircraft, steady, full, **options)
         finally:
             ready.set()
             thread.join()
@@ -98,6 +107,20 @@ def test_the_lines_have_what_ardupilot_asks_for(flown, n_pulses):
         assert_allclose(said["attitude"][1], np.arcsin(2 * (w * y - x * z)), atol=1e-12)
 
     assert flown(play, height=50.0).steps == 1
+
+
+def test_a_path_has_errors_of_the_log(flown, glider):
+    error = ScaleFactor(0.1, added={"CZ": 1.0}, of_log=True)
+    uncertain = replace(glider.aircraft, deviations={"log": error})
+    forces = []
+
+    def play(autopilot):
+        autopilot.send((0,) * 16)
+        forces.append(autopilot.send((0,) * 16)["imu"]["accel_body"][2])
+
+    for aircraft in (glider.aircraft, uncertain):
+        flown(play, aircraft=aircraft, height=50.0, path=3)
+    assert abs(forces[1] - forces[0]) > 0.1
 
 
 def test_in_the_air_without_pulses_it_stays_in_trim(flown, steady):
@@ -337,3 +360,8 @@ class TestRefuses:
         idle = np.where(np.arange(8) == 6, 0.0, glider.slopes)
         with pytest.raises(ValueError, match="whose aileron does not change p"):
             fly(glider.model(idle), glider.aircraft, steady, FULL)
+
+    def test_a_path_without_a_posterior(self, glider, steady):
+        model = glider.model(has_paths=False)
+        with pytest.raises(ValueError, match="without posterior samples"):
+            fly(model, glider.aircraft, steady, FULL, path=3)

@@ -84,6 +84,7 @@ def test_the_inertia_cannot_be_changed_behind_the_checks():
     ("name", "value"),
     [
         ("mass", 0.0),
+        ("mass", -1.0),
         ("wing_area", np.nan),
         ("span", np.inf),
         ("chord", 10**400),

@@ -16,6 +16,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -564,6 +565,29 @@ class TestEnsembles:
         expected = (1 + error) * (exact["Cm"] - 0.5 * error * by_rate)
         assert_allclose(found["Cm"], expected, rtol=1e-9)
 
+    def test_errors_of_the_log_are_about_the_mean_of_the_rows(self, aircraft, fly, glider):
+        """A path of a learned model with errors, less the same path without."""
+        rng = default_rng(2)
+        rows = pd.DataFrame(rng.normal(0.1, 0.1, (80, 8)), columns=glider.names)
+        rows["airspeed"] = 22.0
+        C = glider.level + rows[glider.names].to_numpy() @ glider.slopes.T
+        model = make_pipeline(
+            RegressorSelector(glider.names),
+            StandardScaler(),
+            DependentGPRegressor(structure="trend", random_state=0),
+        ).fit(rows, C + 0.01 * rng.normal(size=C.shape))
+        added = {"CX": 0.1, "Cm_elevator": 0.3}
+        uncertain = replace(
+            aircraft, deviations={"log": ScaleFactor(0.1, added=added, of_log=True)}
+        )
+        options = {"duration": 0.1, "n_paths": 5}
+        exact = fly(model, **options).groupby("path").first()
+        found = fly(model, aircraft=uncertain, **options).groupby("path").first()
+        draws = (found["CX"] - exact["CX"]) / 0.01
+        assert np.ptp(draws) > 0.5
+        off_mean = commands(0.0)["elevator"] - rows["elevator"].mean()
+        assert_allclose(found["Cm"] - exact["Cm"], 0.03 * draws * off_mean, atol=1e-6)
+
     def test_a_model_without_beliefs_has_no_ensemble(self, fly, glider):
         with pytest.raises(ValueError, match="without posterior samples"):
             fly(glider.model(has_paths=False), duration=1.0, n_paths=3)
@@ -573,6 +597,15 @@ class TestEnsembles:
 
 
 class TestSimulator:
+    def test_an_episode_has_errors_of_the_log(self, aircraft, glider):
+        error = ScaleFactor(0.1, added={"CZ": 1.0}, of_log=True)
+        uncertain = replace(aircraft, deviations={"log": error})
+        readings = []
+        for flown in (aircraft, uncertain):
+            simulator = Simulator(certain(glider), flown)
+            readings.append(simulator.reset(START, controls=commands(0.0), random_state=1)["az"])
+        assert abs(readings[1] - readings[0]) > 0.1
+
     @pytest.mark.parametrize("lag", [0.0, 0.1])
     @pytest.mark.parametrize("gain", [0.0, 0.2])
     def test_steps_are_those_of_a_held_law(self, aircraft, lag, gain, fly, glider):

@@ -393,6 +393,7 @@ def test_predictions_of_logged_rows_have_no_larger_errors_than_least_squares():
     design = np.column_stack([np.ones(len(X)), X])
     least_squares = design @ np.linalg.lstsq(design, Y, rcond=None)[0]
     mean, std = model.predict(table, return_std=True)
+    assert_allclose(mean, model.predict(table))
     assert std.shape == mean.shape
     of_rows, of_function, least = (
         np.sqrt(np.mean((Y - predicted) ** 2, axis=0))

@@ -13,6 +13,7 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
+    ScaleFactor,
     dryden_wind,
     simulate,
     stability_derivatives,
@@ -297,7 +298,6 @@ class TestSimulation:
         found = errors_of(glide(aileron=doublet)).loc[["phi", "p"]]
         assert (found["lasts"] == found["horizon"]).all()
 
-    @pytest.mark.slow
     def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self):
         wind = dryden_wind(42.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
         gusty = glide(40.0, air=Air(wind, gusts=None))
@@ -307,6 +307,11 @@ class TestSimulation:
         known = errors_of(gusty.assign(**felt))
         assert still["lasts"].min() < 1
         assert still["lasts_without_gusts"].min() >= 1
+        # errors of the log are no gusts
+        errors = {"log": ScaleFactor(1.0, added={"CZ": 1.0, "Cm": 0.2}, of_log=True)}
+        uncertain = replace(AIRCRAFT, deviations=errors)
+        of_log = mechanics_of(unknown, model=glider(-1.0), aircraft=uncertain).simulation
+        assert_frame_equal(of_log, still)
         wrong = errors_of(unknown, elevator=1.0)
         assert wrong["lasts_without_gusts"].min() < 1
         assert known["gusts"].eq(0).all()
@@ -481,6 +486,9 @@ class TestCoefficientsThatDoNotVary:
         calm = still(evaluation(), 5)
         off = replace(calm, mean=calm.mean + np.array([0, 0, 0, 0, 0, 1.0]))
         assert use(verdict([off]), "predict coefficients")[0] == "no"
+
+    def test_a_large_error_of_one_that_varies_is_a_no(self):
+        assert use(verdict([evaluation(error=1.5)]), "predict coefficients")[0] == "no"
 
 
 def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown_and_has_its_source():

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 
 from skdgp.inference import (
+    Data,
     ExactPosterior,
     input_noise_information,
     log_likelihood,
@@ -72,3 +73,20 @@ def test_information_on_the_noise_of_regressors_is_the_curvature_of_the_expected
     level = expected(np.zeros(3))
     curvature = [(expected(d) - 2 * level + expected(-d)) / 1e-6 for d in step]
     assert_allclose(input_noise_information(slopes, noise, input_std), curvature, rtol=1e-5)
+
+
+def test_outputs_of_the_same_rows_share_their_inputs():
+    X, Y = np.arange(8.0).reshape(4, 2), np.ones((4, 4))
+    Y[1, 2:] = np.nan
+    data = Data.from_table(X, Y)
+    assert data.X[0] is data.X[1] is X
+    assert data.X[2] is data.X[3]
+    assert_array_equal(data.X[2], X[[0, 2, 3]])
+    assert_array_equal(data.sample[2], [0, 2, 3])
+
+
+def test_of_a_regressor_without_effect_nothing_is_known():
+    slopes = np.ones((50, 2, 2)) * [1.0, 0.0]
+    information = input_noise_information(slopes, np.array([0.1, 0.1]), np.array([0.5, 0.5]))
+    assert information[0] > 1
+    assert information[1] == 0

@@ -41,6 +41,13 @@ def test_of_the_imu_that_the_autopilot_used(told, dataflash):
     assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
 
 
+def test_of_px4(read, ulog):
+    log = ulog(**parameters("EKF2_IMU_POS"))
+    log.topic("vehicle_acceleration", T, xyz=FORCE)
+    table = read(log, airborne=False)
+    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
+
+
 def test_of_a_tailsitter_in_its_axes_of_forward_flight(read, ulog):
     """Axes of hover are turned by 90 degrees about y."""
     to_hover = Rotation.from_euler("y", 90, degrees=True)

@@ -28,8 +28,10 @@ class Interval(NamedTuple):
 EQUAL = Interval(1 / 1.5, 1.5, "1")
 # gusts move the air past the aircraft, which follows them
 GUSTY = Interval(-0.5, 1.5, "0 to 1")
-# of the sine of the angle between heading and course through the air
-AHEAD = Interval(-0.1, 0.1, "-0.1 to 0.1")
+# of the sine of the angle from heading to course through the air; a sideslip that stays is smaller
+AHEAD = Interval(
+    -0.15, 0.15, "-0.15 to 0.15, the sine of the angle: is it a magnetic heading, or a sideslip?"
+)
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 NONE = Interval(0.0, 0.0, "0")

@@ -11,7 +11,7 @@ import numpy as np
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import dead_channels
 from skdgp._flight.physics._checks import Confirmation, Contradiction, Exchange, Sign
-from skdgp._flight.physics._list import CHANNELS, EARTH_AXES, EQUALITIES, EXCHANGES, SIGNS
+from skdgp._flight.physics._list import CHANNELS, EARTH_AXES, EQUALITIES, EXCHANGES, HEADING, SIGNS
 from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.sensor_position import at_centre_of_gravity
@@ -52,6 +52,7 @@ def _contradictions_of(flights: FlightTable) -> list[Contradiction]:
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
         *_contradicted(EXCHANGES, signals),
+        *_contradicted([HEADING], signals),
     ]
     causes = _causes(contradictions, confirmed)
     if {*ELEVONS} <= {*flights.table.columns}:

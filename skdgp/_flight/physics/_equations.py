@@ -66,10 +66,22 @@ def velocity_along(flight: Signals) -> Regression:
     return Regression(ground, flight["airspeed"], wind)
 
 
-def velocity_to_the_right(flight: Signals) -> Regression:
-    """Return the terms of the component along y, V sin(e + beta) in a heading that is wrong by e."""
+def course_through_the_air(flight: Signals) -> Regression:
+    """Return the terms of the component along y, V sin(beta - e) in a heading that is too large by e.
+
+    Beside a steady wind with an updraft, and a ground velocity that is late in turns. Without turns a
+    crosswind that changes with the airspeed looks the same, so no row counts.
+    """
+    airspeed = flight["airspeed"]
+    direction = flight.rotation[:, :, 1]
     ground, wind = _velocity_terms(flight, 1)
-    return Regression(ground, flight["airspeed"], wind)
+    if "beta" in flight:
+        ground = ground - airspeed * np.sin(flight["beta"])
+    late = airspeed * flight.change(flight["psi"])
+    heading = np.exp(1j * flight["psi"])
+    if abs(np.nanmean(heading)) > PHYSICS.least_turned:
+        ground = np.full_like(ground, np.nan)
+    return Regression(ground, airspeed, [*wind, direction[:, 2], late])
 
 
 def velocity_across(flight: Signals, angle: str) -> Regression:

@@ -85,12 +85,12 @@ AIRSPEED = Relation(
     lags=(*LAGS.kinematic, *LAGS.airspeed),
 )
 # a magnetic heading, or one of another zero, turns the velocity
-HEADING = Relation(
+COURSE = Relation(
     channels=("psi",),
     uses=("phi", "theta", *EARTH_VELOCITY, "airspeed"),
-    y="the ground velocity to the right, less a steady wind,",
+    y="the velocity through the air to the right of the heading",
     x="airspeed",
-    regression=equations.velocity_to_the_right,
+    regression=equations.course_through_the_air,
 )
 # without lags: gravity hardly varies, and the vertical force tells them
 GRAVITY = Relation(
@@ -176,7 +176,6 @@ THRUST = Relation(
 )
 
 SIGNS = (
-    Sign(relation=HEADING, admissible=AHEAD, noise=3.0),
     _vane("beta", "the lateral ground velocity less a wind"),
     _vane("alpha", "the normal ground velocity less a wind"),
     _sensor_force("ax", axis=0),
@@ -193,6 +192,9 @@ SIGNS = (
     _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
     Sign(relation=THRUST, admissible=POSITIVE, noise=0.01),
 )
+
+HEADING = Sign(relation=COURSE, admissible=AHEAD, noise=3.0)
+"""Behind all others: a heading of another zero explains no wrong sign."""
 
 
 # -- exchanges
@@ -259,6 +261,6 @@ EXCHANGES = (
     ),
 )
 
-RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS)]
+RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS, HEADING)]
 CHANNELS = sorted({*COMMANDED}.union(*[relation.needs for relation in RELATIONS]))
 """Channels that the checks use."""

@@ -30,6 +30,9 @@ class PhysicsSettings:
     # least distance of a slope from its admissible interval, in standard deviations
     least_t: float = 5.0
 
+    # largest mean of the unit vectors ahead of flights that turn: one heading has 1, a circle 0 (guess)
+    least_turned: float = 0.8
+
     # equalities: least t of the reverse slope, which tells noise of x from a wrong scale, and its
     # largest standard deviation that tells anything (guesses)
     reverse_t: float = 1.5

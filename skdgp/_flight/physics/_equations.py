@@ -78,8 +78,8 @@ def course_through_the_air(flight: Signals) -> Regression:
     if "beta" in flight:
         ground = ground - airspeed * np.sin(flight["beta"])
     late = airspeed * flight.change(flight["psi"])
-    heading = np.exp(1j * flight["psi"])
-    if abs(np.nanmean(heading)) > PHYSICS.least_turned:
+    ahead = np.exp(1j * flight["psi"][np.isfinite(flight["psi"])])
+    if abs(ahead.sum()) >= PHYSICS.most_ahead * len(ahead):
         ground = np.full_like(ground, np.nan)
     return Regression(ground, airspeed, [*wind, direction[:, 2], late])
 

@@ -30,8 +30,8 @@ class PhysicsSettings:
     # least distance of a slope from its admissible interval, in standard deviations
     least_t: float = 5.0
 
-    # largest mean of the unit vectors ahead of flights that turn: one heading has 1, a circle 0 (guess)
-    least_turned: float = 0.8
+    # largest mean of the unit vectors ahead in flights that turn: one heading has 1, a circle 0 (guess)
+    most_ahead: float = 0.8
 
     # equalities: least t of the reverse slope, which tells noise of x from a wrong scale, and its
     # largest standard deviation that tells anything (guesses)

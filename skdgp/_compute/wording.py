@@ -206,6 +206,8 @@ def _contradiction(finding: Finding) -> str:
         template = (
             "{channels: or } is probably wrong: {y} is {lag:.2g} ± {std:.2g} s late against {x}"
         )
+    if finding.numbers.get("causes"):
+        template += ": {causes: or }?"
     if finding.flight is not None:
         template = "flight {flight}: " + template
     template += (

@@ -554,7 +554,7 @@ def fly(
     outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)
     flown = as_aerodynamics(model)
     if path is not None:
-        flown = drawn_functions(Motion(flown, aircraft, thrust=thrust), 1, path)
+        flown = drawn_functions(Motion(flown, aircraft, thrust=thrust), 1, path, rounded=True)
     flight = ModelInFlight(
         flown, aircraft, steady, height, thrust, wind, gusts, random_state, settings
     )

@@ -13,18 +13,21 @@ from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._size_errors import added_errors, errors_of_log, relative_errors
 
 
-def drawn_functions(motion: Motion, n_paths: int, random_state: Any) -> Aerodynamics:
-    r"""Return functions drawn from the posterior of the model of a motion, as simulations evaluate them.
+def drawn_functions(
+    motion: Motion, n_paths: int, random_state: Any, *, rounded: bool = False
+) -> Aerodynamics:
+    r"""Return functions drawn from the posterior of the model of a motion, with the errors of its log.
 
-    Errors of the log, standard normal :math:`e_k` of a path, make of a function C
+    With these errors, of which each path has its own standard normal :math:`e_k`, a function C becomes
 
-    .. math:: (1 + \sum_k e_k a_k) \, C((1 + \sum_k e_k b_k) \, x) + \sum_k e_k (c_k + D_k (x - m))
+    .. math:: (1 + \sum_k e_k a_k) \, C((1 + \sum_k e_k b_k) \, x) + \sum_k e_k (c_k + D_k (x - m)),
 
-    with relative errors a of coefficients and b of regressors, and errors c at the mean m of the
-    training rows that D change with the regressors.
+    to first order what `errors_of_sizes` states: relative errors a (6,) of the coefficients and b (d,) of
+    the regressors, errors c (6,) at the mean m (d,) of the training rows, and D (6, d) of the slopes.
+    ``rounded`` functions are as simulations evaluate them.
     """
     model = motion.aerodynamics
-    paths = model.sample(n_paths, random_state, rounded=True)
+    paths = model.sample(n_paths, random_state, rounded=rounded)
     deviations = errors_of_log(motion.aircraft)
     if not deviations:
         return paths

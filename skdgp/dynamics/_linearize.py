@@ -34,11 +34,11 @@ from skdgp._flight.frames import (
 from skdgp._flight.tables import by_name
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
-from skdgp.dynamics._size_errors import errors_of_log, errors_of_sizes
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_terms
 
@@ -212,9 +212,8 @@ def linearize(
     mean = _matrices(motion, state, controls, inputs)
     paths = None
     if n_paths:
-        drawn = _drawn(motion, state, controls, n_paths, random_state)
-        points = np.tile(state, (n_paths, 1))
-        paths = _matrices(drawn.motion, points, controls, inputs, drawn.unsteady, drawn.errors)
+        drawn, unsteady = _drawn(motion, now, n_paths, random_state)
+        paths = _matrices(drawn, np.tile(state, (n_paths, 1)), controls, inputs, unsteady)
     surfaces = Servos.of(motion).surfaces
     positions = [f"{name}_position" for name in inputs if name in surfaces]
     names = [*STATES, *positions]
@@ -237,10 +236,9 @@ def _matrices(
     controls: Mapping,
     inputs: Sequence[str],
     unsteady: UnsteadyTerms | None = None,
-    errors: Array | float = 0.0,
 ) -> Matrices:
     """Return A, B, C, D at states (..., 13)."""
-    x_dot_z, y_z, instant = jacobian(motion, state, controls, inputs, unsteady, errors)
+    x_dot_z, y_z, instant = jacobian(motion, state, controls, inputs, unsteady)
     check_settled(instant)
     if not np.isfinite(x_dot_z).all():
         raise ValueError(
@@ -255,7 +253,6 @@ def jacobian(
     controls: Mapping,
     inputs: Sequence[str] = (),
     unsteady: UnsteadyTerms | None = None,
-    errors: Array | float = 0.0,
 ) -> tuple[Array, Array, Instant]:
     r"""Return the slopes d x_dot (..., 12, 12 + k) and d outputs (..., 6, 12 + k) by z, and the instant.
 
@@ -270,15 +267,14 @@ def jacobian(
         y_z = H_z + H_C C_z
 
     with the slopes of the model :math:`c_X`. The slopes of F, G and H are differences, exact to
-    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order; errors
-    (..., 6, d) add to the slopes of the model.
+    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
     """
     state = np.asarray(state, dtype=float)
     instant = motion.at(state, controls)
     mechanics = Mechanics(motion, controls, inputs)
     (F_z, G_z, H_z), (F_C, G_C, H_C) = mechanics.slopes(state, instant)
     # Coefficients by z, with the regressors that follow from them
-    c_X = motion.aerodynamics.gradient(instant.regressors) + errors
+    c_X = motion.aerodynamics.gradient(instant.regressors)
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
@@ -379,40 +375,20 @@ def _with_servos(x_dot_z: Array, y_z: Array, inputs: Sequence[str], servos: Serv
     return Matrices(A, B, C, D)
 
 
-class _Drawn(NamedTuple):
-    """Motion with paths drawn from the posterior, their unsteady terms, and errors of slopes (n_paths, 6, d)."""
-
-    motion: Motion
-    unsteady: UnsteadyTerms | None
-    errors: Array
-
-
 def _drawn(
-    motion: Motion, state: Array, controls: Mapping, n_paths: int, random_state: Seed
-) -> _Drawn:
-    """Return the motion with functions drawn from the posterior in place of the model, and errors that these lack.
-
-    Errors of the log are normal, each shared by all slopes.
-    """
+    motion: Motion, now: Instant, n_paths: int, random_state: Seed
+) -> tuple[Motion, UnsteadyTerms | None]:
+    """Return the motion with functions drawn from the posterior in place of the model, and their unsteady terms."""
     model = motion.aerodynamics
     motion_of_paths = copy.copy(motion)
-    motion_of_paths.aerodynamics = model.sample(n_paths, random_state)
-    now = motion.at(state, controls)
+    motion_of_paths.aerodynamics = drawn_functions(motion, n_paths, random_state)
+    if model.learned is None:
+        return motion_of_paths, None
     slopes = model.gradient(now.regressors)
-    generator = separate_generator(random_state)
-    unsteady = None
-    if model.learned is not None:
-        unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.learned.function_errors))
-        # slopes by alpha_dot and beta_dot of each path
-        draws = generator.standard_normal((n_paths, 1, 2))
-        unsteady = unsteady._replace(slopes=draws * unsteady.slopes)
-    values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
-    aircraft = motion.aircraft
-    of_log = errors_of_log(aircraft)
-    sizes = errors_of_sizes(of_log, aircraft.inertia, motion.regressors, values)
-    draws = generator.standard_normal((n_paths, len(of_log)))
-    errors = np.tensordot(draws, sizes[..., 1:], axes=1)
-    return _Drawn(motion_of_paths, unsteady, errors)
+    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.learned.function_errors))
+    # slopes by alpha_dot and beta_dot of each path
+    draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
+    return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)
 
 
 def flight_point(

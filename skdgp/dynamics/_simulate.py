@@ -152,7 +152,7 @@ def simulate(
     else:
         met = paths_air(described, local, motion, clock, states, n_paths, random_state)
         local, drift, sentence = met
-        motion.aerodynamics = drawn_functions(motion, n_paths, random_state)
+        motion.aerodynamics = drawn_functions(motion, n_paths, random_state, rounded=True)
         states = perturbed(states, start_std, n_paths, random_state)
         if drift is not None:
             drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
@@ -280,7 +280,7 @@ class Simulator:
         motion = self.motion
         motion.aerodynamics = self._mean
         if random_state is not None:
-            motion.aerodynamics = drawn_functions(motion, 1, random_state)
+            motion.aerodynamics = drawn_functions(motion, 1, random_state, rounded=True)
         self._state = states
         self._steps = 0
         self._reached = {}

@@ -228,7 +228,7 @@ def circling(rate, bank, updraft=0.0, late=0.0, heading=0.0):
 @pytest.mark.parametrize(
     "options",
     [
-        {"rate": 0.4, "bank": 0.6, "late": 0.4},
+        {"rate": 0.5, "bank": 0.6, "late": 0.5},
         {"rate": 0.4, "bank": 0.7, "updraft": 4.0},
         {"rate": 0.0, "bank": 0.0, "heading": 1.0},
     ],
@@ -263,6 +263,11 @@ def test_the_message_has_the_numbers(flight):
         "phi is probably wrong: the slope of the change of phi over the integral of p is 57."
     )
     assert text.endswith("effective samples)")
+
+
+def test_the_message_of_the_heading_has_its_usual_causes(flight):
+    (found,) = contradictions(flight.assign(psi=flight["psi"] + 0.3))
+    assert "-0.15 to 0.15: a magnetic heading or a constant sideslip? (t = " in reason_of(found)
 
 
 def test_the_message_of_gravity_says_what_is_over_what(flight):

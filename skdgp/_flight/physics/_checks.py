@@ -29,9 +29,7 @@ EQUAL = Interval(1 / 1.5, 1.5, "1")
 # gusts move the air past the aircraft, which follows them
 GUSTY = Interval(-0.5, 1.5, "0 to 1")
 # of the sine of the angle from heading to course through the air; a sideslip that stays is smaller
-AHEAD = Interval(
-    -0.15, 0.15, "-0.15 to 0.15, the sine of the angle: is it a magnetic heading, or a sideslip?"
-)
+AHEAD = Interval(-0.15, 0.15, "-0.15 to 0.15")
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 NONE = Interval(0.0, 0.0, "0")
@@ -50,6 +48,8 @@ class Relation:
     regression: Callable[[Signals], Regression]
     #: Lags that are tried [s]
     lags: tuple[float, ...] = (0.0,)
+    #: Usual causes of a contradiction
+    causes: tuple[str, ...] = ()
 
     @property
     def needs(self) -> set[str]:
@@ -102,6 +102,7 @@ class Contradiction:
             "t": self.t,
             "correlation": self.slope.correlation,
             "effective_samples": self.slope.n_effective,
+            "causes": list(self.relation.causes),
         }
         return Finding(Code.CONTRADICTION, self.flight, numbers=numbers)
 

@@ -69,8 +69,8 @@ def velocity_along(flight: Signals) -> Regression:
 def course_through_the_air(flight: Signals) -> Regression:
     """Return the terms of the component along y, V sin(beta - e) in a heading that is too large by e.
 
-    Beside a steady wind with an updraft, and a ground velocity that is late in turns. Without turns a
-    crosswind that changes with the airspeed looks the same, so no row counts.
+    The other regressors are a steady wind with an updraft, and a ground velocity that is late in turns.
+    Without turns a crosswind that changes with the airspeed looks the same, so no row counts.
     """
     airspeed = flight["airspeed"]
     direction = flight.rotation[:, :, 1]

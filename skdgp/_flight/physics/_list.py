@@ -91,6 +91,7 @@ COURSE = Relation(
     y="the velocity through the air to the right of the heading",
     x="airspeed",
     regression=equations.course_through_the_air,
+    causes=("a magnetic heading", "a constant sideslip"),
 )
 # without lags: gravity hardly varies, and the vertical force tells them
 GRAVITY = Relation(
@@ -194,7 +195,7 @@ SIGNS = (
 )
 
 HEADING = Sign(relation=COURSE, admissible=AHEAD, noise=3.0)
-"""Behind all others: a heading of another zero explains no wrong sign."""
+"""Judged last, as a heading of another zero explains no wrong sign."""
 
 
 # -- exchanges

@@ -79,7 +79,8 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     10); that of servos is the time constant of a first-order lag, of surfaces that are early, and
     that of surfaces is then what else they are early by. Lags of attitude and GPS are constants of
     the path over the ground. A lag of std NaN is unknown. So is that of servos without vanes, which
-    is a parameter of `estimate_air_motion`; only a delay is that of surfaces then.
+    is a parameter of `estimate_air_motion`; only a delay of a step of the log or more is that of surfaces
+    then.
     """
     segments = _segments_of(at_centre_of_gravity(table), settings)
     servos = UNKNOWN
@@ -103,7 +104,10 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
         of_path = _lags_of_path(table, settings)
         if not has_values(table, *VANES):
             servos = UNKNOWN
-            surfaces = UNKNOWN if commands is None else surfaces
+            # commands that hold between samples are half a step late, which the lag of servos takes in
+            shortest = max(segment.log_step for segment in segments)
+            is_delay = commands is not None and abs(surfaces.value) >= shortest
+            surfaces = surfaces if is_delay else UNKNOWN
     return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
 
 
@@ -148,6 +152,7 @@ class _Segment:
     def __init__(self, time: Vector, table: pd.DataFrame, settings: LagSettings) -> None:
         clock = uniform_grid(time)[0]
         rate_hz = _rate_of(clock)
+        self.log_step = 1 / rate_hz
         low, high = _band_at(rate_hz, settings)
         channels = _on_clock(time, table, clock)
         speed = self._steady_speed(channels, rate_hz, settings)

@@ -120,6 +120,22 @@ class TestEstimate:
         error = (out.elevator - truth.elevator)[40:-40].std()
         assert error < 0.2 * (table.elevator - truth.elevator)[40:-40].std()
 
+    @pytest.mark.parametrize(
+        ("servos", "delay", "removed"), [(0.06, 0.0125, 0.0), (0.0, 0.05, 0.05)]
+    )
+    def test_without_vanes_a_delay_shorter_than_a_step_is_left_to_the_filter(
+        self, latlon, servos, delay, removed
+    ):
+        flight = latlon.drop(columns=["alpha", "beta"])
+        time = flight["time"].to_numpy()
+        for name in ("elevon_left", "elevon_right"):
+            deflection = CubicSpline(time, flight[name])
+            later = np.minimum(time + delay, time[-1])
+            flight[name] = deflection(later) + servos * deflection(later, 1)
+        applied = lags_of(flight).applied
+        assert applied["surfaces"] == pytest.approx(-removed, abs=0.01)
+        assert applied["servos"] == 0.0
+
     def test_attitude_and_gps_are_found_by_kinematics(self, latlon):
         spoilt = late(latlon[:2400], attitude=0.06, gps=-0.05)
         lags = lags_of(spoilt)

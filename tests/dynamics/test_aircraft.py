@@ -100,6 +100,7 @@ def test_sizes_must_be_positive_numbers(name, value):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
+        (without(chord=410.0), r"chord 410, but expected .*\[m\]"),  # mm
         (without(inertia=[1.0, 2.0, 3.0]), "3 x 3"),
         (without(inertia=[[1, 0], [0, 1]]), "3 x 3"),
         (without(inertia=[[1, 0, 0], [0, np.nan, 0], [0, 0, 1]]), "finite"),

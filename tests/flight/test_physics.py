@@ -304,6 +304,40 @@ def test_a_late_servo_is_no_wrong_sign():
     assert len(contradictions(opposite(log, "rudder"))) == 1
 
 
+def held_in_pitch(hold):
+    """Return a minute in gusts without vanes, in which an autopilot answers theta and q by the elevator.
+
+    ``hold`` rows at a time have one sample of the elevator's command.
+    """
+    rng = default_rng(1)
+    step, n, servo = 0.02, 3000, 0.06
+    feedback = np.array([0.0, 0.12, 0.3])  # of alpha, q, theta
+    time = step * np.arange(n)
+    gust = 0.05 * signal.lfilter([0.2], [1, -0.98], rng.normal(size=n))  # [rad]
+    doublets = 0.05 * np.sign(np.sin(0.8 * np.pi * time))
+    pilot = doublets * rng.choice([-1, 0, 1], size=n // 125).repeat(125)
+    # rates of alpha, q, theta and the deflection by these states, and by gust and pilot
+    by_air = np.array([-7.0, -125.0, 0.0, 0.0])
+    A = [[-7, 1, 0, 0], [-125, -8, 0, -160], [0, 1, 0, 0], [*feedback / servo, -1 / servo]]
+    B = np.column_stack([by_air, [0, 0, 0, 1 / servo]])
+    plant = (A, B, np.eye(4), np.zeros((4, 2)))
+    _, states, _ = signal.lsim(plant, np.column_stack([gust, pilot]), time)
+    command = states[:, :3] @ feedback + pilot
+    q = states[:, 1] + 0.004 * rng.normal(size=n)
+    elevator = command[np.arange(n) // hold * hold]
+    return pd.DataFrame({"time": time, "airspeed": 15.5, "q": q, "elevator": elevator})
+
+
+@pytest.mark.parametrize(("sign", "accused"), [(1.0, []), (-1.0, ["elevator or q"])])
+@pytest.mark.parametrize("hold", [1, 5])
+def test_an_autopilot_that_answers_gusts_is_no_wrong_sign(hold, sign, accused, tmp_path):
+    """The elevator has the sign of the autopilot after the response, and its own before."""
+    path = tmp_path / "flight.csv"
+    scaled(held_in_pitch(hold), {"elevator": sign}).to_csv(path, index=False)
+    remarks = [remark.partition(" is probably wrong") for remark in inspect_log(path).remarks]
+    assert [channels for channels, wrong, _ in remarks if wrong] == accused
+
+
 RATES = {
     "p q r ax ay az phi theta psi airspeed alpha beta elevon_left elevon_right rudder throttle": 10,
     "v_north v_east v_down north east altitude": 5,

@@ -223,19 +223,31 @@ class Sign:
         return _of_slope(self.relation, self.admissible, slope, t)
 
     def _judged_slope(self, slopes: dict[float, Slope], signals: Signals) -> Slope:
-        """Return of all lags that explain y about as well as the best the slope nearest to its expected sign.
+        """Return the slope nearest to its expected sign, of the lags that explain y about as well as the best.
 
-        Under feedback a late servo turns the sign at lag zero. Where the angle was not measured, the
-        earliest lag: the angle answers to a surface, with the other sign.
+        Under feedback a late servo turns the sign at lag zero.
         """
         best = max(slope.explained for slope in slopes.values())
-        if self.angle is not None and self.angle not in signals:
-            enough = PHYSICS.possible_lag_without_angle * best
-            return slopes[min(lag for lag, slope in slopes.items() if slope.explained >= enough)]
         enough = PHYSICS.possible_lag * best
-        possible = [slope for slope in slopes.values() if slope.explained >= enough]
+        lags = [lag for lag, slope in slopes.items() if slope.explained >= enough]
+        if self.angle is not None and self.angle not in signals:
+            lags = [lag for lag in lags if lag < 0] + _lags_before_angle(slopes, best)
         least, most, _ = self.admissible
-        return min(possible, key=lambda slope: abs(slope.t(least, most)))
+        return min((slopes[lag] for lag in lags), key=lambda slope: abs(slope.t(least, most)))
+
+
+def _lags_before_angle(slopes: dict[float, Slope], best: float) -> list[float]:
+    """Return the lags from zero to the first that explains y, if the best lag explains ``best``.
+
+    Later, an angle that was not measured answers to the surface, with the other sign. Before zero, the
+    surface answers to the response, with the sign of an autopilot.
+    """
+    fraction = PHYSICS.possible_lag_without_angle
+    lags = [lag for lag in sorted(slopes) if lag >= 0]
+    first = next((lag for lag in lags if slopes[lag].explained >= fraction * best), 0.0)
+    # of the ratio of total to unexplained variance
+    least = fraction * (1 + best)
+    return [lag for lag in lags if lag <= first and 1 + slopes[lag].explained >= least]
 
 
 class Alternative(NamedTuple):

@@ -21,6 +21,9 @@ class PhysicsSettings:
     flying: float = 0.5
     # larger angles [rad] are in degrees
     largest_radians: float = 2.1 * np.pi
+    # a surface that usually changes after this time [s] or earlier holds its samples until then; 5 Hz
+    # holds, and inputs of a pilot are slower (guess)
+    longest_hold: float = 0.25
     # flights shorter than this [s] are judged together with others only
     long_flight: float = 30.0
 
@@ -51,7 +54,7 @@ class PhysicsSettings:
     least_correlation: float = 0.3
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best
     possible_lag: float = 1 / 3
-    # the same where the angle that a surface turns the aircraft to was not measured
+    # the same of lags from zero where the angle that a surface turns the aircraft to was not measured
     possible_lag_without_angle: float = 1 / 8
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, by_elevons
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import euler_to_matrix
@@ -15,7 +15,7 @@ from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.tables import FlightTable
 
 COMMANDED = (*ALL_SURFACES, "throttle")
-"""Channels of which a repeated value is a new sample."""
+"""Channels that keep still at times: not every repeated value is held."""
 
 
 @dataclass(frozen=True)
@@ -127,15 +127,26 @@ def _samples(name: str, time: Vector, values: Vector) -> tuple[Vector, Vector]:
     A sensor that repeats its value holds it: only the first is a sample, as the others are late.
     """
     rows = np.flatnonzero(np.isfinite(values))
-    if rows.size and name not in COMMANDED:
-        is_first = np.diff(values[rows], prepend=np.nan) != 0
-        is_first[-1] = True
-        rows = rows[is_first]
+    if rows.size:
+        is_sample = np.diff(values[rows], prepend=np.nan) != 0
+        if name in COMMANDED:
+            is_sample[_samples_before_changes(time[rows], is_sample)] = True
+        is_sample[-1] = True
+        rows = rows[is_sample]
     samples = values[rows]
     if rows.size and name in EULER:
         is_degrees = np.abs(samples).max() > PHYSICS.largest_radians
         samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
     return time[rows], samples
+
+
+def _samples_before_changes(time: Vector, is_changed: Mask) -> Indices:
+    """Return the last sample before each change of a surface, which may have kept still until then."""
+    changes = np.flatnonzero(is_changed)
+    n_held = 1
+    if len(changes) > 1 and np.median(np.diff(time[changes])) <= PHYSICS.longest_hold:
+        n_held = int(np.median(np.diff(changes)))
+    return changes[changes >= n_held] - n_held
 
 
 def _averaged(time: Vector, samples: Vector, clock: Matrix) -> Vector:

@@ -16,7 +16,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.design import PlanCheck
 from skdgp.dynamics import KINDS, Aircraft, Propeller
-from skdgp.identification import Identification, changes_of, residuals_without_smoothing
+from skdgp.identification import Identification, PredictedFlight, changes_in_flights
 from skdgp.identification import identify as identify_flights
 from skdgp.identification import validate as validate_flights
 from skdgp.io import inspect_log
@@ -237,13 +237,12 @@ def validate(run: Run) -> None:
         result = validate_flights(
             model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
         )
-        samples = {}
-        for flight in result.evaluations:
-            residuals = residuals_without_smoothing(
-                flight.table, flight.mean, result.aircraft, result.options
-            )
-            samples[flight.name] = flight.regressors, residuals
-        supplements: list[Any] = [changes_of(model.pipeline, samples)]
+        predicted = {
+            flight.name: PredictedFlight(flight.table, flight.regressors, flight.mean)
+            for flight in result.evaluations
+        }
+        changes = changes_in_flights(model.pipeline, predicted, result.aircraft, result.options)
+        supplements: list[Any] = [changes]
         if options.plan is not None:
             thrust = result.options["thrust"]
             check = PlanCheck.from_file(

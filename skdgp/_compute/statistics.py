@@ -1,4 +1,4 @@
-"""Statistics: central intervals of normal predictions, and how many independent values a series is worth."""
+"""Statistics of predictions: central intervals, R^2, and how many independent values a series is worth."""
 
 from __future__ import annotations
 
@@ -7,10 +7,25 @@ from numbers import Real
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm
+from sklearn.metrics import r2_score
 
-from skdgp._compute.typing import Array, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
+
+
+def r2_of_observed(y_true: Matrix, y_pred: Matrix, sample_weight: Vector | None = None) -> float:
+    """Return the coefficient of determination, averaged over the outputs that have targets.
+
+    Targets (n, P) are NaN where an output was not observed.
+    """
+    scores = []
+    for target, predicted in zip(y_true.T, y_pred.T, strict=True):
+        rows = np.isfinite(target)
+        weights = None if sample_weight is None else np.asarray(sample_weight)[rows]
+        if rows.any():
+            scores.append(r2_score(target[rows], predicted[rows], sample_weight=weights))
+    return float(np.mean(scores)) if scores else float("nan")
 
 
 def autocorrelation_time(residuals: Vector) -> float:

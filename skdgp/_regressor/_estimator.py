@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
 from sklearn.gaussian_process.kernels import Kernel
-from sklearn.metrics import r2_score
 from sklearn.utils import check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, covariance_root
 from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
+from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp._regressor import _checks
 from skdgp._regressor._impute import imputed
@@ -734,12 +734,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         mean = self.predict(X).reshape(len(X), -1)
         Y = self._check_targets(y, mean.shape)
-        scores = []
-        for y_true, y_pred in zip(Y.T, mean.T, strict=True):
-            rows = np.isfinite(y_true)
-            if rows.any():
-                scores.append(r2_score(y_true[rows], y_pred[rows]))
-        return float(np.mean(scores)) if scores else float("nan")
+        return r2_of_observed(Y, mean)
 
     def _loading(self, X, factor):
         """Return J R times the root of ``factor``, (n, P, d), with S = R^2; (n, P, 0) for exact regressors."""

@@ -1,9 +1,8 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
 from skdgp.identification._changed import Changes, ChangeSettings, changed, changes_of
-from skdgp.identification._changed import (
-    residuals_without_smoothing as residuals_without_smoothing,
-)
+from skdgp.identification._changed import PredictedFlight as PredictedFlight
+from skdgp.identification._changed import changes_in_flights as changes_in_flights
 from skdgp.identification._evaluate import check_identified, usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification

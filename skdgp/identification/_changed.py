@@ -20,9 +20,9 @@ from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._display.page import section
-from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED
+from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED, VANES
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, dynamic_pressure
 from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._model_file import options_of
@@ -52,6 +52,10 @@ class ChangeSettings:
     fewest_seconds: float = 5.0
     # lag at which the window of the autocovariances ends, as a fraction of the flight, a guess
     longest_lag: float = 0.25
+    # constant errors of sensors that differ from flight to flight, standard deviations: of accelerometers
+    # [m/s^2], and of vanes [rad]; usual ones
+    accelerometer: float = 0.05
+    vane: float = 0.005
     # rows at which the covariance of the function is evaluated
     n_rows: int = 100
     # variance of the unknown correlation of the errors of two longitudinal, or two lateral
@@ -158,6 +162,9 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     C therefore also has the covariance of the weights by every m-th row of the flight, from each first
     one on, about those by all, as far as their variance exceeds the one by chance.
 
+    Accelerometers and vanes have constant errors that differ from flight to flight, of standard
+    deviations ``settings.accelerometer`` and ``settings.vane``. C has their effect on the weights.
+
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The first part of C has the degrees of freedom of its blocks, which
     are few if few blocks hold the motion (Pustejovsky & Tipton 2018); those of C follow from the
@@ -193,19 +200,42 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     options = options_of(model)
     named = named_flights(flights, servos=options.get("servos"))
     tables = usable_flights_of_model(model.pipeline, named, model.aircraft)
-    samples = {}
-    strides = {}
-    seconds = {}
+    predicted = {}
     for name, table in tables.items():
-        time = table["time"].to_numpy(float)
-        seconds[name] = time[-1] - time[0]
         X, noise_ratio = flight_regressors(model.pipeline, table)
         mean = model.pipeline.mean_of_rows(X, noise_ratio)
-        corrected = model.pipeline.corrected(table)
-        residuals = residuals_without_smoothing(corrected, mean, model.aircraft, options)
-        samples[name] = X, residuals
-        strides[name] = _stride(model.pipeline, time)
-    changes = changes_of(model.pipeline, samples, settings, strides=strides)
+        predicted[name] = PredictedFlight(model.pipeline.corrected(table), X, mean)
+    return changes_in_flights(model.pipeline, predicted, model.aircraft, options, settings)
+
+
+class PredictedFlight(NamedTuple):
+    """A flight and what a model predicts of it."""
+
+    table: pd.DataFrame  # of the corrected channels
+    regressors: Matrix  # (n, d) of the last step
+    mean: Matrix  # (n, 6) predicted coefficients
+
+
+def changes_in_flights(
+    pipeline: FlightPipeline,
+    flights: Mapping[str, PredictedFlight],
+    aircraft: Aircraft,
+    options: Mapping[str, Any],
+    settings: ChangeSettings = SETTINGS,
+) -> Changes:
+    """Return the changes that predicted flights show, see `changed`; ``options`` are those of the model."""
+    samples = {}
+    strides = {}
+    force_units = {}
+    seconds = {}
+    for name, (table, X, mean) in flights.items():
+        time = table["time"].to_numpy(float)
+        seconds[name] = time[-1] - time[0]
+        samples[name] = X, residuals_without_smoothing(table, mean, aircraft, options)
+        strides[name] = _stride(pipeline, time)
+        pressure = dynamic_pressure(table["airspeed"], table["density"])
+        force_units[name] = aircraft.mass / (pressure * aircraft.wing_area)
+    changes = changes_of(pipeline, samples, settings, strides=strides, force_units=force_units)
     is_long = pd.Series(seconds) >= settings.fewest_seconds
     return replace(changes, p_values=changes.p_values.where(is_long, axis=0))
 
@@ -236,6 +266,7 @@ def changes_of(
     settings: ChangeSettings = SETTINGS,
     *,
     strides: Mapping[str, int] | None = None,
+    force_units: Mapping[str, Vector] | None = None,
 ) -> Changes:
     """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight.
 
@@ -247,6 +278,9 @@ def changes_of(
     settings : ChangeSettings
     strides : mapping of str to int, optional
         Intervals of the rows of the fit, in rows of each flight; by default the fit had all rows.
+    force_units : mapping of str to ndarray (n,), optional
+        Change of the force coefficients of each flight by an acceleration of 1 m/s^2; by default
+        accelerometers have no constant errors.
 
     Returns
     -------
@@ -263,11 +297,13 @@ def changes_of(
         is_measured = np.isfinite(residuals).all(axis=1)
         X = X[is_measured]
         residuals = residuals[is_measured]
+        unit = None if force_units is None else force_units[flight][is_measured]
         # weights that the model knows; an unknown effect that is constant in the flight moves the mean
         is_elsewhere = is_constant & constant_columns(X) & ~np.isclose(X[0], trained[0])
         learned = np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
         among_learned = np.ix_(learned, learned)
         uncertainty = _function_covariance(pipeline[-1], X, spread, settings)
+        uncertainty = uncertainty + _offset_covariance(pipeline, X, unit, settings)
         stride = 1 if strides is None else strides[flight]
         row = {}
         changes = {}
@@ -325,8 +361,8 @@ def _function_covariance(
     regressor: DependentGPRegressor, X: Matrix, spread: Matrix, settings: ChangeSettings
 ) -> Array:
     """Return G Q^T K Q G of each output, (P, d + 1, d + 1), from evenly spaced rows of X (n, d)."""
-    n_rows = min(settings.n_rows, len(X))
-    rows = np.linspace(0, len(X) - 1, n_rows).astype(int)
+    rows = _even_rows(X, settings)
+    n_rows = len(rows)
     mean, cov = regressor.predict(X[rows], return_cov=True, include_input_noise=False)
     n_outputs = mean.shape[1]
     blocks = cov.reshape(n_outputs, n_rows, n_outputs, n_rows)
@@ -339,6 +375,40 @@ def _function_covariance(
         K = K + further[..., i].T @ further[..., i]
         covariances.append(fitting @ K @ fitting.T)
     return np.stack(covariances)
+
+
+def _even_rows(X: Matrix, settings: ChangeSettings) -> Indices:
+    """Return at most ``settings.n_rows`` evenly spaced rows of X."""
+    return np.linspace(0, len(X) - 1, min(settings.n_rows, len(X))).astype(int)
+
+
+def _offset_covariance(
+    pipeline: Pipeline, X: Matrix, force_unit: Vector | None, settings: ChangeSettings
+) -> Array:
+    """Return the covariance of the weights by constant errors of vanes and accelerometers, (P, d + 1, d + 1).
+
+    An error of a vane moves the prediction by the slopes at each row of X (n, d), one of an
+    accelerometer moves a force coefficient by ``force_unit`` (n,) for 1 m/s^2.
+    """
+    rows = _even_rows(X, settings)
+    slopes = pipeline[-1].predict_gradient(X[rows])
+    n_outputs = slopes.shape[1]
+    scale = pipeline["standardscaler"].scale_
+    effects = []
+    for k, name in enumerate(map(str, regressor_names(pipeline))):
+        if name in VANES:
+            effects.append(slopes[:, :, k] * settings.vane / scale[k])
+    if force_unit is not None:
+        for axis in range(3):
+            effect = np.zeros((len(rows), n_outputs))
+            effect[:, axis] = settings.accelerometer * force_unit[rows]
+            effects.append(effect)
+    fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
+    covariance = np.zeros((n_outputs, len(fitting), len(fitting)))
+    for effect in effects:
+        weights = (fitting @ effect).T
+        covariance += weights[:, :, None] * weights[:, None, :]
+    return covariance
 
 
 def _biases(
@@ -388,7 +458,8 @@ def flight_weights(
     G = np.asarray(np.linalg.pinv(Q.T @ Q, hermitian=True), dtype=float)
     weights = G @ (Q.T @ residual)
     e = residual - Q @ weights
-    correlated = autocorrelation_time(residual)
+    # a change that follows a slow motion makes the residual last longer, not e
+    correlated = min(autocorrelation_time(residual), autocorrelation_time(e))
     wanted = max(settings.block_times * correlated, n / settings.n_blocks)
     length = min(wanted, n / (k + settings.spare_blocks))
     if length < max(settings.fewest_times * correlated, 2.0):

@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 from sklearn import get_config
 from sklearn.base import clone
-from sklearn.metrics import r2_score
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.metaestimators import available_if
-from sklearn.utils.validation import check_is_fitted
+from sklearn.utils.validation import check_consistent_length, check_is_fitted
 
 from skdgp._compute.messages import without_warnings
+from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.motion import vibration_band
@@ -447,8 +447,14 @@ class FlightPipeline(Pipeline):
     def score(
         self, X: pd.DataFrame, y: Any = None, sample_weight: Any = None, **params: Any
     ) -> float:
-        """Return the coefficient of determination of ``predict``, as ``score`` of scikit-learn's regressors."""
-        return float(r2_score(y, self.predict(X, **params), sample_weight=sample_weight))
+        """Return the coefficient of determination R^2 of ``predict`` for observed coefficients, averaged.
+
+        Coefficients y (n, 6) are NaN where they were not observed.
+        """
+        mean = np.asarray(self.predict(X, **params)).reshape(len(X), -1)
+        check_consistent_length(mean, y, sample_weight)
+        measured = np.asarray(y, dtype=float).reshape(mean.shape)
+        return r2_of_observed(measured, mean, sample_weight)
 
     def mean_of_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Matrix:
         """Return the mean coefficients (n, P) of logged rows, from the two of `flight_regressors`."""

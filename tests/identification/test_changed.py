@@ -10,7 +10,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
-from skdgp.identification import changes_of
+from skdgp.identification import ChangeSettings, changes_of
 from skdgp.preprocessing import FlightPathReconstruction, RegressorSelector
 
 NAMES = ["alpha", "q_hat", "elevator"]
@@ -87,6 +87,22 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     assert abs(row["change"] - 0.2) < 3 * row["std"]
     assert "has changed" in result.summary()[0]
     assert "Cm_alpha" in result.summary()[0]
+
+
+def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
+    """A less effective elevator in a flight whose elevator hardly moves but for its trim."""
+
+    def slow(seed, change):
+        X, Y = flight(seed, 0.02)
+        elevator = 0.1 * np.sin(np.arange(len(X)) / 200) + 0.02 * X["elevator"]
+        Y += np.outer(elevator - X["elevator"], SLOPES[2])
+        Y[:, 4] += change * elevator
+        return X.assign(elevator=elevator), Y
+
+    same = changes(model, {str(seed): slow(seed, 0.0) for seed in range(1, 13)})
+    assert (same.p_values["Cm"] < 0.05).mean() < 0.2
+    other = changes(model, {str(seed): slow(seed, 0.2) for seed in range(1, 13)})
+    assert (other.p_values["Cm"] < 0.01).all()
 
 
 def with_noise_of_alpha(seed, size, of_q=0.0):
@@ -233,6 +249,35 @@ def flight_with_one_pulse(seed, change=0.0):
     Y = Y + np.outer(pulse - X["elevator"], SLOPES[2])
     Y[:, 4] += change * pulse
     return X.assign(elevator=pulse), Y
+
+
+def test_constant_errors_of_sensors_are_no_change(model):
+    """An offset of the vane moves the prediction, one of the accelerometer the measurement."""
+    mass_over_load = 0.1  # change of CZ by 1 m/s^2
+    samples, vanes_alone = {}, {}
+    for seed in range(1, 13):
+        rng = np.random.default_rng(2000 + seed)
+        X, Y = flight(seed, 0.005)
+        X["alpha"] += 0.005 * rng.normal()
+        Z = np.asarray(model[:-1].transform(X))
+        vanes_alone[str(seed)] = Z, Y - model.predict(X)
+        Y[:, 2] += 0.05 * rng.normal() * mass_over_load
+        samples[str(seed)] = Z, Y - model.predict(X)
+    units = {name: np.full(len(X), mass_over_load) for name, (X, _) in samples.items()}
+    with_accelerometers = changes_of(model, samples, force_units=units)
+    assert (with_accelerometers.p_values < 0.05).mean().max() < 0.2
+    assert (changes_of(model, vanes_alone).p_values < 0.05).mean().max() < 0.2
+    none = ChangeSettings(vane=0.0, accelerometer=0.0)
+    assert (changes_of(model, samples, none).p_values["CZ"] < 0.05).mean() > 0.5
+    # a change of a slope is found beside them
+    X, residuals = samples["1"]
+    residuals[:, 4] += 0.2 * 0.1 * X[:, 0]
+    assert (
+        changes_of(model, {"iced": (X, residuals)}, force_units={"iced": units["1"]})
+        .p_values["Cm"]
+        .iloc[0]
+        < 0.01
+    )
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):

@@ -89,11 +89,11 @@ class Code(Enum):
     BANDS_TOO_WIDE = "bands_too_wide"
     BY_CONSTRUCTION = "by_construction"
     CONSTANT_BETTER_IN_FLIGHTS = "constant_better_in_flights"
-    CONSTANT_BETTER_IN_MOMENTS = "constant_better_in_moments"
     DIVERGING = "diverging"
     ERRORS_SMALL = "errors_small"
     ERRORS_TOO_LARGE = "errors_too_large"
     LEAST_SQUARES_BETTER = "least_squares_better"
+    MOMENTS_UNEXPLAINED = "moments_unexplained"
     NOT_VARYING = "not_varying"
     TOO_LITTLE_FLOWN = "too_little_flown"
 

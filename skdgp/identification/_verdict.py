@@ -255,10 +255,10 @@ def _control_of_known(
         trim_beyond = Finding(Code.TRIM_BEYOND, numbers={"names": list(beyond)})
         return Use(purpose, "no", (trim_beyond, controls_known))
     errors = judged["normalized_rmse"].reindex([*MOMENTS])
-    poor = list(errors.index[errors > 1])
-    if poor:
-        constant_better = Finding(Code.CONSTANT_BETTER_IN_MOMENTS, numbers={"names": poor})
-        return Use(purpose, "partly", (controls_known, constant_better))
+    poor = errors[errors > THRESHOLDS.error]
+    if len(poor):
+        unexplained = Finding(Code.MOMENTS_UNEXPLAINED, numbers={"errors": poor.to_dict()})
+        return Use(purpose, "partly", (controls_known, unexplained))
     return Use(purpose, "yes", (controls_known,))
 
 

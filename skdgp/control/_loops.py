@@ -18,6 +18,7 @@ import numpy as np
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
+from skdgp._flight.checks import check_full_deflection
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
 
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
@@ -313,16 +314,12 @@ def _check_parameters(known):
 def _check_full(full):
     """Raise ValueError where full deflections are no mapping of surfaces to positive angles up to 90 degrees."""
     surfaces = [surface for *_, surface in LOOP_AXES.values()]
-    if not isinstance(full, Mapping) or not full or not all(map(_is_full, full, full.values())):
+    if not isinstance(full, Mapping) or not full or not {*full} <= {*surfaces}:
         raise ValueError(
-            f"Got full={full!r}, but expected deflections [rad] at full output, positive, of some of {surfaces}."
+            f"Got full={full!r}, but expected deflections [rad] at full output of some of {surfaces}."
         )
-
-
-def _is_full(name, value):
-    """Return whether a value is a full deflection [rad] of the control of a loop."""
-    is_control = any(name == surface for *_, surface in LOOP_AXES.values())
-    return is_control and isinstance(value, NUMBERS) and 0 < value <= np.pi / 2
+    for name, value in full.items():
+        check_full_deflection(name, value)
 
 
 def _airspeed(parameters, name, former_name=""):

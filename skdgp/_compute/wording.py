@@ -534,7 +534,7 @@ REASONS = _by_code(
     wrong_signs="wrong sign of {names}",
     bands_too_narrow="the bands do not hold on the test flights: {coverages:.0%} of the "
     "measured values",
-    moments_unexplained="but errors over the spread of the test flights are {errors:.2f}: what else "
+    moments_unexplained="errors over the spread of the test flights are {errors:.2f}: what else "
     "turned the aircraft, such as gusts, may bias derivatives",
     errors_small=_errors_small,
     errors_too_large=_errors_too_large,

@@ -29,8 +29,8 @@ from skdgp.dynamics._size_errors import ScaleFactor
 CENTRED = ThrustLine()
 # farthest inertial sensors from the centre of gravity [spans]; farther ones are given in mm; a guess
 FARTHEST_SENSORS = 2.0
-# span times chord over the wing area, or its inverse; a larger one is of another unit
-FARTHEST_RATIO = 5.0
+# largest ratio of span times chord to the wing area, or its inverse; a larger one is of another unit; a guess
+LARGEST_AREA_RATIO = 5.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -262,10 +262,10 @@ def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:
 def _check_planform(wing_area: float, span: float, chord: float) -> None:
     """Raise ValueError if span times chord is far from the wing area, as of a length in mm."""
     ratio = span * chord / wing_area
-    if not 1 / FARTHEST_RATIO < ratio < FARTHEST_RATIO:
+    if not 1 / LARGEST_AREA_RATIO < ratio < LARGEST_AREA_RATIO:
         raise ValueError(
             f"Got wing_area {wing_area:g}, span {span:g} and chord {chord:g}, but expected [m^2] and [m]: "
-            f"span times chord is {ratio:.2g} times the wing area."
+            f"span times chord is {ratio:.2g} times the wing area. Check their units."
         )
 
 

@@ -22,9 +22,10 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._display.page import section
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED, VANES
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, dynamic_pressure
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
+from skdgp.identification._log_errors import dynamic_load
 from skdgp.identification._model_file import options_of
 from skdgp.identification._pipeline import (
     FlightPipeline,
@@ -52,10 +53,10 @@ class ChangeSettings:
     fewest_seconds: float = 5.0
     # lag at which the window of the autocovariances ends, as a fraction of the flight, a guess
     longest_lag: float = 0.25
-    # constant errors of sensors that differ from flight to flight, standard deviations: of accelerometers
-    # [m/s^2], and of vanes [rad]; usual ones
-    accelerometer: float = 0.05
-    vane: float = 0.005
+    # standard deviations of constant errors that differ from flight to flight, of accelerometers [m/s^2] and
+    # vanes [rad]; guesses
+    accelerometer_offset: float = 0.05
+    vane_offset: float = 0.005
     # rows at which the covariance of the function is evaluated
     n_rows: int = 100
     # variance of the unknown correlation of the errors of two longitudinal, or two lateral
@@ -163,7 +164,8 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     one on, about those by all, as far as their variance exceeds the one by chance.
 
     Accelerometers and vanes have constant errors that differ from flight to flight, of standard
-    deviations ``settings.accelerometer`` and ``settings.vane``. C has their effect on the weights.
+    deviations ``settings.accelerometer_offset`` and ``settings.vane_offset``. C has their effect on the
+    weights.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`. The first part of C has the degrees of freedom of its blocks, which
@@ -226,16 +228,17 @@ def changes_in_flights(
     """Return the changes that predicted flights show, see `changed`; ``options`` are those of the model."""
     samples = {}
     strides = {}
-    force_units = {}
+    by_acceleration = {}
     seconds = {}
     for name, (table, X, mean) in flights.items():
         time = table["time"].to_numpy(float)
         seconds[name] = time[-1] - time[0]
         samples[name] = X, residuals_without_smoothing(table, mean, aircraft, options)
         strides[name] = _stride(pipeline, time)
-        pressure = dynamic_pressure(table["airspeed"], table["density"])
-        force_units[name] = aircraft.mass / (pressure * aircraft.wing_area)
-    changes = changes_of(pipeline, samples, settings, strides=strides, force_units=force_units)
+        by_acceleration[name] = aircraft.mass / dynamic_load(table, aircraft)
+    changes = changes_of(
+        pipeline, samples, settings, strides=strides, by_acceleration=by_acceleration
+    )
     is_long = pd.Series(seconds) >= settings.fewest_seconds
     return replace(changes, p_values=changes.p_values.where(is_long, axis=0))
 
@@ -266,7 +269,7 @@ def changes_of(
     settings: ChangeSettings = SETTINGS,
     *,
     strides: Mapping[str, int] | None = None,
-    force_units: Mapping[str, Vector] | None = None,
+    by_acceleration: Mapping[str, Vector] | None = None,
 ) -> Changes:
     """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight.
 
@@ -278,9 +281,9 @@ def changes_of(
     settings : ChangeSettings
     strides : mapping of str to int, optional
         Intervals of the rows of the fit, in rows of each flight; by default the fit had all rows.
-    force_units : mapping of str to ndarray (n,), optional
-        Change of the force coefficients of each flight by an acceleration of 1 m/s^2; by default
-        accelerometers have no constant errors.
+    by_acceleration : mapping of str to ndarray (n,), optional
+        Change of the force coefficients of each flight by an acceleration, m / (qbar S) [s^2/m]; by
+        default accelerometers have no constant errors.
 
     Returns
     -------
@@ -297,13 +300,13 @@ def changes_of(
         is_measured = np.isfinite(residuals).all(axis=1)
         X = X[is_measured]
         residuals = residuals[is_measured]
-        unit = None if force_units is None else force_units[flight][is_measured]
+        force_slope = None if by_acceleration is None else by_acceleration[flight][is_measured]
         # weights that the model knows; an unknown effect that is constant in the flight moves the mean
         is_elsewhere = is_constant & constant_columns(X) & ~np.isclose(X[0], trained[0])
         learned = np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
         among_learned = np.ix_(learned, learned)
         uncertainty = _function_covariance(pipeline[-1], X, spread, settings)
-        uncertainty = uncertainty + _offset_covariance(pipeline, X, unit, settings)
+        uncertainty = uncertainty + _offset_covariance(pipeline, X, force_slope, settings)
         stride = 1 if strides is None else strides[flight]
         row = {}
         changes = {}
@@ -383,12 +386,12 @@ def _even_rows(X: Matrix, settings: ChangeSettings) -> Indices:
 
 
 def _offset_covariance(
-    pipeline: Pipeline, X: Matrix, force_unit: Vector | None, settings: ChangeSettings
+    pipeline: Pipeline, X: Matrix, by_acceleration: Vector | None, settings: ChangeSettings
 ) -> Array:
     """Return the covariance of the weights by constant errors of vanes and accelerometers, (P, d + 1, d + 1).
 
     An error of a vane moves the prediction by the slopes at each row of X (n, d), one of an
-    accelerometer moves a force coefficient by ``force_unit`` (n,) for 1 m/s^2.
+    accelerometer moves a force coefficient by the slope ``by_acceleration`` (n,) [s^2/m].
     """
     rows = _even_rows(X, settings)
     slopes = pipeline[-1].predict_gradient(X[rows])
@@ -397,11 +400,11 @@ def _offset_covariance(
     effects = []
     for k, name in enumerate(map(str, regressor_names(pipeline))):
         if name in VANES:
-            effects.append(slopes[:, :, k] * settings.vane / scale[k])
-    if force_unit is not None:
+            effects.append(slopes[:, :, k] * settings.vane_offset / scale[k])
+    if by_acceleration is not None:
         for axis in range(3):
             effect = np.zeros((len(rows), n_outputs))
-            effect[:, axis] = settings.accelerometer * force_unit[rows]
+            effect[:, axis] = settings.accelerometer_offset * by_acceleration[rows]
             effects.append(effect)
     fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
     covariance = np.zeros((n_outputs, len(fitting), len(fitting)))

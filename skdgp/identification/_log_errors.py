@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from sklearn.linear_model import LinearRegression
 
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, SENSOR_POSITION, SURFACES, VANES
 from skdgp._flight.clock import Clock, median_step
 from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, sensor_position
@@ -68,7 +68,10 @@ def with_thrust_errors(
     if propeller is None or not propeller.load_std:
         return aircraft
     force, moment = propulsive_loads(table, aircraft)
-    missing = -np.hstack([force, moment / aircraft.moment_lengths]) / _scale(table, aircraft)
+    missing = (
+        -np.hstack([force, moment / aircraft.moment_lengths])
+        / dynamic_load(table, aircraft)[:, None]
+    )
     added = learned_as(missing, regressors)
     factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
     return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
@@ -142,13 +145,13 @@ def _by_position(
         position = np.zeros((len(table), 3))
         position[:, axis] = std
         acceleration = acceleration_by_rotation(spin, rates, position)
-        force = -aircraft.mass * acceleration / _scale(table, aircraft)
+        force = -aircraft.mass * acceleration / dynamic_load(table, aircraft)[:, None]
         changes = np.hstack([force, np.zeros_like(force)])
         effects[column.replace("_", " ")] = learned_as(changes, regressors)
     return effects
 
 
-def _scale(table: pd.DataFrame, aircraft: Aircraft) -> Matrix:
-    """Return qbar S (n, 1)."""
+def dynamic_load(table: pd.DataFrame, aircraft: Aircraft) -> Vector:
+    """Return the dynamic pressure times the wing area, qbar S (n,) [N]."""
     qbar = dynamic_pressure(table["airspeed"], table["density"])
-    return np.asarray(qbar)[:, None] * aircraft.wing_area
+    return np.asarray(qbar) * aircraft.wing_area

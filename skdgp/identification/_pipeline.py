@@ -33,6 +33,7 @@ from skdgp.estimation import (
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._engine import engine_regressors
 from skdgp.inference import KnownSlopes
+from skdgp.metrics import check_scored
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -451,9 +452,8 @@ class FlightPipeline(Pipeline):
 
         Coefficients y (n, 6) are NaN where they were not observed.
         """
-        mean = np.asarray(self.predict(X, **params)).reshape(len(X), -1)
-        check_consistent_length(mean, y, sample_weight)
-        measured = np.asarray(y, dtype=float).reshape(mean.shape)
+        measured, mean = check_scored(y, self.predict(X, **params))
+        check_consistent_length(measured, sample_weight)
         return r2_of_observed(measured, mean, sample_weight)
 
     def mean_of_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Matrix:

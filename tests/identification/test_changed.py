@@ -253,31 +253,28 @@ def flight_with_one_pulse(seed, change=0.0):
 
 def test_constant_errors_of_sensors_are_no_change(model):
     """An offset of the vane moves the prediction, one of the accelerometer the measurement."""
-    mass_over_load = 0.1  # change of CZ by 1 m/s^2
-    samples, vanes_alone = {}, {}
+    by_acceleration = 0.1  # m / (qbar S) [s^2/m]
+    samples = {}
+    vanes_alone = {}
     for seed in range(1, 13):
         rng = np.random.default_rng(2000 + seed)
         X, Y = flight(seed, 0.005)
         X["alpha"] += 0.005 * rng.normal()
         Z = np.asarray(model[:-1].transform(X))
         vanes_alone[str(seed)] = Z, Y - model.predict(X)
-        Y[:, 2] += 0.05 * rng.normal() * mass_over_load
+        Y[:, 2] += 0.05 * rng.normal() * by_acceleration
         samples[str(seed)] = Z, Y - model.predict(X)
-    units = {name: np.full(len(X), mass_over_load) for name, (X, _) in samples.items()}
-    with_accelerometers = changes_of(model, samples, force_units=units)
+    units = {name: np.full(len(X), by_acceleration) for name, (X, _) in samples.items()}
+    with_accelerometers = changes_of(model, samples, by_acceleration=units)
     assert (with_accelerometers.p_values < 0.05).mean().max() < 0.2
     assert (changes_of(model, vanes_alone).p_values < 0.05).mean().max() < 0.2
-    none = ChangeSettings(vane=0.0, accelerometer=0.0)
+    none = ChangeSettings(vane_offset=0.0, accelerometer_offset=0.0)
     assert (changes_of(model, samples, none).p_values["CZ"] < 0.05).mean() > 0.5
     # a change of a slope is found beside them
     X, residuals = samples["1"]
     residuals[:, 4] += 0.2 * 0.1 * X[:, 0]
-    assert (
-        changes_of(model, {"iced": (X, residuals)}, force_units={"iced": units["1"]})
-        .p_values["Cm"]
-        .iloc[0]
-        < 0.01
-    )
+    iced = changes_of(model, {"iced": (X, residuals)}, by_acceleration={"iced": units["1"]})
+    assert iced.p_values.loc["iced", "Cm"] < 0.01
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):

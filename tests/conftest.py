@@ -237,7 +237,7 @@ def cut_short():
         search = SearchSettings(
             values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
         )
-        settings = {"search": search} | others
+        settings = {"search": search, "time_series_search": search} | others
         short = replace(DependentGPRegressor.settings, **settings)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(DependentGPRegressor, "settings", short)

@@ -49,7 +49,7 @@ def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     search = SearchSettings(
         values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
     )
-    regressor.settings = replace(regressor.settings, search=search)
+    regressor.settings = replace(regressor.settings, time_series_search=search)
     X, asked = (
         np.asarray(transform.fit_transform(train)),
         np.asarray(transform.transform(test))[::10],

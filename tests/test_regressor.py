@@ -85,7 +85,7 @@ class TestScikitLearnContract:
     def test_iterations_are_counted_within_their_limit(self, data, options):
         model = DependentGPRegressor(max_iter=3, n_latent=1, random_state=0, **options)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)
+            warnings.simplefilter("ignore")  # of so few iterations, and what they leave unexplained
             model.fit(*data)
         assert 1 <= model.n_iter_ <= 3 == model.max_iter_
 
@@ -237,7 +237,7 @@ def test_a_log_is_sparse_earlier_and_searched_shorter():
     Y = np.sin(X)
     options = {"optimizer": None, "n_inducing": 10, "structure": "joint"}
     for n, clock, expected in (
-        (1200, None, ("exact", 100)),
+        (1200, None, ("exact", 50)),
         (1200, 0.1, ("sparse", 60)),
         (400, 0.1, ("exact", 60)),
     ):

@@ -320,6 +320,7 @@ def test_registered_paths_are_in_the_units_of_the_outputs(inference):
     assert_array_equal(some, np.moveaxis(values, 0, -1))
 
 
+@pytest.mark.filterwarnings("ignore:Got hyperparameters that end at a bound")
 def test_restarts_leave_an_optimum_that_explains_all_as_noise():
     """From far too long length scales, the nearest optimum of this likelihood is white noise."""
     X = np.linspace(0, 10, 80)[:, None]

@@ -14,6 +14,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp._regressor import _checks
 from skdgp.inference import (
+    TIME_SERIES,
     Data,
     Fit,
     KnownNoise,
@@ -46,7 +47,7 @@ class RegressorSettings:
     #: 1 % in 30 more; of other data also with effects that it missed
     further: int = 2
     #: Iterations for other data
-    iterations: int = 100
+    iterations: int = 50
     #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
     #: The same of a time series
@@ -64,6 +65,8 @@ class RegressorSettings:
     least_white: float = 0.01
     #: Of each search
     search: SearchSettings = field(default_factory=SearchSettings)
+    #: The same of a time series
+    time_series_search: SearchSettings = TIME_SERIES
 
 
 @dataclass(frozen=True)
@@ -191,6 +194,7 @@ class Recipe:
 
         ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
         """
+        settings = self.settings
         random_state = check_random_state(self.random_state)
         data = Data.from_table(X, Z, known.loading)  # one copy for all
         seeds = random_state.randint(2**31 - 1, size=2)
@@ -202,8 +206,8 @@ class Recipe:
             n_restarts=self.n_restarts_optimizer,
             shifts=len(kernels) > 1,
             time_series=self.time_series,
-            further=self.settings.further if self.max_iter is None else 0,
-            settings=self.settings.search,
+            further=settings.further if self.max_iter is None else 0,
+            settings=settings.time_series_search if self.time_series else settings.search,
         )
         is_exact = self.inference_of(data.n_values) == "exact"
         if not is_exact:

@@ -55,6 +55,7 @@ from skdgp.inference._posterior import (
     PosteriorSettings as PosteriorSettings,
 )
 from skdgp.inference._posterior import check_spread as check_spread
+from skdgp.inference._search import TIME_SERIES as TIME_SERIES
 from skdgp.inference._search import Objective as Objective
 from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings

@@ -31,7 +31,7 @@ from skdgp._compute.linalg import (
     triangular_solve,
 )
 from skdgp._compute.parallel import thread_map, threads_for
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp.kernels import InputPair, MultiOutputKernel, PathBundle
 
 
@@ -212,9 +212,13 @@ class Data(NamedTuple):
         """Return the values of every ``n``-th sample, beginning with each of the first ``n`` samples."""
         if n == 1:
             return [self]
+        return [self.chosen_in_turn(is_batch) for is_batch in np.eye(n, dtype=bool)]
+
+    def chosen_in_turn(self, is_chosen: Mask) -> Data:
+        """Return the values of each sample k for which ``is_chosen[k % n]`` of n flags is true."""
         samples = np.unique(np.concatenate(self.sample))
-        batch = [samples.searchsorted(rows) % n for rows in self.sample]
-        return [self._of_rows([np.flatnonzero(of_row == k) for of_row in batch]) for k in range(n)]
+        places = [samples.searchsorted(rows) % len(is_chosen) for rows in self.sample]
+        return self._of_rows([np.flatnonzero(is_chosen[place]) for place in places])
 
     def of_outputs(self, outputs: Sequence[int]) -> Data:
         """Return the values of some outputs; the others have none."""

@@ -31,6 +31,9 @@ class OptimizerSettings:
     recent: int = 10
     #: Pairs of steps and changes of the gradient that L-BFGS keeps
     corrections: int = 20
+    #: Whether each parameter is searched in units of its information at the start: the same maximum
+    #: after half to a third of the evaluations
+    by_information: bool = True
 
 
 STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
@@ -99,6 +102,7 @@ def maximize(
     *,
     max_iter: int = 100,
     stage: str = "fit",
+    scale: Callable[[Vector], Vector] | None = None,
     settings: OptimizerSettings | None = None,
 ) -> Optimum:
     """Return the best point of a search that starts at ``theta``.
@@ -117,6 +121,9 @@ def maximize(
         Zero: the starting point is evaluated.
     stage : str
         Name of the stage for progress listeners.
+    scale : callable or None
+        theta (n,) -> lengths (n,) over which the value changes by about one. L-BFGS searches in units of
+        those at the start, so that its first guess of the curvature is about right. None: ones.
     settings : OptimizerSettings or None
 
     Returns
@@ -143,7 +150,10 @@ def maximize(
     loss = _Loss(objective, start, stage, stop)
     end = _End(0, np.inf, False)
     try:
-        end = _minimized(loss, start, bounds, rounded, max_iter, settings)
+        unit = np.ones(len(start))
+        if scale is not None and settings.by_information and max_iter:
+            unit = scale(start)
+        end = _minimized(loss, start, bounds, unit, rounded, max_iter, settings)
     except KeyboardInterrupt:
         if not keeps_best():
             raise
@@ -161,22 +171,23 @@ class _End(NamedTuple):
     converged: bool
 
 
-def _minimized(loss, theta, bounds, rounded, max_iter, settings):
-    """Return how the minimisation of a loss from ``theta`` ended."""
+def _minimized(loss, theta, bounds, unit, rounded, max_iter, settings):
+    """Return how the minimisation of a loss from ``theta``, in ``unit`` (n,) of each parameter, ended."""
     first_value, first_gradient = loss(theta)
     if max_iter == 0:  # SciPy would make one
         return _End(0, np.inf, False)
     before = loss.latest
-    unit = float(np.linalg.norm(first_gradient)) or 1.0  # so that the first step has length one
+    # so that the first step has length one
+    nats = float(np.linalg.norm(unit * first_gradient)) or 1.0
 
-    def scaled_loss(other):
-        other = rounded(other)
+    def scaled_loss(z):
+        other = rounded(unit * z)
         if np.array_equal(other, theta):
-            return first_value / unit, first_gradient / unit
+            return first_value / nats, unit * first_gradient / nats
         value, gradient = loss(other)
-        return value / unit, gradient / unit
+        return value / nats, unit * gradient / nats
 
-    def end_of_iteration(theta):
+    def end_of_iteration(z):
         nonlocal before
         rise = loss.latest - before
         size = max(1.0, abs(loss.latest), abs(before))
@@ -184,25 +195,26 @@ def _minimized(loss, theta, bounds, rounded, max_iter, settings):
         if rise <= settings.tolerance * size:
             raise StopIteration
 
+    scaled_bounds = bounds / unit[:, None]
     end = minimize(
         scaled_loss,
-        theta,
+        theta / unit,
         jac=True,
         method="L-BFGS-B",
-        bounds=bounds,
+        bounds=scaled_bounds,
         callback=end_of_iteration,
         options={
             "maxiter": max_iter,
             "maxfun": 2 * max_iter + 10,
             "maxcor": settings.corrections,
             "ftol": 0.0,
-            "gtol": settings.gradient / unit,
+            "gtol": settings.gradient / nats,
         },
     )
     if end.success or end.status == STOPPED:
         return _End(end.nit, 0.0, True)
     extrapolated = max(max_iter, 1) * loss.rise_per_evaluation(settings.recent)
-    return _End(end.nit, min(_newton_rise(end, unit, bounds), extrapolated), False)
+    return _End(end.nit, min(_newton_rise(end, nats, scaled_bounds), extrapolated), False)
 
 
 def _newton_rise(end: Any, unit: float, bounds: Matrix) -> float:

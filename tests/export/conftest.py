@@ -93,7 +93,7 @@ def identified(once, first_minute, cut_short):
         data = first_minute()
         train, test = data.train[data.train["time"] < 12], data.test[data.test["time"] < 4]
         regressor = DependentGPRegressor(
-            inference="sparse", n_inducing=12, n_latent=1, max_iter=2, random_state=0
+            inference="sparse", n_inducing=12, n_latent=1, max_iter=10, random_state=0
         )
         options = {"test": test, "samples": 120, "regressor": regressor, "horizons": [1.0]}
         with cut_short(), warnings.catch_warnings():

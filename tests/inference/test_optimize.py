@@ -4,10 +4,12 @@ from threading import Event
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import listening
-from skdgp.inference import maximize
+from skdgp.inference import Data, Objective, maximize
+from skdgp.kernels import ConvolvedGaussian
 
 BOUNDS = np.array([[-5.0, 5.0], [-5.0, 5.0]])
 
@@ -45,6 +47,39 @@ def test_keeps_to_the_bounds():
     seen = np.array(seen)
     assert (seen >= bounds[:, 0]).all()
     assert (seen <= bounds[:, 1]).all()
+
+
+def steep_and_flat(theta):
+    """Highest at (1, -2), a million times steeper along the first parameter."""
+    away = theta - [1.0, -2.0]
+    steep = np.array([1e6, 1.0])
+    return -0.5 * away @ (steep * away), -steep * away
+
+
+def test_units_of_the_information_make_all_directions_alike():
+    start = np.array([4.0, 4.0])
+    exact = maximize(
+        steep_and_flat, start, BOUNDS, Event(), max_iter=2, scale=lambda theta: np.array([1e-3, 1])
+    )
+    plain = maximize(steep_and_flat, start, BOUNDS, Event(), max_iter=2)
+    assert_allclose(exact.theta, [1.0, -2.0], atol=1e-4)
+    assert plain.value < exact.value - 1.0
+
+
+def test_information_of_a_hyperparameter_is_the_variance_of_its_gradient():
+    """That of log sigma^2 is n / 2 for white noise; an amplitude of nearly zero has none."""
+    kernel = ConvolvedGaussian(0, amplitude=[[1e-6]], length_scale=[[[1.0]]])
+    n = 200
+    informations = []
+    for seed in range(40):
+        rng = default_rng(seed)
+        data = Data.from_table(rng.normal(size=(n, 1)), rng.normal(size=(n, 1)))
+        objective = Objective(kernel, data, n_noise=1)
+        scale = objective.scale(np.append(kernel.theta, 0.0))
+        informations.append(scale**-2 - 1)
+    found = np.mean(informations, axis=0)
+    assert found[-1] == pytest.approx(n / 2, rel=0.25)
+    assert_allclose(found[:-1], 0.0, atol=1e-6)
 
 
 def test_iterations_are_limited():

@@ -118,7 +118,7 @@ class SinglePosterior(Posterior):
     ) -> Iterator[SinglePosterior]:
         """Yield the posteriors of the values that remain without each part of the data.
 
-        ``parts`` are the values that remain and those left out, which together are ``data``.
+        ``parts`` are the values that remain and those left out; each value is left out once.
         """
         for remaining, _ in parts:
             yield self.of(remaining, noise)

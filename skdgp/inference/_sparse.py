@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import combinations_with_replacement
-from operator import sub
+from operator import add
 from typing import NamedTuple
 
 import numpy as np
@@ -196,25 +196,21 @@ class SparsePosterior(SinglePosterior):
     def folds(
         self, noise: Vector, data: Data, parts: Sequence[tuple[Data, Data]]
     ) -> Iterator[SinglePosterior]:
-        if data.sample_noise is not None and any(_have_common_samples(*part) for part in parts):
+        is_correlated = data.sample_noise is not None
+        if is_correlated and any(_have_common_samples(*part) for part in parts):
             yield from super().folds(noise, data, parts)
             return
-        whole = self.of(data, noise)
-        for remaining, left_out in parts:
-            yield whole.without(left_out, remaining)
-
-    def without(self, left_out: Data, remaining: Data) -> SparsePosterior:
-        """Return the posterior of the values that remain, whose sums are those of all less those left out."""
         settings = self.share_settings
-        sums = dict(self.sums.statistics)
-        shares = shares_of(left_out, settings)
-        unit = self._unit_noise
-        parts = compute_statistics(self.kernel, self.features, unit, self.Lu, shares, settings)
-        for outputs, part in parts.items():
-            sums[outputs] = sums[outputs].less(part)
-        return SparsePosterior(
-            self.kernel, self.features, self.noise, remaining, SparseSums(self.Lu, sums), settings
-        )
+        unit = noise if is_correlated else np.ones_like(noise)
+        of_parts = []
+        for _, left_out in parts:
+            shares = shares_of(left_out, settings)
+            of_parts.append(
+                compute_statistics(self.kernel, self.features, unit, self.Lu, shares, settings)
+            )
+        for k, (remaining, _) in enumerate(parts):
+            sums = SparseSums(self.Lu, _total(of_parts[:k] + of_parts[k + 1 :]))
+            yield SparsePosterior(self.kernel, self.features, noise, remaining, sums, settings)
 
     @cached_property
     def mean_function(self) -> PathBundle:
@@ -349,9 +345,9 @@ class Statistics(NamedTuple):
     log_determinant: float
     n: int
 
-    def less(self, part: Statistics) -> Statistics:
-        """Return the sums over the samples that are not among those of ``part``."""
-        return Statistics(self.columns, *map(sub, self[1:], part[1:]))
+    def plus(self, other: Statistics) -> Statistics:
+        """Return the sums over these and other samples of the same outputs."""
+        return Statistics(self.columns, *map(add, self[1:], other[1:]))
 
     @property
     def unexplained(self) -> float:
@@ -383,6 +379,15 @@ def _share_sums(kernel, features, noise, Lu, settings, share):
         precision, log_determinants = precisions(Y, share.loading[rows], noise)
         total.add(X, np.nan_to_num(Y), precision, settings)
         total.log_determinant += log_determinants.sum()
+    return total
+
+
+def _total(parts: Sequence[dict[tuple[int, ...], Statistics]]) -> dict[tuple[int, ...], Statistics]:
+    """Return the sums over the samples of several parts, by their outputs."""
+    total: dict[tuple[int, ...], Statistics] = {}
+    for part in parts:
+        for outputs, sums in part.items():
+            total[outputs] = total[outputs].plus(sums) if outputs in total else sums
     return total
 
 

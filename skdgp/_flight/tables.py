@@ -1,4 +1,4 @@
-"""A table of flights, checked once: what stands behind the door relies on it."""
+"""A checked table of flights: a function that takes a FlightTable checks nothing again."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from skdgp.identification._changed import Changes, ChangeSettings, changed, changes_of
 from skdgp.identification._changed import PredictedFlight as PredictedFlight
 from skdgp.identification._changed import changes_in_flights as changes_in_flights
-from skdgp.identification._evaluate import check_identified, usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._identify import identify, validate
@@ -13,6 +12,7 @@ from skdgp.identification._pipeline import (
     flight_regressors,
     make_identification_pipeline,
 )
+from skdgp.identification._prepare import check_identified, usable_flights_of_model
 
 __all__ = [
     "ChangeSettings",

@@ -23,7 +23,6 @@ from skdgp._display.page import section
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED, VANES
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification._evaluate import usable_flights_of_model
 from skdgp.identification._flights import named_flights
 from skdgp.identification._log_errors import dynamic_load
 from skdgp.identification._model_file import options_of
@@ -33,6 +32,7 @@ from skdgp.identification._pipeline import (
     reconstruction_of,
     regressor_names,
 )
+from skdgp.identification._prepare import usable_flights_of_model
 from skdgp.inference import bias_ratio, training_inputs
 
 WHOLE = "whole"

@@ -98,8 +98,7 @@ def split_flights(
     table: Any, default: str = "flight", needed: Sequence[str] = (), *, what: str = "flight"
 ) -> Flights:
     """Return each flight of a table, in their order; raise ValueError at a table that is none of flights."""
-    table = check_table(table)
+    table = check_table(table, what=what)
     if "flight" not in table:
         table = table.assign(flight=default)
-    flights = FlightTable.of(table, needed, what=what).flights
-    return {name: flight.named(name) for name, flight in flights.items()}
+    return FlightTable.of(table, needed, what=what).flights

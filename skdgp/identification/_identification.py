@@ -113,7 +113,10 @@ class Identification:
 
     @cached_property
     def mechanics(self) -> FlightMechanics:
-        """Trim, derivatives and modes at the median flight condition, and how long a simulation follows flights."""
+        """Trim, derivatives and modes at the median flight condition, and how long a simulation follows flights.
+
+        Computed when first asked for, as are the `verdict` and the `metrics`.
+        """
         return flight_mechanics(
             self.pipeline,
             self.aircraft,

@@ -12,12 +12,17 @@ from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, recorded_warnings, report
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
-from skdgp.identification._evaluate import evaluate, usable_flights_of_model
+from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._learn import LearnedModel, checked_regressor, fit_record, learn
 from skdgp.identification._model_file import options_of
-from skdgp.identification._prepare import as_aircraft, assumptions, prepare
+from skdgp.identification._prepare import (
+    as_aircraft,
+    assumptions,
+    prepare,
+    usable_flights_of_model,
+)
 from skdgp.report import TrainingRecord
 
 

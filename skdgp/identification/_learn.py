@@ -1,4 +1,7 @@
-"""Second stage of an identification: the model that the flights determine, and the record of its fit."""
+"""Second stage of an identification: the model that the flights determine, and the record of its fit.
+
+Equations of "the paper" are those of Hemakumara & Sukkarieh (2011).
+"""
 
 from __future__ import annotations
 
@@ -102,7 +105,7 @@ def checked_regressor(regressor: DependentGPRegressor | None) -> DependentGPRegr
 
 
 def learn(
-    flights: PreparedFlights,
+    prepared: PreparedFlights,
     *,
     regressors: str | Sequence[str],
     regressor: DependentGPRegressor,
@@ -112,8 +115,8 @@ def learn(
 ) -> LearnedModel:
     """Return the model of the training flights; parameters: see `identify`."""
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-    table = flights.table
-    pipeline = _pipeline_for(flights, regressors, regressor, steps)
+    table = prepared.table
+    pipeline = _pipeline_for(prepared, regressors, regressor, steps)
     airspeed = pipeline.learn_errors_of_log(table)
     if airspeed.removable():
         numbers = {"percent": 100 * airspeed.value, "std_percent": 100 * airspeed.std}
@@ -123,15 +126,15 @@ def learn(
     pipeline.coefficient_filter_ = coefficient_filter(table)
     corrected = pipeline.corrected(table)
     Y = aerodynamic_coefficients(
-        corrected, flights.aircraft, cutoff=pipeline.own_cutoff, **flights.loads
+        corrected, prepared.aircraft, cutoff=pipeline.own_cutoff, **prepared.loads
     )
-    flown = Extent.of(list(flights.train.values())).seconds
+    flown = Extent.of(list(prepared.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     began = time.monotonic()
     # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
-    choose_engine = flights.lacks_thrust and isinstance(regressors, str)
+    choose_engine = prepared.lacks_thrust and isinstance(regressors, str)
     X = pipeline.fit_returning_regressors(table, targets, choose_engine=choose_engine)
     is_target = targets.notna()
     training = TrainingRecord(
@@ -139,9 +142,9 @@ def learn(
         samples_available=int(Y.notna().any(axis=1).sum()),
         values=int(is_target.to_numpy().sum()),
         seconds=round(time.monotonic() - began, 3),
-        thrust=thrust_sources(flights.loads["thrust"], flights.train.values()),
+        thrust=thrust_sources(prepared.loads["thrust"], prepared.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
-        flights={name: len(part) for name, part in flights.train.items()},
+        flights={name: len(part) for name, part in prepared.train.items()},
         conditions={str(k): float(v) for k, v in corrected.median(numeric_only=True).items()},
         flown=flown,
     )
@@ -149,7 +152,7 @@ def learn(
     if fit.lags_corrected:
         finding = Finding(Code.LAGS_CORRECTED, numbers={"lags": fit.lags_corrected})
         report(finding, stacklevel=3)
-    aircraft = flights.aircraft
+    aircraft = prepared.aircraft
     if "propeller" in training.thrust:
         aircraft = with_thrust_errors(aircraft, corrected, named_regressors(pipeline, X))
     if has_values(table, *VANES):  # without them these errors are parameters of the filter
@@ -167,7 +170,7 @@ def learn(
         pipeline=pipeline,
         aircraft=aircraft,
         fit=fit,
-        options=_options(flights, pipeline, training.samples, horizons),
+        options=_options(prepared, pipeline, training.samples, horizons),
     )
 
 
@@ -189,37 +192,37 @@ def _n_rows(
 
 
 def _pipeline_for(
-    flights: PreparedFlights,
+    prepared: PreparedFlights,
     regressors: str | Sequence[str],
     regressor: DependentGPRegressor,
     steps: Mapping[str, Any],
 ) -> FlightPipeline:
     """Return the pipeline that learns the coefficients of the flights."""
-    columns = {*flights.table}
+    columns = {*prepared.table}
     options = dict(steps)
     if not ({*MIXED} <= columns or {*ELEVONS} & columns):
         options.setdefault("mixer", "passthrough")
     pipeline = make_identification_pipeline(
-        flights.aircraft, regressors=regressors, regressor=regressor, **options
+        prepared.aircraft, regressors=regressors, regressor=regressor, **options
     )
     if isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction):
-        pipeline.set_params(flightpathreconstruction__thrust=flights.loads["thrust"])
-        if flights.loads["external_forces"]:  # which the motion of the air does not know
+        pipeline.set_params(flightpathreconstruction__thrust=prepared.loads["thrust"])
+        if prepared.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
-    if flights.has_full_throws:
+    if prepared.has_full_throws:
         pipeline.control_units_ = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
     return pipeline
 
 
 def _options(
-    flights: PreparedFlights, pipeline: Pipeline, samples: int, horizons: Sequence[float]
+    prepared: PreparedFlights, pipeline: Pipeline, samples: int, horizons: Sequence[float]
 ) -> dict[str, Any]:
     """Return the options of an identification, given or chosen."""
     regressor = pipeline[-1]
     reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
     chosen = {
         "samples": samples,
-        **flights.loads,
+        **prepared.loads,
         "inference": regressor.inference,
         "structure": regressor.structure,
         "regressors": pipeline["regressorselector"].regressors,
@@ -233,8 +236,8 @@ def _options(
         "max_iter": regressor.max_iter,
         "lags": pipeline["lagcorrector"].lags,
     }
-    if flights.has_full_throws:
-        chosen["servos"] = flights.servos
+    if prepared.has_full_throws:
+        chosen["servos"] = prepared.servos
     return chosen
 
 

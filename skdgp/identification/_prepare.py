@@ -1,14 +1,19 @@
-"""First stage of an identification: checked training and test flights, and assumptions."""
+"""First stage of an identification: checked training and test flights, and assumptions.
+
+Flights are `FlightTable` here; behind this stage they are tables of their usable rows.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.pipeline import Pipeline
 
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import report
@@ -30,6 +35,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.sensor_position import sensor_position
 from skdgp._flight.tables import FlightTable, numeric
+from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -39,6 +45,7 @@ from skdgp.dynamics import (
     with_sensor_position,
 )
 from skdgp.identification._flights import Flights, items_of, named_flights
+from skdgp.identification._pipeline import FlightPipeline
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 from skdgp.preprocessing import FlightCheck
 
@@ -56,6 +63,9 @@ REPEATED = (
     Code.CONSTANT_INPUTS,
     Code.SLOW_CHANNELS,
 )
+
+# steps that an evaluation of a model reads
+STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 
 # findings that are assumptions
 ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)
@@ -90,7 +100,7 @@ class PreparedFlights:
         """Whether surfaces are in parts of their full throw."""
         return reversed_of(self.servos) is not None
 
-    @property
+    @cached_property
     def table(self) -> pd.DataFrame:
         """The training flights in one table."""
         return pd.concat(self.train.values(), ignore_index=True)
@@ -116,27 +126,28 @@ def prepare(
     Warns of faults, contradictions and assumptions.
     """
     aircraft = as_aircraft(aircraft)
-    servos = servos_for(reading.get("servos"), flights, test, regressors=regressors)
+    names = names_of(regressors)
+    servos = servos_for(reading.get("servos"), flights, test, regressors=names)
     options = {**reading, "servos": servos}
     train = named_flights(flights, needed=MEASURED, **options)
-    check_controls(train, regressors)
+    check_controls(train, names)
     if test is None:
         train, test_flights = without_last(train)
     else:
         test_flights = named_flights(test, default="test flight", needed=MEASURED, **options)
         for name in train.keys() & test_flights.keys():
             report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
-    columns = regressor_columns([flight.table for flight in train.values()], regressors)
+    columns = regressor_columns([flight.table for flight in train.values()], names)
     aircraft = _with_position_of(aircraft, train)
-    usable_train = usable_flights(train, aircraft, regressors, columns)
-    usable_test = usable_flights(test_flights, aircraft, regressors, columns)
+    usable_train = usable_flights(train, aircraft, names, columns)
+    usable_test = usable_flights(test_flights, aircraft, names, columns)
     lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
     if lacks_thrust:
         thrust = None
         if any((table["throttle"] > 0).any() for table in usable_train.values()):
             report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
     if thrust is None:
-        warn_of_engine(usable_train, regressors)
+        warn_of_engine(usable_train, names)
     prepared = PreparedFlights(
         train=usable_train,
         test=usable_test,
@@ -156,7 +167,7 @@ def as_aircraft(aircraft: Any) -> Aircraft:
     return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
 
 
-def servos_for(servos: Any, *flights: Any, regressors: str | Sequence[str]) -> Any:
+def servos_for(servos: Any, *flights: Any, regressors: Sequence[str]) -> Any:
     """Return ``servos``, or without them "full throw" for logs of autopilots.
 
     None where no surface is a regressor, and no parameter names servos. Raises ValueError of logs
@@ -173,11 +184,11 @@ def servos_for(servos: Any, *flights: Any, regressors: str | Sequence[str]) -> A
             "Got logs of autopilots without servos beside tables, but expected surfaces in one "
             "unit: give servos, a file of the angles of the surfaces."
         )
-    needs_surfaces = not {*ALL_SURFACES}.isdisjoint(_names(regressors))
+    needs_surfaces = not {*ALL_SURFACES}.isdisjoint(regressors)
     return FULL_THROW if needs_surfaces or any(map(names_servos, items)) else None
 
 
-def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
+def check_controls(flights: Flights, regressors: Sequence[str]) -> None:
     """Raise ValueError if flights lack a surface and a column of another name seems to hold it.
 
     Warn of a missing elevator, whose effect other regressors then take.
@@ -188,7 +199,7 @@ def check_controls(flights: Flights, regressors: str | Sequence[str]) -> None:
     available = {*columns}
     if available & {*ELEVONS}:
         available |= {*MIXED}
-    lacking = [name for name in SURFACES if name in _names(regressors) and name not in available]
+    lacking = [name for name in SURFACES if name in regressors and name not in available]
     unknown = [name for name in columns if name not in CHANNELS]
     meant = {}
     for name, channel in suggestions(unknown, columns).items():
@@ -227,18 +238,18 @@ def without_last(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flig
     return {**others, first: learned}, {rest: tested}
 
 
-def _names(regressors: str | Sequence[str]) -> Sequence[str]:
+def names_of(regressors: str | Sequence[str]) -> Sequence[str]:
+    """Return the names of regressors, those of a set where its name is given."""
     return REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
 
 
-def regressor_columns(tables: Iterable[pd.DataFrame], regressors: str | Sequence[str]) -> list[str]:
+def regressor_columns(tables: Iterable[pd.DataFrame], regressors: Sequence[str]) -> list[str]:
     """Return the measured columns of the tables that regressors are made from."""
-    names = _names(regressors)
-    mixed = {*ELEVONS} if {*MIXED} & {*names} else set()
+    mixed = {*ELEVONS} if {*MIXED} & {*regressors} else set()
     columns: dict[str, None] = {}
     for table in tables:
         needed = {"airspeed"} | mixed
-        for name in names:
+        for name in regressors:
             bare = str(name).removesuffix(HAT)
             needed.add(bare if bare in table else bare.removesuffix("_dot"))
         columns |= dict.fromkeys(name for name in table.columns if name in needed)
@@ -248,7 +259,7 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors: str | Sequence
 def usable_flights(
     flights: Flights,
     aircraft: Aircraft | None,
-    regressors: str | Sequence[str],
+    regressors: Sequence[str],
     columns: Sequence[str],
 ) -> Tables:
     """Return the tables of flights without faults, and only rows that a model can learn from or predict.
@@ -272,6 +283,33 @@ def usable_flights(
         finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning, stacklevel=3)
     return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
+
+
+def usable_flights_of_model(
+    pipeline: Pipeline, flights: Flights, aircraft: Aircraft | None = None
+) -> Tables:
+    """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
+
+    Flights that do not state the position of their inertial sensors get the aircraft's. Raises
+    ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training
+    flights had.
+    """
+    check_identified(pipeline)
+    regressors = names_of(pipeline["regressorselector"].regressors)
+    of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
+    columns = regressor_columns([of_fit], regressors)
+    return usable_flights(flights, aircraft, regressors, columns)
+
+
+def check_identified(pipeline: Pipeline) -> None:
+    """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
+    names = list(pipeline.named_steps) if isinstance(pipeline, FlightPipeline) else []
+    if not {*names} >= STEPS or not isinstance(pipeline[-1], DependentGPRegressor):
+        raise ValueError(
+            f"Got a model of {names or type(pipeline).__name__}, but expected what "
+            "make_identification_pipeline makes, with a DependentGPRegressor: learn it with "
+            "identify."
+        )
 
 
 def _with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
@@ -304,9 +342,7 @@ def _warn_of_positions(
         report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers), stacklevel=4)
 
 
-def _complete_rows(
-    flight: str, table: pd.DataFrame, regressors: str | Sequence[str]
-) -> pd.DataFrame:
+def _complete_rows(flight: str, table: pd.DataFrame, regressors: Sequence[str]) -> pd.DataFrame:
     """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
     columns = regressor_columns([table], regressors)
     missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), table.index, columns)
@@ -346,11 +382,11 @@ def _lacks_thrust(tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
     return True
 
 
-def warn_of_engine(flights: Tables, regressors: str | Sequence[str]) -> None:
+def warn_of_engine(flights: Tables, regressors: Sequence[str]) -> None:
     """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
     table = pd.concat(flights.values(), ignore_index=True)
     varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]
-    if varied and not {*varied} & {*_names(regressors)}:
+    if varied and not {*varied} & {*regressors}:
         report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}), stacklevel=2)
 
 

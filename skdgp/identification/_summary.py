@@ -11,7 +11,6 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import software_versions
-from skdgp._compute.findings import Code, with_codes
 from skdgp._compute.wording import text_of
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp._flight.sensor_position import sensor_position
@@ -21,6 +20,8 @@ from skdgp.identification._pipeline import reconstruction_of
 from skdgp.report import Evaluation, FitRecord, Verdict, scores
 
 GROUPS = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
+MOST_WARNINGS = 3  # in the summary
+MOST_AIRS = 4  # facts of the air
 THRUSTS = {
     "columns": "from the thrust columns of the flights",
     "propeller": "from the propeller's bench table",
@@ -88,29 +89,27 @@ def _score_text(against: Mapping[str, pd.DataFrame], names: list[str]) -> str:
     return shown.to_string(formatters=form)
 
 
-def verdict_lines(verdict: Verdict, n_warnings: int = 3) -> list[str]:
+def verdict_lines(verdict: Verdict) -> list[str]:
     """Return error, comparison with least squares, uses and the first warnings."""
     error = "no error to judge"
     if np.isfinite(verdict.error):
         error = f"error {verdict.error:.3f} of the spread{_of_judged(verdict)}"
     lines = [f"{error}, {100 * verdict.coverage:.1f} % in 95 % bands"]
-    if verdict.least_squares_error is not None and np.isfinite(verdict.error):
-        lines.append(verdict.compared())
+    compared = verdict.compared()
+    if compared:
+        lines.append(compared)
     for use in verdict.uses:
         lines.append(f"{use.purpose + ':':<22}{use.fit}, {use.reason}")
-    for number, warning in enumerate(verdict.warnings[:n_warnings], start=1):
+    for number, warning in enumerate(verdict.warnings[:MOST_WARNINGS], start=1):
         lines.append(f"warning {number}: {warning}")
     return lines
 
 
 def _of_judged(verdict: Verdict) -> str:
     """Return the coefficients that the error is of, empty if of all."""
-    unjudged: set[str] = set()
-    for finding in with_codes(verdict.findings, Code.NOT_VARYING):
-        unjudged.update(finding.numbers["names"])
-    if not unjudged:
+    if not verdict.unvarying:
         return ""
-    return " of " + " ".join(name for name in COEFFICIENTS if name not in unjudged)
+    return " of " + " ".join(name for name in COEFFICIENTS if name not in verdict.unvarying)
 
 
 def assumption_lines(assumed: Iterable[str]) -> list[str]:
@@ -194,18 +193,18 @@ def _durations(flights: Mapping[str, pd.DataFrame]) -> str:
     return ", ".join(parts)
 
 
-def air_of(pipeline: Pipeline, most: int = 4) -> str:
+def air_of(pipeline: Pipeline) -> str:
     """Return gusts and steady wind of the training flights, as reconstruction found them; empty where it did not."""
     step = reconstruction_of(pipeline)
     if step is None:
         return ""
     if step.air_motion_ is not None:
         return step.air_motion_.summary
-    parts = [f"gusts {step.gust_std_:.2g} m/s rms"]
+    parts = [f"gusts that change by {step.gust_std_:.2g} m/s rms in 1 s"]
     winds = step.calibration_.pivot_table("estimate", "flight", "constant", sort=False)
     for name, row in winds.iterrows():
         north, east = row[["wind_north", "wind_east"]]
         way = np.rad2deg(np.arctan2(-east, -north)) % 360
         speed = np.hypot(north, east)
         parts.append(f"steady wind {speed:.2g} m/s from {way:.0f} deg in flight {name!r}")
-    return ", ".join(parts[:most])
+    return ", ".join(parts[:MOST_AIRS])

@@ -61,15 +61,15 @@ def judge(
 ) -> Verdict:
     """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`.
 
-    Of all ``findings`` of the identification, doubts exclude the judgement "yes", and the others are
-    warnings. Doubts, wrong signs and sizes are faults, with which no controller is designed.
+    Of all ``findings`` of the identification, doubts exclude the judgement "yes", and warnings are told
+    again. Doubts, wrong signs and sizes are faults, with which no controller is designed.
     """
     table = scores(evaluations)["measured"]
     unvarying = _not_varying(evaluations, table)
     judged = table.drop(index=unvarying)
     doubts = _doubts(record, findings)
     derivatives = mechanics.derivatives
-    faults = [*doubts, *_wrong_signs(derivatives), *_implausible_sizes(derivatives)]
+    faults = [*doubts, *_sign_findings(derivatives), *_implausible_sizes(derivatives)]
     simulation = _simulation(mechanics, record.regressors)
     by_scores = (
         _prediction(judged, _by_construction(evaluations, record), unvarying),
@@ -89,7 +89,7 @@ def judge(
         warnings.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
     if not record.converged:
         warnings.append(Finding(Code.FIT_NOT_CONVERGED))
-    warnings += [finding for finding in findings if finding.severity is not Severity.DOUBT]
+    warnings += [finding for finding in findings if finding.severity is Severity.WARNING]
 
     learned = list(train)
     means = judged.mean()
@@ -103,6 +103,7 @@ def judge(
         least_squares_error=means.get("least_squares_normalized_rmse"),
         better=better,
         worse=worse,
+        unvarying=tuple(unvarying),
         uses=tuple(_limited(use, too_little, doubts) for use in by_scores),
         findings=tuple(warnings),
     )
@@ -297,7 +298,7 @@ def _limited(use: Use, too_little: Finding | None, doubts: Sequence[Finding]) ->
 
     Of a model from too little data nothing is known, but what its regressors exclude. Otherwise "no"
     and "unknown" remain, and doubts turn "yes" into "partly", the doubt of a failed estimate both
-    into "no".
+    into "no". A controller has "no" by its doubts already, which are among its faults.
     """
     is_excluded = any(finding.code is Code.ACCELERATIONS_AS_REGRESSORS for finding in use.findings)
     if too_little is not None and not is_excluded:
@@ -344,8 +345,8 @@ def _is_failure(doubt: Finding) -> bool:
     return cause is not None and cause.code is Code.AIR_NOT_CONVERGED
 
 
-def _wrong_signs(derivatives: pd.DataFrame) -> list[Finding]:
-    """Return the findings of derivatives of other sign than on a conventional stable aircraft, if any.
+def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
+    """Return the findings of derivatives whose sign is, or may be, other than on a conventional stable aircraft.
 
     Wrong is a sign that the 95 % band excludes; the others are not known. The side force of the
     rudder is small on some aircraft, so that its unknown sign is no fault.

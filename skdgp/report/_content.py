@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding, with_codes
+from skdgp._compute.findings import Finding
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._compute.wording import reasons_of, text_of, texts_of
 from skdgp._flight.channels import COEFFICIENTS
@@ -113,6 +113,8 @@ class Verdict:
         Error of a linear model fitted to the same rows.
     better, worse : tuples of str
         Coefficients whose error is smaller, or larger, than by least squares.
+    unvarying : tuple of str
+        Coefficients that vary by less than their noise, so that no error judges them.
     """
 
     regressors: Sequence[str]
@@ -126,6 +128,7 @@ class Verdict:
     least_squares_error: float | None = None
     better: tuple[str, ...] = ()
     worse: tuple[str, ...] = ()
+    unvarying: tuple[str, ...] = ()
 
     @property
     def learned(self) -> str:
@@ -161,9 +164,7 @@ class Verdict:
         """Return a sentence on least squares, empty where it is not known."""
         if self.least_squares_error is None or not np.isfinite(self.error):
             return ""
-        others = {*self.better, *self.worse}
-        for finding in with_codes(self.findings, Code.NOT_VARYING):
-            others.update(finding.numbers["names"])
+        others = {*self.better, *self.worse, *self.unvarying}
         equal = [name for name in COEFFICIENTS if name not in others]
         kinds = {"better": self.better, "equal": equal, "worse": self.worse}
         parts = [f"{kind} in {' '.join(names)}" for kind, names in kinds.items() if names]

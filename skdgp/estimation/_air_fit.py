@@ -40,7 +40,7 @@ class FittedRecord(NamedTuple):
 
     record: Record
     linear: Linearization
-    run: Pass
+    filter_pass: Pass
     scores: Matrix
     log_likelihood: float  # of the innovations, but for a constant
 
@@ -105,14 +105,15 @@ class AirFit:
         fraction = 1.0  # of a step that is taken
         last_step = np.zeros(len(self.x) - self.parameters.n_held)
         was_small = False
+        converged = False
         likelihood = -np.inf
         best = _Point(-np.inf, self.x, self.noise_search.psi)
         lost = settings.lost_likelihood * sum(len(record.rows) for record in self.records)
         for number in range(settings.max_passes):
             # filter about the states of the last pass
-            sums, fitted = self.run(by_instruments=number >= n_before)
+            sums, fitted = self.filter_records(by_instruments=number >= n_before)
             self.records = [item.record for item in fitted]
-            self.states = [item.run.states for item in fitted]
+            self.states = [item.filter_pass.states for item in fitted]
             likelihood = sum(item.log_likelihood for item in fitted)
             if likelihood > best.likelihood:
                 best = _Point(likelihood, self.x.copy(), self.noise_search.psi.copy())
@@ -130,16 +131,15 @@ class AirFit:
 
             is_small = sums.squared_length(step) < settings.tolerance
             is_still = was_small and is_small and noise_length < settings.noise_tolerance
-            if is_still and number > n_before:
-                if likelihood < best.likelihood - lost:
-                    self._go_back(best)
-                    return False
-                return True
+            converged = is_still and number > n_before
+            if converged:
+                break
             last_step, was_small = step, is_small
             damping *= settings.less_damping
         if likelihood < best.likelihood - lost:
             self._go_back(best)
-        return False
+            return False
+        return converged
 
     def _go_back(self, point: _Point) -> None:
         """Take parameters and noises of an earlier pass, and the states of one more pass there."""
@@ -147,9 +147,9 @@ class AirFit:
         self.x = point.x
         self.noise_search.psi = point.psi
         self.history.append(self.x.copy())
-        _, fitted = self.run()
+        _, fitted = self.filter_records()
         self.records = [item.record for item in fitted]
-        self.states = [item.run.states for item in fitted]
+        self.states = [item.filter_pass.states for item in fitted]
 
     def _next_fraction(self, fraction: float, turns_back: bool) -> float:
         """Return the fraction of a step to take: less where steps turn back, so that no two solutions alternate."""
@@ -160,7 +160,7 @@ class AirFit:
     def _move_noises(self, fitted: list[FittedRecord]) -> float:
         """Move the noises by the middle of each record; return the squared length of the step."""
         linears = [item.linear.middle(self.settings.noise_samples) for item in fitted]
-        return self.noise_search.step(self.records, linears)
+        return self.noise_search.move(self.records, linears)
 
     def _bounded_step(self, information: Matrix, score: Vector) -> Vector:
         """Return the step of the free parameters, with a lag that stays at or above zero.
@@ -184,7 +184,7 @@ class AirFit:
             raise np.linalg.LinAlgError
         return step
 
-    def run(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
+    def filter_records(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
         """Filter all records at the parameters; return sums of the parameters, and the filtered records."""
         sums = Sums(self.x, self.parameters)
         fitted = []
@@ -192,10 +192,10 @@ class AirFit:
             if not self.is_known:
                 self._add_steady_wind(sums, record)
             linear = self.linearized(record, states)
-            run = filtered(linear, self.noise_search.noise(record))
-            L_inverse = np.linalg.inv(np.linalg.cholesky(run.innovations.covariance))
-            e = matrix_vector(L_inverse, run.innovations.values)
-            slopes = innovation_slopes(linear, run, L_inverse)
+            filter_pass = filtered(linear, self.noise_search.noise(record))
+            L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovations.covariance))
+            e = matrix_vector(L_inverse, filter_pass.innovations.values)
+            slopes = innovation_slopes(linear, filter_pass, L_inverse)
             has_instruments = by_instruments and not self.is_known
             scores = self._add_scores(sums, record.flight, e, slopes, has_instruments)
             if has_instruments:
@@ -203,7 +203,7 @@ class AirFit:
                 record = record.with_answers(e, self.settings)
             determinants = np.log(np.einsum("nii->ni", L_inverse)).sum()
             log_likelihood = float(determinants - 0.5 * np.sum(e**2))
-            fitted.append(FittedRecord(record, linear, run, scores, log_likelihood))
+            fitted.append(FittedRecord(record, linear, filter_pass, scores, log_likelihood))
         return sums, fitted
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:
@@ -259,7 +259,7 @@ class AirFit:
 
 
 def _projection(squares: Matrix, products: Matrix, settings: AirSettings) -> Matrix:
-    """Return weights (q, p): instruments R times these are slopes D projected on R.
+    """Return weights (r, d): instruments R (n, r) times these are slopes D (n, d) projected on R.
 
     ``squares`` are R^T R, ``products`` R^T D. Directions of R that are small are left out.
     """

@@ -2,7 +2,8 @@ r"""Linearization of a record of the filter-error method, at filtered states and
 
 States (11): gusts north, east, down in a slow and a fast part :math:`g_1, g_2` [m/s]; errors of path
 and attitude e that add to the air velocity, body axes y and z [m/s]; rates :math:`\omega` [rad/s]. With
-the ground velocity v (body axes), attitude R (NED to body), steady wind w and position r of the sensors,
+the velocity v of the centre of gravity over the ground (body axes) as recorded, attitude R (NED to body),
+steady wind w and error r of the position of the sensors,
 
 .. math:: v_a = v - R (w + g_1 + g_2) - e - \omega \times r,
 
@@ -10,13 +11,17 @@ which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the 
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
 the past alone (innovation), and with the recorded path (residual).
 
-Derivatives by parameters follow from air velocity and coefficients by the chain rule: a coefficient is
-the sum of its derivatives times terms, such as alpha. Instruments are the same derivatives with the
-terms in the motion that surfaces alone cause.
+Variables s of the model are air velocity, rates, and errors of the coefficients C. A coefficient is the
+sum of its derivatives times terms, such as alpha. By the chain rule a value h(s) has the slopes
+
+.. math:: \frac{d h}{d z} = \frac{\partial h}{\partial s} \frac{d s}{d z}, \quad
+          \frac{d C_i}{d C_{ij}} = \mathrm{term}_j.
+
+Instruments are the same derivatives with the terms in the motion that surfaces alone cause.
 
 n samples, m sensors, N states, k parameters of a flight, of which the first d are derivatives of the
 coefficients and c are constants, f terms. Slopes by z are by the N states of a sample, the k parameters, and the d
-instruments, together N + p.
+instruments, together N + q.
 """
 
 from __future__ import annotations
@@ -117,7 +122,7 @@ class Layout(NamedTuple):
 
     @property
     def n_slopes(self) -> int:
-        """Number p of slopes by parameters and instruments."""
+        """Number q of slopes by parameters and instruments."""
         return len(self.names) + self.by_instruments * self.n_derivatives
 
     def place(self, *names: str) -> list[int]:
@@ -170,9 +175,10 @@ class Layout(NamedTuple):
     def chained(
         self, by_variables: Array, slopes: Array, terms: Matrix, instrument_terms: Matrix
     ) -> Array:
-        """Return d values / d z (n, m, N + p), from d values / d variables (n, m, 12).
+        """Return d h / d z (n, m, N + q) by the chain rule, from d h / d s (n, m, 12).
 
-        By the `variable_slopes`, and the terms (n, f) of derivatives and instruments.
+        ``slopes`` are d s / d states and constants of `variable_slopes`, ``terms`` (n, f) those of the
+        derivatives.
         """
         values = np.empty((*by_variables.shape[:2], N_STATES + self.n_slopes))
         by_states_and_constants = by_variables @ slopes
@@ -229,7 +235,7 @@ def linearized(
     """
     expansion = _Expansion(record, layout, aircraft, value, states, decay)
     # motion over each step
-    end, by_start = expansion.step()
+    end, by_start = expansion.predict()
     instrument_terms = expansion.instrument_terms(by_start, settings)
     step_slopes = expansion.step_slopes(end, by_start, instrument_terms)
     predicted = states[:-1] * expansion.remaining
@@ -266,7 +272,7 @@ def linearized(
         residual_slopes=residual_slopes,
         step=record.step,
         surface_noise=expansion.surface_noise(by_start),
-        surface_readings=expansion.surface_readings(past.by_variables),
+        surface_reading_variance=expansion.surface_reading_variance(past.by_variables),
         missing=np.where(is_sampled, 0.0, not_sampled),
         vibration=vibration[np.ix_(record.sampled, record.sampled)],
         instrument_terms=_means(instrument_terms),
@@ -278,13 +284,13 @@ class _Readings(NamedTuple):
 
     values: Matrix  # (n - 1, m)
     by_variables: Array  # (n - 1, m, 12)
-    slopes: Array  # (n - 1, m, N + p) by z
+    slopes: Array  # (n - 1, m, N + q) by z
 
 
 class _Expansion:
     """Model, inputs and motion of a record at filtered states (n, N) and parameters by name.
 
-    `step` and `step_slopes` predict the motion. Two predictions of the readings follow:
+    `predict` and `step_slopes` predict the motion. Two predictions of the readings follow:
     `readings_of_past` at the end of this step, from the past alone, and `readings_of_path` at the
     recorded path.
     """
@@ -319,7 +325,7 @@ class _Expansion:
         self.remaining = np.exp(-record.step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
 
-    def step(self) -> tuple[Matrix, Array]:
+    def predict(self) -> tuple[Matrix, Array]:
         """Return the variables (n - 1, 12) after the step from each sample, and d end / d start (n - 1, 6, 12)."""
         drift = matrix_vector(self.drift_by_state, self.states[:-1])
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
@@ -360,7 +366,7 @@ class _Expansion:
         return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
 
     def step_slopes(self, end: Matrix, by_start: Array, instrument_terms: Matrix) -> Array:
-        """Return d air velocity and rates after the step / d z, (n - 1, 6, N + p)."""
+        """Return d air velocity and rates after the step / d z, (n - 1, 6, N + q)."""
         # terms within a step are the mean of the terms at its ends
         terms = self.model.terms(self.start, self.inputs.part(slice(-1)))
         end_terms = self.model.terms(end, self.end_inputs)
@@ -378,11 +384,14 @@ class _Expansion:
     def readings_of_past(
         self, end: Matrix, step_slopes: Array, instrument_terms: Matrix
     ) -> _Readings:
-        """Return the readings at the end of the step, from its start alone."""
+        """Return the readings at the end of the step, from its start alone.
+
+        Air velocity and rates there depend on z by ``step_slopes``, the coefficients by their terms at the end.
+        """
         values, by_variables, by_constants = self._readings(end)
-        by_errors = by_variables.copy()
-        by_errors[..., :6] = 0.0
-        slopes = self.end_slopes(end, by_errors, instrument_terms)
+        by_coefficients = by_variables.copy()
+        by_coefficients[..., :6] = 0.0
+        slopes = self.end_slopes(end, by_coefficients, instrument_terms)
         slopes += by_variables[..., :6] @ step_slopes
         slopes[..., self.layout.constants] += by_constants
         return _Readings(values, by_variables, slopes)
@@ -416,7 +425,7 @@ class _Expansion:
         return values[:, sampled], by_variables[:, sampled], by_constants[:, sampled]
 
     def end_slopes(self, end: Matrix, by_variables: Array, instrument_terms: Matrix) -> Array:
-        """Return d values / d z of the same sample, (n - 1, m, N + p), from d values / d variables."""
+        """Return d values / d z of the same sample, (n - 1, m, N + q), from d values / d variables."""
         terms = self.model.terms(end, self.end_inputs)
         slopes = self.end_variable_slopes(end)
         return self.layout.chained(by_variables, slopes, terms, instrument_terms[1:])
@@ -443,7 +452,7 @@ class _Expansion:
         covariance[:, RATE_STATES, RATE_STATES] = push @ push.mT
         return covariance
 
-    def surface_readings(self, by_end: Array) -> Matrix:
+    def surface_reading_variance(self, by_end: Array) -> Matrix:
         """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
         by_surfaces = by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         error = self.record.surface_errors[1:] * self.surface_effect[1:]

@@ -75,10 +75,10 @@ class Slipstream(NamedTuple):
 
     def effect(self, tau: Array) -> Array:
         """Return the effect (..., k) at the relative thrust tau (...)."""
-        return 1.0 + self.by_thrust * (tau - self.mean)[..., None]
+        return 1.0 + self.slope * (tau - self.mean)[..., None]
 
     @property
-    def by_thrust(self) -> Vector:
+    def slope(self) -> Vector:
         """Derivative of the effect by tau, (k,)."""
         return self.factor / (1.0 + self.factor * self.mean) * self.reached
 
@@ -214,7 +214,7 @@ class AirMotionModel:
         logged = logged_thrust / self.load_units(air, inputs)
         logged_tau = logged[:, :1]
         # the thrust is a load, a term of the coefficients, and the cause of the slipstream
-        by_scale = inputs.surfaces * self.slipstream.by_thrust * logged_tau
+        by_scale = inputs.surfaces * self.slipstream.slope * logged_tau
         of_scale = logged + logged_tau * self.by_thrust + by_scale @ self.by_surfaces.T
         by_lag = by_lag * self.slipstream.effect(tau)
         by_factor = inputs.surfaces * self.slipstream.by_factor(tau)

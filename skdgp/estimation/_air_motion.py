@@ -75,6 +75,7 @@ from skdgp.estimation._sensors import (
 )
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
+ZERO_STD = 1e-6  # prior standard deviation of a parameter that stays zero
 DIVERGED = (
     "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
     "with inputs of every surface, and look at the signs and units of their sensors."
@@ -252,8 +253,8 @@ def estimate_air_motion(
     :math:`e_k` of an extended Kalman filter, of covariance :math:`S_k`, and
     :math:`D_k = \partial e_k / \partial \theta` at given gains, the derivatives solve
 
-    .. math:: \sum_k Z_k^T e_k + \Lambda (\theta - \theta_0) = 0, \quad
-              Z_k = L_k^{-T} P (L_k^{-1} D_k), \quad S_k = L_k L_k^T,
+    .. math:: \sum_k Z_k^T L_k^{-1} e_k + \Lambda (\theta - \theta_0) = 0, \quad
+              Z_k = P (L_k^{-1} D_k), \quad S_k = L_k L_k^T,
 
     where P is the projection on the slopes D of a motion that the surfaces alone cause (instrumental
     variables; Soderstrom & Stoica 1989, chapter 8). Innovations of a filter with a wrong spectrum of
@@ -264,7 +265,7 @@ def estimate_air_motion(
     ailerons, or Cm by thrust over dynamic pressure and wing area, have narrow priors around zero, as
     of a symmetric aircraft without offset of the thrust line. Elevator and rudder may become stronger
     with thrust, in the slipstream of a propeller. The covariance is
-    :math:`(Z^T D + \Lambda)^{-1}`, or its estimate from sums over blocks where that is
+    :math:`(Z^T Z + \Lambda)^{-1}`, or its estimate from sums over blocks where that is
     larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
     samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
     Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
@@ -318,6 +319,8 @@ def estimate_air_motion(
         derivatives = _as_prior(known.derivatives)
     if not _has_drag(derivatives) or not _has_thrust(table, aircraft):
         thrust = None
+    # a measured axial force takes the place of thrust and CX
+    has_thrust = thrust is not None
     every = _records(table, surfaces, aircraft, thrust, settings)
     if known is None:
         records = _to_learn_from(every, settings)
@@ -325,20 +328,18 @@ def estimate_air_motion(
         records = every
         _check_any(records, settings.fewest_known)
     is_complete = _n_samples(records) == _n_samples(every)
-    if thrust is None:
-        # the measured axial force takes the place of thrust and CX: in `_records`, and `_parameters`
-        # without a scale of the thrust
+    if not has_thrust:
         derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
     layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
     n_flights = 1 + max(record.flight for record in records)
     mean_thrust = 0.0 if known is None else known.mean_thrust
-    if known is None and thrust is not None:
+    if known is None and has_thrust:
         mean_thrust = _mean_thrust(records, aircraft)
     records = [record._replace(mean_thrust=mean_thrust) for record in records]
     constants = dict(AIRCRAFT_CONSTANTS)
     if knows_position:
         constants |= KNOWN_ARM
-    parameters = _parameters(derivatives, constants, known, n_flights)
+    parameters = _parameters(derivatives, constants, known, n_flights, has_thrust)
     noises = _noises(records, known, n_flights, settings)
     motion = None
     for n_before in settings.attempts:
@@ -440,7 +441,11 @@ def _as_prior(estimates: pd.DataFrame) -> Prior:
 
 
 def _parameters(
-    derivatives: Prior, constants: Prior, known: AirMotion | None, n_flights: int
+    derivatives: Prior,
+    constants: Prior,
+    known: AirMotion | None,
+    n_flights: int,
+    has_thrust: bool,
 ) -> Parameters:
     """Return the parameters of the flights; the shared ones of a known aircraft are held."""
     shared = dict(constants)
@@ -448,9 +453,8 @@ def _parameters(
     if known is not None:
         shared = dict(_as_prior(known.constants.loc[list(constants)]))
         n_held = len(derivatives) + len(shared)
-    if not _has_drag(derivatives):
-        # a measured force takes the place of thrust
-        shared |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, 1e-6))
+    if not has_thrust:
+        shared |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, ZERO_STD))
     return Parameters.of(dict(derivatives) | shared, FLIGHT_CONSTANTS, n_flights, n_held)
 
 
@@ -472,7 +476,7 @@ def _noises(
 
 def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
     """Return the result of a search, from one more pass at its parameters."""
-    sums, fitted = fit.run()
+    sums, fitted = fit.filter_records()
     names = fit.parameters.names
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
@@ -494,6 +498,7 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         covariance = add_attenuation(covariance, fit.x, prior_std, error_fractions(fit, fitted))
     std = np.sqrt(np.diag(covariance))
     if not fit.is_known:
+        # a bias, of commands that hold within a step, and so no part of the covariance
         std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
     columns = {"value": fit.x, "std": std, "prior_std": prior_std}
     estimates = pd.DataFrame(columns, index=names)

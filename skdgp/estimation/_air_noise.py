@@ -49,7 +49,7 @@ class NoiseSearch:
         value = self.prior.values(np.exp(psi), record.flight)
         return air_noise(value, record.sampled, self.settings)
 
-    def step(self, records: list[Record], linears: list[Linearization]) -> float:
+    def move(self, records: list[Record], linears: list[Linearization]) -> float:
         """Move the noises by a step of Fisher scoring; return its squared length in standard deviations.
 
         ``linears`` are parts of the records' linearizations, which represent the full records.
@@ -60,8 +60,8 @@ class NoiseSearch:
             places = self.prior.free_places(record.flight)
             moves = np.zeros((len(places) + 1, len(self.psi)))
             moves[1:, places] = difference * np.eye(len(places))
-            run = innovations(linear, self.noise(record, self.psi + moves))
-            gradient, fisher = _likelihood_slopes(run, difference)
+            found = innovations(linear, self.noise(record, self.psi + moves))
+            gradient, fisher = _likelihood_slopes(found, difference)
             weight = len(record.step) / len(linear.step)
             sums.add(places, weight * gradient, weight * fisher)
         information, score = sums.damped(self.settings.noise_damping)
@@ -100,7 +100,7 @@ def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) ->
     air = stacked(value, "airspeed", "vane", "vane")
     sensors = np.concatenate([inertial, air], axis=-1)
     return Noise(
-        rate=np.concatenate([2 * std**2 / time, drive**2], axis=-1),  # of Gauss-Markov processes
+        density=np.concatenate([2 * std**2 / time, drive**2], axis=-1),  # of Gauss-Markov processes
         decay=np.concatenate([1 / time, np.zeros_like(drive)], axis=-1),
         surface=value["surface"] ** 2,
         sensor=sensors[..., sampled] ** 2,
@@ -108,16 +108,16 @@ def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) ->
     )
 
 
-def _likelihood_slopes(run: Innovations, difference: float) -> tuple[Vector, Matrix]:
+def _likelihood_slopes(found: Innovations, difference: float) -> tuple[Vector, Matrix]:
     """Return gradient and Fisher information of -log likelihood, by differences of the sets to the first."""
-    e, S = run.values[:, 0], run.covariance[:, 0]
+    e, S = found.values[:, 0], found.covariance[:, 0]
     L_inverse = np.linalg.inv(np.linalg.cholesky(S))
     u = matrix_vector(L_inverse, e)
     gradient = []
     rows = []
-    for moved in range(1, run.values.shape[1]):
-        d = matrix_vector(L_inverse, (run.values[:, moved] - e) / difference)
-        dS = (run.covariance[:, moved] - S) / difference
+    for moved in range(1, found.values.shape[1]):
+        d = matrix_vector(L_inverse, (found.values[:, moved] - e) / difference)
+        dS = (found.covariance[:, moved] - S) / difference
         V = L_inverse @ dS @ L_inverse.mT
         trace = np.einsum("nii->", V) - np.einsum("ni,nij,nj->", u, V, u)
         gradient.append(np.sum(d * u) + 0.5 * trace)

@@ -164,11 +164,13 @@ def records_of(
 ) -> list[Record]:
     """Return the records of a table with propulsive ``loads`` (n, 6) that have ``fewest`` samples or more."""
     logged = np.hstack([numeric(table, surfaces), loads, numeric(table, ["density"])])
-    vanes = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
+    air_data = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
     for number, flight in enumerate(flights_of(table)):
         rows = flight.rows
-        record = _whole_flight(number, flight, logged[rows], vanes[rows], len(surfaces), settings)
+        record = _whole_flight(
+            number, flight, logged[rows], air_data[rows], len(surfaces), settings
+        )
         for segment in flight.sensors.segments():
             if len(segment) < fewest:
                 continue
@@ -182,7 +184,7 @@ def _whole_flight(
     number: int,
     flight: NamedFlight,
     logged: Matrix,
-    vanes: Matrix,
+    air_data: Matrix,
     n_surfaces: int,
     settings: AirSettings,
 ) -> Record:
@@ -194,7 +196,7 @@ def _whole_flight(
     path = estimate.path
     to_body = path.attitude.inv()
     force, rates = path.inertial(sensors)
-    inertial = np.concatenate([force + sensors.acceleration, rates], axis=1)
+    inertial = np.concatenate([force + sensors.lever_acceleration, rates], axis=1)
     rate = 1 / np.median(np.diff(sensors.time))
     vibration = vibration_covariance(inertial, estimate.off_path, rate, settings)
     inputs = interpolate_missing(sensors.time, logged)
@@ -206,7 +208,7 @@ def _whole_flight(
         time=sensors.time,
         velocity=to_body.apply(path.velocity),
         attitude=to_body.as_matrix(),
-        measured=np.column_stack([force + sensors.acceleration, rates, vanes]),
+        measured=np.column_stack([inertial, air_data]),
         force=force,
         position=_position_of(sensors),
         surface_errors=surface_errors,

@@ -52,7 +52,7 @@ def smoothed_air(
 def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Matrix, Matrix]:
     """Return air data, rates and wind (n, 9), and their standard deviations."""
     record = item.record
-    states, P = smoothed(item.linear, item.run)
+    states, P = smoothed(item.linear, item.filter_pass)
     value = fit.parameters.values(fit.x, record.flight)
     air, air_by_state = air_velocity(record, value, states)
     wind = states[:, SLOW_GUST] + states[:, FAST_GUST] + stacked(value, *WINDS)
@@ -60,14 +60,14 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     slopes = _slopes(fit.layout, record, air, air_by_state)
     G = slopes[..., :N_STATES]
     places = fit.parameters.places[record.flight]
-    s = slopes[..., N_STATES:] + G @ state_slopes(item.linear, item.run)
+    s = slopes[..., N_STATES:] + G @ state_slopes(item.linear, item.filter_pass)
     C = covariance[np.ix_(places, places)]
     variance = _variances(G, P) + _variances(s[..., : len(places)], C)
     return estimates, np.sqrt(variance)
 
 
 def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) -> Array:
-    """Return derivatives (n, 9, N + p) by the states, and by the parameters at given states."""
+    """Return derivatives (n, 9, N + q) by the states, and by the parameters at given states."""
     variables = layout.variable_slopes(record.attitude, record.rates, air_by_state)
     by_air = air_data_slopes(air) @ variables[:, AIR_VELOCITY]
     slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))

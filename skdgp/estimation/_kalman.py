@@ -3,10 +3,11 @@ r"""Extended Kalman filter and smoother of the filter-error method, linear about
 The nonlinear functions are evaluated for all samples at once, at the states X of the pass before
 (``_air_linearization.py``); the loop over time is a linear filter of the deviation x from X,
 
-.. math:: x_{k+1} = \Phi_k x_k + c_k + w_k, \quad y_k = H_k x_{k+1}^- + v_k, \quad
+.. math:: x_{k+1} = \Phi_k x_k + c_k + w_k, \quad y_k = H_k (x_{k+1} - c_k) + v_k, \quad
           w_k \sim N(0, Q_k), \quad v_k \sim N(0, R_k),
 
-whose step predicts and corrects (Kalman 1960; Jategaonkar 2015, chapter 5):
+where c is the state that X predicts less X there, and y the error of the sensors at that predicted
+state. Its step predicts and corrects (Kalman 1960; Jategaonkar 2015, chapter 5):
 
 .. math:: P^- = \Phi P \Phi^T + Q, \quad S = H P^- H^T + R, \quad K = P^- H^T S^{-1}, \quad
           P = P^- - K H P^-.
@@ -24,7 +25,8 @@ lack part of the gust.
 
 Errors of the surfaces are :math:`\kappa` times their change within a step. They add to Q and R.
 
-n samples, N states, m sensors, p parameters, s sets of noises.
+n samples, N states, m sensors, q slopes by the parameters of a flight and the instruments, s sets of
+noises.
 """
 
 from __future__ import annotations
@@ -42,26 +44,26 @@ STEPS = 256  # whose matrices are in memory at a time
 
 
 class Linearization(NamedTuple):
-    """A record of n samples of m sensors, linear in N states and p parameters, about states X."""
+    """A record of n samples of m sensors, linear in N states, parameters and instruments, about states X."""
 
     states: Matrix  # (n, N) X, filtered states of the last pass
     # state after a step
     predicted: Matrix  # (n - 1, N) of samples 1 to n - 1, from X
     transition: Array  # (n - 1, N, N) Phi
-    transition_slopes: Array  # (n - 1, N, p) d predicted / d parameters
+    transition_slopes: Array  # (n - 1, N, q) d predicted / d parameters and instruments
     # prediction of the sensors from the past alone
     innovation: Matrix  # (n - 1, m) its error from X, epsilon
     innovation_states: Array  # (n - 1, m, N) D, d prediction / d X of the sample before
     innovation_noise: Array  # (n - 1, m, N) L, d prediction / d state of the same sample
-    innovation_slopes: Array  # (n - 1, m, p) d prediction / d parameters
+    innovation_slopes: Array  # (n - 1, m, q) d prediction / d parameters and instruments
     # prediction of the sensors with the recorded motion
-    residual: Matrix  # (n - 1, m) its error from X, y
+    residual: Matrix  # (n - 1, m) its error at the predicted state, y
     residual_states: Array  # (n - 1, m, N) H, d prediction / d predicted state
-    residual_slopes: Array  # (n - 1, m, p) d prediction / d parameters
+    residual_slopes: Array  # (n - 1, m, q) d prediction / d parameters and instruments
     # noises
     step: Vector  # (n - 1,) [s]
     surface_noise: Array  # (n - 1, N, N) covariance of the states by surfaces, per kappa^2
-    surface_readings: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
+    surface_reading_variance: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
     missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
     vibration: Matrix  # (m, m) covariance of the sensors by vibration
     # terms of the coefficients in the motion that surfaces alone cause
@@ -83,7 +85,7 @@ class Linearization(NamedTuple):
 class Noise(NamedTuple):
     """s sets of noises."""
 
-    rate: Matrix  # (s, N) of the process [units^2/s]
+    density: Matrix  # (s, N) of the white noise that drives the states [units^2/s]
     decay: Matrix  # (s, N) 1 / correlation time of states, 0 where the transition has it
     surface: Vector  # (s,) kappa^2
     sensor: Matrix  # (s, m) variances
@@ -213,13 +215,13 @@ def _filtered_steps(linear: Linearization, noise: Noise, x: Array, P: Array) -> 
 def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
     """Return the matrices of the steps."""
     step = linear.step[:, None, None]
-    Phi = np.repeat(linear.transition[:, None], len(noise.rate), axis=1)
+    Phi = np.repeat(linear.transition[:, None], len(noise.density), axis=1)
     decaying = np.flatnonzero(noise.decay[0] > 0)
     Phi[:, :, decaying, decaying] = np.exp(-step * noise.decay[:, decaying])
-    Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.rate * step)
+    Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.density * step)
     Q += noise.surface[:, None, None] * linear.surface_noise[:, None]
     sensor = noise.sensor + linear.missing[:, None]
-    sensor = sensor + noise.surface[:, None] * linear.surface_readings[:, None]
+    sensor = sensor + noise.surface[:, None] * linear.surface_reading_variance[:, None]
     shift = linear.predicted - linear.states[1:]
     return _FilterMatrices(
         Phi=Phi,
@@ -242,7 +244,7 @@ def _past_innovations(
     L = linear.innovation_noise[:, None]
     e = linear.innovation[:, None, :, None] - D @ x
     S = D @ P @ D.mT + R
-    S += _step_noise(L, D, noise.rate * linear.step[:, None, None])
+    S += _step_noise(L, D, noise.density * linear.step[:, None, None])
     S += noise.surface[:, None, None] * (L @ linear.surface_noise[:, None] @ L.mT)
     return Innovations(e[..., 0], S)
 
@@ -250,7 +252,7 @@ def _past_innovations(
 def surface_covariance(linear: Linearization, noise: Noise) -> Array:
     """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
     L = linear.innovation_noise
-    of_readings = linear.surface_readings[..., None] * np.eye(L.shape[1])
+    of_readings = linear.surface_reading_variance[..., None] * np.eye(L.shape[1])
     return noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings)
 
 
@@ -266,39 +268,43 @@ def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     return (by_late + by_early) / 6
 
 
-def innovation_slopes(linear: Linearization, run: Pass, factors: Array | None = None) -> Array:
-    """Return d innovation / d parameters (n - 1, m, p), the gains being given.
+def innovation_slopes(
+    linear: Linearization, filter_pass: Pass, factors: Array | None = None
+) -> Array:
+    """Return d innovation / d parameters and instruments (n - 1, m, q), the gains being given.
 
     With ``factors`` (n - 1, m, m) each is multiplied by its factor.
     """
     slopes = np.empty_like(linear.innovation_slopes)
-    for steps, Z in _parts_of_state_slopes(linear, run):
+    for steps, Z in _parts_of_state_slopes(linear, filter_pass):
         by_states = linear.innovation_states[steps] @ Z[:-1]
         part = -(by_states + linear.innovation_slopes[steps])
         slopes[steps] = part if factors is None else factors[steps] @ part
     return slopes
 
 
-def state_slopes(linear: Linearization, run: Pass) -> Array:
-    """Return d filtered states / d parameters (n, N, p), the gains being given."""
-    n, N, p = linear.transition_slopes.shape
-    slopes = np.zeros((n + 1, N, p))
-    for steps, Z in _parts_of_state_slopes(linear, run):
+def state_slopes(linear: Linearization, filter_pass: Pass) -> Array:
+    """Return d filtered states / d parameters and instruments (n, N, q), the gains being given."""
+    n, N, q = linear.transition_slopes.shape
+    slopes = np.zeros((n + 1, N, q))
+    for steps, Z in _parts_of_state_slopes(linear, filter_pass):
         slopes[steps.start + 1 : steps.stop + 1] = Z[1:]
     return slopes
 
 
-def _parts_of_state_slopes(linear: Linearization, run: Pass) -> Iterator[tuple[slice, Array]]:
+def _parts_of_state_slopes(
+    linear: Linearization, filter_pass: Pass
+) -> Iterator[tuple[slice, Array]]:
     """Yield slices of steps, which fit the cache, and the slopes of the states before and after these steps."""
-    n, N, p = linear.transition_slopes.shape
-    last = np.zeros((N, p))
+    n, N, q = linear.transition_slopes.shape
+    last = np.zeros((N, q))
     for first in range(0, n, STEPS):
         steps = slice(first, min(first + STEPS, n))
-        gain = run.gain[steps]
+        gain = filter_pass.gain[steps]
         correction = np.eye(N) - gain @ linear.residual_states[steps]  # I - K H
         T = correction @ linear.transition[steps]
         B = correction @ linear.transition_slopes[steps] - gain @ linear.residual_slopes[steps]
-        Z = np.empty((len(T) + 1, N, p))
+        Z = np.empty((len(T) + 1, N, q))
         Z[0] = last
         for k in range(len(T)):
             np.matmul(T[k], Z[k], out=Z[k + 1])
@@ -307,15 +313,15 @@ def _parts_of_state_slopes(linear: Linearization, run: Pass) -> Iterator[tuple[s
         yield steps, Z
 
 
-def smoothed(linear: Linearization, run: Pass) -> tuple[Matrix, Array]:
+def smoothed(linear: Linearization, filter_pass: Pass) -> tuple[Matrix, Array]:
     """Return the states given all samples (n, N), and their covariances (Rauch, Tung & Striebel 1965)."""
-    change = run.states - linear.states
+    change = filter_pass.states - linear.states
     predicted = linear.predicted + matrix_vector(linear.transition, change[:-1])
-    P_predicted = run.predicted_covariance
-    PhiP = linear.transition @ run.covariance[:-1]
+    P_predicted = filter_pass.predicted_covariance
+    PhiP = linear.transition @ filter_pass.covariance[:-1]
     C = np.linalg.solve(P_predicted, PhiP).mT  # gain of the smoother
-    x = run.states.copy()
-    P = run.covariance.copy()
+    x = filter_pass.states.copy()
+    P = filter_pass.covariance.copy()
     for k in reversed(range(len(C))):
         x[k] += C[k] @ (x[k + 1] - predicted[k])
         P[k] += C[k] @ (P[k + 1] - P_predicted[k]) @ C[k].T

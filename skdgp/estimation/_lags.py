@@ -85,11 +85,11 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     segments = _segments_of(at_centre_of_gravity(table), settings)
     servos = UNKNOWN
     surfaces = _most_likely_lag(segments, ALL_SURFACES, _turning_by_surfaces, settings)
-    commands = None
+    servos_and_delay = None
     if removable(surfaces, settings) < 0:
-        commands = _most_likely_servos(segments, surfaces, settings)
-    if commands is not None:
-        servos, surfaces = commands
+        servos_and_delay = _most_likely_servos(segments, surfaces, settings)
+    if servos_and_delay is not None:
+        servos, surfaces = servos_and_delay
         lag = removable(servos, settings)
         segments = [segment.behind_servos(lag) for segment in segments]
     surface_lag = removable(surfaces, settings)
@@ -106,7 +106,7 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
             servos = UNKNOWN
             # commands that hold between samples are half a step late, which the lag of servos takes in
             shortest = max(segment.log_step for segment in segments)
-            is_delay = commands is not None and abs(surfaces.value) >= shortest
+            is_delay = servos_and_delay is not None and abs(surfaces.value) >= shortest
             surfaces = surfaces if is_delay else UNKNOWN
     return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
 
@@ -120,7 +120,7 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     check_radians(table, ("theta", *RATES))
     lags = list(PATH_LAGS.values())
     free = ["p_bias", "q_bias", "r_bias", *lags, *MEAN_WIND]
-    places = slice(3, 5)
+    places = [free.index(name) for name in lags]
     noise = PATH_NOISE | GUSTS
     prior = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
     precision = prior.copy()
@@ -128,7 +128,7 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     first = _first_rows(table, settings).drop(columns=[*VANES], errors="ignore")
     for flight in flights_of(first):
         solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
-        of_flight = np.linalg.inv(solved.covariance[places, places])
+        of_flight = np.linalg.inv(solved.covariance[np.ix_(places, places)])
         weighted += of_flight @ solved.path.constant(*lags)
         precision += of_flight - prior
     covariance = np.linalg.inv(precision)
@@ -177,7 +177,7 @@ class _Segment:
         if "airspeed" not in channels:
             return 1.0
         speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
-        return np.maximum(speed, 0.1 * np.median(speed))
+        return np.maximum(speed, settings.least_speed * np.median(speed))
 
     def behind_servos(self, lag: float) -> _Segment:
         """Return the segment with the deflections of servos of a first-order lag [s], in place of their commands."""
@@ -233,7 +233,7 @@ def _rate_of(clock: Vector) -> float:
 def _band_at(rate_hz: float, settings: LagSettings) -> tuple[float, float]:
     """Return the band of frequencies at a rate of samples [Hz]; empty where samples are too slow."""
     low, high = settings.band
-    return low, min(high, 0.2 * rate_hz)
+    return low, min(high, settings.highest * rate_hz)
 
 
 def _low_pass(values: Vector, frequency: float, rate_hz: float) -> Vector:
@@ -335,14 +335,14 @@ def _most_likely_servos(
         options={"initial_simplex": corners, "xatol": settings.precision, "fatol": np.inf},
     )
     servo_lag, command_lag = both.x.tolist()
-    commands = Lag(command_lag, surfaces.std)
-    if not removable(commands, settings) or alone.fun - both.fun < settings.delay_evidence:
+    delay = Lag(command_lag, surfaces.std)
+    if not removable(delay, settings) or alone.fun - both.fun < settings.delay_evidence:
         servo_lag = float(alone.x)
-        commands = Lag(0.0, surfaces.std)
+        delay = Lag(0.0, surfaces.std)
     servos = Lag(servo_lag, surfaces.std)
-    is_significant = removable(servos, settings) or removable(commands, settings)
+    is_significant = removable(servos, settings) or removable(delay, settings)
     is_at_bound = servo_lag + settings.precision >= largest
-    return (servos, commands) if is_significant and not is_at_bound else None
+    return (servos, delay) if is_significant and not is_at_bound else None
 
 
 def _profile(

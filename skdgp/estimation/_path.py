@@ -6,6 +6,7 @@ of a channel in n samples, and the covariance P of the path,
 
 .. math:: \sigma^2 = \frac{\sum e^2}{n - \operatorname{tr} J P J^T}.
 
+A step of it multiplies the standard deviation by the ratio of the two sides to the power of ``stride``.
 At the fixed point the gradient of the marginal likelihood is zero (Searle, Casella & McCulloch 1992,
 section 8.3). The traces are estimated from draws of the posterior.
 """
@@ -25,6 +26,7 @@ from skdgp.estimation._path_equations import (
     ATTITUDE_LAG,
     EQUATION_NOISE,
     GUST,
+    GUST_ROWS,
     INERTIAL_ROWS,
     MIRROR,
     ODD,
@@ -101,7 +103,7 @@ def estimate_path(
     search = _Search(sensors, free, settings)
     path = FlightPath.initial(sensors)
     delays = np.zeros(2, dtype=int)
-    stride = 1.0
+    fraction = 1.0  # of a step that is taken
     last_step = np.zeros(len(free))
     for number in range(settings.max_steps):
         if number <= settings.delay_steps:
@@ -111,9 +113,9 @@ def estimate_path(
         # the full step of the constants, in standard deviations
         step = posterior.constants[search.free] / np.sqrt(np.diag(posterior.covariance))
         if step @ last_step < -settings.overshoot * last_step @ last_step:
-            stride /= 2
+            fraction /= 2
         last_step = step
-        path = path.moved(stride * posterior.states, stride * posterior.constants)
+        path = path.moved(fraction * posterior.states, fraction * posterior.constants)
         before = noise
         pace = min(1.0, settings.full_steps / (number + 1))
         sums = search.residual_sums(equations, posterior)
@@ -143,7 +145,7 @@ class _Search:
         self.channels = list(EQUATION_NOISE)
         if not self.has_alpha:
             # without an alpha vane vertical gusts are like horizontal ones
-            self.channels[GUST.stop - 1] = "gust_horizontal"
+            self.channels[GUST_ROWS.stop - 1] = "gust_horizontal"
 
     def delays(self, path: FlightPath) -> Indices:
         """Return the lags of GPS and attitude in whole samples, (2,)."""
@@ -157,7 +159,7 @@ class _Search:
         scale = np.tile(self._stds(noise), (len(self.sensors.time), 1))
         # change of a Gauss-Markov process of correlation time T in a step
         growth = self.settings.gust_time / 2 * (1 - self.correlation**2)
-        scale[:-1, GUST] *= np.sqrt(growth)[:, None]
+        scale[:-1, GUST_ROWS] *= np.sqrt(growth)[:, None]
         equations.whiten(scale)
         return equations
 
@@ -174,7 +176,7 @@ class _Search:
     def prior(self, path: FlightPath, noise: Mapping[str, float]) -> GaussianPrior:
         """Return the prior of the constants, and a wide one of states where segments begin."""
         settings = self.settings
-        gust_std = self._stds(noise)[GUST] * np.sqrt(settings.gust_time / 2)  # stationary
+        gust_std = self._stds(noise)[GUST_ROWS] * np.sqrt(settings.gust_time / 2)  # stationary
         start_std = np.repeat([settings.start_velocity, settings.start_attitude], 3)
         begins = np.append(True, ~self.sensors.joined)[:, None]
         precision = begins * np.concatenate([start_std, gust_std]) ** -2.0

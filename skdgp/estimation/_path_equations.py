@@ -48,12 +48,15 @@ VELOCITY = slice(0, 3)
 ATTITUDE = slice(3, 6)
 GUST = slice(6, 9)
 """Places in a state's errors: NED velocity, rotation vector in body axes, NED gust."""
+FORCE_ROWS = slice(0, 3)
+RATE_ROWS = slice(3, 6)
+GUST_ROWS = slice(6, 9)
 PROCESS_ROWS = slice(0, 9)
 INERTIAL_ROWS = slice(0, 6)
 AIR_DATA_ROWS = slice(9, 12)
 GPS_ROWS = slice(12, 15)
 ATTITUDE_ROWS = slice(15, 18)
-"""Places among the equations; the first nine have the order of the states."""
+"""Places among the equations."""
 EQUATION_NOISE = (
     "accelerometer",
     "accelerometer",
@@ -183,12 +186,12 @@ def _fill_force(
     mean_force = (force[:-1] + turn.apply(force[1:])) / 2
     residual = back.apply(acceleration - GRAVITY) - mean_force
     by_velocity = back.as_matrix() / step[..., None]
-    equations.residual[:, VELOCITY] = residual
-    equations.d_next[:, VELOCITY, VELOCITY] = by_velocity
-    equations.d_state[:, VELOCITY, VELOCITY] = -by_velocity
-    equations.d_next[:, VELOCITY, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
-    equations.d_state[:, VELOCITY, ATTITUDE] = cross_matrix(residual + force[:-1] / 2)
-    equations.d_constants[:, VELOCITY, FORCE_BIAS_CONSTANTS] = (np.eye(3) + turned) / 2
+    equations.residual[:, FORCE_ROWS] = residual
+    equations.d_next[:, FORCE_ROWS, VELOCITY] = by_velocity
+    equations.d_state[:, FORCE_ROWS, VELOCITY] = -by_velocity
+    equations.d_next[:, FORCE_ROWS, ATTITUDE] = turned @ cross_matrix(force[1:]) / 2
+    equations.d_state[:, FORCE_ROWS, ATTITUDE] = cross_matrix(residual + force[:-1] / 2)
+    equations.d_constants[:, FORCE_ROWS, FORCE_BIAS_CONSTANTS] = (np.eye(3) + turned) / 2
 
 
 def _fill_rate(equations: Equations, rate: Matrix, turn: Rotation, step: Matrix) -> None:
@@ -197,17 +200,17 @@ def _fill_rate(equations: Equations, rate: Matrix, turn: Rotation, step: Matrix)
     mean_rate = (rate[:-1] + rate[1:]) / 2
     coning = np.cross(rate[:-1], rate[1:]) * step / 12
     gradient = _log_gradient(angle) / step[..., None]
-    equations.residual[:, ATTITUDE] = angle / step - mean_rate - coning
-    equations.d_next[:, ATTITUDE, ATTITUDE] = gradient
-    equations.d_state[:, ATTITUDE, ATTITUDE] = -gradient @ turn.inv().as_matrix()
-    equations.d_constants[:, ATTITUDE, RATE_BIAS_CONSTANTS] = np.eye(3)
+    equations.residual[:, RATE_ROWS] = angle / step - mean_rate - coning
+    equations.d_next[:, RATE_ROWS, ATTITUDE] = gradient
+    equations.d_state[:, RATE_ROWS, ATTITUDE] = -gradient @ turn.inv().as_matrix()
+    equations.d_constants[:, RATE_ROWS, RATE_BIAS_CONSTANTS] = np.eye(3)
 
 
 def _fill_gust(equations: Equations, gust: Matrix, correlation: Vector) -> None:
     """Set w_{k+1} - exp(-h / T) w_k."""
-    equations.residual[:, GUST] = gust[1:] - correlation[:, None] * gust[:-1]
-    equations.d_state[:, GUST, GUST] = -correlation[:, None, None] * np.eye(3)
-    equations.d_next[:, GUST, GUST] = np.eye(3)
+    equations.residual[:, GUST_ROWS] = gust[1:] - correlation[:, None] * gust[:-1]
+    equations.d_state[:, GUST_ROWS, GUST] = -correlation[:, None, None] * np.eye(3)
+    equations.d_next[:, GUST_ROWS, GUST] = np.eye(3)
 
 
 def _fill_air_data(

@@ -132,7 +132,7 @@ class FlightSensors(NamedTuple):
     attitude: Rotation  # n attitudes, body to NED
     attitude_sampled: Mask  # (n,) where the attitude was sampled
     position: Matrix  # (n, 3) of the inertial sensors [m], NaN where it is unknown
-    acceleration: Matrix  # (n, 3) of these relative to the CG, which the forces lack [m/s^2]
+    lever_acceleration: Matrix  # (n, 3) of these relative to the CG, which the forces lack [m/s^2]
 
     def part(self, first: int, last: int) -> FlightSensors:
         """Return samples ``first`` to ``last`` - 1."""
@@ -195,8 +195,8 @@ def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSe
     angles[sampled] = np.unwrap(angles[sampled], axis=0)
     angles = interpolate_missing(time, angles)
     inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
-    acceleration = sensor_acceleration(table)
-    inertial[:, FORCE_READINGS] -= acceleration
+    lever_acceleration = sensor_acceleration(table)
+    inertial[:, FORCE_READINGS] -= lever_acceleration
     air = numeric(table.reindex(columns=list(AIR_DATA)), AIR_DATA)
     return FlightSensors(
         time=time,
@@ -206,7 +206,7 @@ def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSe
         attitude=Rotation.from_euler("ZYX", angles[:, ::-1]),
         attitude_sampled=sampled,
         position=sensor_position(table),
-        acceleration=acceleration,
+        lever_acceleration=lever_acceleration,
     )
 
 

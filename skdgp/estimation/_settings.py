@@ -66,6 +66,10 @@ class LagSettings:
     path_rows: int = 32768
     # frequencies of the response to surfaces and gusts, between trim and noise [Hz]; trials
     band: tuple[float, float] = (0.3, 4.0)
+    # upper end of the band at most, over the rate of the samples
+    highest: float = 0.2
+    # airspeed at least, over its median: none in which rates over V diverge
+    least_speed: float = 0.1
     # airspeed below this frequency scales accelerations to coefficients [Hz]; below the band
     steady_frequency: float = 0.2
     # either end of a segment that the filter or a lag may distort [s]

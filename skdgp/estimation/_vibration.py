@@ -11,6 +11,7 @@ covariance C has the eigenvalues :math:`\lambda_1 \le ... \le \lambda_6`. Readin
 :math:`\lambda_5 > \lambda_{min}`, and above the others, :math:`\lambda_5 > r \lambda_4`, and where two directions
 make most of every channel. These are the
 two common factors of the third differences (Lawley & Maxwell 1971), or eigenvectors of what the path shows.
+With vanes, `skdgp._flight.motion` instead leaves out the frequencies of a vibration.
 """
 
 from __future__ import annotations
@@ -55,8 +56,8 @@ def vibration_covariance(
     fast, _ = _principal(differences)
     slow, directions = _principal(off_path / USUAL)
     is_fast = fast[-2] >= slow[-2]
-    rest, smaller, _ = (fast if is_fast else slow)[-3:]
-    if smaller < max(settings.least_vibration, settings.vibration_ratio * rest):
+    fourth, fifth, _ = (fast if is_fast else slow)[-3:]
+    if fifth < max(settings.least_vibration, settings.vibration_ratio * fourth):
         return none
     if not _is_shared(differences if is_fast else off_path, settings):
         return none
@@ -64,7 +65,7 @@ def vibration_covariance(
         # gusts shake az, and little else: one channel alone is no vibration
         B = FactorAnalysis(DIRECTIONS, svd_method="lapack").fit(differences).components_.T
     else:
-        B = directions[:, -DIRECTIONS:] * np.sqrt(slow[-DIRECTIONS:] - rest)
+        B = directions[:, -DIRECTIONS:] * np.sqrt(slow[-DIRECTIONS:] - fourth)
     plane, _ = np.linalg.qr(B)
     whole = np.var(scaled @ plane, axis=0).sum()
     return np.outer(USUAL, USUAL) * (B @ B.T) * whole / np.sum(B**2)

@@ -265,13 +265,13 @@ def linear_system(rng, n=7, N=3, m=2):
         residual_slopes=zero,
         step=rng.uniform(0.1, 0.2, n - 1),
         surface_noise=np.zeros((n - 1, N, N)),
-        surface_readings=np.zeros((n - 1, m)),
+        surface_reading_variance=np.zeros((n - 1, m)),
         missing=np.zeros((n - 1, m)),
         vibration=shared @ shared.T,
         instrument_terms=zero,
     )
     noises = Noise(
-        rate=rng.uniform(1, 2, (1, N)),
+        density=rng.uniform(1, 2, (1, N)),
         decay=np.zeros((1, N)),
         surface=np.zeros(1),
         sensor=rng.uniform(1, 2, (1, m)),
@@ -294,7 +294,7 @@ def joint_distribution(linear, noises):
         M[k] = Phi @ M[k - 1]
         M[k, :, k * N : (k + 1) * N] += np.eye(N)
         half = 0.5 * (np.eye(N) + Phi)
-        rate = np.diag(noises.rate[0] * linear.step[k - 1])
+        rate = np.diag(noises.density[0] * linear.step[k - 1])
         Q.append((rate + 4 * half @ rate @ half.T + Phi @ rate @ Phi.T) / 6)
     M = M.reshape(n * N, n * N)
     X = M @ block_diag(*Q) @ M.T

@@ -487,15 +487,15 @@ def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none(monkeypa
     flight = flown("calm", 12.0)
     assert flight.estimate().converged
     passes = []
-    run = AirFit.run
+    filter_records = AirFit.filter_records
 
     def recorded(fit, *options, **named):
         at = fit.x.copy()
-        sums, fitted = run(fit, *options, **named)
+        sums, fitted = filter_records(fit, *options, **named)
         passes.append((sum(item.log_likelihood for item in fitted), at))
         return sums, fitted
 
-    monkeypatch.setattr(AirFit, "run", recorded)
+    monkeypatch.setattr(AirFit, "filter_records", recorded)
     none = flight.estimate(settings=AirSettings(lost_likelihood=-np.inf, attempts=(0,)))
     assert not none.converged
     likelihood, best = max(passes[:-2], key=lambda each: each[0])

@@ -29,7 +29,7 @@ def near_path():
         attitude=Rotation.from_euler("ZYX", angles),
         attitude_sampled=np.ones(n, dtype=bool),
         position=np.zeros((n, 3)),
-        acceleration=np.zeros((n, 3)),
+        lever_acceleration=np.zeros((n, 3)),
     )
     constants = np.zeros(len(PLACE))
     constants[PLACE["p_bias"]] = 0.01

@@ -23,7 +23,7 @@ class FindingWarning(UserWarning):
 
 
 @dataclass
-class Record:
+class FindingRecord:
     """Findings of warnings, each once; findings of the ignored codes and category are neither shown nor kept."""
 
     findings: list[Finding] = field(default_factory=list)
@@ -45,7 +45,7 @@ class Record:
         return False
 
 
-_active: ContextVar[tuple[Record, ...]] = ContextVar("skdgp_findings", default=())
+_active: ContextVar[tuple[FindingRecord, ...]] = ContextVar("skdgp_findings", default=())
 
 
 def report(
@@ -69,7 +69,7 @@ def _is_ignored(finding: Finding, category: type[Warning]) -> bool:
 
 
 @contextmanager
-def _within(record: Record) -> Iterator[Record]:
+def _within(record: FindingRecord) -> Iterator[FindingRecord]:
     token = _active.set((*_active.get(), record))
     try:
         yield record
@@ -77,14 +77,14 @@ def _within(record: Record) -> Iterator[Record]:
         _active.reset(token)
 
 
-def recorded_warnings() -> AbstractContextManager[Record]:
+def recorded_warnings() -> AbstractContextManager[FindingRecord]:
     """Record the findings of the package's warnings inside the ``with`` block; they are shown all the same."""
-    return _within(Record())
+    return _within(FindingRecord())
 
 
-def without_warnings(category: type[Warning] = Warning) -> AbstractContextManager[Record]:
+def without_warnings(category: type[Warning] = Warning) -> AbstractContextManager[FindingRecord]:
     """Ignore the package's warnings of a category inside the ``with`` block, in this thread alone."""
-    return _within(Record(ignored_category=category))
+    return _within(FindingRecord(ignored_category=category))
 
 
 Listener: TypeAlias = Callable[[str, int, float], Any]

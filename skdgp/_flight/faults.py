@@ -181,51 +181,54 @@ def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[_Rows]:
     yield from _dead(channels)
 
 
-def _faults_of_channel(name: str, values: Vector, step: float) -> Iterator[_Rows]:
-    """Yield each fault of a channel; faulty values become NaN."""
-    yield from _missing(name, values, step)
+def _faults_of_channel(name: str, values: Vector, step: float) -> list[_Rows]:
+    """Return the faults of a channel, in whose ``values`` they become NaN: each is found without those before."""
+    faults = _missing(name, values, step)
     values[~np.isfinite(values)] = np.nan
-    yield from _impossible(name, values)
+    impossible = _impossible(name, values)
+    for fault in impossible:
+        values[fault.rows] = np.nan
+    faults += impossible
     if name not in SENSORS:
-        return
+        return faults
     for rows in stuck_rows(values, step):
         value = float(values[rows[0]])
-        yield _Rows(name, Code.STUCK, rows, {"value": value})
+        faults.append(_Rows(name, Code.STUCK, rows, {"value": value}))
         values[rows] = np.nan
     marks = mark_rows(values)
     values[marks] = np.nan
     rows = spike_rows(values, angle=name in WRAPPED)
     rows = np.union1d(marks, rows)
     if rows.size:
-        yield _Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)})
+        faults.append(_Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)}))
+    return faults
 
 
-def _missing(name: str, values: Vector, step: float) -> Iterator[_Rows]:
-    """Yield the gaps, together, of a channel that usually has values there."""
+def _missing(name: str, values: Vector, step: float) -> list[_Rows]:
+    """Return the gaps, together, of a channel that usually has values there, if any."""
     is_missing = ~np.isfinite(values)
     if is_missing.all():
-        yield _Rows(name, Code.MISSING, np.arange(len(values)), {})
-        return
+        return [_Rows(name, Code.MISSING, np.arange(len(values)), {})]
     # as many rows are missing between samples of a sensor that is slower than the table
     usual = FAULTS.missing * usual_spacing(values) - 1
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
-    if gaps:
-        places = np.arange(len(values))
-        rows = np.concatenate([places[gap] for gap in gaps])
-        longest = max(map(n_rows, gaps)) * step
-        numbers = {"times": len(gaps), "longest": longest}
-        yield _Rows(name, Code.MISSING, rows, numbers)
+    if not gaps:
+        return []
+    places = np.arange(len(values))
+    rows = np.concatenate([places[gap] for gap in gaps])
+    longest = max(map(n_rows, gaps)) * step
+    numbers = {"times": len(gaps), "longest": longest}
+    return [_Rows(name, Code.MISSING, rows, numbers)]
 
 
-def _impossible(name: str, values: Vector) -> Iterator[_Rows]:
-    """Yield the values that no aircraft has, if they are rare."""
+def _impossible(name: str, values: Vector) -> list[_Rows]:
+    """Return the values that no aircraft has, if there are any and they are rare."""
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
     n_sampled = np.isfinite(values).sum()
-    if 0 < rows.size <= FAULTS.rare * n_sampled:
-        numbers = {"value": float(values[rows[0]])}
-        values[rows] = np.nan
-        yield _Rows(name, Code.IMPOSSIBLE, rows, numbers)
+    if not 0 < rows.size <= FAULTS.rare * n_sampled:
+        return []
+    return [_Rows(name, Code.IMPOSSIBLE, rows, {"value": float(values[rows[0]])})]
 
 
 def dead_channels(flights: FlightTable) -> list[str]:

@@ -23,7 +23,7 @@ from skdgp._flight.faults import (
     find_faults,
     without_faults,
 )
-from skdgp._flight.motion import vibration_band
+from skdgp._flight.motion_band import vibration_band
 from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
 from skdgp._flight.smoothing import FittedFilter, differentiate, smooth
 from skdgp._flight.tables import FlightTable, by_name, numeric

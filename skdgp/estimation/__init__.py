@@ -10,7 +10,7 @@ from skdgp.estimation._air_parameters import prior_deviations
 from skdgp.estimation._airspeed_scale import UNKNOWN_SCALE as UNKNOWN_SCALE
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._airspeed_scale import without_airspeed_error as without_airspeed_error
-from skdgp.estimation._contradictions import Contradiction, contradictions
+from skdgp.estimation._contradictions import SensorContradiction, contradictions
 from skdgp.estimation._lags import Lag, estimate_lags, removable
 from skdgp.estimation._path import (
     CALIBRATED,
@@ -45,7 +45,6 @@ __all__ = [
     "AirMotion",
     "AirSettings",
     "AirspeedScale",
-    "Contradiction",
     "FlightPath",
     "FlightSensors",
     "Lag",
@@ -53,6 +52,7 @@ __all__ = [
     "NamedFlight",
     "PathEstimate",
     "PathSettings",
+    "SensorContradiction",
     "air_columns",
     "airspeed_scale",
     "contradictions",

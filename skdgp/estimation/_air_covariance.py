@@ -10,7 +10,7 @@ import numpy as np
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import SENSOR_GUST, VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
-from skdgp.estimation._air_linearization import BIASES
+from skdgp.estimation._air_linearization import LEARNED_BIASES
 from skdgp.estimation._air_parameters import ARM, GUST_AXES, SENSOR_CONSTANTS, STATE_TERMS, Sums
 from skdgp.estimation._kalman import surface_covariance
 
@@ -169,7 +169,7 @@ def with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:
     derivatives = fit.x[: fit.layout.n_derivatives]
     covariance = add_model_error(covariance, derivatives, settings.model_error)
     for vane in VANES:
-        place = BIASES[f"{vane}_bias"]
+        place = LEARNED_BIASES[f"{vane}_bias"]
         if not any(record.sampled[place] for record in fit.records):
             slopes = fit.layout.is_by(vane) * derivatives
             covariance = add_scale_error(covariance, slopes, settings.angle_error)

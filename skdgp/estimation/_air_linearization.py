@@ -78,7 +78,9 @@ RATE_STATES = slice(8, 11)
 """Places of the states: two parts of the gust, errors of the path, rates."""
 COEFFICIENT_CONSTANTS = ("servo_lag", "thrust_scale", "slipstream")
 """Constants that change the coefficients."""
-BIASES = {name: BIASED[name] for name in [*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS] if name in BIASED}
+LEARNED_BIASES = {
+    name: BIASED[name] for name in [*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS] if name in BIASED
+}
 """Places of the biased among the sensors."""
 
 
@@ -415,7 +417,9 @@ class _Expansion:
         layout = self.layout
         n_constants = layout.constants.stop - layout.constants.start
         by_constants = np.zeros((*values.shape, n_constants))
-        by_constants[:, [*BIASES.values()], layout.place_of_constants(*BIASES)] = 1.0
+        by_constants[:, [*LEARNED_BIASES.values()], layout.place_of_constants(*LEARNED_BIASES)] = (
+            1.0
+        )
         (scale,) = layout.place_of_constants("airspeed_scale")
         by_constants[:, AIRSPEED, scale] = truth[:, AIRSPEED]
         arm = layout.place_of_constants(*ARM)

@@ -58,7 +58,7 @@ from skdgp.estimation._air_parameters import (
     FLIGHT_CONSTANTS,
     FLIGHT_NOISES,
     GUST_AXES,
-    Gusts,
+    GustProcesses,
     Parameters,
     coefficient_of,
     derivatives_of,
@@ -231,10 +231,10 @@ class AirMotion:
         fast = 2 * gusts.fast_std**2 * -np.expm1(-1 / gusts.fast_time)
         return float(np.sqrt(np.mean(slow + fast)))
 
-    def _gusts(self, flight: int) -> Gusts:
+    def _gusts(self, flight: int) -> GustProcesses:
         """Return the gusts of a flight, NaN if unknown."""
         intensities = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
-        return Gusts.of({**self.noise, **intensities})
+        return GustProcesses.of({**self.noise, **intensities})
 
 
 def estimate_air_motion(

@@ -19,7 +19,7 @@ import numpy as np
 
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Mask, Matrix, Vector
-from skdgp.estimation._air_parameters import PATH_ERRORS, Gusts, Parameters, Sums, stacked
+from skdgp.estimation._air_parameters import PATH_ERRORS, GustProcesses, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Innovations, Linearization, Noise, innovations
 from skdgp.estimation._settings import AirSettings
@@ -89,7 +89,7 @@ class NoiseSearch:
 
 def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) -> Noise:
     """Return the noises at parameters by name, each (s,), of the sensors that are ``sampled`` (9,)."""
-    gusts = Gusts.of(value)
+    gusts = GustProcesses.of(value)
     path_std = stacked(value, *PATH_ERRORS)
     path_time = np.full_like(path_std, settings.path_time)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")

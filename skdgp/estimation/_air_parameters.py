@@ -150,7 +150,7 @@ class Sums:
         return float(step @ self.information[self.free, self.free] @ step)
 
 
-class Gusts(NamedTuple):
+class GustProcesses(NamedTuple):
     """Gusts north, east, down: a slow and a fast Gauss-Markov process, (..., 3)."""
 
     slow_std: Array  # [m/s]
@@ -159,7 +159,7 @@ class Gusts(NamedTuple):
     fast_time: Array
 
     @classmethod
-    def of(cls, value: Mapping[str, Any]) -> Gusts:
+    def of(cls, value: Mapping[str, Any]) -> GustProcesses:
         """Return the gusts of noises by name."""
         slow_std = stacked(value, *GUST_AXES)
         slow_time = stacked(value, "time_h", "time_h", "time_v")

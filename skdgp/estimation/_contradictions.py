@@ -9,7 +9,7 @@ from skdgp.estimation._sensors import PATH_NOISE, READINGS_OF, FlightSensors, wh
 from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
 
-class Contradiction(NamedTuple):
+class SensorContradiction(NamedTuple):
     """A sensor whose residuals along the path exceed its white noise, standard deviations [SI]."""
 
     sensor: str
@@ -26,7 +26,7 @@ def contradictions(
     flights: Sequence[FlightSensors],
     residuals: Mapping[str, float],
     settings: PathSettings = PATH_SETTINGS,
-) -> list[Contradiction]:
+) -> list[SensorContradiction]:
     """Return the sensors whose residuals along the path exceed their white noise by a ratio.
 
     The ratio is ``air_ratio`` or ``inertial_ratio`` of the settings. ``residuals`` are the noises
@@ -40,5 +40,5 @@ def contradictions(
         noise = white_noise(flights, columns)
         is_smoothed = noise < settings.least_noise * PATH_NOISE[sensor]
         if residual > largest * noise:
-            contradicted.append(Contradiction(sensor, residual, noise, is_smoothed))
+            contradicted.append(SensorContradiction(sensor, residual, noise, is_smoothed))
     return contradicted

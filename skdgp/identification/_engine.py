@@ -35,7 +35,7 @@ class EngineSettings:
     least_error: float = 0.01
 
 
-ENGINE = EngineSettings()
+ENGINE_SETTINGS = EngineSettings()
 
 
 class EngineRegressors(NamedTuple):
@@ -56,7 +56,7 @@ def engine_regressors(
     selector: RegressorSelector,
     table: pd.DataFrame,
     targets: Any,
-    settings: EngineSettings = ENGINE,
+    settings: EngineSettings = ENGINE_SETTINGS,
 ) -> EngineRegressors:
     """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
 

@@ -14,7 +14,7 @@ from skdgp._flight.tables import FlightTable
 from skdgp.io import FlightReadError, is_log, read_flight, reversed_of
 
 Flights = dict[str, FlightTable]
-SURFACES = (*ALL_SURFACES, *HIGH_LIFT)
+DEFLECTED = (*ALL_SURFACES, *HIGH_LIFT)
 
 
 def named_flights(
@@ -79,7 +79,7 @@ def named_flights(
 
 def _check_surfaces(path: str | os.PathLike, table: pd.DataFrame, servos: Any) -> None:
     """Raise ValueError if a table has surfaces in radians and those of logs are in parts of their full throw."""
-    surfaces = [name for name in SURFACES if name in table]
+    surfaces = [name for name in DEFLECTED if name in table]
     if surfaces and reversed_of(servos) is not None:
         raise ValueError(
             f"Got the table {path} with {' '.join(surfaces)} in rad for surfaces in parts of their full "

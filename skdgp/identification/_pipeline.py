@@ -20,7 +20,7 @@ from skdgp._compute.messages import without_warnings
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
-from skdgp._flight.motion import vibration_band
+from skdgp._flight.motion_band import vibration_band
 from skdgp._flight.smoothing import FittedFilter, smooth
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, Turbulence, band_filter, check_aircraft

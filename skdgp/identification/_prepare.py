@@ -52,7 +52,7 @@ from skdgp.preprocessing import FlightCheck
 Tables = dict[str, pd.DataFrame]
 # columns that the coefficients follow from
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
-ENGINE = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
+ENGINE_COLUMNS = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 # elevons may stand for elevator and aileron, and the other way round
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
 
@@ -385,7 +385,7 @@ def _lacks_thrust(tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
 def warn_of_engine(flights: Tables, regressors: Sequence[str]) -> None:
     """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
     table = pd.concat(flights.values(), ignore_index=True)
-    varied = [name for name in ENGINE if name in table and table[name].nunique() > 1]
+    varied = [name for name in ENGINE_COLUMNS if name in table and table[name].nunique() > 1]
     if varied and not {*varied} & {*regressors}:
         report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}), stacklevel=2)
 

@@ -27,7 +27,11 @@ from skdgp.report import (
     scores,
 )
 
-CONTROLS = ("Cm_elevator", "Cl_aileron", "Cn_rudder")  # derivatives of each moment by its control
+CONTROL_DERIVATIVES = (
+    "Cm_elevator",
+    "Cl_aileron",
+    "Cn_rudder",
+)  # derivatives of each moment by its control
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
 SIGNS = {
     "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
@@ -45,7 +49,7 @@ MOMENTS = ("Cl", "Cm", "Cn")
 # parts of the standard deviation of a derivative
 PARTS = ("std_random", "std_method", "std_log", "std_posterior")
 # Regressors that are known only after a flight
-ACCELERATIONS = {
+ACCELERATION_REGRESSORS = {
     *SPECIFIC_FORCE,
     *ACCELERATION_LENGTHS,
     *(name + HAT for name in ACCELERATION_LENGTHS),
@@ -182,7 +186,7 @@ def _use_by_scores(purpose: str, table: pd.DataFrame) -> Use:
 def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
     """Return whether the model simulates flights: how long each state stays near the flight."""
     purpose = "simulate"
-    accelerations = sorted(ACCELERATIONS & set(regressors))
+    accelerations = sorted(ACCELERATION_REGRESSORS & set(regressors))
     if accelerations:
         return _use(purpose, "no", Code.ACCELERATIONS_AS_REGRESSORS, names=accelerations)
     table = mechanics.simulation
@@ -266,7 +270,7 @@ def _control_of_known(
 def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:
     """Return half widths of 95 % bands over values, of controls and fast modes; None without controls."""
     table = mechanics.derivatives
-    bands = table.loc[table.index.isin(CONTROLS), ["value", "std"]]
+    bands = table.loc[table.index.isin(CONTROL_DERIVATIVES), ["value", "std"]]
     if bands.empty:
         return None
     if mechanics.modes is not None:

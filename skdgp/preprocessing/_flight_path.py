@@ -36,10 +36,10 @@ from skdgp.estimation import (
     RECONSTRUCTED,
     AirMotion,
     AirSettings,
-    Contradiction,
     FlightSensors,
     PathEstimate,
     PathSettings,
+    SensorContradiction,
     air_columns,
     contradictions,
     delayed_surfaces,
@@ -125,7 +125,7 @@ class FlightPathReconstruction(TableTransformer):
         The same as a finding.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged.
-    contradictions_ : list of Contradiction
+    contradictions_ : list of SensorContradiction
         Sensors that contradict the others, with residual and noise.
     converged_ : dict of str to bool
         Whether the search for the path converged, for each flight of ``fit``: where it did not, its
@@ -233,7 +233,7 @@ class FlightPathReconstruction(TableTransformer):
         self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table) if self.optional else []
         self.used_ = not self.missing_
-        self.contradictions_: list[Contradiction] = []
+        self.contradictions_: list[SensorContradiction] = []
         self.air_motion_: AirMotion | None = None
         self.doubt_: Finding | None = None
         self.converged_: dict[Any, bool] = {}

@@ -7,7 +7,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy import signal
 
-from skdgp._flight.motion import motion_band_of, vibrates_beyond
+from skdgp._flight.motion_band import motion_band_of, vibrates_beyond
 from skdgp._flight.smoothing import FittedFilter, smooth
 
 RATE = 40.0

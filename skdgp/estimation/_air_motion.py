@@ -367,7 +367,7 @@ def _records(
 ) -> list[Record]:
     """Return the records of the flights; without thrust with the measured axial force in its place."""
     loads = np.hstack(propulsive_loads(table, aircraft, thrust))
-    records = records_of(table, surfaces, loads, settings.fewest_known, settings)
+    records = records_of(table, surfaces, loads, settings)
     if thrust is None:
         records = [record.with_axial_force(aircraft.mass) for record in records]
     return records

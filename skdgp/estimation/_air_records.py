@@ -160,9 +160,9 @@ def _least_squares(X: Matrix, y: Vector) -> Vector:
 
 
 def records_of(
-    table: pd.DataFrame, surfaces: list[str], loads: Matrix, fewest: int, settings: AirSettings
+    table: pd.DataFrame, surfaces: list[str], loads: Matrix, settings: AirSettings
 ) -> list[Record]:
-    """Return the records of a table with propulsive ``loads`` (n, 6) that have ``fewest`` samples or more."""
+    """Return the records of a table with propulsive ``loads`` (n, 6) that are long enough for a known aircraft."""
     logged = np.hstack([numeric(table, surfaces), loads, numeric(table, ["density"])])
     air_data = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
@@ -172,10 +172,10 @@ def records_of(
             number, flight, logged[rows], air_data[rows], len(surfaces), settings
         )
         for segment in flight.sensors.segments():
-            if len(segment) < fewest:
+            if len(segment) < settings.fewest_known:
                 continue
             part = record.part(_thinned(record.time, segment, settings.sample_rate))
-            if len(part.rows) >= fewest:
+            if len(part.rows) >= settings.fewest_known:
                 records.append(part)
     return records
 

@@ -56,7 +56,6 @@ def engine_regressors(
     selector: RegressorSelector,
     table: pd.DataFrame,
     targets: Any,
-    settings: EngineSettings = ENGINE_SETTINGS,
 ) -> EngineRegressors:
     """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
 
@@ -73,7 +72,6 @@ def engine_regressors(
         Flights before the selection.
     targets : array-like (n, P)
         Coefficients, NaN where not to be learned from.
-    settings : EngineSettings
     """
     everything = clone(selector).set_params(extra=[*selector.extra, "airspeed"])
     with without_warnings():
@@ -81,7 +79,7 @@ def engine_regressors(
     Y = np.asarray(targets, dtype=float)
     is_learned = np.isfinite(np.column_stack([table[names], Y])).all(axis=1)
     Y = Y[is_learned]
-    if len(Y) < settings.n_blocks * len(names):  # too few to judge
+    if len(Y) < ENGINE_SETTINGS.n_blocks * len(names):  # too few to judge
         return EngineRegressors(names, np.zeros((Y.shape[1], len(names)), bool))
     fixed = [name for name in names if name not in ENGINE_REGRESSORS]
     engine = [name for name in ENGINE_REGRESSORS if name in names]
@@ -91,10 +89,10 @@ def engine_regressors(
     errors = []
     for choice in choices:
         X = table.loc[is_learned, [*fixed, *choice]].to_numpy(float)
-        errors.append(_held_out_errors(X, Y, settings))
+        errors.append(_held_out_errors(X, Y))
     needed = []
     for of_output in np.transpose(errors, (2, 0, 1)):
-        needed.append(choices[_best_choice(of_output, settings)])
+        needed.append(choices[_best_choice(of_output)])
     unneeded = {*engine}.difference(*needed)
     chosen = [name for name in names if name not in unneeded]
     without_effect = np.zeros((len(needed), len(chosen)), bool)
@@ -103,26 +101,26 @@ def engine_regressors(
     return EngineRegressors(chosen, without_effect)
 
 
-def _best_choice(errors: Matrix, settings: EngineSettings) -> int:
+def _best_choice(errors: Matrix) -> int:
     """Return the place of the best choice by errors (choices, blocks), which grow in size."""
     best = 0
     for place in range(1, len(errors)):
         gain = 1 - np.sqrt(np.mean(errors[place] ** 2) / np.mean(errors[best] ** 2))
-        is_mostly_better = np.mean(errors[place] < errors[best]) >= settings.most_blocks
-        if gain > settings.least_gain and is_mostly_better:
+        is_mostly_better = np.mean(errors[place] < errors[best]) >= ENGINE_SETTINGS.most_blocks
+        if gain > ENGINE_SETTINGS.least_gain and is_mostly_better:
             best = place
     return best
 
 
-def _held_out_errors(X: Matrix, Y: Matrix, settings: EngineSettings) -> Matrix:
+def _held_out_errors(X: Matrix, Y: Matrix) -> Matrix:
     """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
     spread = np.std(Y, axis=0)
     unit = np.where(spread > 0, spread, 1.0)
-    blocks = np.arange(len(Y)) * settings.n_blocks // len(Y)
+    blocks = np.arange(len(Y)) * ENGINE_SETTINGS.n_blocks // len(Y)
     errors = []
-    for block in range(settings.n_blocks):
+    for block in range(ENGINE_SETTINGS.n_blocks):
         held_out = blocks == block
         model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
         residuals = model.predict(X[held_out]) - Y[held_out]
         errors.append(np.sqrt(np.mean(residuals**2, axis=0)) / unit)
-    return np.maximum(errors, settings.least_error)
+    return np.maximum(errors, ENGINE_SETTINGS.least_error)

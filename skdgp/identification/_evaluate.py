@@ -15,6 +15,8 @@ from skdgp.identification._least_squares import linear_terms, named_regressors
 from skdgp.identification._pipeline import band_limited, flight_regressors
 from skdgp.report import Evaluation
 
+MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
+
 
 def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     """Predict a flight and replay it."""
@@ -55,9 +57,9 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     )
 
 
-def std_rows(n: int, most: int = 3000) -> Indices:
+def std_rows(n: int) -> Indices:
     """Return the rows of n at which standard deviations are computed; they cost N^2 each, means only N."""
-    step = int(np.ceil(n / most))
+    step = int(np.ceil(n / MOST_STD_ROWS))
     return np.arange(step // 2, n, step)
 
 

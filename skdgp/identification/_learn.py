@@ -175,11 +175,7 @@ def learn(
 
 
 def _n_rows(
-    samples: int | str | None,
-    regressor: DependentGPRegressor,
-    n: int,
-    seconds: float,
-    settings: RowSettings = ROWS,
+    samples: int | str | None, regressor: DependentGPRegressor, n: int, seconds: float
 ) -> int:
     """Return how many of the n rows of flights of some seconds to learn from."""
     if samples == "all":
@@ -187,8 +183,8 @@ def _n_rows(
     if samples is not None:
         return int(samples)
     if regressor.inference == "exact":
-        return settings.exact
-    return min(n, math.ceil(settings.rate * seconds), settings.most)
+        return ROWS.exact
+    return min(n, math.ceil(ROWS.rate * seconds), ROWS.most)
 
 
 def _pipeline_for(
@@ -273,9 +269,7 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     )
 
 
-def _input_noise_std(
-    pipeline: Pipeline, names: Sequence[str], settings: InputNoiseSettings = INPUT_NOISE
-) -> dict[str, float | None]:
+def _input_noise_std(pipeline: Pipeline, names: Sequence[str]) -> dict[str, float | None]:
     """Return the standard deviations of the regressors' noise, None where the data do not determine them.
 
     Zero of exact regressors, and a given value, are no estimates and remain.
@@ -288,12 +282,12 @@ def _input_noise_std(
     if not is_learned or not input_std.any():
         return noise_std
     X = training_inputs(regressor.posterior_)
-    step = math.ceil(len(X) / settings.most_rows)
+    step = math.ceil(len(X) / INPUT_NOISE.most_rows)
     slopes = regressor.predict_gradient(X[::step])
     noise = regressor.noise_variance_ + regressor.misfit_variance_
     information = step * input_noise_information(slopes, noise, input_std)
     for name, of_regressor in zip(names, information, strict=True):
-        if of_regressor < settings.least_information:
+        if of_regressor < INPUT_NOISE.least_information:
             noise_std[name] = None
     return noise_std
 

@@ -67,6 +67,8 @@ REPEATED = (
 # steps that an evaluation of a model reads
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 
+POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
+
 # findings that are assumptions
 ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)
 
@@ -216,7 +218,7 @@ def check_controls(flights: Flights, regressors: Sequence[str]) -> None:
         report(Finding(Code.NO_ELEVATOR), stacklevel=2)
 
 
-def without_last(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flights, Flights]:
+def without_last(flights: Flights) -> tuple[Flights, Flights]:
     """Return training and test flights: the last of several is held out.
 
     Of a flight with more than half of all rows, such as a single one, the last quarter is.
@@ -230,7 +232,7 @@ def without_last(flights: Flights, learned_fraction: float = 0.75) -> tuple[Flig
     report(Finding(Code.HELD_OUT_QUARTER, flight=last), stacklevel=3)
     flight = flights[last]
     rows = np.arange(len(flight.time))
-    split = round(learned_fraction * len(rows))
+    split = round(0.75 * len(rows))
     first = f"{last}, first three quarters"
     rest = f"{last}, last quarter"
     learned = flight.part(rows[:split]).named(first)
@@ -325,19 +327,17 @@ def _with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
     return replace(aircraft, sensor_position=stated[0].tolist())
 
 
-def _warn_of_positions(
-    flight: str, table: pd.DataFrame, aircraft: Aircraft | None, tolerance: float = 0.01
-) -> None:
+def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft | None) -> None:
     """Warn if a flight states another position of the inertial sensors than the aircraft.
 
-    Positions differ by more than the ``tolerance`` [m]. An aircraft without one was learned with
+    An aircraft without one was learned with
     the sensors at the centre of gravity, to which also the forces of a simulation refer.
     """
     stated = np.nan_to_num(sensor_position(table)).mean(axis=0)
     if aircraft is None or not stated.any():
         return
     distance = float(np.linalg.norm(stated - np.array(aircraft.sensor_position or np.zeros(3))))
-    if distance > tolerance:
+    if distance > POSITION_TOLERANCE:
         numbers = {"distance": distance}
         report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers), stacklevel=4)
 

@@ -58,6 +58,13 @@ class FreeParameter:
             elements[self.index[free]] = values[free]
         return elements
 
+    def with_elements(self, values: Array, elements: Vector) -> Array:
+        """Return a copy of the values of all entries, with the elements in the free ones."""
+        changed = np.array(values)
+        free = self.index >= 0
+        changed[free] = elements[self.index[free]]
+        return changed
+
     def pairs(self) -> Matrix:
         """Return the bounds of each element, (n_elements, 2), from one pair or one for each entry."""
         bounds = np.asarray(self.bounds, dtype=float)
@@ -325,7 +332,13 @@ class MultiOutputKernel(Kernel):
     @property
     def hyperparameters(self) -> list:
         """Each hyperparameter with its number of elements and bounds."""
-        return [_as_hyperparameter(f) for f in self.free_parameters() if f.fixed or f.n_elements]
+        parameters = []
+        for f in self.free_parameters():
+            if f.fixed:
+                parameters.append(Hyperparameter(f.name, "numeric", "fixed"))
+            elif f.n_elements:
+                parameters.append(Hyperparameter(f.name, "numeric", f.pairs(), f.n_elements))
+        return parameters
 
     @property
     def theta(self):
@@ -348,10 +361,9 @@ class MultiOutputKernel(Kernel):
         values = self.values()
         for f in free:
             elements, theta = np.split(theta, [f.n_elements])
-            value = np.array(values[f.name])
-            entries = f.index >= 0
-            value[entries] = (np.exp(elements) if f.log else elements)[f.index[entries]]
-            setattr(self, f.name, value)
+            if f.log:
+                elements = np.exp(elements)
+            setattr(self, f.name, f.with_elements(values[f.name], elements))
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""
@@ -734,19 +746,3 @@ def numbered(free: Mask) -> Indices:
     """Return the numbers 0, 1, 2, ... of the free entries, and -1 for the others."""
     numbers = np.cumsum(free).reshape(free.shape) - 1
     return np.where(free, numbers, -1)
-
-
-def hyperparameter(name: str) -> property:
-    """Return scikit-learn's attribute ``hyperparameter_<name>`` of a kernel."""
-
-    def get(kernel):
-        (parameter,) = (f for f in kernel.free_parameters() if f.name == name)
-        return _as_hyperparameter(parameter)
-
-    return property(get, doc=f"Number of free elements and bounds of ``{name}``.")
-
-
-def _as_hyperparameter(f):
-    if f.fixed:
-        return Hyperparameter(f.name, "numeric", "fixed", 1)
-    return Hyperparameter(f.name, "numeric", f.pairs(), f.n_elements)

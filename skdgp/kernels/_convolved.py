@@ -21,7 +21,6 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     given_bounds,
-    hyperparameter,
     numbered,
     rescaled_values,
 )
@@ -259,10 +258,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def _feeds(self, P):
         """Return whether each latent feeds each output, (M, P)."""
         return feed_matrix(self.n_latent, self.private_latents, P, self.feeds)
-
-    hyperparameter_amplitude = hyperparameter("amplitude")
-    hyperparameter_length_scale = hyperparameter("length_scale")
-    hyperparameter_shift = hyperparameter("shift")
 
     def values(self) -> dict[str, Array]:
         return self.filters._asdict()

@@ -18,7 +18,6 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     given_bounds,
-    hyperparameter,
     is_per_output,
     numbered,
 )
@@ -83,8 +82,6 @@ class Coregionalized(MultiOutputKernel):
         self.amplitude = amplitude
         self.n_regressors = n_regressors
         self.parameter_bounds = parameter_bounds
-
-    hyperparameter_amplitude = hyperparameter("amplitude")
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Return the parameters by name, with ``deep`` also the parameters of ``kernel``."""
@@ -211,11 +208,7 @@ class Coregionalized(MultiOutputKernel):
         expected = n + self.kernel.n_dims
         if theta.shape != (expected,):
             raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
-        w = self.weights
-        if n:
-            free = amplitude.index >= 0
-            w[free] = theta[:n][amplitude.index[free]]
-        self.amplitude = w
+        self.amplitude = amplitude.with_elements(self.weights, theta[:n]) if n else self.weights
         self.kernel = self.kernel.clone_with_theta(theta[n:])
 
     # -- the equation

@@ -19,7 +19,6 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     given_bounds,
-    hyperparameter,
     rescaled_values,
 )
 
@@ -115,9 +114,6 @@ class LinearTrend(MultiOutputKernel):
     @property
     def n_processes(self) -> int:
         return 0
-
-    hyperparameter_intercept_scale = hyperparameter("intercept_scale")
-    hyperparameter_slope_scale = hyperparameter("slope_scale")
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         factor = np.asarray(factor, dtype=float)

@@ -33,29 +33,6 @@ def convolved(**parameters):
     return ConvolvedGaussian(1, private_latents=False, **(values | parameters))
 
 
-KERNELS = {
-    "convolved": convolved(),
-    "trend": LinearTrend(np.ones(2), np.ones((2, 2)), np.zeros(2)),
-    "of scikit-learn": Coregionalized(
-        Matern([1.0, 2.0]), private_latents=False, amplitude=np.array([[1.0, 2.0]])
-    ),
-    "sum": convolved() + LinearTrend(np.ones(2), np.ones((2, 2)), np.zeros(2)),
-}
-
-
-@pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
-class TestEveryKernel:
-    def test_attributes_say_what_is_free(self, kernel):
-        for term in kernel.summands():
-            named = {name for name in dir(term) if name.startswith("hyperparameter_")}
-            free = {h.name for h in term.hyperparameters}
-            assert named >= {f"hyperparameter_{name}" for name in free if "__" not in name}
-            for name in named:
-                attribute = getattr(term, name)
-                assert f"hyperparameter_{attribute.name}" == name
-                assert attribute == getattr(clone(term), name)
-
-
 class TestEntries:
     def test_of_a_copy_are_its_own(self):
         kernel = LinearTrend().initialize(X, X, 0)

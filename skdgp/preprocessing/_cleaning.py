@@ -27,7 +27,7 @@ from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, 
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp._flight.tables import FlightTable, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
-from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrap_near
 
 LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
 BRIDGED = [name for name in CHANNELS if name not in ("time", "flight")]
@@ -160,9 +160,8 @@ class FlightCheck(TableTransformer):
             filled = unwrapped(flights.table, [name])[:, 0]
             for segment in flights.segments:
                 filled[segment] = _interpolated(flights.time[segment], filled[segment])
-            if name in WRAPPED:
-                filled = wrapped_near(filled, flights.table[name].ffill().bfill())
             new[name] = filled
+        wrap_near(new, flights.table[present(WRAPPED, new)].ffill().bfill())
         return new
 
 
@@ -278,8 +277,7 @@ class FlightSmoother(TableTransformer):
         numeric(table, used)
         check_radians(table, IN_RADIANS)
         new = self._apply(smooth, self.columns_, table)
-        for name in present(WRAPPED, new):
-            new[name] = wrapped_near(new[name], table[name])
+        wrap_near(new, table)
         for name, rate in self._apply(differentiate, self.derivatives_, table).items():
             new[f"{name}_dot"] = rate
         return with_columns(table, new)

@@ -56,7 +56,7 @@ from skdgp.preprocessing._table import (
     as_pandas,
     with_columns,
     with_names,
-    wrapped_near,
+    wrap_near,
 )
 
 
@@ -331,8 +331,7 @@ class FlightPathReconstruction(TableTransformer):
             new = self._columns_by_path(table)
         else:
             new = self._columns_by_air(table, motion)
-        for name in EULER:
-            new[name] = wrapped_near(new[name], table[name])
+        wrap_near(new, table, EULER)
         if {*SENSOR_POSITION} <= {*table.columns}:
             # the specific force is that at the centre of gravity
             new |= dict.fromkeys(SENSOR_POSITION, np.zeros(len(table)))

@@ -17,7 +17,6 @@ from skdgp._flight.channels import (
     EARTH_VELOCITY,
     EULER,
     POSITION,
-    WRAPPED,
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.holds import without_repeats
@@ -31,7 +30,7 @@ from skdgp.estimation import (
     removable,
     without_lag,
 )
-from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrapped_near
+from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrap_near
 
 GROUPS = {
     "air": AIR_DATA,
@@ -168,8 +167,7 @@ class LagCorrector(TableTransformer):
                 new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
         if lags.get("servos"):
             new |= _deflections(with_columns(table, new), time, lags["servos"])
-        for name in present(WRAPPED, new):
-            new[name] = wrapped_near(new[name], table[name])
+        wrap_near(new, table)
         return with_columns(table, new)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -13,6 +13,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context
 from skdgp._compute.typing import Vector
+from skdgp._flight.channels import WRAPPED
 from skdgp._flight.checks import check_table
 
 
@@ -102,11 +103,12 @@ def with_names(names: Iterable[str], added: Iterable[str]) -> list[str]:
     return list(dict.fromkeys([*names, *added]))
 
 
-def wrapped_near(angle: Vector, near: pd.Series) -> Vector:
-    """Return angles shifted by multiples of 2 pi to less than pi from a column of angles."""
-    reference = near.to_numpy(float, na_value=np.nan)
-    difference = np.where(np.isfinite(reference), angle - reference, 0.0)
-    return angle - 2 * np.pi * np.round(difference / (2 * np.pi))
+def wrap_near(new: dict[str, Vector], table: pd.DataFrame, names: Sequence[str] = WRAPPED) -> None:
+    """Shift the angles among new columns by multiples of 2 pi to less than pi from those of the table."""
+    for name in present(names, new):
+        reference = table[name].to_numpy(float, na_value=np.nan)
+        difference = np.where(np.isfinite(reference), new[name] - reference, 0.0)
+        new[name] = new[name] - 2 * np.pi * np.round(difference / (2 * np.pi))
 
 
 def with_columns(table: pd.DataFrame, new: dict[str, np.ndarray]) -> pd.DataFrame:

@@ -29,7 +29,7 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_full_deflection, check_number, check_numbers
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_density
-from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
+from skdgp._flight.servo_functions import ServoFunction, ServoRange
 from skdgp.dynamics import (
     ATTITUDE,
     VELOCITY,
@@ -171,15 +171,13 @@ def servos_of(parameters: Mapping[str, float]) -> dict[str, list[Servo]]:
 
 def _servo(parameters: Mapping[str, float], n: int, weight: float, is_surface: bool) -> Servo:
     """Return servo n, whose outputs begin at the first pulse, of a surface in the middle."""
-    pulses = [parameters.get(f"SERVO{n}_{end}", usual) for end, usual in USUAL_PULSES.items()]
-    low, middle, high = pulses
+    low, middle, high, is_reversed = ServoRange.of(parameters, n)
     if not low <= middle <= high or low == high:
         raise ValueError(
             f"Got SERVO{n}_MIN {low:g}, TRIM {middle:g} and MAX {high:g}, but expected pulses that increase."
         )
     used = (low, middle, high) if is_surface else (low, high)
     outputs = weight * np.linspace(-1.0 if is_surface else 0.0, 1.0, len(used))
-    is_reversed = parameters.get(f"SERVO{n}_REVERSED", 0.0)
     return Servo(n - 1, used, outputs[::-1] if is_reversed else outputs)
 
 

@@ -22,7 +22,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_quaternion
-from skdgp._flight.servo_functions import USUAL_PULSES, ServoFunction
+from skdgp._flight.servo_functions import ServoFunction, ServoRange
 from skdgp.io._log import (
     DOWN,
     EQUIVALENT,
@@ -466,9 +466,8 @@ def _pulses_short_of(
     fraction: float, parameters: Mapping[str, float], n: int
 ) -> tuple[float, float]:
     """Return the least and the largest pulse of the servo on output n below a fraction of its range."""
-    low = parameters.get(f"SERVO{n}_MIN", USUAL_PULSES["MIN"])
-    high = parameters.get(f"SERVO{n}_MAX", USUAL_PULSES["MAX"])
-    if parameters.get(f"SERVO{n}_REVERSED", 0.0):
+    low, _, high, is_reversed = ServoRange.of(parameters, n)
+    if is_reversed:
         return high - fraction * (high - low), np.inf
     return NO_PULSE, low + fraction * (high - low)
 
@@ -752,12 +751,8 @@ def _halves(
 def _servo(parameters: Mapping[str, float], output: Output) -> Servo:
     """Return the servo on an output, which moves the surface of its function, -1 to 1 from end to end."""
     n, channel, function, _ = output
-    inputs = []
-    for key, usual in USUAL_PULSES.items():
-        inputs.append(parameters.get(f"SERVO{n}_{key}", usual))
-    is_reversed = bool(parameters.get(f"SERVO{n}_REVERSED", 0.0))
+    low, middle, high, is_reversed = ServoRange.of(parameters, n)
     if SURFACES.get(function) in HIGH_LIFT or function in TWIN:
-        low, _, high = inputs
         return Servo(channel, (low, high), OPENING[::-1] if is_reversed else OPENING)
     throws = DOWN if (function in TURNED) != is_reversed else UP
-    return Servo(channel, tuple(inputs), throws)
+    return Servo(channel, (low, middle, high), throws)

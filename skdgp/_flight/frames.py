@@ -105,17 +105,6 @@ def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
     return np.stack([roll, pitch, yaw], axis=-2)
 
 
-def gravity_in_body_axes(
-    phi: ArrayLike, theta: ArrayLike, gravity: ArrayLike = STANDARD_GRAVITY
-) -> np.ndarray:
-    """Return gravity in body axes, g (-sin theta, sin phi cos theta, cos phi cos theta), (..., 3) [m/s^2]."""
-    x = np.multiply(gravity, -np.sin(theta))
-    across = np.multiply(gravity, np.cos(theta))
-    y = across * np.sin(phi)
-    z = across * np.cos(phi)
-    return _vector(x, y, z)
-
-
 def air_data(velocity: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return airspeed [m/s], alpha and beta [rad] of body velocities (..., 3) relative to the air.
 

@@ -16,7 +16,7 @@ from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ALL_SURFACES, AUXILIARY, CHANNELS, HAT
 from skdgp._flight.checks import check_names, check_number
-from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, gravity_in_body_axes
+from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, ned_to_body
 from skdgp._flight.tables import by_name
 from skdgp._flight.units import degrees_error
 from skdgp.dynamics._aerodynamics import Aerodynamics
@@ -400,12 +400,13 @@ class SteadyFlight:
         """Return all quantities by name, the state and what happens, at unknowns (..., k)."""
         flight = self.given | by_name(self.unknowns, x)
         velocity = air_velocity(airspeed, flight["alpha"], flight["beta"])
-        vertical = gravity_in_body_axes(flight["phi"], flight["theta"], 1.0)
+        attitude = euler_to_quaternion(flight["phi"], flight["theta"], 0.0)
+        vertical = ned_to_body(attitude, (0.0, 0.0, 1.0))
         rates = np.asarray(flight["turn_rate"])[..., None] * vertical
         state = np.zeros((*x.shape[:-1], 13))
         state[..., 2] = -flight["altitude"]
         state[..., VELOCITY] = velocity
-        state[..., ATTITUDE] = euler_to_quaternion(flight["phi"], flight["theta"], 0.0)
+        state[..., ATTITUDE] = attitude
         state[..., RATES] = rates
         # implicit regressors are searched from a steady flight
         implicit = np.zeros((*x.shape[:-1], len(IMPLICIT)))

@@ -26,7 +26,7 @@ from scipy.signal import detrend
 from scipy.signal.windows import hann
 
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.typing import Array, Indices, Matrix
+from skdgp._compute.typing import Array, Indices, Mask, Matrix
 from skdgp._flight.channels import (
     AIR_DATA,
     BODY_VELOCITY,
@@ -35,6 +35,7 @@ from skdgp._flight.channels import (
     POSITION,
     RATES,
 )
+from skdgp._flight.clock import n_rows, true_runs
 from skdgp._flight.tables import FlightTable, interpolated, unwrapped
 from skdgp.dynamics._linearize import LinearModel
 from skdgp.dynamics._transfer import transfer
@@ -195,16 +196,14 @@ def _records(table: FlightTable, names: list[str], step: float) -> list[Array]:
     still = np.array(names)[constant_columns(values)].tolist()
     if still:
         raise ValueError(f"Got columns {still} that do not move: leave them out.")
-    is_whole: Array = np.all(np.isfinite(values), axis=1)
+    is_whole: Mask = np.all(np.isfinite(values), axis=1)
     records = []
     for rows in table.segments:
-        places = np.arange(rows.start, rows.stop)
-        ends = 1 + np.flatnonzero(np.diff(is_whole[rows]))
-        for run in np.split(places, ends):
-            if len(run) > 1 and is_whole[run[0]]:
-                time = table.time[run]
+        for run in true_runs(is_whole[rows]):
+            if n_rows(run) > 1:
+                time = table.time[rows][run]
                 even = np.arange(time[0], time[-1] + 0.5 * step, step)
-                channels = interpolated(even, time, values[run]).T
+                channels = interpolated(even, time, values[rows][run]).T
                 records.append(np.ascontiguousarray(channels))
     return records
 

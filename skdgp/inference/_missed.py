@@ -21,7 +21,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dsymv
 
-from skdgp._compute.linalg import cholesky_inverse, column_scale, consecutive, jittered_cholesky
+from skdgp._compute.linalg import (
+    cholesky_inverse,
+    column_scale,
+    consecutive,
+    jittered_cholesky,
+    symmetric,
+)
 from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._likelihood import Data, covariance
@@ -140,8 +146,7 @@ def _add_rises(rises, kernel, noise, data, processes, variances):
         inverse = cholesky_inverse(jittered_cholesky(lambda: covariance(kernel, noise, data)))
         alpha = dsymv(1.0, inverse, y, lower=1)
     for i, rows in enumerate(consecutive(data.y)):
-        own = np.tril(inverse[rows, rows])
-        own += np.tril(own, -1).T
+        own = symmetric(inverse[rows, rows])
         for k, process in enumerate(processes):
             features = process.features(data.X[i])
             values, vectors = np.linalg.eigh(features.T @ own @ features)

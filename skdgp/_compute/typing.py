@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.random import RandomState
@@ -16,6 +16,7 @@ Indices: TypeAlias = NDArray[np.intp]  # positions
 Seed: TypeAlias = "int | RandomState | None"  # as scikit-learn's ``random_state``
 
 
+@runtime_checkable
 class Predictor(Protocol):
     """A fitted estimator or a posterior."""
 

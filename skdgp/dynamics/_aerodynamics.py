@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.differences import central_difference
 from skdgp._compute.sklearn_compat import unwrap
-from skdgp._compute.typing import Array
+from skdgp._compute.typing import Array, Predictor
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
 
@@ -241,14 +241,6 @@ class Aerodynamics:
     def _differences(self, X: Array, step: float = 1e-4) -> Array:
         """Return central differences, of steps over the range of a regressor, or absolute without one."""
         return central_difference(self, X, step * self.ranges)
-
-
-@runtime_checkable
-class Predictor(Protocol):
-    """A fitted estimator that predicts."""
-
-    def predict(self, X: Any) -> Array:
-        """Return the outputs at X (n, d)."""
 
 
 @runtime_checkable

@@ -27,6 +27,7 @@ from skdgp._flight.channels import (
     WIND,
 )
 from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.tables import by_name
 from skdgp.datasets._autopilot import SETTINGS, FlightControls
 from skdgp.datasets._brumby import BRUMBY, BRUMBY_AERODYNAMICS, REGRESSORS, brumby_coefficients
 from skdgp.datasets._plans import FLIGHT_PLANS, FlightPlan
@@ -216,26 +217,21 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
         "altitude": motion["altitude"],
         "density": truth.density,
         **record.controls,
-        **_named(THRUST_FORCES, forces),
-        **_named(THRUST_MOMENTS, moments),
+        **by_name(THRUST_FORCES, forces),
+        **by_name(THRUST_MOMENTS, moments),
     }
     rate_derivatives = truth.derivative[..., -len(RATES) :]
     true = {
         **motion,
         "gravity": np.full(shape, STANDARD_GRAVITY),
         "psi": motion["psi"] % (2.0 * np.pi),
-        **_named(("alpha_dot", "beta_dot"), truth.implicit),
-        **_named(("p_dot", "q_dot", "r_dot"), rate_derivatives),
-        **_named(SPECIFIC_FORCE, truth.force / BRUMBY.mass),
-        **_named(WIND, record.wind),
-        **_named(COEFFICIENTS, truth.coefficients),
+        **by_name(("alpha_dot", "beta_dot"), truth.implicit),
+        **by_name(("p_dot", "q_dot", "r_dot"), rate_derivatives),
+        **by_name(SPECIFIC_FORCE, truth.force / BRUMBY.mass),
+        **by_name(WIND, record.wind),
+        **by_name(COEFFICIENTS, truth.coefficients),
     }
     return logged, true
-
-
-def _named(names: Sequence[str], values: Array) -> dict[str, Array]:
-    """Return the first values along the last axis of an array by name."""
-    return dict(zip(names, np.moveaxis(values, -1, 0), strict=False))
 
 
 def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.DataFrame:

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._cli import _shared as opt
-from skdgp._cli._shared import Run
+from skdgp._cli._shared import Run, wrote
 from skdgp._cli._use import read_model_to_fly, trimmed, warn_unfit
 from skdgp._compute.files import csv_writer
 from skdgp.control import (
@@ -83,8 +83,7 @@ def margins(run: Run) -> None:
         files["suggested.csv"] = csv_writer(gains)
         numbers |= {"gains": gains.to_dict("records"), "margins_suggested": _records(then)}
     if run.folder is not None:
-        written = run.write(files, "margins.json", numbers)
-        texts.append(f"wrote {', '.join(map(str, written))}")
+        texts.append(wrote(run.write(files, "margins.json", numbers)))
     run.print("\n".join(texts), numbers)
 
 
@@ -185,8 +184,7 @@ def fly(run: Run) -> None:
         duration = float(flown.table.groupby("flight")["time"].max().sum())
     lines = [f"{flown.reason}: {duration:.1f} s of flight, {rate:.0f} steps a second were possible"]
     if run.folder is not None:
-        written = run.write({"flight.csv": csv_writer(flown.table)})
-        lines.append(f"wrote {', '.join(map(str, written))}")
+        lines.append(wrote(run.write({"flight.csv": csv_writer(flown.table)})))
     numbers = {
         "model": options.model,
         "seconds": duration,

@@ -11,6 +11,7 @@ import numpy as np
 from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run
 from skdgp._cli._use import read_model
+from skdgp._compute.files import without_nones
 from skdgp._compute.messages import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
@@ -111,8 +112,10 @@ def identify(run: Run) -> None:
 def _aircraft(run: Run) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    sizes = _given({name: vars(options)[name] for name in (*SIZES, "kind", "sensor_position")})
-    engine = _given({"--propeller": options.propeller, "--motor": options.motor})
+    sizes = without_nones(
+        {name: vars(options)[name] for name in (*SIZES, "kind", "sensor_position")}
+    )
+    engine = without_nones({"--propeller": options.propeller, "--motor": options.motor})
     if options.aircraft is not None and not sizes and not engine:
         return options.aircraft
     if options.aircraft is not None or not {"mass", "span"} <= sizes.keys():
@@ -175,7 +178,7 @@ def _identify(run, train, aircraft, test, title=None, **loads):
         inference=options.inference,
         input_noise=opt.none_of(options.input_noise),
         random_state=options.seed,
-        **_given(parameters),
+        **without_nones(parameters),
     )
     steps = {
         "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
@@ -194,11 +197,6 @@ def _identify(run, train, aircraft, test, title=None, **loads):
             **loads,
         )
         _finish(run, replace(result, title=title or result.title))
-
-
-def _given(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options that are given."""
-    return {name: value for name, value in options.items() if value is not None}
 
 
 def _finish(run: Run, result: Identification) -> None:
@@ -230,7 +228,7 @@ def validate(run: Run) -> None:
       skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
-    loads = _given({"thrust": options.thrust, "external_forces": options.external_forces})
+    loads = without_nones({"thrust": options.thrust, "external_forces": options.external_forces})
     loads = {name: opt.none_of(value) for name, value in loads.items()}
     with listening(run.console.progress):
         model = read_model(options)

@@ -73,27 +73,17 @@ def from_zero(*keywords: str) -> Callable[[str], float | str]:
     return number("a number, 0 or more", 0.0, *keywords)
 
 
-def _pair(text: str, separator: str) -> tuple[float, float]:
-    first, second = text.split(separator)
-    return float(first), float(second)
-
-
-def _axis_value(text: str) -> tuple[str, float]:
-    axis, value = text.split("=")
-    return axis, float(value)
-
-
-def _renaming(text: str) -> tuple[str, str]:
-    old, new = text.split("=")
-    return old, new
+def _pair(text: str, separator: str, first: type = float, second: type = float) -> tuple[Any, Any]:
+    before, after = text.split(separator)
+    return first(before), second(after)
 
 
 table_file = checked("a name that ends in .csv", str, lambda text: Path(text).suffix == ".csv")
-axis_value = checked("AXIS=NUMBER such as elevator=0.4", _axis_value)
+axis_value = checked("AXIS=NUMBER such as elevator=0.4", lambda text: _pair(text, "=", str))
 renaming = checked(
     "OLD=NEW, where NEW is a column of docs/notation.md without a unit (units stand in the header "
     "of the file, such as 'de [deg]')",
-    _renaming,
+    lambda text: _pair(text, "=", str, str),
     lambda names: names[0] != "" and names[1] in CHANNELS,
 )
 size = checked(
@@ -362,6 +352,11 @@ class Console:
 def _discard(stream) -> None:
     """Discard what a stream cannot write: at its end the interpreter would try once more, and complain."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def wrote(files: list[Path]) -> str:
+    """Return the line that names written files."""
+    return f"wrote {', '.join(map(str, files))}"
 
 
 @dataclass(frozen=True)

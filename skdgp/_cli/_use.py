@@ -14,7 +14,7 @@ import pandas as pd
 from sklearn.utils import Bunch
 
 from skdgp._cli import _shared as opt
-from skdgp._cli._shared import Run
+from skdgp._cli._shared import Run, wrote
 from skdgp._compute.files import Writer, csv_writer, text_writer
 from skdgp._compute.messages import listening, warn
 from skdgp._excitation import AXES
@@ -177,8 +177,7 @@ def derivatives(run: Run) -> None:
             "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
             "modes.csv": csv_writer(named.reset_index()),
         }
-        written = run.write(files, "derivatives.json", numbers)
-        texts.append(f"wrote {', '.join(map(str, written))}")
+        texts.append(wrote(run.write(files, "derivatives.json", numbers)))
     run.print("\n\n".join(texts), numbers)
 
 

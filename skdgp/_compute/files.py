@@ -98,6 +98,11 @@ def plain(value: Any) -> Any:
     return value if value is None or isinstance(value, str | int | float) else repr(value)
 
 
+def without_nones(values: Any) -> dict[str, Any]:
+    """Return the values that are not None of a mapping, or of pairs of a name and a value."""
+    return {name: value for name, value in dict(values).items() if value is not None}
+
+
 def json_text(value: Any) -> str:
     """Return a file of JSON."""
     return json.dumps(plain(value), indent=1, allow_nan=False) + "\n"

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from skdgp._compute.files import plain, read_json, read_toml
+from skdgp._compute.files import plain, read_json, read_toml, without_nones
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
@@ -215,7 +215,7 @@ class Aircraft:
 
     def to_dict(self) -> dict:
         """Return plain numbers, lists and dictionaries that `from_dict` reads back."""
-        return plain(asdict(self, dict_factory=_without_nones))
+        return plain(asdict(self, dict_factory=without_nones))
 
     def to_json(self) -> str:
         """Return the aircraft as JSON text, the content of a file for `from_file`."""
@@ -367,10 +367,6 @@ def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], w
         if "inertia" in required:
             remedy = f" Give them, or kind = one of {list(KINDS)} to estimate them."
         raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.{remedy}")
-
-
-def _without_nones(items: list[tuple[str, Any]]) -> dict[str, Any]:
-    return {name: value for name, value in items if value is not None}
 
 
 def with_sensor_position(table: pd.DataFrame, aircraft: Aircraft | None) -> pd.DataFrame:

@@ -109,15 +109,12 @@ def dryden_gusts(
     for k, speed in enumerate(speeds):
         A[k], B, C[k] = dryden_system(speed, length[k], intensity[k], span)
         covariance[k] = solve_continuous_lyapunov(A[k], -B @ B.T)
-    transition, first, root = _discrete(A, covariance, step)
     repeats = (n_draws, 1, 1)
-    states = _driven(
-        n_times,
-        np.tile(transition, repeats),
-        np.tile(first, repeats),
-        np.tile(root, repeats),
-        rng,
-    )
+    discrete = _discrete(A, covariance, step)
+    transition, first, root = (np.tile(matrix, repeats) for matrix in discrete)
+    states = np.empty((n_times, n_draws * n_flights, 9))
+    for state, x in zip(states, _driven(transition, first, root, rng), strict=False):
+        state[:] = x
     outputs = np.einsum("fij,kfj->kfi", np.tile(C, repeats), states)
     return Gusts(*np.split(outputs, 3, axis=-1))
 
@@ -133,11 +130,8 @@ def gust_stream(
     """Yield the gusts of one flight without end, (3,) each, ``step`` [s] apart, as `dryden_gusts` draws them."""
     A, B, C = dryden_system(airspeed, length, intensity, span)
     covariance = solve_continuous_lyapunov(A, -B @ B.T)
-    transition, first, root = _discrete(A, covariance, step)
-    x = first @ rng.standard_normal(9)
-    while True:
+    for x in _driven(*_discrete(A, covariance, step), rng):
         yield Gusts(*np.split(C @ x, 3))
-        x = transition @ x + root @ rng.standard_normal(9)
 
 
 def _discrete(A: Array, covariance: Any, step: float) -> tuple[Array, Array, Array]:
@@ -149,18 +143,16 @@ def _discrete(A: Array, covariance: Any, step: float) -> tuple[Array, Array, Arr
 
 
 def _driven(
-    n_times: int, transition: Array, first: Array, root: Array, rng: np.random.Generator
-) -> Array:
-    """Return states (n_times, n, 9) of n linear systems driven by white noise.
+    transition: Array, first: Array, root: Array, rng: np.random.Generator
+) -> Iterator[Array]:
+    """Yield the states (..., 9) of linear systems driven by white noise, without end.
 
     ``first`` is a root of the covariance of the first state, ``root`` of the noise of each step.
     """
-    n = len(transition)
-    x = np.einsum("fij,fj->fi", first, rng.standard_normal((n, 9)))
-    states = np.einsum("fij,kfj->kfi", root, rng.standard_normal((n_times, n, 9)))
-    # in place: the states of a thousand paths fill hundreds of megabytes
-    for k, shock in enumerate(states):
-        following = matrix_vector(transition, x) + shock
-        states[k] = x
+    shape = transition.shape[:-1]
+    x = matrix_vector(first, rng.standard_normal(shape))
+    while True:
+        following = matrix_vector(transition, x)
+        following += matrix_vector(root, rng.standard_normal(shape))
+        yield x
         x = following
-    return states

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.frames import STANDARD_GRAVITY, cross
+from skdgp._flight.frames import STANDARD_GRAVITY, cross, rotation_rows
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY, rotation_rows
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, VELOCITY
 
 
 @dataclass(frozen=True)

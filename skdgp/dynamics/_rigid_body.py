@@ -18,7 +18,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
-from skdgp._flight.frames import STANDARD_GRAVITY, components, cross, empty_vectors
+from skdgp._flight.frames import STANDARD_GRAVITY, components, cross, empty_vectors, rotation_rows
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
 
@@ -90,22 +90,6 @@ def rigid_body_derivative(
     net_moment = moment - gyroscopic_moment(state[..., RATES], aircraft)
     derivative[..., RATES] = net_moment @ aircraft.inertia_inverse
     return derivative
-
-
-def rotation_rows(q0: Any, e1: Any, e2: Any, e3: Any) -> tuple[tuple, tuple, tuple]:
-    """Return the rows of the rotation matrix body to NED of a quaternion of any length.
-
-    From one shared set of products: this runs four times in every step of every simulation.
-    """
-    s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
-    s1, s2, s3 = s * e1, s * e2, s * e3
-    x1, x2, x3 = s1 * q0, s2 * q0, s3 * q0
-    y11, y22, y33 = s1 * e1, s2 * e2, s3 * e3
-    y12, y13, y23 = s1 * e2, s1 * e3, s2 * e3
-    north = (1.0 - y22 - y33, y12 - x3, y13 + x2)
-    east = (y12 + x3, 1.0 - y11 - y33, y23 - x1)
-    down = (y13 - x2, y23 + x1, 1.0 - y11 - y22)
-    return north, east, down
 
 
 def gyroscopic_moment(rates: Array, aircraft: Aircraft) -> Array:

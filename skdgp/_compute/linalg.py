@@ -294,6 +294,13 @@ def consecutive(parts: Sequence[Sized]) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(edges)]
 
 
+def least_squares(Q: Matrix, y: Vector) -> Vector:
+    """Return the weights (k,) of columns Q (n, k) by least squares of the rows where y (n,) is finite."""
+    rows = np.isfinite(y)
+    weights: Any = np.linalg.lstsq(Q[rows], y[rows], rcond=None)[0]
+    return weights
+
+
 def unexplained_variance(prior: Array, explained: Array) -> Array:
     """Return prior minus explained variance, at least the rounding error of the prior, so that none is zero."""
     return np.maximum(prior - explained, np.finfo(float).eps * prior)

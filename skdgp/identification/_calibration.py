@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Matrix, Vector
 
 
@@ -40,9 +41,7 @@ class RegressionCalibration(NamedTuple):
             used[:, 1:] = np.logical_not(without_effect)
         coefficients = np.zeros((P, 1 + d))
         for residual, columns, weights in zip(residuals.T, used, coefficients, strict=True):
-            known = np.isfinite(residual)
-            fitted = np.linalg.lstsq(design[known][:, columns], residual[known], rcond=None)[0]
-            weights[columns] = fitted
+            weights[columns] = least_squares(design[:, columns], residual)
         return cls(coefficients[:, 0], coefficients[:, 1:].T)
 
     def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Array, Matrix
 from skdgp.inference._errors import FunctionErrors
 
@@ -27,11 +28,11 @@ class KnownSlopes(NamedTuple):
 
         Rows of X (n, d) and Y (n, P) with missing values are left out.
         """
-        value, complete = np.empty_like(deviations), np.isfinite(X).all(axis=1)
+        value = np.empty_like(deviations)
+        complete = np.isfinite(X).all(axis=1)
         for y, slopes in zip(np.asarray(Y, dtype=float).T, value, strict=True):
             rows = np.isfinite(y) & complete
-            centred = X[rows] - X[rows].mean(axis=0)
-            slopes[:] = np.linalg.lstsq(centred, y[rows] - y[rows].mean(), rcond=None)[0]
+            slopes[:] = least_squares(X[rows] - X[rows].mean(axis=0), y[rows] - y[rows].mean())
         value[~np.isfinite(deviations)] = np.nan
         errors = np.zeros((*value.shape, value.size))
         np.einsum("pdpd->pd", errors.reshape(*value.shape, *value.shape))[:] = np.nan_to_num(
@@ -59,17 +60,13 @@ class KnownSlopes(NamedTuple):
 
     def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
         """Return Y (n, P) plus a linear function of X (n, d) that gives it the known slopes."""
-        Y, centred = Y.copy(), X - X.mean(axis=0)
+        Y = Y.copy()
+        Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
         for y, value in zip(Y.T, self.value, strict=True):
-            rows, is_known = np.isfinite(y), np.isfinite(value)
-            Q = np.column_stack([np.ones(rows.sum()), centred[rows]])
-            weights = np.zeros(1 + len(value))
-            weights[1:][is_known] = value[is_known]
-            free = np.append(True, ~is_known)
-            residual = y[rows] - Q @ weights
-            weights[free] = np.linalg.lstsq(Q[:, free], residual, rcond=None)[0]
-            residual = y[rows] - Q @ weights
-            y[rows] -= Q @ np.linalg.lstsq(Q, residual, rcond=None)[0]
+            weights = np.append(0.0, np.nan_to_num(value))
+            free = np.append(True, np.isnan(value))
+            weights[free] = least_squares(Q[:, free], y - Q @ weights)
+            y -= Q @ least_squares(Q, y - Q @ weights)
         return Y
 
     def replaced(self, errors: FunctionErrors) -> FunctionErrors:

@@ -10,7 +10,7 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.linear_model import BayesianRidge
 
-from skdgp._compute.linalg import column_scale, constant_columns
+from skdgp._compute.linalg import column_scale, constant_columns, least_squares
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import (
     FreeParameter,
@@ -197,10 +197,8 @@ class LinearTrend(MultiOutputKernel):
         basis = np.column_stack([np.ones(len(X)), slopes])
         residual = np.array(Y, dtype=float)
         for y in residual.T:
-            rows = np.isfinite(y)
-            if rows.sum() > 2 * basis.shape[1]:
-                weights = np.linalg.lstsq(basis[rows], y[rows], rcond=None)[0]
-                y[rows] -= basis[rows] @ weights
+            if np.isfinite(y).sum() > 2 * basis.shape[1]:
+                y -= basis @ least_squares(basis, y)
         return residual
 
     def couples(self, i: int, j: int) -> bool:

@@ -272,14 +272,12 @@ def output_scale(Y: Matrix) -> Vector:
     return np.where(np.abs(mean) > scale, np.hypot(mean, scale), scale)
 
 
-def cluster_centres(
-    X: Matrix, scale: Vector, n: int, random_state: Seed, max_iter: int = 300
-) -> Matrix:
+def cluster_centres(X: Matrix, scale: Vector, n: int, random_state: Seed) -> Matrix:
     """Return n centres of the rows of X (m, d), in the metric of the scales (d,), by k-means."""
     with warnings.catch_warnings():
         # of rows that are alike but for rounding; KMeans has no other way to be silent
         warnings.simplefilter("ignore", ConvergenceWarning)
-        means = KMeans(n, n_init=1, max_iter=max_iter, random_state=random_state).fit(X / scale)
+        means = KMeans(n, n_init=1, random_state=random_state).fit(X / scale)
     return means.cluster_centers_ * scale
 
 

@@ -271,9 +271,8 @@ def warn_of_few_rows(
     errors: np.ndarray,
     n_regressors: int,
     members: list[str],
-    settings: WarningSettings = SETTINGS,
 ) -> None:
-    """Warn if there are fewer than ``settings.least_rows`` independent rows for each regressor.
+    """Warn if there are fewer than ``SETTINGS.least_rows`` independent rows for each regressor.
 
     ``errors`` (n, P) are residuals of the targets, in recording order, NaN where not observed. They
     count as rows over their autocorrelation time, median over the outputs. An average leans on its
@@ -286,10 +285,10 @@ def warn_of_few_rows(
         times.append(autocorrelation_time(observed))
         counts.append(len(observed))
     lasting = float(np.median(times))
-    lasting = lasting if lasting >= settings.white else 1.0
+    lasting = lasting if lasting >= SETTINGS.white else 1.0
     rows = float(np.median(counts)) / lasting
     is_trend = members == ["trend"] and lasting == 1.0
-    if rows >= settings.least_rows * n_regressors or is_trend:
+    if rows >= SETTINGS.least_rows * n_regressors or is_trend:
         return
     numbers = {
         "rows": len(errors),
@@ -297,7 +296,7 @@ def warn_of_few_rows(
         "lasting": lasting,
         "regressors": n_regressors,
         "each": rows / n_regressors,
-        "least": settings.least_rows,
+        "least": SETTINGS.least_rows,
     }
     _warn(Finding(Code.FEW_ROWS, numbers=numbers), FewRowsWarning, stacklevel=7)
 
@@ -307,7 +306,6 @@ def warn_of_search(
     max_iter: int,
     X: np.ndarray,
     names: list[str],
-    settings: WarningSettings = SETTINGS,
 ) -> None:
     """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
@@ -315,7 +313,7 @@ def warn_of_search(
     elif not best.converged:
         std = X.std(axis=0)
         unscaled = _marked(
-            names, (std > settings.scaled) | ((std > 0) & (std < 1 / settings.scaled))
+            names, (std > SETTINGS.scaled) | ((std > 0) & (std < 1 / SETTINGS.scaled))
         )
         numbers = {
             "max_iter": max(max_iter, best.n_iter),
@@ -333,9 +331,7 @@ def _warn(
     report(finding, category, stacklevel=stacklevel)
 
 
-def warn_of_bounds(
-    given: MultiOutputKernel, kernel: MultiOutputKernel, settings: WarningSettings = SETTINGS
-) -> None:
+def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
     """Warn of hyperparameters that end at a bound which the user gave.
 
     ``kernel`` is the fitted one, in the units of ``given``, whose terms are its last ones. A value
@@ -344,8 +340,8 @@ def warn_of_bounds(
     terms = given.summands()
     reached = []
     for term, fitted in zip(terms, kernel.summands()[-len(terms) :], strict=True):
-        before = _at_bounds(term, settings) if term.has_values() else {}
-        for name, text in _at_bounds(fitted, settings).items():
+        before = _at_bounds(term) if term.has_values() else {}
+        for name, text in _at_bounds(fitted).items():
             if name not in before and not term.bounds_from_data(name[0]):
                 reached.append(text)
     if reached:
@@ -353,7 +349,7 @@ def warn_of_bounds(
         _warn(finding, SearchWarning, stacklevel=7)
 
 
-def _at_bounds(kernel, settings):
+def _at_bounds(kernel):
     """Return texts of the elements that are at a bound, by the name, number and side of each."""
     reached = {}
     for f in kernel.free_parameters():
@@ -364,7 +360,7 @@ def _at_bounds(kernel, settings):
         scaled = np.column_stack([pairs, values])
         low, high, value = (np.log(scaled) if f.log else scaled).T
         width = np.minimum(high - low, 1.0) if f.log else high - low
-        tolerance = settings.bound_tolerance * width
+        tolerance = SETTINGS.bound_tolerance * width
         distances = {"lower": np.abs(value - low), "upper": np.abs(high - value)}
         for column, (side, distance) in enumerate(distances.items()):
             for k in np.flatnonzero(distance <= tolerance):

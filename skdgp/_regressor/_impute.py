@@ -47,9 +47,7 @@ SETTINGS = ImputeSettings()
 REMEDY = "Give fewer rows at a time, the ones with missing values and their neighbours."
 
 
-def imputed(
-    X: Matrix, Y: Matrix, mean: Matrix, std: Matrix, settings: ImputeSettings = SETTINGS
-) -> tuple[Matrix, Matrix]:
+def imputed(X: Matrix, Y: Matrix, mean: Matrix, std: Matrix) -> tuple[Matrix, Matrix]:
     """Return Y (n, P) with missing values replaced, and their standard deviations, zero where observed.
 
     For the equations see ``DependentGPRegressor.impute``. ``mean`` and ``std`` (n, P) are
@@ -63,20 +61,20 @@ def imputed(
     table = value.copy()
     takes_logarithm = []
     for p, rows in enumerate(missing.T):
-        takes_logarithm.append(closer_to_normal(Y[~rows, p], value[:, p], settings.least_rows))
+        takes_logarithm.append(closer_to_normal(Y[~rows, p], value[:, p], SETTINGS.least_rows))
         if takes_logarithm[p]:
             table[:, p] = np.log(value[:, p])
     scaled = (table - table.mean(axis=0)) / column_scale(table)
     x = (X - X.mean(axis=0)) / column_scale(X)
     for p, rows in enumerate(missing.T):
-        if not rows.any() or np.sum(~rows) < settings.least_rows:
+        if not rows.any() or np.sum(~rows) < SETTINGS.least_rows:
             continue
         informative = missing[rows].mean(axis=0) < 0.5
         asked = rows & ~missing[:, informative].all(axis=1)
         if asked.any():
             learned = np.flatnonzero(~rows)
             y = table[learned, p]
-            moments = conditional(x, scaled[:, informative], y, learned, asked, settings)
+            moments = conditional(x, scaled[:, informative], y, learned, asked)
             if takes_logarithm[p]:
                 moments = log_normal(*moments)
             value[asked, p], deviation[asked, p] = moments
@@ -104,19 +102,18 @@ def conditional(
     y: Vector,
     learned: Indices,
     asked: Matrix,
-    settings: ImputeSettings = SETTINGS,
 ) -> tuple[Vector, Vector]:
     """Return mean and standard deviation of a measurement in the rows ``asked``, from y (m,) in ``learned``.
 
     They are of the mixture, with equal weights, of the processes for each bandwidth.
     """
-    selected = evenly(len(y), settings.search_rows)
-    most = evenly(len(y), settings.rows)
+    selected = evenly(len(y), SETTINGS.search_rows)
+    most = evenly(len(y), SETTINGS.rows)
     predictions = []
-    for bandwidth in settings.bandwidths:
+    for bandwidth in SETTINGS.bandwidths:
         table = inputs(x, others, bandwidth)
         searched = [part[learned[selected]] for part in table]
-        theta = likeliest(searched, y[selected], settings)
+        theta = likeliest(searched, y[selected])
         rows = [part[learned[most]] for part in table]
         wanted = [part[asked] for part in table]
         predictions.append(predicted(theta, rows, y[most], wanted))
@@ -164,7 +161,7 @@ def factor(K: Matrix, theta: Vector) -> Matrix:
     return jittered_cholesky(lambda: np.asfortranarray(K + np.exp(theta[-1]) * np.eye(len(K))))
 
 
-def likeliest(rows: list[Matrix], y: Vector, settings: ImputeSettings = SETTINGS) -> Vector:
+def likeliest(rows: list[Matrix], y: Vector) -> Vector:
     """Return the hyperparameters of the largest marginal likelihood of the standardised y."""
     between = relations(rows, rows)
     z = (y - y.mean()) / column_scale(y[:, None])[0]
@@ -179,9 +176,9 @@ def likeliest(rows: list[Matrix], y: Vector, settings: ImputeSettings = SETTINGS
         value = 0.5 * (z @ weights + log_determinant(L))
         return value, np.array([0.5 * np.sum(W * slope) for slope in slopes])
 
-    start = np.log(settings.start)
-    bounds = Bounds(np.log(settings.lower), np.log(settings.upper))
-    options: Any = {"maxiter": settings.iterations}
+    start = np.log(SETTINGS.start)
+    bounds = Bounds(np.log(SETTINGS.lower), np.log(SETTINGS.upper))
+    options: Any = {"maxiter": SETTINGS.iterations}
     return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
 
 

@@ -36,10 +36,10 @@ class PromiseSettings:
 PROMISE = PromiseSettings()
 
 
-def with_range(errors: pd.DataFrame, settings: PromiseSettings = PROMISE) -> pd.DataFrame:
+def with_range(errors: pd.DataFrame) -> pd.DataFrame:
     """Return the table with the ends ``low`` and ``high`` between which 80 % of what is found lies."""
     promised = errors["promised"]
-    return errors.assign(low=settings.low * promised, high=settings.high * promised)
+    return errors.assign(low=PROMISE.low * promised, high=PROMISE.high * promised)
 
 
 def errors_table(errors: pd.DataFrame, caption: str) -> str:

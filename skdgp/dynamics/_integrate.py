@@ -332,15 +332,13 @@ def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end
     )
 
 
-def end_reasons(
-    state: Array, now: Instant, limits: FlightLimits = FLIGHT_LIMITS
-) -> dict[str, Array]:
+def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     """Return which trajectories cannot go on, (...) by reason; only reasons that apply."""
     is_finite = np.isfinite(now.derivative).all(axis=-1)
-    is_slow = (np.abs(state[..., VELOCITY]) < limits.velocity).all(axis=-1)
-    is_turning_slowly = (np.abs(state[..., RATES]) < limits.rate).all(axis=-1)
+    is_slow = (np.abs(state[..., VELOCITY]) < FLIGHT_LIMITS.velocity).all(axis=-1)
+    is_turning_slowly = (np.abs(state[..., RATES]) < FLIGHT_LIMITS.rate).all(axis=-1)
     reasons: dict[str, Any] = {
-        "airspeed": now.airspeed < limits.airspeed,
+        "airspeed": now.airspeed < FLIGHT_LIMITS.airspeed,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~(is_finite & is_slow & is_turning_slowly),
         "fixed point": ~np.broadcast_to(now.settled, state.shape[:-1]),

@@ -181,7 +181,6 @@ def without_rotation(
     slopes: Array,
     airspeed: float,
     span: float,
-    settings: DriftSettings = DRIFT,
 ) -> Vector:
     """Return the part (6,) of a drift's variance that the rates p, q, r of the gusts ``flown`` do not explain.
 
@@ -192,14 +191,14 @@ def without_rotation(
     A, B, C = dryden_system(airspeed, flown.length, flown.intensity, span)
     rates = C[6:]
     covariance = solve_continuous_lyapunov(A, -B @ B.T)
-    lags = np.linspace(0.0, settings.horizon, settings.points)
-    step = expm(A * settings.horizon / (settings.points - 1))
-    autocovariance = np.empty((settings.points, 3))
-    for k in range(settings.points):
+    lags = np.linspace(0.0, DRIFT.horizon, DRIFT.points)
+    step = expm(A * DRIFT.horizon / (DRIFT.points - 1))
+    autocovariance = np.empty((DRIFT.points, 3))
+    for k in range(DRIFT.points):
         autocovariance[k] = np.einsum("ij,jk,ik->i", rates, covariance, rates)
         covariance = step @ covariance
     # The variance of an integral over T is 2 int (T - t) R(t) dt
-    weight = 2 * np.gradient(lags) * (settings.horizon - lags)
+    weight = 2 * np.gradient(lags) * (DRIFT.horizon - lags)
     weight[[0, -1]] *= 0.5
     rotation = slopes**2 @ (weight @ autocovariance)
     total = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))

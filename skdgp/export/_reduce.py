@@ -43,7 +43,6 @@ def reduced(
     model: PortableModel,
     size: Callable[[PortableModel], int],
     most: int,
-    settings: ReductionSettings = SETTINGS,
 ) -> PortableModel:
     r"""Return the model with so few basis functions that ``size(model) <= most``, at a small loss.
 
@@ -56,8 +55,8 @@ def reduced(
     """
     if size(model) <= most:
         return model
-    Z, check = _points(model, settings)
-    reductions = [_PartReduction(model, j, Z, check, settings) for j in range(len(model.parts))]
+    Z, check = _points(model)
+    reductions = [_PartReduction(model, j, Z, check) for j in range(len(model.parts))]
     best = _with_parts(model, reductions)
     if size(best) > most:
         raise ValueError(
@@ -80,22 +79,22 @@ def _with_parts(model: PortableModel, reductions: list[_PartReduction]) -> Porta
     return replace(model, parts=tuple(item.reduced for item in reductions))
 
 
-def _points(model: PortableModel, settings: ReductionSettings) -> tuple[Matrix, Matrix]:
+def _points(model: PortableModel) -> tuple[Matrix, Matrix]:
     """Return scaled regressors to fit and to check at, of the flights and around."""
     rng = np.random.default_rng(0)
     samples = model.scaled(model.samples)
-    if max(len(readout.weights) for readout in model.readouts) > settings.many:
-        samples = samples[:: -(-len(samples) // settings.fewer)]
+    if max(len(readout.weights) for readout in model.readouts) > SETTINGS.many:
+        samples = samples[:: -(-len(samples) // SETTINGS.fewer)]
     spread = samples.std(axis=0)
 
     def around(Z: Matrix, moved: Sequence[float]) -> Matrix:
-        copies = max(len(moved), settings.points // len(Z))
+        copies = max(len(moved), SETTINGS.points // len(Z))
         steps = np.multiply.outer(np.resize(moved, copies), spread)
         noise = rng.standard_normal((copies, *Z.shape)) * steps[:, None]
         return np.concatenate([Z, *(Z + noise)])
 
-    fitted = around(samples[::2], settings.moved)
-    return fitted, around(samples[1::2], settings.moved_check)
+    fitted = around(samples[::2], SETTINGS.moved)
+    return fitted, around(samples[1::2], SETTINGS.moved_check)
 
 
 def _loss(model: PortableModel, small: PortableModel, Z: Matrix) -> dict[str, dict[str, float]]:
@@ -129,12 +128,11 @@ class _PartReduction:
         j: int,
         Z: Matrix,
         check: Matrix,
-        settings: ReductionSettings,
     ) -> None:
         component, i = divmod(j, len(model.outputs))
         self.part = model.parts[j]
         self.weight = model.mixture[component, i]
-        self._factorise(Z, model.trend(Z), settings)
+        self._factorise(Z, model.trend(Z))
         self.trend = model.trend(check)
         _, self.spread = model.moments(i, check, self.trend, True)
         g = self.part.basis(check)
@@ -144,7 +142,7 @@ class _PartReduction:
         self.step = 0
         self.reduced, self.loss = self._fit(self.sizes[0])
 
-    def _factorise(self, Z: Matrix, p: Matrix, settings: ReductionSettings) -> None:
+    def _factorise(self, Z: Matrix, p: Matrix) -> None:
         """Choose functions at Z, and factorise trend and functions for the fit of mean and explained root.
 
         Rows are weighted by the standard deviation of the part.
@@ -154,10 +152,10 @@ class _PartReduction:
         explained = part.explained(g)
         weight = 1.0 / np.sqrt(part.variance(p, explained))[:, None]
         trend = weight * p
-        candidates = self._candidates(settings.max_candidates)
+        candidates = self._candidates(SETTINGS.max_candidates)
         functions = weight * self._functions(Z, candidates)
-        order = self._order(trend, functions, settings.negligible)
-        self.sizes = [0, *(size for size in settings.sizes if size <= len(order))]
+        order = self._order(trend, functions, SETTINGS.negligible)
+        self.sizes = [0, *(size for size in SETTINGS.sizes if size <= len(order))]
         used = order[: self.sizes[-1]]
         self.chosen = candidates[used]
         Q, self.R = qr(np.hstack([trend, functions[:, used]]), mode="economic")

@@ -194,21 +194,20 @@ def held_out_weights(
     Y: Matrix,
     loading: Array | None,
     random_state: Any = None,
-    settings: AverageSettings = SETTINGS,
 ) -> Matrix:
     """Return the weights (K, P) of posteriors with these noises (P,) from their predictions of held-out blocks.
 
     ``random_state`` chooses the rows of a block; without it they are contiguous, as in a time
     series.
     """
-    step = max(-(-len(X) // settings.rows), -(-members[0].size // settings.values))
+    step = max(-(-len(X) // SETTINGS.rows), -(-members[0].size // SETTINGS.values))
     rows = np.arange(0, len(X), step)
     order = np.arange(len(rows)) if random_state is None else random_state.permutation(len(rows))
     predictions = []
     for member, noise in zip(members, noises, strict=True):
-        predictions.append(held_out(member, noise, X, Y, rows, loading, order, settings))
+        predictions.append(held_out(member, noise, X, Y, rows, loading, order))
     means, variances = np.array(predictions).swapaxes(0, 1)
-    cost = settings.nats * np.sum(~constant_columns(X))
+    cost = SETTINGS.nats * np.sum(~constant_columns(X))
     weights = np.empty((len(members), Y.shape[1]))
     for i, y in enumerate(Y[rows].T):
         error = y - means[..., i]
@@ -217,8 +216,8 @@ def held_out_weights(
         variance = variances[..., i][:, is_complete]
         scores = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
         scores[:-1] -= cost / max(scores.shape[1], 1)
-        weights[:, i] = stacked(scores, settings)
-    weights[weights < settings.least_weight] = 0.0
+        weights[:, i] = stacked(scores)
+    weights[weights < SETTINGS.least_weight] = 0.0
     return weights / weights.sum(axis=0)
 
 
@@ -253,7 +252,6 @@ def held_out(
     rows: Any,
     loading: Array | None = None,
     order: Any = None,
-    settings: AverageSettings = SETTINGS,
 ) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
 
@@ -274,7 +272,7 @@ def held_out(
     order = np.arange(len(Y)) if order is None else order
     mean = np.full(Y.shape, np.nan)
     variance = np.full(Y.shape, np.nan)
-    folds = list(_folds(Y, order, settings))
+    folds = list(_folds(Y, order))
     data = Data.from_table(X, Y, inflated)
     parts = []
     for left_out in folds:
@@ -292,17 +290,17 @@ def held_out(
     return mean, variance
 
 
-def _folds(Y, order, settings):
+def _folds(Y, order):
     """Yield masks of the values that are held out together, (n, P), in blocks of neighbours in ``order`` (n,)."""
     n, P = Y.shape
-    block = order * min(settings.n_blocks, n) // n
+    block = order * min(SETTINGS.n_blocks, n) // n
     observed = np.isfinite(Y)
-    complete = settings.complete * observed.any(axis=1).mean()
+    complete = SETTINGS.complete * observed.any(axis=1).mean()
     has_gaps = P > 1 and (observed.mean(axis=0) < complete).any()
     shift = np.arange(P) if has_gaps else np.zeros(P, dtype=int)
     turn = block[:, None] + shift
-    for fold in range(settings.n_folds):
-        yield (turn % settings.n_folds == fold) & observed
+    for fold in range(SETTINGS.n_folds):
+        yield (turn % SETTINGS.n_folds == fold) & observed
 
 
 # -- one term of a sum of kernels

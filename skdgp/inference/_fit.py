@@ -299,7 +299,6 @@ def inducing_centres(
     X: Matrix,
     n_inducing: int,
     random_state: Any,
-    settings: SparseSettings = SETTINGS,
 ) -> Matrix:
     """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs."""
     if inducing_features(kernel, X[:1]).size == inducing_features(kernel, X[:2]).size:
@@ -307,7 +306,7 @@ def inducing_centres(
     distinct = np.unique(X, axis=0)
     if len(distinct) <= n_inducing:
         return distinct
-    most = settings.samples_of_centre * n_inducing
+    most = SETTINGS.samples_of_centre * n_inducing
     subset = X[random_state.permutation(len(X))[:most]]
     return cluster_centres(subset, column_scale(X), n_inducing, random_state)
 

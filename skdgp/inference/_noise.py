@@ -108,7 +108,6 @@ def initial_input_noise(
     data: Data,
     scale: Vector,
     known: KnownNoise,
-    settings: NoiseSettings = SETTINGS,
 ) -> tuple[Vector, Matrix]:
     """Return the noise vector with factors s (d,) of the regressors' noise variances, and bounds of s.
 
@@ -116,7 +115,7 @@ def initial_input_noise(
     start of others, half of each output's noise comes from the regressors, with equal factors s.
     ``data`` has the loadings of errors of the size of ``scale``.
     """
-    least, most = settings.input_bounds
+    least, most = SETTINGS.input_bounds
     if known.input_std is not None:
         fixed = np.maximum((known.input_std / scale) ** 2, least)
         return np.concatenate([noise, fixed]), np.column_stack([fixed, fixed])
@@ -126,10 +125,10 @@ def initial_input_noise(
         if len(G):
             propagated = np.mean(np.sum(G**2, axis=1))
             fractions.append(variance / max(propagated, 1e-12))
-    factor = settings.input_fraction * float(np.median(fractions))
+    factor = SETTINGS.input_fraction * float(np.median(fractions))
     start = np.full(len(scale), np.clip(factor, 10 * least, most / 10))
-    noise = (1 - settings.input_fraction) * noise
-    return np.concatenate([noise, start]), np.tile(settings.input_bounds, (len(scale), 1))
+    noise = (1 - SETTINGS.input_fraction) * noise
+    return np.concatenate([noise, start]), np.tile(SETTINGS.input_bounds, (len(scale), 1))
 
 
 def input_noise_information(slopes: Array, noise: Vector, input_std: Vector) -> Vector:

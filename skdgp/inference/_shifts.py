@@ -51,7 +51,6 @@ def found_shifts(
     noise: Vector,
     X: Matrix,
     Y: Matrix,
-    settings: ShiftSettings = SETTINGS,
 ) -> Matrix | None:
     """Return the shift (P, d) of each output relative to the first one, or None where no shift correlates more.
 
@@ -64,21 +63,20 @@ def found_shifts(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
-    settings : ShiftSettings
     """
     functions = []
     for i, single in enumerate(singles):
-        functions.append(_process(single, noise[i : i + 1], X, Y[:, i], settings))
+        functions.append(_process(single, noise[i : i + 1], X, Y[:, i]))
     P, d = len(functions), X.shape[1]
-    points = X[:: -(-len(X) // settings.rows)]
-    lags = np.linspace(-settings.largest, settings.largest, settings.n_lags)
+    points = X[:: -(-len(X) // SETTINGS.rows)]
+    lags = np.linspace(-SETTINGS.largest, SETTINGS.largest, SETTINGS.n_lags)
     gain = np.zeros((P, P))
     shift = np.zeros((P, P, d))
     ranges = np.ptp(X, axis=0)
     widths = np.array([function.kernel.value("length_scale")[0, 0] for function in functions])
-    varies = np.sum(widths < settings.widest * ranges, axis=0) > 1
+    varies = np.sum(widths < SETTINGS.widest * ranges, axis=0) > 1
     for k in np.flatnonzero(varies & ~constant_columns(X)):
-        higher, best = _gains(functions, points, k, ranges[k] * lags, settings)
+        higher, best = _gains(functions, points, k, ranges[k] * lags)
         better = higher > gain
         gain[better] = higher[better]
         shift[better] = 0.0
@@ -88,7 +86,7 @@ def found_shifts(
     return relative if relative.any() else None
 
 
-def _gains(functions, points, k, lags, settings) -> tuple[Matrix, Matrix]:
+def _gains(functions, points, k, lags) -> tuple[Matrix, Matrix]:
     """Return what shifts of one output along regressor k explain of another one, and the best shifts, (P, P) each.
 
     Output i is compared at x - shift with output j at x. A gain is zero where the squared
@@ -102,7 +100,7 @@ def _gains(functions, points, k, lags, settings) -> tuple[Matrix, Matrix]:
     for i, function in enumerate(functions):
         earlier = _moments(function, moved.reshape(-1, d))
         for j in range(P):
-            squared[i, j], explained[i, j] = _correlations(earlier, present[j], len(lags), settings)
+            squared[i, j], explained[i, j] = _correlations(earlier, present[j], len(lags))
     # j relative to i by a lag is i relative to j by minus the lag
     squared = 0.5 * (squared + squared.swapaxes(0, 1)[..., ::-1])
     explained = 0.5 * (explained + explained.swapaxes(0, 1)[..., ::-1])
@@ -111,13 +109,13 @@ def _gains(functions, points, k, lags, settings) -> tuple[Matrix, Matrix]:
     unmoved = len(lags) // 2
     rise = np.take_along_axis(squared, highest, axis=2)[..., 0] - squared[..., unmoved]
     gain = np.take_along_axis(explained, highest, axis=2)[..., 0] - explained[..., unmoved]
-    return np.where(rise >= settings.rise, gain, 0.0), lags[highest[..., 0]]
+    return np.where(rise >= SETTINGS.rise, gain, 0.0), lags[highest[..., 0]]
 
 
-def _process(kernel, noise, X, y, settings) -> SinglePosterior:
+def _process(kernel, noise, X, y) -> SinglePosterior:
     """Return the posterior of the process of all regressors, the last term of a kernel of one output."""
     observed = np.flatnonzero(np.isfinite(y))
-    rows = observed[:: -(-len(observed) // settings.values)]
+    rows = observed[:: -(-len(observed) // SETTINGS.values)]
     posterior = ExactPosterior(kernel, noise, Data.from_table(X[rows], y[rows, None]))
     processes = [term for term in kernel.summands() if term.n_processes]
     return posterior.term(processes[-1])
@@ -135,7 +133,6 @@ def _correlations(
     earlier: tuple[Vector, Vector],
     present: tuple[Vector, Vector],
     n_lags: int,
-    settings: ShiftSettings,
 ) -> tuple[Vector, Vector]:
     """Return the squared correlation of two functions for each lag, and how much of the samples it explains.
 
@@ -153,11 +150,11 @@ def _correlations(
     product = np.sum(weight * a * c, axis=1) ** 2
     norms = np.sum(weight * a**2, axis=1) * np.sum(weight * c**2, axis=1)
     squared = np.divide(product, norms, out=np.zeros(n_lags), where=norms > 0)
-    squared[overlap < settings.overlap * overlap.max(initial=0.0)] = 0.0
-    explained = -overlap * np.log1p(-np.minimum(squared, settings.highest))
+    squared[overlap < SETTINGS.overlap * overlap.max(initial=0.0)] = 0.0
+    explained = -overlap * np.log1p(-np.minimum(squared, SETTINGS.highest))
     return squared, explained
 
 
-def price_of_shifts(shift: Matrix, settings: ShiftSettings = SETTINGS) -> float:
+def price_of_shifts(shift: Matrix) -> float:
     """Return what a likelihood pays for shifts (P, d), each chosen among several before the search [nats]."""
-    return float(np.count_nonzero(shift) * np.log(settings.n_lags))
+    return float(np.count_nonzero(shift) * np.log(SETTINGS.n_lags))

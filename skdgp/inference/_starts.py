@@ -46,7 +46,6 @@ def starting_kernel(
     Y: Matrix,
     random_state: Seed,
     singles: Sequence[MultiOutputKernel] | None = None,
-    settings: StartSettings = SETTINGS,
 ) -> MultiOutputKernel:
     """Return the kernel with missing values from the data, or from fits of each output alone.
 
@@ -60,7 +59,6 @@ def starting_kernel(
     random_state : int, RandomState or None
     singles : sequence of MultiOutputKernel or None
         Fits of ``single_output(kernel)``.
-    settings : StartSettings
 
     Returns
     -------
@@ -68,8 +66,8 @@ def starting_kernel(
     """
     start = kernel.initialize(X, Y, random_state)
     if singles is None:
-        return _of_terms(partial(_from_data, settings), kernel, start)
-    return _of_terms(partial(_from_singles, settings, X), kernel, start, *singles)
+        return _of_terms(_from_data, kernel, start)
+    return _of_terms(partial(_from_singles, X), kernel, start, *singles)
 
 
 def single_output(kernel: MultiOutputKernel) -> MultiOutputKernel | None:
@@ -91,11 +89,9 @@ def from_coarse(
     return _of_terms(_from_coarse, kernel, start, fitted)
 
 
-def from_simpler(
-    start: MultiOutputKernel, fitted: MultiOutputKernel, settings: StartSettings = SETTINGS
-) -> MultiOutputKernel:
+def from_simpler(start: MultiOutputKernel, fitted: MultiOutputKernel) -> MultiOutputKernel:
     """Return a start with small private latents beside the shared ones of a fitted kernel, which has no others."""
-    return _of_terms(partial(_from_simpler, settings), start, fitted)
+    return _of_terms(_from_simpler, start, fitted)
 
 
 def with_effects(
@@ -154,7 +150,7 @@ def _coarse(term):
     return clone(term).set_params(covariance_type="tied", parameter_bounds=bounds)
 
 
-def _from_data(settings, term, start):
+def _from_data(term, start):
     """Return the start of a term, of smaller amplitudes and widths if it has few regressors."""
     if not isinstance(term, ConvolvedGaussian) or term.regressors is None:
         return start
@@ -164,7 +160,7 @@ def _from_data(settings, term, start):
         return start
     lengths = filters.length_scale
     lengths[..., ~neutral] *= np.sqrt(np.mean(~neutral))
-    amplitude = settings.additive_amplitude * filters.amplitude
+    amplitude = SETTINGS.additive_amplitude * filters.amplitude
     return _with_missing(term, start, {"amplitude": amplitude, "length_scale": lengths})
 
 
@@ -187,20 +183,20 @@ def _from_coarse(term, start, fitted):
     return _with_missing(term, start, {name: values[name] for name in names})
 
 
-def _from_simpler(settings, term, fitted):
+def _from_simpler(term, fitted):
     if isinstance(term, LinearTrend):
         values = fitted.values()
         names = ("intercept_scale", "slope_scale")
         return clone(term).set_params(**{name: values[name] for name in names})
     n = fitted.n_latent
-    amplitude = settings.private_beside * term.filters.amplitude
+    amplitude = SETTINGS.private_beside * term.filters.amplitude
     amplitude[:n] = fitted.filters.amplitude
     lengths = term.filters.length_scale
     lengths[:n] = fitted.filters.length_scale
     return clone(term).set_params(amplitude=amplitude, length_scale=lengths)
 
 
-def _with_effects(effects, X, term, fitted, settings=SETTINGS):
+def _with_effects(effects, X, term, fitted):
     if not isinstance(term, ConvolvedGaussian) or term.regressors is not None:
         return fitted
     if term.amplitude is not None or term.length_scale is not None:
@@ -211,20 +207,20 @@ def _with_effects(effects, X, term, fitted, settings=SETTINGS):
     may_feed = np.broadcast_to(index >= 0, amplitude.shape)
     total = np.sqrt(np.sum(amplitude**2, axis=0))
     for effect in effects:
-        acts = np.abs(amplitude) > settings.least_amplitude * total
+        acts = np.abs(amplitude) > SETTINGS.least_amplitude * total
         unused = np.flatnonzero(may_feed[:, effect.output] & ~acts.any(axis=1))
         if not len(unused):
             continue
         latent = unused[-1]  # a private one is the last
         amplitude[latent, effect.output] = np.sqrt(effect.variance)
-        lengths[latent] = settings.widest * column_scale(X)
+        lengths[latent] = SETTINGS.widest * column_scale(X)
         lengths[latent, :, effect.regressor] = effect.width
     return clone(fitted).set_params(amplitude=amplitude, length_scale=lengths)
 
 
-def _from_singles(settings, X, term, start, *singles):
+def _from_singles(X, term, start, *singles):
     if isinstance(term, ConvolvedGaussian):
-        return _filters_from_singles(settings, X, term, start, singles)
+        return _filters_from_singles(X, term, start, singles)
     if start.n_features > len(X):  # one prior scale of all slopes, which is not learned
         return start
     intercept = np.concatenate([single.value("intercept_scale") for single in singles])
@@ -232,7 +228,7 @@ def _from_singles(settings, X, term, start, *singles):
     return _with_missing(term, start, {"intercept_scale": intercept, "slope_scale": slope})
 
 
-def _filters_from_singles(settings, X, term, start, singles):
+def _filters_from_singles(X, term, start, singles):
     """Return the start of filters from separate fits of each output.
 
     Private latents take the fitted widths. A shared latent takes their weighted geometric mean for
@@ -245,7 +241,7 @@ def _filters_from_singles(settings, X, term, start, singles):
     fits = [single.filters for single in singles]
     fitted = np.array([abs(fit.amplitude[0, 0]) for fit in fits])
     total = np.sqrt(np.sum(w**2, axis=0))
-    explained = fitted > settings.noise_amplitude * total
+    explained = fitted > SETTINGS.noise_amplitude * total
     amplitude = w * np.where(explained, fitted / total, 1.0)
 
     widths = np.stack([fit.length_scale[0, 0] for fit in fits])
@@ -255,7 +251,7 @@ def _filters_from_singles(settings, X, term, start, singles):
     mean = np.exp(weight @ np.log(widths))[:, None, :]
     lengths = np.where(private, widths, mean)
     if (term.parameter_bounds or {}).get("length_scale") is None:
-        lengths = np.minimum(lengths, settings.widest * column_scale(X))
+        lengths = np.minimum(lengths, SETTINGS.widest * column_scale(X))
     if term.covariance_type == "tied":
         lengths = tied(lengths)
     neutral = term.without_effect(start.n_features)

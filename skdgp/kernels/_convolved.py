@@ -521,7 +521,7 @@ def spacing(X: Matrix, Y: Matrix, matters: Mask, settings: StartSettings = START
 
 
 def starting_values(
-    feeds: Mask, X: Matrix, Y: Matrix, random_state: Seed, settings: StartSettings = STARTS
+    feeds: Mask, X: Matrix, Y: Matrix, random_state: Seed
 ) -> tuple[dict[str, Array], dict[str, Any]]:
     """Return values and bounds by name for samples X (n, d) and targets Y (n, P), NaN allowed.
 
@@ -535,18 +535,18 @@ def starting_values(
     x_scale = column_scale(X)
     y_scale = output_scale(Y)
     shared = feeds.sum(axis=1) > 1
-    amplitude = _starting_amplitude(feeds, shared, Y, rng, settings) * y_scale
-    lengths = _starting_lengths(shared, X, rng, settings)
+    amplitude = _starting_amplitude(feeds, shared, Y, rng) * y_scale
+    lengths = _starting_lengths(shared, X, rng)
     values = {"amplitude": amplitude, "length_scale": np.repeat(lengths[:, None], P, axis=1)}
 
-    largest = np.broadcast_to(settings.largest_amplitude * y_scale, feeds.shape)
+    largest = np.broadcast_to(STARTS.largest_amplitude * y_scale, feeds.shape)
     smallest = -largest
     observed = np.isfinite(Y)
     has_gaps = np.any(observed.any(axis=1) & ~observed.all(axis=1))
     if shared.any() and has_gaps:
         is_private = ~shared[:, None] & feeds
-        smallest = np.where(is_private, settings.least_private * y_scale, smallest)
-    widths = np.multiply.outer(x_scale, settings.width_bounds)
+        smallest = np.where(is_private, STARTS.least_private * y_scale, smallest)
+    widths = np.multiply.outer(x_scale, STARTS.width_bounds)
     bounds = {
         "amplitude": np.stack([smallest, largest], axis=-1),
         "length_scale": np.array(np.broadcast_to(widths, (*feeds.shape, *widths.shape))),
@@ -555,20 +555,20 @@ def starting_values(
     return values, bounds
 
 
-def _starting_amplitude(feeds, shared, Y, rng, settings):
+def _starting_amplitude(feeds, shared, Y, rng):
     """Return the signed amplitudes (M, P), over the scales of the outputs."""
     directions = np.ones(feeds.shape)
-    directions[shared] = _directions(Y, int(shared.sum()), rng, settings)
-    fraction = np.where(shared, settings.shared_variance, 1.0 - settings.shared_variance)
+    directions[shared] = _directions(Y, int(shared.sum()), rng)
+    fraction = np.where(shared, STARTS.shared_variance, 1.0 - STARTS.shared_variance)
     variance = fraction[:, None] * feeds * directions**2
     return np.sign(directions) * np.sqrt(variance / variance.sum(axis=0))
 
 
-def _starting_lengths(shared, X, rng, settings):
+def _starting_lengths(shared, X, rng):
     """Return the length scales of each latent, (M, d)."""
     # The first latents explain most of the variance and start wide, the last ones narrow.
-    width = np.full(len(shared), settings.private_width)
-    widest, narrowest = settings.shared_widths
+    width = np.full(len(shared), STARTS.private_width)
+    widest, narrowest = STARTS.shared_widths
     width[shared] = np.geomspace(widest, narrowest, int(shared.sum()))
     varies = ~constant_columns(X)  # the others change nothing
     n_varying = varies.sum()
@@ -576,10 +576,10 @@ def _starting_lengths(shared, X, rng, settings):
     scatter[:, varies] = rng.normal(size=(len(shared), n_varying))
     scatter[~shared] = 0.0
     lengths = np.sqrt(max(1, n_varying)) * width[:, None] * column_scale(X)
-    return lengths * np.exp(settings.width_scatter * scatter)
+    return lengths * np.exp(STARTS.width_scatter * scatter)
 
 
-def _directions(Y, n_latent, rng, settings):
+def _directions(Y, n_latent, rng):
     """Return directions (n_latent, P), first principal ones, then random ones; squares sum to one over the latents."""
     P = Y.shape[1]
     if n_latent == 0:
@@ -588,19 +588,19 @@ def _directions(Y, n_latent, rng, settings):
     mean = np.nanmean(np.where(observed.any(axis=0), Y, 0.0), axis=0)
     Z = np.where(observed, Y - mean, 0.0) / column_scale(Y)
     counts = np.maximum(observed.T.astype(float) @ observed, 1.0)
-    order = np.diag(settings.tie_break * np.arange(P, 0, -1))
+    order = np.diag(STARTS.tie_break * np.arange(P, 0, -1))
     values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
     # The sign of an eigenvector depends on LAPACK: choose one.
     side = np.sqrt(np.arange(2, P + 2)) @ vectors
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
-    sizes = np.sqrt(np.maximum(values, settings.least_direction))
+    sizes = np.sqrt(np.maximum(values, STARTS.least_direction))
     principal = (vectors * sizes).T[::-1]
     rows = principal[:n_latent]
     if n_latent > P:
-        further = settings.random_direction * rng.normal(size=(n_latent - P, P))
+        further = STARTS.random_direction * rng.normal(size=(n_latent - P, P))
         rows = np.concatenate([rows, further])
     # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of
     # the amplitude, so that outputs of the other sign start, and end, as the same model.
-    perturbation = settings.direction_scatter * rng.normal(size=rows.shape)
+    perturbation = STARTS.direction_scatter * rng.normal(size=rows.shape)
     rows = rows + perturbation * np.where(rows < 0, -1.0, 1.0)
     return rows / np.sqrt(np.sum(rows**2, axis=0))

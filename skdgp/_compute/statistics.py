@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -12,6 +13,14 @@ from sklearn.metrics import r2_score
 from skdgp._compute.typing import Array, Matrix, Vector
 
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
+
+
+def check_deviations(name: str, values: Any, n: int, expected: str) -> Vector:
+    """Return standard deviations (n,); raise ValueError with what was expected if they are no finite numbers >= 0."""
+    std = np.asarray(values, dtype=float)
+    if std.shape != (n,) or not (np.isfinite(std) & (std >= 0)).all():
+        raise ValueError(f"Got {name}={values!r}, but expected {expected}.")
+    return std
 
 
 def r2_of_observed(y_true: Matrix, y_pred: Matrix, sample_weight: Vector | None = None) -> float:

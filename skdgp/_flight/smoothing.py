@@ -30,6 +30,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.checks import check_number
 from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
+from skdgp._flight.tables import interpolated
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,7 @@ class FittedFilter:
     def at(self, frequency: ArrayLike) -> Matrix:
         """Return the gains at frequencies [Hz], (n, k)."""
         wanted = np.asarray(frequency, dtype=float)
-        gains = [np.interp(wanted, self.frequency, gain) for gain in self.gain.T]
-        return np.stack(gains, axis=1)
+        return interpolated(wanted, self.frequency, self.gain)
 
     def __call__(self, columns: Matrix, rate: float) -> Matrix:
         """Return equidistant channels (n, k) of a rate [Hz], filtered."""

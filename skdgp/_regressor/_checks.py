@@ -14,7 +14,7 @@ from skdgp._compute.files import column_names
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.messages import FindingWarning, report
-from skdgp._compute.statistics import autocorrelation_time
+from skdgp._compute.statistics import autocorrelation_time, check_deviations
 from skdgp.inference import KnownNoise
 from skdgp.kernels import MultiOutputKernel
 
@@ -142,13 +142,11 @@ def check_input_noise(input_noise: Any, n_regressors: int) -> np.ndarray | None:
     """Return known standard deviations of the regressors (d,), None where they are learned or zero."""
     if input_noise is None or isinstance(input_noise, str):
         return None
-    std = np.asarray(input_noise, dtype=float)
-    if std.shape != (n_regressors,) or not (np.isfinite(std) & (std >= 0)).all():
-        raise ValueError(
-            f"Got input_noise={input_noise!r}, but expected 'auto', 'learned', None, or a standard "
-            f"deviation of at least zero for each of the {n_regressors} regressors."
-        )
-    return std
+    expected = (
+        "'auto', 'learned', None, or a standard deviation of at least zero for each of the "
+        f"{n_regressors} regressors"
+    )
+    return check_deviations("input_noise", input_noise, n_regressors, expected)
 
 
 def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> KnownNoise:

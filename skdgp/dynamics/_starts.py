@@ -106,7 +106,7 @@ def _check_start_names(names: Sequence[str]) -> None:
 
 
 def initial_states(
-    starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir | None] = lambda states: None
+    starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir | None]
 ) -> Array:
     """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 

@@ -82,7 +82,7 @@ def residual_drift(
 
 
 def fit_drift_to_integrals(
-    residual: Vector, clock: Matrix, least: float, settings: DriftSettings = SETTINGS
+    residual: Vector, clock: Matrix, least: float, settings: DriftSettings
 ) -> Drift:
     r"""Return sigma^2, tau^2 and T of white noise plus drift, fitted to the integrals of the residuals (n,) over time.
 

@@ -389,7 +389,7 @@ def _places(sample: Indices, rows: Indices) -> Indices:
     return np.flatnonzero(np.isin(sample, rows, assume_unique=True))
 
 
-def white_variance(Q: Matrix, noise: float, settings: ErrorSettings = SETTINGS) -> Vector:
+def white_variance(Q: Matrix, noise: float, settings: ErrorSettings) -> Vector:
     """Return the variance of the weights of least squares, (m,), for white noise of this variance."""
     return noise * np.diag(settings.inverse(Q.T @ Q))
 

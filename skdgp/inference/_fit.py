@@ -109,9 +109,7 @@ def _exact_posterior(learned, data):
     return ExactPosterior(learned.kernel, learned.noise, learned.noisy(data))
 
 
-def as_exact(
-    learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data, known: KnownNoise = UNKNOWN
-) -> Fit:
+def as_exact(learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data, known: KnownNoise) -> Fit:
     """Return the exact posterior of these samples at a kernel that was learned, with its own noise.
 
     Parameters

@@ -25,6 +25,7 @@ from skdgp._compute.linalg import (
     unexplained_variance,
 )
 from skdgp._compute.parallel import few_threads, thread_map, threads_for
+from skdgp._compute.statistics import check_deviations
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data, coupled_outputs, covariance, draw_noise
 from skdgp.kernels import MultiOutputKernel, PathBundle, covariance_paths, prior_paths
@@ -328,13 +329,8 @@ class ExactTerm(ExactPosterior):
 
 def check_spread(spread: Any, n_features: int) -> Vector:
     """Return the standard deviations of a perturbation of the regressors, (d,)."""
-    checked = np.asarray(spread, dtype=float)
-    if checked.shape != (n_features,) or not (np.isfinite(checked) & (checked >= 0)).all():
-        raise ValueError(
-            f"Got spread={spread!r}, but expected {n_features} finite numbers from 0 on: a standard "
-            "deviation for each regressor."
-        )
-    return checked
+    expected = f"{n_features} finite numbers from 0 on: a standard deviation for each regressor"
+    return check_deviations("spread", spread, n_features, expected)
 
 
 class Paths:

@@ -287,7 +287,7 @@ class SampleShare(NamedTuple):
     loading: np.ndarray
 
 
-def shares_of(data: Data, settings: ShareSettings = SHARES) -> list[SampleShare]:
+def shares_of(data: Data, settings: ShareSettings) -> list[SampleShare]:
     """Return the observed values in shares that do not depend on the number of threads: sums have the same bits."""
     if data.sample_noise is not None:
         share = SampleShare(tuple(range(len(data.y))), *_sample_table(data))
@@ -356,7 +356,7 @@ class Statistics(NamedTuple):
 
 
 def compute_statistics(
-    kernel, features, noise, Lu, shares, settings: ShareSettings = SHARES
+    kernel, features, noise, Lu, shares, settings: ShareSettings
 ) -> dict[tuple[int, ...], Statistics]:
     """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
     of_share = thread_map(partial(_share_sums, kernel, features, noise, Lu, settings), shares)

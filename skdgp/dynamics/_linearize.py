@@ -10,7 +10,6 @@ angles; u (..., k) the inputs, z = (x, u), and C (..., 6) the coefficients.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -238,8 +237,8 @@ def _matrices(
     unsteady: UnsteadyTerms | None = None,
 ) -> Matrices:
     """Return A, B, C, D at states (..., 13)."""
-    x_dot_z, y_z, instant = jacobian(motion, state, controls, inputs, unsteady)
-    check_settled(instant)
+    x_dot_z, y_z, now = jacobian(motion, state, controls, inputs, unsteady)
+    check_settled(now)
     if not np.isfinite(x_dot_z).all():
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
@@ -270,11 +269,11 @@ def jacobian(
     some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
     """
     state = np.asarray(state, dtype=float)
-    instant = motion.at(state, controls)
+    now = motion.at(state, controls)
     mechanics = Mechanics(motion, controls, inputs)
-    (F_z, G_z, H_z), (F_C, G_C, H_C) = mechanics.slopes(state, instant)
+    (F_z, G_z, H_z), (F_C, G_C, H_C) = mechanics.slopes(state, now)
     # Coefficients by z, with the regressors that follow from them
-    c_X = motion.aerodynamics.gradient(instant.regressors)
+    c_X = motion.aerodynamics.gradient(now.regressors)
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
@@ -282,7 +281,7 @@ def jacobian(
         C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
     x_dot_z = F_z + F_C @ C_z
     y_z = H_z + H_C @ C_z
-    return x_dot_z, y_z, instant
+    return x_dot_z, y_z, now
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,12 +303,12 @@ class Mechanics:
         specific_force = now.force / self.motion.aircraft.mass
         return np.concatenate([F, G, air, specific_force], axis=-1)
 
-    def slopes(self, state: Array, instant: Instant) -> tuple[list[Array], list[Array]]:
+    def slopes(self, state: Array, now: Instant) -> tuple[list[Array], list[Array]]:
         """Return the slopes (F_z, G_z, H_z), (..., m, 12 + k), and (F_C, G_C, H_C), (..., m, 6), by differences."""
         values = [self.controls[name] for name in self.inputs]
         u = np.broadcast_to(values, (*state.shape[:-1], len(values)))
-        zC = np.concatenate([_with_euler_angles(state), u, instant.coefficients], axis=-1)
-        slopes = central_difference(self, zC, _steps(zC, instant.airspeed))
+        zC = np.concatenate([_with_euler_angles(state), u, now.coefficients], axis=-1)
+        slopes = central_difference(self, zC, _steps(zC, now.airspeed))
         by_z, by_C = np.split(slopes, [len(STATES) + len(self.inputs)], axis=-1)
         ends = [len(STATES), len(STATES) + len(self.motion.regressors)]
         return np.split(by_z, ends, axis=-2), np.split(by_C, ends, axis=-2)
@@ -380,8 +379,7 @@ def _drawn(
 ) -> tuple[Motion, UnsteadyTerms | None]:
     """Return the motion with functions drawn from the posterior in place of the model, and their unsteady terms."""
     model = motion.aerodynamics
-    motion_of_paths = copy.copy(motion)
-    motion_of_paths.aerodynamics = drawn_functions(motion, n_paths, random_state)
+    motion_of_paths = motion.with_aerodynamics(drawn_functions(motion, n_paths, random_state))
     if model.learned is None:
         return motion_of_paths, None
     slopes = model.gradient(now.regressors)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -264,6 +265,12 @@ class Motion:
                     controls[name] = sum(map(np.multiply, row, surfaces))
         check_names(self.controls, controls, "controls")
         return controls
+
+    def with_aerodynamics(self, aerodynamics: Aerodynamics) -> Motion:
+        """Return the motion with other aerodynamics of the same regressors, such as drawn functions."""
+        other = copy.copy(self)
+        other.aerodynamics = aerodynamics
+        return other
 
     def at(
         self,

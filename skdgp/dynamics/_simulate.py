@@ -152,7 +152,8 @@ def simulate(
     else:
         met = paths_air(described, local, motion, clock, states, n_paths, random_state)
         local, drift, sentence = met
-        motion.aerodynamics = drawn_functions(motion, n_paths, random_state, rounded=True)
+        drawn = drawn_functions(motion, n_paths, random_state, rounded=True)
+        motion = motion.with_aerodynamics(drawn)
         states = perturbed(states, start_std, n_paths, random_state)
         if drift is not None:
             drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
@@ -232,7 +233,7 @@ class Simulator:
             raise ValueError("Got a Turbulence, but a Simulator draws no gusts: simulate() does.")
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
-        self._mean = self.motion.aerodynamics
+        self._mean_motion = self.motion
         if tables_of(air.wind):
             raise ValueError(
                 "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
@@ -277,10 +278,11 @@ class Simulator:
             raise ValueError(
                 f"Got {len(states)} starts, but expected one: simulate() flies several at once."
             )
-        motion = self.motion
-        motion.aerodynamics = self._mean
+        motion = self._mean_motion
         if random_state is not None:
-            motion.aerodynamics = drawn_functions(motion, 1, random_state, rounded=True)
+            drawn = drawn_functions(motion, 1, random_state, rounded=True)
+            motion = motion.with_aerodynamics(drawn)
+        self.motion = motion
         self._state = states
         self._steps = 0
         self._reached = {}

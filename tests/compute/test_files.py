@@ -3,14 +3,9 @@
 import errno
 import os
 import re
-import signal
 import stat
-import time
-import warnings
-from itertools import count
 
 import pytest
-from numpy.random import default_rng
 from sklearn.linear_model import LinearRegression
 
 from skdgp.dynamics import Aircraft
@@ -66,28 +61,6 @@ class TestWriting:
             save(target, failing(failure("stopped")))
         assert load_model(target).note == "old"
         assert names(target.parent) == ["model.joblib"]
-
-    @pytest.mark.skipif(os.name == "nt", reason="there are no forks there")
-    def test_a_killed_process_leaves_the_old_file_or_the_new_one(self, target):
-        """Kill -9, at moments drawn by chance."""
-        for moment in default_rng(3).uniform(0.0, 0.05, 4):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # forks of threads
-                process = os.fork()
-            if process == 0:
-                try:
-                    for number in count():
-                        save(target, [number] * 200_000)
-                finally:
-                    os._exit(1)
-            while not target.exists():
-                time.sleep(0.001)
-            time.sleep(moment)
-            os.kill(process, signal.SIGKILL)
-            os.waitpid(process, 0)
-            note = load_model(target).note
-            assert len(note) == 200_000
-            assert len(set(note)) == 1
 
     def test_readable_as_any_file_of_this_user(self, target):
         plain = target.with_name("plain")
@@ -178,14 +151,6 @@ class TestReading:
             Aircraft.from_file(tmp_path / f"folder.{suffix}")
         with pytest.raises(FileNotFoundError):
             Aircraft.from_file(tmp_path / f"absent.{suffix}")
-
-    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
-    def test_a_pipe_is_not_waited_for(self, tmp_path):
-        os.mkfifo(tmp_path / "pipe.json")
-        began = time.monotonic()
-        with pytest.raises(ValueError, match="a folder or a device"):
-            Aircraft.from_file(tmp_path / "pipe.json")
-        assert time.monotonic() - began < 5
 
     @pytest.mark.parametrize(
         ("suffix", "content"),

@@ -17,12 +17,11 @@ from skdgp._compute.linalg import (
     JitterWarning,
     cholesky_inverse,
     cholesky_solve,
-    in_single_precision,
     jittered_cholesky,
     log_determinant,
     triangular_solve,
 )
-from skdgp._compute.parallel import SMALL, few_threads, n_threads, one_blas_thread, thread_map
+from skdgp._compute.parallel import n_threads, thread_map
 
 ROOT = default_rng(0).normal(size=(7, 7))
 K = ROOT @ ROOT.T + np.eye(7)
@@ -85,16 +84,6 @@ class TestCholesky:
         inverse = np.tril(cholesky_inverse(L))
         assert_allclose(inverse, np.tril(np.linalg.inv(K)), rtol=1e-9, atol=1e-12)
 
-    def test_inverse_of_single_precision_in_the_memory_of_the_factor(self):
-        L = cholesky(K)
-        single = in_single_precision(L)
-        assert np.shares_memory(single, L)
-        assert single.dtype == np.float32
-        assert_allclose(single, cholesky(K).astype(np.float32))
-        inverse = np.tril(cholesky_inverse(single))
-        expected = np.tril(np.linalg.inv(K))
-        assert_allclose(inverse, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
-
 
 class TestCentralDifferences:
     def test_are_exact_for_polynomials_of_fourth_degree(self):
@@ -129,50 +118,6 @@ def threads(request):
 
 
 class TestThreads:
-    def test_are_one_until_the_last_holder_leaves(self, threads):
-        with one_blas_thread():
-            with one_blas_thread():
-                assert n_threads() == 1
-            assert n_threads() == 1
-        assert n_threads() == threads
-
-    @pytest.mark.parametrize(("size", "rows"), [(SMALL - 1, SMALL - 1), (SMALL, 1), (1, SMALL)])
-    def test_are_one_for_small_matrices(self, threads, size, rows):
-        class Model:
-            @few_threads
-            def predict(self, X, more):
-                return n_threads(), more
-
-        model = Model()
-        model.size = size
-        expected = 1 if max(size, rows) < SMALL else threads
-        assert model.predict([0.0] * rows, more=2) == (expected, 2)
-
-    def test_results_stand_in_the_order_of_the_tasks(self, threads):
-        def slow_first(task):
-            time.sleep(0.002 * (8 - task))
-            return task**2
-
-        assert thread_map(slow_first, iter(range(8))) == [task**2 for task in range(8)]
-        assert thread_map(slow_first, []) == []
-
-    def test_are_as_many_as_blas_may_use_which_has_one_meanwhile(self, threads):
-        together = threading.Barrier(threads, timeout=10)
-
-        def task(_):
-            together.wait()
-            return threading.get_ident(), n_threads()
-
-        identities, n_inside = zip(*thread_map(task, range(threads)), strict=True)
-        assert len(set(identities)) == threads
-        assert set(n_inside) == {1}
-
-    def test_nested_maps_do_not_multiply_them(self, threads):
-        def inner(_):
-            return len(set(thread_map(lambda _: threading.get_ident(), range(4))))
-
-        assert thread_map(inner, range(4)) == [1, 1, 1, 1]
-
     def test_errors_come_through(self, threads):
         def fail(task):
             if task == 3:

@@ -255,35 +255,6 @@ MOTION = Motion(LINEAR, BRUMBY, thrust=None)
 NOW = MOTION.at(state_of(), HELD)
 
 
-def test_relation_is_of_the_motion_that_loads_cause(central_difference):
-    """Central differences of alpha_dot and beta_dot of the loads alone, by the regressors that are not angles."""
-    motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
-
-    def angle_rates(change):
-        """Return (..., 2) at other rates p, q, r [rad/s], elevator and rudder, changed by (5,)."""
-        state = state_of(rates=RATES + change[:3])
-        controls = {name: HELD[name] + step for name, step in zip(HELD, change[3:], strict=True)}
-        u, v, w = state[3:6]
-        du, dv, dw = motion.at(state, controls).derivative[3:6]
-        along = u**2 + w**2
-        speed = np.sqrt(along + v**2)
-        faster = (u * du + v * dv + w * dw) / speed
-        alpha_dot = (u * dw - w * du) / along
-        return np.array([alpha_dot, (dv - v * faster / speed) / np.sqrt(along)])
-
-    terms = unsteady_terms(motion, motion.at(state_of(), HELD), SLOPES)
-    units = np.array([72.0 / BRUMBY.span, 1.0, 72.0 / BRUMBY.span, 1.0, 1.0])  # q is in rad/s
-    expected = central_difference(angle_rates, np.zeros(5), 1e-4) * units
-    assert terms.relation[:, 2:] == pytest.approx(expected, rel=1e-6, abs=1e-8)
-
-
-def test_sizes_are_fractions_of_the_slopes_by_rates():
-    terms = unsteady_terms(MOTION, NOW, SLOPES)
-    assert_allclose(terms.slopes[:, 0], RELATIVE_STD[0] * SLOPES[:, 3])
-    assert_allclose(terms.slopes[:, 1], RELATIVE_STD[1] * SLOPES[:, 4] * BRUMBY.span / (2 * 36.0))
-    assert terms.missing.all()
-
-
 def test_scatter_of_slopes_by_rates_leaves_slopes_by_alpha_dot_unknown():
     """A Cm_q of zero with a deviation by method does not mean that Cm_alpha_dot is zero."""
     scatter = np.zeros_like(SLOPES)

@@ -304,16 +304,18 @@ def joint_distribution(linear, noises):
 
 
 def test_linear_filter_has_the_innovations_of_the_joint_distribution():
+    """Of each of two sets of noises."""
     linear, noises = linear_system(default_rng(0))
-    run = filtered(linear, noises)
-    _, _, S = joint_distribution(linear, noises)
+    found = innovations(linear, Noise(*(np.concatenate([part, 2 * part]) for part in noises)))
     m, y = linear.innovation.shape[1], linear.innovation.ravel()
-    for k in range(len(linear.innovation)):
-        past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
-        gain = S[now, past] @ np.linalg.inv(S[past, past])
-        covariance = S[now, now] - gain @ S[past, now]
-        assert_allclose(run.innovations.values[k], y[now] - gain @ y[past], atol=1e-10)
-        assert_allclose(run.innovations.covariance[k], covariance, atol=1e-10)
+    for number in range(2):
+        _, _, S = joint_distribution(linear, Noise(*((1 + number) * part for part in noises)))
+        for k in range(len(linear.innovation)):
+            past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
+            gain = S[now, past] @ np.linalg.inv(S[past, past])
+            covariance = S[now, now] - gain @ S[past, now]
+            assert_allclose(found.values[k, number], y[now] - gain @ y[past], atol=1e-10)
+            assert_allclose(found.covariance[k, number], covariance, atol=1e-10)
 
 
 def test_linear_smoother_has_the_conditional_distribution():
@@ -327,16 +329,6 @@ def test_linear_smoother_has_the_conditional_distribution():
     for k, found in enumerate(covariance):
         at = slice(k * N, (k + 1) * N)
         assert_allclose(found, P[at, at], atol=1e-10)
-
-
-def test_sets_of_noises_are_filtered_as_one_by_one():
-    linear, noises = linear_system(default_rng(1))
-    sets = Noise(*(np.concatenate([part, 2 * part]) for part in noises))
-    together = innovations(linear, sets)
-    for k in range(2):
-        alone = filtered(linear, Noise(*(part[k : k + 1] for part in sets))).innovations
-        assert_allclose(together.values[:, k], alone.values)
-        assert_allclose(together.covariance[:, k], alone.covariance)
 
 
 def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():

@@ -22,6 +22,9 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend
 NEW = default_rng(5).normal(size=(6, 2))
 
 
+TILES = pytest.mark.parametrize("tiles", [TileSettings(), TileSettings(1, 2), TileSettings(3, 2)])
+
+
 def likelihood(problem, **options):
     return log_likelihood(problem.kernel, problem.noise, problem.data, **options)
 
@@ -36,12 +39,14 @@ def cross(problem, Xs):
 
 
 class TestLikelihood:
-    def test_is_the_density_of_the_observed_values(self, problem):
+    @TILES
+    def test_is_the_density_of_the_observed_values(self, problem, tiles):
         expected = multivariate_normal(cov=problem.K).logpdf(problem.y)
-        assert likelihood(problem) == pytest.approx(expected, rel=1e-10)
+        assert likelihood(problem, tiles=tiles) == pytest.approx(expected, rel=1e-10)
         assert posterior_of(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-10)
 
-    def test_gradient(self, problem, assert_gradient):
+    @TILES
+    def test_gradient(self, problem, tiles, assert_gradient):
         """By the hyperparameters, then by the logarithms of the noise."""
         n = problem.kernel.n_dims
         theta = np.concatenate([problem.kernel.theta, np.log(problem.noise)])
@@ -50,7 +55,7 @@ class TestLikelihood:
             kernel = problem.kernel.clone_with_theta(theta[:n])
             return log_likelihood(kernel, np.exp(theta[n:]), problem.data)
 
-        value, gradient = likelihood(problem, eval_gradient=True)
+        value, gradient = likelihood(problem, eval_gradient=True, tiles=tiles)
         assert value == pytest.approx(at(theta))
         assert_gradient(gradient, at, theta, rtol=1e-7, atol=1e-7)
 
@@ -85,40 +90,18 @@ class TestLikelihood:
         assert np.isfinite(gradient).all()
 
 
-def test_posterior_is_equations_17_and_18(problem):
+@pytest.mark.parametrize("chunk_bytes", [PosteriorSettings().chunk_bytes, 100])
+def test_posterior_is_equations_17_and_18(problem, chunk_bytes):
     Ks = cross(problem, NEW)
     expected = Ks @ np.linalg.solve(problem.K, problem.y)
     covariance = problem.kernel(NEW) - Ks @ np.linalg.solve(problem.K, Ks.T)
     posterior = posterior_of(problem)
+    posterior.settings = PosteriorSettings(chunk_bytes=chunk_bytes)
     assert_allclose(posterior.covariance(NEW), covariance, rtol=1e-8, atol=1e-10)
     mean, variance = posterior.predict(NEW, return_variance=True)
     assert_allclose(mean.T.ravel(), expected, rtol=1e-9)
     assert_allclose(variance.T.ravel(), np.diag(covariance), rtol=1e-8)
     assert_allclose(posterior.predict(NEW), mean, rtol=1e-12)
-
-
-class TestTiles:
-    """How matrices are cut, and by how many threads, is nobody's business."""
-
-    @pytest.mark.parametrize("tile", [1, 3])
-    def test_do_not_change_the_likelihood(self, problem, tile):
-        value, gradient = likelihood(problem, eval_gradient=True)
-        tiles = TileSettings(tile, 2)
-        again, again_gradient = likelihood(problem, eval_gradient=True, tiles=tiles)
-        assert again == pytest.approx(value, rel=1e-12)
-        assert likelihood(problem, tiles=tiles) == pytest.approx(value, rel=1e-12)
-        assert_allclose(again_gradient, gradient, rtol=1e-9, atol=1e-10)
-
-    def test_do_not_change_predictions(self, problem):
-        """Of as many rows as several threads share."""
-        whole, cut = posterior_of(problem), posterior_of(problem)
-        cut.settings = PosteriorSettings(chunk_bytes=2**16)
-        X = default_rng(6).normal(size=(2600, 2))
-        with threadpool_limits(2, user_api="blas"):
-            assert_allclose(cut.predict(X, True), whole.predict(X, True), rtol=1e-9, atol=1e-12)
-            assert_allclose(cut.gradient(X), whole.gradient(X), rtol=1e-9, atol=1e-12)
-        cut.settings = PosteriorSettings(chunk_bytes=100)
-        assert_allclose(cut.covariance(NEW), whole.covariance(NEW), rtol=1e-9, atol=1e-12)
 
 
 def peak_memory(function, *arguments, **options):

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.gaussian_process.kernels import RBF
+from numpy.testing import assert_allclose
 
 from skdgp.inference import coarse, from_coarse, narrowed, single_output, starting_kernel
-from skdgp.kernels import ConvolvedGaussian, Coregionalized, LinearTrend
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 KERNELS = {
     "diag": ConvolvedGaussian(2),
@@ -46,20 +45,6 @@ def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, un
     assert_allclose(np.max(start.length_scale / scale), widest)
 
 
-def test_given_values_stay(uneven):
-    X, Y = uneven
-    lengths = np.full((4, 3, 3), 2.5)
-    kernel = ConvolvedGaussian(1, length_scale=lengths)
-    start = starting_kernel(kernel, X, Y, 0)
-    starts = (
-        narrowed(kernel, start, 0.1),
-        starting_kernel(kernel, X, Y, 0, singles_of(kernel, X, Y)),
-    )
-    for start in starts:
-        assert_array_equal(start.length_scale, lengths)
-    assert coarse(kernel) is kernel
-
-
 def test_a_narrowed_start_has_narrower_widths_of_regressors_with_an_effect(uneven):
     X, Y = uneven
     kernel = LinearTrend() + ConvolvedGaussian(1, regressors=[0, 2])
@@ -75,7 +60,3 @@ def test_the_coarse_kernel_shares_widths_and_hands_on_its_values(uneven):
     start = from_coarse(kernel, starting_kernel(kernel, X, Y, 0), fitted)
     assert fitted.n_dims < start.n_dims
     assert_allclose(start(X[:5]), fitted(X[:5]))
-
-
-def test_other_kernels_are_not_fitted_to_single_outputs():
-    assert single_output(LinearTrend() + Coregionalized(RBF())) is None

@@ -34,28 +34,32 @@ def flight(seed, noise, n=1500):
     return X, X.to_numpy() @ SLOPES + noise * lasting(rng, (n, 6), 5)
 
 
-def learned_from(seed):
-    """Return a pipeline that knows an aircraft by a flight."""
-    X, Y = flight(seed, 0.02)
-    regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
-    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
-    time = np.arange(len(X)) * 0.05
-    return pipeline.fit(X, Y, dependentgpregressor__time=time)
+def learned(X, Y, noise=None):
+    """Return a pipeline that knows an aircraft by a flight, whose regressors have some noise."""
+    if noise is not None:
+        noise = noise / StandardScaler().fit(X).scale_
+    regressor = DependentGPRegressor(structure="trend", input_noise=noise, random_state=0)
+    pipeline = make_pipeline(RegressorSelector([*X]), StandardScaler(), regressor)
+    return pipeline.fit(X, Y, dependentgpregressor__time=0.05 * X.index.to_numpy())
 
 
 @pytest.fixture(scope="module")
 def model():
-    return learned_from(0)
+    return learned(*flight(0, 0.02))
 
 
-def changes(model, flights, change=0.0):
+def residuals(model, X, Y):
+    """Return the scaled regressors of a flight, and what the model does not explain."""
+    return np.asarray(model[:-1].transform(X)), Y - model.predict(X)
+
+
+def changes(model, flights, change=0.0, **options):
     """Return the changes that flights show whose alpha by Cm is changed."""
     samples = {}
     for name, (X, Y) in flights.items():
-        Y = Y.copy()
-        Y[:, 4] += change * X["alpha"]
-        samples[name] = np.asarray(model[:-1].transform(X)), Y - model.predict(X)
-    return changes_of(model, samples)
+        samples[name] = residuals(model, X, Y)
+        samples[name][1][:, 4] += change * X["alpha"]
+    return changes_of(model, samples, **options)
 
 
 def test_flights_of_the_same_aircraft_in_other_gusts_raise_few_alarms(model):
@@ -72,7 +76,7 @@ def test_p_values_of_unchanged_aircraft_are_uniform():
     rows = []
     for seed in range(20):
         unseen = {"unseen": flight(100 + seed, [0.01, 0.02, 0.04][seed % 3])}
-        rows.append(changes(learned_from(50 + seed), unseen).p_values.loc["unseen"])
+        rows.append(changes(learned(*flight(50 + seed, 0.02)), unseen).p_values.loc["unseen"])
     p_values = pd.DataFrame(rows).drop(columns="whole")
     for coefficient in p_values:
         assert kstest(p_values[coefficient], "uniform").pvalue > 0.001
@@ -123,13 +127,7 @@ def with_noise_of_alpha(seed, size, of_q=0.0):
 
 def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
     """Least squares returns lambda b, lambda = var x / (var x + s^2) (Fuller 1987, section 1.1)."""
-    X, Y = with_noise_of_alpha(0, 1.0)
-    scaler = StandardScaler().fit(X)
-    input_noise = np.array([ALPHA_NOISE, 0.0, 0.0]) / scaler.scale_
-    regressor = DependentGPRegressor(structure="trend", input_noise=input_noise, random_state=0)
-    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
-    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
-
+    pipeline = learned(*with_noise_of_alpha(0, 1.0), np.array([ALPHA_NOISE, 0.0, 0.0]))
     size = 0.3
     names = [str(seed) for seed in range(1, 13)]
     gentle = {name: with_noise_of_alpha(int(name), size) for name in names}
@@ -152,12 +150,8 @@ def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
 def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight():
     """Its covariance with q biases the slope by q too, and the less an aircraft moves, the more."""
     of_q = -0.3
-    X, Y = with_noise_of_alpha(0, 1.0, of_q)
-    scaler = StandardScaler().fit(X)
-    input_noise = np.array([ALPHA_NOISE, 0.3 * ALPHA_NOISE, 0.0]) / scaler.scale_
-    regressor = DependentGPRegressor(structure="trend", input_noise=input_noise, random_state=0)
-    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
-    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
+    noise = np.array([ALPHA_NOISE, 0.3 * ALPHA_NOISE, 0.0])
+    pipeline = learned(*with_noise_of_alpha(0, 1.0, of_q), noise)
     gentle = {str(seed): with_noise_of_alpha(seed, 0.3, of_q) for seed in range(1, 13)}
     assert (changes(pipeline, gentle).p_values["whole"] < 0.05).mean() < 0.2
     large = {"iced": with_noise_of_alpha(20, 1.0, of_q)}
@@ -170,7 +164,6 @@ def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
     With the correlation rho it is rho s_alpha s_beta Cn_beta (1 / S - 1 / S_0), of the variances S
     of alpha in the flight and in the fit.
     """
-    names = ["alpha", "beta"]
     motion, size, beta_noise = 0.1, 0.3, 0.02
     noise = np.array([ALPHA_NOISE, beta_noise])
 
@@ -179,18 +172,11 @@ def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
         X = size * motion * lasting(rng, (1500, 2), 15)
         Y = 0.02 * lasting(rng, (1500, 6), 5)
         Y[:, 5] += X[:, 1]
-        return pd.DataFrame(X + noise * rng.normal(size=X.shape), columns=names), Y
+        return pd.DataFrame(X + noise * rng.normal(size=X.shape), columns=["alpha", "beta"]), Y
 
-    X, Y = flown(0, 1.0)
-    scaler = StandardScaler().fit(X)
-    regressor = DependentGPRegressor(structure="trend", input_noise=noise / scaler.scale_)
-    pipeline = make_pipeline(RegressorSelector(names), StandardScaler(), regressor)
-    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
-    samples = {}
-    for seed in range(1, 7):
-        X, Y = flown(seed, size)
-        samples[str(seed)] = np.asarray(pipeline[:-1].transform(X)), Y - pipeline.predict(X)
-    rows = changes_of(pipeline, samples).derivatives.xs("Cn_alpha", level="derivative")
+    pipeline = learned(*flown(0, 1.0), noise)
+    flights = {str(seed): flown(seed, size) for seed in range(1, 7)}
+    rows = changes(pipeline, flights).derivatives.xs("Cn_alpha", level="derivative")
     in_fit = 1 / (motion**2 + ALPHA_NOISE**2)
     in_gentle = 1 / ((size * motion) ** 2 + ALPHA_NOISE**2)
     of_any_correlation = ALPHA_NOISE * beta_noise * (in_gentle - in_fit) / np.sqrt(3)
@@ -205,10 +191,9 @@ def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight
     air = pd.DataFrame({"alpha": [0.0], "alpha_std": [ALPHA_NOISE]})
     reconstruction.air_motion_ = Bunch(air=air)
     filtered = Pipeline([("flightpathreconstruction", reconstruction), *model.steps])
-    samples = {}
-    for seed in range(1, 13):
-        X, Y = with_noise_of_alpha(seed, 0.3)
-        samples[str(seed)] = np.asarray(model[:-1].transform(X)), Y - model.predict(X)
+    samples = {
+        str(seed): residuals(model, *with_noise_of_alpha(seed, 0.3)) for seed in range(1, 13)
+    }
     assert (changes_of(model, samples).p_values["whole"] < 0.05).mean() > 0.8
     assert (changes_of(filtered, samples).p_values["whole"] < 0.05).mean() < 0.2
 
@@ -219,9 +204,7 @@ def test_a_control_that_first_moves_in_the_later_flight_is_no_change():
     held = 0.02
     Y[:, 4] -= SLOPES[2, 4] * (X["elevator"] - held)
     X["elevator"] = held
-    regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
-    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
-    pipeline.fit(X, Y, dependentgpregressor__time=np.arange(len(X)) * 0.05)
+    pipeline = learned(X, Y)
     same = changes(pipeline, {"same": flight(1, 0.02)})
     assert same.p_values.loc["same", "Cm"] > 0.01
     assert "Cm_elevator" not in same.derivatives.loc["same"].index
@@ -254,27 +237,24 @@ def flight_with_one_pulse(seed, change=0.0):
 def test_constant_errors_of_sensors_are_no_change(model):
     """An offset of the vane moves the prediction, one of the accelerometer the measurement."""
     by_acceleration = 0.1  # m / (qbar S) [s^2/m]
-    samples = {}
-    vanes_alone = {}
+    flights, vanes_alone = {}, {}
     for seed in range(1, 13):
         rng = np.random.default_rng(2000 + seed)
         X, Y = flight(seed, 0.005)
         X["alpha"] += 0.005 * rng.normal()
-        Z = np.asarray(model[:-1].transform(X))
-        vanes_alone[str(seed)] = Z, Y - model.predict(X)
+        vanes_alone[str(seed)] = X, Y.copy()
         Y[:, 2] += 0.05 * rng.normal() * by_acceleration
-        samples[str(seed)] = Z, Y - model.predict(X)
-    units = {name: np.full(len(X), by_acceleration) for name, (X, _) in samples.items()}
-    with_accelerometers = changes_of(model, samples, by_acceleration=units)
+        flights[str(seed)] = X, Y
+    units = {name: np.full(len(X), by_acceleration) for name, (X, _) in flights.items()}
+    with_accelerometers = changes(model, flights, by_acceleration=units)
     assert (with_accelerometers.p_values < 0.05).mean().max() < 0.2
-    assert (changes_of(model, vanes_alone).p_values < 0.05).mean().max() < 0.2
+    assert (changes(model, vanes_alone).p_values < 0.05).mean().max() < 0.2
     none = ChangeSettings(vane_offset=0.0, accelerometer_offset=0.0)
-    assert (changes_of(model, samples, none).p_values["CZ"] < 0.05).mean() > 0.5
+    assert (changes(model, flights, settings=none).p_values["CZ"] < 0.05).mean() > 0.5
     # a change of a slope is found beside them
-    X, residuals = samples["1"]
-    residuals[:, 4] += 0.2 * 0.1 * X[:, 0]
-    iced = changes_of(model, {"iced": (X, residuals)}, by_acceleration={"iced": units["1"]})
-    assert iced.p_values.loc["iced", "Cm"] < 0.01
+    iced = {"iced": flights["1"]}, 0.2
+    found = changes(model, *iced, by_acceleration={"iced": units["1"]})
+    assert found.p_values.loc["iced", "Cm"] < 0.01
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):
@@ -300,18 +280,12 @@ def test_steps_that_the_rows_of_the_fit_miss_are_no_change():
     stride = 4
     X, Y = flight_with_late_steps(0)
     rows = slice(2, None, stride)
-    regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
-    pipeline = make_pipeline(RegressorSelector(NAMES), StandardScaler(), regressor)
-    time = np.arange(len(X)) * 0.05
-    pipeline.fit(X[rows], Y[rows], dependentgpregressor__time=time[rows])
-    samples = {}
-    for seed in range(1, 9):
-        X, Y = flight_with_late_steps(seed)
-        samples[str(seed)] = np.asarray(pipeline[:-1].transform(X)), Y - pipeline.predict(X)
-    assert (changes_of(pipeline, samples).p_values["Cm"] < 0.05).mean() > 0.8
-    strides = dict.fromkeys(samples, stride)
-    assert (changes_of(pipeline, samples, strides=strides).p_values["Cm"] < 0.05).mean() < 0.2
-    X, measured = samples["1"]
-    measured[:, 4] -= 0.3 * SLOPES[2, 4] * X[:, 2] * pipeline["standardscaler"].scale_[2]
-    weak = changes_of(pipeline, {"weak": (X, measured)}, strides={"weak": stride})
+    pipeline = learned(X[rows], Y[rows])
+    flights = {str(seed): flight_with_late_steps(seed) for seed in range(1, 9)}
+    assert (changes(pipeline, flights).p_values["Cm"] < 0.05).mean() > 0.8
+    found = changes(pipeline, flights, strides=dict.fromkeys(flights, stride))
+    assert (found.p_values["Cm"] < 0.05).mean() < 0.2
+    X, Y = flights["1"]
+    Y[:, 4] -= 0.3 * SLOPES[2, 4] * X["elevator"]
+    weak = changes(pipeline, {"weak": (X, Y)}, strides={"weak": stride})
     assert weak.p_values.loc["weak", "Cm"] < 0.01

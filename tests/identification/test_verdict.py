@@ -122,6 +122,7 @@ def mechanics(**changes):
 
 
 NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
+NO_DERIVATIVES = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
 NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
 ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
 WIND = ["wind_north", "wind_east", "wind_down"]
@@ -155,6 +156,12 @@ def verdict(evaluations=None, findings=(), fit=None, **parts):
     result = identification(train, evaluations, findings=findings, fit=replace(FIT, **fit or {}))
     vars(result)["mechanics"] = mechanics(**parts)
     return result.verdict
+
+
+def with_derivative(name, value, std=0.01, **parts):
+    """Return the derivatives by the controls, and another one."""
+    added = pd.DataFrame({"value": value, "std": std, **parts}, index=[name])
+    return pd.concat([mechanics().derivatives, added])
 
 
 def use(found, purpose):
@@ -212,16 +219,6 @@ def test_little_flown_or_few_rows_leave_it_open(flown, samples, fit):
     assert {use.fit for use in uses} == {fit}
 
 
-def test_a_wide_band_has_its_source():
-    table = pd.DataFrame(
-        {"value": -1.0, "std": 0.5, "std_random": 0.1, "std_method": 0.48, "std_posterior": 0.1},
-        index=["Cm_elevator"],
-    )
-    fit, reason = use(verdict(derivatives=table), "design a controller")
-    assert fit == "no"
-    assert "Cm_elevator ± 98 % (gusts, or noise of the regressors)" in reason
-
-
 def test_of_little_flown_a_large_error_says_nothing():
     training = replace(FIT.training, flown=5.0)
     found = verdict([evaluation(error=1.5)], fit={"training": training}, trim=None)
@@ -229,56 +226,7 @@ def test_of_little_flown_a_large_error_says_nothing():
     assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
 
 
-def test_accelerations_as_regressors_exclude_simulation_after_any_flight():
-    fit = {"regressors": ["alpha", "ax"], "training": replace(FIT.training, flown=5.0)}
-    assert use(verdict(fit=fit), "simulate")[0] == "no"
-
-
-class TestPrediction:
-    def test_an_error_above_the_threshold(self):
-        found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.49, 0.1, 0.51])])
-        assert use(found, "predict coefficients") == (
-            "partly",
-            "only CX CY CZ Cl Cm. Cn: error 0.51 of its spread",
-        )
-
-    def test_bands_that_hold_too_little(self):
-        fit, reason = use(
-            verdict([evaluation(inside=[False] + [True] * 5)]), "predict coefficients"
-        )
-        assert fit == "partly"
-        assert "CX: its 95 % band holds 6" in reason  # one standard deviation: 67 %
-
-
 class TestSimulation:
-    @pytest.mark.parametrize(
-        ("lasts", "fit", "words"),
-        [
-            ([4.0, 4.0], "yes", "for the 4 s that were simulated"),
-            ([2.5, 4.0], "partly", "for 2.5 s: theta 2.5 s; the other states for all 4 s"),
-            ([4.0, 0.5], "no", "for 0.5 s: p 0.5 s; the other"),
-        ],
-    )
-    def test_is_good_for_as_long_as_its_worst_state(self, lasts, fit, words):
-        found = use(verdict(simulation=simulated(lasts)), "simulate")
-        assert found[0] == fit
-        assert words in found[1]
-
-    @pytest.mark.parametrize(("apart", "fit"), [([4.0, 1.2], "unknown"), ([4.0, 0.6], "no")])
-    def test_gusts_that_explain_the_error_leave_it_open(self, apart, fit):
-        table = simulated([4.0, 0.5]).assign(lasts_without_gusts=apart, gusts=0.7)
-        found = use(verdict(simulation=table), "simulate")
-        assert found[0] == fit
-        assert ("not testable in this air" in found[1]) == (fit == "unknown")
-
-    def test_says_why_it_is_not_known(self):
-        assert use(verdict(simulation=None, simulation_note=NO_ALPHA), "simulate") == (
-            "unknown",
-            "no alpha",
-        )
-        with_ax = verdict(fit={"regressors": ["alpha", "ax"]})
-        assert use(with_ax, "simulate") == ("no", "the regressors ax are known only after a flight")
-
     def test_the_true_aircraft_follows_and_another_does_not(self, flight):
         true = errors_of(flight)
         assert (true["lasts"] == true["horizon"]).all()
@@ -346,69 +294,9 @@ class TestSimulation:
         assert message in found.simulation_note.numbers["error"]
 
 
-class TestControl:
-    @pytest.mark.parametrize(
-        "mode", ["Dutch roll", "Dutch roll 1", "short period 2", "roll-spiral"]
-    )
-    def test_a_wide_band_of_a_fast_mode(self, mode):
-        modes = pd.DataFrame(
-            {"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}, index=[mode, "phugoid"]
-        )
-        fit, reason = use(verdict(modes=modes), "design a controller")
-        assert (fit, reason) == (
-            "no",
-            f"not known well enough, half of the 95 % interval: {mode} ± 78 %",
-        )
-
-    def test_no_derivatives_at_a_trim(self):
-        note = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
-        found = verdict(derivatives=pd.DataFrame(), notes=(note,))
-        assert use(found, "design a controller") == ("no", "no derivatives")
-
-    @pytest.mark.parametrize(("error", "fit"), [(0.6, "partly"), (0.4, "yes")])
-    def test_moments_that_are_not_explained_are_no_yes(self, error, fit):
-        found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, error, 0.1])])
-        assert use(found, "design a controller")[0] == fit
-        reason = use(found, "design a controller")[1]
-        assert ("; but errors over the spread of the test flights are Cm 0.60" in reason) == (
-            error > 0.5
-        )
-
-    @pytest.mark.parametrize(("inside", "fit"), [(True, "yes"), (False, "no")])
-    def test_needs_bands_that_hold_in_every_coefficient(self, inside, fit):
-        found = verdict([evaluation(inside=[True, inside, True, True, True, True])])
-        assert use(found, "design a controller")[0] == fit
-        assert ("bands do not hold" in use(found, "design a controller")[1]) == (not inside)
-
-    @pytest.mark.parametrize(("lasts", "fit"), [(0.5, "partly"), (2.0, "yes")])
-    def test_flights_that_a_simulation_does_not_follow_are_no_yes(self, lasts, fit):
-        found = use(verdict(simulation=simulated([4.0, lasts])), "design a controller")
-        assert found[0] == fit
-        assert ("it follows the test flights for 0.5 s" in found[1]) is (fit == "partly")
-
-    def test_derivatives_by_no_control(self):
-        angles = pd.DataFrame({"value": [-4.5], "std": [0.1]}, index=["CZ_alpha"])
-        fit, reason = use(verdict(derivatives=angles), "design a controller")
-        assert (fit, reason) == (
-            "no",
-            "the model has none of the controls elevator, aileron, rudder",
-        )
-
-    def test_a_trim_beyond_what_was_flown(self):
-        beyond = replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})
-        fit, reason = use(verdict(trim=beyond), "design a controller")
-        assert fit == "no"
-        assert reason.startswith("the trim is outside the flown range in alpha")
-
-    def test_no_steady_flight(self):
-        found = verdict(trim=None, notes=(NO_TRIM,))
-        assert use(found, "design a controller") == ("no", "no steady flight was found at 20 m/s")
-
-
 def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
-    table = mechanics().derivatives
     for name, value in (("Cm_q", 7.5), ("Cl_p", 0.1), ("Cn_beta", -0.1)):
-        wrong = pd.concat([table, pd.DataFrame({"value": [value], "std": [0.01]}, index=[name])])
+        wrong = with_derivative(name, value)
         found = verdict(derivatives=wrong, findings=[ALONE["a"]])
         assert "not as on a conventional stable aircraft" in found.warnings[0]
         assert f"{name} {value:+.2g}" in found.warnings[0]
@@ -433,15 +321,13 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(where):
 
 
 def test_effects_that_no_aircraft_has_forbid_a_controller():
-    table = mechanics().derivatives
     for name, value, wrong in [
         ("CD_q", 31.6, True),
         ("CD_q", 0.5, False),
         ("CY_rudder", -0.1, True),  # of the sign of Cn_rudder
         ("CY_rudder", 0.1, False),
     ]:
-        added = pd.DataFrame({"value": [value], "std": [abs(value) / 4]}, index=[name])
-        found = verdict(derivatives=pd.concat([table, added]))
+        found = verdict(derivatives=with_derivative(name, value, abs(value) / 4))
         assert (use(found, "design a controller")[0] == "no") is wrong
         if wrong:
             assert f"{name} {value:+.2g}" in found.warnings[0]
@@ -485,41 +371,13 @@ class TestCoefficientsThatDoNotVary:
         (too_wide,) = [one for one in found.findings if one.code is Code.BANDS_TOO_WIDE]
         assert too_wide.numbers["coverages"]["Cn"] == 1.0
 
-    def test_one_whose_band_does_not_hold_is_judged(self):
-        calm = still(evaluation(), 5)
-        off = replace(calm, mean=calm.mean + np.array([0, 0, 0, 0, 0, 1.0]))
-        assert use(verdict([off]), "predict coefficients")[0] == "no"
-
-    def test_a_large_error_of_one_that_varies_is_a_no(self):
-        assert use(verdict([evaluation(error=1.5)]), "predict coefficients")[0] == "no"
-
 
 def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown_and_has_its_source():
-    added = {"value": 0.1, "std": 0.2, "std_random": 0.02, "std_method": 0.01, "std_posterior": 0.2}
-    table = pd.concat([mechanics().derivatives, pd.DataFrame(added, index=["CY_beta"])])
-    found = verdict(derivatives=table)
+    parts = {"std_random": 0.02, "std_method": 0.01, "std_posterior": 0.2}
+    found = verdict(derivatives=with_derivative("CY_beta", 0.1, 0.2, **parts))
     assert use(found, "design a controller") == ("no", "unknown sign of CY_beta")
     words = "not known, as their 95 % bands hold zero: CY_beta +0.1 (few or small inputs)"
     assert words in found.warnings[0]
-
-
-def test_a_side_force_of_the_rudder_of_unknown_sign_is_no_fault():
-    """Some aircraft have hardly any, and no controller of attitude needs it."""
-    added = pd.DataFrame({"value": [-0.01], "std": [0.01]}, index=["CY_rudder"])
-    found = verdict(derivatives=pd.concat([mechanics().derivatives, added]))
-    assert use(found, "design a controller")[0] == "yes"
-
-
-def test_without_vanes_forces_that_agree_by_construction_are_not_judged():
-    """Alpha and beta follow from the accelerometers that give CZ and CY."""
-    flight = evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])
-    blind = replace(flight, table=flight.table[["time"]])
-    fit, reason = use(verdict([blind]), "predict coefficients")
-    assert fit == "partly"
-    assert reason.startswith("only CX Cl Cm. Cn: error 0.70 of its spread")
-    assert "CZ and CY cannot be judged without alpha and beta" in reason
-    no_angles = {"regressors": ["p_hat", "elevator"]}
-    assert "judged" not in use(verdict([blind], fit=no_angles), "predict coefficients")[1]
 
 
 def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
@@ -527,13 +385,6 @@ def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
     doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
     found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])], findings=[doubt])
     assert {use.fit for use in found.uses} == {"no"}
-
-
-def test_predictions_that_diverge_are_of_no_use():
-    found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 187.3])])
-    fit, reason = use(found, "predict coefficients")
-    assert fit == "no"
-    assert reason == "the error is 31.3 of the spread, so a constant predicts better"
 
 
 def test_bands_that_hold_everything_are_too_wide():
@@ -575,6 +426,76 @@ def test_warnings_are_ranked():
     assert found[5].startswith("Got flights without an elevator")
     assert len(found) == 6
     assert verdict().warnings == ()
+
+
+PREDICT, SIMULATE, CONTROL = "predict coefficients", "simulate", "design a controller"
+AX = {"regressors": ["alpha", "ax"]}
+BIASED = still(evaluation(), 5)
+BIASED = replace(BIASED, mean=BIASED.mean + np.array([0, 0, 0, 0, 0, 1.0]))
+SHORT = simulated([4.0, 0.5])
+WIDE = pd.DataFrame(
+    {"value": -1.0, "std": 0.5, "std_random": 0.1, "std_method": 0.48, "std_posterior": 0.1},
+    index=["Cm_elevator"],
+)
+ANGLES = pd.DataFrame({"value": -4.5, "std": 0.1}, index=["CZ_alpha"])
+
+
+def errors(*last):
+    """Return an evaluation of errors of 0.1 but for the last coefficients."""
+    return evaluation(error=[0.1] * (6 - len(last)) + [*last])
+
+
+def modes(name):
+    frequencies = {"frequency": [5.0, 0.2], "frequency_std": [2.0, 1.0]}
+    return {"modes": pd.DataFrame(frequencies, index=[name, "phugoid"])}
+
+
+BLIND = replace(errors(0.7), table=errors().table[["time"]])
+USES = [
+    (PREDICT, {"evaluations": [errors(0.49, 0.1, 0.51)]}, "partly",
+     "only CX CY CZ Cl Cm. Cn: error 0.51 of its spread"),
+    (PREDICT, {"evaluations": [evaluation(inside=[False] + [True] * 5)]}, "partly", "CX: its 95 % band holds 6"),
+    (PREDICT, {"evaluations": [BIASED]}, "no", ""),  # its band does not hold, though Cn does not vary
+    (PREDICT, {"evaluations": [evaluation(error=1.5)]}, "no", "the error is 1.5 of the spread"),
+    (PREDICT, {"evaluations": [errors(187.3)]}, "no", "is 31.3 of the spread, so a constant predicts better"),
+    # without vanes alpha and beta follow from the accelerometers that give CZ and CY
+    (PREDICT, {"evaluations": [BLIND]}, "partly",
+     "only CX Cl Cm. Cn: error 0.70 of its spread; CZ and CY cannot be judged"),
+    (PREDICT, {"evaluations": [BLIND], "fit": {"regressors": ["p_hat", "elevator"]}}, "partly",
+     "only CX CY CZ Cl Cm. Cn"),
+    (SIMULATE, {}, "yes", "for the 4 s that were simulated"),
+    (SIMULATE, {"simulation": simulated([2.5, 4.0])}, "partly", "for 2.5 s: theta 2.5 s; the other states for all 4 s"),
+    (SIMULATE, {"simulation": SHORT}, "no", "for 0.5 s: p 0.5 s; the other"),
+    (SIMULATE, {"simulation": SHORT.assign(lasts_without_gusts=[4.0, 1.2], gusts=0.7)}, "unknown",
+     "not testable in this air"),
+    (SIMULATE, {"simulation": SHORT.assign(lasts_without_gusts=[4.0, 0.6], gusts=0.7)}, "no", "it follows the test"),
+    (SIMULATE, {"simulation": None, "simulation_note": NO_ALPHA}, "unknown", "no alpha"),
+    (SIMULATE, {"fit": AX}, "no", "the regressors ax are known only after a flight"),
+    (SIMULATE, {"fit": AX | {"training": replace(FIT.training, flown=5.0)}}, "no", "regressors ax"),
+    (CONTROL, {"derivatives": WIDE}, "no", "Cm_elevator ± 98 % (gusts, or noise of the regressors)"),
+    *[(CONTROL, modes(name), "no", f"not known well enough, half of the 95 % interval: {name} ± 78 %")
+      for name in ("Dutch roll", "Dutch roll 1", "short period 2", "roll-spiral")],
+    (CONTROL, {"derivatives": pd.DataFrame(), "notes": (NO_DERIVATIVES,)}, "no", "no derivatives"),
+    (CONTROL, {"derivatives": ANGLES}, "no", "the model has none of the controls elevator, aileron, rudder"),
+    (CONTROL, {"evaluations": [errors(0.6, 0.1)]}, "partly",
+     "; but errors over the spread of the test flights are Cm 0.60"),
+    (CONTROL, {"evaluations": [errors(0.4, 0.1)]}, "yes", ""),
+    (CONTROL, {"evaluations": [evaluation(inside=[True, False] + [True] * 4)]}, "no", "bands do not hold"),
+    (CONTROL, {"simulation": SHORT}, "partly", "it follows the test flights for 0.5 s"),
+    (CONTROL, {"simulation": simulated([4.0, 2.0])}, "yes", ""),
+    (CONTROL, {"trim": replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})}, "no",
+     "the trim is outside the flown range in alpha"),
+    (CONTROL, {"trim": None, "notes": (NO_TRIM,)}, "no", "no steady flight was found at 20 m/s"),
+    # some aircraft have hardly any, and no controller of attitude needs it
+    (CONTROL, {"derivatives": with_derivative("CY_rudder", -0.01)}, "yes", ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("purpose", "parts", "fit", "words"), USES)
+def test_what_a_model_may_be_used_for_and_why(purpose, parts, fit, words):
+    found = use(verdict(**parts), purpose)
+    assert found[0] == fit
+    assert words in found[1]
 
 
 class TestMechanics:

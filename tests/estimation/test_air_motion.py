@@ -55,6 +55,13 @@ class Flown(NamedTuple):
         truth = np.array([self.truth[name] for name in known])
         return *found.derivatives.loc[known].to_numpy().T, truth
 
+    def recovered(self, found, fraction=0.85) -> Any:
+        """Assert that an estimate converged and that a fraction of its bands holds; return as `compared`."""
+        assert found.converged
+        value, std, prior, truth = self.compared(found)
+        assert np.mean(abs(value - truth) < 1.96 * std) >= fraction
+        return value, std, prior, truth
+
 
 def pulses(time, starts):
     """Return 3-2-1-1s (n, 3) of elevator, aileron, rudder, one after the other, both ways."""
@@ -163,10 +170,8 @@ def flown_derivatives(model, flight, alpha):
 
 def test_derivatives_lie_inside_their_bands():
     found = found_in_gusts()
-    assert found.converged
-    value, std, prior, truth = in_gusts().compared(found)
+    value, std, prior, truth = in_gusts().recovered(found)
     assert len(truth) >= 19
-    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.85
     assert np.median(1.96 * std / np.abs(value)) < 0.4
     assert np.all(std < 1.05 * prior)
     assert_allclose(np.sqrt(np.diag(found.covariance)), found.derivatives["std"])
@@ -177,9 +182,7 @@ def test_sensors_half_a_metre_ahead_tell_the_same():
     """A known position leaves less unknown, so that bands are no wider."""
     flight = flown(GUSTY, 18.0, arm=(0.5, 0.05, -0.1))
     found = flight.estimate()
-    assert found.converged
-    value, std, _, truth = flight.compared(found)
-    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.85
+    _, std, *_ = flight.recovered(found)
     _, without_position, _, _ = in_gusts().compared(found_in_gusts())
     assert np.median(std / without_position) < 1.0
     arms = found.constants.loc[["arm_x", "arm_y", "arm_z"]]
@@ -248,11 +251,9 @@ def test_derivatives_of_a_flight_that_vibrates():
     shake = benchmark().vibration(default_rng(2), table["throttle"].to_numpy(), 0.02)
     table[["ax", "ay", "az", "p", "q", "r"]] += shake
     found = flight.estimate()
-    assert found.converged
     assert found.vibrates
     assert "vibrate" in found.summary
-    value, std, prior_std, truth = flight.compared(found)
-    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.9
+    value, std, prior_std, truth = flight.recovered(found, 0.9)
     assert np.median(abs(value / truth - 1)) < 0.2
     assert np.median(std / prior_std) < 0.3
     assert not in_gusts().estimate(settings=AirSettings(max_passes=1)).vibrates
@@ -263,24 +264,20 @@ def test_moments_of_the_thrust_are_couplings():
     """A thrust line above the centre of gravity, and the torque of the propeller, in changing speeds."""
     flight = flown(GUSTY, 20.0, thrust_arm=(-0.02, 0.1))
     found = flight.estimate()
-    assert found.converged
     for name, moment in (("Cl_thrust", -0.02), ("Cm_thrust", 0.1)):
         value, std, _ = found.derivatives.loc[name]
         assert abs(value - moment) < 2 * std
-    value, std, _, truth = flight.compared(found)
-    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.85
+    flight.recovered(found)
 
 
 @pytest.mark.slow
 def test_a_slipstream_makes_the_tail_stronger_with_thrust():
     flight = flown(GUSTY, 60.0, slipstream=2.0)
     found = flight.estimate()
-    assert found.converged
     factor, std = found.constants.loc["slipstream", ["value", "std"]]
     assert abs(factor - 2.0) < 2.5 * std
     assert std < 0.5
-    value, std, _, truth = flight.compared(found)
-    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.8
+    flight.recovered(found, 0.8)
 
 
 @pytest.mark.slow
@@ -445,10 +442,8 @@ def test_aircraft_known_without_thrust_is_reconstructed_by_its_measured_axial_fo
 def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     flight = in_gusts()
     found = flight._replace(table=flight.table.drop(columns="thrust_x")).estimate()
-    assert found.converged
     assert not [name for name in found.derivatives.index if name.startswith("CX")]
-    value, std, _, truth = flight.compared(found)
-    assert np.mean(abs(value - truth) < 1.96 * std) >= 0.85
+    flight.recovered(found)
     assert_allclose(found.air["ax"].mean(), flight.table["ax"].mean(), atol=0.05)
     value, _ = found.slopes(["CX", "CZ"], ["alpha"])
     assert_array_equal(np.isnan(value[:, 0]), [True, False])

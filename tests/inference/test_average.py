@@ -6,7 +6,6 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.optimize import minimize
 from scipy.special import logsumexp, softmax
-from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, listening
@@ -205,17 +204,6 @@ class TestHeldOut:
 
 
 class TestWeights:
-    def test_outputs_in_another_order_and_size_have_the_same(self, data):
-        X, Y = data
-        model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=10)
-        here, sized, turned = (
-            clone(model).fit(X, targets).weights_
-            for targets in (Y, Y * [2.0**8, 2.0**-5], Y[:, ::-1])
-        )
-        for name, weights in here.items():
-            assert_allclose(sized[name], weights, rtol=1e-6)
-            assert_allclose(turned[name][::-1], weights, atol=1e-3)
-
     @pytest.mark.parametrize(
         ("function", "names"), [(np.prod, ["joint"]), (np.sum, ["joint", "additive"])]
     )

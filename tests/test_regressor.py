@@ -12,8 +12,6 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF
 from sklearn.pipeline import Pipeline
 from sklearn.utils.estimator_checks import check_estimator
 
@@ -139,33 +137,6 @@ class TestShapesAndNames:
         expected = model.fit(X, Y).predict(new)
         model.fit(np.vstack([X, X[:9] + 5.0]), np.vstack([Y, np.full((9, 2), np.nan)]))
         assert_allclose(model.predict(new), expected, rtol=1e-6, atol=1e-9)
-
-
-class TestPrediction:
-    def test_one_output_with_a_given_kernel_is_scikit_learns(self, new):
-        X, Y = make_data(25)
-        kernel = ConvolvedGaussian(
-            0,
-            amplitude=[[Y[:, 0].std()]],
-            length_scale=[[[1.2, 35.0]]],
-            parameter_bounds={"amplitude": "fixed", "length_scale": "fixed"},
-        )
-        model = DependentGPRegressor(kernel, trend="constant").fit(X, Y[:, 0])
-        theirs = GaussianProcessRegressor(
-            RBF([1.2, 35.0]),
-            alpha=model.noise_variance_[0] / Y[:, 0].var(),
-            optimizer=None,
-            normalize_y=True,
-        ).fit(X, Y[:, 0])
-        mean, std = model.predict(new, return_std=True)
-        expected, deviation = theirs.predict(new, return_std=True)
-        assert_allclose(mean, expected, rtol=1e-6)
-        # scikit-learn takes the mean that it subtracts as known
-        of_mean = model.noise_variance_[0] / len(X)
-        assert_allclose(std, np.sqrt(deviation**2 + of_mean), rtol=1e-6)
-        assert model.log_marginal_likelihood_value_ == pytest.approx(
-            theirs.log_marginal_likelihood_value_
-        )
 
 
 def ctrl_c(at_stage, n):

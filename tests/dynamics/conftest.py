@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, ThrustLine, simulate
+from skdgp.dynamics import Air, Aircraft, ThrustLine, simulate
 
 GRAVITY = 9.79
 SENSED = (
     "time airspeed alpha beta density north east down v_north v_east v_down phi theta psi p q r "
     "p_dot q_dot r_dot ax ay az"
 )
-NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
 START = {"airspeed": 24.0, "alpha": 0.07, "beta": -0.04, "phi": 0.3, "theta": 0.1, "psi": 2.0}
 START |= {"p": 0.2, "q": 0.05, "r": -0.1, "north": 5.0, "east": -7.0, "altitude": 120.0}
 
@@ -28,22 +27,6 @@ def aircraft():
     )
 
 
-def coefficients(X):
-    """Coefficients (n, 6) of a stable aircraft."""
-    alpha, beta, p, q, r, elevator, aileron, rudder = X.T
-    return np.stack(
-        [
-            -0.03 + 0.3 * alpha**2,
-            -0.5 * beta + 0.1 * p + 0.2 * rudder,
-            -0.1 - 4.0 * alpha - 0.2 * elevator,
-            -0.03 * beta - 0.4 * p + 0.08 * r + 0.1 * aileron,
-            0.03 - 0.5 * alpha - 8.0 * q - 0.6 * elevator,
-            0.06 * beta - 0.03 * p - 0.15 * r - 0.05 * rudder,
-        ],
-        axis=-1,
-    )
-
-
 def commands(t, state=None):
     """Surfaces never rest."""
     return {
@@ -53,11 +36,10 @@ def commands(t, state=None):
 
 
 @pytest.fixture(scope="session")
-def flown(aircraft):
+def flown(aircraft, glider):
     """One flight of 6 s at 100 Hz: every angle, rate and product of inertia in play, air not at rest."""
     air = Air([3.0, -2.0, 0.7], density=1.1, gravity=GRAVITY)
-    model = Aerodynamics(coefficients, NAMES)
-    return simulate(model, aircraft, START, commands, dt=0.01, duration=5.99, air=air)
+    return simulate(glider.model(), aircraft, START, commands, dt=0.01, duration=5.99, air=air)
 
 
 @pytest.fixture(scope="session")

@@ -113,13 +113,6 @@ class TestPredict:
         carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
         assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
 
-    def test_noise_of_measurements_is_on_request(self, model, test_flight):
-        mean, std = model.predict(test_flight, return_std=True)
-        again, noisy = model.predict(test_flight, return_std=True, include_noise=True)
-        assert_allclose(mean, again, rtol=1e-9, atol=1e-10)
-        assert_allclose(noisy**2 - std**2, np.broadcast_to(model[-1].noise_variance_, std.shape))
-        assert_allclose(model.predict(test_flight), mean, atol=1e-10)
-
     def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
         noise = default_rng(0).normal(0.0, 0.3, 200)
         slow = test_flight.assign(airspeed=np.where(np.arange(200) < 100, noise, 30.0 + noise))

@@ -154,6 +154,7 @@ def test_posterior_of_independent_outputs_is_the_posterior_of_each():
     _, cov = joint.predict(X[:7], return_cov=True)
     np.testing.assert_allclose(np.sqrt(np.diag(cov)).reshape(3, 7).T, std[:7], rtol=1e-8)
     assert not cov[:7, 7:].any()
+    likelihood = 0.0
     for i, amplitude in enumerate((1.0, 2.0, 0.5)):
         seen = np.isfinite(Y[:, i])
         kernel = ConstantKernel(amplitude**2) * RBF([0.8, 1.3])
@@ -161,6 +162,9 @@ def test_posterior_of_independent_outputs_is_the_posterior_of_each():
         expected = reference.fit(X[seen], Y[seen, i]).predict(X, return_std=True)
         np.testing.assert_allclose(mean[:, i], expected[0], rtol=1e-7, atol=1e-9)
         np.testing.assert_allclose(std[:, i], expected[1], rtol=1e-6)
+        of_scaled = seen.sum() * np.log(joint.scale_[i])  # the density of numbers in other units
+        likelihood += reference.log_marginal_likelihood_value_ + of_scaled
+    np.testing.assert_allclose(joint.log_marginal_likelihood_value_, likelihood, rtol=1e-7)
 
 
 def test_ctrl_c_in_any_structure_keeps_one_that_was_learned():

@@ -80,18 +80,18 @@ def test_the_bordered_solution_is_that_of_the_dense_problem():
     prior = GaussianPrior(
         np.full((n, s), 0.3), rng.normal(size=(n, s)), np.full(c, 0.5), rng.normal(size=c)
     )
-    J = np.zeros((n, 6, (n + 1) * s + c))
-    for i in range(n):
-        J[i, :, i * s : (i + 1) * s] = equations.d_state[i]
-        J[i, :, (i + 1) * s : (i + 2) * s] = equations.d_next[i]
-        J[i, :, (n + 1) * s :] = equations.d_constants[i]
-    J = np.delete(J.reshape(6 * n, -1), np.arange(n * s, (n + 1) * s), axis=1)
-    root = np.diag(np.sqrt(np.r_[prior.states.ravel(), prior.constants]))
-    r = np.r_[
-        equations.residual.ravel(),
-        root @ np.r_[prior.states_offset.ravel(), prior.constants_offset],
-    ]
-    J = np.vstack([J, root])
+    root = np.sqrt(np.r_[prior.states.ravel(), prior.constants])
+
+    def linear(z):
+        """Return what states and constants add to the residuals, and their own deviations."""
+        states, constants = z[: n * s].reshape(n, s, 1), z[n * s :, None]
+        after = np.roll(states, -1, axis=0)  # the last equation has none
+        of_path = equations.d_state @ states + equations.d_next @ after
+        return np.r_[(of_path + equations.d_constants @ constants).ravel(), root * z]
+
+    J = np.transpose([linear(unit) for unit in np.eye(len(root))])
+    offset = np.r_[prior.states_offset.ravel(), prior.constants_offset]
+    r = np.r_[equations.residual.ravel(), root * offset]
     covariance = np.linalg.inv(J.T @ J)
     solution = -covariance @ J.T @ r
     found = solve(equations, prior, np.arange(c), rng.standard_normal((n * s + c, k)))

@@ -109,15 +109,19 @@ def test_parquet(folder, table, holder, names, index):
     same(read_flight(folder / "log.parquet"), table, rtol=4e-16)
 
 
-@pytest.mark.parametrize("kind", ["int8", "uint16", "int64", "Int32", "boolean", "bool"])
-def test_whole_numbers(folder, kind):
-    table = pd.DataFrame({"time": [0.0, 0.02, 0.04], "north": pd.Series([1, 0, 1]).astype(kind)})
-    table.to_parquet(folder / "log.parquet")
-    assert read_flight(folder / "log.parquet").north.tolist() == [1.0, 0.0, 1.0]
+WHOLE = ["int8", "uint16", "int64", "Int32", "boolean", "bool"]
+NAMED = ["int64", "float64", "Int64", "object", "str"]
 
 
-@pytest.mark.parametrize("kind", ["int64", "float64", "Int64", "object", "str"])
-def test_flights_that_are_numbers(folder, kind):
-    flight = pd.Series([1, 1, 12]).astype("int64").astype(kind)
-    pd.DataFrame({"time": [0.0, 0.02, 0.0], "flight": flight}).to_parquet(folder / "log.parquet")
-    assert read_flight(folder / "log.parquet").flight.tolist() == ["1", "1", "12"]
+@pytest.mark.parametrize(
+    ("name", "kind", "values", "expected"),
+    [
+        *(("north", kind, [1, 0, 1], [1.0, 0.0, 1.0]) for kind in WHOLE),
+        *(("flight", kind, [1, 1, 12], ["1", "1", "12"]) for kind in NAMED),
+    ],
+)
+def test_whole_numbers(folder, name, kind, values, expected):
+    """Of a channel, and as names of flights."""
+    column = pd.Series(values).astype("int64").astype(kind)
+    pd.DataFrame({"time": [0.0, 0.02, 0.04], name: column}).to_parquet(folder / "log.parquet")
+    assert read_flight(folder / "log.parquet")[name].tolist() == expected

@@ -65,7 +65,8 @@ def smoothed(table):
 def ahead(table, arm):
     """Return a table whose accelerometers are ahead of the centre of gravity [m]."""
     p, q, r = rates = table[RATES].to_numpy().T
-    _, q_dot, r_dot = signal.savgol_filter(rates, 15, 2, 1, STEP * EVERY, axis=1)
+    step = np.median(np.diff(table["time"]))
+    _, q_dot, r_dot = signal.savgol_filter(rates, 15, 2, 1, step, axis=1)
     moved = table.copy()
     moved[FORCES] += arm * np.stack([-(q**2) - r**2, p * q + r_dot, p * r - q_dot], axis=1)
     return moved

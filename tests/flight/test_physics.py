@@ -1,5 +1,9 @@
 """Checks of physics: a fault put into a good flight is found in its channel, and a good flight has none."""
 
+import importlib
+import sys
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,6 +15,11 @@ from skdgp._flight.physics import Regression, estimated_slope, find_contradictio
 from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import euler_to_matrix
 from skdgp.io import inspect_log, read_flight
+
+BENCHMARKS = str(Path(__file__).parents[1] / "benchmarks")
+sys.path.insert(0, BENCHMARKS)
+faults = importlib.import_module("faults")
+sys.path.remove(BENCHMARKS)
 
 ELEVONS = ["elevon_left", "elevon_right"]
 FORCES = ["ax", "ay", "az"]
@@ -64,22 +73,9 @@ def mixed(matrix):
     return lambda flight: with_columns(flight, ELEVONS, flight[ELEVONS].to_numpy() @ matrix.T)
 
 
-def without_gravity(flight):
-    down = euler_to_matrix(flight["phi"], flight["theta"], flight["psi"])[:, 2]
-    return with_columns(flight, FORCES, flight[FORCES] + GRAVITY * down)
-
-
 def east_north_up(flight):
     names = {"v_north": "v_east", "v_east": "v_north"}
     return opposite(flight.rename(columns=names), "v_down")
-
-
-def late(flight, seconds, names):
-    time = flight["time"]
-    delayed = flight.copy()
-    for name in names.split():
-        delayed[name] = np.interp(time - seconds, time, np.unwrap(flight[name]))
-    return delayed
 
 
 def held(flight, rates):
@@ -102,16 +98,6 @@ def vibrating(flight, size=3.0):
     shaken[FORCES] += size * (wave + noise[:3]).T
     shaken[["p", "q", "r"]] += size / 20 * (wave + noise[3:]).T
     return shaken
-
-
-def ahead(flight, arm=1.8):
-    """Return a flight whose accelerometers are ``arm`` [m] ahead of the centre of gravity."""
-    rates = flight[["p", "q", "r"]].to_numpy()
-    step = float(np.median(np.diff(flight["time"])))
-    p, q, r = rates.T
-    _, q_dot, r_dot = signal.savgol_filter(rates, 11, 2, 1, step, axis=0).T
-    added = np.stack([-(q**2) - r**2, p * q + r_dot, p * r - q_dot], axis=1)
-    return with_columns(flight, FORCES, flight[FORCES] + arm * added)
 
 
 # Factors of channels, the channels that are found, and the slope that shows it (None: of a known sign)
@@ -169,7 +155,7 @@ EXCHANGED = np.array([[0.0, 1.0], [1.0, 0.0]])
 FAULTS = {
     "elevons exchanged": (mixed(EXCHANGED), "elevon_left elevon_right"),
     "elevator reversed": (mixed(-EXCHANGED), "elevon_left elevon_right"),
-    "gravity removed": (without_gravity, "az"),
+    "gravity removed": (faults.without_gravity, "az"),
     "velocity east, north, up": (east_north_up, "v_north v_east v_down"),
     "heading from east": (lambda flight: flight.assign(psi=np.pi / 2 - flight["psi"]), "psi r"),
 }
@@ -187,11 +173,11 @@ def test_a_fault_is_found_in_its_channel(flight, fault):
 )
 def test_a_lag_is_found(flight, name, channels):
     """Beyond the lags that LagCorrector and holds explain."""
-    found = contradictions(late(flight, 0.8, name))
+    found = contradictions(faults.late(flight, 0.8, [name]))
     assert all("lag" in finding.numbers for finding in found)
     assert channels_of(found) <= set(channels.split())
     assert abs(found[0].numbers["lag"]) == pytest.approx(0.8, abs=0.1)
-    assert contradictions(late(flight, 0.2, name)) == []
+    assert contradictions(faults.late(flight, 0.2, [name])) == []
 
 
 @pytest.mark.parametrize("degrees", [-15.0, 3.0, 15.0])
@@ -240,7 +226,7 @@ def test_late_velocity_updrafts_and_crosswinds_are_no_wrong_heading(options):
 
 @pytest.mark.parametrize("seconds", [-0.3, 0.3, 2.0])
 def test_a_late_airspeed_is_found_beyond_what_gusts_explain(flight, seconds):
-    found = contradictions(late(flight, seconds, "airspeed"))
+    found = contradictions(faults.late(flight, seconds, ["airspeed"]))
     assert len(found) == (seconds == 2.0)
     assert all("lag" in finding.numbers for finding in found)
 
@@ -349,9 +335,11 @@ CLEAN = {
     "vibrating and held": lambda flight: held(vibrating(flight), RATES),
     "slow GPS": lambda flight: held(flight, {"v_north v_east v_down north east altitude": 1}),
     "slow servos": lambda flight: held(flight, {"elevon_left elevon_right rudder throttle": 5}),
-    "late GPS": lambda flight: late(flight, 0.2, "v_north v_east v_down"),
+    "late GPS": lambda flight: faults.late(flight, 0.2, faults.VELOCITY),
     "no vanes": lambda flight: flight.drop(columns=["alpha", "beta"]),
-    "no vanes, accelerometers ahead": lambda flight: ahead(flight).drop(columns=["alpha", "beta"]),
+    "no vanes, accelerometers ahead": lambda flight: faults.ahead(flight, 1.8).drop(
+        columns=["alpha", "beta"]
+    ),
 }
 
 
@@ -363,14 +351,14 @@ def test_good_flights_have_none(flights, logged, name):
 
 @pytest.mark.parametrize("moved", [False, True])
 def test_a_reversed_rudder_is_found_without_vanes(flight, moved):
-    log = ahead(flight) if moved else flight
+    log = faults.ahead(flight, 1.8) if moved else flight
     found = contradictions(opposite(log.drop(columns=["alpha", "beta"]), "rudder"))
     assert channels_of(found) == {"rudder"}
 
 
 def test_a_known_position_of_the_accelerometers_ends_a_contradiction(flight):
     """Five metres ahead, they contradict the ground velocity."""
-    log = ahead(flight, arm=5.0)
+    log = faults.ahead(flight, 5.0)
     assert contradictions(log)
     placed = log.assign(sensor_position_x=5.0, sensor_position_y=0.0, sensor_position_z=0.0)
     assert contradictions(placed) == []

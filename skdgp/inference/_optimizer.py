@@ -31,8 +31,8 @@ class OptimizerSettings:
     recent: int = 10
     #: Pairs of steps and changes of the gradient that L-BFGS keeps
     corrections: int = 20
-    #: Whether each parameter is searched in units of its information at the start: the same maximum
-    #: after half to a third of the evaluations
+    #: Whether parameters may be searched in units of their information at the start: the same maximum
+    #: after half to a third of the evaluations, of several outputs with more regressors
     by_information: bool = True
 
 

@@ -41,8 +41,8 @@ def error_of(learned, X, Y, n_blocks=None):
 def test_has_converged_where_the_likelihood_alone_rises(tables):
     """The fit of the function becomes perfect, which hardly counts beside the noise of the others."""
     X, _, Y = tables
-    few = searched(X, Y, 14, 2.0)
-    many = searched(X, Y, 24, 2.0)
+    few = searched(X, Y, 12, 0.5)
+    many = searched(X, Y, 24, 0.5)
     assert many.log_likelihood > few.log_likelihood + 0.05 * Y.size
     assert_allclose(error_of(many, X, Y), error_of(few, X, Y), rtol=0.05)
     assert few.converged
@@ -56,7 +56,7 @@ def test_goes_on_as_long_as_the_error_falls(tables):
     assert 10 < further.n_iter <= 50
     assert further.converged
     assert error_of(further, X, y) < 0.5 * error_of(few, X, y)
-    assert searched(X, Y, 14, 2.0, further=4).n_iter == 14
+    assert searched(X, Y, 12, 0.5, further=4).n_iter == 12
 
 
 def test_of_a_time_series_the_errors_of_held_out_blocks_count():

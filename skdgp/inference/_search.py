@@ -111,7 +111,7 @@ class SearchSettings:
 
 SETTINGS = SearchSettings()
 #: The same for a time series. Its errors are correlated, and its likelihood still rises where errors of
-#: other flights no longer fall: a search by information has larger ones (eight fits of four flights:
+#: other flights no longer fall: a search by information has larger ones (eight fits of three aircraft:
 #: 0.141 and 0.148)
 TIME_SERIES = SearchSettings(
     structure_iterations=50,

@@ -35,7 +35,6 @@ from skdgp.dynamics import (
     VELOCITY,
     Aerodynamics,
     Aircraft,
-    Clock,
     End,
     Ground,
     Gusts,
@@ -43,6 +42,7 @@ from skdgp.dynamics import (
     LinearModel,
     LocalAir,
     Motion,
+    StepClock,
     TangentSettings,
     Trim,
     Turbulence,
@@ -333,7 +333,7 @@ class ModelInFlight:
     def advance(self, commands: Mapping[str, float], duration: float) -> None:
         """Fly for a ``duration`` [s] with constant commands."""
         n_steps = max(1, math.ceil(duration / self.settings.longest_step - 1e-6))
-        clock = Clock(duration / n_steps, n_steps)
+        clock = StepClock(duration / n_steps, n_steps)
 
         def held(step: int, stage: int, observe: Callable) -> Mapping[str, float]:
             return commands

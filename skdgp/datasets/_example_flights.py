@@ -32,12 +32,12 @@ from skdgp.datasets._autopilot import SETTINGS, FlightControls
 from skdgp.datasets._brumby import BRUMBY, BRUMBY_AERODYNAMICS, REGRESSORS, brumby_coefficients
 from skdgp.datasets._plans import FLIGHT_PLANS, FlightPlan
 from skdgp.dynamics import (
-    Clock,
     GustyAir,
     Instant,
     LocalAir,
     Motion,
-    Record,
+    StepClock,
+    Trajectories,
     Turbulence,
     air_velocity,
     channels,
@@ -190,7 +190,7 @@ def _flights(
 
 
 def flight_logs(
-    record: Record, instant: Instant, sensor_noise: float, seeds: Sequence[Any]
+    record: Trajectories, instant: Instant, sensor_noise: float, seeds: Sequence[Any]
 ) -> list[pd.DataFrame]:
     """Return the log of each flight of `fly_plans`, measured columns and truth, with a seed of its sensors."""
     logged, true = _columns(record, instant)
@@ -248,7 +248,7 @@ def measure(truth: pd.DataFrame, scale: float, rng: np.random.Generator) -> pd.D
 
 def fly_plans(
     plans: tuple[FlightPlan, ...], duration: float, turbulence: float, rng: np.random.Generator
-) -> tuple[Record, Instant]:
+) -> tuple[Trajectories, Instant]:
     """Return the flights of ``plans``, ``duration`` [s] each, and what acted, the fixed point of the slopes converged.
 
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
@@ -264,7 +264,7 @@ def fly_plans(
     motion = Motion(BRUMBY_AERODYNAMICS, BRUMBY, lagged=True)
     controls = FlightControls(plans, time, step)
     states = _initial_states(controls, wind)
-    flown = fly_record(motion, controls, air, Clock(step, n_times - 1), states)
+    flown = fly_record(motion, controls, air, StepClock(step, n_times - 1), states)
     record = flown.rows(slice(n_settling, None))
     local_air = air(slice(2 * n_settling, 2 * n_times, 2), record.states)
     implicit = None

@@ -39,8 +39,8 @@ from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
 from skdgp.dynamics._frequency import SpectrumSettings, frequency_response
 from skdgp.dynamics._ground import Ground as Ground
 from skdgp.dynamics._ground import contact_points as contact_points
-from skdgp.dynamics._inputs import Clock as Clock
 from skdgp.dynamics._inputs import FlightComputer
+from skdgp.dynamics._inputs import StepClock as StepClock
 from skdgp.dynamics._integrate import (
     End as End,
 )
@@ -48,10 +48,10 @@ from skdgp.dynamics._integrate import (
     Integrator as Integrator,
 )
 from skdgp.dynamics._integrate import (
-    Record as Record,
+    TangentSettings as TangentSettings,
 )
 from skdgp.dynamics._integrate import (
-    TangentSettings as TangentSettings,
+    Trajectories as Trajectories,
 )
 from skdgp.dynamics._integrate import (
     channels as channels,

@@ -16,14 +16,14 @@ from skdgp._flight.tables import interpolated, numeric
 from skdgp.dynamics._air import AirAt, LocalAir
 
 
-class Clock(NamedTuple):
+class StepClock(NamedTuple):
     """Times of the steps of a simulation and of their stages: the beginning, middle and end of each step."""
 
     dt: float
     n_steps: int
 
     @classmethod
-    def of(cls, dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> Clock:
+    def of(cls, dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> StepClock:
         """Return the clock of a ``duration`` [s], by default as long as all of the ``tables`` last."""
         dt = check_number("dt", dt, unit="s")
         shortest = min((np.ptp(table["time"].to_numpy(float)) for table in tables), default=np.inf)
@@ -79,7 +79,7 @@ class FlightComputer(NamedTuple):
     law: Callable  #: (t, state) to controls by name
 
 
-def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
+def wind_schedule(wind: Any, clock: StepClock, n_starts: int) -> AirAt:
     """Return a function (stage, state) to the air, None where it is still."""
     if wind is None:
         return lambda stage, state: None
@@ -98,7 +98,7 @@ def wind_schedule(wind: Any, clock: Clock, n_starts: int) -> AirAt:
 
 
 def control_schedule(
-    controls: Any, clock: Clock, names: Collection[str], n_starts: int
+    controls: Any, clock: StepClock, names: Collection[str], n_starts: int
 ) -> Callable:
     """Return a function (step, stage, observe) to controls by name, each () or (n_starts,).
 
@@ -138,7 +138,7 @@ def _constants(controls: Mapping, n_starts: int) -> dict[str, Array]:
 class _HeldLaw:
     """A feedback law that is asked at the beginning of a step, and held to its end."""
 
-    def __init__(self, law: Callable, clock: Clock):
+    def __init__(self, law: Callable, clock: StepClock):
         self.law = law
         self.clock = clock
         self.step = -1
@@ -168,14 +168,14 @@ def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
 
 
 def columns_at_stages(
-    tables: list[pd.DataFrame], names: Sequence[str], clock: Clock, what: str
+    tables: list[pd.DataFrame], names: Sequence[str], clock: StepClock, what: str
 ) -> Array:
     """Return columns at every stage, linear between rows: (columns, n_stages), of several tables (..., n_starts)."""
     parts = [_at_stages(table, names, clock, what) for table in tables]
     return parts[0] if len(tables) == 1 else np.stack(parts, axis=-1)
 
 
-def _at_stages(table: pd.DataFrame, names: Sequence[str], clock: Clock, what: str) -> Array:
+def _at_stages(table: pd.DataFrame, names: Sequence[str], clock: StepClock, what: str) -> Array:
     """Return columns of a table at every stage, (columns, n_stages)."""
     check_columns(table, names, what=what)
     time = table["time"].to_numpy(float) - table["time"].iloc[0]

@@ -22,7 +22,7 @@ from skdgp._flight.frames import (
 )
 from skdgp._flight.tables import by_name
 from skdgp.dynamics._air import AirAt, LocalAir
-from skdgp.dynamics._inputs import Clock
+from skdgp.dynamics._inputs import StepClock
 from skdgp.dynamics._motion import Instant, Motion, Tangent
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
 from skdgp.dynamics._servos import Servos
@@ -126,7 +126,7 @@ class Integrator:
         motion: Motion,
         commands: Callable,
         air: AirAt,
-        clock: Clock,
+        clock: StepClock,
         drifts: Array | None = None,
         tangents: TangentSettings = TANGENTS,
     ) -> None:
@@ -220,7 +220,7 @@ class Integrator:
         return 0.0 if self.drifts is None else self.drifts[stage]
 
 
-class Record(NamedTuple):
+class Trajectories(NamedTuple):
     """Simulated trajectories: arrays (n_steps + 1, ...) over time, NaN after the end of a trajectory."""
 
     time: np.ndarray  #: Since the start, (n_steps + 1,)
@@ -235,22 +235,22 @@ class Record(NamedTuple):
     ended: np.ndarray  #: Why each trajectory ended, (...), `FLYING` where it did not
     end: Array  #: The step at which it did, (...)
 
-    def rows(self, part: slice) -> Record:
+    def rows(self, part: slice) -> Trajectories:
         """Return the record of some of the steps."""
         controls = {name: values[part] for name, values in self.controls.items()}
         arrays = (None if values is None else values[part] for values in self[:8])
-        return Record(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
+        return Trajectories(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
 
 
 def fly_record(
     motion: Motion,
     commands: Callable,
     air: AirAt,
-    clock: Clock,
+    clock: StepClock,
     state: Array,
     drifts: Array | None = None,
     deflections: Mapping[str, Array] | None = None,
-) -> Record:
+) -> Trajectories:
     """Return the flight from states: the loop of RK4 over time.
 
     Parameters
@@ -261,7 +261,7 @@ def fly_record(
         states. A step has two stages.
     air : callable
         (stage, state) -> LocalAir or None.
-    clock : Clock
+    clock : StepClock
     state : array (..., 13)
         At the start.
     drifts : array (n_stages, ..., 6) or None
@@ -271,7 +271,7 @@ def fly_record(
 
     Returns
     -------
-    Record
+    Trajectories
     """
     integrator = Integrator(motion, commands, air, clock, drifts)
     start = state = by_components(state)
@@ -300,7 +300,9 @@ def fly_record(
     return _record(motion, clock, flown, ended, end)
 
 
-def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end: Array) -> Record:
+def _record(
+    motion: Motion, clock: StepClock, flown: list[Moment], ended: Array, end: Array
+) -> Trajectories:
     """Return the record of the steps ``flown``."""
     time = clock.dt * np.arange(clock.n_steps + 1)
     is_over = np.moveaxis(np.less_equal.outer(end, np.arange(clock.n_steps + 1)), -1, 0)
@@ -317,7 +319,7 @@ def _record(motion: Motion, clock: Clock, flown: list[Moment], ended: Array, end
     deflected = {}
     for name in controls[0]:
         deflected[name] = over_time(moment[name] for moment in controls)
-    return Record(
+    return Trajectories(
         time=time,
         states=over_time(states, 13),
         regressors=over_time((now.regressors for now in instants), len(motion.regressors)),

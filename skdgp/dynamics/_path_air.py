@@ -14,7 +14,7 @@ from skdgp._flight.frames import by_components
 from skdgp.dynamics._aerodynamics import Drift, separate_generator
 from skdgp.dynamics._air import Air, AirAt, GustyAir
 from skdgp.dynamics._dryden import Gusts, dryden_gusts, dryden_system
-from skdgp.dynamics._inputs import Clock, tables_of
+from skdgp.dynamics._inputs import StepClock, tables_of
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._rigid_body import ATTITUDE
@@ -50,7 +50,7 @@ def paths_air(
     described: Air,
     air: AirAt,
     motion: Motion,
-    clock: Clock,
+    clock: StepClock,
     states: Array,
     n_paths: int,
     random_state: Any,
@@ -108,7 +108,7 @@ def gusty_air(
     met: Turbulence,
     air: AirAt,
     motion: Motion,
-    clock: Clock,
+    clock: StepClock,
     states: Array,
     n_paths: int,
     seed: Any,

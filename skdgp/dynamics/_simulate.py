@@ -18,7 +18,7 @@ from skdgp.dynamics._air import Air, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._inputs import (
-    Clock,
+    StepClock,
     control_schedule,
     tables_of,
     warn_of_clocks,
@@ -137,7 +137,7 @@ def simulate(
     if isinstance(x0, UncertainStart):
         x0, start_std = x0
     starts = as_starts(x0)
-    clock = Clock.of(dt, duration, tables_of(controls, described.wind))
+    clock = StepClock.of(dt, duration, tables_of(controls, described.wind))
     warn_of_clocks(starts, controls, clock.dt)
     local = wind_schedule(described.wind, clock, len(starts))
     names = {*motion.inputs, *PROPULSION}
@@ -238,7 +238,7 @@ class Simulator:
             raise ValueError(
                 "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
             )
-        self._air = wind_schedule(air.wind, Clock(dt, 1), 1)
+        self._air = wind_schedule(air.wind, StepClock(dt, 1), 1)
         self._steps = 0
         self.ended = FLYING
         self.beyond = ""
@@ -314,7 +314,7 @@ class Simulator:
         def held(step, stage, observe):
             return controls
 
-        clock = Clock(self.dt, 1)
+        clock = StepClock(self.dt, 1)
         record = fly_record(
             self.motion, held, self._air, clock, self._state, deflections=self._reached
         )

@@ -26,7 +26,7 @@ from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
 from skdgp._flight.tables import by_name
 from skdgp.dynamics import _rigid_body as rigid_body
-from skdgp.dynamics._integrate import FLYING, REASONS, Record, channels
+from skdgp.dynamics._integrate import FLYING, REASONS, Trajectories, channels
 from skdgp.dynamics._motion import Motion
 
 BAND_COLUMNS = (*EARTH_VELOCITY, *EULER, *RATES, *AIR_DATA, "altitude", "north", "east")
@@ -37,7 +37,7 @@ class SimulationWarning(UserWarning):
 
 
 def trajectory_table(
-    record: Record, motion: Motion, farthest: Array, first_times: Array
+    record: Trajectories, motion: Motion, farthest: Array, first_times: Array
 ) -> pd.DataFrame:
     """Return the record as one flight table: path by path, start by start, row by row.
 
@@ -73,7 +73,7 @@ def _named(codes: Any, names: list[str]) -> Any:
     return pd.Categorical.from_codes(codes, pd.Index(names))
 
 
-def _columns(record: Record) -> dict[str, Array]:
+def _columns(record: Trajectories) -> dict[str, Array]:
     """Return the channels of a record by name, (n_times, ...) each."""
     columns = channels(record.states, record.wind)
     columns["density"] = record.density
@@ -120,7 +120,7 @@ def beyond(motion: Motion, regressors: Array) -> np.ndarray:
     return names[farthest_beyond(motion, regressors)]
 
 
-def warn_of(record: Record, motion: Motion, farthest: Array) -> None:
+def warn_of(record: Trajectories, motion: Motion, farthest: Array) -> None:
     """Warn of trajectories that ended early, and of those that left the training ranges.
 
     ``farthest`` (n_times, ...) is as of `farthest_beyond`.
@@ -130,7 +130,7 @@ def warn_of(record: Record, motion: Motion, farthest: Array) -> None:
             warn(message, SimulationWarning, stacklevel=3)
 
 
-def _ended_message(record: Record) -> str:
+def _ended_message(record: Trajectories) -> str:
     """Return a sentence on trajectories that ended early, "" without any."""
     counts = {text: np.count_nonzero(record.ended == name) for name, text in REASONS.items()}
     n_ended = sum(counts.values())
@@ -145,7 +145,7 @@ def _ended_message(record: Record) -> str:
     )
 
 
-def _beyond_message(record: Record, motion: Motion, farthest: Array) -> str:
+def _beyond_message(record: Trajectories, motion: Motion, farthest: Array) -> str:
     """Return a sentence on trajectories that left the training ranges, "" without any."""
     model = motion.aerodynamics
     farthest = farthest.reshape(len(record.time), -1)

@@ -208,7 +208,7 @@ def test_a_log_is_sparse_earlier_and_searched_shorter():
     Y = np.sin(X)
     options = {"optimizer": None, "n_inducing": 10, "structure": "joint"}
     for n, clock, expected in (
-        (1200, None, ("exact", 50)),
+        (1200, None, ("exact", 75)),
         (1200, 0.1, ("sparse", 60)),
         (400, 0.1, ("exact", 60)),
     ):

@@ -47,7 +47,7 @@ class RegressorSettings:
     #: 1 % in 30 more; of other data also with effects that it missed
     further: int = 2
     #: Iterations for other data
-    iterations: int = 50
+    iterations: int = 75
     #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
     #: The same of a time series

@@ -197,8 +197,9 @@ class LinearTrend(MultiOutputKernel):
         basis = np.column_stack([np.ones(len(X)), slopes])
         residual = np.array(Y, dtype=float)
         for y in residual.T:
-            if np.isfinite(y).sum() > 2 * basis.shape[1]:
-                y -= basis @ least_squares(basis, y)
+            rows = np.isfinite(y)
+            if rows.sum() > 2 * basis.shape[1]:
+                y[rows] -= basis[rows] @ least_squares(basis, y)
         return residual
 
     def couples(self, i: int, j: int) -> bool:

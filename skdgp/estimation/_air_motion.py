@@ -7,8 +7,10 @@ In order: records of the flights with their paths (``_air_records.py``), search 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -309,53 +311,99 @@ def estimate_air_motion(
     FlightTable.of(table, [*PATH_CHANNELS, "density"])
     check_radians(table, (*EULER, *RATES, *VANES))
     table = with_sensor_position(table, aircraft)
-    knows_position = bool(np.isfinite(sensor_position(table)).all())
     table = _with_elevator_and_aileron(with_own_clocks(table))
-    if known is None:
-        surfaces = [name for name in SURFACES if _moves(table, name)]
-        derivatives = derivatives_of(ALL_TERMS if terms is None else terms, surfaces)
-    else:
-        surfaces = known.surfaces
-        derivatives = _as_prior(known.derivatives)
-    if not _has_drag(derivatives) or not _has_thrust(table, aircraft):
+    priors = _wide_priors(table, terms) if known is None else _held_priors(known)
+    if thrust is None or not priors.has_drag or not _has_thrust(table, aircraft):
+        # the measured axial force takes the place of thrust and CX
         thrust = None
-    # a measured axial force takes the place of thrust and CX
-    has_thrust = thrust is not None
-    every = _records(table, surfaces, aircraft, thrust, settings)
+        priors = priors.without_thrust()
+    every = _records(table, priors.surfaces, aircraft, thrust, settings)
     if known is None:
         records = _to_learn_from(every, settings)
+        mean_thrust = 0.0 if thrust is None else _mean_thrust(records, aircraft)
     else:
+        _check_any(every, settings.fewest_known)
         records = every
-        _check_any(records, settings.fewest_known)
-    is_complete = _n_samples(records) == _n_samples(every)
-    if not has_thrust:
-        derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
-    layout = Layout.of(list(derivatives), surfaces, by_instruments=known is None)
-    n_flights = 1 + max(record.flight for record in records)
-    mean_thrust = 0.0 if known is None else known.mean_thrust
-    if known is None and has_thrust:
-        mean_thrust = _mean_thrust(records, aircraft)
+        mean_thrust = known.mean_thrust
     records = [record._replace(mean_thrust=mean_thrust) for record in records]
-    constants = dict(AIRCRAFT_CONSTANTS)
-    if knows_position:
-        constants |= KNOWN_ARM
-    parameters = _parameters(derivatives, constants, known, n_flights, has_thrust)
+    n_flights = 1 + max(record.flight for record in records)
     noises = _noises(records, known, n_flights, settings)
+    start = partial(
+        AirFit,
+        records,
+        aircraft,
+        Layout.of(list(priors.derivatives), priors.surfaces, by_instruments=known is None),
+        priors.parameters(n_flights),
+        noises,
+        settings,
+    )
+    motion = _searched(start, settings, len(table))
+    return replace(motion, is_complete=_n_samples(records) == _n_samples(every))
+
+
+def _searched(start: Callable[[], AirFit], settings: AirSettings, n_rows: int) -> AirMotion:
+    """Return the result of the first search that keeps its last pass, else of the last one.
+
+    Raise ValueError if all diverge.
+    """
     motion = None
     for n_before in settings.attempts:
-        fit = AirFit(records, aircraft, layout, parameters, noises, settings)
+        fit = start()
         try:
             # a search that diverges leaves the range of numbers
             with np.errstate(over="ignore", invalid="ignore"):
                 converged = fit.search(n_before)
-            motion = _air_motion(fit, converged, surfaces, len(table))
+            motion = _air_motion(fit, converged, n_rows)
         except np.linalg.LinAlgError:  # the search diverged
             continue
         if not fit.went_back:
             break
     if motion is None:
         raise ValueError(DIVERGED)
-    return replace(motion, is_complete=is_complete)
+    return motion
+
+
+class _Priors(NamedTuple):
+    """Mean and standard deviation of derivatives and constants of an aircraft, before its flights."""
+
+    surfaces: list[str]
+    derivatives: Prior
+    constants: Prior
+    #: Whether the means are known, from other flights
+    is_held: bool
+
+    @property
+    def has_drag(self) -> bool:
+        """Whether there are derivatives of CX."""
+        return "CX" in map(coefficient_of, self.derivatives)
+
+    def without_thrust(self) -> _Priors:
+        """Return the priors without derivatives of the axial force or by thrust, and no error of thrust."""
+        derivatives = {k: v for k, v in self.derivatives.items() if not _needs_thrust(k)}
+        zero = dict.fromkeys(("thrust_scale", "slipstream"), (0.0, ZERO_STD))
+        return self._replace(derivatives=derivatives, constants={**self.constants, **zero})
+
+    def parameters(self, n_flights: int) -> Parameters:
+        """Return the parameters of a number of flights."""
+        shared = {**self.derivatives, **self.constants}
+        n_held = len(shared) if self.is_held else 0
+        return Parameters.of(shared, FLIGHT_CONSTANTS, n_flights, n_held)
+
+
+def _wide_priors(table: pd.DataFrame, terms: Mapping[str, Sequence[str]] | None) -> _Priors:
+    """Return priors of an aircraft of which nothing is known."""
+    surfaces = [name for name in SURFACES if _moves(table, name)]
+    derivatives = derivatives_of(ALL_TERMS if terms is None else terms, surfaces)
+    constants = dict(AIRCRAFT_CONSTANTS)
+    if np.isfinite(sensor_position(table)).all():
+        constants |= KNOWN_ARM
+    return _Priors(surfaces, derivatives, constants, is_held=False)
+
+
+def _held_priors(known: AirMotion) -> _Priors:
+    """Return what is known of an aircraft from other flights."""
+    constants = _as_prior(known.constants.loc[list(AIRCRAFT_CONSTANTS)])
+    return _Priors(known.surfaces, _as_prior(known.derivatives), constants, is_held=True)
 
 
 def _records(
@@ -417,11 +465,6 @@ def _moves(table: pd.DataFrame, surface: str) -> bool:
     return has_values(table, surface) and bool(table[surface].max() > table[surface].min())
 
 
-def _has_drag(derivatives: Iterable[str]) -> bool:
-    """Return whether derivatives of CX are among some."""
-    return "CX" in map(coefficient_of, derivatives)
-
-
 def _needs_thrust(derivative: str) -> bool:
     """Return whether a derivative is of the axial force or by thrust."""
     return coefficient_of(derivative) == "CX" or derivative.endswith("_thrust")
@@ -440,24 +483,6 @@ def _as_prior(estimates: pd.DataFrame) -> Prior:
     return dict(zip(estimates.index, pairs, strict=True))
 
 
-def _parameters(
-    derivatives: Prior,
-    constants: Prior,
-    known: AirMotion | None,
-    n_flights: int,
-    has_thrust: bool,
-) -> Parameters:
-    """Return the parameters of the flights; the shared ones of a known aircraft are held."""
-    shared = dict(constants)
-    n_held = 0
-    if known is not None:
-        shared = dict(_as_prior(known.constants.loc[list(constants)]))
-        n_held = len(derivatives) + len(shared)
-    if not has_thrust:
-        shared |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, ZERO_STD))
-    return Parameters.of(dict(derivatives) | shared, FLIGHT_CONSTANTS, n_flights, n_held)
-
-
 def _noises(
     records: list[Record], known: AirMotion | None, n_flights: int, settings: AirSettings
 ) -> Parameters:
@@ -474,7 +499,7 @@ def _noises(
     return Parameters.of(shared, FLIGHT_NOISES, n_flights)
 
 
-def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) -> AirMotion:
+def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
     """Return the result of a search, from one more pass at its parameters."""
     sums, fitted = fit.filter_records()
     names = fit.parameters.names
@@ -508,7 +533,7 @@ def _air_motion(fit: AirFit, converged: bool, surfaces: list[str], n_rows: int) 
         constants=estimates[nd:],
         noise=fit.noise_search.values,
         air=air,
-        surfaces=surfaces,
+        surfaces=list(fit.layout.surfaces),
         converged=converged,
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,

@@ -30,6 +30,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
+from skdgp.estimation import AirspeedScale
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
 from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
@@ -71,6 +72,9 @@ class InputNoiseSettings:
 
 
 INPUT_NOISE = InputNoiseSettings()
+
+#: Units of the controls of a log without their scale
+FULL_THROWS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,12 +122,7 @@ def learn(
     table = prepared.table
     pipeline = _pipeline_for(prepared, regressors, regressor, steps)
     airspeed = pipeline.learn_errors_of_log(table)
-    if airspeed.removable():
-        numbers = {"percent": 100 * airspeed.value, "std_percent": 100 * airspeed.std}
-        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=3)
-    if np.isfinite(pipeline.band_):
-        report(Finding(Code.VIBRATION, numbers={"band": pipeline.band_}), stacklevel=3)
-    pipeline.coefficient_filter_ = coefficient_filter(table)
+    _report_errors_of_log(airspeed, pipeline.band_)
     corrected = pipeline.corrected(table)
     Y = aerodynamic_coefficients(
         corrected, prepared.aircraft, cutoff=pipeline.own_cutoff, **prepared.loads
@@ -133,9 +132,14 @@ def learn(
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     began = time.monotonic()
-    # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
-    choose_engine = prepared.lacks_thrust and isinstance(regressors, str)
-    X = pipeline.fit_returning_regressors(table, targets, choose_engine=choose_engine)
+    X = pipeline.fit_returning_regressors(
+        table,
+        targets,
+        # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
+        choose_engine=prepared.lacks_thrust and isinstance(regressors, str),
+        coefficient_filter=coefficient_filter(table),
+        control_units=FULL_THROWS if prepared.has_full_throws else {},
+    )
     is_target = targets.notna()
     training = TrainingRecord(
         samples=int(is_target.any(axis=1).sum()),
@@ -152,25 +156,47 @@ def learn(
     if fit.lags_corrected:
         finding = Finding(Code.LAGS_CORRECTED, numbers={"lags": fit.lags_corrected})
         report(finding, stacklevel=3)
-    aircraft = prepared.aircraft
-    if "propeller" in training.thrust:
-        aircraft = with_thrust_errors(aircraft, corrected, named_regressors(pipeline, X))
-    if has_values(table, *VANES):  # without them these errors are parameters of the filter
-        step = pipeline["lagcorrector"]
-        lags = step.lags_ if isinstance(step, LagCorrector) else None
-        aircraft = with_log_errors(
-            aircraft,
-            corrected,
-            named_regressors(pipeline, X),
-            training.least_squares,
-            lags,
-            airspeed.left(),
-        )
     return LearnedModel(
         pipeline=pipeline,
-        aircraft=aircraft,
+        aircraft=_with_errors_of_flights(
+            prepared.aircraft,
+            pipeline,
+            corrected,
+            named_regressors(pipeline, X),
+            training,
+            airspeed,
+        ),
         fit=fit,
         options=_options(prepared, pipeline, training.samples, horizons),
+    )
+
+
+def _report_errors_of_log(airspeed: AirspeedScale, band: float) -> None:
+    """Report an error of the airspeed that is removed, and vibration beyond a finite band [Hz]."""
+    if airspeed.removable():
+        numbers = {"percent": 100 * airspeed.value, "std_percent": 100 * airspeed.std}
+        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=4)
+    if np.isfinite(band):
+        report(Finding(Code.VIBRATION, numbers={"band": band}), stacklevel=4)
+
+
+def _with_errors_of_flights(
+    aircraft: Aircraft,
+    pipeline: FlightPipeline,
+    flights: pd.DataFrame,
+    regressors: pd.DataFrame,
+    training: TrainingRecord,
+    airspeed: AirspeedScale,
+) -> Aircraft:
+    """Return the aircraft with the errors of coefficients that thrust and sensors of its flights leave."""
+    if "propeller" in training.thrust:
+        aircraft = with_thrust_errors(aircraft, flights, regressors)
+    if not has_values(flights, *VANES):  # without them these errors are parameters of the filter
+        return aircraft
+    step = pipeline["lagcorrector"]
+    lags = step.lags_ if isinstance(step, LagCorrector) else None
+    return with_log_errors(
+        aircraft, flights, regressors, training.least_squares, lags, airspeed.left()
     )
 
 
@@ -205,8 +231,6 @@ def _pipeline_for(
         pipeline.set_params(flightpathreconstruction__thrust=prepared.loads["thrust"])
         if prepared.loads["external_forces"]:  # which the motion of the air does not know
             pipeline.set_params(flightpathreconstruction__aircraft=None)
-    if prepared.has_full_throws:
-        pipeline.control_units_ = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
     return pipeline
 
 

@@ -223,7 +223,7 @@ class FlightPipeline(Pipeline):
         Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their
         table, which says why.
     control_units_ : dict of str to str
-        Units of controls that differ from docs/notation.md, such as "full throw"; set by
+        Units of controls that differ from docs/notation.md, such as "full throw"; known of
         :func:`identify`.
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
@@ -232,7 +232,7 @@ class FlightPipeline(Pipeline):
         vanes; else infinite.
     coefficient_filter_ : FittedFilter or "auto"
         Smoothing of the coefficients of the fit, with which those of other flights have the same
-        noise; set by :func:`identify`.
+        noise; known of :func:`identify`.
     airspeed_scale_ : float
         Relative error of the airspeed that is removed from flights; zero where those of the fit
         do not show one.
@@ -261,11 +261,11 @@ class FlightPipeline(Pipeline):
         row, unless metadata routing is enabled: request them there. ``params`` are as of
         scikit-learn's ``Pipeline``.
         """
-        self.coefficient_filter_ = "auto"  # how y was smoothed is unknown
         self.learn_errors_of_log(X)
         if get_config()["enable_metadata_routing"]:
             self.band_ = np.inf  # scikit-learn's own fit leaves no place for a band
             self.calibration_ = None
+            self.coefficient_filter_ = "auto"
             X = self.corrected(X)
             super().fit(X, y, **params)
             self._learn_turbulence(X)
@@ -274,13 +274,23 @@ class FlightPipeline(Pipeline):
         return self
 
     def fit_returning_regressors(
-        self, X: pd.DataFrame, y: Any, *, choose_engine: bool = False, **params: Any
+        self,
+        X: pd.DataFrame,
+        y: Any,
+        *,
+        choose_engine: bool = False,
+        coefficient_filter: FittedFilter | str = "auto",
+        control_units: Mapping[str, str] = MappingProxyType({}),
+        **params: Any,
     ) -> Matrix:
         """Fit with ``params`` of the last step, and return the regressors (n, d) that it learned from.
 
         Behind `learn_errors_of_log`. ``choose_engine``: of throttle and airspeed the set of regressors
-        gets those of `engine_regressors`.
+        gets those of `engine_regressors`. ``coefficient_filter`` is how y was smoothed, "auto" if that is
+        unknown, ``control_units`` are those of controls that differ from docs/notation.md.
         """
+        self.coefficient_filter_ = coefficient_filter
+        self.control_units_ = dict(control_units)
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         X = self.corrected(X)

@@ -1,6 +1,12 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
-from skdgp.identification._changed import Changes, ChangeSettings, changed, changes_of
+from skdgp.identification._changed import (
+    Changes,
+    ChangeSettings,
+    FlightResiduals,
+    changed,
+    changes_of,
+)
 from skdgp.identification._changed import PredictedFlight as PredictedFlight
 from skdgp.identification._changed import changes_in_flights as changes_in_flights
 from skdgp.identification._flights import named_flights
@@ -18,6 +24,7 @@ __all__ = [
     "ChangeSettings",
     "Changes",
     "FlightPipeline",
+    "FlightResiduals",
     "Identification",
     "ModelFileError",
     "changed",

@@ -176,7 +176,7 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
               T_b = Q_b^T Q_b G, \quad
               \nu = \nu_1 \frac{k + k^2}{\mathrm{tr}\, M^2 + (\mathrm{tr}\, M)^2}.
 
-    Where :math:`\nu` is less than k, or the flight lasts less than ``settings.fewest_seconds``, it
+    Where :math:`\nu` is at most k - 1, or the flight lasts less than ``settings.fewest_seconds``, it
     is too short: errors that last longer do not show in it.
 
     The p-values of the coefficients are combined into the whole by Simes' test, which allows for
@@ -226,21 +226,114 @@ def changes_in_flights(
     settings: ChangeSettings = SETTINGS,
 ) -> Changes:
     """Return the changes that predicted flights show, see `changed`; ``options`` are those of the model."""
-    samples = {}
-    strides = {}
-    by_acceleration = {}
-    seconds = {}
+    residuals = {}
+    is_long = {}
     for name, (table, X, mean) in flights.items():
         time = table["time"].to_numpy(float)
-        seconds[name] = time[-1] - time[0]
-        samples[name] = X, residuals_without_smoothing(table, mean, aircraft, options)
-        strides[name] = _stride(pipeline, time)
-        by_acceleration[name] = aircraft.mass / dynamic_load(table, aircraft)
-    changes = changes_of(
-        pipeline, samples, settings, strides=strides, by_acceleration=by_acceleration
+        is_long[name] = time[-1] - time[0] >= settings.fewest_seconds
+        residuals[name] = FlightResiduals(
+            X,
+            residuals_without_smoothing(table, mean, aircraft, options),
+            stride=_stride(pipeline, time),
+            by_acceleration=aircraft.mass / dynamic_load(table, aircraft),
+        )
+    changes = changes_of(pipeline, residuals, settings)
+    return replace(changes, p_values=changes.p_values.where(pd.Series(is_long), axis=0))
+
+
+class FlightResiduals(NamedTuple):
+    """What a model leaves unexplained of a flight.
+
+    Attributes
+    ----------
+    regressors : ndarray (n, d)
+        Of the last step of the model.
+    residuals : ndarray (n, 6)
+        Measured coefficients, not smoothed, less predicted ones; NaN where unknown.
+    stride : int
+        Interval of the rows of the fit, in rows of the flight.
+    by_acceleration : ndarray (n,) or None
+        Change of the force coefficients by an acceleration, m / (qbar S) [s^2/m]. None: accelerometers
+        have no constant errors.
+    """
+
+    regressors: Matrix
+    residuals: Matrix
+    stride: int = 1
+    by_acceleration: Vector | None = None
+
+    def measured(self) -> FlightResiduals:
+        """Return the rows whose coefficients are all known."""
+        is_measured = np.isfinite(self.residuals).all(axis=1)
+        by_acceleration = self.by_acceleration
+        if by_acceleration is not None:
+            by_acceleration = by_acceleration[is_measured]
+        return self._replace(
+            regressors=self.regressors[is_measured],
+            residuals=self.residuals[is_measured],
+            by_acceleration=by_acceleration,
+        )
+
+
+def changes_of(
+    pipeline: Pipeline,
+    flights: Mapping[str, FlightResiduals],
+    settings: ChangeSettings = SETTINGS,
+) -> Changes:
+    """Return the changes that the residuals of flights show, see `changed`."""
+    p_values = {}
+    tables = {}
+    spread = _covariance_spread(pipeline, settings)
+    for name, given in flights.items():
+        flight = given.measured()
+        X = flight.regressors
+        of_model = _function_covariance(pipeline[-1], X, spread, settings)
+        of_model = of_model + _offset_covariance(pipeline, X, flight.by_acceleration, settings)
+        fits = [flight_weights(X, r, settings, flight.stride) for r in flight.residuals.T]
+        learned = _learned_weights(pipeline, X)
+        p_values[name] = _p_values(fits, of_model, learned)
+        tables[name] = _derivative_changes(pipeline, fits, of_model, learned)
+    return Changes(
+        pd.DataFrame.from_dict(p_values, orient="index"),
+        pd.concat(tables, names=["flight", "derivative"]),
+        settings.level,
     )
-    is_long = pd.Series(seconds) >= settings.fewest_seconds
-    return replace(changes, p_values=changes.p_values.where(is_long, axis=0))
+
+
+def _learned_weights(pipeline: Pipeline, X: Matrix) -> Indices:
+    """Return the places of the weights of (1, x) that a model knows, of a flight X (n, d).
+
+    An unknown effect that is constant in the flight moves the mean.
+    """
+    trained = training_inputs(pipeline[-1].posterior_)
+    is_constant = constant_columns(trained)
+    is_elsewhere = is_constant & constant_columns(X) & ~np.isclose(X[0], trained[0])
+    return np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
+
+
+def _derivative_changes(
+    pipeline: Pipeline, fits: Sequence[FlightWeights], of_model: Array, learned: Indices
+) -> pd.DataFrame:
+    """Return ``change`` and ``std`` of the learned derivatives by name, from the weights of each coefficient."""
+    scale = np.append(1.0, pipeline["standardscaler"].scale_)[learned]
+    terms = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
+    tables = []
+    for coefficient, fit, uncertainty in zip(COEFFICIENTS, fits, of_model, strict=True):
+        std = np.sqrt(np.diag(fit.covariance + fit.of_stride + uncertainty)[learned])
+        names = [f"{coefficient}{terms[k]}" for k in learned]
+        columns = {"change": fit.weights[learned] / scale, "std": std / scale}
+        tables.append(pd.DataFrame(columns, index=names))
+    return pd.concat(tables)
+
+
+def _p_values(fits: Sequence[FlightWeights], of_model: Array, learned: Indices) -> dict[str, float]:
+    """Return the p-values of the coefficients and of the whole."""
+    p_values = {}
+    for coefficient, fit, uncertainty in zip(COEFFICIENTS, fits, of_model, strict=True):
+        among_learned = (uncertainty + fit.of_stride)[np.ix_(learned, learned)]
+        p_values[coefficient] = _p_value(fit, learned, among_learned)
+    p_values[WHOLE] = combined(list(p_values.values()))
+    return p_values
 
 
 def _stride(pipeline: FlightPipeline, time: Vector) -> int:
@@ -261,70 +354,6 @@ def residuals_without_smoothing(
     loads = {name: options[name] for name in ("thrust", "external_forces")}
     measured = aerodynamic_coefficients(table, aircraft, cutoff=None, **loads)
     return measured.to_numpy() - mean
-
-
-def changes_of(
-    pipeline: Pipeline,
-    samples: dict[str, tuple[Matrix, Matrix]],
-    settings: ChangeSettings = SETTINGS,
-    *,
-    strides: Mapping[str, int] | None = None,
-    by_acceleration: Mapping[str, Vector] | None = None,
-) -> Changes:
-    """Return the changes by regressors (n, d) of the last step and residuals (n, 6) of each flight.
-
-    Parameters
-    ----------
-    pipeline : Pipeline
-    samples : dict of str to (ndarray (n, d), ndarray (n, 6))
-        Of each flight; measured coefficients in the residuals are not smoothed.
-    settings : ChangeSettings
-    strides : mapping of str to int, optional
-        Intervals of the rows of the fit, in rows of each flight; by default the fit had all rows.
-    by_acceleration : mapping of str to ndarray (n,), optional
-        Change of the force coefficients of each flight by an acceleration, m / (qbar S) [s^2/m]; by
-        default accelerometers have no constant errors.
-
-    Returns
-    -------
-    Changes
-    """
-    p_values = {}
-    tables = {}
-    scale = np.append(1.0, pipeline["standardscaler"].scale_)
-    bare = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
-    trained = training_inputs(pipeline[-1].posterior_)
-    is_constant = constant_columns(trained)
-    spread = _covariance_spread(pipeline, settings)
-    for flight, (X, residuals) in samples.items():
-        is_measured = np.isfinite(residuals).all(axis=1)
-        X = X[is_measured]
-        residuals = residuals[is_measured]
-        force_slope = None if by_acceleration is None else by_acceleration[flight][is_measured]
-        # weights that the model knows; an unknown effect that is constant in the flight moves the mean
-        is_elsewhere = is_constant & constant_columns(X) & ~np.isclose(X[0], trained[0])
-        learned = np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
-        among_learned = np.ix_(learned, learned)
-        uncertainty = _function_covariance(pipeline[-1], X, spread, settings)
-        uncertainty = uncertainty + _offset_covariance(pipeline, X, force_slope, settings)
-        stride = 1 if strides is None else strides[flight]
-        row = {}
-        changes = {}
-        for i, coefficient in enumerate(COEFFICIENTS):
-            of_flight = flight_weights(X, residuals[:, i], settings, stride)
-            of_model = (uncertainty[i] + of_flight.of_stride)[among_learned]
-            row[coefficient] = _p_value(of_flight, learned, of_model)
-            std = np.sqrt(np.diag(of_flight.covariance[among_learned] + of_model))
-            weights = of_flight.weights
-            names = [coefficient, *(f"{coefficient}_{name}" for name in bare)]
-            for k, error in zip(learned, std, strict=True):
-                changes[names[k]] = {"change": weights[k] / scale[k], "std": error / scale[k]}
-        row[WHOLE] = combined(list(row.values()))
-        p_values[flight] = row
-        tables[flight] = pd.DataFrame.from_dict(changes, orient="index")
-    derivatives = pd.concat(tables, names=["flight", "derivative"])
-    table = pd.DataFrame.from_dict(p_values, orient="index")
-    return Changes(table, derivatives, settings.level)
 
 
 def _terms(X: Matrix) -> Matrix:

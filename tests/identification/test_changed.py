@@ -10,11 +10,12 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
-from skdgp.identification import ChangeSettings, changes_of
+from skdgp.identification import ChangeSettings, FlightResiduals, changes_of
 from skdgp.preprocessing import FlightPathReconstruction, RegressorSelector
 
 NAMES = ["alpha", "q_hat", "elevator"]
 ALPHA_NOISE = 0.03
+DEFAULT = ChangeSettings()
 SLOPES = np.array([[0.3, 0.0, -4.0, 0.0, -0.5, 0.0], [0.0] * 6, [0.0] * 4 + [-0.6, 0.0]])
 
 
@@ -48,18 +49,18 @@ def model():
     return learned(*flight(0, 0.02))
 
 
-def residuals(model, X, Y):
-    """Return the scaled regressors of a flight, and what the model does not explain."""
-    return np.asarray(model[:-1].transform(X)), Y - model.predict(X)
+def residuals(model, X, Y, **options):
+    """Return what a model does not explain of a flight, by its scaled regressors."""
+    return FlightResiduals(np.asarray(model[:-1].transform(X)), Y - model.predict(X), **options)
 
 
-def changes(model, flights, change=0.0, **options):
+def changes(model, flights, change=0.0, settings=DEFAULT, **options):
     """Return the changes that flights show whose alpha by Cm is changed."""
-    samples = {}
+    unexplained = {}
     for name, (X, Y) in flights.items():
-        samples[name] = residuals(model, X, Y)
-        samples[name][1][:, 4] += change * X["alpha"]
-    return changes_of(model, samples, **options)
+        unexplained[name] = residuals(model, X, Y, **options)
+        unexplained[name].residuals[:, 4] += change * X["alpha"]
+    return changes_of(model, unexplained, settings)
 
 
 def test_flights_of_the_same_aircraft_in_other_gusts_raise_few_alarms(model):
@@ -191,11 +192,11 @@ def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight
     air = pd.DataFrame({"alpha": [0.0], "alpha_std": [ALPHA_NOISE]})
     reconstruction.air_motion_ = Bunch(air=air)
     filtered = Pipeline([("flightpathreconstruction", reconstruction), *model.steps])
-    samples = {
+    unexplained = {
         str(seed): residuals(model, *with_noise_of_alpha(seed, 0.3)) for seed in range(1, 13)
     }
-    assert (changes_of(model, samples).p_values["whole"] < 0.05).mean() > 0.8
-    assert (changes_of(filtered, samples).p_values["whole"] < 0.05).mean() < 0.2
+    assert (changes_of(model, unexplained).p_values["whole"] < 0.05).mean() > 0.8
+    assert (changes_of(filtered, unexplained).p_values["whole"] < 0.05).mean() < 0.2
 
 
 @pytest.mark.filterwarnings("ignore:.*(never change|are constant)")
@@ -245,15 +246,14 @@ def test_constant_errors_of_sensors_are_no_change(model):
         vanes_alone[str(seed)] = X, Y.copy()
         Y[:, 2] += 0.05 * rng.normal() * by_acceleration
         flights[str(seed)] = X, Y
-    units = {name: np.full(len(X), by_acceleration) for name, (X, _) in flights.items()}
-    with_accelerometers = changes(model, flights, by_acceleration=units)
+    accelerometers = {"by_acceleration": np.full(len(X), by_acceleration)}
+    with_accelerometers = changes(model, flights, **accelerometers)
     assert (with_accelerometers.p_values < 0.05).mean().max() < 0.2
     assert (changes(model, vanes_alone).p_values < 0.05).mean().max() < 0.2
     none = ChangeSettings(vane_offset=0.0, accelerometer_offset=0.0)
     assert (changes(model, flights, settings=none).p_values["CZ"] < 0.05).mean() > 0.5
     # a change of a slope is found beside them
-    iced = {"iced": flights["1"]}, 0.2
-    found = changes(model, *iced, by_acceleration={"iced": units["1"]})
+    found = changes(model, {"iced": flights["1"]}, 0.2, **accelerometers)
     assert found.p_values.loc["iced", "Cm"] < 0.01
 
 
@@ -283,9 +283,9 @@ def test_steps_that_the_rows_of_the_fit_miss_are_no_change():
     pipeline = learned(X[rows], Y[rows])
     flights = {str(seed): flight_with_late_steps(seed) for seed in range(1, 9)}
     assert (changes(pipeline, flights).p_values["Cm"] < 0.05).mean() > 0.8
-    found = changes(pipeline, flights, strides=dict.fromkeys(flights, stride))
+    found = changes(pipeline, flights, stride=stride)
     assert (found.p_values["Cm"] < 0.05).mean() < 0.2
     X, Y = flights["1"]
     Y[:, 4] -= 0.3 * SLOPES[2, 4] * X["elevator"]
-    weak = changes(pipeline, {"weak": (X, Y)}, strides={"weak": stride})
+    weak = changes(pipeline, {"weak": (X, Y)}, stride=stride)
     assert weak.p_values.loc["weak", "Cm"] < 0.01

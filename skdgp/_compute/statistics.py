@@ -97,3 +97,16 @@ def path_quantiles(values: Array, level: float) -> Array:
     levels = [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]
     quantiles[:, flying] = np.nanquantile(values[:, flying], levels, axis=0)
     return quantiles
+
+
+def remaining_error(value: float, std: float, prior_std: float, is_removed: bool) -> float:
+    r"""Return what remains of an error that was estimated, root mean square.
+
+    With the prior variance :math:`\tau^2` and :math:`w = \tau^2 / (\tau^2 + \sigma^2)` an estimate
+    :math:`v \pm \sigma` that stays in the data leaves the posterior's :math:`\sqrt{w^2 v^2 + w \sigma^2}`. One
+    that was removed contradicts the prior, and leaves :math:`\sigma`.
+    """
+    if is_removed:
+        return std
+    weight = prior_std**2 / (prior_std**2 + std**2)
+    return float(np.hypot(weight * value, np.sqrt(weight) * std))

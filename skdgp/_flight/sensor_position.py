@@ -83,4 +83,4 @@ def at_centre_of_gravity(table: pd.DataFrame) -> pd.DataFrame:
         return table
     force = numeric(table, SPECIFIC_FORCE) - sensor_acceleration(table)
     moved = table.assign(**by_name(SPECIFIC_FORCE, force))
-    return with_sensors_at(moved, np.zeros_like(position))
+    return with_sensors_at(moved, 0.0 * position)  # unknown ones stay unknown

@@ -408,6 +408,10 @@ def _points(
     motion: Motion, point: Any, controls: Mapping[str, ArrayLike] | None
 ) -> tuple[Array, dict[str, Array], bool]:
     """Return states (n, 13), controls by name (n,), and whether it is a single point."""
+    if np.size(point) == 0:
+        raise ValueError(
+            "Got no flight point, but expected a Trim, a state (13,), or several of them."
+        )
     is_single = isinstance(point, Trim) or (np.ndim(point) == 1 and not isinstance(point[0], Trim))
     points = [point] if is_single else list(point)
     given = {name: np.broadcast_to(x, len(points)) for name, x in (controls or {}).items()}
@@ -415,7 +419,7 @@ def _points(
     settings = []
     for k, item in enumerate(points):
         inputs = {name: values[k] for name, values in given.items()}
-        state, setting = flight_point(motion, item, inputs or None)
+        state, setting = flight_point(motion, item, None if controls is None else inputs)
         states.append(state)
         settings.append(setting)
     by_name = {}

@@ -216,7 +216,7 @@ class Motion:
         """Return span and chord of the non-dimensional rates; warn if the aircraft has others."""
         lengths = self.aerodynamics.lengths(self.aircraft)
         own = self.aircraft.lengths
-        if not np.isclose(list(lengths.values()), list(own.values()), rtol=0.01).any():
+        if not np.isclose(list(lengths.values()), list(own.values()), rtol=0.01).all():
             warn(
                 f"The model's rates were made non-dimensional by span {lengths['span']:g} m and chord "
                 f"{lengths['chord']:g} m, but {self.aircraft!r} has others: is this the aircraft that "

@@ -435,9 +435,10 @@ class SteadyFlight:
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
-        largest = np.abs(best.fun[:6]).max()
+        residuals = best.fun[:6]  # without the angle of the path
+        largest = np.abs(residuals).max()
         accelerations = []
-        for (name, unit), value in zip(ACCELERATION_UNITS.items(), best.fun, strict=False):
+        for (name, unit), value in zip(ACCELERATION_UNITS.items(), residuals, strict=True):
             if abs(value) > self.settings.shown * largest:
                 accelerations.append(f"{name} = {value:.3g} {unit}")
         conditions = []

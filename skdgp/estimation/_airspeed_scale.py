@@ -18,6 +18,7 @@ import pandas as pd
 from scipy.signal import detrend
 from scipy.spatial.transform import Rotation
 
+from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER
 from skdgp._flight.clock import Clock
@@ -47,9 +48,7 @@ class AirspeedScale(NamedTuple):
         prior = settings.airspeed_scale
         if self.std > prior:
             return 0.0
-        weight = prior**2 / (prior**2 + self.std**2)
-        kept = weight * (self.value - self.removable(settings))
-        return float(np.hypot(kept, np.sqrt(weight) * self.std))
+        return remaining_error(self.value, self.std, prior, self.removable(settings) != 0)
 
 
 UNKNOWN_SCALE = AirspeedScale(0.0, np.inf)

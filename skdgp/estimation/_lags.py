@@ -218,9 +218,11 @@ class _Segment:
 
 
 def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vector]:
-    """Return the channels of a segment on a uniform clock."""
-    names = [*INERTIAL, *VANES, *ALL_SURFACES, "airspeed"]
-    names = [name for name in names if has_values(table, name)]
+    """Return the channels of a segment on a uniform clock; of vanes and surfaces those that move."""
+    names = [name for name in (*INERTIAL, "airspeed") if has_values(table, name)]
+    for name in (*VANES, *ALL_SURFACES):
+        if has_values(table, name) and table[name].max() > table[name].min():
+            names.append(name)
     values = interpolate_missing(time, numeric(table, names))
     return dict(zip(names, CubicSpline(time, values)(clock).T, strict=True))
 
@@ -364,10 +366,12 @@ def _profile(
 
 
 def _log_rss(response: Matrix, predictors: Matrix, settings: LagSettings) -> float:
-    """Return n log RSS, summed over responses, of least squares; RSS is relative to their sums of squares."""
+    """Return n log RSS, summed over responses that move, of least squares; RSS is relative to their sums of squares."""
+    squares = np.sum(response**2, axis=0)
+    response = response[:, squares > 0]
     Q = _basis(predictors, settings.rank_tolerance)
     residuals = response - Q @ (Q.T @ response)
-    rss = np.sum(residuals**2, axis=0) / np.sum(response**2, axis=0)
+    rss = np.sum(residuals**2, axis=0) / squares[squares > 0]
     return len(response) * np.log(rss).sum()
 
 

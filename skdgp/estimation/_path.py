@@ -6,7 +6,8 @@ of a channel in n samples, and the covariance P of the path,
 
 .. math:: \sigma^2 = \frac{\sum e^2}{n - \operatorname{tr} J P J^T}.
 
-A step of it multiplies the standard deviation by the ratio of the two sides to the power of ``stride``.
+A step of it multiplies the variance by the ratio of the two sides to the power of ``stride``. The initial
+noise of a sensor counts as some samples in numerator and denominator.
 At the fixed point the gradient of the marginal likelihood is zero (Searle, Casella & McCulloch 1992,
 section 8.3). The traces are estimated from draws of the posterior.
 """

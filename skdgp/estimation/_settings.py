@@ -88,8 +88,8 @@ class LagSettings:
     memory: float = 1.5
     # step of the surfaces within it [s]; half a period of the upper end of the band
     memory_step: float = 0.125
-    # least gain in log likelihood by a delay of servos: delays of 30 to 60 ms gain 260 to 440, vibration 18 at
-    # most; trials on four aircraft
+    # least gain in twice the log likelihood by a delay of servos: delays of 30 to 60 ms gain 260 to 440,
+    # vibration 18 at most; trials on four aircraft
     delay_evidence: float = 40.0
     # predictors nearer than this to a combination of others are left out, relative
     rank_tolerance: float = 1e-6

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from sklearn.linear_model import LinearRegression
 
+from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, SENSOR_POSITION, SURFACES, VANES
 from skdgp._flight.clock import Clock, median_step
@@ -120,16 +121,12 @@ def clock_std(
 ) -> float:
     """Return the error of the time of a group of channels after its lag is removed [s], root mean square."""
     least = settings.clock_steps * step
-    prior = settings.clock**2
     if lags is None or group not in lags.index:
         return float(np.hypot(settings.clock, least))
     lag, std, applied = map(float, lags.loc[group, ["lag", "std", "applied"]])
     if not np.isfinite(std):  # given, or not shown
         return least if applied else float(np.hypot(settings.clock, least))
-    if applied:
-        return float(np.hypot(std, least))
-    weight = prior / (prior + std**2)
-    return float(np.sqrt((weight * lag) ** 2 + weight * std**2 + least**2))
+    return float(np.hypot(remaining_error(lag, std, settings.clock, applied != 0), least))
 
 
 def _by_position(

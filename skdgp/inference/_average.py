@@ -201,15 +201,15 @@ def held_out_weights(
     series.
     """
     step = max(-(-len(X) // SETTINGS.rows), -(-members[0].size // SETTINGS.values))
-    rows = np.arange(0, len(X), step)
-    order = np.arange(len(rows)) if random_state is None else random_state.permutation(len(rows))
+    n = len(X[::step])
+    order = np.arange(n) if random_state is None else random_state.permutation(n)
     predictions = []
     for member, noise in zip(members, noises, strict=True):
-        predictions.append(held_out(member, noise, X, Y, rows, loading, order))
+        predictions.append(held_out(member, noise, X, Y, step, loading, order))
     means, variances = np.array(predictions).swapaxes(0, 1)
     cost = SETTINGS.nats * np.sum(~constant_columns(X))
     weights = np.empty((len(members), Y.shape[1]))
-    for i, y in enumerate(Y[rows].T):
+    for i, y in enumerate(Y[::step].T):
         error = y - means[..., i]
         is_complete = np.isfinite(error).all(axis=0)
         error = error[:, is_complete]
@@ -249,25 +249,24 @@ def held_out(
     noise: Vector,
     X: Matrix,
     Y: Matrix,
-    rows: Any,
+    step: int = 1,
     loading: Array | None = None,
     order: Any = None,
 ) -> tuple[Matrix, Matrix]:
-    """Return mean and variance of the values of some rows, predicted from the other blocks, (len(rows), P) each.
+    """Return mean and variance of the values of every ``step``-th row, predicted from the other blocks, (n, P) each.
 
     Hyperparameters are the posterior's; ``loading`` is the effect of the noise of the regressors
-    at X, if they have any, ``order`` (len(rows),) the place of each row, for the cut into blocks.
+    at X, if they have any, ``order`` (n,) the place of each row, for the cut into blocks.
     Where outputs are observed together, whole rows are left out. A value that is missing while
     others are there is learned from these, so where an output has gaps, blocks are left out of one
     output at a time.
     """
-    step = len(X) // len(rows)
     inflation = np.maximum(posterior.noise / noise / step, 1.0)
-    X = X[rows]
-    Y = Y[rows]
+    X = X[::step]
+    Y = Y[::step]
     inflated = None
     if loading is not None:
-        loading = loading[rows]
+        loading = loading[::step]
         inflated = loading * np.sqrt(inflation)[:, None]
     order = np.arange(len(Y)) if order is None else order
     mean = np.full(Y.shape, np.nan)

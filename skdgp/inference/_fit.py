@@ -41,7 +41,7 @@ SETTINGS = SparseSettings()
 
 
 class Fit(NamedTuple):
-    """An ExactPosterior, SparsePosterior or AveragePosterior, its hyperparameters, and how well it explains its data.
+    """An ExactPosterior, SparsePosterior or AveragePosterior, and its hyperparameters.
 
     A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples
     are correlated.

@@ -222,10 +222,17 @@ NOWHERE = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevat
     (MODEL, {"point": np.eye(13)[6]}, CONTROLS, "at rest"),
     (MODEL, {}, None, "without controls"),
     (NOWHERE, {}, CONTROLS, "not defined there"),
+    (MODEL, {"point": []}, CONTROLS, "no flight point"),
 ])  # fmt: skip
 def test_what_has_no_derivatives(state, model, change, controls, match):
     with pytest.raises(ValueError, match=match):
         stability_derivatives(model, BRUMBY, **{"point": state, "controls": controls} | change)
+
+
+def test_a_model_without_controls_needs_none(state):
+    model = Aerodynamics(lambda X: np.tile(X, 6), ["alpha"])
+    table = stability_derivatives(model, BRUMBY, state, {}, thrust=None)
+    assert table.loc["CY_alpha", "value"] == pytest.approx(1.0)
 
 
 LINEAR_NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]

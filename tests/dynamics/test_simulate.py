@@ -170,13 +170,15 @@ class TestEquations:
 
 
 class TestRegressors:
-    def test_are_rebuilt_as_the_pipeline_builds_them(self, fly, glider):
+    @pytest.mark.parametrize("chord", [0.4, 0.55])
+    def test_are_rebuilt_as_the_pipeline_builds_them(self, fly, glider, chord):
+        """Also with another span, or another span and chord, than the aircraft has."""
         rng = default_rng(1)
         words = ["alpha", "beta", "p", "q", "r", "elevon_left", "elevon_right", "rudder"]
         log = pd.DataFrame(rng.normal(0, 0.1, (200, 8)), columns=words)
         log["airspeed"] = rng.uniform(18, 26, 200)
         model = make_pipeline(
-            ElevonSplitter(), RateNondimensionalizer(span=2.0, chord=0.4),
+            ElevonSplitter(), RateNondimensionalizer(span=2.0, chord=chord),
             RegressorSelector([*glider.names, "airspeed"]), StandardScaler(), LinearRegression(),
         )  # fmt: skip
         values = model[:3].fit(log).transform(log).to_numpy()

@@ -6,7 +6,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from skdgp.estimation import airspeed_scale
+from skdgp.estimation import AirspeedScale, PathSettings, airspeed_scale
 
 SPEED = 22.0
 
@@ -51,6 +51,17 @@ def test_gusts_make_a_band_that_holds_the_error():
     got = airspeed_scale(circling(0.02, gust=1.5))
     assert 0 < got.std < 0.01
     assert abs(got.value - 0.02) < 3 * got.std
+
+
+def test_what_is_left_of_an_error_is_that_of_its_estimate_where_it_is_removed():
+    prior = PathSettings().airspeed_scale
+    small, large = AirspeedScale(prior, prior), AirspeedScale(10 * prior, prior)
+    assert small.removable() == 0.0
+    assert small.left() == pytest.approx(
+        np.sqrt(prior**2 / 4 + prior**2 / 2)
+    )  # of two equal variances
+    assert large.removable() == large.value
+    assert large.left() == prior
 
 
 def test_one_heading_shows_nothing():

@@ -155,6 +155,7 @@ EXCHANGED = np.array([[0.0, 1.0], [1.0, 0.0]])
 FAULTS = {
     "elevons exchanged": (mixed(EXCHANGED), "elevon_left elevon_right"),
     "elevator reversed": (mixed(-EXCHANGED), "elevon_left elevon_right"),
+    "one elevon reversed": (mixed(np.diag([-1.0, 1.0])), "elevon_left elevon_right"),
     "gravity removed": (faults.without_gravity, "az"),
     "velocity east, north, up": (east_north_up, "v_north v_east v_down"),
     "heading from east": (lambda flight: flight.assign(psi=np.pi / 2 - flight["psi"]), "psi r"),

@@ -57,6 +57,14 @@ def test_a_turn_table_has_no_force_at_its_axis():
     assert_allclose(moved[POSITION], 0.0)
 
 
+def test_an_unknown_position_stays_unknown_beside_a_known_one():
+    known = placed(on_a_turn_table(2.0, ARM), ARM).assign(flight="known")
+    unknown = placed(on_a_turn_table(2.0, ARM), [np.nan] * 3).assign(flight="unknown")
+    moved = at_centre_of_gravity(pd.concat([known, unknown], ignore_index=True)).set_index("flight")
+    assert_allclose(moved.loc["known", POSITION], 0.0)
+    assert moved.loc["unknown", POSITION].isna().all(axis=None)
+
+
 def test_a_tumbling_body_has_no_force_at_its_origin():
     flight = tumbling(ARM)
     assert np.abs(flight[FORCES]).max(axis=None) > 0.5

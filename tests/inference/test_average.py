@@ -167,7 +167,7 @@ class TestStacking:
 
 def predictions(fit, X, Y):
     """Return mean and variance of every value, predicted from other blocks."""
-    return held_out(fit.posterior, fit.learned.noise, X, Y, np.arange(N))
+    return held_out(fit.posterior, fit.learned.noise, X, Y)
 
 
 def changed(Y, row, output):
@@ -194,6 +194,15 @@ class TestHeldOut:
         fit = fit_of("exact", X, Y)
         mean, again = (predictions(fit, X, values)[0] for values in (Y, changed(Y, 10, 0)))
         assert again[10, 1] == pytest.approx(mean[10, 1])
+
+    def test_between_distant_rows_correlated_errors_count_as_white(self, data):
+        """Of every second row, where two neighbours had one error in common."""
+        X, Y = data[0][:-1], data[1][:-1]
+        fit = fit_of("exact", X, Y)
+        posterior, noise = fit.posterior, fit.learned.noise
+        correlated = ExactPosterior(posterior.kernel, 2 * noise, posterior.data)
+        every_second = held_out(correlated, noise, X, Y, step=2)
+        assert_allclose(every_second, held_out(posterior, noise, X[::2], Y[::2]), rtol=1e-9)
 
     def test_of_an_output_with_gaps_the_other_one_says_something(self, data):
         X, Y = data

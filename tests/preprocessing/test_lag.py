@@ -97,6 +97,13 @@ class TestEstimate:
         assert lags.lag["surfaces"] - lags.lag["servos"] == pytest.approx(surfaces, abs=0.01)
         assert lags.lag["air"] == pytest.approx(air, abs=0.01)
 
+    @pytest.mark.filterwarnings("error")
+    def test_a_vane_that_never_moves_says_nothing(self):
+        table = linear_aircraft(0, air=0.06)
+        missing = table.drop(columns="beta")
+        assert_frame_equal(lags_of(table.assign(beta=0.02)), lags_of(missing))
+        assert lags_of(missing).lag["air"] == pytest.approx(0.06, abs=0.01)
+
     def test_the_standard_deviation_is_that_of_the_errors(self):
         """Over logs of one aircraft, with noisy vanes."""
         errors = []

@@ -6,7 +6,7 @@ A check is a regression of one signal y on another, x, both computed from channe
 - sign: aerodynamics give the sign of the slope, as lift grows with alpha;
 - exchange: y is explained better by the channel of another axis than by its own.
 
-Signals are changes and integrals over windows, so no noisy signal is differentiated. The checks
+Equalities compare changes and integrals over windows, so that no noisy signal is differentiated. The checks
 report: they never change a flight.
 
 In the order of the computation: channels at one rate (``_signals.py``), y and x by the equations of

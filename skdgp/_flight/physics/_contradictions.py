@@ -105,8 +105,8 @@ def _suspects(
 
 
 def _of_elevons(contradiction: Contradiction) -> Contradiction:
-    """Return a contradiction with the elevons in place of the elevator or aileron that they make."""
-    first, *others = contradiction.channels
-    if first not in MIXED:
-        return contradiction
-    return replace(contradiction, channels=(*ELEVONS, *others))
+    """Return a contradiction with the elevons in place of elevator and aileron, which they make."""
+    channels: list[str] = []
+    for name in contradiction.channels:
+        channels += ELEVONS if name in MIXED else [name]
+    return replace(contradiction, channels=tuple(dict.fromkeys(channels)))

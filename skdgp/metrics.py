@@ -194,7 +194,6 @@ def _warn_undefined(outputs: Mask, state: str, consequence: str) -> None:
         f"Output {np.flatnonzero(outputs).tolist()} {state} in y_true, "
         f"so {consequence}: NaN, and left out of the mean.",
         UndefinedMetricWarning,
-        stacklevel=4,
     )
 
 

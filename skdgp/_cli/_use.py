@@ -55,8 +55,7 @@ def read_model(options) -> Bunch:
     if model.pipeline.control_units_:
         warn(
             "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians "
-            "are expected of them: in controls, limits, plans and exports.",
-            stacklevel=2,
+            "are expected of them: in controls, limits, plans and exports."
         )
     if vars(options).get("aircraft") is not None:  # predict has no such option
         model.aircraft = Aircraft.from_file(options.aircraft)
@@ -70,15 +69,13 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     if learned.get("external_forces"):
         warn(
             f"Motion is computed without the external forces {learned['external_forces']} of the "
-            "flights that the model was learned from.",
-            stacklevel=2,
+            "flights that the model was learned from."
         )
     thrust = learned.get("thrust", "auto")
     if thrust is None:
         warn(
             "No thrust was subtracted in this model: where an engine ran, CX holds its thrust, and CD "
-            "is drag less thrust.",
-            stacklevel=2,
+            "is drag less thrust."
         )
     turbulence = model.pipeline.turbulence_
     gusts = 0.0 if turbulence is None else max(turbulence.intensity)
@@ -86,8 +83,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
     if gusts > 0.5:
         warn(
             f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are too "
-            f"small: learn from flights in calmer air.",
-            stacklevel=2,
+            f"small: learn from flights in calmer air."
         )
     return model, thrust
 
@@ -196,7 +192,7 @@ def _warn_beyond(trims: list[Trim]) -> None:
         for name, (value, low, high) in point.beyond.items():
             beyond.append(f"{point.airspeed:g} m/s: {name} {value:.3g} ({low:.3g} to {high:.3g})")
     if beyond:
-        warn(f"Trims are beyond the training data: {', '.join(beyond)}.", stacklevel=3)
+        warn(f"Trims are beyond the training data: {', '.join(beyond)}.")
 
 
 def _derivatives_text(mechanics: FlightMechanics) -> str:
@@ -301,7 +297,7 @@ def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
             script = ardupilot_script(planned.train, PlanSettings.rate, full)
             writers["plan.lua"] = text_writer(script)
         except ValueError as error:  # the plan is kept
-            warn(f"No script for ArduPilot: {error}", stacklevel=3)
+            warn(f"No script for ArduPilot: {error}")
     return writers
 
 
@@ -322,7 +318,7 @@ def _table(table: pd.DataFrame) -> str:
 def warn_unfit(model: Mapping[str, Any], purpose: str, advice: str) -> None:
     """Warn if the verdict on a model says no to a purpose."""
     if model.get("uses", {}).get(purpose) == "no":
-        warn(f'The report of this model says no to "{purpose}". {advice}', stacklevel=3)
+        warn(f'The report of this model says no to "{purpose}". {advice}')
 
 
 def export(run: Run) -> None:

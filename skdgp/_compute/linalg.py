@@ -91,7 +91,6 @@ def jittered_cholesky(assemble: Callable[[], Matrix]) -> Matrix:
             f"{jitter:g} of its diagonal was added. The results belong to a slightly noisier model: "
             "remove repeated samples or raise the lower bound of the noise if that matters.",
             JitterWarning,
-            stacklevel=3,
         )
     return L
 

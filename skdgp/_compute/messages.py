@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from types import FrameType
 from typing import Any, TypeAlias
 
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.wording import text_of
+
+#: Packages whose lines a warning does not show, but the user's line that called them
+LIBRARIES = frozenset({"skdgp", "sklearn", "scipy", "joblib", "contextlib"})
 
 
 class FindingWarning(UserWarning):
@@ -48,19 +53,32 @@ class FindingRecord:
 _active: ContextVar[tuple[FindingRecord, ...]] = ContextVar("skdgp_findings", default=())
 
 
-def report(
-    finding: Finding, category: type[FindingWarning] = FindingWarning, stacklevel: int = 1
-) -> None:
+def report(finding: Finding, category: type[FindingWarning] = FindingWarning) -> None:
     """Warn of a finding, unless a block around it ignores it; the outer blocks may record it."""
     if not _is_ignored(finding, category):
-        warnings.warn(category(finding), stacklevel=stacklevel + 1)
+        warnings.warn(category(finding), stacklevel=_level_of_user())
 
 
-def warn(message: str, category: type[Warning] = UserWarning, stacklevel: int = 1) -> None:
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn by a text, which is recorded as a finding of the code ``MESSAGE``."""
     finding = Finding(Code.MESSAGE, numbers={"text": " ".join(message.split())})
     if not _is_ignored(finding, category):
-        warnings.warn(message, category, stacklevel=stacklevel + 1)
+        warnings.warn(message, category, stacklevel=_level_of_user())
+
+
+def _level_of_user() -> int:
+    """Return the ``stacklevel``, seen from the function that warns, of the first line outside of ``LIBRARIES``."""
+    level = 0
+    frame = inspect.currentframe()
+    while frame is not None and _package_of(frame) in LIBRARIES:
+        frame = frame.f_back
+        level += 1
+    return level
+
+
+def _package_of(frame: FrameType) -> str:
+    """Return the first part of the name of a frame's module."""
+    return str(frame.f_globals.get("__name__", "")).partition(".")[0]
 
 
 def _is_ignored(finding: Finding, category: type[Warning]) -> bool:

@@ -187,9 +187,9 @@ def smooth(
             place = np.ix_(group.rows[run], group.channels)
             out[place] = _filtered(group.columns[run], group.time[run], low_pass, derivative)
     if derivative and any(min(group.lengths) == 1 for group in groups):
-        warn(NO_RATE, stacklevel=2)
+        warn(NO_RATE)
     if cutoff == "auto" and any(max(group.lengths) < SMOOTHING.least_samples for group in groups):
-        warn(TOO_SHORT, stacklevel=2)
+        warn(TOO_SHORT)
     return out.reshape(np.shape(values))
 
 

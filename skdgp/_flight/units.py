@@ -243,7 +243,7 @@ def _warn_of_commands(flights: FlightTable) -> None:
         if top > UNITS.largest_deflection or (angles == 1).sum() > 1:
             large[name] = top
     if large:
-        report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}), stacklevel=4)
+        report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}))
 
 
 def check_airspeed(airspeed: Vector) -> None:
@@ -268,16 +268,14 @@ def _check_airspeed(flights: FlightTable) -> None:
             f"In {100 * is_slow.mean():.1f} % of the samples the airspeed is under a fifth of its "
             f"median ({middle:.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is "
             f"the part on the ground still in the flight? Cut it, e.g. "
-            f"flight[flight.airspeed > 5].",
-            stacklevel=4,
+            f"flight[flight.airspeed > 5]."
         )
     ratio = middle / _quantile(_size(flights, EARTH_VELOCITY), 0.5)
     if ratio < 0.5 or ratio > 1.8:
         warn(
             f"The median airspeed is {ratio:.2f} times the median ground speed, but both should "
             f"be m/s (1.94: airspeed in knots; 3.6: in km/h). Ignore this only if the wind was "
-            f"that strong.",
-            stacklevel=4,
+            f"that strong."
         )
 
 
@@ -299,8 +297,7 @@ def _check_density(flights: FlightTable) -> None:
         warn(
             f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of "
             f"the standard atmosphere at the median altitude {height:.0f} m: check the units "
-            f"of both.",
-            stacklevel=4,
+            f"of both."
         )
 
 
@@ -327,8 +324,7 @@ def _check_accelerations(flights: FlightTable) -> None:
         warn(
             f"The median specific force is {size:.3g} m/s^2, its az {down:+.2f} m/s^2, but level "
             f"flight gives 9.8 and -9.8: an accelerometer reads specific force, so add gravity if "
-            f"it was subtracted, and change the signs of ay and az if the sensor's z points up.",
-            stacklevel=4,
+            f"it was subtracted, and change the signs of ay and az if the sensor's z points up."
         )
 
 

@@ -234,7 +234,7 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
     ``n_exact``: the number of values that the model is learned from instead, if any.
     """
     numbers = {"inducing": n_inducing, "neglected": neglected, "exact": n_exact}
-    _warn(Finding(Code.APPROXIMATION_POOR, numbers=numbers), stacklevel=9)
+    report(Finding(Code.APPROXIMATION_POOR, numbers=numbers))
 
 
 def warn_of_indices(index: Any, y: Any) -> None:
@@ -242,7 +242,7 @@ def warn_of_indices(index: Any, y: Any) -> None:
     if not isinstance(index, pd.Index) or not isinstance(y, (pd.DataFrame, pd.Series)):
         return
     if not index.equals(y.index):
-        _warn(Finding(Code.INDICES_DIFFER))
+        report(Finding(Code.INDICES_DIFFER))
 
 
 def warn_of_samples(
@@ -251,13 +251,13 @@ def warn_of_samples(
     """Warn of constant regressors and outputs, and of repeated samples."""
     constant = _marked(regressors, constant_columns(X))
     if constant:
-        _warn(Finding(Code.CONSTANT_INPUTS, numbers={"names": constant}))
+        report(Finding(Code.CONSTANT_INPUTS, numbers={"names": constant}))
     constant = _marked(outputs, constant_columns(Y))
     if constant:
-        _warn(Finding(Code.CONSTANT_OUTPUTS, numbers={"names": constant}))
+        report(Finding(Code.CONSTANT_OUTPUTS, numbers={"names": constant}))
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
-        _warn(Finding(Code.SAMPLES_REPEATED, numbers={"repeated": repeated, "samples": len(X)}))
+        report(Finding(Code.SAMPLES_REPEATED, numbers={"repeated": repeated, "samples": len(X)}))
 
 
 def _marked(names, mask):
@@ -296,7 +296,7 @@ def warn_of_few_rows(
         "each": rows / n_regressors,
         "least": SETTINGS.least_rows,
     }
-    _warn(Finding(Code.FEW_ROWS, numbers=numbers), FewRowsWarning, stacklevel=7)
+    report(Finding(Code.FEW_ROWS, numbers=numbers), FewRowsWarning)
 
 
 def warn_of_search(
@@ -307,7 +307,7 @@ def warn_of_search(
 ) -> None:
     """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
-        _warn(Finding(Code.FIT_INTERRUPTED), SearchWarning, stacklevel=7)
+        report(Finding(Code.FIT_INTERRUPTED), SearchWarning)
     elif not best.converged:
         std = X.std(axis=0)
         unscaled = _marked(
@@ -318,15 +318,7 @@ def warn_of_search(
             "remaining": best.remaining,
             "unscaled": unscaled,
         }
-        _warn(Finding(Code.SEARCH_STOPPED, numbers=numbers), SearchWarning, stacklevel=7)
-
-
-def _warn(
-    finding: Finding, category: type[FindingWarning] = FindingWarning, stacklevel: int = 6
-) -> None:
-    # stacklevel: this function, the check, _checked, fit, its wrapper, and the caller of fit; other
-    # checks are called from deeper
-    report(finding, category, stacklevel=stacklevel)
+        report(Finding(Code.SEARCH_STOPPED, numbers=numbers), SearchWarning)
 
 
 def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
@@ -344,7 +336,7 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
                 reached.append(text)
     if reached:
         finding = Finding(Code.BOUNDS_REACHED, numbers={"reached": reached})
-        _warn(finding, SearchWarning, stacklevel=7)
+        report(finding, SearchWarning)
 
 
 def _at_bounds(kernel):

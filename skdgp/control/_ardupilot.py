@@ -445,8 +445,7 @@ class Link:
                 return packet, sender
             warn(
                 f"Got {len(data)} bytes at {self.name} that are no packet of ArduPilot's JSON interface, but expected "
-                "16 or 32 pulses behind the number 18458 or 29569: they are ignored.",
-                stacklevel=3,
+                "16 or 32 pulses behind the number 18458 or 29569: they are ignored."
             )
         return None
 
@@ -614,8 +613,7 @@ class _Served:
             self._ignored.add(sender)
             warn(
                 f"Got packets of two autopilots, {self._autopilot} and {sender}, but expected one: those of the "
-                "second are ignored.",
-                stacklevel=6,
+                "second are ignored."
             )
 
     def _step(self, packet: Packet) -> None:

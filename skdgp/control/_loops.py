@@ -292,8 +292,7 @@ def autopilot_loops(
     if open_controls:
         warn(
             f"The parameters have no gains other than zero for {' and '.join(open_controls)}: no loop moves "
-            "them. Leave them out of full, or save all parameters of the autopilot.",
-            stacklevel=2,
+            "them. Leave them out of full, or save all parameters of the autopilot."
         )
     return loops
 

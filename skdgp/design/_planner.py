@@ -298,7 +298,6 @@ def _warn_unlimited(envelope: Envelope, model: Aerodynamics) -> None:
             f"them: a manoeuvre may turn the aircraft over or dive. Limit them by the "
             f"envelope ({options}), or fit the model again.",
             UserWarning,
-            stacklevel=3,
         )
 
 
@@ -353,8 +352,7 @@ def _promised_goal(
         warn(
             f"The plan has no manoeuvre that moves the controls of {', '.join(lost)}, as others lower "
             "the errors of the goal more, or the limits leave no room: nothing is promised for them. "
-            "Give more seconds, wider limits, or these derivatives alone as the goal.",
-            stacklevel=3,
+            "Give more seconds, wider limits, or these derivatives alone as the goal."
         )
     return taught
 

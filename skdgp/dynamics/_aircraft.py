@@ -314,8 +314,7 @@ def _inertia(value: ArrayLike) -> Array:
     if moments[2] > (1 + 1e-9) * (moments[0] + moments[1]):
         warn(
             f"Principal moments of inertia {rounded} kg m^2: the largest exceeds the sum of the "
-            "others, which no distribution of mass can do. Check the measurement and the signs.",
-            stacklevel=4,
+            "others, which no distribution of mass can do. Check the measurement and the signs."
         )
     inertia.setflags(write=False)
     return inertia

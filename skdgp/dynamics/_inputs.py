@@ -204,8 +204,7 @@ def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, dt: float) -> No
         warn(
             f"Got controls that begin at time {begins[k]:g} s, but start {k} is of time {times[k]:g} s: "
             "the first row of each table counts as the start. Cut the controls, "
-            "table[table['time'] >= start].",
-            stacklevel=3,
+            "table[table['time'] >= start]."
         )
 
 

@@ -136,7 +136,7 @@ def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
     faults = [fault for fault in find_faults(flights, ignored) if not fault.is_measured]
     if faults:
         numbers = {"faults": [fault.finding for fault in faults]}
-        report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning, stacklevel=3)
+        report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning)
     return without_faults(flight, faults)
 
 

@@ -220,8 +220,7 @@ class Motion:
             warn(
                 f"The model's rates were made non-dimensional by span {lengths['span']:g} m and chord "
                 f"{lengths['chord']:g} m, but {self.aircraft!r} has others: is this the aircraft that "
-                "the model was learned from?",
-                stacklevel=4,
+                "the model was learned from?"
             )
         return lengths
 

@@ -196,8 +196,7 @@ class Propeller:
             warn(
                 "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add rows "
                 "measured in a wind tunnel, or give pitch=... [m]: the thrust then falls to zero at "
-                "the advance ratio pitch / diameter.",
-                stacklevel=2,
+                "the advance ratio pitch / diameter."
             )
         # T / D^4 and Q / D^5 are c_0 rho n^2 + c_1 rho n (V / D) + c_2 rho (V / D)^2
         n = values["propeller_speed"] / (2.0 * np.pi)
@@ -292,8 +291,7 @@ def _warn_beyond(name: str, value: float, measured: tuple[float, float]) -> None
     if not low <= value <= high:
         warn(
             f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from others with "
-            f"{low:g} to {high:g}: its error may be larger than stated.",
-            stacklevel=3,
+            f"{low:g} to {high:g}: its error may be larger than stated."
         )
 
 

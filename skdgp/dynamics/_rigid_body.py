@@ -246,8 +246,7 @@ def _warn_beyond_bench(propeller: Any, speed: Array, airspeed: Array) -> None:
         warn(
             f"In {100 * is_beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds the "
             f"largest one on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure "
-            "at higher airspeed, or give thrust columns.",
-            stacklevel=4,
+            "at higher airspeed, or give thrust columns."
         )
 
 

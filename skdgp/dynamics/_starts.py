@@ -148,8 +148,7 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
     if lowest < CHECKS.lowest:
         warn(
             f"Got a start at an altitude of {lowest:g} m, below any land: down is positive downwards, "
-            "altitude = -down.",
-            stacklevel=4,
+            "altitude = -down."
         )
     air = air_at(states)
     attitude = states[:, ATTITUDE]
@@ -177,8 +176,7 @@ def _warn_of_wind(stated: Array, velocity: Array) -> None:
     if off[worst] > CHECKS.airspeed:
         warn(
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, "
-            f"but x0 says {stated[worst]:.1f} m/s: give the wind of that flight (air=wind).",
-            stacklevel=5,
+            f"but x0 says {stated[worst]:.1f} m/s: give the wind of that flight (air=wind)."
         )
 
 

@@ -127,7 +127,7 @@ def warn_of(record: Trajectories, motion: Motion, farthest: Array) -> None:
     """
     for message in (_ended_message(record), _beyond_message(record, motion, farthest)):
         if message:
-            warn(message, SimulationWarning, stacklevel=3)
+            warn(message, SimulationWarning)
 
 
 def _ended_message(record: Trajectories) -> str:

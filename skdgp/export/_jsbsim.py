@@ -144,8 +144,7 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
         warn(
             "Got no full deflections, so a command of 1 is the largest deflection of the flights: "
             f"{_listed(unknown, units)}. Gains tuned with it are too large for servos that throw more: "
-            f"give full (--full {example}).",
-            stacklevel=3,
+            f"give full (--full {example})."
         )
     return {name: float(known.get(name, flown[name])) for name in units}
 

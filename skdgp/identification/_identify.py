@@ -182,7 +182,7 @@ def validate(
         # the steps meet the same faults again
         record.ignore(Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED)
         for name in tables.keys() & set(model.get("flights", [])):
-            report(Finding(Code.ALREADY_LEARNED, flight=name), stacklevel=2)
+            report(Finding(Code.ALREADY_LEARNED, flight=name))
         training = TrainingRecord.from_dict(model.get("fit", {}))
         judged = LearnedModel(
             pipeline=model.pipeline,

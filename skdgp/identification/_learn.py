@@ -155,7 +155,7 @@ def learn(
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:
         finding = Finding(Code.LAGS_CORRECTED, numbers={"lags": fit.lags_corrected})
-        report(finding, stacklevel=3)
+        report(finding)
     return LearnedModel(
         pipeline=pipeline,
         aircraft=_with_errors_of_flights(
@@ -175,9 +175,9 @@ def _report_errors_of_log(airspeed: AirspeedScale, band: float) -> None:
     """Report an error of the airspeed that is removed, and vibration beyond a finite band [Hz]."""
     if airspeed.removable():
         numbers = {"percent": 100 * airspeed.value, "std_percent": 100 * airspeed.std}
-        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers), stacklevel=4)
+        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers))
     if np.isfinite(band):
-        report(Finding(Code.VIBRATION, numbers={"band": band}), stacklevel=4)
+        report(Finding(Code.VIBRATION, numbers={"band": band}))
 
 
 def _with_errors_of_flights(

@@ -159,7 +159,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
         installed = software_versions()
         if any(made_by.get(name) != installed.get(name) for name in MATTERS):
             numbers = {"path": str(path), "differences": _differences(made_by, installed)}
-            report(Finding(Code.OTHER_VERSIONS, numbers=numbers), stacklevel=2)
+            report(Finding(Code.OTHER_VERSIONS, numbers=numbers))
         file.seek(0)
         try:
             model = pickle.load(file)

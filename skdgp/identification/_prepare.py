@@ -138,7 +138,7 @@ def prepare(
     else:
         test_flights = named_flights(test, default="test flight", needed=MEASURED, **options)
         for name in train.keys() & test_flights.keys():
-            report(Finding(Code.TESTED_ON_TRAINING, flight=name), stacklevel=3)
+            report(Finding(Code.TESTED_ON_TRAINING, flight=name))
     columns = regressor_columns([flight.table for flight in train.values()], names)
     aircraft = _with_position_of(aircraft, train)
     usable_train = usable_flights(train, aircraft, names, columns)
@@ -147,7 +147,7 @@ def prepare(
     if lacks_thrust:
         thrust = None
         if any((table["throttle"] > 0).any() for table in usable_train.values()):
-            report(Finding(Code.THRUST_IN_COEFFICIENTS), stacklevel=3)
+            report(Finding(Code.THRUST_IN_COEFFICIENTS))
     if thrust is None:
         warn_of_engine(usable_train, names)
     prepared = PreparedFlights(
@@ -159,7 +159,7 @@ def prepare(
         lacks_thrust=lacks_thrust,
     )
     if prepared.has_full_throws:
-        report(Finding(Code.FULL_THROWS), stacklevel=3)
+        report(Finding(Code.FULL_THROWS))
     return prepared
 
 
@@ -215,7 +215,7 @@ def check_controls(flights: Flights, regressors: Sequence[str]) -> None:
             f"{renaming} (reading={{'rename': {meant}}})."
         )
     if "elevator" in lacking:
-        report(Finding(Code.NO_ELEVATOR), stacklevel=2)
+        report(Finding(Code.NO_ELEVATOR))
 
 
 def without_last(flights: Flights) -> tuple[Flights, Flights]:
@@ -227,9 +227,9 @@ def without_last(flights: Flights) -> tuple[Flights, Flights]:
     n_rows = sum(len(flight.time) for flight in flights.values())
     others = {name: flights[name] for name in earlier}
     if 2 * len(flights[last].time) <= n_rows:
-        report(Finding(Code.HELD_OUT_FLIGHT, flight=last), stacklevel=3)
+        report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
         return others, {last: flights[last]}
-    report(Finding(Code.HELD_OUT_QUARTER, flight=last), stacklevel=3)
+    report(Finding(Code.HELD_OUT_QUARTER, flight=last))
     flight = flights[last]
     rows = np.arange(len(flight.time))
     split = round(0.75 * len(rows))
@@ -283,7 +283,7 @@ def usable_flights(
     only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
         finding = replace(contradiction, flight=contradiction.flight or only).finding
-        report(finding, FlightDataWarning, stacklevel=3)
+        report(finding, FlightDataWarning)
     return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
 
 
@@ -339,7 +339,7 @@ def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft | No
     distance = float(np.linalg.norm(stated - np.array(aircraft.sensor_position or np.zeros(3))))
     if distance > POSITION_TOLERANCE:
         numbers = {"distance": distance}
-        report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers), stacklevel=4)
+        report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers))
 
 
 def _complete_rows(flight: str, table: pd.DataFrame, regressors: Sequence[str]) -> pd.DataFrame:
@@ -357,7 +357,7 @@ def _complete_rows(flight: str, table: pd.DataFrame, regressors: Sequence[str]) 
     if counts:
         n_left_out = len(table) - len(complete)
         numbers = {"left_out": n_left_out, "rows": len(table), "missing": counts}
-        report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers), stacklevel=4)
+        report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers))
     segments = FlightTable.of(complete).segments
     rows = [np.arange(run.start, run.stop) for run in segments if n_rows(run) > 1]
     if not rows:
@@ -368,7 +368,7 @@ def _complete_rows(flight: str, table: pd.DataFrame, regressors: Sequence[str]) 
     continuous = np.concatenate(rows)
     n_alone = len(complete) - len(continuous)
     if n_alone:
-        report(Finding(Code.LONE_ROWS, flight=flight, numbers={"rows": n_alone}), stacklevel=4)
+        report(Finding(Code.LONE_ROWS, flight=flight, numbers={"rows": n_alone}))
     return complete.iloc[continuous].reset_index(drop=True)
 
 
@@ -387,7 +387,7 @@ def warn_of_engine(flights: Tables, regressors: Sequence[str]) -> None:
     table = pd.concat(flights.values(), ignore_index=True)
     varied = [name for name in ENGINE_COLUMNS if name in table and table[name].nunique() > 1]
     if varied and not {*varied} & {*regressors}:
-        report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}), stacklevel=2)
+        report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}))
 
 
 def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[Finding, ...]:

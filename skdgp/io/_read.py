@@ -152,7 +152,7 @@ def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) 
         column: origin.words for column, origin in flown.origin.items() if column in table
     }
     if flown.remarks:
-        warn(f"{path.name}: {'; '.join(flown.remarks)}.", FlightDataWarning, stacklevel=3)
+        warn(f"{path.name}: {'; '.join(flown.remarks)}.", FlightDataWarning)
     return table
 
 
@@ -198,7 +198,7 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
     unknown = unknown_columns(table)
     if suggestions(unknown, table.columns):
         unknown_names = unknown_columns_message(unknown, table.columns)
-        warn(f"Unknown columns are kept as they are: {unknown_names}.", stacklevel=4)
+        warn(f"Unknown columns are kept as they are: {unknown_names}.")
     if "time" not in table:
         raise FlightReadError(
             f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
@@ -236,7 +236,7 @@ def _as_numbers(table: pd.DataFrame) -> dict[str, np.ndarray]:
             values = np.where(is_infinite, np.nan, values)
         numbers[name] = values
     if infinite:
-        warn(f"Infinite values in {infinite} are read as missing (NaN).", stacklevel=5)
+        warn(f"Infinite values in {infinite} are read as missing (NaN).")
     return numbers
 
 

@@ -182,7 +182,6 @@ def with_attitude(table: pd.DataFrame) -> pd.DataFrame:
             f"phi, theta and psi follow from the quaternion {' '.join(names)}, taken to turn body axes "
             "to north, east, down, the scalar first.",
             FlightDataWarning,
-            stacklevel=5,
         )
         angles = quaternion_to_euler(quaternions)
         others = table.drop(columns=list(names))
@@ -235,7 +234,7 @@ def _csv_table(text: str, file_name: str, rename: Mapping[str, str]) -> pd.DataF
     table = _parsed(rows, names, separator)
     if cut:
         remark = f"{file_name}: {cut}, so it was cut off and is left out."
-        warn(remark, FlightDataWarning, stacklevel=5)
+        warn(remark, FlightDataWarning)
         table = table.iloc[:-1]
     # one piece of memory instead of one for each column
     return to_si(table.copy(), units)

@@ -139,7 +139,7 @@ class FlightCheck(TableTransformer):
         if findings:
             numbers = {"faults": findings, "longest_bridge": LONGEST_BRIDGE}
             finding = Finding(Code.FAULTS_BRIDGED, numbers=numbers)
-            report(finding, FlightDataWarning, stacklevel=4)
+            report(finding, FlightDataWarning)
         measured = replace(flights, table=without_faults(table, faults))
         check_airspeed(measured.column("airspeed"))
         controls = find_holds(measured, CONTROL_GROUPS)
@@ -147,7 +147,7 @@ class FlightCheck(TableTransformer):
         if holds:
             rates = {", ".join(hold.names): hold.rate for hold in holds}
             finding = Finding(Code.SLOW_CHANNELS, numbers={"rates": rates})
-            report(finding, FlightDataWarning, stacklevel=4)
+            report(finding, FlightDataWarning)
         bridged = self._bridged(measured)
         return with_columns(measured.table, bridged | between_samples(measured, controls))
 

@@ -302,7 +302,7 @@ class RegressorSelector(TableTransformer):
         if is_still.any():
             names = np.array(self.regressors_, dtype=object)[is_still].tolist()
             finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
-            report(finding, FlightDataWarning, stacklevel=3)
+            report(finding, FlightDataWarning)
 
     def _fit_table(self, table):
         self.absent_ = []
@@ -319,7 +319,7 @@ class RegressorSelector(TableTransformer):
         numeric(table, chosen)
         truth = _truth(chosen)
         if truth:
-            report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}), stacklevel=3)
+            report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}))
         self.regressors_ = chosen
 
     def _transform_table(self, table):

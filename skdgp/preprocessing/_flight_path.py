@@ -309,7 +309,7 @@ class FlightPathReconstruction(TableTransformer):
             "general_bands": known is None,
         }
         doubt = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
-        report(doubt, stacklevel=5)
+        report(doubt)
         return motion, doubt
 
     def _transform_table(self, table):
@@ -322,7 +322,7 @@ class FlightPathReconstruction(TableTransformer):
             return at_centre_of_gravity(table)
         if self.optional and (missing := missing_channels(table)):
             finding = Finding(Code.SENSORS_MISSING, numbers={"names": missing})
-            report(finding, FlightDataWarning, stacklevel=3)
+            report(finding, FlightDataWarning)
             return FlightSmoother().fit_transform(at_centre_of_gravity(table))
         self._check(table)
         if motion is None and self.air_motion_ is not None:
@@ -396,7 +396,7 @@ class FlightPathReconstruction(TableTransformer):
         diverged = [str(part.name) for part in parts if not part.estimate.converged]
         if diverged:
             numbers = {"flights": list(dict.fromkeys(diverged))}
-            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers), stacklevel=5)
+            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
 
 
 def _tell_of_aircraft(motion: AirMotion) -> None:
@@ -404,11 +404,11 @@ def _tell_of_aircraft(motion: AirMotion) -> None:
     couplings = motion.couplings()
     if couplings:
         finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
-        report(finding, stacklevel=5)
+        report(finding)
     error = motion.position_error()
     if error is not None:
         numbers = {"distance": float(np.linalg.norm(error))}
-        report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers), stacklevel=5)
+        report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers))
 
 
 def _in_rows(flights: list[pd.DataFrame]) -> dict[str, Vector]:

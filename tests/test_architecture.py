@@ -81,7 +81,8 @@ def offenders(rule, paths=MODULES):
 @cache
 def imports(path):
     """Every import of a file; none is relative."""
-    found, open_ = [], [(ast.parse(path.read_text(encoding="utf-8")), False)]
+    found = []
+    open_ = [(ast.parse(path.read_text(encoding="utf-8")), False)]
     while open_:
         node, later = open_.pop()
         if isinstance(node, ast.Import):

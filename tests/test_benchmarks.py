@@ -63,7 +63,8 @@ def test_marked_tables_of_the_page_are_replaced_and_others_stay(script):
 
 def test_likelihood_of_tied_filters_is_gpytorchs_lcm(script):
     pytest.importorskip("gpytorch", reason="compares with GPyTorch, which is not installed")
-    gpytorch, case = script("_gpytorch"), script("likelihood").Case(20, 3, 2, 4)
+    gpytorch = script("_gpytorch")
+    case = script("likelihood").Case(20, 3, 2, 4)
     X, Y = case.table()
     model, noise = gpytorch.exact_lcm(X, Y, case.M, length_scale=2.0, noise=0.3)
     parts = [kernel.task_covar_module for kernel in model.covar_module.covar_module_list]
@@ -98,7 +99,8 @@ class TestPeers:
 
     def test_bands_of_least_squares_are_the_textbooks(self, script):
         rng = default_rng(0)
-        X, asked = rng.normal(size=(30, 2)), rng.normal(size=(5, 2))
+        X = rng.normal(size=(30, 2))
+        asked = rng.normal(size=(5, 2))
         y = X @ [1.0, -2.0] + 0.3 * rng.normal(size=30)
         A, B = (np.column_stack([np.ones(len(x)), x]) for x in (X, asked))
         residual = y - A @ np.linalg.solve(A.T @ A, A.T @ y)

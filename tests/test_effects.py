@@ -17,7 +17,8 @@ from skdgp import DependentGPRegressor, effects
 from skdgp.inference import SearchSettings, SparsePosterior
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, inducing_features
 
-NAMES, OUTPUTS = ["alpha", "beta", "elevator"], ["CZ", "Cm"]
+NAMES = ["alpha", "beta", "elevator"]
+OUTPUTS = ["CZ", "Cm"]
 SCALE = np.array([0.1, 0.2, 5.0])
 MODELS = {
     "trend": {"structure": "trend"},
@@ -80,7 +81,8 @@ def fitted(data):
 
 @pytest.mark.parametrize("name", MODELS)
 def test_sum_of_effects_is_the_mean_anywhere(name, fitted, data):
-    model, new = fitted(name), data[0] * 1.7 + 0.1
+    model = fitted(name)
+    new = data[0] * 1.7 + 0.1
     found = effects(model)
     mean, std = found.evaluate(new)
     assert_allclose(sum(mean.values()) + found.intercept, model.predict(new), rtol=1e-8, atol=1e-8)
@@ -93,11 +95,14 @@ def test_sum_of_effects_is_the_mean_anywhere(name, fitted, data):
 @pytest.mark.parametrize("name", ["additive", "pairs", "joint"])
 def test_terms_are_those_of_dense_matrices(name, fitted, data):
     """K_t** - K_t* C^-1 K_t*^T, with the effect as a linear map of the values of the term."""
-    pipeline, new = fitted(name), data[0][:7] + 0.03
+    pipeline = fitted(name)
+    new = data[0][:7] + 0.03
     found = effects(pipeline)
     mean, std = found.evaluate(new)
-    model, (X, Z) = pipeline[-1], (pipeline[:-1].transform(x) for x in (data[0], new))
-    kernel, noise = model.posterior_.kernel, model.posterior_.noise
+    model = pipeline[-1]
+    X, Z = (pipeline[:-1].transform(x) for x in (data[0], new))
+    kernel = model.posterior_.kernel
+    noise = model.posterior_.noise
     Y = ((data[1] - model.center_) / model.scale_).to_numpy()
     inputs = [X[np.isfinite(y)] for y in Y.T]
     y = Y.T[np.isfinite(Y.T)]
@@ -118,7 +123,8 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
 
 def test_sparse_terms_approach_the_exact_ones(data):
     exact = quick(structure="additive", n_latent=0, max_iter=15).fit(data[0] / SCALE, data[1])
-    sparse, posterior = copy(exact), exact.posterior_
+    sparse = copy(exact)
+    posterior = exact.posterior_
     features = inducing_features(posterior.kernel, data[0].to_numpy() / SCALE)
     sparse.posterior_ = SparsePosterior(posterior.kernel, features, posterior.noise, posterior.data)
     found = effects(sparse)
@@ -171,7 +177,8 @@ def test_importance_is_the_spread_of_each_effect(fitted, data):
 
 
 def test_axes_are_in_the_units_before_the_scaler(fitted, data):
-    scaled, model = effects(fitted("additive")), fitted("additive")
+    scaled = effects(fitted("additive"))
+    model = fitted("additive")
     inner = effects(model[-1])
     assert list(inner.curves) == ["x0", "x1", "x2"]
     assert list(scaled.samples.columns) == NAMES

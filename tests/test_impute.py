@@ -15,7 +15,8 @@ HIDDEN = slice(20, 40)
 def rows():
     """Return inputs, outputs that share white noise of each row, the same with a gap, and a fit to these."""
     rng = default_rng(0)
-    x, shared = np.linspace(0, 6, 80)[:, None], rng.normal(size=(80, 2))
+    x = np.linspace(0, 6, 80)[:, None]
+    shared = rng.normal(size=(80, 2))
     mixing = np.array([[1.0, 0.5, -0.8], [0.2, -1.0, 0.7]])
     truth = np.sin(x) + shared @ mixing + 0.05 * rng.normal(size=(80, 3))
     Y = truth.copy()
@@ -65,7 +66,8 @@ def test_a_row_without_outputs_has_the_prediction(rows):
 
 def test_positive_outputs_that_are_log_normal_have_medians():
     rng = default_rng(1)
-    x, z = rng.uniform(size=(120, 1)), rng.normal(size=120)
+    x = rng.uniform(size=(120, 1))
+    z = rng.normal(size=120)
     truth = np.exp(np.column_stack([z, 1.5 * z + 0.1 * rng.normal(size=120)]))
     Y = truth.copy()
     Y[90:, 1] = np.nan

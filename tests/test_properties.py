@@ -56,7 +56,8 @@ def options(seed, X):
 def given_kernel(seed, X, Y, order=slice(None), outputs=slice(None)):
     """Return a prior with values for these data, its regressors and outputs in another order."""
     rng = default_rng(seed + 2)
-    d, P = X.shape[1], Y.shape[1]
+    d = X.shape[1]
+    P = Y.shape[1]
     size = np.sqrt(np.nanmean(Y**2, axis=0))
     w = size * rng.uniform(0.3, 1.0, (1 + P, P)) * rng.choice([-1, 1], (1 + P, P))
     lengths = rng.uniform(0.8, 3.0, (1 + P, P, d)) * X.std(axis=0)
@@ -179,7 +180,8 @@ def test_slopes_are_those_of_the_mean(central_difference, seed, inference):
     """By steps in standard deviations of the regressors."""
     X, Y = problem(seed)
     model = DependentGPRegressor(**options(seed, X) | {"inference": inference}).fit(X, Y)
-    size, spread = X.std(axis=0), np.nanstd(Y, axis=0)
+    size = X.std(axis=0)
+    spread = np.nanstd(Y, axis=0)
 
     def moved(step):
         return model.predict(X[:4] + step * size).reshape(4, -1)

@@ -24,7 +24,8 @@ def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared
     parts = [
         pd.read_csv(shared_data / "jura" / f"jura_{k}.csv") for k in ("prediction", "validation")
     ]
-    both, truth = pd.concat(parts), parts[1]["Cd"].to_numpy()
+    both = pd.concat(parts)
+    truth = parts[1]["Cd"].to_numpy()
     Y = both[["Cd", "Ni", "Zn"]].to_numpy(float)
     Y[-len(truth) :, 0] = np.nan
     X = both[["Xloc", "Yloc"]].to_numpy()
@@ -42,18 +43,18 @@ def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
         read_flight(folder / f"viggen_uav_{part}.parquet")
         for part in ("train_latlon", "test_twoalt")
     )
-    train, test = train.iloc[:4800], test.iloc[:9600]
+    train = train.iloc[:4800]
+    test = test.iloc[:9600]
     targets = thin_targets(aerodynamic_coefficients(train, aircraft), 100)
     model = make_identification_pipeline(aircraft).set_params(dependentgpregressor__random_state=0)
-    transform, regressor = model[:-1], model[-1]
+    transform = model[:-1]
+    regressor = model[-1]
     search = SearchSettings(
         values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
     )
     regressor.settings = replace(regressor.settings, time_series_search=search)
-    X, asked = (
-        np.asarray(transform.fit_transform(train)),
-        np.asarray(transform.transform(test))[::10],
-    )
+    X = np.asarray(transform.fit_transform(train))
+    asked = np.asarray(transform.transform(test))[::10]
     truth = test[[f"{name}_true" for name in targets]].to_numpy()[::10]
     learned = targets.notna().all(axis=1).to_numpy()
     line = LinearRegression().fit(X[learned], targets.to_numpy()[learned])

@@ -229,7 +229,8 @@ class TestFewRows:
     @staticmethod
     def linear(n, d, memory=1):
         rng = default_rng(n + d)
-        X, noise = rng.normal(size=(n, d)), rng.normal(size=(n + memory - 1, 2))
+        X = rng.normal(size=(n, d))
+        noise = rng.normal(size=(n + memory - 1, 2))
         lasting = sliding_window_view(noise, memory, axis=0).sum(axis=-1) / np.sqrt(memory)
         return X, X @ rng.normal(size=(d, 2)) / np.sqrt(d) + 0.1 * lasting
 

@@ -52,7 +52,8 @@ class TestRefusedFit:
 @pytest.mark.parametrize("frequency", [20, 200])
 def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
     rng = default_rng(0)
-    X, new = rng.uniform(size=(300, 1)), rng.uniform(0.02, 0.98, size=(100, 1))
+    X = rng.uniform(size=(300, 1))
+    new = rng.uniform(0.02, 0.98, size=(100, 1))
     y = np.sin(frequency * X[:, 0]) + 0.1 * rng.normal(size=300)
     model = DependentGPRegressor(random_state=0).fit(X, y)
     assert np.sqrt(np.mean((model.predict(new) - np.sin(frequency * new[:, 0])) ** 2)) < 0.2

@@ -45,7 +45,8 @@ def test_noise_that_is_not_given_is_estimated_for_the_kernel(data, inference):
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
 def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
     rng = default_rng(1)
-    X, T = rng.uniform(-3, 3, (100, 1)), np.linspace(-2.5, 2.5, 20)[:, None]
+    X = rng.uniform(-3, 3, (100, 1))
+    T = np.linspace(-2.5, 2.5, 20)[:, None]
     y = np.sin(2 * X[:, 0]) + varying(X) * rng.normal(size=100)
     kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[0.8]]])
     model = DependentGPRegressor(

@@ -63,10 +63,12 @@ def test_more_regressors_than_rows_are_a_ridge_regression():
     rng = default_rng(0)
     X = rng.normal(size=(200, 60)) * rng.uniform(0.1, 10, 60)
     y = (X / X.std(axis=0)) @ rng.normal(size=60) + rng.normal(size=200)
-    known, asked = X[:50], X[50:]
+    known = X[:50]
+    asked = X[50:]
     model = DependentGPRegressor(random_state=0).fit(known, y[:50])
     scaler = StandardScaler().fit(known)
-    Z, at = scaler.transform(known), scaler.transform(asked)
+    Z = scaler.transform(known)
+    at = scaler.transform(asked)
     slope_std = np.full(60, BayesianRidge().fit(Z, y[:50]).lambda_ ** -0.5)
     mean, std = bayesian_line(Z, y[:50], at, model.noise_variance_[0], slope_std)
     found, deviation = model.predict(asked, return_std=True)

@@ -54,7 +54,8 @@ def test_missing_values_are_not_observed():
 
 def test_thinned(library):
     Y = library.DataFrame(TARGETS)
-    thin, alone = thin_targets(Y, 10), thin_targets(Y["CZ"], 10)
+    thin = thin_targets(Y, 10)
+    alone = thin_targets(Y["CZ"], 10)
     assert (type(thin), type(alone)) == (type(Y), type(Y["CZ"]))
     assert list(thin.columns) == list(Y.columns)
     assert alone.name == "CZ"

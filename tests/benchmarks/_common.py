@@ -110,9 +110,11 @@ class Kept:
                 "seconds": time.process_time() - start
             }
             if key.get("method") in self.others:
-                path, origin = self.other_path, {"versions": versions()}
+                path = self.other_path
+                origin = {"versions": versions()}
             else:
-                path, origin = self.own_path, {"commit": commit()}
+                path = self.own_path
+                origin = {"commit": commit()}
             self.memory[name] = {"name": name, **origin, **key, **result}
             line = json.dumps(self.memory[name])
             print(line[:300], file=sys.stderr, flush=True)
@@ -156,7 +158,8 @@ def cell(value):
 
 def winners(errors, notes=None, missing=f"none in {LIMIT} s"):
     """Return a column of errors as cells, the smallest in bold, with notes in brackets."""
-    best, shown = cell(errors.min()), {}
+    best = cell(errors.min())
+    shown = {}
     for name, error in errors.items():
         shown[name] = missing if pd.isna(error) else cell(float(error))
         if shown[name] == best:

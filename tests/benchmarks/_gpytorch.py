@@ -17,7 +17,8 @@ class LCM(gpytorch.models.ExactGP):
 
     def __init__(self, X, Y, likelihood, n_latent):
         super().__init__(X, Y, likelihood)
-        d, P = X.shape[1], Y.shape[1]
+        d = X.shape[1]
+        P = Y.shape[1]
         self.mean_module = gpytorch.means.MultitaskMean(gpytorch.means.ConstantMean(), num_tasks=P)
         kernels = [gpytorch.kernels.RBFKernel(ard_num_dims=d) for _ in range(n_latent)]
         self.covar_module = gpytorch.kernels.LCMKernel(kernels, num_tasks=P, rank=1)
@@ -31,7 +32,8 @@ class LCM(gpytorch.models.ExactGP):
 def exact_lcm(X, Y, n_latent, *, length_scale=1.0, noise=0.1):
     """Return model and likelihood at stated hyperparameters, the mixing drawn at random but always alike."""
     torch.manual_seed(0)
-    X, Y = torch.as_tensor(X, dtype=torch.float64), torch.as_tensor(Y, dtype=torch.float64)
+    X = torch.as_tensor(X, dtype=torch.float64)
+    Y = torch.as_tensor(Y, dtype=torch.float64)
     likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(
         num_tasks=Y.shape[1], has_global_noise=False
     )
@@ -51,7 +53,8 @@ class GappedLCM(gpytorch.models.ExactGP):
         super().__init__(inputs, values, likelihood)
         self.mean_module = gpytorch.means.ConstantMean()
         d = inputs[0].shape[1]
-        self.kernels, self.mixings = torch.nn.ModuleList(), torch.nn.ModuleList()
+        self.kernels = torch.nn.ModuleList()
+        self.mixings = torch.nn.ModuleList()
         for _ in range(n_latent):
             self.kernels.append(gpytorch.kernels.RBFKernel(ard_num_dims=d))
             self.mixings.append(gpytorch.kernels.IndexKernel(num_tasks=n_outputs, rank=1))
@@ -79,7 +82,8 @@ def gapped_lcm(X, Y, seed, n_latent, steps=100):
             loss.backward()
             optimizer.step()
         model.eval()
-        means, deviations = [], []
+        means = []
+        deviations = []
         with torch.no_grad():
             for p in range(Y.shape[1]):
                 found = likelihood(model(x, torch.full((len(X), 1), p)))
@@ -139,7 +143,8 @@ class SparseLCM:
     def fit(self, X, Y):
         torch.set_num_threads(1)  # small matrices: faster so
         torch.manual_seed(0)
-        rng, size = np.random.default_rng(0), min(150, len(X))
+        rng = np.random.default_rng(0)
+        size = min(150, len(X))
         starts = np.stack([X[rng.choice(len(X), size, replace=False)] for _ in range(6)])
         X, Y = (torch.as_tensor(part, dtype=torch.float32) for part in (X, Y))
         self.model = Variational(torch.as_tensor(starts, dtype=torch.float32), Y.shape[1])

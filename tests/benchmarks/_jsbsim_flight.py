@@ -17,7 +17,8 @@ from skdgp.dynamics import (
     stability_derivatives,
 )
 
-FOOT, POUND_FORCE = 0.3048, 4.4482216152605
+FOOT = 0.3048
+POUND_FORCE = 4.4482216152605
 SLUG = POUND_FORCE / FOOT
 START = {
     "h-sl-ft": 4000,
@@ -38,7 +39,8 @@ def started(model, rate, knots):
     fdm.set_dt(1.0 / rate)
     for name, value in (START | {"vc-kts": knots}).items():
         fdm[f"ic/{name}"] = value
-    fdm["fcs/mixture-cmd-norm"], fdm["fcs/throttle-cmd-norm"] = 0.9, 0.7
+    fdm["fcs/mixture-cmd-norm"] = 0.9
+    fdm["fcs/throttle-cmd-norm"] = 0.7
     fdm.run_ic()
     fdm["propulsion/set-running"] = -1
     fdm["propulsion/fuel_freeze"] = 1
@@ -66,7 +68,8 @@ def aircraft_of(fdm, model):
 
 STEADY = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "throttle")
 NAMES = (*STEADY, "alpha_dot", "beta_dot")  # Regressors of the truth, rates non-dimensional
-ROTATION, SLOPES = [2, 3, 4], [9, 10]
+ROTATION = [2, 3, 4]
+SLOPES = [9, 10]
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 # [kt], MIL-F-8785C as JSBSim flies it
 WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
@@ -125,7 +128,8 @@ def flight_of(model, number, air, seed, duration=DURATION):
 
     It has the manoeuvres of a plan of the example flights, held level or in slow turns.
     """
-    plan, fdm = FLIGHT_PLANS[number], started(model, RATE * FRAMES, KNOTS[model])
+    plan = FLIGHT_PLANS[number]
+    fdm = started(model, RATE * FRAMES, KNOTS[model])
     fdm["ic/h-sl-ft"] = HEIGHT / FOOT
     fdm["ic/vc-kts"] = KNOTS[model]
     fdm.run_ic()
@@ -137,7 +141,8 @@ def flight_of(model, number, air, seed, duration=DURATION):
         fdm["atmosphere/turbulence/milspec/severity"] = 3 if air == "light" else 4
         fdm["atmosphere/turb-type"] = 3
     neutral = {name: fdm[f"fcs/{name}-cmd-norm"] for name in (*SURFACES, "throttle")}
-    theta, speed = fdm["attitude/theta-rad"], fdm["velocities/vt-fps"]
+    theta = fdm["attitude/theta-rad"]
+    speed = fdm["velocities/vt-fps"]
     time = np.arange(round((SETTLING + duration) * RATE * FRAMES)) / (RATE * FRAMES) - SETTLING
     command = np.column_stack([plan.manoeuvres(axis, time) for axis in COMMANDS])
     command *= [1.0, 1.5, 1.0, 1.0]
@@ -159,7 +164,8 @@ def flight_of(model, number, air, seed, duration=DURATION):
         fdm.run()
         if k % FRAMES == FRAMES - 1:
             rows.append([fdm[source] * factor for source, factor in SOURCES.values()])
-    time, aircraft = time[FRAMES - 1 :: FRAMES], aircraft_of(fdm, model)
+    time = time[FRAMES - 1 :: FRAMES]
+    aircraft = aircraft_of(fdm, model)
     table = pd.DataFrame(rows, columns=[*SOURCES]).assign(time=time, flight=plan.name)
     true = with_truth(table[time >= 0].reset_index(drop=True), aircraft)
     noise = default_rng([number, seed, len(model)])  # mostly another for each aircraft
@@ -209,11 +215,14 @@ def known_derivatives(tables, aircraft, at):
     """Return the derivatives (6, 11) at regressors (11,): of a polynomial of third order of the truth of all tables."""
     X = np.concatenate([exact_regressors(table, aircraft) for table in tables])
     Y = pd.concat(tables)[[f"{name}_true" for name in COEFFICIENTS]].to_numpy()
-    terms, scale = PolynomialFeatures(3), X.std(axis=0)
-    outer, inner = 0.0, 0.0
+    terms = PolynomialFeatures(3)
+    scale = X.std(axis=0)
+    outer = 0.0
+    inner = 0.0
     for rows in np.array_split(np.arange(len(X)), len(X) // 5000 + 1):
         Q = terms.fit_transform((X[rows] - at) / scale)
-        outer, inner = outer + Q.T @ Q, inner + Q.T @ Y[rows]
+        outer = outer + Q.T @ Q
+        inner = inner + Q.T @ Y[rows]
     slopes = np.linalg.lstsq(outer, inner, rcond=1e-13)[0][1 : len(NAMES) + 1].T / scale
     return pd.DataFrame(slopes, COEFFICIENTS, NAMES)
 
@@ -227,7 +236,8 @@ MOVED = {
 REACH = 0.5  # of the perturbation, where a surface does not reach further
 BANK = 0.5  # rad, changes alpha_dot and beta_dot of an instant, and no other regressor
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(6)
-KNOT, SEA_LEVEL_DENSITY = 0.514444, 1.225
+KNOT = 0.514444
+SEA_LEVEL_DENSITY = 1.225
 
 
 class JSBSimAerodynamics:
@@ -244,8 +254,10 @@ class JSBSimAerodynamics:
 
     def __call__(self, x, bank=0.0):
         """Return coefficients (6,) and the non-dimensional alpha_dot and beta_dot (2,) at `STEADY`[:8]."""
-        fdm, lengths = self.fdm, self.aircraft.moment_lengths
-        fdm["ic/vt-fps"], fdm["ic/phi-rad"] = self.airspeed / FOOT, bank
+        fdm = self.fdm
+        lengths = self.aircraft.moment_lengths
+        fdm["ic/vt-fps"] = self.airspeed / FOOT
+        fdm["ic/phi-rad"] = bank
         fdm["ic/alpha-rad"], fdm["ic/beta-rad"] = x[:2]
         for rate, value, length in zip("pqr", x[2:5], lengths, strict=True):
             fdm[f"ic/{rate}-rad_sec"] = value * 2 * self.airspeed / length
@@ -264,7 +276,8 @@ class JSBSimAerodynamics:
         """Move a surface to an angle, past what an autopilot in JSBSim adds to its command."""
         command, position = MOVED[name]
         for _ in range(6):
-            now, before = self.fdm[command], self.fdm[position]
+            now = self.fdm[command]
+            before = self.fdm[position]
             if abs(angle - before) < 1e-7:
                 return
             self.fdm[command] = now + 1e-3
@@ -337,17 +350,22 @@ def milspec_rates(table, span):
     """
     wind = (table[f"wind_{axis}_true"].to_numpy() for axis in ("north", "east", "down"))
     north, east, down = wind
-    speed, azimuth = table["airspeed_true"].to_numpy(), np.arctan2(east.mean(), north.mean())
-    cos, sin, step = np.cos(azimuth), np.sin(azimuth), np.median(np.diff(table["time"]))
+    speed = table["airspeed_true"].to_numpy()
+    azimuth = np.arctan2(east.mean(), north.mean())
+    cos = np.cos(azimuth)
+    sin = np.sin(azimuth)
+    step = np.median(np.diff(table["time"]))
 
     def lagging(velocity, lengths):
-        length, rate = lengths * span / np.pi, np.zeros(len(velocity))
+        length = lengths * span / np.pi
+        rate = np.zeros(len(velocity))
         keep = np.exp(-step * speed / length)
         change = (1 - keep) * np.diff(velocity, prepend=velocity[0]) / (step * speed)
         for k in range(1, len(rate)):
             rate[k] = keep[k] * rate[k - 1] + change[k]
         return rate
 
-    q, r = lagging(down, 4), lagging(sin * north + cos * east, 3)
+    q = lagging(down, 4)
+    r = lagging(sin * north + cos * east, 3)
     attitude = euler_to_quaternion(*(table[f"{angle}_true"] for angle in ("phi", "theta", "psi")))
     return ned_to_body(attitude, np.column_stack([sin * q, cos * q, r]))

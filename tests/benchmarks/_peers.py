@@ -23,7 +23,8 @@ class EquationError:
     """
 
     def __init__(self, degree=1, *, stepwise=False):
-        self.degree, self.stepwise = degree, stepwise
+        self.degree = degree
+        self.stepwise = stepwise
 
     def fit(self, X, Y):
         self.features = PolynomialFeatures(self.degree, include_bias=False).fit(X)
@@ -50,7 +51,8 @@ class EquationError:
 def forward_selection(C, y, level=0.05):
     """Return the columns of C, in order of entry, that forward selection takes for y."""
     n, k = C.shape
-    C, y = C - C.mean(axis=0), y - y.mean()
+    C = C - C.mean(axis=0)
+    y = y - y.mean()
     squares = (C**2).sum(axis=0)
     total = error = y @ y
     chosen = []
@@ -95,7 +97,8 @@ class OnTrend:
     """A model of the residuals of a linear trend, scaled to variance one; the trend is taken as exact."""
 
     def __init__(self, model):
-        self.model, self.trend = model, LinearRegression()
+        self.model = model
+        self.trend = LinearRegression()
 
     def fit(self, X, Y):
         rest = Y - self.trend.fit(X, Y).predict(X)

@@ -16,13 +16,12 @@ from scipy.io import loadmat
 
 from skdgp.dynamics import Aircraft
 
-BOOK, UAV = Path("RVJategaonkar_codes_2ed/flt_data"), Path("get_coeffs/flight_data_1")
+BOOK = Path("RVJategaonkar_codes_2ed/flt_data")
+UAV = Path("get_coeffs/flight_data_1")
 # Of ATTAS, from its centre of gravity [m]; the engine is the right one
-ACCELEROMETER, ENGINE, BOOM = (
-    (-1.010, 0.886, 0.103),
-    (-1.343, 2.990, -0.652),
-    (13.080, -0.010, -0.027),
-)
+ACCELEROMETER = (-1.010, 0.886, 0.103)
+ENGINE = (-1.343, 2.990, -0.652)
+BOOM = (13.080, -0.010, -0.027)
 ATTAS = Aircraft(
     name="ATTAS",
     mass=17631.0,
@@ -65,21 +64,25 @@ def _attas(folder, name, boom=True):
         [np.full(len(log), np.nan), log]
     )  # channels from 1 on, as the book numbers them
     degrees = np.radians(log)
-    rates, vanes, airspeed = degrees[:, 7:10], degrees[:, 13:15], log[:, 15]
+    rates = degrees[:, 7:10]
+    vanes = degrees[:, 13:15]
+    airspeed = log[:, 15]
     if boom:
         alpha, beta = vanes.T
         flow = [np.cos(beta) * np.cos(alpha), np.sin(beta), np.cos(beta) * np.sin(alpha)]
         u, v, w = airspeed * np.stack(flow) - np.cross(rates, BOOM).T
         airspeed = np.sqrt(u**2 + v**2 + w**2)
         vanes = np.column_stack([np.arctan2(w, u), np.arcsin(v / airspeed)])
-    accelerations, force = degrees[:, 17:20], log[:, 2:5]
+    accelerations = degrees[:, 17:20]
+    force = log[:, 2:5]
     if boom:  # the stalls hold them at the centre of gravity, as their header says
         force = (
             force
             - np.cross(accelerations, ACCELEROMETER)
             - np.cross(rates, np.cross(rates, ACCELEROMETER))
         )
-    left, right = log[:, 37], log[:, 38]
+    left = log[:, 37]
+    right = log[:, 38]
     columns = {
         "time": np.arange(len(log)) * 0.04,
         "airspeed": airspeed,

@@ -59,7 +59,8 @@ class Task(NamedTuple):
 
 def task_of(name, folder):
     """Return the task of the shared data that has this name."""
-    folder, loads = Path(folder), {}
+    folder = Path(folder)
+    loads = {}
     if FLIGHTS[name] is None:
         aircraft, train, test, loads = ampyx_ap2(folder)
     else:
@@ -105,7 +106,8 @@ def pipeline(task, seed):
     seeds = {name: seed for name in model.get_params() if name.endswith("random_state")}
     model.set_params(**seeds).fit(task.train, task.targets)
     X, ratio = flight_regressors(model, task.test)
-    some, words = X[::BANDS_EVERY], {"include_input_noise": ratio[::BANDS_EVERY]}
+    some = X[::BANDS_EVERY]
+    words = {"include_input_noise": ratio[::BANDS_EVERY]}
     bands = [
         model[-1].predict(some, return_std=True, include_noise=noise, **words)[1]
         for noise in (False, True)

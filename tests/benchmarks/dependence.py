@@ -109,7 +109,8 @@ PROBLEMS = {
 
 def separately(X, Y, points):
     """Return mean and standard deviation of a process of scikit-learn for each output."""
-    means, stds = [], []
+    means = []
+    stds = []
     for y in Y.T:
         seen = np.isfinite(y)
         kernel = ConstantKernel() * RBF(X.std(axis=0)) + WhiteKernel()

@@ -41,7 +41,8 @@ from skdgp.dynamics import (
 )
 
 AIRS = {"calm": 0.0, "light": 1.0, "moderate": 2.0}  # in parts of the usual turbulence
-AIRSPEEDS, ALTITUDE = (32.0, 36.0, 40.0), 220.0
+AIRSPEEDS = (32.0, 36.0, 40.0)
+ALTITUDE = 220.0
 RATES = ("p", "q", "r", "alpha_dot", "beta_dot")
 NODES = 9  # of Gauss-Hermite quadrature
 SHOWN = ("CL_alpha", "Cm_alpha", "Cm_q", "Cl_p", "Cn_beta", "Cn_r", "CY_rudder", "Cm_elevator")
@@ -49,7 +50,8 @@ SHOWN = ("CL_alpha", "Cm_alpha", "Cm_q", "Cl_p", "Cn_beta", "Cn_r", "CY_rudder",
 
 def slopes_of_slopes(data, regressors):
     """Return d (alpha_dot, beta_dot) / d regressors over the training flights, all rates non-dimensional."""
-    train, aircraft = data.train, data.aircraft
+    train = data.train
+    aircraft = data.aircraft
     lengths = (*aircraft.moment_lengths, aircraft.chord, aircraft.span)
     lengths = dict(zip(RATES, lengths, strict=True))
 

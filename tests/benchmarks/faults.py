@@ -26,12 +26,17 @@ from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_flight
 from skdgp.dynamics import euler_to_matrix
 
-N_FLIGHTS, SECONDS = 60, 120.0
-GRAVITY, DEGREES, KNOT, FOOT = 9.80665, 180 / np.pi, 0.514444, 0.3048
+N_FLIGHTS = 60
+SECONDS = 120.0
+GRAVITY = 9.80665
+DEGREES = 180 / np.pi
+KNOT = 0.514444
+FOOT = 0.3048
 VANE_NOISE, POSITION_NOISE = 0.005, 0.5  # rad, m
 ARM = 0.25  # of the sensors ahead of the centre of gravity, over the span
 CORNER = 2.0  # Hz, of a recorder that smooths
-FORCES, RATES = ["ax", "ay", "az"], ["p", "q", "r"]
+FORCES = ["ax", "ay", "az"]
+RATES = ["p", "q", "r"]
 EULER = ["phi", "theta", "psi"]
 VELOCITY = ["v_north", "v_east", "v_down"]
 SURFACES = ["elevator", "aileron", "rudder"]

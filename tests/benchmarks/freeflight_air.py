@@ -77,7 +77,8 @@ def model_row(name, model, log, aircraft, flown):
         options = {"return_std": True, "include_noise": True, "include_input_noise": ratio[::EVERY]}
         bands = model[-1].predict(regressors[::EVERY], **options)
         row[f"coefficients, {air}"] = 100.0 * interval_coverage(measured, *bands)
-    calm, names = flown["calm"], [name + "_hat" * (name in "pqr") for name in STEADY]
+    calm = flown["calm"]
+    names = [name + "_hat" * (name in "pqr") for name in STEADY]
     exact = exact_regressors(calm, aircraft)
     asked = pd.DataFrame(exact[::EVERY, : len(STEADY)], columns=names)
     truth = calm[[f"{name}_true" for name in COEFFICIENTS]].to_numpy()[::EVERY]
@@ -112,7 +113,8 @@ def windows(flight):
 
 def held(paths, stretches, horizon, level):
     """Return the percentage of true states within bands of a level after a time [s]."""
-    k, inside = round(horizon / STEP), []
+    k = round(horizon / STEP)
+    inside = []
     bands = trajectory_bands(paths, level, SCORED)
     for (_, band), stretch in zip(bands.groupby("start"), stretches, strict=True):
         for name in SCORED:

@@ -23,8 +23,10 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from skdgp.inference import Data, log_likelihood
 from skdgp.kernels import ConvolvedGaussian
 
-FLOOR, OURS = "LAPACK potrf + potri", "skdgp"
-NOISE, LENGTH = 0.1, 3.0
+FLOOR = "LAPACK potrf + potri"
+OURS = "skdgp"
+NOISE = 0.1
+LENGTH = 3.0
 PAUSE = 0.1  # s: idle threads of BLAS hold the cores for a while
 
 
@@ -42,7 +44,8 @@ class Case(NamedTuple):
 
 
 def lapack_calls(case):
-    rng, N = default_rng(0), case.n * case.P
+    rng = default_rng(0)
+    N = case.n * case.P
     A = rng.normal(size=(N, N)) / N
     A = np.asfortranarray(A + A.T + 10 * np.eye(N))
 
@@ -56,7 +59,9 @@ def lapack_calls(case):
 def ours(case):
     X, Y = case.table()
     kernel = ConvolvedGaussian(case.M, private_latents=False)
-    kernel, data, noise = kernel.initialize(X, Y, 0), Data.from_table(X, Y), np.full(case.P, NOISE)
+    kernel = kernel.initialize(X, Y, 0)
+    data = Data.from_table(X, Y)
+    noise = np.full(case.P, NOISE)
     return lambda: log_likelihood(kernel, noise, data, eval_gradient=True)
 
 
@@ -104,7 +109,8 @@ def ready(case):
 
 def compare(case, repeats):
     """Return a row for each contender: seconds, over LAPACK."""
-    contenders, pause = ready(case), partial(time.sleep, PAUSE)
+    contenders = ready(case)
+    pause = partial(time.sleep, PAUSE)
     seconds = dict.fromkeys(contenders, np.inf)
     for _ in range(repeats):  # in turns: whatever slows the machine slows all of them
         for name, function in contenders.items():

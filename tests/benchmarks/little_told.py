@@ -90,7 +90,8 @@ def measured(name, folder):
     kind, aircraft, train, test = subject(name, folder)
     at = exact_regressors(train, aircraft).mean(axis=0)
     known = true_derivatives(name, [train, test], aircraft, at)
-    airspeed, result = float(train["airspeed_true"].mean()), {}
+    airspeed = float(train["airspeed_true"].mean())
+    result = {}
     tables = {
         thing: compared(learned(thing, aircraft, kind, train, at, airspeed), known)
         for thing in WITHHELD

@@ -31,7 +31,8 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 def measured(script, out, without):
     """Run a script, (name, arguments), if its results are not there; return them, None if there are none."""
     name, arguments = script
-    path, start = out / f"{name}.json", time.monotonic()
+    path = out / f"{name}.json"
+    start = time.monotonic()
     threads = {} if name == TIMED else dict.fromkeys(THREADS, "1")
     if not path.exists() and name not in without:
         command = [sys.executable, ROOT / "tests" / "benchmarks" / f"{name}.py", *arguments]
@@ -43,7 +44,8 @@ def measured(script, out, without):
                 env=os.environ | threads | {"PYTHONPATH": str(ROOT)},
                 check=False,
             )
-    seconds, results = time.monotonic() - start, None
+    seconds = time.monotonic() - start
+    results = None
     if path.exists():
         results = json.loads(path.read_text())
     print(f"{name}: {'measured' if results else 'NOT MEASURED'} after {seconds:.0f} s", flush=True)

@@ -36,7 +36,8 @@ HFB_320 = Aircraft(
     chord=2.43,
 )
 # Of the engines of the HFB-320 [rad], and their place from its centre of gravity [m]
-TILT, HFB_ENGINE = 0.0524, (-1.343, 2.990, -0.652)
+TILT = 0.0524
+HFB_ENGINE = (-1.343, 2.990, -0.652)
 RECORDS = {
     "a": ("ail_1 ail_2 ail_3 el_1 el_2 el_3 rud_1", "ail_4 el_4"),
     "b": ("ail_3 ail_4 el_3 el_4 rud_1", "ail_1 ail_2 el_1 el_2"),
@@ -46,7 +47,8 @@ RECORDS = {
 def hfb_320(folder):
     """Return aircraft, the first three quarters and the last one of a flight in turbulence, longitudinal."""
     log = np.loadtxt(Path(folder) / real.BOOK / "hfb320_1_10.asc").T
-    thrust_x, thrust_z = log[3] * np.cos(TILT), -log[3] * np.sin(TILT)
+    thrust_x = log[3] * np.cos(TILT)
+    thrust_z = -log[3] * np.sin(TILT)
     table = pd.DataFrame(
         {
             "time": log[0],
@@ -134,7 +136,8 @@ def task_of_pair(name, repository, data):
         aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test)
     )
     if name == HFB:
-        targets, measured = targets[LONGITUDINAL], measured[LONGITUDINAL]
+        targets = targets[LONGITUDINAL]
+        measured = measured[LONGITUDINAL]
     return Task(aircraft, train, test, targets, measured.to_numpy(), None, SAMPLES)
 
 

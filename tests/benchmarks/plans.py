@@ -29,7 +29,8 @@ from skdgp.dynamics import (
 
 STEP, EVERY = 0.0125, 2  # s of the servos, steps between logged samples
 SERVO_LAG, ALTITUDE = 0.04, 150.0  # s, m
-FIRST_SECONDS, PLANNED_SECONDS = 40.0, 60.0
+FIRST_SECONDS = 40.0
+PLANNED_SECONDS = 60.0
 LIMITS = {"elevator": 0.08, "aileron": 0.1, "rudder": 0.15}  # rad
 GENTLE = 0.4  # of the limits, in the first flight
 PROMISED = (0.7, 1.4)  # found over promised of a kept promise

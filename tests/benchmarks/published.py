@@ -42,7 +42,8 @@ from skdgp import DependentGPRegressor
 from skdgp.metrics import interval_coverage
 
 SINGLE_LIMIT = 2000  # rows of scikit-learn
-LCM_LIMIT, N_LATENT = 4000, 4
+LCM_LIMIT = 4000
+N_LATENT = 4
 
 
 class Case(NamedTuple):
@@ -64,7 +65,8 @@ class Case(NamedTuple):
 
 def case_of(x, truth, gaps, *, by_hidden=False):
     """Return the case that hides these gaps, a dict of name to (column, rows)."""
-    Y, hidden = truth.copy(), np.full_like(truth, np.nan)
+    Y = truth.copy()
+    hidden = np.full_like(truth, np.nan)
     for column, rows in gaps.values():
         Y[rows, column], hidden[rows, column] = np.nan, truth[rows, column]
     tested = {name: column for name, (column, _) in gaps.items()}
@@ -88,15 +90,18 @@ def air_temperature(folder):
     x = stations[0]["x"][:, 0]
     degrees = np.column_stack([station["y"][:, 3] for station in stations]).astype(float)
     known = (x >= 10) & (x <= 15)
-    x, degrees = x[known], np.where(degrees == -1, np.nan, degrees)[known]
+    x = x[known]
+    degrees = np.where(degrees == -1, np.nan, degrees)[known]
     gaps = {"Cambermet": (1, (x >= 10.2) & (x <= 10.8)), "Chimet": (2, (x >= 13.5) & (x <= 14.2))}
     return case_of(x, degrees, gaps)
 
 
 def eeg(folder):
     """Return voltages of seven electrodes at 256 Hz: the first trial of control subject 337."""
-    path, names = folder / "co2c0000337.rd.000.gz", ["F3", "F4", "F5", "F6", "FZ", "F1", "F2"]
-    sites, values = np.genfromtxt(path, usecols=[1], dtype=str), np.genfromtxt(path, usecols=[3])
+    path = folder / "co2c0000337.rd.000.gz"
+    names = ["F3", "F4", "F5", "F6", "FZ", "F1", "F2"]
+    sites = np.genfromtxt(path, usecols=[1], dtype=str)
+    values = np.genfromtxt(path, usecols=[3])
     gaps = {name: (names.index(name), slice(156, 256)) for name in ("FZ", "F1", "F2")}
     voltages = np.column_stack([values[sites == name] for name in names])
     return case_of(np.arange(256) / 256, voltages, gaps, by_hidden=True)
@@ -228,7 +233,8 @@ def lcm(case, seed):
     """
     from _gpytorch import gapped_lcm
 
-    X, scaler = StandardScaler().fit_transform(case.X), StandardScaler()
+    X = StandardScaler().fit_transform(case.X)
+    scaler = StandardScaler()
     Y = scaler.fit_transform(case.Y)
     if np.isfinite(Y).sum() > LCM_LIMIT:
         Y[1::2] = np.nan
@@ -236,7 +242,8 @@ def lcm(case, seed):
     return scaler.inverse_transform(mean), std * scaler.scale_
 
 
-IMPUTE, ALONE = "skdgp, `impute`", "scikit-learn's process, each output alone"
+IMPUTE = "skdgp, `impute`"
+ALONE = "scikit-learn's process, each output alone"
 METHODS = {
     IMPUTE: imputed,
     "skdgp, `predict`": predicted,
@@ -259,10 +266,13 @@ SEEDS = {IMPUTE: range(5)}
 def scored(case, method, seed):
     """Return errors, and fraction in the 95 % band, of each tested output."""
     mean, std = METHODS[method](case, seed)
-    errors, held = [], []
+    errors = []
+    held = []
     for k in case.tested.values():
         asked = np.isfinite(case.hidden[:, k])
-        y, m, s = case.hidden[asked, k], mean[asked, k], std[asked, k]
+        y = case.hidden[asked, k]
+        m = mean[asked, k]
+        s = std[asked, k]
         if case.name.startswith("Jura"):
             errors.append(np.mean(np.abs(case.inverse(y) - case.inverse(m))))
         else:
@@ -279,7 +289,8 @@ def tables(runs):
     """Return a row for each method, error and percentage in the band of each case; and complete outputs."""
     means = runs.groupby(["case", "method"], sort=False)
     means = means[["error", "held", "seconds"]].mean()
-    cells, complete = {}, []
+    cells = {}
+    complete = []
     for case, scores in means.groupby("case", sort=False):
         scores = scores.droplevel("case")
         if case.startswith("Friedman"):

@@ -24,7 +24,8 @@ from numpy.random import default_rng
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import estimate_air_motion
 
-DENSITY, GRAVITY = 1.2, 9.80665
+DENSITY = 1.2
+GRAVITY = 9.80665
 STEP, EVERY = 0.005, 4  # s of the simulation, steps between logged samples
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 TERMS = ("level", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "abs_beta")
@@ -56,7 +57,8 @@ SENSORS = {
     "held": "own clocks, held",
     "vibration": "vibration, own clocks, held",
 }
-NORMAL_95, SECONDS = 1.96, 120.0
+NORMAL_95 = 1.96
+SECONDS = 120.0
 AIRS = {  # intensity [m/s], correlation time [s], spectrum
     "calm": (0.0, 1.0, "first order"),
     "0.5 m/s, 1 s": (0.5, 1.0, "first order"),
@@ -100,7 +102,8 @@ def pulses(rng, n, axes):
     out = np.zeros((n, 3))
     for start in np.arange(4, n * STEP - 6, 5.0):
         axis = rng.integers(axes)
-        unit, size = rng.uniform(0.15, 0.3), rng.choice([-1, 1]) * rng.uniform(0.5, 1)
+        unit = rng.uniform(0.15, 0.3)
+        size = rng.choice([-1, 1]) * rng.uniform(0.5, 1)
         for begin, end, sign in ((0, 3, 1), (3, 5, -1), (5, 6, 1), (6, 7, -1)):
             rows = slice(round((start + begin * unit) / STEP), round((start + end * unit) / STEP))
             out[rows, axis] = size * sign * (0.09, 0.12, 0.15)[axis]
@@ -112,7 +115,8 @@ class Fleet:
 
     def __init__(self, planes, airs, rngs, seconds, lags):
         n = round(seconds / STEP)
-        self.planes, self.lags = planes, np.array(lags)[:, None]
+        self.planes = planes
+        self.lags = np.array(lags)[:, None]
         for name in ("mass", "wing_area", "airspeed", "thrust"):
             setattr(self, name, np.array([plane[name] for plane in planes]))
         self.lengths = np.array([[p["span"], p["chord"], p["span"]] for p in planes])
@@ -133,9 +137,11 @@ class Fleet:
 
     def fly(self):
         """Return what is logged, (rows, flights, 26)."""
-        V0, zero = self.airspeed, np.zeros(len(self.planes))
+        V0 = self.airspeed
+        zero = np.zeros(len(self.planes))
         state = np.stack([V0, zero, 0.05 * V0, *[zero] * 4, zero + 0.05, zero], axis=1)
-        actuator, rows = np.zeros((len(V0), 3)), []
+        actuator = np.zeros((len(V0), 3))
+        rows = []
         for i, (wind, pulse) in enumerate(zip(self.gusts, self.pulses, strict=True)):
             if i % round(15 / STEP) == 0:
                 bank = np.array([banks[i] for banks, _ in self.legs])
@@ -155,14 +161,20 @@ class Fleet:
 
     def rates(self, state, surfaces, wind, speed):
         """Return d state / dt (velocity, rates, angles), and loads with air data and ground velocity."""
-        v, w = state[:, :3], state[:, 3:6]
+        v = state[:, :3]
+        w = state[:, 3:6]
         R = rotation(state[:, 6:])
         air = v - np.einsum("nji,nj->ni", R, wind)
         V = np.sqrt((air**2).sum(axis=1))
-        alpha, beta = np.arctan2(air[:, 2], air[:, 0]), np.arcsin(air[:, 1] / V)
+        alpha = np.arctan2(air[:, 2], air[:, 0])
+        beta = np.arcsin(air[:, 1] / V)
         soft = np.where(self.stalls, STALL * np.tanh(alpha / STALL), alpha)
         X = np.empty((len(V), len(TERMS)))
-        X[:, 0], X[:, 1], X[:, 2], X[:, 6:9], X[:, 9] = 1.0, soft, beta, surfaces, abs(beta)
+        X[:, 0] = 1.0
+        X[:, 1] = soft
+        X[:, 2] = beta
+        X[:, 6:9] = surfaces
+        X[:, 9] = abs(beta)
         X[:, 3:6] = w * self.lengths / (2 * V[:, None])
         throttle = np.clip(0.4 + 0.08 * (speed - V), 0.05, 1)
         thrust = throttle * self.thrust * (1 - V / (2.3 * self.airspeed))
@@ -175,7 +187,8 @@ class Fleet:
         f = C[:, :3] / self.mass[:, None]
         H = np.einsum("nij,nj->ni", self.inertia, w)
         dw = np.einsum("nij,nj->ni", self.inverse, C[:, 3:] * self.lengths - cross(w, H))
-        (sf, st), (cf, ct) = np.sin(state[:, 6:8]).T, np.cos(state[:, 6:8]).T
+        sf, st = np.sin(state[:, 6:8]).T
+        cf, ct = np.cos(state[:, 6:8]).T
         turn = sf * w[:, 1] + cf * w[:, 2]
         angles = np.stack([w[:, 0] + st / ct * turn, cf * w[:, 1] - sf * w[:, 2], turn / ct], 1)
         dv = f + GRAVITY * R[:, 2] - cross(w, v)
@@ -191,7 +204,8 @@ def cross(a, b):
 
 def rotation(angles):
     """Return matrices (n, 3, 3), body to NED."""
-    (sf, st, sp), (cf, ct, cp) = np.sin(angles).T, np.cos(angles).T
+    sf, st, sp = np.sin(angles).T
+    cf, ct, cp = np.cos(angles).T
     rows = [[ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp],
             [ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp], [-st, sf * ct, cf * ct]]  # fmt: skip
     return np.moveaxis(np.array(rows), -1, 0)
@@ -206,27 +220,38 @@ def vibration(rng, throttle, dt):
 
 def logged(rows, rng, kind):
     """Return the table of one flight (n, 29), with the noise of sensors, and other errors of its kind."""
-    n, dt, every, held = len(rows), STEP * EVERY, 1, 1
+    n = len(rows)
+    dt = STEP * EVERY
+    every = 1
+    held = 1
     t = np.arange(n) * dt
     f, spin, air, thrust, throttle, ground = np.split(rows[:, :14], [3, 6, 9, 10, 11], axis=1)
-    rates, angles, commands = rows[:, 17:20], rows[:, 20:23], rows[:, 26:29]
-    surfaces, airspeed = rows[:, 23:26], air[:, 0]
+    rates = rows[:, 17:20]
+    angles = rows[:, 20:23]
+    commands = rows[:, 26:29]
+    surfaces = rows[:, 23:26]
+    airspeed = air[:, 0]
     if kind == "vibration":
         shake = vibration(rng, throttle[:, 0], dt)
-        f, rates = f + shake[:, :3], rates + shake[:, 3:]
+        f = f + shake[:, :3]
+        rates = rates + shake[:, 3:]
     if kind in ("held", "vibration"):
-        every, held = 10, 5
+        every = 10
+        held = 5
         ground = np.stack([np.interp(t - 0.15, t, v) for v in ground.T], axis=1)
     if kind == "real":
         arm = rng.uniform(-1, 1, 3) * [0.03, 0.005, 0.02]
         f = f + cross(spin, arm + 0 * f) + cross(rates, cross(rates, arm + 0 * f))
-        f, rates = f + 0.08 * rng.standard_normal(3), rates + 0.003 * rng.standard_normal(3)
+        f = f + 0.08 * rng.standard_normal(3)
+        rates = rates + 0.003 * rng.standard_normal(3)
         for k, (std, correlation) in enumerate(((0.01, 5.0), (0.01, 5.0), (0.03, 20.0))):
             angles[:, k] += std * gusts(rng, n * EVERY, 1.0, correlation, "first order")[::EVERY, 0]
-        every, late = rng.integers(5, 11), rng.uniform(0.1, 0.2)
+        every = rng.integers(5, 11)
+        late = rng.uniform(0.1, 0.2)
         ground = np.stack([np.interp(t - late, t, v) for v in ground.T], axis=1)
         airspeed = airspeed * (1 + 0.03 * rng.uniform(-1, 1))
-        thrust, surfaces = thrust * (1 + 0.1 * rng.uniform(-1, 1)), commands
+        thrust = thrust * (1 + 0.1 * rng.uniform(-1, 1))
+        surfaces = commands
     noisy = {
         ("airspeed",): (airspeed[:, None], 0.3), ("ax", "ay", "az"): (f, 0.1), ("p", "q", "r"): (rates, 0.005),
         ("phi", "theta", "psi"): (angles, 0.005), ("v_north", "v_east", "v_down"): (ground, 0.1),

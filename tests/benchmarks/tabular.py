@@ -39,7 +39,8 @@ def loaded(folder, name, split):
         records, _ = arff.loadarff(folder / "mulan" / f"{name}.arff")
         table = pd.DataFrame(records).to_numpy(float)
         targets = MULAN[name]
-        X, Y = table[:, :-targets], table[:, -targets:]
+        X = table[:, :-targets]
+        Y = table[:, -targets:]
         train, test = train_test_split(np.arange(len(X)), test_size=1 / 3, random_state=split)
     else:
         data = folder / "UCI_Datasets" / name / "data"
@@ -87,7 +88,8 @@ def scored(data, method):
     scaler = StandardScaler().fit(Y)
     mean, std = METHODS[method](X, scaler.transform(Y), asked)
     y = scaler.transform(truth)
-    mean, std = np.reshape(mean, y.shape), np.reshape(std, y.shape)
+    mean = np.reshape(mean, y.shape)
+    std = np.reshape(std, y.shape)
     spread = np.sqrt(np.mean(y**2, axis=0))
     result = {
         "error": float(np.mean(np.sqrt(np.mean((y - mean) ** 2, axis=0)) / spread)),

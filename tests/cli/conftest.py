@@ -64,7 +64,8 @@ def identified(folder, once, cut_short, command):
             "-o",
             str(results / "deep" / "er"),
         ]
-        out, err = io.StringIO(), io.StringIO()
+        out = io.StringIO()
+        err = io.StringIO()
         with (
             patch.dict(sys.modules, {"matplotlib": None}),
             cut_short(),
@@ -77,7 +78,8 @@ def identified(folder, once, cut_short, command):
         (results / "said.pickle").write_bytes(pickle.dumps(done))
 
     results = once("results", write)
-    output, done = results / "deep" / "er", pickle.loads((results / "said.pickle").read_bytes())
+    output = results / "deep" / "er"
+    done = pickle.loads((results / "said.pickle").read_bytes())
     assert done.returncode == 0, done.stderr
     return (
         output,

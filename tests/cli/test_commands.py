@@ -66,7 +66,8 @@ class TestPredict:
     def test_writes_what_the_model_says(self, run, model, tmp_path):
         said = run("predict", "test.csv", output="out.csv")
         assert files(tmp_path) == {"out.csv"}
-        table, flight = pd.read_csv(tmp_path / "out.csv"), pd.read_csv("test.csv")
+        table = pd.read_csv(tmp_path / "out.csv")
+        flight = pd.read_csv("test.csv")
         mean, std = model.pipeline.predict(flight, return_std=True)
         assert list(table) == [
             "flight",
@@ -89,7 +90,8 @@ class TestPredict:
         assert_allclose(noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6)
 
     def test_rows_that_were_not_sampled_are_left_out(self, command, path, tmp_path, capsys):
-        holes, out = str(tmp_path / "holes.csv"), str(tmp_path / "out.csv")
+        holes = str(tmp_path / "holes.csv")
+        out = str(tmp_path / "out.csv")
         table = pd.read_csv("test.csv")
         table.loc[100:109, "alpha"] = np.nan
         table.to_csv(holes, index=False)

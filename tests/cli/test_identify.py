@@ -125,7 +125,8 @@ class TestIdentify:
             result = identify_flights(
                 ["lateral.csv", folder / "latlon.csv"], "uav.json", test="test.csv", **options
             )
-        found, expected = dict(result.metrics), dict(identified[2])
+        found = dict(result.metrics)
+        expected = dict(identified[2])
         assert json.loads(json.dumps(found, allow_nan=False)) == found
         for metrics in (found, expected):
             metrics["fit"] = metrics["fit"] | {"seconds": None}

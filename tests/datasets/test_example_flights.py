@@ -94,7 +94,8 @@ class TestEquationsOfFlight:
 
 def regressors(flight, data):
     """The true model's regressors from truth columns; its rates are inertial, as gyros have them."""
-    b, c = data.aircraft.span, data.aircraft.chord
+    b = data.aircraft.span
+    c = data.aircraft.chord
     lengths = {"p": b, "q": c, "r": b, "alpha_dot": c, "beta_dot": b}
     columns = []
     for name in data.regressor_names:
@@ -129,8 +130,10 @@ def root_mean_square_error(prediction, truth):
 
 def test_learnable_and_still_hard(data):
     """Least squares explains the training flights but for a residue that a Gaussian process finds and it cannot."""
-    X, X_test = regressors(data.train, data), regressors(data.test, data)
-    Y, Y_test = true(data.train, *COEFFICIENTS), true(data.test, *COEFFICIENTS)
+    X = regressors(data.train, data)
+    X_test = regressors(data.test, data)
+    Y = true(data.train, *COEFFICIENTS)
+    Y_test = true(data.test, *COEFFICIENTS)
     line = LinearRegression().fit(X, Y)
     assert (root_mean_square_error(line.predict(X), Y) ** 2 < 0.1).all()
     chosen = np.linspace(0, len(X) - 1, 400).astype(int)

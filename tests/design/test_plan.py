@@ -160,8 +160,10 @@ def learned(*flights):
 
 
 def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tmp_path):
-    first, second = flown_rows(200, 0.02, 1), flown_rows(250, 0.06, 2)
-    before, after = learned(first), learned(first, second)
+    first = flown_rows(200, 0.02, 1)
+    second = flown_rows(250, 0.06, 2)
+    before = learned(first)
+    after = learned(first, second)
     now, promised, found = (
         stability_derivatives(model, uav, point, added=rows)["std"]
         for model, rows in ((before, None), (before, second[0].to_numpy()), (after, None))

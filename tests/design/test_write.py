@@ -87,7 +87,8 @@ def test_servos_move_by_the_inputs_around_the_autopilots_commands(flown):
     """Commands of the stub are 5 % of the range, 40 % of the throttle."""
     logged, _ = flown()
     right = 0.05 + logged["aileron"] / 0.35
-    up, yaw = 0.05 - logged["elevator"] / 0.4, 0.05 - logged["rudder"] / 0.5
+    up = 0.05 - logged["elevator"] / 0.4
+    yaw = 0.05 - logged["rudder"] / 0.5
     for name, expected in (
         ("servo1", 1500 + 500 * right), ("servo5", 1500 - 500 * right), ("servo4", 1500 + 500 * yaw),
         ("servo2", 1480 + np.where(up > 0, 520, 480) * up), ("servo3", 1000 + 1000 * (0.4 + logged["throttle"])),
@@ -110,7 +111,8 @@ def test_servos_move_by_the_inputs_around_the_autopilots_commands(flown):
 def test_mixed_surfaces_move_with_elevator_and_another_axis(flown, full, other, servos):
     """ArduPilot's positive elevons and halves of a V-tail are up: the left one by the sum of both."""
     logged, _ = flown(full=full)
-    elevator, second = logged["elevator"], logged[other]
+    elevator = logged["elevator"]
+    second = logged[other]
     left, right = list(full.values())[:2]
     up = 0.05 - np.stack([(elevator + second) / left, (elevator - second) / right], axis=-1)
     assert_allclose(logged[servos], 1500 + 500 * up, atol=0.5 + 1e-6)

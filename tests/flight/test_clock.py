@@ -72,7 +72,8 @@ def test_what_is_no_name(missing, dtype):
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("read", [read_flight, inspect_log])
 def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
-    path, flights = tmp_path / f"log.{suffix}", table(holed(None))
+    path = tmp_path / f"log.{suffix}"
+    flights = table(holed(None))
     flights.to_csv(path, index=False) if suffix == "csv" else flights.to_parquet(path)
     words = r"60 of 120 rows .* read_flight\(path, flight='name'\) names all"
     with pytest.raises(FlightReadError, match=words):

@@ -62,7 +62,8 @@ def test_forces_beyond_it_are_vibration():
 
 def test_an_equation_of_channels_remains_true():
     """Force by elevator and rate, beside a vibration that both inertial sensors feel."""
-    calm, table = shaken(0.0), shaken(1.0)
+    calm = shaken(0.0)
+    table = shaken(1.0)
     force = 2.0 * calm["elevator"] - 3.0 * calm["p"] + 5 * (table["p"] - calm["p"])
     columns = np.column_stack([table["elevator"], table["p"], force])
     band = motion_band_of(table)

@@ -267,7 +267,8 @@ def test_the_message_of_gravity_says_what_is_over_what(flight):
 def test_the_error_of_a_slope_counts_dependent_samples():
     """Over many pairs of unrelated series with memory, slopes vary as much as their standard deviations say."""
     rng = default_rng(0)
-    scores, sizes = [], []
+    scores = []
+    sizes = []
     for _ in range(200):
         x, y = signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=(2, 2000)))
         slope = estimated_slope(Regression(y, x, [np.ones(2000)]))
@@ -280,7 +281,8 @@ def test_the_error_of_a_slope_counts_dependent_samples():
 
 def test_a_late_servo_is_no_wrong_sign():
     """Rudder of 2 to 3 Hz, servo 0.15 s late, a third of a period: the slope at lag zero has the wrong sign."""
-    step, n_late = 0.025, 6
+    step = 0.025
+    n_late = 6
     time = step * np.arange(6000)
     band = signal.butter(2, (2.0, 3.0), "band", fs=1 / step, output="sos")
     rudder = signal.sosfilt(band, default_rng(0).normal(size=time.size))
@@ -297,7 +299,9 @@ def held_in_pitch(hold):
     ``hold`` rows at a time have one sample of the elevator's command.
     """
     rng = default_rng(1)
-    step, n, servo = 0.02, 3000, 0.06
+    step = 0.02
+    n = 3000
+    servo = 0.06
     feedback = np.array([0.0, 0.12, 0.3])  # of alpha, q, theta
     time = step * np.arange(n)
     gust = 0.05 * signal.lfilter([0.2], [1, -0.98], rng.normal(size=n))  # [rad]
@@ -442,8 +446,11 @@ def test_the_aileron_of_a_real_flight(shared_data):
 def test_signals_without_noise_that_determine_no_slope_at_some_lags():
     """Rates in degrees of a turn at a constant rate: the roll rate is named."""
     time = np.arange(0, 120, 0.05)
-    phi, theta, turn = 0.3 * np.sin(0.8 * time), 0.1 * np.sin(0.5 * time), 0.1
-    phi_dot, theta_dot = 0.24 * np.cos(0.8 * time), 0.05 * np.cos(0.5 * time)
+    phi = 0.3 * np.sin(0.8 * time)
+    theta = 0.1 * np.sin(0.5 * time)
+    turn = 0.1
+    phi_dot = 0.24 * np.cos(0.8 * time)
+    theta_dot = 0.05 * np.cos(0.5 * time)
     rates = {
         "p": phi_dot - turn * np.sin(theta),
         "q": theta_dot * np.cos(phi) + turn * np.sin(phi) * np.cos(theta),

@@ -89,7 +89,8 @@ def test_sensors_at_the_centre_or_at_an_unknown_place_read_as_they_are(arm):
 
 
 def test_each_flight_has_a_position_of_its_own():
-    first, second = placed(tumbling(ARM), ARM), placed(tumbling(-ARM), -ARM)
+    first = placed(tumbling(ARM), ARM)
+    second = placed(tumbling(-ARM), -ARM)
     flights = pd.concat([first.assign(flight="a"), second.assign(flight="b")], ignore_index=True)
     moved = at_centre_of_gravity(flights)
     for _, flight in moved.groupby("flight"):

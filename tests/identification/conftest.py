@@ -37,7 +37,8 @@ def flights(delta):
             down = -9.8 + 0.5 * np.sin(0.7 * t)
             tables.append(table.assign(time=t, flight=name, az=down, **forces, **speed))
         table = pd.concat(tables, ignore_index=True)
-        alpha, elevator = table["alpha"], (table["elevon_left"] + table["elevon_right"]) / 2
+        alpha = table["alpha"]
+        elevator = (table["elevon_left"] + table["elevon_right"]) / 2
         q_hat = table["q"] * delta.chord / (2 * table["airspeed"])
         CZ = -0.1 - 4 * alpha
         Cm = 0.02 - 0.5 * alpha - 8 * q_hat - 0.6 * elevator

@@ -223,7 +223,8 @@ def test_no_elevator():
 def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_minute):
     data = first_minute()
     flight = data.train[data.train["flight"] == "latlon"].reset_index(drop=True)
-    left, right = flight.pop("elevon_left"), flight.pop("elevon_right")
+    left = flight.pop("elevon_left")
+    right = flight.pop("elevon_right")
     opposite = flight.drop(columns="psi").assign(aileron=(right - left) / 2)
     found = quietly(
         {"one": opposite}, data.aircraft, test=opposite[:200], samples=60, horizons=[1.0]

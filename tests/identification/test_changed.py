@@ -165,7 +165,9 @@ def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
     With the correlation rho it is rho s_alpha s_beta Cn_beta (1 / S - 1 / S_0), of the variances S
     of alpha in the flight and in the fit.
     """
-    motion, size, beta_noise = 0.1, 0.3, 0.02
+    motion = 0.1
+    size = 0.3
+    beta_noise = 0.02
     noise = np.array([ALPHA_NOISE, beta_noise])
 
     def flown(seed, size):
@@ -227,7 +229,8 @@ def test_a_short_flight_tells_nothing(model):
 def flight_with_one_pulse(seed, change=0.0):
     """Return a flight of 160 rows whose elevator moves once, for 6 rows."""
     X, Y = flight(seed, 0.02)
-    X, Y = X[:160], Y[:160]
+    X = X[:160]
+    Y = Y[:160]
     pulse = np.zeros(len(X))
     pulse[70:76] = 0.1
     Y = Y + np.outer(pulse - X["elevator"], SLOPES[2])
@@ -238,7 +241,8 @@ def flight_with_one_pulse(seed, change=0.0):
 def test_constant_errors_of_sensors_are_no_change(model):
     """An offset of the vane moves the prediction, one of the accelerometer the measurement."""
     by_acceleration = 0.1  # m / (qbar S) [s^2/m]
-    flights, vanes_alone = {}, {}
+    flights = {}
+    vanes_alone = {}
     for seed in range(1, 13):
         rng = np.random.default_rng(2000 + seed)
         X, Y = flight(seed, 0.005)

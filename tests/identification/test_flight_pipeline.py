@@ -75,14 +75,16 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
     After any number of iterations.
     """
     quick = DependentGPRegressor(**QUICK | {"structure": "joint", "max_iter": 2})
-    turned, record = np.diag([1.0, -1.0, 1.0]), flights.aircraft.to_dict()
+    turned = np.diag([1.0, -1.0, 1.0])
+    record = flights.aircraft.to_dict()
     record["inertia"] = (turned @ np.array(record["inertia"]) @ turned).tolist()
     record["propeller"]["rotation"] *= -1
     aircraft = {1: flights.aircraft, -1: Aircraft.from_dict(record)}
 
     def seen(table, side):
         table = table.assign(**{name: side * table[name] for name in ODD if name in table})
-        left, right = "elevon_left", "elevon_right"
+        left = "elevon_left"
+        right = "elevon_right"
         return table if side > 0 else table.assign(**{left: table[right], right: table[left]})
 
     found = {}
@@ -91,7 +93,8 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
         pipeline = make_identification_pipeline(aircraft[side], regressor=clone(quick))
         pipeline.fit(train, thin_targets(aerodynamic_coefficients(train, aircraft[side]), 60))
         found[side] = pipeline.predict(seen(test_flight.iloc[:200], side), return_std=True)
-    (mean, std), (mirrored, deviation) = found[1], found[-1]
+    mean, std = found[1]
+    mirrored, deviation = found[-1]
     assert (np.abs(mean - mirrored * [1, -1, 1, -1, 1, -1]) < 0.05 * std).all()
     assert_allclose(deviation, std, rtol=0.05)
 
@@ -101,10 +104,8 @@ class TestPredict:
         """The variance that regressors carry is multiplied by the gusts of the flight over those of the fit."""
         X, ratio = flight_regressors(model, test_flight)
         reconstruction = model["flightpathreconstruction"]
-        gust, fit = (
-            reconstruction.transform(test_flight)["gust"].to_numpy(),
-            reconstruction.gust_std_,
-        )
+        gust = reconstruction.transform(test_flight)["gust"].to_numpy()
+        fit = reconstruction.gust_std_
         assert_allclose(ratio, (gust**2 + 0.1**2) / (fit**2 + 0.1**2), rtol=1e-9)
         assert not np.allclose(ratio, 1.0, rtol=0.02)  # another flight, other air
         _, std = model.predict(test_flight, return_std=True)
@@ -152,7 +153,8 @@ class TestPredict:
 class TestLeastSquares:
     def test_is_that_of_the_same_rows(self, flights):
         """Refitted here by scikit-learn on what the regressor got."""
-        train, test = flights.train.iloc[:500], flights.test.iloc[:400]
+        train = flights.train.iloc[:500]
+        test = flights.test.iloc[:400]
         regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
         result = identify(
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
@@ -304,7 +306,8 @@ def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
     rate = list(pipeline["regressorselector"].regressors_).index("p_hat")
     deviation, expected = (model["standardscaler"].scale_[rate] for model in (pipeline, right))
     assert deviation == pytest.approx(expected, rel=0.005)
-    found, wanted = pipeline.predict(too_much), right.predict(flights.train)
+    found = pipeline.predict(too_much)
+    wanted = right.predict(flights.train)
     assert normalized_rmse(wanted, found) < 1e-3
     is_measured = Y.notna().all(axis=1)
     expected = r2_score(Y[is_measured], np.asarray(found)[is_measured])
@@ -344,7 +347,8 @@ def test_coefficients_are_those_of_the_corrected_airspeed(flights):
     with pytest.warns(UserWarning, match="airspeed"):
         wrong = result(1.04)
     right = result(1.0)
-    (found,), (expected,) = wrong.evaluations, right.evaluations
+    (found,) = wrong.evaluations
+    (expected,) = right.evaluations
     # what is left of the error enters by its square
     assert np.nanmedian(found.measured / expected.measured) == pytest.approx(1.0, abs=0.01)
     assert_allclose(found.table["airspeed"], expected.table["airspeed"], rtol=0.005)

@@ -309,7 +309,9 @@ def model_file(fitted, tmp_path, delta):
 
 
 # A line at the end holds JSON, at its end the SHA-256 of all bytes before
-MAGIC, CHECKSUM, END = b"\nskdgp model file ", b', "sha256": "', b'"}\n'
+MAGIC = b"\nskdgp model file "
+CHECKSUM = b', "sha256": "'
+END = b'"}\n'
 
 
 def closed(data, model=None, **changes):
@@ -402,7 +404,8 @@ class TestModelFile:
     def test_a_single_flipped_bit(self, model_file):
         """In each byte of the closing line, and many of the model: what loads is what was saved."""
         data = model_file.read_bytes()
-        n, closing = 8 * len(data), 8 * data.rindex(MAGIC)
+        n = 8 * len(data)
+        closing = 8 * data.rindex(MAGIC)
         places = default_rng(0).choice(closing, 100, replace=False)
         for place in [*places, *range(closing, n, 7)]:
             flipped = bytearray(data)

@@ -82,7 +82,8 @@ def test_dtypes_index_and_order_of_columns_decide_nothing(clothes, learning, pip
 def test_the_order_of_flights_decides_nothing(learning, pipeline, plain):
     table, Y = learning
     rows = np.r_[120:240, 0:120]
-    turned, model = table.iloc[rows], clone(pipeline)
+    turned = table.iloc[rows]
+    model = clone(pipeline)
     got = model.fit(turned, Y.iloc[rows]).predict(turned, return_std=True)
     assert_allclose(got, np.stack(plain)[:, rows], rtol=1e-6)
 
@@ -203,9 +204,11 @@ def test_a_faulty_table_gives_finite_numbers_or_one_error(
         warnings.simplefilter("ignore", UserWarning)
         try:
             if of_training:
-                model, asked = clone(pipeline).fit(faulty, targets), table
+                model = clone(pipeline).fit(faulty, targets)
+                asked = table
             else:
-                model, asked = fitted, faulty
+                model = fitted
+                asked = faulty
             mean, std = model.predict(asked, return_std=True)
         except ValueError:  # TypeError, IndexError, LinAlgError ... fail the test
             return

@@ -428,7 +428,9 @@ def test_warnings_are_ranked():
     assert verdict().warnings == ()
 
 
-PREDICT, SIMULATE, CONTROL = "predict coefficients", "simulate", "design a controller"
+PREDICT = "predict coefficients"
+SIMULATE = "simulate"
+CONTROL = "design a controller"
 AX = {"regressors": ["alpha", "ax"]}
 BIASED = still(evaluation(), 5)
 BIASED = replace(BIASED, mean=BIASED.mean + np.array([0, 0, 0, 0, 0, 1.0]))

@@ -260,7 +260,8 @@ class Flight:
         "propeller_speed": (500.0, 50.0), "elevator": (0.02, 0.05), "aileron": (0.0, 0.1), "rudder": (0.0, 0.05),
         "elevon_left": (0.02, 0.1), "elevon_right": (0.02, 0.1), "wind_north": (2.0, 0.2), "wind_east": (-1.0, 0.2),
     }  # fmt: skip
-    BEGIN, END = 12.0, 42.0
+    BEGIN = 12.0
+    END = 42.0
 
     def __getitem__(self, name):
         """Return a channel as a function of time."""
@@ -286,7 +287,8 @@ class Flight:
 
     def rates(self, t):
         """Return p, q, r of the attitude (Stevens & Lewis, equation 1.4-3)."""
-        phi, theta = self["phi"](t), self["theta"](t)
+        phi = self["phi"](t)
+        theta = self["theta"](t)
         phi_dot, theta_dot, psi_dot = (self.slope(name, t) for name in ("phi", "theta", "psi"))
         return (
             phi_dot - psi_dot * np.sin(theta),
@@ -445,7 +447,8 @@ def telemetry(flight, t):
     def whole(names, factor):
         return list(map(round, at(names, factor)))
 
-    ms, us = round(t * 1e3), round(t * 1e6)
+    ms = round(t * 1e3)
+    us = round(t * 1e6)
     force = whole("ax ay az", 1e3 / 9.80665)
     elevator, rudder = whole("elevator rudder", -1000)
     pulses = 1500, 1500 + elevator, 1100, 1500 + rudder, *[1500] * 4

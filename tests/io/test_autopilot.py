@@ -167,7 +167,9 @@ class TestFlights:
 
     def test_rows_at_the_ends_that_lack_a_slow_channel_are_left_out(self, read, log):
         """A vane that comes later is no reason."""
-        log, rpm, late = log(), self.t[14:-3:10], self.t[500:]
+        log = log()
+        rpm = self.t[14:-3:10]
+        late = self.t[500:]
         log.topic("rpm", rpm, indicated_frequency_rpm=rpm)
         table = read(log.topic("airflow_aoa", late, aoa_rad=late / 100))
         assert table.propeller_speed.notna().all()
@@ -247,7 +249,8 @@ class TestRefusals:
 class TestWithoutAnAccelerometer:
     """A steady banked turn: specific force is minus gravity over cos(phi) along z, and zero along x and y."""
 
-    SPEED, OMEGA = 20.0, 0.3
+    SPEED = 20.0
+    OMEGA = 0.3
 
     @pytest.fixture
     def log(self, ulog):
@@ -383,7 +386,8 @@ class TestRates:
         logged[np.searchsorted(time, 8.0)] = False
         time = time[logged]
         table = recorded(time, time)
-        before, after = time[time < 4].max() + 1e-9, time[time > 4].min() - 1e-9
+        before = time[time < 4].max() + 1e-9
+        after = time[time > 4].min() - 1e-9
         inside = table["time"].between(before, after)
         assert table["p"][inside].isna().all()
         assert_allclose(table["p"][~inside], table["time"][~inside], atol=1e-5)

@@ -27,7 +27,8 @@ def assert_as_pymavlink(path):
     theirs = {}
     with reader:
         while (message := reader.recv_msg()) is not None:
-            name, fields = message.get_type(), message.to_dict()
+            name = message.get_type()
+            fields = message.to_dict()
             if name not in DEFINITIONS and "TimeUS" in fields:
                 of = message.fmt.instance_field
                 theirs.setdefault((name, fields[of] if of else 0), []).append(fields)
@@ -117,7 +118,8 @@ class TestDamage:
 
     def test_cut_off_anywhere(self, read, dataflash):
         parts = ticks(dataflash(), 1, 2, 3).parts()
-        whole, first = b"".join(parts), len(b"".join(parts[:-2]))
+        whole = b"".join(parts)
+        first = len(b"".join(parts[:-2]))
         for length in range(first, len(whole)):
             assert times(read(whole[:length])) == list(
                 range(1, 2 + (length - first) // len(parts[-1]))

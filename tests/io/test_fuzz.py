@@ -18,7 +18,9 @@ from skdgp.preprocessing import FlightDataWarning
 # Per kind of damage; longer runs go through the same code
 ROUNDS = {".ulg": 3, ".bin": 3, ".tlog": 1, ".csv": 6, ".parquet": 6}
 # A small file is read within so many seconds, in so many bytes and so many times its own
-SECONDS, MEMORY, GROWTH = 5.0, 60e6, 40
+SECONDS = 5.0
+MEMORY = 60e6
+GROWTH = 40
 
 
 DOCUMENTED = (
@@ -79,7 +81,8 @@ def check(table, n_bytes):
         if name not in table.attrs["unknown_columns"]:
             assert table[name].dtype == np.float64
             assert not np.isinf(table[name]).any()
-    time, flight = table["time"].to_numpy(), table["flight"].to_numpy()
+    time = table["time"].to_numpy()
+    flight = table["flight"].to_numpy()
     assert np.isfinite(time).all()
     assert all(isinstance(name, str) for name in flight)
     assert not {"", "nan", "None", "<NA>", "NaT"} & set(flight)
@@ -122,7 +125,8 @@ def logs(tmp_path_factory, px4, ardupilot, tlog):
 @pytest.mark.parametrize("suffix", ROUNDS)
 def test_damaged_logs(logs, tmp_path, suffix):
     """Some are read and some refused; a damaged log of an autopilot is mostly a good one, telemetry always."""
-    path, outcomes = tmp_path / f"log{suffix}", []
+    path = tmp_path / f"log{suffix}"
+    outcomes = []
     for kind, damage in enumerate(DAMAGES):
         rng = default_rng([len(suffix), kind])
         for _ in range(ROUNDS[suffix]):
@@ -211,7 +215,8 @@ BOMBS = {
 def test_small_files_take_little(tmp_path, name, content, message):
     content = content()
     (tmp_path / name).write_bytes(content)
-    before, began = pa.total_allocated_bytes(), time.process_time()
+    before = pa.total_allocated_bytes()
+    began = time.process_time()
     tracemalloc.start()
     try:
         with pytest.raises(FlightReadError, match=message):

@@ -263,7 +263,8 @@ class TestVehicles:
         log.topic("vehicle_attitude", T, q=q)
         status = {"is_vtol_tailsitter": True} if by_status else {}
         log.topic("vehicle_status", SLOW, is_vtol=True, **status)
-        up, right = 0.3 * np.cos(T), 0.2 * np.sin(T)
+        up = 0.3 * np.cos(T)
+        right = 0.2 * np.sin(T)
         log.topic("actuator_servos", T, control=np.column_stack([up - right, up + right]))
         table = read(log, servos="full throw", airborne=False)
         for names, values in (("phi theta psi", np.column_stack(angles)), ("p q r", rates)):
@@ -297,7 +298,8 @@ class TestVehicles:
         motors = np.column_stack([0.6 + 0 * SLOW, right])
         log.topic("actuator_motors", SLOW, control=motors)
         table = read(log, airborne=False)
-        early, late = table[table.time < 24.8], table[table.time > 25.2]
+        early = table[table.time < 24.8]
+        late = table[table.time > 25.2]
         assert_allclose(early[["throttle", "differential_throttle"]], [[0.6, 0.0]] * len(early))
         late = late[["throttle", "differential_throttle"]].dropna()
         assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
@@ -319,7 +321,8 @@ class TestVehicles:
     def test_the_motor_that_drives_a_vtol_of_px4(self, told, px4):
         lifts = SLOW < 20
         log = as_vtol(px4(), np.where(lifts, 3, 4))
-        lift, push = [0.5] * 8 + [np.nan], [np.nan] * 8 + [0.7]
+        lift = [0.5] * 8 + [np.nan]
+        push = [np.nan] * 8 + [0.7]
         commands = np.where(lifts[:, None], lift, push)
         log.topic("actuator_motors", SLOW, control=commands)
         table = told("rotors lift", log)
@@ -338,7 +341,8 @@ class TestVehicles:
     def test_a_v_tail_on_outputs_of_two_messages(self, plane, surfaces):
         """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""
         log = plane(SERVO5_FUNCTION=79.0, SERVO15_FUNCTION=80.0, SERVO15_REVERSED=1.0)
-        up, right = 0.3 * np.sin(SLOW), 0.2 * np.cos(SLOW)
+        up = 0.3 * np.sin(SLOW)
+        right = 0.2 * np.cos(SLOW)
         log.topic("RCOU", SLOW, C5=pulse(up + right))
         log.topic("RCO2", SLOW + 1e-4, C15=pulse(right - up))
         table = surfaces(log)
@@ -355,7 +359,8 @@ class TestVehicles:
     def test_flaperons(self, reverse, turn, plane, surfaces):
         """left = aileron + flap, right = aileron - flap (ArduPlane/servos.cpp)."""
         log = plane(SERVO1_FUNCTION=24.0, SERVO5_FUNCTION=25.0, SERVO5_REVERSED=reverse)
-        aileron, flap = 0.3 * np.sin(SLOW), 0.2 * (SLOW > 30)
+        aileron = 0.3 * np.sin(SLOW)
+        flap = 0.2 * (SLOW > 30)
         log.topic("RCOU", SLOW, C1=pulse(aileron + flap), C5=pulse(turn * (aileron - flap)))
         inside = surfaces(log)
         assert_wave(inside, "aileron", 0.3)
@@ -363,7 +368,8 @@ class TestVehicles:
 
     def test_flaperons_against_their_parameters_are_told(self, plane, surfaces):
         log = plane(SERVO1_FUNCTION=24.0, SERVO5_FUNCTION=25.0)
-        aileron, flap = 0.3 * np.sin(SLOW), 0.9 * (SLOW > 30)
+        aileron = 0.3 * np.sin(SLOW)
+        flap = 0.9 * (SLOW > 30)
         log.topic("RCOU", SLOW, C1=pulse(aileron + flap), C5=pulse(flap - aileron))
         with pytest.warns(FlightDataWarning, match="move against each other"):
             inside = surfaces(log)
@@ -377,7 +383,8 @@ class TestVehicles:
             f"SERVO{n}_{end}": us for n in (3, 4, 6) for end, us in (("MIN", 1e3), ("MAX", 2e3))
         }
         log = plane(**functions, **ends, SERVO6_REVERSED=reverse)
-        yaw, flap = 0.1 * np.sin(SLOW), 0.4
+        yaw = 0.1 * np.sin(SLOW)
+        flap = 0.4
         pulse = 1000 + 1000 * (1 - flap if reverse else flap)
         engines = {"C3": ("H", 1600 + 500 * yaw), "C4": ("H", 1600 - 500 * yaw)}
         log.topic("RCOU", SLOW, **engines, C6=("H", pulse))
@@ -388,7 +395,8 @@ class TestVehicles:
     @pytest.mark.parametrize("second", [0.5, 0.3])
     def test_flaperons_of_px4(self, second, allocated):
         """The flap is read where rolling leaves the mean of the ailerons over their CA_SV_CSn_FLAP alone."""
-        roll, flap = 0.2 * np.sin(SLOW), 0.3
+        roll = 0.2 * np.sin(SLOW)
+        flap = 0.3
         outputs = 0.5 * (2 * flap - 1) - roll, second * (2 * flap - 1) + roll
         table = allocated(*outputs, **FLAPERONS | {"CA_SV_CS1_FLAP": second})
         assert ("flap" in table) == (second == 0.5)
@@ -422,7 +430,8 @@ class TestVehicles:
 
     def test_flaperons_of_px4_that_only_open(self, allocated):
         """Since version 1.16 they are closed at zero, and open by f CA_SV_CSn_FLAP."""
-        roll, flap = 0.2 * np.sin(SLOW), np.clip((SLOW - 20) / 10, 0.0, 1.0)
+        roll = 0.2 * np.sin(SLOW)
+        flap = np.clip((SLOW - 20) / 10, 0.0, 1.0)
         table = allocated(0.5 * flap - roll, 0.5 * flap + roll, **FLAPERONS)
         assert_allclose(table.flap, np.clip((table.time - 20) / 10, 0.0, 1.0), atol=0.005)
 

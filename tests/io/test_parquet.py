@@ -12,7 +12,8 @@ import pytest
 
 from skdgp.io import FlightReadError, inspect_log, read_flight
 
-TIME, ALPHA = [0.0, 0.5, 1.0], [0.25, 0.5, 0.25]
+TIME = [0.0, 0.5, 1.0]
+ALPHA = [0.25, 0.5, 0.25]
 NOON = dt.datetime(2024, 5, 1, 12)
 TABLE = pa.table({"time": TIME, "alpha": ALPHA})
 SECONDS = [dt.timedelta(seconds=second) for second in TIME]

@@ -74,7 +74,9 @@ def parameters_of(surfaces):
 
 COMMANDS = {"aileron": 0.3, "elevator": -0.4, "rudder": 0.2}
 # More torque pitches up, rolls right, yaws right: of these only roll has the sign of the table
-ROLL, PITCH, YAW = 0.3, 0.4, -0.2
+ROLL = 0.3
+PITCH = 0.4
+YAW = -0.2
 
 
 class TestFullThrow:
@@ -83,7 +85,8 @@ class TestFullThrow:
     def test_of_ardupilot(self, read, ardupilot, flight):
         table = read(ardupilot, "log.bin", servos="full throw")
         for name, sign in {"aileron": 1, "elevator": 1, "rudder": -1}.items():
-            found, flown = table[name][20:-20], flight[name](table.time)[20:-20]
+            found = table[name][20:-20]
+            flown = flight[name](table.time)[20:-20]
             assert np.corrcoef(found, sign * flown)[0, 1] > 0.999
         assert table.attrs["sources"]["rudder"] == "RCOU.C4 (in parts of the full throw)"
 
@@ -171,7 +174,8 @@ def test_differential_spoilers(
     """The autopilot raises the outer and lowers the inner spoiler of the side that it yaws to."""
     wing = np.array([-aileron, aileron]) + elevator * is_flying_wing
     side = abs(rudder) * np.array([rudder < 0, rudder > 0])
-    outer, inner = wing + side, wing * is_full_span - side
+    outer = wing + side
+    inner = wing * is_full_span - side
     outputs = dict(zip((16, 17, 86, 87), [*outer, *inner], strict=True))
     parameters = {f"SERVO{n}_FUNCTION": float(f) for n, f in enumerate(outputs, start=1)}
     log = dataflash(**parameters, DSPOILER_OPTS=float(is_flying_wing + 2 * is_full_span))

@@ -22,7 +22,8 @@ def model():
 
 
 def test_a_row_for_each_output_holds_effects_and_interactions(model):
-    display, found = EffectsDisplay.from_model(model, ax=Figure()), effects(model)
+    display = EffectsDisplay.from_model(model, ax=Figure())
+    found = effects(model)
     assert display.axes_.shape == (2, 3)
     assert display.keys[3:] == [("Cm", "alpha"), ("Cm", "throttle"), ("Cm", 0)]
     assert [ax.get_ylabel() for ax in display.axes_[:, 0]] == ["$C_Z$", "$C_m$"]

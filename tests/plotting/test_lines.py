@@ -55,7 +55,8 @@ def test_a_band_covers_every_interval():
     # Inside a slice the band is the union of its samples' intervals.
     lower = corners[:top]
     upper = corners[top:][::-1]
-    low, high = ((centre - half), (centre + half))
+    low = centre - half
+    high = centre + half
     assert (np.interp(time, *lower[np.argsort(lower[:, 0], kind="stable")].T) <= low + 1e-12).all()
     assert (np.interp(time, *upper[np.argsort(upper[:, 0], kind="stable")].T) >= high - 1e-12).all()
     assert corners[:, 1].min() == low.min()

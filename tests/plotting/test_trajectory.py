@@ -14,7 +14,8 @@ TIME = np.arange(0, 4, 0.02)
 
 def ensemble(n_paths=20):
     rng = default_rng(0)
-    speed, turn = rng.normal(0, 0.5, n_paths), rng.normal(0, 0.05, n_paths)
+    speed = rng.normal(0, 0.5, n_paths)
+    turn = rng.normal(0, 0.05, n_paths)
     parts = [
         pd.DataFrame({"start": 0, "path": k, "time": TIME + 7, "airspeed": 30 + speed[k] * TIME,
                       "psi": np.angle(np.exp(1j * (3.0 + (0.3 + turn[k]) * TIME))), "beyond": "", "ended": ""})
@@ -41,7 +42,8 @@ def test_the_band_holds_95_of_100_paths_and_headings_do_not_tear():
 
 def test_the_line_is_the_trajectory_of_the_mean():
     """On the turn of the paths; without it the line is called what it is, the median of the paths."""
-    paths, turned = ensemble(), 3.0 + 0.28 * TIME
+    paths = ensemble()
+    turned = 3.0 + 0.28 * TIME
     mean = pd.DataFrame({"time": TIME + 7, "airspeed": 31.0, "psi": np.angle(np.exp(1j * turned))})
     columns = ["psi", "airspeed"]
     display = TimeHistoryDisplay.from_trajectories(paths, mean=mean, ax=False, columns=columns)

@@ -143,7 +143,8 @@ def test_a_fault_is_found_with_its_seconds_told_once_and_taken_out(channel, kind
     with pytest.warns(FlightDataWarning, match=words) as said:
         out = FlightCheck().fit_transform(table)
     assert len(said) == 1
-    clean, rows = log(), [*rows]
+    clean = log()
+    rows = [*rows]
     line = np.interp(clean.time, np.delete(clean.time, rows), np.delete(clean[channel], rows))
     expected = np.nan if len(rows) > 10 else line[rows]  # short gaps are bridged
     assert_frame_equal(out, spoilt(channel, rows, expected))
@@ -235,7 +236,8 @@ class TestBridging:
 
     def test_single_lost_samples_leave_no_holes(self):
         """3 % of the cells of each channel are missing, one sample at a time."""
-        table, rng = log(), default_rng(0)
+        table = log()
+        rng = default_rng(0)
         for name in LEVELS:
             lost = rng.choice(np.arange(1, len(table) - 1, 3), len(table) // 33, replace=False)
             table.loc[lost, name] = np.nan

@@ -69,7 +69,8 @@ def test_surfaces_between_samples_follow_their_motion(rate):
 def test_sensors_of_slower_clocks_count_each_sample_once():
     table, is_fresh = held(log(), VELOCITY, 5.0)
     sparse = table.assign(**table.loc[is_fresh, VELOCITY].reindex(table.index))
-    (expected,), (sensors,) = flights_of(sparse), flights_of(table)
+    (expected,) = flights_of(sparse)
+    (sensors,) = flights_of(table)
     assert_array_equal(sensors.sensors.velocity, expected.sensors.velocity)
     assert len(np.flatnonzero(np.isfinite(sensors.sensors.velocity[:, 0]))) == 300
     lag = LagCorrector({"gps": 0.1})

@@ -47,7 +47,8 @@ def flight(name, rng):
     t = 0.02 * np.arange(150)
     k = np.arange(len(WAVES))
     waves = np.sin(np.outer(t, 1 + 0.1 * k) + k) + rng.normal(0, 0.02, (len(t), len(k)))
-    left, right = 0.1 * np.sin(3 * t), 0.1 * np.cos(2 * t)
+    left = 0.1 * np.sin(3 * t)
+    right = 0.1 * np.cos(2 * t)
     surfaces = {
         "elevon_left": left,
         "elevon_right": right,

@@ -173,7 +173,8 @@ class TestEstimate:
 
     def test_a_linear_model_that_explains_little_still_shows_a_lag(self):
         """Gusts, which no regressor has, turn the aircraft as much as all that regressors have."""
-        table, rng = linear_aircraft(1, surfaces=0.05, seconds=240), default_rng(1)
+        table = linear_aircraft(1, surfaces=0.05, seconds=240)
+        rng = default_rng(1)
         for name in ("p", "q", "r"):
             gust = gaussian_filter1d(rng.normal(size=len(table)), 6)
             gust *= np.std(np.diff(table[name])) / gust.std()
@@ -203,7 +204,8 @@ class TestTransform:
     def test_what_was_late_is_on_time_again(self):
         lags = lags_of(linear_aircraft(3, air=0.08, surfaces=0.05))
         assert lags.remark[["air", "surfaces"]].tolist() == ["removed"] * 2
-        spoilt, truth = linear_aircraft(3, surfaces=0.1), linear_aircraft(3)
+        spoilt = linear_aircraft(3, surfaces=0.1)
+        truth = linear_aircraft(3)
         error = corrected(spoilt).elevator - truth.elevator
         assert error[20:-20].std() < 0.1 * (spoilt.elevator - truth.elevator)[20:-20].std()
 

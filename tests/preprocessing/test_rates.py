@@ -20,7 +20,8 @@ FLIGHT = pd.DataFrame(
         "time": [0.0, 0.02],
     }
 )
-B, C = 2.8, 1.2
+B = 2.8
+C = 1.2
 # Typed from the equations: value * factor(V).
 HAND = {
     "p_hat": lambda t: t.p * B / (2 * t.airspeed),

@@ -53,7 +53,8 @@ MEAN_WIND = np.array([3.0, -2.0, 0.0])
 
 def motion(t, turn, loop):
     """Return attitude and airspeed vector (n, 3), body axes, as functions of time."""
-    moving, rolling = turn != 0.0, loop == 0.0
+    moving = turn != 0.0
+    rolling = loop == 0.0
     psi = turn * t + 0.1 * moving * np.sin(0.9 * t)
     theta = 0.15 * np.sin(0.7 * t)
     phi = 0.4 * rolling * np.sin(0.5 * t)
@@ -197,7 +198,8 @@ class TestRecovery:
 
     def test_slow_and_silent_sensors(self):
         table = flown(40.0)
-        slow, row = table.copy(), np.arange(len(table))
+        slow = table.copy()
+        row = np.arange(len(table))
         slow.loc[row % 5 != 0, VELOCITY] = np.nan  # GPS at 5 Hz
         slow.loc[row % 3 != 0, ["alpha"]] = np.nan
         slow.loc[(row > 700) & (row < 750), [*ATTITUDE, "airspeed"]] = np.nan
@@ -218,7 +220,8 @@ class TestHonesty:
         table = flown(60.0, gusts=0.5)
         assert len(table) == 1500
         reconstruction = fitted(table[:500])
-        found, peaks = [], []
+        found = []
+        peaks = []
         for max_rows in (1500, 500):
             reconstruction.set_params(max_rows=max_rows)
             tracemalloc.start()

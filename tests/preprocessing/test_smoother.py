@@ -186,7 +186,8 @@ class TestJoint:
 
     def test_a_partner_sampled_at_other_rows_tells_nothing(self):
         noisy, _ = self.motion(4800)
-        silent, elsewhere = noisy.assign(q=np.nan), noisy.copy()
+        silent = noisy.assign(q=np.nan)
+        elsewhere = noisy.copy()
         elsewhere.loc[::2, "q"] = np.nan
         out = smoothed_table(elsewhere)
         assert_allclose(out.alpha, smoothed_table(silent).alpha)

@@ -39,7 +39,11 @@ class Page(HTMLParser):
 
     def __init__(self, html):
         super().__init__(convert_charrefs=True)
-        self.open, self.text, self.tags, self.loads, self.ids = [], [], [], [], []
+        self.open = []
+        self.text = []
+        self.tags = []
+        self.loads = []
+        self.ids = []
         self.pictures = {}  # SVG by label
         self.feed(html)
         self.close()
@@ -200,7 +204,8 @@ class TestPage:
         assert titles[-2:] == ["What was done", "How to read"]
 
     def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self):
-        before, setting = plt.get_fignums(), plt.rcParams["svg.fonttype"]
+        before = plt.get_fignums()
+        setting = plt.rcParams["svg.fonttype"]
         content = {"test": [result(100, replay=None)], "train": {}}
         assert render(**content) == render(**content)
         assert plt.get_fignums() == before

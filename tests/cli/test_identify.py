@@ -270,10 +270,6 @@ class TestBadInput:
         refused(words, train=["latlon.csv", write("copy.csv")])
         refused("name a file once", train=["latlon.csv", "./latlon.csv"])
 
-    def test_a_test_flight_that_lacks_a_column(self, refused, write):
-        bare = write("bare.csv", lambda table: table.drop(columns="alpha"), of="test")
-        refused(r"The flight '\w+' lacks the columns 'alpha'\. Rename or compute", "--test", bare)
-
     def test_a_wrong_aircraft(self, refused, folder, tmp_path):
         values = json.loads((folder / "uav.json").read_text()) | {"name": "a\nb"}
         (tmp_path / "wrong.json").write_text(json.dumps(values))

@@ -27,10 +27,6 @@ def aerodynamics(regressors):
     return data().aerodynamics(regressors)
 
 
-def test_regressors_have_these_names():
-    assert data().regressor_names == REGRESSORS
-
-
 @pytest.fixture
 def envelope():
     """States scattered over what is flown, none of them degenerate."""

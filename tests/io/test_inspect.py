@@ -148,16 +148,6 @@ class TestCommand:
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 
-    def test_no_such_file(self, command, capsys):
-        assert command(["inspect", "nowhere.ulg"]) == 1
-        assert "o such file" in capsys.readouterr().err
-
-
-def test_a_bench_of_a_vtol(vtol_bench):
-    summary = inspect_log(vtol_bench)
-    assert summary.vehicle == "VTOL"
-    assert "never stays above 13.3 m/s" in summary.remarks[-1]
-
 
 @pytest.fixture
 def bench(write, dataflash):

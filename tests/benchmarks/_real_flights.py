@@ -41,6 +41,17 @@ SMALL_UAV = Aircraft(
 EDGE = 30  # Samples at either end of the manoeuvres of ATTAS that its filters made to ring
 # Angle of the UAV's surfaces by its commands, about; another scale changes no error
 TRAVEL = np.radians(25.0) / 2250.0
+DEGREE = np.radians(1.0)
+# Channels of the UAV: field of a record, factor to SI
+UAV_FIELDS = {
+    "airspeed": ("Va", 1.0), "alpha": ("AoA", DEGREE), "beta": ("beta", DEGREE),
+    "ax": ("ax", 1.0), "ay": ("ay", 1.0), "az": ("az", 1.0),
+    "p": ("p", 1.0), "q": ("q", 1.0), "r": ("r", 1.0),
+    "phi": ("roll", DEGREE), "theta": ("pitch", DEGREE), "psi": ("yaw", DEGREE),
+    "altitude": ("h", 1.0), "v_north": ("VN", 1.0), "v_east": ("VE", 1.0), "v_down": ("VD", 1.0),
+    "elevator": ("delta_e", TRAVEL), "aileron": ("delta_a", TRAVEL), "rudder": ("delta_r", TRAVEL),
+    "throttle": ("delta_t", 0.01),
+}  # fmt: skip
 
 
 def attas(folder):
@@ -83,50 +94,29 @@ def _attas(folder, name, boom=True):
         )
     left = log[:, 37]
     right = log[:, 38]
-    columns = {
-        "time": np.arange(len(log)) * 0.04,
-        "airspeed": airspeed,
-        "alpha": vanes[:, 0],
-        "beta": vanes[:, 1],
-        **dict(zip(("ax", "ay", "az"), force.T, strict=True)),
-        **dict(zip("pqr", rates.T, strict=True)),
-        **dict(zip(("p_dot", "q_dot", "r_dot"), accelerations.T, strict=True)),
-        **dict(zip(("phi", "theta", "psi"), degrees[:, 10:13].T, strict=True)),
-        "altitude": (0.3048 if boom else 1.0) * log[:, 16],  # the stalls hold metres
-        "density": log[:, 34],
-        "elevator": degrees[:, 22],
-        "aileron": 0.5 * (degrees[:, 29] - degrees[:, 28]),
-        "rudder": degrees[:, 30],
-        "thrust_x": left + right,
-        "thrust_m": ENGINE[2] * (left + right),
-        "thrust_n": ENGINE[1] * (left - right),
-    }
+    table = pd.DataFrame({"time": np.arange(len(log)) * 0.04, "airspeed": airspeed})
+    table[["alpha", "beta"]] = vanes
+    table[["ax", "ay", "az"]] = force
+    table[["p", "q", "r"]] = rates
+    table[["p_dot", "q_dot", "r_dot"]] = accelerations
+    table[["phi", "theta", "psi"]] = degrees[:, 10:13]
+    table["altitude"] = (0.3048 if boom else 1.0) * log[:, 16]  # the stalls hold metres
+    table["density"] = log[:, 34]
+    table[["elevator", "rudder"]] = degrees[:, [22, 30]]
+    table["aileron"] = 0.5 * (degrees[:, 29] - degrees[:, 28])
+    table["thrust_x"] = left + right
+    table["thrust_m"] = ENGINE[2] * (left + right)
+    table["thrust_n"] = ENGINE[1] * (left - right)
     part = np.cumsum(np.diff(log[:, 1], prepend=log[0, 1]) > 1.0)  # one file holds two manoeuvres
-    table = pd.DataFrame(columns).assign(flight=[f"{name} {k + 1}" for k in part])
-    from_end = [
-        table.groupby("flight").cumcount(ascending=ascending) for ascending in (True, False)
-    ]
-    return table[np.minimum(*from_end) >= EDGE].reset_index(drop=True)
+    table["flight"] = [f"{name} {k + 1}" for k in part]
+    parts = table.groupby("flight")
+    from_end = np.minimum(parts.cumcount(), parts.cumcount(ascending=False))
+    return table[from_end >= EDGE].reset_index(drop=True)
 
 
 def uav(record, name):
     """Return the table of one manoeuvre of the UAV."""
-    angles = np.radians([record.roll, record.pitch, record.yaw])
-    columns = {
-        "time": np.arange(len(record.time)) * 0.02,
-        "airspeed": record.Va,
-        "alpha": np.radians(record.AoA),
-        "beta": np.radians(record.beta),
-        **{channel: getattr(record, channel) for channel in ("ax", "ay", "az", "p", "q", "r")},
-        **dict(zip(("phi", "theta", "psi"), angles, strict=True)),
-        "altitude": record.h,
-        "v_north": record.VN,
-        "v_east": record.VE,
-        "v_down": record.VD,
-        "density": 1.2682,
-        "elevator": TRAVEL * record.delta_e,
-        "aileron": TRAVEL * record.delta_a,
-        "rudder": TRAVEL * record.delta_r,
-        "throttle": record.delta_t / 100.0,
-    }
-    return pd.DataFrame(columns).assign(flight=name)
+    columns = {"time": np.arange(len(record.time)) * 0.02}
+    for channel, (field, factor) in UAV_FIELDS.items():
+        columns[channel] = factor * getattr(record, field)
+    return pd.DataFrame(columns).assign(density=1.2682, flight=name)

@@ -38,6 +38,10 @@ HFB_320 = Aircraft(
 # Of the engines of the HFB-320 [rad], and their place from its centre of gravity [m]
 TILT = 0.0524
 HFB_ENGINE = (-1.343, 2.990, -0.652)
+# Numbers of the channels in its log
+HFB_CHANNELS = {"time": 0, "airspeed": 4, "alpha": 5, "beta": 16, "ax": 9, "ay": 11, "az": 10}
+HFB_CHANNELS |= {"p": 12, "q": 7, "r": 13, "phi": 17, "theta": 6}
+HFB_CHANNELS |= {"elevator": 1, "aileron": 18, "rudder": 19}
 RECORDS = {
     "a": ("ail_1 ail_2 ail_3 el_1 el_2 el_3 rud_1", "ail_4 el_4"),
     "b": ("ail_3 ail_4 el_3 el_4 rud_1", "ail_1 ail_2 el_1 el_2"),
@@ -47,29 +51,13 @@ RECORDS = {
 def hfb_320(folder):
     """Return aircraft, the first three quarters and the last one of a flight in turbulence, longitudinal."""
     log = np.loadtxt(Path(folder) / real.BOOK / "hfb320_1_10.asc").T
-    thrust_x = log[3] * np.cos(TILT)
-    thrust_z = -log[3] * np.sin(TILT)
-    table = pd.DataFrame(
-        {
-            "time": log[0],
-            "airspeed": log[4],
-            "alpha": log[5],
-            "beta": log[16],
-            "ax": log[9],
-            "ay": log[11],
-            "az": log[10],
-            **dict(zip("pqr", log[[12, 7, 13]], strict=True)),
-            "phi": log[17],
-            "theta": log[6],
-            "density": 2 * log[2] / log[4] ** 2,
-            "elevator": log[1],
-            "aileron": log[18],
-            "rudder": log[19],
-            "thrust_x": thrust_x,
-            "thrust_z": thrust_z,
-            "thrust_m": HFB_ENGINE[2] * thrust_x - HFB_ENGINE[0] * thrust_z,
-        }
-    )
+    table = pd.DataFrame({name: log[k] for name, k in HFB_CHANNELS.items()})
+    thrust = log[3]
+    dynamic_pressure = log[2]
+    table["density"] = 2 * dynamic_pressure / table["airspeed"] ** 2
+    table["thrust_x"] = thrust * np.cos(TILT)
+    table["thrust_z"] = -thrust * np.sin(TILT)
+    table["thrust_m"] = HFB_ENGINE[2] * table["thrust_x"] - HFB_ENGINE[0] * table["thrust_z"]
     n = 3 * len(table) // 4
     return HFB_320, table[:n].reset_index(drop=True), table[n:].reset_index(drop=True), {}
 

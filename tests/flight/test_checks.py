@@ -92,15 +92,12 @@ def test_a_steady_heading_in_degrees_is_refused(noise):
         assert_degrees(part, "psi")
 
 
-def test_gyros_in_degrees_do_not_excuse_angles_in_degrees():
+def test_gyros_in_degrees_or_with_spikes_do_not_excuse_angles_in_degrees():
     table = orbit()
-    assert_degrees(table.assign(**np.rad2deg(table[["psi", "p", "q", "r"]])), "psi")
-
-
-def test_spikes_of_gyros_do_not_excuse_angles_in_degrees():
-    table = orbit(turn=0.03)
-    table.loc[100:110, "r"] = 30.0
-    assert_degrees(table.assign(psi=np.rad2deg(table.psi)), "psi")
+    assert_degrees(table.assign(**np.rad2deg(table[["psi", *WITHOUT_GYROS]])), "psi")
+    spikes = orbit(turn=0.03)
+    spikes.loc[100:110, "r"] = 30.0
+    assert_degrees(spikes.assign(psi=np.rad2deg(spikes.psi)), "psi")
 
 
 def test_each_flight_is_unwrapped_by_itself_and_spikes_do_not_matter():

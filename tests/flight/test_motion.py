@@ -28,14 +28,10 @@ def shaken(size):
     return table
 
 
-@pytest.mark.parametrize("size", [0.0, 1.0])
-def test_vibration_of_the_rates_does_not_widen_it(size):
-    assert 1.5 < motion_band_of(shaken(size)) < 5.0
-
-
-def test_noise_of_the_surfaces_does_not_widen_it():
-    table = shaken(0.0)
-    table["elevator"] += table["elevator"].std() * default_rng(0).normal(size=len(table))
+@pytest.mark.parametrize(("vibration", "noise"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+def test_vibration_of_the_rates_and_noise_of_the_surfaces_do_not_widen_it(vibration, noise):
+    table = shaken(vibration)
+    table["elevator"] += noise * table["elevator"].std() * default_rng(0).normal(size=len(table))
     assert 1.5 < motion_band_of(table) < 5.0
 
 

@@ -81,11 +81,14 @@ def test_measured_angular_accelerations_count():
     assert_allclose(moved[FORCES], np.broadcast_to(-np.cross(spin, ARM), (len(flight), 3)))
 
 
-@pytest.mark.parametrize("arm", [np.zeros(3), np.full(3, np.nan)])
-def test_sensors_at_the_centre_or_at_an_unknown_place_read_as_they_are(arm):
+@pytest.mark.parametrize(
+    "stated",
+    [{}, {"sensor_position_x": 0.5}, dict.fromkeys(POSITION, 0.0), dict.fromkeys(POSITION, np.nan)],
+)
+def test_sensors_at_the_centre_or_at_an_unknown_place_read_as_they_are(stated):
+    """Two of three columns state nothing."""
     flight = tumbling(ARM)
-    assert_frame_equal(at_centre_of_gravity(placed(flight, arm))[flight.columns], flight)
-    assert_frame_equal(at_centre_of_gravity(flight), flight)
+    assert_frame_equal(at_centre_of_gravity(flight.assign(**stated))[flight.columns], flight)
 
 
 def test_each_flight_has_a_position_of_its_own():
@@ -111,8 +114,3 @@ def test_columns_that_are_no_metres_are_refused(x, expected):
     flight = on_a_turn_table(0.1, ARM).assign(az=-9.8, airspeed=20.0, density=1.2)
     with pytest.raises(ValueError, match=expected):
         aerodynamic_coefficients(placed(flight, [x, 0.0, 0.0]), aircraft, thrust=None)
-
-
-def test_two_of_three_columns_state_nothing():
-    flight = on_a_turn_table(2.0, ARM).assign(sensor_position_x=0.5)
-    assert_frame_equal(at_centre_of_gravity(flight), flight)

@@ -179,18 +179,21 @@ def test_dates_beside_decimal_commas(read):
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor"),
+    ("name", "factor"),
     [
-        ("mph", 0.44704),
-        ("KTS", 1852 / 3600),
-        ("m/sec", 1.0),
-        ("ft/sec", 0.3048),
-        ("ft/min", 0.00508),
+        ("airspeed [mph]", 0.44704),
+        ("airspeed [kt]", 1852 / 3600),
+        ("airspeed [KTS]", 1852 / 3600),
+        ("airspeed [m/sec]", 1.0),
+        ("airspeed [ft/sec]", 0.3048),
+        ("airspeed [ft/min]", 0.00508),
+        ("q (deg/s)", np.pi / 180),
+        ("wind speed [kt]", 1.0),  # unknown columns stay as they are
     ],
 )
-def test_speeds(read, unit, factor):
-    table = read(f"time,airspeed [{unit}]\n0,40\n0.1,50\n")
-    assert_allclose(table.airspeed, [40 * factor, 50 * factor])
+def test_units(read, name, factor):
+    table = read(f"time,{name}\n0,40\n0.1,50\n")
+    assert_allclose(table.iloc[:, -1], [40 * factor, 50 * factor])
 
 
 @pytest.mark.parametrize("names", ["qw qx qy qz", "q0 q1 q2 q3"])

@@ -29,17 +29,6 @@ def test_flight_column_and_argument(read):
     assert read(table(), flight="named").flight.unique().tolist() == ["named"]
 
 
-def test_stated_units_are_converted(read):
-    header = "time [ms],alpha [deg],q (deg/s),airspeed [kt],wind speed [kt]"
-    text = f"{header}\n0,90,180,10,1\n20,45,90,20,2\n"
-    flight = read(text)
-    assert_allclose(flight.time, [0, 0.02])
-    assert_allclose(flight.alpha, [np.pi / 2, np.pi / 4])
-    assert_allclose(flight.q, [np.pi, np.pi / 2])
-    assert_allclose(flight.airspeed, [10 * 1852 / 3600, 20 * 1852 / 3600])
-    assert flight.iloc[:, -1].tolist() == [1, 2]  # unknown columns stay as they are
-
-
 class TestUnitsThatNumbersGiveAway:
     @pytest.mark.parametrize(
         "name", ["alpha", "beta", "theta", "phi", "elevator", "aileron", "rudder", "elevon_left"]

@@ -77,8 +77,11 @@ def test_a_channel_that_is_stuck_again_and_again_is_one_line_with_its_worst():
 
 
 class TestCleanLogs:
-    def test_a_pilot_who_holds_the_stick_is_no_fault(self):
-        assert faults(log()) == []
+    def test_a_pilot_who_holds_the_stick_and_degrees_are_no_fault(self):
+        """Degrees are left to those who name the unit."""
+        table = log()
+        assert faults(table) == []
+        assert faults(table.assign(alpha=np.rad2deg(table.alpha))) == []
 
     def test_a_sensor_slower_than_the_table_is_not_stuck(self):
         table = slower(log(), "v_north", "v_east", "v_down")
@@ -110,9 +113,6 @@ class TestCleanLogs:
         table = pd.DataFrame({"time": time, "airspeed": np.interp(time, slow, speed.round(2))})
         assert faults(table) == []
         assert faults(held("airspeed", 150, 249, table)) == [["airspeed", "stuck"]]
-
-    def test_degrees_are_left_to_those_who_name_the_unit(self):
-        assert faults(log().assign(alpha=np.rad2deg(log().alpha))) == []
 
     def test_the_example_flights_have_none(self, first_minute):
         flights = first_minute()

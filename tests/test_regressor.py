@@ -202,6 +202,17 @@ class TestInterrupted:
             assert model.log_marginal_likelihood_value_ == pytest.approx(best)
 
 
+@pytest.mark.parametrize("frequency", [20, 200])
+def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
+    rng = default_rng(0)
+    X = rng.uniform(size=(300, 1))
+    new = rng.uniform(0.02, 0.98, size=(100, 1))
+    y = np.sin(frequency * X[:, 0]) + 0.1 * rng.normal(size=300)
+    model = DependentGPRegressor(random_state=0).fit(X, y)
+    error = model.predict(new) - np.sin(frequency * new[:, 0])
+    assert np.sqrt(np.mean(error**2)) < 0.2
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_a_log_is_sparse_earlier_and_searched_shorter():
     X = default_rng(0).normal(size=(1200, 1))

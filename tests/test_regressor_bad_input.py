@@ -1,4 +1,4 @@
-"""What users do wrong: each gets what was got, what was expected, what to do.
+"""What users do wrong: each gets what was got, what was expected, what to do, and changes no model.
 
 Beyond what scikit-learn's check_estimator states: NaN, infinity, other numbers of features, no fit.
 """
@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from sklearn.utils._param_validation import InvalidParameterError
@@ -97,6 +97,48 @@ def test_what_cannot_be_asked(X, Y, model, ask, match):
     fitted = clone(model).fit(X, Y)
     with pytest.raises(ValueError, match=match):
         ask(fitted, X)
+
+
+class TestRefusedFit:
+    @pytest.mark.parametrize(
+        ("options", "change"),
+        [
+            ({"structure": "trend", "trend": "constant"}, lambda X, Y: (X, 1000 * Y + 7)),
+            ({"kernel": ConvolvedGaussian(1, regressors=[5])}, lambda X, Y: (X[:, :1], Y[:, 0])),
+            ({}, lambda X, Y: (X[:, :1], Y[:3])),
+        ],
+    )
+    def test_changes_nothing(self, X, Y, options, change):
+        model = quick(n_latent=None).fit(X, Y)
+        before = dict(vars(model))
+        expected = model.predict(X, return_std=True)
+        parameters = model.get_params()
+        model.set_params(**options)
+        with pytest.raises((ValueError, TypeError)):
+            model.fit(*change(X, Y))
+        model.set_params(**parameters)
+        assert vars(model).keys() == before.keys()
+        assert_array_equal(model.predict(X, return_std=True), expected)
+
+    def test_of_a_new_estimator_leaves_it_unfitted(self):
+        model = quick()
+        with pytest.raises(ValueError, match="fewer than two"):
+            model.fit(np.eye(3), [np.nan, np.nan, 1.0])
+        assert not [name for name in vars(model) if name.endswith("_")]
+
+
+class TestMasks:
+    def test_masked_targets_are_not_observed(self, X, Y):
+        hidden = default_rng(1).random(Y.shape) < 0.3
+        masked = np.ma.masked_array(np.where(hidden, 1e3, Y), mask=hidden)
+        expected = quick().fit(X, np.where(hidden, np.nan, Y)).predict(X)
+        assert_array_equal(quick().fit(X, masked).predict(X), expected)
+
+    def test_masked_regressors_are_refused(self, X, Y):
+        masked = np.ma.masked_greater(X, 1.0)
+        for use in (lambda: quick().fit(masked, Y), lambda: quick().fit(X, Y).predict(masked)):
+            with pytest.raises(ValueError, match=r"Got X with \d+ masked values, but expected all"):
+                use()
 
 
 class TestRegressors:

@@ -127,6 +127,9 @@ NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
 ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
+PREDICT = "predict coefficients"
+SIMULATE = "simulate"
+CONTROL = "design a controller"
 
 
 def simulated(lasts):
@@ -294,44 +297,48 @@ class TestSimulation:
         assert message in found.simulation_note.numbers["error"]
 
 
-def test_a_wrong_sign_is_the_first_warning_and_forbids_a_controller():
-    for name, value in (("Cm_q", 7.5), ("Cl_p", 0.1), ("Cn_beta", -0.1)):
-        wrong = with_derivative(name, value)
-        found = verdict(derivatives=wrong, findings=[ALONE["a"]])
-        assert "not as on a conventional stable aircraft" in found.warnings[0]
-        assert f"{name} {value:+.2g}" in found.warnings[0]
-        assert use(found, "design a controller") == ("no", f"wrong sign of {name}")
-        right = wrong.assign(value=wrong["value"].mask(wrong.index == name, -value))
-        found = verdict(derivatives=right)
-        assert use(found, "design a controller")[0] == "yes"
-        assert found.warnings == ()
+UNSTABLE = "not as on a conventional stable aircraft"
 
 
-@pytest.mark.parametrize("where", ["fit", "test"])
-def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(where):
+@pytest.mark.parametrize(
+    ("name", "value", "words", "reason"),
+    [
+        ("Cm_q", 7.5, UNSTABLE, "wrong sign of Cm_q"),
+        ("Cl_p", 0.1, UNSTABLE, "wrong sign of Cl_p"),
+        ("Cn_beta", -0.1, UNSTABLE, "wrong sign of Cn_beta"),
+        ("CD_q", 31.6, "the accelerometers", "implausible CD_q"),
+        # of the sign of Cn_rudder
+        ("CY_rudder", -0.1, "the accelerometers", "wrong sign of CY_rudder"),
+    ],
+)
+def test_what_no_aircraft_has_is_the_first_warning_and_forbids_a_controller(
+    name, value, words, reason
+):
+    wrong = with_derivative(name, value, abs(value) / 4)
+    found = verdict(derivatives=wrong, findings=[ALONE["a"]])
+    assert words in found.warnings[0]
+    assert f"{name} {value:+.2g}" in found.warnings[0]
+    assert use(found, CONTROL) == ("no", reason)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("Cm_q", -7.5), ("Cl_p", -0.1), ("Cn_beta", 0.1), ("CD_q", 0.5), ("CY_rudder", 0.1)],
+)
+def test_what_aircraft_have_forbids_none(name, value):
+    found = verdict(derivatives=with_derivative(name, value, abs(value) / 4))
+    assert use(found, CONTROL)[0] == "yes"
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize("fit", [{}, {"paths_not_converged": ["a"]}])
+def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(fit):
     doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
-    found = verdict(findings=[ALONE["a"], doubt])
-    if where == "fit":
-        found = verdict(findings=[ALONE["a"], doubt], fit={"paths_not_converged": ["a"]})
+    found = verdict(findings=[ALONE["a"], doubt], fit=fit)
     assert "The paths of these flights did not converge: a." in found.warnings[0]
     assert "yes" not in {use.fit for use in found.uses}
-    assert "yes" in {use.fit for use in verdict().uses}
     assert found.findings[1:] == (ALONE["a"],)
-    assert use(found, "design a controller") == ("no", "a reconstruction did not converge")
-
-
-def test_effects_that_no_aircraft_has_forbid_a_controller():
-    for name, value, wrong in [
-        ("CD_q", 31.6, True),
-        ("CD_q", 0.5, False),
-        ("CY_rudder", -0.1, True),  # of the sign of Cn_rudder
-        ("CY_rudder", 0.1, False),
-    ]:
-        found = verdict(derivatives=with_derivative(name, value, abs(value) / 4))
-        assert (use(found, "design a controller")[0] == "no") is wrong
-        if wrong:
-            assert f"{name} {value:+.2g}" in found.warnings[0]
-            assert "the accelerometers" in found.warnings[0]
+    assert use(found, CONTROL) == ("no", "a reconstruction did not converge")
 
 
 def still(flight, *outputs):
@@ -351,7 +358,7 @@ class TestCoefficientsThatDoNotVary:
         calm = still(evaluation(), 5)
         found = verdict([calm])
         assert found.error == pytest.approx(verdict().error)
-        fit, reason = use(found, "predict coefficients")
+        fit, reason = use(found, PREDICT)
         assert fit == "partly"
         assert "Cn vary by less than their noise in the test flights" in reason
         assert "Cn" not in found.compared()
@@ -361,7 +368,7 @@ class TestCoefficientsThatDoNotVary:
         found = verdict([still(evaluation(), *range(6))])
         assert np.isnan(found.error)
         assert found.compared() == ""
-        assert use(found, "predict coefficients")[0] == "unknown"
+        assert use(found, PREDICT)[0] == "unknown"
         assert [one.code for one in found.findings] == [Code.BANDS_TOO_WIDE, Code.NOT_VARYING]
 
     def test_a_band_that_is_too_wide_is_told_of_one_that_does_not_vary(self):
@@ -375,7 +382,7 @@ class TestCoefficientsThatDoNotVary:
 def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown_and_has_its_source():
     parts = {"std_random": 0.02, "std_method": 0.01, "std_posterior": 0.2}
     found = verdict(derivatives=with_derivative("CY_beta", 0.1, 0.2, **parts))
-    assert use(found, "design a controller") == ("no", "unknown sign of CY_beta")
+    assert use(found, CONTROL) == ("no", "unknown sign of CY_beta")
     words = "not known, as their 95 % bands hold zero: CY_beta +0.1 (few or small inputs)"
     assert words in found.warnings[0]
 
@@ -400,12 +407,12 @@ def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     found = verdict(fit={"gusts_unknown": doubt}) if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts are not known: too short.",)
-    for purpose in ("predict coefficients", "simulate"):
+    for purpose in (PREDICT, SIMULATE):
         fit, reason = use(found, purpose)
         assert fit == "partly"
         assert reason.endswith("; but gusts without vanes are not known")
     assert "yes" not in {use.fit for use in found.uses}
-    assert use(found, "design a controller") == ("no", "gusts without vanes are not known")
+    assert use(found, CONTROL) == ("no", "gusts without vanes are not known")
 
 
 def test_warnings_are_ranked():
@@ -428,9 +435,6 @@ def test_warnings_are_ranked():
     assert verdict().warnings == ()
 
 
-PREDICT = "predict coefficients"
-SIMULATE = "simulate"
-CONTROL = "design a controller"
 AX = {"regressors": ["alpha", "ax"]}
 BIASED = still(evaluation(), 5)
 BIASED = replace(BIASED, mean=BIASED.mean + np.array([0, 0, 0, 0, 0, 1.0]))

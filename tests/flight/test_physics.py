@@ -90,13 +90,13 @@ def held(flight, rates):
     return slower
 
 
-def vibrating(flight, size=3.0):
-    """Return a flight with an engine's vibration: accelerometers by ``size`` [m/s^2], gyros by a twentieth [rad/s]."""
+def vibrating(flight):
+    """Return a flight with an engine's vibration: accelerometers by 3 m/s^2, gyros by 0.15 rad/s."""
     noise = default_rng(0).normal(size=(6, len(flight))) / 3
     wave = np.sin(2 * np.pi * 63 * flight["time"].to_numpy())
     shaken = flight.copy()
-    shaken[FORCES] += size * (wave + noise[:3]).T
-    shaken[["p", "q", "r"]] += size / 20 * (wave + noise[3:]).T
+    shaken[FORCES] += 3.0 * (wave + noise[:3]).T
+    shaken[["p", "q", "r"]] += 0.15 * (wave + noise[3:]).T
     return shaken
 
 

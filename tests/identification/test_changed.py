@@ -28,11 +28,11 @@ def lasting(rng, shape, memory):
     return lfilter([size], [1.0, -keep], noise, axis=0)
 
 
-def flight(seed, noise, n=1500):
+def flight(seed, noise):
     """Return regressors and coefficients of a flight with errors that last."""
     rng = np.random.default_rng(seed)
-    X = pd.DataFrame(0.1 * lasting(rng, (n, 3), 15), columns=NAMES)
-    return X, X.to_numpy() @ SLOPES + noise * lasting(rng, (n, 6), 5)
+    X = pd.DataFrame(0.1 * lasting(rng, (1500, 3), 15), columns=NAMES)
+    return X, X.to_numpy() @ SLOPES + noise * lasting(rng, (1500, 6), 5)
 
 
 def learned(X, Y, noise=None):

@@ -1,6 +1,5 @@
 """Bands of the flight's own air, by scikit-learn's own calls; least squares beside the model."""
 
-import pickle
 from functools import partial
 
 import numpy as np
@@ -124,21 +123,6 @@ class TestPredict:
         ):
             with pytest.raises(ValueError, match="need airspeed > 0"):
                 use(slow)
-
-    def test_clones_pickles_and_other_regressors(self, model, flights, test_flight):
-        assert isinstance(clone(model), FlightPipeline)
-        again = pickle.loads(pickle.dumps(model))
-        assert_allclose(
-            again.predict(test_flight, return_std=True),
-            model.predict(test_flight, return_std=True),
-            rtol=1e-9,
-        )
-        train = flights.train[:400]
-        linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
-        linear.fit(train, aerodynamic_coefficients(train, flights.aircraft))
-        assert linear.predict(test_flight).shape == (200, 6)
-        with pytest.raises(TypeError, match="return_std"):
-            linear.predict(test_flight, return_std=True)
 
     def test_scorers_use_that_band(self, model, flights, test_flight):
         measured = aerodynamic_coefficients(test_flight, flights.aircraft)

@@ -97,14 +97,6 @@ class TestPipeline:
         )
         assert model.fit(table, Y).predict(table).shape == (600, 2)
 
-    def test_an_aircraft_without_elevator_passes_without_the_mixer(self, flights, delta):
-        table, Y = flights()
-        table = table.rename(columns={"elevon_left": "aileron"}).drop(columns=["elevon_right"])
-        model = make_identification_pipeline(
-            delta, mixer="passthrough", cutoff=3.0, regressor=LinearRegression()
-        )
-        assert "elevator" not in model.fit(table, Y)["regressorselector"].regressors_
-
     @pytest.mark.usefixtures("short_fits")
     def test_a_grid_reaches_every_step(self, tmp_path, flights, delta):
         table, Y = flights(150)
@@ -201,7 +193,7 @@ class TestIdentify:
             encoding="utf-8"
         )
 
-    def test_saves_what_load_model_reads(self, stopped, example, tmp_path):
+    def test_saves_what_load_model_reads(self, stopped, example):
         result, folder = stopped
         assert folder.parts[-2:] == ("new", "folder")
         assert {path.name for path in folder.iterdir()} == {

@@ -17,8 +17,8 @@ def definition(text):
     return message("F", text.encode())
 
 
-def subscription(number, name, instance=0):
-    return message("A", struct.pack("<BH", instance, number) + name.encode())
+def subscription(number, name):
+    return message("A", struct.pack("<BH", 0, number) + name.encode())
 
 
 def datum(number, code, *values):

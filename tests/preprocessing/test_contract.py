@@ -128,7 +128,7 @@ class TestContract:
             if name in out:
                 assert_series_equal(out[name], table[name])
 
-    def test_input_is_not_written_to_and_its_index_is_kept(self, fitted, transformer, table):
+    def test_input_is_not_written_to_and_its_index_is_kept(self, transformer, table):
         table.index += 5000
         before = table.copy(deep=True)
         assert clone(transformer).fit(table).transform(table).index.equals(table.index)

@@ -62,7 +62,9 @@ def test_nondimensional_rates_take_the_place_of_rates():
     ]
 
 
-@pytest.mark.parametrize("absent", [["throttle"], ["rudder"], ["throttle", "aileron", "rudder"]])
+@pytest.mark.parametrize(
+    "absent", [["throttle"], ["elevator"], ["rudder"], ["throttle", "aileron", "rudder"]]
+)
 def test_controls_that_the_aircraft_does_not_have(absent):
     selector = RegressorSelector("classical").fit(EVERY.drop(columns=absent))
     assert sorted(selector.absent_) == sorted(absent)

@@ -29,7 +29,6 @@ from skdgp.report import (
     render_report,
 )
 
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 LOADED = ("src", "href", "data", "action")
 

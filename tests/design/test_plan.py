@@ -60,9 +60,19 @@ def point(model, uav):
 
 
 @pytest.fixture(scope="module")
-def planned(model, uav, point):
-    options = OPTIONS | {"goal": ["Cm_alpha", "Cm_q"], "seconds": 14.0, "settings": PlanSettings()}
-    return plan(model, uav, point, envelope=LIMITED, **options)
+def ask(model, uav, point):
+    """Plan a short flight of the elevator with changed options, by the model or another one."""
+
+    def ask(of=model, **changed):
+        return plan(of, uav, point, **OPTIONS | changed)
+
+    return ask
+
+
+@pytest.fixture(scope="module")
+def planned(ask):
+    goal = ["Cm_alpha", "Cm_q"]
+    return ask(goal=goal, seconds=14.0, settings=PlanSettings(), envelope=LIMITED)
 
 
 def test_the_time_and_the_limits_are_kept(planned):
@@ -121,18 +131,18 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
     assert 0.8 < used.max() <= 1.0  # no more is given away
 
 
-def test_the_same_question_gives_the_same_plan(model, uav, point):
-    first, second = (plan(model, uav, point, **OPTIONS) for _ in range(2))
+def test_the_same_question_gives_the_same_plan(ask):
+    first = ask()
+    second = ask()
     pd.testing.assert_frame_equal(first.manoeuvres, second.manoeuvres)
     pd.testing.assert_frame_equal(first.errors, second.errors)
 
 
-def test_the_goal_decides_which_axis_moves(model, uav, point):
+@pytest.mark.parametrize(("goal", "axis"), [("Cm_elevator", "elevator"), ("Cn_rudder", "rudder")])
+def test_the_goal_decides_which_axis_moves(ask, goal, axis):
     limits = {"elevator": 0.06, "rudder": 0.06}
-    for goal, axis in (("Cm_elevator", "elevator"), ("Cn_rudder", "rudder")):
-        options = {"axes": list(limits), "limits": limits, "goal": [goal], "seconds": 7.0}
-        found = plan(model, uav, point, **options, settings=FEW)
-        assert found.manoeuvres["name"].str.startswith(axis).all()
+    found = ask(axes=[*limits], limits=limits, goal=[goal], seconds=7.0)
+    assert found.manoeuvres["name"].str.startswith(axis).all()
 
 
 # CX ... Cn at zero and by alpha, q_hat and elevator
@@ -190,10 +200,10 @@ def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tm
         PlanCheck.from_file(path, other, uav)
 
 
-def test_a_plan_promises_less_and_its_record_is_plain(uav, point):
-    options = OPTIONS | {"limits": {"elevator": 0.03}, "seconds": 9.0}
+def test_a_plan_promises_less_and_its_record_is_plain(ask):
+    model = learned(flown_rows(150, 0.02, 1))
     envelope = Envelope(growth=np.inf, bank=1.5, airspeed=(5.0, 60.0))
-    found = plan(learned(flown_rows(150, 0.02, 1)), uav, point, **options, envelope=envelope)
+    found = ask(model, limits={"elevator": 0.03}, seconds=9.0, envelope=envelope)
     assert (found.errors["promised"] < found.errors["before"]).all()
     assert found.remaining < 1
     assert json.loads(json.dumps(found.to_dict()))["errors"] == found.errors.to_dict("index")
@@ -243,9 +253,9 @@ def test_files_that_are_no_plan_are_refused(model, uav, tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_planned_is_said(model, uav, point, changed, words):
+def test_what_cannot_be_planned_is_said(ask, changed, words):
     with pytest.raises(ValueError, match=words):
-        plan(model, uav, point, **OPTIONS | changed)
+        ask(**changed)
 
 
 @pytest.mark.parametrize(
@@ -265,51 +275,49 @@ def test_the_throttle_stays_between_0_and_1():
     assert Envelope(growth=1.0).bounds(flown)["throttle"] == (0.0, 1.0)
 
 
-def test_without_options_a_plan_stays_in_what_was_flown(model, uav, point):
+def test_without_options_a_plan_stays_in_what_was_flown(ask, model, uav, point):
     narrow = copy(model)
     narrow.flown = FLOWN | {"az": (-12.5, -7.0)}
     inside = []
     for envelope in (Envelope(), Envelope(load_factor=(-9.0, 9.0))):
-        options = OPTIONS | {"limits": {"elevator": 0.09}}
-        found = plan(narrow, uav, point, **options, envelope=envelope)
+        found = ask(narrow, limits={"elevator": 0.09}, envelope=envelope)
         table = found.train.table(50.0, trim=point.controls, pause=3.0)
         flown = simulate(narrow, uav, point, table, 0.04)
         inside.append(flown["az"].between(-12.5 - 0.55, -7.0 + 0.55).all())
     assert inside == [True, False]
 
 
-def test_limits_are_what_was_flown(model, uav, point):
-    options = OPTIONS | {"limits": None, "goal": ["Cm_elevator"]}
-    found = plan(model, uav, point, **options)
+def test_limits_are_what_was_flown(ask, model, point):
+    found = ask(limits=None, goal=["Cm_elevator"])
     room = 0.3 - abs(point.controls["elevator"])
     assert found.train.limits["elevator"] == pytest.approx(room)
     with pytest.raises(ValueError, match="does not say what was flown"):
-        plan(Aerodynamics(model.function, model.regressors), uav, point, **options)
+        ask(Aerodynamics(model.function, model.regressors), limits=None)
     still = Aerodynamics(
         model.function, model.regressors, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1]
     )
     with pytest.raises(ValueError, match=r"Cm_beta.*beta did not move in the flights"):
-        plan(still, uav, point, **options | {"goal": ["Cm_beta"]})
+        ask(still, limits=None, goal=["Cm_beta"])
 
 
-def test_what_a_model_does_not_know_is_said(model, uav, point):
+def test_what_a_model_does_not_know_is_said(ask, model):
     old = copy(model)
     old.flown = {}
     with (
         pytest.warns(UserWarning, match=r"range of load_factor, bank, airspeed, altitude"),
         pytest.raises(ValueError, match="Got the goal"),
     ):
-        plan(old, uav, point, **OPTIONS | {"goal": []})
+        ask(old, goal=[])
     old.flown = FLOWN | {"altitude": (100.0, 100.0)}
     assert Envelope().unlimited(old) == ["altitude"]
     assert not Envelope(altitude=0.0).unlimited(old)
 
 
-def test_nothing_is_promised_for_controls_that_do_not_move(model, uav, point):
-    found = plan(model, uav, point, **OPTIONS | {"goal": None})
+def test_nothing_is_promised_for_controls_that_do_not_move(ask):
+    found = ask(goal=None)
     by_controls = found.errors.index.str.endswith(("_aileron", "_rudder"))
     assert len(found.errors) > 6
     assert not by_controls.any()
     with pytest.warns(UserWarning, match="no manoeuvre that moves the controls of Cn_rudder"):
-        asked = plan(model, uav, point, **OPTIONS | {"goal": ["Cm_q", "Cn_rudder"]})
-    assert list(asked.errors.index) == ["Cm_q"]
+        found = ask(goal=["Cm_q", "Cn_rudder"])
+    assert list(found.errors.index) == ["Cm_q"]

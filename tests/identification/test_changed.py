@@ -63,12 +63,31 @@ def changes(model, flights, change=0.0, settings=DEFAULT, **options):
     return changes_of(model, unexplained, settings)
 
 
+def several(make, *arguments, n=12):
+    """Return flights by their seeds."""
+    return {str(seed): make(seed, *arguments) for seed in range(1, n + 1)}
+
+
+def alarms(result, coefficient="whole"):
+    """Return the fraction of the flights for which a coefficient, or all together, have changed."""
+    return (result.p_values[coefficient] < 0.05).mean()
+
+
+def most_alarms(result):
+    """Return the largest fraction over the coefficients."""
+    return (result.p_values < 0.05).mean().max()
+
+
+def p_value(model, flight, coefficient="Cm", **options):
+    """Return the p-value of one flight, whose alpha by Cm may be changed."""
+    return changes(model, {"one": flight}, **options).p_values.loc["one", coefficient]
+
+
 def test_flights_of_the_same_aircraft_in_other_gusts_raise_few_alarms(model):
     flights = {
         str(seed): flight(seed, noise) for seed, noise in enumerate([0.01, 0.02, 0.04] * 10, 1)
     }
-    p_values = changes(model, flights).p_values
-    assert (p_values < 0.05).mean().max() < 0.2
+    assert most_alarms(changes(model, flights)) < 0.2
 
 
 @pytest.mark.slow
@@ -104,9 +123,8 @@ def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
         Y[:, 4] += change * elevator
         return X.assign(elevator=elevator), Y
 
-    same = changes(model, {str(seed): slow(seed, 0.0) for seed in range(1, 13)})
-    assert (same.p_values["Cm"] < 0.05).mean() < 0.2
-    other = changes(model, {str(seed): slow(seed, 0.2) for seed in range(1, 13)})
+    assert alarms(changes(model, several(slow, 0.0)), "Cm") < 0.2
+    other = changes(model, several(slow, 0.2))
     assert (other.p_values["Cm"] < 0.01).all()
 
 
@@ -130,10 +148,8 @@ def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
     """Least squares returns lambda b, lambda = var x / (var x + s^2) (Fuller 1987, section 1.1)."""
     pipeline = learned(*with_noise_of_alpha(0, 1.0), np.array([ALPHA_NOISE, 0.0, 0.0]))
     size = 0.3
-    names = [str(seed) for seed in range(1, 13)]
-    gentle = {name: with_noise_of_alpha(int(name), size) for name in names}
-    result = changes(pipeline, gentle)
-    assert (result.p_values["whole"] < 0.05).mean() < 0.2
+    result = changes(pipeline, several(with_noise_of_alpha, size))
+    assert alarms(result) < 0.2
 
     motion = 0.1
     in_fit = 1 / (1 + (ALPHA_NOISE / motion) ** 2)
@@ -144,8 +160,7 @@ def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
     # the fit knows a slope that is flattened, too
     assert in_fit * abs(expected) < rows["std"].mean() < 1.5 * abs(expected)
 
-    large = {"iced": with_noise_of_alpha(20, 1.0)}
-    assert changes(pipeline, large, change=0.2).p_values.loc["iced", "Cm"] < 0.01
+    assert p_value(pipeline, with_noise_of_alpha(20, 1.0), change=0.2) < 0.01
 
 
 def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight():
@@ -153,10 +168,8 @@ def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight():
     of_q = -0.3
     noise = np.array([ALPHA_NOISE, 0.3 * ALPHA_NOISE, 0.0])
     pipeline = learned(*with_noise_of_alpha(0, 1.0, of_q), noise)
-    gentle = {str(seed): with_noise_of_alpha(seed, 0.3, of_q) for seed in range(1, 13)}
-    assert (changes(pipeline, gentle).p_values["whole"] < 0.05).mean() < 0.2
-    large = {"iced": with_noise_of_alpha(20, 1.0, of_q)}
-    assert changes(pipeline, large, change=0.2).p_values.loc["iced", "Cm"] < 0.01
+    assert alarms(changes(pipeline, several(with_noise_of_alpha, 0.3, of_q))) < 0.2
+    assert p_value(pipeline, with_noise_of_alpha(20, 1.0, of_q), change=0.2) < 0.01
 
 
 def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
@@ -178,8 +191,8 @@ def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
         return pd.DataFrame(X + noise * rng.normal(size=X.shape), columns=["alpha", "beta"]), Y
 
     pipeline = learned(*flown(0, 1.0), noise)
-    flights = {str(seed): flown(seed, size) for seed in range(1, 7)}
-    rows = changes(pipeline, flights).derivatives.xs("Cn_alpha", level="derivative")
+    found = changes(pipeline, several(flown, size, n=6))
+    rows = found.derivatives.xs("Cn_alpha", level="derivative")
     in_fit = 1 / (motion**2 + ALPHA_NOISE**2)
     in_gentle = 1 / ((size * motion) ** 2 + ALPHA_NOISE**2)
     of_any_correlation = ALPHA_NOISE * beta_noise * (in_gentle - in_fit) / np.sqrt(3)
@@ -194,11 +207,11 @@ def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight
     air = pd.DataFrame({"alpha": [0.0], "alpha_std": [ALPHA_NOISE]})
     reconstruction.air_motion_ = Bunch(air=air)
     filtered = Pipeline([("flightpathreconstruction", reconstruction), *model.steps])
-    unexplained = {
-        str(seed): residuals(model, *with_noise_of_alpha(seed, 0.3)) for seed in range(1, 13)
-    }
-    assert (changes_of(model, unexplained).p_values["whole"] < 0.05).mean() > 0.8
-    assert (changes_of(filtered, unexplained).p_values["whole"] < 0.05).mean() < 0.2
+    unexplained = {}
+    for name, (X, Y) in several(with_noise_of_alpha, 0.3).items():
+        unexplained[name] = residuals(model, X, Y)
+    assert alarms(changes_of(model, unexplained)) > 0.8
+    assert alarms(changes_of(filtered, unexplained)) < 0.2
 
 
 @pytest.mark.filterwarnings("ignore:.*(never change|are constant)")
@@ -213,10 +226,8 @@ def test_a_control_that_first_moves_in_the_later_flight_is_no_change():
     assert "Cm_elevator" not in same.derivatives.loc["same"].index
     X, Y = flight(1, 0.02)
     Y[:, 4] += SLOPES[2, 4] * (0.1 - X["elevator"])
-    elsewhere = changes(pipeline, {"elsewhere": (X.assign(elevator=0.1), Y)})
-    assert elsewhere.p_values.loc["elsewhere", "Cm"] > 0.01
-    iced = changes(pipeline, {"iced": flight(1, 0.02)}, change=0.2)
-    assert iced.p_values.loc["iced", "Cm"] < 0.01
+    assert p_value(pipeline, (X.assign(elevator=0.1), Y)) > 0.01
+    assert p_value(pipeline, flight(1, 0.02), change=0.2) < 0.01
 
 
 def test_a_short_flight_tells_nothing(model):
@@ -251,22 +262,18 @@ def test_constant_errors_of_sensors_are_no_change(model):
         Y[:, 2] += 0.05 * rng.normal() * by_acceleration
         flights[str(seed)] = X, Y
     accelerometers = {"by_acceleration": np.full(len(X), by_acceleration)}
-    with_accelerometers = changes(model, flights, **accelerometers)
-    assert (with_accelerometers.p_values < 0.05).mean().max() < 0.2
-    assert (changes(model, vanes_alone).p_values < 0.05).mean().max() < 0.2
+    assert most_alarms(changes(model, flights, **accelerometers)) < 0.2
+    assert most_alarms(changes(model, vanes_alone)) < 0.2
     none = ChangeSettings(vane_offset=0.0, accelerometer_offset=0.0)
-    assert (changes(model, flights, settings=none).p_values["CZ"] < 0.05).mean() > 0.5
+    assert alarms(changes(model, flights, settings=none), "CZ") > 0.5
     # a change of a slope is found beside them
-    found = changes(model, {"iced": flights["1"]}, 0.2, **accelerometers)
-    assert found.p_values.loc["iced", "Cm"] < 0.01
+    assert p_value(model, flights["1"], change=0.2, **accelerometers) < 0.01
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):
     """The fit leaves no residual where a single block determines a weight, so blocks show no error."""
-    same = {str(seed): flight_with_one_pulse(seed) for seed in range(1, 21)}
-    assert (changes(model, same).p_values < 0.05).mean().max() < 0.2
-    changed_effect = {"other": flight_with_one_pulse(21, change=1.0)}
-    assert changes(model, changed_effect).p_values.loc["other", "Cm"] < 0.01
+    assert most_alarms(changes(model, several(flight_with_one_pulse, n=20))) < 0.2
+    assert p_value(model, flight_with_one_pulse(21, change=1.0)) < 0.01
 
 
 def flight_with_late_steps(seed):
@@ -285,11 +292,9 @@ def test_steps_that_the_rows_of_the_fit_miss_are_no_change():
     X, Y = flight_with_late_steps(0)
     rows = slice(2, None, stride)
     pipeline = learned(X[rows], Y[rows])
-    flights = {str(seed): flight_with_late_steps(seed) for seed in range(1, 9)}
-    assert (changes(pipeline, flights).p_values["Cm"] < 0.05).mean() > 0.8
-    found = changes(pipeline, flights, stride=stride)
-    assert (found.p_values["Cm"] < 0.05).mean() < 0.2
+    flights = several(flight_with_late_steps, n=8)
+    assert alarms(changes(pipeline, flights), "Cm") > 0.8
+    assert alarms(changes(pipeline, flights, stride=stride), "Cm") < 0.2
     X, Y = flights["1"]
     Y[:, 4] -= 0.3 * SLOPES[2, 4] * X["elevator"]
-    weak = changes(pipeline, {"weak": (X, Y)}, stride=stride)
-    assert weak.p_values.loc["weak", "Cm"] < 0.01
+    assert p_value(pipeline, (X, Y), stride=stride) < 0.01

@@ -89,7 +89,8 @@ class TestPeers:
     def test_forward_selection_takes_the_terms_that_made_the_target(self, script):
         rng = default_rng(0)
         X = rng.normal(size=(400, 4))
-        Y = np.column_stack([X[:, 0] * X[:, 1] - 2 * X[:, 3], X[:, 2] ** 2])
+        a, b, c, d = X.T
+        Y = np.column_stack([a * b - 2 * d, c**2])
         Y += 0.1 * rng.normal(size=Y.shape)
         model = script("_peers").EquationError(2, stepwise=True).fit(X, Y)
         names = model.features.get_feature_names_out()

@@ -108,7 +108,8 @@ def test_terms_are_those_of_dense_matrices(name, fitted, data):
     y = Y.T[np.isfinite(Y.T)]
     C = kernel(inputs) + np.diag(np.repeat(noise, [len(x) for x in inputs]))
     points = np.concatenate([Z, X])
-    centring = np.hstack([np.eye(len(Z)), np.full((len(Z), len(X)), -1 / len(X))])
+    less_mean = np.full((len(Z), len(X)), -1 / len(X))
+    centring = np.hstack([np.eye(len(Z)), less_mean])
     centring = np.kron(np.eye(2), centring)  # of both outputs
     scale = np.repeat(model.scale_, len(Z))
     for columns, title in zip(kernel.term_regressors()[1:], found.importance.index, strict=True):

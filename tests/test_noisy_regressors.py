@@ -17,7 +17,7 @@ def waves(n=300, sigma=SIGMA, seed=0):
     """Two functions of x, of which a noisy x is seen."""
     rng = default_rng(seed)
     x = rng.uniform(-2, 2, (n, 1))
-    truth = np.column_stack([np.sin(3 * x[:, 0]), np.cos(3 * x[:, 0])])
+    truth = np.hstack([np.sin(3 * x), np.cos(3 * x)])
     return x + rng.normal(0, sigma, x.shape), truth + rng.normal(0, 0.02, truth.shape), x, truth
 
 

@@ -30,11 +30,12 @@ def problem(seed):
     d = int(rng.integers(1, 5))
     P = int(rng.integers(1, 4))
     X = rng.normal(size=(n, d)) * 10.0 ** rng.uniform(-4, 4, d)
-    waves = np.sin(X / X.std(axis=0) @ rng.normal(size=(d, P)) + rng.uniform(0, 6, P))
-    Y = (waves + 0.1 * rng.normal(size=(n, P))) * 10.0 ** rng.uniform(-4, 4, P)
+    phases = X / X.std(axis=0) @ rng.normal(size=(d, P)) + rng.uniform(0, 6, P)
+    Y = (np.sin(phases) + 0.1 * rng.normal(size=(n, P))) * 10.0 ** rng.uniform(-4, 4, P)
     if n > 12:
         Y[rng.random((n, P)) < 0.2] = np.nan
-        Y[:4] = np.where(np.isnan(Y[:4]), np.nanmean(Y, axis=0) + np.nanstd(Y, axis=0), Y[:4])
+        usual = np.nanmean(Y, axis=0) + np.nanstd(Y, axis=0)
+        Y[:4] = np.where(np.isnan(Y[:4]), usual, Y[:4])
     return X, Y
 
 

@@ -135,7 +135,9 @@ class TestShapesAndNames:
         X, Y = data
         model = DependentGPRegressor(structure="joint", n_latent=1, max_iter=5, random_state=0)
         expected = model.fit(X, Y).predict(new)
-        model.fit(np.vstack([X, X[:9] + 5.0]), np.vstack([Y, np.full((9, 2), np.nan)]))
+        more = np.vstack([X, X[:9] + 5.0])
+        unobserved = np.full((9, 2), np.nan)
+        model.fit(more, np.vstack([Y, unobserved]))
         assert_allclose(model.predict(new), expected, rtol=1e-6, atol=1e-9)
 
 
@@ -235,9 +237,8 @@ def test_rounding_of_the_regressors_decides_nothing():
     """Far from an optimum a search would multiply it, and end at another one."""
     rng = default_rng(0)
     X = rng.normal(size=(120, 5))
-    Y = np.column_stack([np.sin(X[:, 0]) + X[:, 1], X[:, 0] * X[:, 2]]) + rng.normal(
-        0, 0.1, (120, 2)
-    )
+    a, b, c, *_ = X.T
+    Y = np.column_stack([np.sin(a) + b, a * c]) + rng.normal(0, 0.1, (120, 2))
     model = DependentGPRegressor(
         structure="additive", n_latent=1, input_noise="learned", random_state=0
     )

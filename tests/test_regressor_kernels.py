@@ -86,7 +86,7 @@ def waves(seed=0, n=40):
     """Two outputs of opposite sign of one regressor, in the units of a force and of a coefficient."""
     rng = default_rng(seed)
     X = np.linspace(0, 10, n)[:, None]
-    Y = np.column_stack([50 * np.sin(X[:, 0]), -2e-3 * np.sin(X[:, 0])])
+    Y = np.sin(X) * [50.0, -2e-3]
     return X, Y + rng.normal(size=Y.shape) * [2.0, 1e-4]
 
 

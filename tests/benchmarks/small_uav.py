@@ -105,8 +105,9 @@ def pulses(rng, n, axes):
         unit = rng.uniform(0.15, 0.3)
         size = rng.choice([-1, 1]) * rng.uniform(0.5, 1)
         for begin, end, sign in ((0, 3, 1), (3, 5, -1), (5, 6, 1), (6, 7, -1)):
-            rows = slice(round((start + begin * unit) / STEP), round((start + end * unit) / STEP))
-            out[rows, axis] = size * sign * (0.09, 0.12, 0.15)[axis]
+            first = round((start + begin * unit) / STEP)
+            last = round((start + end * unit) / STEP)
+            out[first:last, axis] = size * sign * (0.09, 0.12, 0.15)[axis]
     return out
 
 
@@ -190,7 +191,9 @@ class Fleet:
         sf, st = np.sin(state[:, 6:8]).T
         cf, ct = np.cos(state[:, 6:8]).T
         turn = sf * w[:, 1] + cf * w[:, 2]
-        angles = np.stack([w[:, 0] + st / ct * turn, cf * w[:, 1] - sf * w[:, 2], turn / ct], 1)
+        phi_dot = w[:, 0] + st / ct * turn
+        theta_dot = cf * w[:, 1] - sf * w[:, 2]
+        angles = np.stack([phi_dot, theta_dot, turn / ct], axis=1)
         dv = f + GRAVITY * R[:, 2] - cross(w, v)
         ground = np.einsum("nij,nj->ni", R, v)
         log = np.column_stack([f, dw, V, alpha, beta, thrust, throttle, ground])

@@ -121,9 +121,8 @@ class TestDamage:
         whole = b"".join(parts)
         first = len(b"".join(parts[:-2]))
         for length in range(first, len(whole)):
-            assert times(read(whole[:length])) == list(
-                range(1, 2 + (length - first) // len(parts[-1]))
-            )
+            n_more = (length - first) // len(parts[-1])
+            assert times(read(whole[:length])) == [*range(1, 2 + n_more)]
         for length in range(2, first - len(parts[-1])):
             with pytest.raises(FlightReadError, match="no message has a TimeUS"):
                 read(whole[:length])

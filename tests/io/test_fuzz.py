@@ -59,8 +59,10 @@ def cut(raw, rng):
 
 def splice(raw, rng):
     a, b, c = np.sort(rng.integers(0, len(raw) + 1, 3))
-    parts = [raw[:a], raw[b:c], raw[a:b], raw[c:]][: rng.integers(2, 5)]
-    return np.concatenate(parts + [raw[b:c]] * rng.integers(0, 2))
+    moved = raw[b:c]
+    parts = [raw[:a], moved, raw[a:b], raw[c:]]
+    kept = parts[: rng.integers(2, 5)]
+    return np.concatenate(kept + [moved] * rng.integers(0, 2))
 
 
 def numbers(raw, rng):
@@ -152,9 +154,10 @@ ULOG_HEAD = b"ULog\x01\x12\x35\x01" + bytes(8)
 
 
 def ulog_of(*messages):
-    return ULOG_HEAD + b"".join(
-        struct.pack("<HB", len(m) - 1, m[0]) + m[1:] for m in (b"B" + bytes(40), *messages)
-    )
+    log = ULOG_HEAD
+    for message in (b"B" + bytes(40), *messages):
+        log += struct.pack("<HB", len(message) - 1, message[0]) + message[1:]
+    return log
 
 
 def many_rows():

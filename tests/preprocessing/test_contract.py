@@ -46,7 +46,8 @@ def flight(name, rng):
     """Return a flight with every regressor's raw material, and strangers: text, truth and an unknown column."""
     t = 0.02 * np.arange(150)
     k = np.arange(len(WAVES))
-    waves = np.sin(np.outer(t, 1 + 0.1 * k) + k) + rng.normal(0, 0.02, (len(t), len(k)))
+    waves = np.sin(np.outer(t, 1 + 0.1 * k) + k)
+    waves += rng.normal(0, 0.02, waves.shape)
     left = 0.1 * np.sin(3 * t)
     right = 0.1 * np.cos(2 * t)
     surfaces = {

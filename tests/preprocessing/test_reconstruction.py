@@ -289,9 +289,9 @@ def late(table, names, seconds):
 def wandering(table, names, std):
     """The table with errors of exponential correlation over 5 s."""
     memory = np.exp(-np.median(np.diff(table.time)) / 5.0)
-    white = std * np.sqrt(1 - memory**2) * default_rng(5).standard_normal((len(table), len(names)))
+    white = default_rng(5).standard_normal((len(table), len(names)))
     wandered = table.copy()
-    wandered[names] += lfilter([1], [1, -memory], white, axis=0)
+    wandered[names] += lfilter([std * np.sqrt(1 - memory**2)], [1, -memory], white, axis=0)
     return wandered
 
 

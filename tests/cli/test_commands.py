@@ -197,15 +197,6 @@ class TestMargins:
         suggested = pd.read_csv(tmp_path / "out" / "suggested.csv")
         assert list(suggested["parameter"]) == ["FW_RR_P", "FW_RR_I", "FW_PR_P", "FW_PR_I"]
 
-    @pytest.mark.parametrize(
-        ("parameters", "words"),
-        [("gains are fine\n", "without parameters"), ("MC_ROLLRATE_P,0.1\n", "FW_RR_P or FW_PR_P")],
-    )
-    def test_a_file_without_the_loops_is_refused(self, refused, tmp_path, parameters, words):
-        path = tmp_path / "plane.param"
-        path.write_text(parameters)
-        refused(words, "margins", "--params", path, *self.WORDS)
-
 
 class TestFly:
     WORDS = shlex.split(
@@ -349,23 +340,10 @@ class TestPlan:
         said = capsys.readouterr().out
         assert "no limits, not even a floor: set them by --growth" in said
 
-    @pytest.mark.parametrize(
-        ("words", "message"),
-        [
-            (
-                "elevator=0.5",
-                r"Got full deflections of \['elevator'\], but expected also .* move with the "
-                r"rudder: add",
-            ),
-            ("rudder=0", "Got full deflection of the rudder=0.0, but expected a number > 0"),
-            ("rudder=0.4 elevator=nan", "Got full deflection of the elevator=nan"),
-            ("rudder=0.4 flaps=0.1", "servo functions of ArduPilot lack 'flaps'"),
-        ],
-    )
-    def test_full_deflections_are_checked_before_the_search(self, words, message, refused):
+    def test_full_deflections_are_checked_before_the_search(self, refused):
         """Which would refuse its goal."""
-        goal = ["--goal", "Cn_flaps"]
-        refused(message, "plan", *self.WORDS, *goal, "--full", *words.split())
+        words = shlex.split("--goal Cn_flaps --full elevator=0.5")
+        refused("expected also .* move with the rudder: add", "plan", *self.WORDS, *words)
 
     def test_what_cannot_be_planned_is_one_line(self, refused):
         words = "controls of the trim lack 'elevon_left'.*elevator"

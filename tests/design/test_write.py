@@ -133,6 +133,7 @@ ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
     [
         ({"thrust": {0.0: doublet(1, 5.0)}}, FULL, "that move with the thrust: add"),
         ({"rudder": PULSE}, {"rudder": np.nan}, "expected a number > 0"),
+        ({"rudder": PULSE}, {"rudder": 0.0}, "expected a number > 0"),
         ({"elevator": PULSE}, {"flap": 1.0}, "of ArduPilot lack 'flap'"),
         (
             dict.fromkeys(("elevator", "aileron"), PULSE),

@@ -344,8 +344,3 @@ class TestPlan:
         """Which would refuse its goal."""
         words = shlex.split("--goal Cn_flaps --full elevator=0.5")
         refused("expected also .* move with the rudder: add", "plan", *self.WORDS, *words)
-
-    def test_what_cannot_be_planned_is_one_line(self, refused):
-        words = "controls of the trim lack 'elevon_left'.*elevator"
-        refused(words, "plan", *self.WORDS, "--axes", "elevon_left")
-        refused("Got the goal", "plan", *self.WORDS, "--goal", "Cn_flaps")

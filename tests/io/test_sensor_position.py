@@ -23,10 +23,15 @@ def inertial(log, number=0):
     return log.gyros(T + number * 1e-3, np.sin(T), I=("B", number), AccX=ax, AccY=ay, AccZ=az)
 
 
+def assert_is_placed(table):
+    """The sensors are at one place throughout."""
+    assert_allclose(table[POSITION], [PLACE] * len(table), rtol=1e-6, atol=1e-9)
+
+
 def test_of_ardupilot(read, write, dataflash):
     log = inertial(dataflash(**parameters("INS_POS1")))
     table = read(log, "log.bin", airborne=False)
-    assert_allclose(table[POSITION], np.broadcast_to(PLACE, (len(table), 3)), rtol=1e-6)
+    assert_is_placed(table)
     assert table.attrs["sources"]["sensor_position_x"] == "INS_POS1_X _Y _Z"
     summary = inspect_log(write(log, "log.bin"))
     assert summary.columns.loc["sensor_position_z", "source"] == "INS_POS1_X _Y _Z"
@@ -38,14 +43,14 @@ def test_of_the_imu_that_the_autopilot_used(told, dataflash):
         inertial(log, number)
     log.topic("XKF4", T[::5], PI=("B", 1))
     table = told(r"IMU#1 \(as XKF4.PI", log, "log.bin", airborne=False)
-    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
+    assert_is_placed(table)
 
 
 def test_of_px4(read, ulog):
     log = ulog(**parameters("EKF2_IMU_POS"))
     log.topic("vehicle_acceleration", T, xyz=FORCE)
     table = read(log, airborne=False)
-    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
+    assert_is_placed(table)
 
 
 def test_of_a_tailsitter_in_its_axes_of_forward_flight(read, ulog):
@@ -56,7 +61,7 @@ def test_of_a_tailsitter_in_its_axes_of_forward_flight(read, ulog):
     log.topic("vehicle_acceleration", T, xyz=to_hover.apply(FORCE))
     log.topic("vehicle_status", T[::5], is_vtol=np.ones(len(T[::5]), bool))
     table = read(log, airborne=False)
-    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6, atol=1e-9)
+    assert_is_placed(table)
 
 
 def test_of_telemetry(tlog, read):
@@ -67,7 +72,7 @@ def test_of_telemetry(tlog, read):
         message = mavlink.MAVLink_param_value_message(name.encode(), value, 9, 2, 0)
         messages.append(tlog[0][:8] + message.pack(plane))
     table = read([*messages, *tlog])
-    assert_allclose(table[POSITION].iloc[0], PLACE, rtol=1e-6)
+    assert_is_placed(table)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (np.nan, 0.1, 0.1)])

@@ -49,8 +49,8 @@ def at_centre_of_gravity(flight):
 
 
 def test_an_unknown_position_stays_unknown_beside_a_known_one():
-    known = placed(on_a_turn_table(2.0, ARM), ARM).assign(flight="known")
-    unknown = placed(on_a_turn_table(2.0, ARM), [np.nan] * 3).assign(flight="unknown")
+    known = placed(tumbling(ARM), ARM).assign(flight="known")
+    unknown = placed(tumbling(ARM), [np.nan] * 3).assign(flight="unknown")
     moved = at_centre_of_gravity(pd.concat([known, unknown], ignore_index=True)).set_index("flight")
     assert_allclose(moved.loc["known", POSITION], 0.0)
     assert moved.loc["unknown", POSITION].isna().all(axis=None)

@@ -1,5 +1,6 @@
 """Bands of the flight's own air, by scikit-learn's own calls; least squares beside the model."""
 
+import pickle
 from functools import partial
 
 import numpy as np
@@ -123,6 +124,20 @@ class TestPredict:
         ):
             with pytest.raises(ValueError, match="need airspeed > 0"):
                 use(slow)
+
+    def test_clones_and_pickles(self, model, test_flight):
+        assert isinstance(clone(model), FlightPipeline)
+        again = pickle.loads(pickle.dumps(model))
+        predicted = model.predict(test_flight, return_std=True)
+        assert_allclose(again.predict(test_flight, return_std=True), predicted, rtol=1e-9)
+
+    def test_another_regressor_predicts_without_a_band(self, flights, test_flight):
+        train = flights.train[:400]
+        linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
+        linear.fit(train, aerodynamic_coefficients(train, flights.aircraft))
+        assert linear.predict(test_flight).shape == (200, 6)
+        with pytest.raises(TypeError, match="return_std"):
+            linear.predict(test_flight, return_std=True)
 
     def test_scorers_use_that_band(self, model, flights, test_flight):
         measured = aerodynamic_coefficients(test_flight, flights.aircraft)

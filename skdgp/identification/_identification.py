@@ -191,7 +191,7 @@ class Identification:
                 aircraft=self.aircraft,
                 options=self.options,
                 fit=self.fit.to_dict(),
-                uses={use.purpose: use.fit for use in self.verdict.uses},
+                uses={use.purpose: use.judgement for use in self.verdict.uses},
                 flights=list(self.train),
             )
         write_together(path, writers)

@@ -112,12 +112,12 @@ def identify(
     (400, 6)
     """
     regressor = checked_regressor(regressor)
-    with recorded_warnings() as record:
+    with recorded_warnings() as warned:
         notify("reading")
         prepared = prepare(
             flights, test, aircraft, regressors=regressors, reading=reading or {}, **loads
         )
-        record.ignore(*prepared.ignored)
+        warned.ignore(*prepared.ignored)
         model = learn(
             prepared,
             regressors=regressors,
@@ -135,8 +135,8 @@ def identify(
         fit=model.fit,
         train={name: model.pipeline.corrected(table) for name, table in prepared.train.items()},
         evaluations=evaluations,
-        findings=tuple(record.findings),
-        assumptions=assumptions(model.aircraft, record.findings),
+        findings=tuple(warned.findings),
+        assumptions=assumptions(model.aircraft, warned.findings),
     )
 
 
@@ -174,30 +174,30 @@ def validate(
     options["horizons"] = list(horizons)
     reading = dict(reading or {})
     reading["servos"] = reading.get("servos") or options.get("servos")
-    with recorded_warnings() as record:
+    with recorded_warnings() as warned:
         notify("reading")
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         named = named_flights(flights, **reading)
         tables = usable_flights_of_model(model.pipeline, named, aircraft)
         # the steps meet the same faults again
-        record.ignore(Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED)
+        warned.ignore(Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED)
         for name in tables.keys() & set(model.get("flights", [])):
             report(Finding(Code.ALREADY_LEARNED, flight=name))
         training = TrainingRecord.from_dict(model.get("fit", {}))
-        judged = LearnedModel(
+        learned = LearnedModel(
             pipeline=model.pipeline,
             aircraft=aircraft,
             fit=fit_record(model.pipeline, training),
             options=options,
         )
-        evaluations = [evaluate(name, table, judged) for name, table in tables.items()]
+        evaluations = [evaluate(name, table, learned) for name, table in tables.items()]
     return Identification(
-        title=f"{judged.aircraft.name}: a model on other flights",
-        aircraft=judged.aircraft,
-        pipeline=judged.pipeline,
+        title=f"{learned.aircraft.name}: a model on other flights",
+        aircraft=learned.aircraft,
+        pipeline=learned.pipeline,
         options=options,
-        fit=judged.fit,
+        fit=learned.fit,
         train={},
         evaluations=evaluations,
-        findings=tuple(record.findings),
+        findings=tuple(warned.findings),
     )

@@ -35,6 +35,7 @@ from skdgp.identification._least_squares import fit_least_squares, named_regress
 from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
     FlightPipeline,
+    lag_corrector_of,
     make_identification_pipeline,
     regressor_names,
 )
@@ -42,7 +43,7 @@ from skdgp.identification._prepare import PreparedFlights
 from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
+from skdgp.preprocessing import FlightPathReconstruction
 from skdgp.report import Extent, FitRecord, TrainingRecord
 
 
@@ -193,8 +194,8 @@ def _with_errors_of_flights(
         aircraft = with_thrust_errors(aircraft, flights, regressors)
     if not has_values(flights, *VANES):  # without them these errors are parameters of the filter
         return aircraft
-    step = pipeline["lagcorrector"]
-    lags = step.lags_ if isinstance(step, LagCorrector) else None
+    step = lag_corrector_of(pipeline)
+    lags = None if step is None else step.lags_
     return with_log_errors(
         aircraft, flights, regressors, training.least_squares, lags, airspeed.left()
     )
@@ -318,8 +319,8 @@ def _input_noise_std(pipeline: Pipeline, names: Sequence[str]) -> dict[str, floa
 
 def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
     """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
-    step = pipeline.named_steps.get("lagcorrector")
-    if not isinstance(step, LagCorrector):
+    step = lag_corrector_of(pipeline)
+    if step is None:
         return {}
     table = step.lags_.astype(object).where(step.lags_.notna(), None)
     return {str(group): dict(row) for group, row in table.iterrows()}

@@ -203,6 +203,12 @@ def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
     return step if is_used else None
 
 
+def lag_corrector_of(pipeline: Pipeline) -> LagCorrector | None:
+    """Return the step that removes lags; None without one."""
+    step = pipeline.named_steps.get("lagcorrector")
+    return step if isinstance(step, LagCorrector) else None
+
+
 class FlightPipeline(Pipeline):
     """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 

@@ -224,9 +224,9 @@ def without_last(flights: Flights) -> tuple[Flights, Flights]:
     Of a flight with more than half of all rows, such as a single one, the last quarter is.
     """
     *earlier, last = flights
-    n_rows = sum(len(flight.time) for flight in flights.values())
+    all_rows = sum(len(flight.time) for flight in flights.values())
     others = {name: flights[name] for name in earlier}
-    if 2 * len(flights[last].time) <= n_rows:
+    if 2 * len(flights[last].time) <= all_rows:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
         return others, {last: flights[last]}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last))
@@ -273,18 +273,23 @@ def usable_flights(
     its rows is left.
     """
     needed = [name for name in columns if name not in INTERCHANGEABLE]
-    without_faults = {}
+    tables = {}
     for name, flight in flights.items():
         check_columns(flight.table, needed)
-        checked = FlightCheck().fit_transform(flight.table)
-        without_faults[name] = with_sensor_position(checked, aircraft)
-        _warn_of_positions(name, checked, aircraft)
-    together = FlightTable.of(pd.concat(without_faults.values(), ignore_index=True))
-    only = next(iter(flights)) if len(flights) == 1 else None
+        without_faults = FlightCheck().fit_transform(flight.table)
+        _warn_of_positions(name, without_faults, aircraft)
+        tables[name] = with_sensor_position(without_faults, aircraft)
+    _warn_of_contradictions(tables)
+    return {name: _complete_rows(name, table, regressors) for name, table in tables.items()}
+
+
+def _warn_of_contradictions(tables: Tables) -> None:
+    """Warn of channels that contradict others by physics, in all flights together."""
+    together = FlightTable.of(pd.concat(tables.values(), ignore_index=True))
+    only = next(iter(tables)) if len(tables) == 1 else None
     for contradiction in find_contradictions(together):
         finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning)
-    return {name: _complete_rows(name, table, regressors) for name, table in without_faults.items()}
 
 
 def usable_flights_of_model(

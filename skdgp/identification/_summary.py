@@ -99,7 +99,7 @@ def verdict_lines(verdict: Verdict) -> list[str]:
     if compared:
         lines.append(compared)
     for use in verdict.uses:
-        lines.append(f"{use.purpose + ':':<22}{use.fit}, {use.reason}")
+        lines.append(f"{use.purpose + ':':<22}{use.judgement}, {use.reason}")
     for number, warning in enumerate(verdict.warnings[:MOST_WARNINGS], start=1):
         lines.append(f"warning {number}: {warning}")
     return lines

@@ -59,7 +59,7 @@ ACCELERATION_REGRESSORS = {
 def judge(
     train: Iterable[pd.DataFrame],
     evaluations: Sequence[Evaluation],
-    record: FitRecord,
+    fit: FitRecord,
     mechanics: FlightMechanics,
     findings: Sequence[Finding],
 ) -> Verdict:
@@ -70,38 +70,38 @@ def judge(
     """
     table = scores(evaluations)["measured"]
     unvarying = _not_varying(evaluations, table)
-    judged = table.drop(index=unvarying)
-    doubts = _doubts(record, findings)
+    varying = table.drop(index=unvarying)
+    doubts = _doubts(fit, findings)
     derivatives = mechanics.derivatives
     faults = [*doubts, *_sign_findings(derivatives), *_implausible_sizes(derivatives)]
-    simulation = _simulation(mechanics, record.regressors)
+    simulation = _simulation(mechanics, fit.regressors)
     by_scores = (
-        _prediction(judged, _by_construction(evaluations, record), unvarying),
+        _prediction(varying, _by_construction(evaluations, fit), unvarying),
         simulation,
-        _control(mechanics, table, judged, faults, simulation),
+        _control(mechanics, table, varying, faults, simulation),
     )
-    too_little = _too_little(record)
-    better, worse = _against_least_squares(judged)
+    too_little = _too_little(fit)
+    better, worse = _against_least_squares(varying)
 
     # the costliest first
     warnings = [
         *faults,
-        *_warnings_of_errors(judged, evaluations, worse),
+        *_warnings_of_errors(varying, evaluations, worse),
         *_warnings_of_bands(table),
     ]
     if unvarying:
         warnings.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
-    if not record.converged:
+    if not fit.converged:
         warnings.append(Finding(Code.FIT_NOT_CONVERGED))
     warnings += [finding for finding in findings if finding.severity is Severity.WARNING]
 
     learned = list(train)
-    means = judged.mean()
+    means = varying.mean()
     return Verdict(
-        regressors=record.regressors,
+        regressors=fit.regressors,
         tested=Extent.of([flight.table for flight in evaluations]),
         trained=Extent.of(learned) if learned else None,
-        samples=record.training.samples if record.training else 0,
+        samples=fit.training.samples if fit.training else 0,
         error=float(means["normalized_rmse"]),
         coverage=float(table["interval_coverage"].mean()),
         least_squares_error=means.get("least_squares_normalized_rmse"),
@@ -134,8 +134,8 @@ def _prediction(table: pd.DataFrame, lacking_vane: dict[str, str], unvarying: li
     if table.empty:
         return Use(purpose, "unknown", tuple(unjudged))
     use = _use_by_scores(purpose, table)
-    fit = "partly" if use.fit == "yes" and unjudged else use.fit
-    return Use(purpose, fit, (*use.findings, *unjudged))
+    judgement = "partly" if use.judgement == "yes" and unjudged else use.judgement
+    return Use(purpose, judgement, (*use.findings, *unjudged))
 
 
 def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame) -> list[str]:
@@ -152,12 +152,12 @@ def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame) -> list
     return [name for name in COEFFICIENTS if is_still[name] and is_excused[name]]
 
 
-def _by_construction(evaluations: Sequence[Evaluation], record: FitRecord) -> dict[str, str]:
+def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[str, str]:
     """Return coefficients that agree with their measurement by construction, and the vane that is missing."""
     by_construction = {}
     for coefficient, vane in VANES_OF.items():
         is_measured = any(vane in flight.table for flight in evaluations)
-        if vane in record.regressors and not is_measured:
+        if vane in fit.regressors and not is_measured:
             by_construction[coefficient] = vane
     return by_construction
 
@@ -216,13 +216,14 @@ def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
 def _control(
     mechanics: FlightMechanics,
     table: pd.DataFrame,
-    judged: pd.DataFrame,
+    varying: pd.DataFrame,
     faults: Sequence[Finding],
     simulation: Use,
 ) -> Use:
-    """Return whether the model serves to design a controller; ``judged`` are rows of the table of scores.
+    """Return whether the model serves to design a controller.
 
-    It needs a trim, derivatives by the controls, and no fault. "yes" needs a ``simulation`` that
+    ``varying`` are the rows of the table of scores whose errors count. The use needs a trim, derivatives
+    by the controls, and no fault. "yes" needs a ``simulation`` that
     is not refuted by the test flights.
     """
     purpose = "design a controller"
@@ -241,14 +242,14 @@ def _control(
     narrow = coverages[~(coverages >= THRESHOLDS.held)]
     if len(narrow):
         return _use(purpose, "no", Code.BANDS_TOO_NARROW, coverages=narrow.to_dict())
-    use = _control_of_known(purpose, list(mechanics.trim.beyond), widths, judged)
-    if use.fit == "yes" and simulation.fit == "no":
+    use = _control_of_known(purpose, list(mechanics.trim.beyond), widths, varying)
+    if use.judgement == "yes" and simulation.judgement == "no":
         return Use(purpose, "partly", (*use.findings, *simulation.findings))
     return use
 
 
 def _control_of_known(
-    purpose: str, beyond: Sequence[str], widths: pd.Series, judged: pd.DataFrame
+    purpose: str, beyond: Sequence[str], widths: pd.Series, varying: pd.DataFrame
 ) -> Use:
     """Return the judgement where controls and fast modes are known.
 
@@ -259,7 +260,7 @@ def _control_of_known(
     if beyond:
         trim_beyond = Finding(Code.TRIM_BEYOND, numbers={"names": list(beyond)})
         return Use(purpose, "no", (trim_beyond, controls_known))
-    errors = judged["normalized_rmse"].reindex([*MOMENTS])
+    errors = varying["normalized_rmse"].reindex([*MOMENTS])
     poor = errors[errors > THRESHOLDS.error]
     if len(poor):
         unexplained = Finding(Code.MOMENTS_UNEXPLAINED, numbers={"errors": poor.to_dict()})
@@ -292,9 +293,9 @@ def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str,
     return parts
 
 
-def _use(purpose: str, fit: str, code: Code, **numbers: Any) -> Use:
+def _use(purpose: str, judgement: str, code: Code, **numbers: Any) -> Use:
     """Return a judgement by one finding."""
-    return Use(purpose, fit, (Finding(code, numbers=numbers),))
+    return Use(purpose, judgement, (Finding(code, numbers=numbers),))
 
 
 def _limited(use: Use, too_little: Finding | None, doubts: Sequence[Finding]) -> Use:
@@ -307,22 +308,22 @@ def _limited(use: Use, too_little: Finding | None, doubts: Sequence[Finding]) ->
     is_excluded = any(finding.code is Code.ACCELERATIONS_AS_REGRESSORS for finding in use.findings)
     if too_little is not None and not is_excluded:
         return Use(use.purpose, "unknown", (too_little,))
-    if use.fit not in ("yes", "partly"):
+    if use.judgement not in ("yes", "partly"):
         return use
     if any(map(_is_failure, doubts)):
         return Use(use.purpose, "no", (*use.findings, *doubts))
-    if doubts and use.fit == "yes":
+    if doubts and use.judgement == "yes":
         return Use(use.purpose, "partly", (*use.findings, *doubts))
     return use
 
 
-def _too_little(record: FitRecord) -> Finding | None:
+def _too_little(fit: FitRecord) -> Finding | None:
     """Return the finding of a model that learned from too few seconds or rows to be judged, if it did."""
-    training = record.training
+    training = fit.training
     if training is None:
         return None
     seconds = np.inf if training.flown is None else training.flown
-    rows_by_regressor = training.samples / len(record.regressors)
+    rows_by_regressor = training.samples / len(fit.regressors)
     if seconds >= THRESHOLDS.flown and rows_by_regressor >= THRESHOLDS.rows:
         return None
     numbers = {
@@ -334,10 +335,10 @@ def _too_little(record: FitRecord) -> Finding | None:
     return Finding(Code.TOO_LITTLE_FLOWN, numbers=numbers)
 
 
-def _doubts(record: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
+def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
     """Return the doubts of the fit, and further ones of the test flights, one of each code."""
     doubts: dict[Code, Finding] = {}
-    for finding in [*record.doubts, *findings]:
+    for finding in [*fit.doubts, *findings]:
         if finding.severity is Severity.DOUBT:
             doubts.setdefault(finding.code, finding)
     return list(doubts.values())

@@ -67,10 +67,10 @@ class Extent(NamedTuple):
 
 @dataclass(frozen=True)
 class Use:
-    """A use of a model: ``fit`` is "yes", "partly", "no" or "unknown", by its ``findings``."""
+    """A use of a model: ``judgement`` is "yes", "partly", "no" or "unknown", by its ``findings``."""
 
     purpose: str
-    fit: str
+    judgement: str
     findings: tuple[Finding, ...]
 
     @property
@@ -82,7 +82,7 @@ class Use:
         """Return it as plain values."""
         return {
             "purpose": self.purpose,
-            "fit": self.fit,
+            "judgement": self.judgement,
             "reason": self.reason,
             "codes": [finding.code.value for finding in self.findings],
         }

@@ -120,7 +120,7 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
     return f'<dl class="facts">{lines}</dl>' if lines else ""
 
 
-_FIT = {
+_JUDGEMENTS = {
     "yes": '<b class="yes">✓ yes</b>',
     "partly": '<b class="partly">◐ partly</b>',
     "no": '<b class="off">✗ no</b>',
@@ -262,7 +262,9 @@ def _verdict(content: ReportContent) -> str:
     """Return the verdict on the model in the air that was flown, and its errors on each test flight."""
     verdict = content.verdict
     air = f"Air: {text(content.air)}." if content.air else "The air was not estimated."
-    uses = [[text(use.purpose), _FIT[use.fit], text(use.reason)] for use in verdict.uses]
+    uses = [
+        [text(use.purpose), _JUDGEMENTS[use.judgement], text(use.reason)] for use in verdict.uses
+    ]
     head = ["good enough to", "", "because"]
     alerts = _note("No warning arose.")
     if verdict.findings:

@@ -169,7 +169,7 @@ def with_derivative(name, value, std=0.01, **parts):
 
 def use(found, purpose):
     (one,) = [one for one in found.uses if one.purpose == purpose]
-    return one.fit, one.reason
+    return one.judgement, one.reason
 
 
 def mechanics_of(*tables, train=None, **options):
@@ -219,13 +219,13 @@ def test_least_squares_by_coefficient():
 def test_little_flown_or_few_rows_leave_it_open(flown, samples, fit):
     training = replace(FIT.training, flown=flown, samples=samples)
     uses = verdict(fit={"training": training}).uses
-    assert {use.fit for use in uses} == {fit}
+    assert {use.judgement for use in uses} == {fit}
 
 
 def test_of_little_flown_a_large_error_says_nothing():
     training = replace(FIT.training, flown=5.0)
     found = verdict([evaluation(error=1.5)], fit={"training": training}, trim=None)
-    assert {use.fit for use in found.uses} == {"unknown"}
+    assert {use.judgement for use in found.uses} == {"unknown"}
     assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
 
 
@@ -336,7 +336,7 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(fit):
     doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
     found = verdict(findings=[ALONE["a"], doubt], fit=fit)
     assert "The paths of these flights did not converge: a." in found.warnings[0]
-    assert "yes" not in {use.fit for use in found.uses}
+    assert "yes" not in {use.judgement for use in found.uses}
     assert found.findings[1:] == (ALONE["a"],)
     assert use(found, CONTROL) == ("no", "a reconstruction did not converge")
 
@@ -391,7 +391,7 @@ def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
     cause = Finding(Code.AIR_NOT_CONVERGED)
     doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
     found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])], findings=[doubt])
-    assert {use.fit for use in found.uses} == {"no"}
+    assert {use.judgement for use in found.uses} == {"no"}
 
 
 def test_bands_that_hold_everything_are_too_wide():
@@ -411,7 +411,7 @@ def test_with_gusts_that_are_not_known_nothing_is_yes(where):
         fit, reason = use(found, purpose)
         assert fit == "partly"
         assert reason.endswith("; but gusts without vanes are not known")
-    assert "yes" not in {use.fit for use in found.uses}
+    assert "yes" not in {use.judgement for use in found.uses}
     assert use(found, CONTROL) == ("no", "gusts without vanes are not known")
 
 

@@ -177,20 +177,21 @@ def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[_Rows]:
         yield _Rows("time", Code.GAP, gaps, numbers)
     channels = flight.numeric_channels(names)
     for name, values in channels.items():
-        yield from _faults_of_channel(name, values, step)
+        faults, channels[name] = _faults_of_channel(name, values, step)
+        yield from faults
     yield from _dead(channels)
 
 
-def _faults_of_channel(name: str, values: Vector, step: float) -> list[_Rows]:
-    """Return the faults of a channel, in whose ``values`` they become NaN: each is found without those before."""
+def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[_Rows], Vector]:
+    """Return the faults of a channel, and its values with NaN in their place: each is found without those before."""
     faults = _missing(name, values, step)
-    values[~np.isfinite(values)] = np.nan
+    values = np.where(np.isfinite(values), values, np.nan)
     impossible = _impossible(name, values)
     for fault in impossible:
         values[fault.rows] = np.nan
     faults += impossible
     if name not in SENSORS:
-        return faults
+        return faults, values
     for rows in stuck_rows(values, step):
         value = float(values[rows[0]])
         faults.append(_Rows(name, Code.STUCK, rows, {"value": value}))
@@ -201,7 +202,7 @@ def _faults_of_channel(name: str, values: Vector, step: float) -> list[_Rows]:
     rows = np.union1d(marks, rows)
     if rows.size:
         faults.append(_Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)}))
-    return faults
+    return faults, values
 
 
 def _missing(name: str, values: Vector, step: float) -> list[_Rows]:
@@ -321,7 +322,10 @@ def _never_recovers(length: Indices, step: float) -> bool:
 
 
 def _is_improbable(length: Indices) -> Mask:
-    """Return which of the runs are longer than chance makes one of them."""
+    """Return which of the runs are longer than chance makes one of them.
+
+    Where a part p of n runs is longer than usual, n p^(k - 1) are k times as long as usual by chance.
+    """
     usual = np.median(length)
     n_long = np.sum(length >= 1.5 * usual)
     p = (1 + n_long) / (1 + len(length))

@@ -38,7 +38,9 @@ LATERAL_EFFECTS = ("p", "r", "aileron", "rudder")
 # -- equalities
 
 
-def _integral(name: str, rate: str, regression: Callable, uses: tuple[str, ...] = ()) -> Relation:
+def _relation_of_integral(
+    name: str, rate: str, regression: Callable, uses: tuple[str, ...] = ()
+) -> Relation:
     """Return the relation of the change of a channel with the integral of its rate."""
     return Relation(
         channels=(name, rate),
@@ -50,13 +52,13 @@ def _integral(name: str, rate: str, regression: Callable, uses: tuple[str, ...] 
     )
 
 
-def _position(name: str, velocity: str) -> Relation:
+def _relation_of_position(name: str, velocity: str) -> Relation:
     """Return the relation of a coordinate with its velocity."""
     regression = partial(equations.position, name=name, velocity=velocity)
-    return _integral(name, velocity, regression)
+    return _relation_of_integral(name, velocity, regression)
 
 
-def _level_force(channels: tuple[str, ...], axis: int) -> Equality:
+def _equality_of_level_force(channels: tuple[str, ...], axis: int) -> Equality:
     """Return the check of a level component of the specific force by the ground velocity."""
     relation = Relation(
         channels=channels,
@@ -69,13 +71,13 @@ def _level_force(channels: tuple[str, ...], axis: int) -> Equality:
     return Equality(relation=relation, noise=0.5, vibrates=True)
 
 
-ROLL = _integral("phi", "p", equations.roll, ("q", "r", "theta"))
-PITCH = _integral("theta", "q", equations.pitch, ("r", "phi"))
-YAW = _integral("psi", "r", equations.yaw, ("q", "phi", "theta"))
-NORTH = _position("north", "v_north")
-EAST = _position("east", "v_east")
-DOWN = _position("down", "v_down")
-ALTITUDE = _position("altitude", "v_down")
+ROLL = _relation_of_integral("phi", "p", equations.roll, ("q", "r", "theta"))
+PITCH = _relation_of_integral("theta", "q", equations.pitch, ("r", "phi"))
+YAW = _relation_of_integral("psi", "r", equations.yaw, ("q", "phi", "theta"))
+NORTH = _relation_of_position("north", "v_north")
+EAST = _relation_of_position("east", "v_east")
+DOWN = _relation_of_position("down", "v_down")
+ALTITUDE = _relation_of_position("altitude", "v_down")
 AIRSPEED = Relation(
     channels=("airspeed", "psi", "v_north", "v_east"),
     uses=(*EULER, *EARTH_VELOCITY),
@@ -113,16 +115,16 @@ EQUALITIES = (
     Equality(relation=ALTITUDE, noise=0.3),
     Equality(relation=AIRSPEED, noise=3.0, gusts_lead=True),
     Equality(relation=GRAVITY, noise=0.5),
-    _level_force(("theta", "psi", "v_north", "v_east", "ax", "az"), axis=0),
-    _level_force(("phi", "psi", "v_north", "v_east", "ay", "az"), axis=1),
-    _level_force(("v_down", "az"), axis=2),
+    _equality_of_level_force(("theta", "psi", "v_north", "v_east", "ax", "az"), axis=0),
+    _equality_of_level_force(("phi", "psi", "v_north", "v_east", "ay", "az"), axis=1),
+    _equality_of_level_force(("v_down", "az"), axis=2),
 )
 
 
 # -- signs
 
 
-def _vane(name: str, x: str) -> Sign:
+def _sign_of_vane(name: str, x: str) -> Sign:
     """Return the check of a vane by the ground velocity across the body axis."""
     relation = Relation(
         channels=(name,),
@@ -134,7 +136,7 @@ def _vane(name: str, x: str) -> Sign:
     return Sign(relation=relation, admissible=GUSTY, noise=0.5)
 
 
-def _sensor_force(name: str, axis: int) -> Sign:
+def _sign_of_accelerometer(name: str, axis: int) -> Sign:
     """Return the check of one accelerometer by the ground velocity."""
     relation = Relation(
         channels=(name,),
@@ -147,7 +149,7 @@ def _sensor_force(name: str, axis: int) -> Sign:
     return Sign(relation=relation, admissible=POSITIVE, noise=0.05)
 
 
-def _response(name: str, effects: tuple[str, ...]) -> Relation:
+def _relation_of_response(name: str, effects: tuple[str, ...]) -> Relation:
     """Return the relation of a rate or specific force with the first of its effects."""
     x = effects[0]
     return Relation(
@@ -160,14 +162,14 @@ def _response(name: str, effects: tuple[str, ...]) -> Relation:
     )
 
 
-def _effect(name: str, effects: tuple[str, ...], admissible: Interval) -> Sign:
+def _sign_of_effect(name: str, effects: tuple[str, ...], admissible: Interval) -> Sign:
     """Return the check of the sign of the first effect on a rate or specific force."""
     angle = next((effect for effect in effects if effect in VANES), None)
-    return Sign(relation=_response(name, effects), admissible=admissible, angle=angle)
+    return Sign(relation=_relation_of_response(name, effects), admissible=admissible, angle=angle)
 
 
-SIDEFORCE = _response("ay", ("beta", *LATERAL_EFFECTS))
-WEATHERCOCK = _effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
+SIDEFORCE = _relation_of_response("ay", ("beta", *LATERAL_EFFECTS))
+WEATHERCOCK = _sign_of_effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
 THRUST = Relation(
     channels=("throttle", "ax"),
     uses=("airspeed", "az"),
@@ -177,20 +179,20 @@ THRUST = Relation(
 )
 
 SIGNS = (
-    _vane("beta", "the lateral ground velocity less a wind"),
-    _vane("alpha", "the normal ground velocity less a wind"),
-    _sensor_force("ax", axis=0),
-    _sensor_force("ay", axis=1),
-    _effect("az", ("alpha", "q", "elevator"), NEGATIVE),
+    _sign_of_vane("beta", "the lateral ground velocity less a wind"),
+    _sign_of_vane("alpha", "the normal ground velocity less a wind"),
+    _sign_of_accelerometer("ax", axis=0),
+    _sign_of_accelerometer("ay", axis=1),
+    _sign_of_effect("az", ("alpha", "q", "elevator"), NEGATIVE),
     Sign(
         relation=replace(SIDEFORCE, uses=(*SIDEFORCE.uses, "r")),
         admissible=NEGATIVE,
         angle="beta",
         witness=WEATHERCOCK,
     ),
-    _effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
-    _effect("q", ("elevator", "alpha", "q"), NEGATIVE),
-    _effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
+    _sign_of_effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
+    _sign_of_effect("q", ("elevator", "alpha", "q"), NEGATIVE),
+    _sign_of_effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
     Sign(relation=THRUST, admissible=POSITIVE, noise=0.01),
 )
 
@@ -201,7 +203,7 @@ HEADING = Sign(relation=COURSE, admissible=AHEAD, noise=3.0)
 # -- exchanges
 
 
-def _with_exchanged(relation: Relation, first: str, second: str) -> Alternative:
+def _alternative_with_exchanged(relation: Relation, first: str, second: str) -> Alternative:
     """Return an integral as if two channels were exchanged, beside the one as they are."""
 
     def regression(flight: Signals) -> Regression:
@@ -219,17 +221,17 @@ def _with_exchanged(relation: Relation, first: str, second: str) -> Alternative:
     return Alternative(wrong, relation)
 
 
-def _by_other_axis(
+def _alternative_by_other_axis(
     name: str, wrong: str, right: str, others: tuple[str, ...], response_of_other: str
 ) -> Alternative:
     """Return a response by the channel of another axis and by its own one, beside other effects."""
-    by_wrong = _response(name, (wrong, right, *others))
-    by_right = _response(name, (right, wrong, *others))
+    by_wrong = _relation_of_response(name, (wrong, right, *others))
+    by_right = _relation_of_response(name, (right, wrong, *others))
     uses = (name, response_of_other, "airspeed")
     return Alternative(replace(by_wrong, channels=(wrong, right), uses=uses), by_right)
 
 
-def _horizontal_force(axis: int, axes: str) -> Relation:
+def _relation_of_horizontal_force(axis: int, axes: str) -> Relation:
     """Return the relation of a change of velocity with an accelerometer, taken in "body" or "earth" axes."""
     return Relation(
         channels=("ax", "ay"),
@@ -240,25 +242,30 @@ def _horizontal_force(axis: int, axes: str) -> Relation:
     )
 
 
-def _in_earth_axes(axis: int) -> Alternative:
+def _alternative_in_earth_axes(axis: int) -> Alternative:
     """Return a change of velocity by an accelerometer in earth axes, beside the one in body axes."""
-    return Alternative(_horizontal_force(axis, "earth"), _horizontal_force(axis, "body"))
+    return Alternative(
+        _relation_of_horizontal_force(axis, "earth"), _relation_of_horizontal_force(axis, "body")
+    )
 
 
 # Accelerometers in earth axes, from which other contradictions follow
-EARTH_AXES = Exchange(_in_earth_axes(0), _in_earth_axes(1))
+EARTH_AXES = Exchange(_alternative_in_earth_axes(0), _alternative_in_earth_axes(1))
 EXCHANGES = (
-    Exchange(_with_exchanged(PITCH, "q", "r"), _with_exchanged(YAW, "q", "r")),
     Exchange(
-        _with_exchanged(NORTH, "v_north", "v_east"), _with_exchanged(EAST, "v_north", "v_east")
+        _alternative_with_exchanged(PITCH, "q", "r"), _alternative_with_exchanged(YAW, "q", "r")
     ),
     Exchange(
-        _by_other_axis("p", "elevator", "aileron", ("beta", "p", "r", "rudder"), "q"),
-        _by_other_axis("q", "aileron", "elevator", ("alpha", "q"), "p"),
+        _alternative_with_exchanged(NORTH, "v_north", "v_east"),
+        _alternative_with_exchanged(EAST, "v_north", "v_east"),
     ),
     Exchange(
-        _by_other_axis("az", "beta", "alpha", ("q", "elevator"), "ay"),
-        _by_other_axis("ay", "alpha", "beta", LATERAL_EFFECTS, "az"),
+        _alternative_by_other_axis("p", "elevator", "aileron", ("beta", "p", "r", "rudder"), "q"),
+        _alternative_by_other_axis("q", "aileron", "elevator", ("alpha", "q"), "p"),
+    ),
+    Exchange(
+        _alternative_by_other_axis("az", "beta", "alpha", ("q", "elevator"), "ay"),
+        _alternative_by_other_axis("ay", "alpha", "beta", LATERAL_EFFECTS, "az"),
     ),
 )
 

@@ -12,7 +12,7 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import aerodynamic_coefficients, replay
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms, named_regressors
-from skdgp.identification._pipeline import band_limited, flight_regressors
+from skdgp.identification._pipeline import band_limited, cutoff_of, flight_regressors
 from skdgp.report import Evaluation
 
 MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
@@ -26,7 +26,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     X, noise_ratio = flight_regressors(pipeline, table)
     corrected = pipeline.corrected(table)
     measured = aerodynamic_coefficients(
-        corrected, model.aircraft, cutoff=pipeline.own_cutoff, **loads
+        corrected, model.aircraft, cutoff=cutoff_of(pipeline.band_), **loads
     )
     # with the noise of the fit, which the bands contain
     noisy = aerodynamic_coefficients(

@@ -30,11 +30,12 @@ from skdgp._flight.channels import (
 from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
-from skdgp.estimation import AirspeedScale
+from skdgp.estimation import without_airspeed_error
 from skdgp.identification._least_squares import fit_least_squares, named_regressors
 from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
 from skdgp.identification._pipeline import (
     FlightPipeline,
+    LogErrors,
     lag_corrector_of,
     make_identification_pipeline,
     regressor_names,
@@ -122,11 +123,11 @@ def learn(
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = prepared.table
     pipeline = _pipeline_for(prepared, regressors, regressor, steps)
-    airspeed = pipeline.learn_errors_of_log(table)
-    _report_errors_of_log(airspeed, pipeline.band_)
-    corrected = pipeline.corrected(table)
+    errors = pipeline.errors_of_log(table)
+    _report_errors_of_log(errors)
+    corrected = without_airspeed_error(table, errors.airspeed.removable())
     Y = aerodynamic_coefficients(
-        corrected, prepared.aircraft, cutoff=pipeline.own_cutoff, **prepared.loads
+        corrected, prepared.aircraft, cutoff=errors.cutoff, **prepared.loads
     )
     flown = Extent.of(list(prepared.train.values())).seconds
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
@@ -136,6 +137,7 @@ def learn(
     X = pipeline.fit_returning_regressors(
         table,
         targets,
+        errors=errors,
         # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
         choose_engine=prepared.lacks_thrust and isinstance(regressors, str),
         coefficient_filter=coefficient_filter(table),
@@ -157,48 +159,36 @@ def learn(
     if fit.lags_corrected:
         finding = Finding(Code.LAGS_CORRECTED, numbers={"lags": fit.lags_corrected})
         report(finding)
+    regressors_of_fit = named_regressors(pipeline, X)
+    aircraft = prepared.aircraft
+    if "propeller" in training.thrust:
+        aircraft = with_thrust_errors(aircraft, corrected, regressors_of_fit)
+    if has_values(corrected, *VANES):  # without them errors of the log are parameters of the filter
+        step = lag_corrector_of(pipeline)
+        aircraft = with_log_errors(
+            aircraft,
+            corrected,
+            regressors_of_fit,
+            training.least_squares,
+            None if step is None else step.lags_,
+            errors.airspeed.left(),
+        )
     return LearnedModel(
         pipeline=pipeline,
-        aircraft=_with_errors_of_flights(
-            prepared.aircraft,
-            pipeline,
-            corrected,
-            named_regressors(pipeline, X),
-            training,
-            airspeed,
-        ),
+        aircraft=aircraft,
         fit=fit,
         options=_options(prepared, pipeline, training.samples, horizons),
     )
 
 
-def _report_errors_of_log(airspeed: AirspeedScale, band: float) -> None:
-    """Report an error of the airspeed that is removed, and vibration beyond a finite band [Hz]."""
+def _report_errors_of_log(errors: LogErrors) -> None:
+    """Report an error of the airspeed that is removed, and vibration."""
+    airspeed = errors.airspeed
     if airspeed.removable():
         numbers = {"percent": 100 * airspeed.value, "std_percent": 100 * airspeed.std}
         report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers))
-    if np.isfinite(band):
-        report(Finding(Code.VIBRATION, numbers={"band": band}))
-
-
-def _with_errors_of_flights(
-    aircraft: Aircraft,
-    pipeline: FlightPipeline,
-    flights: pd.DataFrame,
-    regressors: pd.DataFrame,
-    training: TrainingRecord,
-    airspeed: AirspeedScale,
-) -> Aircraft:
-    """Return the aircraft with the errors of coefficients that thrust and sensors of its flights leave."""
-    if "propeller" in training.thrust:
-        aircraft = with_thrust_errors(aircraft, flights, regressors)
-    if not has_values(flights, *VANES):  # without them these errors are parameters of the filter
-        return aircraft
-    step = lag_corrector_of(pipeline)
-    lags = None if step is None else step.lags_
-    return with_log_errors(
-        aircraft, flights, regressors, training.least_squares, lags, airspeed.left()
-    )
+    if np.isfinite(errors.band):
+        report(Finding(Code.VIBRATION, numbers={"band": errors.band}))
 
 
 def _n_rows(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -209,6 +209,24 @@ def lag_corrector_of(pipeline: Pipeline) -> LagCorrector | None:
     return step if isinstance(step, LagCorrector) else None
 
 
+class LogErrors(NamedTuple):
+    """Errors that the flights of a log show, and that are removed from them."""
+
+    airspeed: AirspeedScale = UNKNOWN_SCALE
+    #: Highest frequency [Hz] of regressors, where flights vibrate and have vanes
+    band: float = np.inf
+
+    @property
+    def cutoff(self) -> FittedFilter | str:
+        """Cutoff of the coefficients: "auto", by their spectra, or the filter up to the band."""
+        return cutoff_of(self.band)
+
+
+def cutoff_of(band: float) -> FittedFilter | str:
+    """Return the cutoff of the coefficients of flights whose regressors end at ``band`` [Hz]."""
+    return "auto" if np.isinf(band) else band_filter(band)
+
+
 class FlightPipeline(Pipeline):
     """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 
@@ -255,11 +273,6 @@ class FlightPipeline(Pipeline):
     airspeed_scale_: float = 0.0
     calibration_: RegressionCalibration | None = None
 
-    @property
-    def own_cutoff(self) -> FittedFilter | str:
-        """Cutoff of the coefficients of a flight: "auto", by its spectra, or the filter up to ``band_``."""
-        return "auto" if np.isinf(self.band_) else band_filter(self.band_)
-
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
@@ -267,9 +280,9 @@ class FlightPipeline(Pipeline):
         row, unless metadata routing is enabled: request them there. ``params`` are as of
         scikit-learn's ``Pipeline``.
         """
-        self.learn_errors_of_log(X)
         if get_config()["enable_metadata_routing"]:
-            self.band_ = np.inf  # scikit-learn's own fit leaves no place for a band
+            # scikit-learn's own fit leaves no place for a band
+            self._keep(self.errors_of_log(X)._replace(band=np.inf))
             self.calibration_ = None
             self.coefficient_filter_ = "auto"
             X = self.corrected(X)
@@ -284,6 +297,7 @@ class FlightPipeline(Pipeline):
         X: pd.DataFrame,
         y: Any,
         *,
+        errors: LogErrors | None = None,
         choose_engine: bool = False,
         coefficient_filter: FittedFilter | str = "auto",
         control_units: Mapping[str, str] = MappingProxyType({}),
@@ -291,10 +305,11 @@ class FlightPipeline(Pipeline):
     ) -> Matrix:
         """Fit with ``params`` of the last step, and return the regressors (n, d) that it learned from.
 
-        Behind `learn_errors_of_log`. ``choose_engine``: of throttle and airspeed the set of regressors
-        gets those of `engine_regressors`. ``coefficient_filter`` is how y was smoothed, "auto" if that is
-        unknown, ``control_units`` are those of controls that differ from docs/notation.md.
+        ``errors`` of the log are by default those that the flights show. ``choose_engine``: of throttle and airspeed
+        the set of regressors gets those of `engine_regressors`. ``coefficient_filter`` is how y was smoothed,
+        "auto" if that is unknown, ``control_units`` are those of controls that differ from docs/notation.md.
         """
+        self._keep(self.errors_of_log(X) if errors is None else errors)
         self.coefficient_filter_ = coefficient_filter
         self.control_units_ = dict(control_units)
         name, last = self.steps[-1]
@@ -314,21 +329,21 @@ class FlightPipeline(Pipeline):
         self._learn_turbulence(X)
         return regressors
 
-    def learn_errors_of_log(self, X: pd.DataFrame) -> AirspeedScale:
-        """Set ``airspeed_scale_`` and ``band_`` by flights X; return the error of the airspeed.
+    def errors_of_log(self, X: pd.DataFrame) -> LogErrors:
+        """Return the errors that flights X show, without faults of their sensors.
 
-        Faults of the sensors are left out. Both are unknown without a step ``flightcheck``.
+        They are unknown without a step ``flightcheck``.
         """
-        self.airspeed_scale_ = 0.0
-        self.band_ = np.inf
-        airspeed = UNKNOWN_SCALE
-        if isinstance(X, pd.DataFrame) and "flightcheck" in self.named_steps:
-            with without_warnings():  # the step itself warns
-                checked = FlightCheck().fit_transform(X)
-            airspeed = airspeed_scale(checked)
-            self.airspeed_scale_ = airspeed.removable()
-            self.band_ = vibration_band(checked)
-        return airspeed
+        if not isinstance(X, pd.DataFrame) or "flightcheck" not in self.named_steps:
+            return LogErrors()
+        with without_warnings():  # the step itself warns
+            checked = FlightCheck().fit_transform(X)
+        return LogErrors(airspeed_scale(checked), vibration_band(checked))
+
+    def _keep(self, errors: LogErrors) -> None:
+        """Keep the errors that predictions remove."""
+        self.airspeed_scale_ = errors.airspeed.removable()
+        self.band_ = errors.band
 
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return flights X without the error of the airspeed."""
@@ -352,7 +367,7 @@ class FlightPipeline(Pipeline):
     @available_if(_ends_with_transform)
     def fit_transform(self, X: pd.DataFrame, y: Any = None, **params: Any) -> Any:
         """Fit all steps to flights, and transform these, without the errors of the log that they show."""
-        self.learn_errors_of_log(X)
+        self._keep(self.errors_of_log(X))
         return self._in_band(super().fit_transform(self.corrected(X), y, **params), X)
 
     @available_if(_ends_with_transform)

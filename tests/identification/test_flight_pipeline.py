@@ -319,9 +319,9 @@ def test_spikes_are_no_errors_of_the_log(flights):
     spikes.loc[spikes.index[::300], ["ax", "ay", "az"]] += 500.0
     spikes.loc[spikes.index[::200], "airspeed"] = 99.0
     pipeline = FlightPipeline([("flightcheck", FlightCheck())])
-    pipeline.learn_errors_of_log(spikes)
-    assert pipeline.airspeed_scale_ == 0.0
-    assert np.isinf(pipeline.band_)
+    errors = pipeline.errors_of_log(spikes)
+    assert errors.airspeed.removable() == 0.0
+    assert np.isinf(errors.band)
 
 
 @pytest.mark.usefixtures("no_mechanics")

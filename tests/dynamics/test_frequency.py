@@ -6,7 +6,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.signal import butter, lfilter, lsim
 
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import SpectrumSettings, frequency_response, linearize, trim
+from skdgp.preprocessing import ElevonSplitter
 
 STATES = ["v", "phi", "p", "r"]
 STEP, DURATION = 0.02, 120.0
@@ -134,6 +136,27 @@ def test_gusts_that_an_autopilot_feeds_back_are_no_excitation():
     assert not found.loc[30.0:, "excited"].any()
     assert found["excited"].sum() >= 10
     assert error[found["excited"]].max() < 2.0
+
+
+@pytest.mark.slow
+def test_of_the_example_flights_errors_are_as_large_as_stated():
+    """Their autopilot feeds back what gusts do. The multisine of the aileron ends at 2 Hz."""
+    flights = load_example_flights()
+    log = ElevonSplitter().fit_transform(flights.train)
+    steady = trim(
+        flights.truth, flights.aircraft, log["airspeed"].mean(), altitude=log["altitude"].mean()
+    )
+    true = linearize(flights.truth, flights.aircraft, steady)
+    inputs = ["elevator", "aileron", "rudder"]
+    found = frequency_response(log, inputs, ["p", "q", "r"], linear=true)
+    own = [("p", "aileron"), ("q", "elevator"), ("r", "rudder")]
+    sure = pd.concat({pair: found.loc[pair] for pair in own}).query("excited")
+    gain, phase = errors(sure)
+    scores = np.abs(np.concatenate([gain / sure["gain_std"], phase / sure["phase_std"]]))
+    assert np.mean(scores < 1.0) > 0.5
+    assert np.mean(scores < 2.0) > 0.85
+    excited = sure.loc[("p", "aileron")].index
+    assert 10.0 < excited.max() < 1.1 * 2 * np.pi * 2.0
 
 
 @pytest.mark.parametrize("is_missing", [False, True])

@@ -171,19 +171,21 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
     # raises where time has no usual step
     _ = flights.segments
     _check_airspeed(flights)
-    _check_density(flights)
     check_units(flights)
+    if _quantile(flights.column("density"), 0.0) <= 0:
+        raise ValueError(_no_density(flights))
     _check_roll_rate(flights)
     _check_accelerations(flights)
     return flights
 
 
 def check_units(flights: FlightTable) -> None:
-    """Raise ValueError if the numbers of flights are in degrees, per cent, g or milliseconds.
+    """Raise ValueError if the numbers of flights are in degrees, per cent, g, g/cm^3 or milliseconds.
 
     A hundredth of the values may be faults. Warn of surfaces that are probably commands.
     """
     _check_angles(flights)
+    _check_density(flights)
     throttle = _quantile(flights.column("throttle"), 0.99)
     if throttle > UNITS.most_throttle:
         raise ValueError(
@@ -279,16 +281,20 @@ def _check_airspeed(flights: FlightTable) -> None:
         )
 
 
-def _check_density(flights: FlightTable) -> None:
+def _no_density(flights: FlightTable) -> str:
+    """Return the error text of values that are no densities of air."""
     density = flights.column("density")
-    lowest = _quantile(density, 0.0)
-    middle = _quantile(density, 0.5)
-    if lowest <= 0 or middle <= 0.05 or middle >= 2.5:
-        raise ValueError(
-            f"Got density from {lowest:g} to {np.nanmax(density):g}, but expected air in kg/m^3 "
-            f"(1.225 at sea level): convert it, or use "
-            f"skdgp.dynamics.standard_density(altitude)."
-        )
+    return (
+        f"Got density from {np.nanmin(density):g} to {np.nanmax(density):g}, but expected air in kg/m^3 (1.225 at "
+        "sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
+    )
+
+
+def _check_density(flights: FlightTable) -> None:
+    """Raise ValueError if the density is not of air in kg/m^3; warn if it is far from that at the altitude."""
+    middle = _quantile(flights.column("density"), 0.5)
+    if middle <= 0.05 or middle >= 2.5:
+        raise ValueError(_no_density(flights))
     height = _quantile(flights.column("altitude"), 0.5)
     if not LOWEST <= height <= HIGHEST:
         return

@@ -56,8 +56,9 @@ class TestUnitsThatNumbersGiveAway:
         alpha[100] = 3.0
         assert len(read(pd.DataFrame({"time": np.arange(500) * 0.02, "alpha": alpha}))) == 500
 
-    def test_per_cent_g_and_milliseconds(self, read, refused):
+    def test_per_cent_g_densities_and_milliseconds(self, read, refused):
         refused("expected 0 to 1: divide it", table(throttle=55.0))
+        refused("expected air in kg/m", table(density=1.2e-3))
         refused("looks like g", table(ax=0.02, ay=0.0, az=-1.01))
         refused("looks like milliseconds", table(time=20.0 * np.arange(50)))
         assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)

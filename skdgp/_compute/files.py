@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, TypeAlias
 import pandas as pd
 
 Writer: TypeAlias = "Callable[[Path], object]"  # fills a file
-LARGEST = 2**24  # bytes of a file that people write; a larger one is another file
+LARGEST_SIZE = 2**24  # bytes of a file that people write; a larger one is another file
 
 
 def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
@@ -129,7 +129,7 @@ def _text(path) -> str:
     path = Path(path)
     if path.exists() and not path.is_file():
         raise ValueError(f"Got {path}, which is a folder or a device, but expected a file")
-    if path.stat().st_size > LARGEST:
+    if path.stat().st_size > LARGEST_SIZE:
         size = path.stat().st_size / 1e6
         raise ValueError(f"Got {size:.0f} MB, but expected a file of at most 16 MB")
     try:

@@ -33,7 +33,7 @@ CREW = (
     '<div class="sign"><p>Date</p><p>Place, aircraft</p><p>Pilot</p><p>Ground station</p>'
     "<p>Wind, mass</p><p>Go or no-go</p><p>Signed</p></div>"
 )
-SIGNS = "Made by skdgp. Elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
+AXES_NOTE = "Made by skdgp. Elevator &gt; 0 nose down, aileron &gt; 0 right, rudder &gt; 0 left."
 ENTRY = """<ol>
 <li>Fly in calm air: the limits were checked without gusts. Trim at the values of the table, hands
 off, for the pause.</li>
@@ -62,7 +62,7 @@ def write_flight_card(
     body += [_manoeuvre(plan, k, full or {}) for k in kinds.index]
     title = f"{plan.aircraft.name or 'Aircraft'}: next flight"
     meta = f"{len(plan.manoeuvres)} manoeuvres of {len(kinds)} kinds · planned {datetime.now():%d %B %Y, %H:%M}"
-    page = render_page("Flight card", title, meta, "\n".join(body), SIGNS)
+    page = render_page("Flight card", title, meta, "\n".join(body), AXES_NOTE)
     return write_atomically(path, text_writer(page))
 
 

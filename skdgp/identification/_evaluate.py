@@ -29,7 +29,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
         corrected, model.aircraft, cutoff=cutoff_of(pipeline.band_), **loads
     )
     # with the noise of the fit, which the bands contain
-    noisy = aerodynamic_coefficients(
+    measured_as_in_fit = aerodynamic_coefficients(
         corrected, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
     )
     regressor = pipeline[-1]
@@ -45,10 +45,10 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
         time=corrected["time"].to_numpy(float),
         table=corrected,
         measured=measured.to_numpy(),
-        measured_as_in_fit=noisy.to_numpy(),
+        measured_as_in_fit=measured_as_in_fit.to_numpy(),
         mean=mean,
         std=std,
-        measured_std=np.sqrt(std**2 + regressor.noise_variance_),
+        prediction_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=X,
         truth=_truth(corrected, pipeline.band_),

@@ -33,19 +33,19 @@ CONTROL_DERIVATIVES = (
     "Cn_rudder",
 )  # derivatives of each moment by its control
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
-SIGNS = {
+USUAL_SIGNS = {
     "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
 # The rudder's side force is opposite to its yawing moment, as it acts behind the centre of gravity
 OPPOSITE = ("CY_rudder", "Cn_rudder")
 # Largest effects on drag by non-dimensional rates: textbooks neglect them (guess)
-LARGEST = {"CD_q": 5.0, "CD_p": 5.0, "CD_r": 5.0}
+LARGEST_DRAG_SLOPES = {"CD_q": 5.0, "CD_p": 5.0, "CD_r": 5.0}
 # Vanes without which a coefficient is predicted from angles that its own accelerometer gave
 VANES_OF = {"CZ": "alpha", "CY": "beta"}
 # kinds of modes that a controller of attitude works in
 FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
-MOMENTS = ("Cl", "Cm", "Cn")
+MOMENT_COEFFICIENTS = ("Cl", "Cm", "Cn")
 # parts of the standard deviation of a derivative
 PARTS = ("std_random", "std_method", "std_log", "std_posterior")
 # Regressors that are known only after a flight
@@ -145,7 +145,7 @@ def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame) -> list
     """
     measured = np.concatenate([flight.measured for flight in evaluations])
     spread = np.nanstd(measured, axis=0)
-    variances = [flight.measured_std**2 - flight.std**2 for flight in evaluations]
+    variances = [flight.prediction_std**2 - flight.std**2 for flight in evaluations]
     noise = np.sqrt(np.maximum(np.nanmean(np.concatenate(variances), axis=0), 0.0))
     is_still = pd.Series(spread < noise, index=list(COEFFICIENTS))
     is_excused = (table["interval_coverage"] >= THRESHOLDS.held) & (table["normalized_rmse"] > 1)
@@ -260,7 +260,7 @@ def _control_of_known(
     if beyond:
         trim_beyond = Finding(Code.TRIM_BEYOND, numbers={"names": list(beyond)})
         return Use(purpose, "no", (trim_beyond, controls_known))
-    errors = varying["normalized_rmse"].reindex([*MOMENTS])
+    errors = varying["normalized_rmse"].reindex([*MOMENT_COEFFICIENTS])
     poor = errors[errors > THRESHOLDS.error]
     if len(poor):
         unexplained = Finding(Code.MOMENTS_UNEXPLAINED, numbers={"errors": poor.to_dict()})
@@ -358,7 +358,7 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
     """
     if derivatives.empty:
         return []
-    signed = derivatives["value"].reindex([*SIGNS]) * pd.Series(SIGNS)
+    signed = derivatives["value"].reindex([*USUAL_SIGNS]) * pd.Series(USUAL_SIGNS)
     wrong = derivatives["value"].reindex(signed.index[signed < 0])
     is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
     if _is_rudder_ahead(derivatives):
@@ -386,9 +386,9 @@ def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
     """Return the finding of derivatives that are surely larger than on any aircraft, if any."""
     if derivatives.empty:
         return []
-    values = derivatives.loc[derivatives.index.isin(LARGEST), ["value", "std"]]
+    values = derivatives.loc[derivatives.index.isin(LARGEST_DRAG_SLOPES), ["value", "std"]]
     least = values["value"].abs() - half_width(0.95) * values["std"]
-    large = values.loc[least > pd.Series(LARGEST).reindex(values.index), "value"]
+    large = values.loc[least > pd.Series(LARGEST_DRAG_SLOPES).reindex(values.index), "value"]
     return [] if large.empty else [_of_derivatives(Code.IMPLAUSIBLE_SIZES, large)]
 
 

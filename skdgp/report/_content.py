@@ -264,7 +264,7 @@ class Evaluation:
     measured, mean, std : (n, 6)
         Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
         noise.
-    measured_as_in_fit, measured_std : (n, 6)
+    measured_as_in_fit, prediction_std : (n, 6)
         Coefficients measured with the noise of the fit, and standard deviations of such measurements.
         ``measured`` is smoothed by the spectra of the flight, and so has more or less noise.
     rows : ndarray of int
@@ -286,7 +286,7 @@ class Evaluation:
     mean: Matrix
     std: Matrix
     measured_as_in_fit: Matrix
-    measured_std: Matrix
+    prediction_std: Matrix
     rows: Indices
     regressors: Matrix
     truth: Matrix | None = None
@@ -306,7 +306,7 @@ def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
     """
     measured = [flight.measured for flight in flights]
     in_bands = [flight.measured_as_in_fit for flight in flights]
-    bands = [flight.measured_std for flight in flights]
+    bands = [flight.prediction_std for flight in flights]
     against = {"measured": _scores(flights, measured, in_bands, bands)}
     truth = [flight.truth for flight in flights if flight.truth is not None]
     if len(truth) == len(flights):

@@ -596,7 +596,7 @@ def _figures(result: Evaluation) -> str:
         result.time[rows],
         result.measured_as_in_fit[rows],
         result.mean[rows],
-        result.measured_std[rows],
+        result.prediction_std[rows],
         truth=None if result.truth is None else result.truth[rows],
         ax=False,
     )

@@ -94,7 +94,7 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
     noise /= np.sqrt((noise**2).mean(axis=0))
     error = np.broadcast_to(error, 6)
     time = 0.05 * np.arange(n)
-    measured_std = error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6))
+    prediction_std = error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6))
     return Evaluation(
         name=name,
         time=time,
@@ -102,8 +102,8 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
         measured_as_in_fit=measured,
         mean=measured + error * noise,
         baseline=measured + linear * noise,
-        std=np.sqrt(measured_std**2 - 0.01**2),  # of the function; the noise is small
-        measured_std=measured_std,
+        std=np.sqrt(prediction_std**2 - 0.01**2),  # of the function; the noise is small
+        prediction_std=prediction_std,
         table=pd.DataFrame({"time": time, "alpha": 0.0, "beta": 0.0}),
         rows=np.arange(n),
         regressors=measured,
@@ -345,11 +345,11 @@ def still(flight, *outputs):
     """Return a flight in which outputs vary by a thousandth of their noise, and the model errs by as much as that."""
     noise = 0.1
     spread = np.where(np.isin(np.arange(6), outputs), 1e-3 * noise, 1.0)
-    std = np.sqrt(flight.measured_std**2 + noise**2)
+    std = np.sqrt(flight.prediction_std**2 + noise**2)
     measured = spread * flight.measured
     mean = measured + flight.mean - flight.measured
     return replace(
-        flight, measured=measured, measured_as_in_fit=measured, mean=mean, measured_std=std
+        flight, measured=measured, measured_as_in_fit=measured, mean=mean, prediction_std=std
     )
 
 
@@ -373,7 +373,7 @@ class TestCoefficientsThatDoNotVary:
 
     def test_a_band_that_is_too_wide_is_told_of_one_that_does_not_vary(self):
         calm = still(evaluation(), 5)
-        wide = replace(calm, measured_std=calm.measured_std * [1, 1, 1, 1, 1, 10])
+        wide = replace(calm, prediction_std=calm.prediction_std * [1, 1, 1, 1, 1, 10])
         found = verdict([wide])
         (too_wide,) = [one for one in found.findings if one.code is Code.BANDS_TOO_WIDE]
         assert too_wide.numbers["coverages"]["Cn"] == 1.0
@@ -396,7 +396,7 @@ def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
 
 def test_bands_that_hold_everything_are_too_wide():
     flight = evaluation(error=0.1)
-    wide = replace(flight, measured_std=3 * flight.measured_std)
+    wide = replace(flight, prediction_std=3 * flight.prediction_std)
     assert verdict([wide]).warnings[0].startswith("95 % bands are too wide: they hold CX 100.0 %")
 
 

@@ -106,7 +106,7 @@ def result(n=800, **changes):
         "measured_as_in_fit": mean + 0.02 * rng.normal(size=(n, 6)),
         "mean": mean,
         "std": std,
-        "measured_std": 2 * std,
+        "prediction_std": 2 * std,
         "rows": np.arange(n),
         "regressors": mean,
         "truth": mean + 0.01 * rng.normal(size=(n, 6)),
@@ -354,7 +354,7 @@ class TestWords:
         for values in (flight.measured, flight.truth):
             for error in normalized_rmse(values, flight.mean, multioutput="raw_values"):
                 assert f"{error:.3f}" in words
-        moments = flight.measured_as_in_fit, flight.mean, flight.measured_std
+        moments = flight.measured_as_in_fit, flight.mean, flight.prediction_std
         for held in interval_coverage(*moments, multioutput="raw_values"):
             assert f"{100 * held:.1f}" in words
 
@@ -379,7 +379,7 @@ class TestWords:
     @pytest.mark.parametrize(("factor", "mark"), [(0.1, "▼"), (100, "▲ 100.0")])
     def test_marks_dishonest_bands(self, no_pictures, factor, mark):
         flight = result(truth=None)
-        assert mark in words_of(test=[replace(flight, measured_std=factor * flight.std)])
+        assert mark in words_of(test=[replace(flight, prediction_std=factor * flight.std)])
 
     def test_escapes_what_comes_from_outside(self):
         """Markup, and dollars, which are no templates and no mathematics."""

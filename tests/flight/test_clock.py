@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
+from skdgp._flight.clock import uniform_grid
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.estimation import flights_of
 from skdgp.identification import named_flights
@@ -118,4 +119,17 @@ def test_a_tenth_of_the_steps_may_be_uneven_by_half(every, late, refused):
         with pytest.raises(ValueError, match=r"nearly constant rate .*one uniform clock"):
             smoother.transform(flight)
     else:
-        np.testing.assert_allclose(smoother.transform(flight).alpha, 0.1)
+        assert_allclose(smoother.transform(flight).alpha, 0.1)
+
+
+def test_the_grid_of_uneven_samples_is_uniform():
+    """Rounded times lie on it; beside a missed sample there is a place for it."""
+    even = 7.0 + 0.02 * np.arange(40)
+    rounded = even + default_rng(1).uniform(-2e-4, 2e-4, 40)
+    grid, is_off = uniform_grid(rounded)
+    assert not is_off
+    assert_allclose(np.diff(grid), 0.02, atol=2e-5)
+    assert_allclose(grid, even, atol=2e-4)
+    grid, is_off = uniform_grid(np.delete(even, 13))
+    assert is_off
+    assert_allclose(grid, even)

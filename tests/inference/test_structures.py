@@ -132,6 +132,25 @@ def test_independent_outputs_do_not_learn_from_each_other():
     assert std > 0.7 * alone
 
 
+def test_hyperparameters_without_effect_have_no_price():
+    """Of 12 a private amplitude of 0.3 % of its output, with its 2 widths, and one width of 2000 deviations."""
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(30, 2)) * [1.0, 50.0]
+    Y = rng.normal(size=(30, 2)) * [300.0, 3e-3]
+    values = {
+        "amplitude": np.array([[300.0, -3e-3], [1.0, 0.0], [0.0, 1e-3]]),
+        "length_scale": np.full((3, 2, 2), [1.0, 40.0]),
+    }
+    values["length_scale"][2, 1, 1] = 1e5
+    bounds = {}
+    for name, value in values.items():
+        bounds[name] = np.sort(np.multiply.outer(value, [0.999, 1.001]), axis=-1)
+    kernel = ConvolvedGaussian(1, **values, parameter_bounds=bounds)
+    options = SearchOptions(optimizer="fmin_l_bfgs_b", max_iter=1, random_state=0)
+    # amplitudes 300, -3e-3 and 1e-3; four shared widths and a private one
+    assert [found.price for found in search([kernel] * 2, X, Y, options)] == [3 + 5] * 2
+
+
 def test_weights_are_those_of_akaike():
     scores = [-10.0, -11.0, -9.5, -30.0]
     expected = np.exp([-10.0, -11.0, -9.5])

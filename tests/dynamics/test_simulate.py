@@ -380,6 +380,7 @@ class TestStarts:
         start = {"airspeed": 22.0, "v_north": 30.0, "v_east": 0.0, "v_down": 0.0}
         with pytest.warns(UserWarning, match="give the wind of that flight"):
             fly(x0=start, duration=0.1)
+        fly(x0=start, duration=0.1, air=[8.0, 0.0, 0.0])  # of 22 m/s through the air
 
     @pytest.mark.parametrize(("start", "match"), [
         ({"phi": 0.1}, "lack 'airspeed'"),

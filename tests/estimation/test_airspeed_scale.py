@@ -5,17 +5,18 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.stats import norm
 
-from skdgp.estimation import AirspeedScale, PathSettings, airspeed_scale
+from skdgp.estimation import AirspeedScale, PathSettings, airspeed_scale, without_airspeed_error
 
 SPEED = 22.0
 
 
-def circling(scale=0.0, heading_error=0.0, gust=0.0, turns=2.0):
+def circling(scale=0.0, heading_error=0.0, gust=0.0, turns=2.0, seed=3):
     """Return a level flight of some turns in wind and gusts, whose nose points into its motion through the air."""
     time = np.arange(0, 120, 0.1)
     psi = 2 * np.pi * turns * time / time[-1]
-    gusts = gust * default_rng(3).standard_normal((2, len(time)))
+    gusts = gust * default_rng(seed).standard_normal((2, len(time)))
     return pd.DataFrame(
         {
             "time": time,
@@ -41,16 +42,36 @@ def test_a_steady_wind_shows_the_error(scale, heading_error):
     assert_allclose(got.left(), 0.0, atol=1e-9)
 
 
+def test_the_error_that_is_found_can_be_removed():
+    flight = without_airspeed_error(circling(0.02), 0.02)
+    assert_allclose(flight["airspeed"], SPEED)
+    assert without_airspeed_error(flight, 0.0) is flight
+
+
 def test_each_flight_has_its_own_wind():
     other = circling(0.02).eval("time = time + 500\nv_north = v_north + 9")
     flights = pd.concat([circling(0.02).assign(flight="a"), other.assign(flight="b")])
     assert airspeed_scale(flights.reset_index(drop=True)).value == pytest.approx(0.02, abs=1e-9)
 
 
-def test_gusts_make_a_band_that_holds_the_error():
-    got = airspeed_scale(circling(0.02, gust=1.5))
-    assert 0 < got.std < 0.01
-    assert abs(got.value - 0.02) < 3 * got.std
+def test_the_standard_deviation_is_that_of_the_errors():
+    """Over gusts of 60 flights; an airspeed that is half too large shows in which unit it is."""
+    found = [airspeed_scale(circling(0.5, gust=1.5, seed=seed)) for seed in range(60)]
+    errors = np.array([(scale.value - 0.5) / scale.std for scale in found])
+    assert abs(errors.mean()) < 4 / np.sqrt(60)
+    assert 0.8 < np.sqrt(np.mean(errors**2)) < 1.25
+
+
+def test_what_is_left_is_the_posterior_of_prior_and_band():
+    """Root mean square, by quadrature of Bayes' rule; nothing, where the flights do not narrow the prior."""
+    prior = PathSettings().airspeed_scale
+    error, step = np.linspace(-8 * prior, 8 * prior, 20001, retstep=True)
+    for value, std in ((0.01, 0.02), (-0.03, 0.025)):
+        density = norm.pdf(error, 0.0, prior) * norm.pdf(value, error, std)
+        density /= density.sum() * step
+        expected = np.sqrt(np.sum(density * error**2) * step)
+        assert_allclose(AirspeedScale(value, std).left(), expected, rtol=1e-6)
+    assert AirspeedScale(0.01, 1.01 * prior).left() == 0.0
 
 
 def test_what_is_left_of_an_error_is_that_of_its_estimate_where_it_is_removed():

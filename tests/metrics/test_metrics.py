@@ -185,6 +185,19 @@ class TestScorers:
         expected = score(model, X[is_known], y[is_known])
         assert score(model, X, np.where(is_known, y, np.nan)) == pytest.approx(expected)
 
+    def test_a_row_counts_if_any_of_its_targets_is_known(self):
+        """Of two outputs the second lacks most rows, and a few rows lack both."""
+        X = np.arange(50.0)[:, None]
+        Y = np.column_stack([X[:, 0], X[:, 0] ** 2])
+        model = LinearRegression().fit(X, Y)
+        Y[::7], Y[::3, 1] = np.nan, np.nan
+        expected = []
+        for y, predicted in zip(Y.T, model.predict(X).T, strict=True):
+            error = np.sqrt(np.nanmean((y - predicted) ** 2))
+            expected.append(-error / np.nanstd(y))
+        found = SCORERS["neg_normalized_rmse"](model, X, Y)
+        assert found == pytest.approx(np.mean(expected))
+
     def test_what_holds_transformers_is_asked_for_every_row(self):
         X = np.arange(50.0)[:, None]
         y = np.where(np.arange(50) % 5 == 1, X[:, 0], np.nan)

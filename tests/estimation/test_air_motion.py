@@ -470,6 +470,7 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
     assert not any("Singular" in str(warning.message) for warning in said)
     step = model["flightpathreconstruction"]
     assert step.air_motion_ is None
+    assert step.servo_lag_ == 0.0
     assert np.isfinite(step.transform(flight.table)["alpha"]).all()
     flown = flown_derivatives(model, flight, 0.03)
     for name, std in (("CZ_alpha", 1.5), ("Cm_q", 10.0), ("Cm_elevator", 1.0)):

@@ -7,7 +7,12 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 
-from skdgp._flight.holds import between_samples, find_holds, interpolated_rows
+from skdgp._flight.holds import (
+    between_samples,
+    error_between_samples,
+    find_holds,
+    interpolated_rows,
+)
 from skdgp._flight.tables import FlightTable
 
 STEP, PERIOD, N = 0.02, 5, 2000  # 10 Hz in a log of 50 Hz
@@ -15,20 +20,23 @@ TIME = 30.0 + STEP * np.arange(N)
 
 
 def held(period=PERIOD):
-    """Return flights of a channel that changes every ``period`` rows, from row 2, and of noise."""
+    """Return flights of a channel sampled every ``period`` rows, which begins and ends steadily, and of noise."""
     fresh = np.arange(2, N, period)
     rows = np.maximum(np.searchsorted(fresh, np.arange(N), side="right") - 1, 0)
-    slow = np.sin(2.0 * TIME[fresh])[rows]
+    samples = np.sin(2.0 * TIME[fresh])
+    samples[:3], samples[-3:] = samples[3], samples[-4]
+    slow = samples[rows]
     table = pd.DataFrame({"time": TIME, "elevator": slow, "p": default_rng(0).normal(size=N)})
     return FlightTable.of(table), fresh
 
 
 def test_rate_and_rows_of_a_held_channel():
+    """Also of samples that are equal: between changes the clock goes on."""
     flights, fresh = held()
     (hold,) = find_holds(flights, [("elevator",), ("p",)])
     assert hold.names == ["elevator"]
     assert hold.rate == pytest.approx(1 / (PERIOD * STEP), rel=0.02)
-    assert_array_equal(np.flatnonzero(~hold.repeated)[-len(fresh) + 1 :], fresh[1:])
+    assert_array_equal(np.flatnonzero(~hold.repeated), fresh)
 
 
 def test_a_channel_that_changes_less_than_once_a_second_is_not_sampled_slowly():
@@ -40,9 +48,21 @@ def test_between_samples_it_is_a_smooth_curve():
     """Of a sine sampled 31 times in a cycle; the error of a cubic spline is 5 / 384 (2 pi / 31)^4."""
     flights, fresh = held()
     column = between_samples(flights, find_holds(flights, [("elevator",)]))["elevator"]
-    inner = slice(fresh[3], fresh[-3])
+    inner = slice(fresh[12], fresh[-12])
     assert_allclose(column[inner], np.sin(2.0 * TIME[inner]), atol=1e-4)
-    assert_allclose(column[fresh[1:]], np.sin(2.0 * TIME[fresh[1:]]))
+    samples = fresh[3:-3]
+    assert_allclose(column[samples], np.sin(2.0 * TIME[samples]))
+
+
+def test_error_of_the_curve_is_half_of_the_curvature_between_samples():
+    """And a parabola: of a channel x^2, whose second differences are 2."""
+    samples = np.arange(0, 41, 4)
+    number = np.arange(41) / 4
+    error = error_between_samples(TIME[:41], number**2, samples)
+    fraction = number % 1
+    expected = 1.0 - (2 * fraction - 1) ** 2
+    assert_allclose(error[8:-8], expected[8:-8], atol=1e-12)
+    assert_allclose(error[samples], 0.0, atol=1e-12)
 
 
 def test_a_channel_of_splines_shows_its_samples():

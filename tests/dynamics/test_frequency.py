@@ -93,6 +93,20 @@ def test_errors_are_as_large_as_stated(linear):
     assert 0.85 < np.mean(scores < 2.0) < 0.995
 
 
+def test_errors_grow_with_what_the_inputs_do_not_explain(linear):
+    """As (1 - c) / 2 c of the coherence c (Bendat & Piersol 2010), alike in gain [dB] and phase [deg]."""
+    found = frequency_response(flown(linear, 0), ["aileron", "rudder"], ["p", "r", "ay"])
+    found = found[(found["coherence"] > 0.05) & np.isfinite(found["phase_std"])]
+    error = np.deg2rad(found["phase_std"])
+    assert_allclose(found["gain_std"], 20 * error / np.log(10), rtol=1e-9)
+    coherence = found["coherence"]
+    averaged = error**2 * 2 * coherence / (1 - coherence)
+    assert coherence.min() < 0.5
+    of_outputs = averaged.groupby(["input", "frequency"])
+    assert (of_outputs.count() > 1).sum() > 10
+    assert_allclose(of_outputs.transform("min"), averaged, rtol=1e-6)
+
+
 DECAY = np.exp(-10.0 * STEP)
 
 

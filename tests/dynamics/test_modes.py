@@ -74,6 +74,14 @@ def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
     table = mode_table(A, ALONG)
     assert list(table.index) == ["short period 1", "short period 2", "phugoid"]
     assert table.loc["short period 1", "damping"] == 1.0
+    for _, mode in table.iterrows():
+        growth = mode["eigenvalue"].real
+        grows = growth > 0
+        assert np.isinf(mode[["time_to_double", "time_to_half"]]).tolist() == [not grows, grows]
+        if grows:
+            assert_allclose(np.exp(growth * mode["time_to_double"]), 2.0)
+        else:
+            assert_allclose(np.exp(growth * mode["time_to_half"]), 0.5)
     assert (table["time_to_double"] < np.inf).any()
     assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
 
@@ -101,6 +109,13 @@ class TestSpreadOfModes:
         ends = np.quantile(1 / (zeta * omega), [0.025, 0.975])
         assert_allclose(row[["time_constant_lower", "time_constant_upper"]], ends, rtol=1e-2)
 
+    def test_modes_of_equal_paths_have_none(self):
+        """Whatever the order in which the eigenvalues of a path are found."""
+        rng = default_rng(1)
+        turns = [np.linalg.qr(rng.normal(size=(8, 8)))[0] for _ in range(3)]
+        table = mode_table(BOTH, ALONG + ACROSS, np.array([T @ BOTH @ T.T for T in turns]))
+        assert_allclose(table[["frequency_std", "damping_std"]], 0.0, atol=1e-6)
+
     def test_paths_in_which_a_pair_splits_stay_with_it(self):
         """s^2 + 2 zeta omega s + omega^2 is one mode on either side of critical damping."""
         zeta = np.array([0.9, 0.95, 1.05, 1.1])
@@ -115,3 +130,5 @@ class TestSpreadOfModes:
         assert_allclose(row["time_constant"], 200.0)
         assert np.isinf(row["time_constant_upper"])
         assert 0 < row["time_constant_lower"] < 60
+        row = mode_table(np.array([[0.005]]), ["x"], paths + 0.03).loc["mode"]
+        assert row["time_constant_lower"] == -np.inf  # none decays

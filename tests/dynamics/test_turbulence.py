@@ -214,6 +214,16 @@ class TestSimulate:
         shared = [name for name in calm.select_dtypes("number") if name in gusty]
         assert_allclose(gusty[shared], calm[shared], atol=1e-12)
 
+    def test_gusts_last_as_long_as_those_of_the_turbulence(self):
+        """Correlations over a second by Dryden's spectra; the span, 0.2 s long, adds little."""
+        paths = flown(learned(), air=Air(gusts=TRUE), n_paths=400)
+        T = TRUE.length / START["airspeed"]
+        expected = np.exp(-1 / T) * [1.0, 1 - 0.5 / T[1], 1 - 0.5 / T[2]]
+        first, last = (paths[np.isclose(paths["time"], time)][WIND] for time in (0.0, 1.0))
+        found = [np.corrcoef(first[name], last[name])[0, 1] for name in WIND]
+        assert_allclose(found, expected, atol=0.08)
+        assert_allclose(last.std(), TRUE.intensity, rtol=0.15)
+
     def test_a_wind_table_contains_the_gusts(self):
         """Then the air's velocity is that of the table, and only its rates are drawn."""
         time = np.linspace(0, 1, 21)

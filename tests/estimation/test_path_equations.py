@@ -11,6 +11,7 @@ from skdgp.estimation._least_squares import Equations, GaussianPrior, solve
 from skdgp.estimation._path_equations import PLACE, path_equations
 
 EPS = 1e-6
+BIASES = ("ax_bias", "ay_bias", "az_bias", "p_bias", "q_bias", "r_bias")
 
 
 @pytest.fixture
@@ -70,6 +71,55 @@ def test_slopes_by_constants_are_those_of_the_residuals(name, near_path):
     moved = equations(path.moved(np.zeros((len(sensors.time), 9)), constants), sensors)
     slope = (moved.residual - base.residual) / EPS
     assert_allclose(slope, base.d_constants[:, :, PLACE[name]], atol=1e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+def test_a_turn_of_late_sensors_in_wind_and_gusts_solves_them(delay):
+    """Pitched and banked, in a circle over moving air: rates and forces by their formulas."""
+    n, step, rate, speed, phi, theta = 40, 0.01, 0.4, 25.0, 0.5, 0.1
+    wind, biases = np.array([3.0, -2.0, 0.0]), 0.02 * np.arange(1, 7)
+    lags = {"velocity_lag": 0.032 if delay else 0.004, "attitude_lag": 0.027 if delay else -0.003}
+    time = step * np.arange(n)
+    correlation = np.exp(-step / 2.0)
+    gust = np.multiply.outer(correlation ** np.arange(n), [0.5, -0.4, 0.3])
+
+    def attitude(t):
+        return Rotation.from_euler("ZYX", np.array([rate * t + 0.7, theta + 0 * t, phi + 0 * t]).T)
+
+    def velocity(t):
+        circle = np.array([np.cos(rate * t), np.sin(rate * t), 0.1 + 0 * t])
+        return speed * circle.T + wind
+
+    centripetal = speed * rate * np.array([-np.sin(rate * time), np.cos(rate * time), 0 * time]).T
+    force = attitude(time).inv().apply(centripetal - [0.0, 0.0, 9.80665])
+    turning = rate * np.array(
+        [-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)]
+    )
+    u, v, w = attitude(time).inv().apply(velocity(time) - wind - gust).T
+    airspeed = np.sqrt(u**2 + v**2 + w**2)
+    air_data = np.column_stack([airspeed, np.arctan2(w, u), np.arcsin(v / airspeed)])
+    inertial = np.column_stack([force, np.tile(turning, (n, 1))]) + biases
+    sensors = FlightSensors(
+        time=time,
+        segment=np.zeros(n, dtype=int),
+        readings=np.column_stack([inertial, air_data]),
+        velocity=velocity(time - lags["velocity_lag"]),
+        attitude=attitude(time - lags["attitude_lag"]),
+        attitude_sampled=np.ones(n, dtype=bool),
+        position=np.zeros((n, 3)),
+        lever_acceleration=np.zeros((n, 3)),
+    )
+    values = dict(zip(BIASES, biases, strict=True)) | lags
+    values |= {"wind_north": wind[0], "wind_east": wind[1]}
+    constants = np.zeros(len(PLACE))
+    for name, value in values.items():
+        constants[PLACE[name]] = value
+    path = FlightPath(velocity(time), attitude(time), gust, constants)
+    delays = np.full(2, delay)
+    found = path_equations(path, sensors, np.full(n - 1, correlation), delays, 3.0)
+    residual = found.residual[: n - 1 - delay]
+    assert np.isfinite(residual).all()
+    assert_allclose(residual, 0.0, atol=2e-4)
 
 
 def test_the_bordered_solution_is_that_of_the_dense_problem():

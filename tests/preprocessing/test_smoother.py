@@ -160,6 +160,22 @@ class TestJoint:
             assert rms(together[name] - expected) < 0.8 * rms(alone[name] - expected)
         assert_allclose(together["q"], alone["q"], atol=1e-12)
 
+    def test_what_six_channels_share_is_seen_below_their_noise(self):
+        """A wave in broad-band noise of each: Wiener's joint estimate averages them."""
+        rng = default_rng(7)
+        time = clock(9600)
+        low = signal.butter(2, 2.0, fs=RATE, output="sos")
+        wave = signal.sosfilt(low, rng.normal(size=9600))
+        wave /= wave.std()
+        names = ["alpha", "beta", "p", "q", "r", "airspeed"]
+        noisy = wave[:, None] + rng.normal(0, 1.5, (9600, 6))
+        table = pd.DataFrame(0.2 * noisy, columns=names).assign(time=time)
+        together, alone = (
+            smoothed_table(table, columns=names, joint=joint)[names] for joint in (True, False)
+        )
+        error, expected = (rms(out.sub(0.2 * wave, axis=0)) for out in (together, alone))
+        assert (error[["alpha", "beta"]] < 0.75 * expected[["alpha", "beta"]]).all()
+
     def test_a_cutoff_of_its_own_leaves_the_company(self):
         noisy, _ = self.motion(2400)
         together, alone = (

@@ -46,6 +46,12 @@ def test_restarts_stand_every_horizon_and_rows_show_the_end(simulated, aircraft,
     assert error.iloc[100] > 50 * error.iloc[101]
 
 
+def test_a_horizon_shorter_than_a_step_is_a_step(simulated, aircraft, true_coefficients):
+    flown = replay(simulated[:20], aircraft, true_coefficients[:20], horizon=1e-3)
+    steps = np.diff(simulated["time"][:20], prepend=simulated["time"].iloc[0])
+    assert_allclose(flown["elapsed"], steps)
+
+
 def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true_coefficients):
     flight = pd.concat(
         [simulated.iloc[:300].assign(flight="a"), simulated.iloc[:300].assign(flight="b")]

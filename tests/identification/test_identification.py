@@ -169,9 +169,10 @@ class TestIdentify:
         of = result.metrics["test"]["two_altitudes"]["coefficients"]["measured"]["CZ"]
         errors = normalized_rmse(evaluation.measured, evaluation.mean, multioutput="raw_values")
         assert of["normalized_rmse"] == pytest.approx(errors[2])
-        assert re.search(
-            rf"^CZ +{100 * of['median_relative_error']:.1f} ", result.summary(), re.MULTILINE
-        )
+        shown = re.search(r"^CZ +(\S+) +(\S+) +(\S+)", result.summary(), re.MULTILINE).groups()
+        names = ("median_relative_error", "normalized_rmse", "interval_coverage")
+        scores = np.array([of[name] for name in names]) * [100, 1, 100]
+        assert_allclose(np.array(shown, dtype=float), scores, atol=0.051)
         assert result.fit.training.samples == result.options["samples"] == 40
         assert result.fit.training.flights == {"lateral": 400, "latlon": 400}
         assert result.held_out is None

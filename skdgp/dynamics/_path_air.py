@@ -197,9 +197,9 @@ def without_rotation(
     for k in range(DRIFT.points):
         autocovariance[k] = np.einsum("ij,jk,ik->i", rates, covariance, rates)
         covariance = step @ covariance
-    # The variance of an integral over T is 2 int (T - t) R(t) dt
-    weight = 2 * np.gradient(lags) * (DRIFT.horizon - lags)
-    weight[[0, -1]] *= 0.5
+    # The variance of an integral over T is in proportion to int (T - t) R(t) dt, by trapezia
+    weight = DRIFT.horizon - lags
+    weight[0] *= 0.5
     rotation = slopes**2 @ (weight @ autocovariance)
     total = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
     share = np.divide(rotation, total, out=np.zeros(6), where=total > 0)

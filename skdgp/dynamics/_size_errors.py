@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, LENGTHS, RATE_LENGTHS
+from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, RATE_LENGTHS
 from skdgp._flight.checks import check_number
 
 MOMENTS = ("Ixx", "Iyy", "Izz")
@@ -25,8 +25,6 @@ POWERS = {
     "Cm": {"Iyy": 1.0, "chord": -1.0, **MOMENT_POWERS},
     "Cn": {"Izz": 1.0, "span": -1.0, **MOMENT_POWERS},
 }
-# A rate is divided by V, an angular acceleration by V^2: by these powers of the dynamic pressure
-SPEED_POWERS = dict.fromkeys(RATE_LENGTHS, 0.5) | dict.fromkeys(ACCELERATION_LENGTHS, 1.0)
 
 
 @dataclass(frozen=True)
@@ -121,10 +119,18 @@ def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str
         of_coefficients = [_power(POWERS[name], factor) for name in COEFFICIENTS]
         of_regressors = [0.0]
         for name in regressors:
-            scale = {PRESSURE: SPEED_POWERS.get(name, 0.0), LENGTHS.get(name, name): -1.0}
-            of_regressors.append(_power(scale, factor))
+            of_regressors.append(_power(_powers_of_slope(name), factor))
         error[:] = factor.std * np.add.outer(of_coefficients, of_regressors)
     return errors
+
+
+def _powers_of_slope(regressor: str) -> dict[str, float]:
+    """Return the powers of quantities in the slope by a regressor: p b / 2V, p_dot (b / 2V)^2, or a control."""
+    if regressor in ACCELERATION_LENGTHS:
+        return {ACCELERATION_LENGTHS[regressor]: -2.0, PRESSURE: 1.0}
+    if regressor in RATE_LENGTHS:
+        return {RATE_LENGTHS[regressor]: -1.0, PRESSURE: 0.5}
+    return {regressor: -1.0}
 
 
 def _power(powers: Mapping[str, float], factor: ScaleFactor) -> float:

@@ -50,13 +50,13 @@ def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
     return table
 
 
-def suggestions(names: Iterable[str], have: Collection[str]) -> dict[str, str]:
+def suggestions(names: Iterable[str], available: Collection[str]) -> dict[str, str]:
     """Return by unknown name the nearest name of a flight table that is not there yet.
 
-    >>> suggestions(["ias", "de", "trottle", "voltage"], have=["time", "alpha"])
+    >>> suggestions(["ias", "de", "trottle", "voltage"], available=["time", "alpha"])
     {'ias': 'airspeed', 'de': 'elevator', 'trottle': 'throttle'}
     """
-    free = [name for name in CHANNELS if name not in have]
+    free = [name for name in CHANNELS if name not in available]
     nearest: dict[str, str] = {}
     for unknown in map(str, names):
         word = HEADING_UNIT.sub("", unknown).strip().lower()
@@ -68,13 +68,13 @@ def suggestions(names: Iterable[str], have: Collection[str]) -> dict[str, str]:
     return nearest
 
 
-def unknown_columns_message(names: Collection[str], have: Collection[str]) -> str:
+def unknown_columns_message(names: Collection[str], available: Collection[str]) -> str:
     """Return one line on columns of no known name: suggestions, then the others.
 
-    >>> unknown_columns_message(["de", "voltage"], have=["time", "alpha"])
+    >>> unknown_columns_message(["de", "voltage"], available=["time", "alpha"])
     "'de' (did you mean 'elevator' [rad]?), and 1 other: voltage"
     """
-    near = suggestions(names, have)
+    near = suggestions(names, available)
     hints = []
     for name, channel in near.items():
         unit = CHANNELS[channel].unit
@@ -114,9 +114,9 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
     )
 
 
-def check_names(needed: Iterable[str], have: Iterable[str], what: str) -> None:
-    """Raise a ValueError that names what ``have`` lacks of the ``needed`` names, and the nearest ones."""
-    names = [str(name) for name in have]
+def check_names(needed: Iterable[str], available: Iterable[str], what: str) -> None:
+    """Raise a ValueError that names what ``available`` lacks of the ``needed`` names, and the nearest ones."""
+    names = [str(name) for name in available]
     lacking = _lacking(needed, names)
     if lacking:
         raise ValueError(

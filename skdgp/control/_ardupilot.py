@@ -382,26 +382,26 @@ class ModelInFlight:
     def channels(self) -> dict[str, float]:
         """Return the channels of the present state by name, with accelerometers and density."""
         columns = channels(self.state, self._wind)
-        seen = {name: float(value) for name, value in columns.items()}
-        seen |= zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True)
-        seen["density"] = float(standard_density(seen["altitude"]))
-        return {"time": self.time, **seen}
+        values = {name: float(value) for name, value in columns.items()}
+        values |= zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True)
+        values["density"] = float(standard_density(values["altitude"]))
+        return {"time": self.time, **values}
 
     def readings(self) -> str:
         """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
-        seen = self.channels()
-        position = [seen["north"], seen["east"], seen["down"] + self.ground.altitude]
-        equivalent = seen["airspeed"] * math.sqrt(seen["density"] / SEA_LEVEL_DENSITY)
+        values = self.channels()
+        position = [values["north"], values["east"], values["down"] + self.ground.altitude]
+        equivalent = values["airspeed"] * math.sqrt(values["density"] / SEA_LEVEL_DENSITY)
         facts = {
             "timestamp": self.time,
             "imu": {
-                "gyro": [seen[name] for name in RATE_NAMES],
-                "accel_body": [seen[name] for name in SPECIFIC_FORCE],
+                "gyro": [values[name] for name in RATE_NAMES],
+                "accel_body": [values[name] for name in SPECIFIC_FORCE],
             },
             "position": position,
-            "attitude": [seen[name] for name in EULER],
+            "attitude": [values[name] for name in EULER],
             "quaternion": self.state[ATTITUDE].tolist(),
-            "velocity": [seen[name] for name in EARTH_VELOCITY],
+            "velocity": [values[name] for name in EARTH_VELOCITY],
             "airspeed": equivalent,
         }
         return "\n" + json.dumps(facts, separators=(",", ":"), allow_nan=False) + "\n"

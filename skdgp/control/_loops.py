@@ -247,12 +247,12 @@ def autopilot_loops(
     >>> [loop.name for loop in autopilot_loops(gains, full={"aileron": 0.42})]
     ['roll']
     """
-    known = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
-    _check_parameters(known)
+    firmware = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
+    _check_parameters(firmware)
     _check_full(full)
-    is_px4 = "FW_RR_P" in known or "FW_PR_P" in known
-    is_ardupilot = "RLL_RATE_P" in known or "PTCH_RATE_P" in known
-    if known.get("YAW_RATE_ENABLE", 0) and "rudder" in full:
+    is_px4 = "FW_RR_P" in firmware or "FW_PR_P" in firmware
+    is_ardupilot = "RLL_RATE_P" in firmware or "PTCH_RATE_P" in firmware
+    if firmware.get("YAW_RATE_ENABLE", 0) and "rudder" in full:
         raise ValueError(
             "Got YAW_RATE_ENABLE=1 and the rudder in full, but the law of ArduPilot's yaw rate controller is not "
             "known here: leave the rudder out of full."
@@ -263,22 +263,22 @@ def autopilot_loops(
             "one autopilot: save the parameters of the aircraft again."
         )
     if is_px4:
-        loops = _px4_loops(known, full)
+        loops = _px4_loops(firmware, full)
     elif is_ardupilot:
-        loops = _ardupilot_loops(known, full)
-    elif "RLL2SRV_P" in known or "PTCH2SRV_P" in known:
+        loops = _ardupilot_loops(firmware, full)
+    elif "RLL2SRV_P" in firmware or "PTCH2SRV_P" in firmware:
         raise ValueError(
             "Got the gains RLL2SRV_P or PTCH2SRV_P of ArduPilot before 4.1, but expected RLL_RATE_P and "
             "PTCH_RATE_P: the older firmware has another control law."
         )
-    elif copter := [name for name in known if name.startswith(OF_COPTERS)]:
+    elif copter := [name for name in firmware if name.startswith(OF_COPTERS)]:
         raise ValueError(
             f"Got {copter[0]}, a gain of a multicopter, but expected FW_RR_P or FW_PR_P of PX4, or RLL_RATE_P or "
             "PTCH_RATE_P of ArduPilot Plane: save the parameters of the aeroplane."
         )
     else:
         raise ValueError(
-            f"Got parameters without gains of a rate loop ({len(known)} in all), but expected FW_RR_P or FW_PR_P "
+            f"Got parameters without gains of a rate loop ({len(firmware)} in all), but expected FW_RR_P or FW_PR_P "
             "of PX4, or RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane."
         )
     if not loops:
@@ -297,17 +297,17 @@ def autopilot_loops(
     return loops
 
 
-def _check_parameters(known):
+def _check_parameters(firmware):
     """Raise ValueError of parameters of control laws that are no finite numbers, or divide and are not above zero."""
-    for name, value in known.items():
+    for name, value in firmware.items():
         is_number = isinstance(value, NUMBERS) and np.isfinite(value)
         if str(name).startswith(OF_LAWS) and not is_number:
             raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
     # without scaling by the airspeed that of the trim does not count
-    is_scaled = known.get("FW_ARSP_SCALE_EN", 1)
-    for name in POSITIVE & {*known}:
-        if not known[name] > 0 and (is_scaled or not name.startswith("FW_AIRSPD")):
-            raise ValueError(f"Got {name}={known[name]:g}, but expected a number above zero.")
+    is_scaled = firmware.get("FW_ARSP_SCALE_EN", 1)
+    for name in POSITIVE & {*firmware}:
+        if not firmware[name] > 0 and (is_scaled or not name.startswith("FW_AIRSPD")):
+            raise ValueError(f"Got {name}={firmware[name]:g}, but expected a number above zero.")
 
 
 def _check_full(full):
@@ -332,19 +332,19 @@ def _corner(parameters, name, default):
     return corner if corner > 0 else np.inf
 
 
-def _px4_loops(known, full):
+def _px4_loops(firmware, full):
     """Return the loops of PX4's ``FixedwingRateControl``; FF is inside the loop of the attitude."""
     scaling = {}
     # without airspeed the firmware takes that of the trim
-    is_measured = known.get("FW_USE_AIRSPD", 1) and not known.get("FW_ARSP_MODE", 0)
-    if known.get("FW_ARSP_SCALE_EN", 1) and is_measured:
-        trim = _airspeed(known, "FW_AIRSPD_TRIM")
-        slowest = _airspeed(known, "FW_AIRSPD_STALL")
-        fastest = _airspeed(known, "FW_AIRSPD_MAX")
+    is_measured = firmware.get("FW_USE_AIRSPD", 1) and not firmware.get("FW_ARSP_MODE", 0)
+    if firmware.get("FW_ARSP_SCALE_EN", 1) and is_measured:
+        trim = _airspeed(firmware, "FW_AIRSPD_TRIM")
+        slowest = _airspeed(firmware, "FW_AIRSPD_STALL")
+        fastest = _airspeed(firmware, "FW_AIRSPD_MAX")
         # the firmware refuses a trim beyond its limits, so a default that excludes the trim is not its limit
-        if slowest > trim and "FW_AIRSPD_STALL" not in known:
+        if slowest > trim and "FW_AIRSPD_STALL" not in firmware:
             slowest = 0.1
-        if fastest < trim and "FW_AIRSPD_MAX" not in known:
+        if fastest < trim and "FW_AIRSPD_MAX" not in firmware:
             fastest = 1000.0
         if not slowest <= trim <= fastest:
             raise ValueError(
@@ -357,58 +357,65 @@ def _px4_loops(known, full):
             "most_scaling": trim / slowest,
         }
     filters = {
-        "gyro_corner": _corner(known, "IMU_GYRO_CUTOFF", 40.0),
-        "derivative_corner": _corner(known, "IMU_DGYRO_CUTOFF", 30.0),
+        "gyro_corner": _corner(firmware, "IMU_GYRO_CUTOFF", 40.0),
+        "derivative_corner": _corner(firmware, "IMU_DGYRO_CUTOFF", 30.0),
     }
     loops = []
     for name, short in {"roll": "R", "pitch": "P", "yaw": "Y"}.items():
         parameters = {gain: f"FW_{short}R_{gain}" for gain in ("P", "I", "D", "FF")}
-        settings: dict[str, Any] = {"time_constant": known.get(f"FW_{short}_TC", np.inf)}
+        settings: dict[str, Any] = {"time_constant": firmware.get(f"FW_{short}_TC", np.inf)}
         if name == "roll":
-            settings["rudder"] = known.get("FW_RLL_TO_YAW_FF", 0.0) * full.get("rudder", 0.0)
+            settings["rudder"] = firmware.get("FW_RLL_TO_YAW_FF", 0.0) * full.get("rudder", 0.0)
         if name == "yaw":
             settings["coordination"] = 1.0
-        loops += _loop(name, parameters, 1.0, known, full, **settings, **scaling, **filters)
+        loops += _loop(name, parameters, 1.0, firmware, full, **settings, **scaling, **filters)
     return loops
 
 
-def _ardupilot_loops(known, full):
+def _ardupilot_loops(firmware, full):
     """Return the loops of ArduPilot's ``AP_FW_Controller`` and ``AP_YawController``."""
-    scaling_speed = _airspeed(known, "SCALING_SPEED")
-    slowest = _airspeed(known, "AIRSPEED_MIN", "ARSPD_FBW_MIN")
-    fastest = _airspeed(known, "AIRSPEED_MAX", "ARSPD_FBW_MAX")
+    scaling_speed = _airspeed(firmware, "SCALING_SPEED")
+    slowest = _airspeed(firmware, "AIRSPEED_MIN", "ARSPD_FBW_MIN")
+    fastest = _airspeed(firmware, "AIRSPEED_MAX", "ARSPD_FBW_MAX")
     common = {
         "scaling_speed": scaling_speed,
         # Plane::calc_speed_scaler
         "least_scaling": min(0.5, scaling_speed / (2 * fastest)),
         "most_scaling": max(2.0, scaling_speed / (0.7 * slowest)),
-        "gyro_corner": _corner(known, "INS_GYRO_FILTER", 20.0),
+        "gyro_corner": _corner(firmware, "INS_GYRO_FILTER", 20.0),
     }
     unit = np.rad2deg(1.0) / ARDUPILOT_FULL
     loops = []
     for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
         parameters = {gain: f"{rate}_{gain}" for gain in ("P", "I", "D", "FF")}
         settings = {
-            "time_constant": known.get(f"{angle}_TCONST", 0.5),
+            "time_constant": firmware.get(f"{angle}_TCONST", 0.5),
             "forward_by_true_airspeed": True,
-            "error_corner": _corner(known, f"{rate}_FLTE", 0.0),
-            "target_corner": _corner(known, f"{rate}_FLTT", 3.0),
-            "derivative_corner": _corner(known, f"{rate}_FLTD", 12.0),
+            "error_corner": _corner(firmware, f"{rate}_FLTE", 0.0),
+            "target_corner": _corner(firmware, f"{rate}_FLTT", 3.0),
+            "derivative_corner": _corner(firmware, f"{rate}_FLTD", 12.0),
         }
         if name == "roll":
-            settings["rudder"] = known.get("KFF_RDDRMIX", 0.5) * full.get("rudder", 0.0)
+            settings["rudder"] = firmware.get("KFF_RDDRMIX", 0.5) * full.get("rudder", 0.0)
         loops += _loop(
-            name, parameters, unit, known, full, derivative_of_error=True, **settings, **common
+            name,
+            parameters,
+            unit,
+            firmware,
+            full,
+            derivative_of_error=True,
+            **settings,
+            **common,
         )
-    return loops + _ardupilot_yaw_damper(known, full, unit, common)
+    return loops + _ardupilot_yaw_damper(firmware, full, unit, common)
 
 
-def _ardupilot_yaw_damper(known, full, unit, common):
+def _ardupilot_yaw_damper(firmware, full, unit, common):
     """Return the yaw damper: the output is -DAMP (1 + INT / s) of the washed out rate, and INT of the slip."""
-    damping = known.get("YAW2SRV_DAMP", 0.0)
+    damping = firmware.get("YAW2SRV_DAMP", 0.0)
     if not damping or "rudder" not in full:
         return []
-    integral = known.get("YAW2SRV_INT", 0.0)
+    integral = firmware.get("YAW2SRV_INT", 0.0)
     return [
         Loop(
             name="yaw",
@@ -417,26 +424,28 @@ def _ardupilot_yaw_damper(known, full, unit, common):
             P=unit * damping,
             I=unit * damping * integral,
             washout=WASHOUT,
-            coordination=known.get("YAW2SRV_RLL", 1.0),
+            coordination=firmware.get("YAW2SRV_RLL", 1.0),
             # degrees of rate for an acceleration
-            slip=np.deg2rad(known.get("YAW2SRV_SLIP", 0.0)),
+            slip=np.deg2rad(firmware.get("YAW2SRV_SLIP", 0.0)),
             parameters={"YAW2SRV_DAMP": damping},
             **common,
         )
     ]
 
 
-def _loop(name, parameters, unit, known, full, **settings):
+def _loop(name, parameters, unit, firmware, full, **settings):
     """Return the loop of an axis, or none: parameters without values are zero."""
     control = LOOP_AXES[name][2]
-    values = {gain: known.get(parameter, 0.0) for gain, parameter in parameters.items()}
+    values = {gain: firmware.get(parameter, 0.0) for gain, parameter in parameters.items()}
     feeds_back = any(values[gain] for gain in ("P", "I", "D"))
     # FF closes the loop of the attitude, or of the turn
     commands = np.isfinite(settings["time_constant"]) or settings.get("coordination", 0.0)
     feeds_attitude = values["FF"] and commands
     if control not in full or not (feeds_back or feeds_attitude):
         return []
-    named = {parameter: known[parameter] for parameter in parameters.values() if parameter in known}
+    named = {
+        parameter: firmware[parameter] for parameter in parameters.values() if parameter in firmware
+    }
     gains = {gain: unit * value for gain, value in values.items()}
     return [
         Loop(

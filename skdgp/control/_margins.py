@@ -131,9 +131,9 @@ def margins(
     excitation = None if flight is None else _Excitation.of(linear, loops, flight, settings)
     rows = []
     for k, loop in enumerate(loops):
-        found = _marked(_margins_of(transfer[..., k], s.imag), unstable)
-        excited = None if excitation is None else excitation.of_quantities(loop, found)
-        rows += _rows(loop, found, excited, settings)
+        loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable)
+        excited = None if excitation is None else excitation.of_quantities(loop, loop_margins)
+        rows += _rows(loop, loop_margins, excited, settings)
     return pd.DataFrame(rows).set_index(["loop", "quantity"])
 
 
@@ -265,8 +265,10 @@ class _GainSearch(NamedTuple):
 
         Its loop transfer function (n_paths, n) is proportional to its gains.
         """
-        found = _margins_of(_factor(decibels) * transfer, self.s.imag)
-        is_good = (found.gain >= self.gain_margin) & (found.phase >= self.phase_margin)
+        loop_margins = _margins_of(_factor(decibels) * transfer, self.s.imag)
+        is_good = (loop_margins.gain >= self.gain_margin) & (
+            loop_margins.phase >= self.phase_margin
+        )
         if np.mean(is_good) < self.probability:
             return False
         risen = [*loops]
@@ -418,19 +420,19 @@ def _margins_of(transfer: Matrix, w: Vector) -> Margins:
     # angles from -180 deg: positive is a margin
     angle = np.rad2deg(np.unwrap(np.angle(-transfer), axis=-1))
     places = np.arange(len(w))
-    found = []
+    rows = []
     for of_size, of_angle in zip(size, angle, strict=True):
-        at = _crossings(of_size)
-        left = np.interp(at, places, of_angle)
-        left -= 360.0 * np.round(left / 360.0)
-        phase, crossover = _smallest(left, at)
+        crossings = _crossings(of_size)
+        phases = np.interp(crossings, places, of_angle)
+        phases -= 360.0 * np.round(phases / 360.0)
+        phase, crossover = _smallest(phases, crossings)
         # where the angle rises, a larger gain makes a mode stable
-        at = np.concatenate([_falls(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
-        left = -np.interp(at, places, of_size)
-        gain, phase_crossover = _smallest(left[left > 0], at[left > 0])
-        found.append([gain, phase, crossover, phase_crossover])
-    gain, phase, *crossings = np.transpose(found)
-    crossover, phase_crossover = np.exp(np.interp(crossings, places, np.log(w)))
+        crossings = np.concatenate([_falls(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
+        gains = -np.interp(crossings, places, of_size)
+        gain, phase_crossover = _smallest(gains[gains > 0], crossings[gains > 0])
+        rows.append([gain, phase, crossover, phase_crossover])
+    gain, phase, *crossings_of_both = np.transpose(rows)
+    crossover, phase_crossover = np.exp(np.interp(crossings_of_both, places, np.log(w)))
     sensitivity = (1 / np.abs(1 + transfer)).max(axis=-1)
     return Margins(gain, phase, sensitivity, crossover, phase_crossover)
 
@@ -467,16 +469,16 @@ def _turns(turned):
     return range(int(np.floor(turned.min() / 360.0)), int(np.ceil(turned.max() / 360.0)) + 1)
 
 
-def _marked(found: Margins, unstable) -> Margins:
+def _marked(loop_margins: Margins, unstable) -> Margins:
     """Return the margins, of unstable loops minus infinity, with an infinite sensitivity."""
-    return found._replace(
-        gain=np.where(unstable, -np.inf, found.gain),
-        phase=np.where(unstable, -np.inf, found.phase),
-        sensitivity=np.where(unstable, np.inf, found.sensitivity),
+    return loop_margins._replace(
+        gain=np.where(unstable, -np.inf, loop_margins.gain),
+        phase=np.where(unstable, -np.inf, loop_margins.phase),
+        sensitivity=np.where(unstable, np.inf, loop_margins.sensitivity),
     )
 
 
-def _rows(loop, found, excited, settings):
+def _rows(loop, loop_margins, excited, settings):
     """Return the rows of one loop from the margins of the mean and of the paths."""
     required = {
         "gain": lambda x: x >= settings.gain,
@@ -486,7 +488,7 @@ def _rows(loop, found, excited, settings):
     }
     rows = []
     for quantity, meets in required.items():
-        value, *paths = found._asdict()[quantity].tolist()
+        value, *paths = loop_margins._asdict()[quantity].tolist()
         values = np.array(paths)
         row = {"loop": loop.name, "quantity": quantity, "value": value}
         row |= {"lower": np.nan, "upper": np.nan, "probability": np.nan}
@@ -514,12 +516,12 @@ class _Excitation(NamedTuple):
         moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
         rates = [LOOP_AXES[loop.name][0] for loop in loops]
         spectra = SpectrumSettings(least_window=settings.least_window)
-        found = frequency_response(flight, moved, rates, settings=spectra)
+        responses = frequency_response(flight, moved, rates, settings=spectra)
         bands = {}
         for loop, rate in zip(loops, rates, strict=True):
             bands[loop.name] = (np.array([1.0]), np.array([False]))
             if loop.control in moved:
-                rows = found.loc[(rate, loop.control)]
+                rows = responses.loc[(rate, loop.control)]
                 bands[loop.name] = (rows.index.to_numpy(), rows["excited"].to_numpy(dtype=bool))
         return cls(bands)
 
@@ -530,8 +532,8 @@ class _Excitation(NamedTuple):
         w, counts = self.bands[loop.name]
         return bool(counts[np.argmin(np.abs(np.log(w / frequency)))] and frequency <= w[-1])
 
-    def of_quantities(self, loop: Loop, found: Margins) -> dict[str, bool | None]:
+    def of_quantities(self, loop: Loop, loop_margins: Margins) -> dict[str, bool | None]:
         """Return for each quantity whether its crossover counts."""
-        of_crossover = self.at(loop, found.crossover[0])
+        of_crossover = self.at(loop, loop_margins.crossover[0])
         others = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
-        return others | {"gain": self.at(loop, found.phase_crossover[0])}
+        return others | {"gain": self.at(loop, loop_margins.phase_crossover[0])}

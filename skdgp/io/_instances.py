@@ -138,17 +138,17 @@ def choose(log: Log, rule: Rule) -> Source | None:
         return _mean_engine(log, rule, readings)
     if rule.columns == COMMANDS:
         readings = readings[:1]
-    readings.sort(key=lambda each: each.health, reverse=True)
+    readings.sort(key=lambda reading: reading.health, reverse=True)
     return _source_of(log, rule, readings)
 
 
 def _source_of(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     """Return the source by the chosen readings of instances, best first."""
-    times = np.unique(np.concatenate([each.time for each in readings]))
+    times = np.unique(np.concatenate([reading.time for reading in readings]))
     used, use = _used(log, rule, readings, times)
-    chosen = _chosen(readings, used, times, any(each.is_measurement for each in rule.used))
+    chosen = _chosen(readings, used, times, any(reading.is_measurement for reading in rule.used))
     remarks = [_remark(readings, chosen, times, rule, use), _disagreement(readings, times, rule)]
-    remarks += [_unmeasured(each, rule) for each in readings]
+    remarks += [_unmeasured(reading, rule) for reading in readings]
     time, values, counter, deltas = _merged(readings, chosen, times)
     cuts: list[float] = []
     if rule.resets or rule.is_estimate or rule.switches:
@@ -181,10 +181,10 @@ def _merged(
 ) -> tuple[Vector, Matrix, Vector, Matrix]:
     """Return times, values, counters and changes by resets of the chosen valid readings, in order of time."""
     parts = []
-    for place, each in enumerate(readings):
-        rows = each.valid & (chosen[last_before(times, each.time)] == place)
-        counter = each.counter[rows] + COUNTERS * place
-        parts.append((each.time[rows], each.values[rows], counter, each.deltas[rows]))
+    for place, reading in enumerate(readings):
+        rows = reading.valid & (chosen[last_before(times, reading.time)] == place)
+        counter = reading.counter[rows] + COUNTERS * place
+        parts.append((reading.time[rows], reading.values[rows], counter, reading.deltas[rows]))
     time, values, counter, deltas = map(np.concatenate, zip(*parts, strict=True))
     order = np.argsort(time, kind="stable")
     return time[order], values[order], counter[order], deltas[order]
@@ -205,20 +205,20 @@ def _field_words(fields: tuple[str, ...]) -> str:
 
 def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     """Return the root mean square of the engines that drive: thrusts go with the square of the speed."""
-    readings = [each for each in readings if each.valid.any()] or readings[:1]
-    speeds = np.array([_speed_in_flight(log, each) for each in readings])
+    readings = [reading for reading in readings if reading.valid.any()] or readings[:1]
+    speeds = np.array([_speed_in_flight(log, reading) for reading in readings])
     runs = speeds > LEAST_SPEED * speeds.max()
     running = list(compress(readings, runs)) or readings[:1]
     time = running[0].time[running[0].valid]
     squares = []
-    for each in running:
-        speed = each.values[each.valid, 0]
-        squares.append(np.interp(time, each.time[each.valid], speed) ** 2)
+    for reading in running:
+        speed = reading.values[reading.valid, 0]
+        squares.append(np.interp(time, reading.time[reading.valid], speed) ** 2)
     mean = np.sqrt(np.sum(squares, axis=0) / len(running))
     note = engines_note(len(running))
     return Source(
         columns=rule.columns,
-        name=_words(rule, [each.instance.name for each in running]),
+        name=_words(rule, [reading.instance.name for reading in running]),
         time=time,
         values=mean[:, None],
         note=_joined(", ", rule.note, note),
@@ -273,10 +273,10 @@ def _switched(log: Log, rule: Rule, time: Vector, values: Matrix) -> Vector:
         for instance in log.instances(use.topic)[:1]:
             if use.field not in instance.topic:
                 continue
-            told = instance.topic.time
+            event_times = instance.topic.time
             numbers = instance.topic[use.field]
             for k in np.flatnonzero(np.diff(numbers)):
-                place = place_of_jump(time, values, told[k], told[k + 1])
+                place = place_of_jump(time, values, event_times[k], event_times[k + 1])
                 counter[place:] += 1.0
     return counter
 
@@ -290,14 +290,14 @@ def _used(
         if numbers is None:
             continue
         places = np.full(len(times), NONE)
-        for place, each in enumerate(readings):
-            number: float = each.instance.number + use.first
-            if each.instance.number in use.instances:
-                number = use.instances.index(each.instance.number)
+        for place, reading in enumerate(readings):
+            number: float = reading.instance.number + use.first
+            if reading.instance.number in use.instances:
+                number = use.instances.index(reading.instance.number)
             elif use.instances:
                 number = NONE
-            if use.match in each.instance.topic:
-                number = float(each.instance.topic[use.match][0])
+            if use.match in reading.instance.topic:
+                number = float(reading.instance.topic[use.match][0])
             places[numbers == number] = place
         if use.is_measurement or (places != NONE).any():
             return places, use.words
@@ -320,11 +320,13 @@ def _chosen(
 ) -> Indices:
     """Return the place among the readings, best first, of the chosen one at each time."""
     scores = np.zeros((len(readings), len(times)))
-    for place, each in enumerate(readings):
-        last = last_before(each.time, times)
-        age = times - each.time[last]
-        is_fresh = np.abs(age) <= CLOCK.gap * each.step
-        scores[place] = VALID_WEIGHT * (each.valid[last] & is_fresh) + (each.preferred[last] > 0)
+    for place, reading in enumerate(readings):
+        last = last_before(reading.time, times)
+        age = times - reading.time[last]
+        is_fresh = np.abs(age) <= CLOCK.gap * reading.step
+        scores[place] = VALID_WEIGHT * (reading.valid[last] & is_fresh) + (
+            reading.preferred[last] > 0
+        )
         if used is not None:
             scores[place] += USED_WEIGHT * (used == place)
     chosen = scores.argmax(axis=0)
@@ -354,7 +356,7 @@ def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule
     chosen, times = chosen[is_chosen], times[is_chosen]
     starts = np.flatnonzero(np.diff(chosen, prepend=NONE))
     instances = [readings[place].instance for place in chosen[starts]]
-    first = min(each.instance.number for each in readings)
+    first = min(reading.instance.number for reading in readings)
     if all(instance.number == first for instance in instances):
         return ""
     parts = [instance.name for instance in instances]
@@ -370,17 +372,17 @@ def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule
 
 def _disagreement(readings: list[Readings], times: Vector, rule: Rule) -> str:
     """Return a remark on airspeed sensors that differ on average where the log calls all of them valid."""
-    readings = [each for each in readings if each.valid.any()]
+    readings = [reading for reading in readings if reading.valid.any()]
     if rule.columns not in AIRSPEEDS or len(readings) < 2:
         return ""
-    rows = [last_before(each.time, times) for each in readings]
-    valid = [each.valid[last] for each, last in zip(readings, rows, strict=True)]
+    rows = [last_before(reading.time, times) for reading in readings]
+    valid = [reading.valid[last] for reading, last in zip(readings, rows, strict=True)]
     together = np.all(valid, axis=0)
     if not together.any():
         return ""
     means = {}
-    for each, last in zip(readings, rows, strict=True):
-        means[each.instance.name] = float(each.values[last[together]].mean())
+    for reading, last in zip(readings, rows, strict=True):
+        means[reading.instance.name] = float(reading.values[last[together]].mean())
     most = max(means.values())
     if most - min(means.values()) <= LARGEST_DISAGREEMENT * most:
         return ""

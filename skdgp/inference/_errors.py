@@ -74,7 +74,7 @@ class FunctionErrors(NamedTuple):
 
     #: w of errors that are correlated in time and between outputs, (K, d + 1, P)
     random: Array
-    #: w of errors by gusts that move the aircraft and by noise of the regressors, (K', d + 1, P)
+    #: w of biases by gusts that move the aircraft and by noise of the regressors, (K', d + 1, P)
     method: Array
     #: c, (d,)
     centre: Vector
@@ -115,7 +115,7 @@ class FunctionErrors(NamedTuple):
         return linear + prior_paths(self.kernel, n_paths, PosteriorSettings.frequencies, rng)
 
     def parts(self, X: Matrix) -> list[tuple[Array, Array]]:
-        """Return values (n, P, k) and slopes (n, P, d, k) of random and method terms at X (n, d)."""
+        """Return values (n, P, k) and slopes (n, P, d, k) of random errors and of biases at X (n, d)."""
         Q = linear_basis(X - self.centre)
         parts = []
         for weights, slopes in zip((self.random, self.method), self.slopes(), strict=True):
@@ -124,9 +124,9 @@ class FunctionErrors(NamedTuple):
         return parts
 
     def slopes(self) -> tuple[Array, Array]:
-        """Return the slopes of the linear terms, random and by method, (P, d, K) and (P, d, K')."""
-        random, method = self.random[:, 1:], self.method[:, 1:]
-        return np.transpose(random, (2, 1, 0)), np.transpose(method, (2, 1, 0))
+        """Return the slopes of random errors and of biases, (P, d, K) and (P, d, K')."""
+        random, bias = self.random[:, 1:], self.method[:, 1:]
+        return np.transpose(random, (2, 1, 0)), np.transpose(bias, (2, 1, 0))
 
     def discrepancy_slopes(self, spread: Vector | None = None) -> Matrix:
         r"""Return the standard deviations (P, d) of slopes of the discrepancy.
@@ -293,35 +293,51 @@ def function_errors(
     if min(map(len, data.y)) < settings.fewest * (len(centre) + 1):
         return errors
 
+    series = _output_series(posterior, flight, centre, scale, settings)
+    slopes = posterior.gradient(centre[None])[0]
+    over_spread = posterior.gradient(centre[None], scale)[0] * scale
+    unit = np.append(1.0, scale)[:, None]  # of the weights of Q
+    correlated = correlated_errors(series, mean_noise(posterior), settings) / unit
+    gusts = gust_errors(series, settings) / unit
+    flattened = attenuation(data.X, input_std, slopes, settings)
+    nonlinear = nonlinear_errors(series, over_spread, settings) / unit
+    return errors._replace(
+        random=np.concatenate([errors.random, correlated]),
+        method=np.concatenate([gusts, flattened, nonlinear]),
+    )
+
+
+class OutputSeries(NamedTuple):
+    """The observed values of one output, n rows in the order of recording."""
+
+    Q: Matrix  #: Terms of a line, (1, (x - c) / scale), (n, d + 1)
+    mean: Vector  #: Of the posterior, (n,)
+    residual: Vector  #: Observed value less the mean, (n,)
+    records: list[Indices]  #: Rows of each flight
+    blocks: list[Indices]  #: Rows of each block
+
+
+def _output_series(
+    posterior: Posterior,
+    flight: Vector | None,
+    centre: Vector,
+    scale: Vector,
+    settings: ErrorSettings,
+) -> list[OutputSeries]:
+    """Return the time series of each output; blocks and records are of the same samples for all."""
+    data = posterior.data
     samples = data.sample or [np.arange(len(y)) for y in data.y]
     records = _records(samples, flight)
     residuals = _residuals(posterior)
-    parts = blocks(records, max(map(autocorrelation_time, residuals)), settings)
-    noise = mean_noise(posterior)
-    over_spread = posterior.gradient(centre[None], scale)[0] * scale
-    random, instruments, nonlinear = [], [], []
-    for i, (x, sample) in enumerate(zip(data.X, samples, strict=True)):
+    lasting = max(map(autocorrelation_time, residuals))
+    parts = blocks(records, lasting, settings)
+    series = []
+    for x, y, residual, sample in zip(data.X, data.y, residuals, samples, strict=True):
         Q = linear_basis((x - centre) / scale)
-        mean = data.y[i] - residuals[i]
-        of_blocks = [_places(sample, rows) for rows in parts]
         of_records = [_places(sample, rows) for rows in records]
-        correlated = block_errors(Q, residuals[i], of_blocks, settings)
-        random.append(beyond(correlated, white_variance(Q, noise[i], settings)))
-        instruments.append(_gust_bias(Q, residuals[i], of_records, settings))
-        nonlinear.append(
-            _nonlinear_bias(Q, residuals[i], mean, over_spread[i], of_records, settings)
-        )
-
-    unit = np.append(1.0, scale)[:, None]  # of the weights of Q
-    correlated = np.stack(random, axis=-1) / unit
-    gusts = np.stack(instruments, axis=-1)[None] / unit
-    curved = np.stack(nonlinear, axis=-1)[None] / unit
-    slopes = posterior.gradient(centre[None])[0]
-    flattened = _attenuation(data.X, input_std, slopes, settings)
-    return errors._replace(
-        random=np.concatenate([errors.random, correlated]),
-        method=np.concatenate([gusts, flattened, curved]),
-    )
+        of_blocks = [_places(sample, rows) for rows in parts]
+        series.append(OutputSeries(Q, y - residual, residual, of_records, of_blocks))
+    return series
 
 
 def _residuals(posterior: Posterior) -> list[Vector]:
@@ -333,20 +349,70 @@ def _residuals(posterior: Posterior) -> list[Vector]:
     return residuals
 
 
-def _nonlinear_bias(
-    Q: Matrix,
-    residual: Vector,
-    mean: Vector,
-    slopes: Vector,
-    records: Sequence[Indices],
-    settings: ErrorSettings,
-) -> Vector:
-    """Return the errors of slopes at the centre by a nonlinear part that gusts may have made, (m,).
+def correlated_errors(
+    series: Sequence[OutputSeries], noise: Vector, settings: ErrorSettings
+) -> Array:
+    """Return the errors of the weights by block, beyond those of white noise (P,), (n_blocks, d + 1, P)."""
+    errors = []
+    for output, variance in zip(series, noise, strict=True):
+        of_blocks = block_errors(output.Q, output.residual, output.blocks, settings)
+        white = white_variance(output.Q, variance, settings)
+        errors.append(reduced(of_blocks, white))
+    return np.stack(errors, axis=-1)
 
-    That of the constant is zero. ``mean`` (n,) are values of the posterior's mean, and ``slopes``
-    (m - 1,) its slopes over one standard deviation of the regressors. The nonlinear part is the
-    mean less its best linear approximation in the terms Q (n, m).
+
+def gust_errors(series: Sequence[OutputSeries], settings: ErrorSettings) -> Array:
+    """Return the slopes that instruments find in the residuals, beyond chance, (1, d + 1, P)."""
+    biases = [_gust_bias(output, settings) for output in series]
+    return np.stack(biases, axis=-1)[None]
+
+
+def nonlinear_errors(
+    series: Sequence[OutputSeries], slopes: Matrix, settings: ErrorSettings
+) -> Array:
+    """Return the errors of slopes by a nonlinear part that gusts may have made, (1, d + 1, P).
+
+    ``slopes`` (P, d) are the mean's over one standard deviation of the regressors.
     """
+    biases = []
+    for output, of_output in zip(series, slopes, strict=True):
+        biases.append(_nonlinear_bias(output, of_output, settings))
+    return np.stack(biases, axis=-1)[None]
+
+
+def attenuation(
+    X: Sequence[Matrix], input_std: Vector | None, slopes: Matrix, settings: ErrorSettings
+) -> Array:
+    """Return how far noise of each regressor flattens each slope (P, d) of each output, (d, d + 1, P)."""
+    P, d = slopes.shape
+    flattened = np.zeros((d, d + 1, P))
+    if input_std is not None:
+        for i, x in enumerate(X):
+            inverse = settings.inverse(np.atleast_2d(np.cov(x.T)))
+            flattened[:, 1:, i] = inverse * (input_std**2 * slopes[i])[:, None]
+    return flattened
+
+
+def _gust_bias(output: OutputSeries, settings: ErrorSettings) -> Vector:
+    """Return the slopes that instruments find in the residuals, beyond chance, and zero for the constant, (m,)."""
+    change, scatter, is_determined = instrumental_weights(
+        output.Q, output.residual, output.records, settings
+    )
+    is_determined[0] = False
+    variance = np.sum(scatter**2, axis=0)
+    squares = np.divide(change**2, variance, out=np.zeros_like(change), where=variance > 0)
+    chi_squared = np.sum(squares * is_determined)
+    beyond_chance = np.maximum(chi_squared - is_determined.sum(), 0.0)
+    fraction = beyond_chance / chi_squared if chi_squared > 0 else 0.0
+    return change * np.sqrt(fraction) * is_determined
+
+
+def _nonlinear_bias(output: OutputSeries, slopes: Vector, settings: ErrorSettings) -> Vector:
+    """Return the errors of slopes at the centre by the nonlinear part of the mean, (m,); the constant has none.
+
+    The nonlinear part is the mean less its best linear approximation in the terms Q (n, m).
+    """
+    Q, mean, residual = output.Q, output.mean, output.residual
     line = np.linalg.lstsq(Q, mean, rcond=None)[0]
     nonlinear = mean - Q @ line
     size = float(nonlinear.std())
@@ -354,27 +420,13 @@ def _nonlinear_bias(
     if size <= settings.least_nonlinear * residual.std():
         return bias
     terms = np.column_stack([Q, nonlinear / size])
-    change, scatter, is_determined = instrumented(terms, residual, records, settings)
+    change, scatter, is_determined = instrumental_weights(terms, residual, output.records, settings)
     fraction = min(1.0, float(residual.std()) / size)
     if is_determined[-1]:
         beyond_chance = change[-1] ** 2 - np.sum(scatter[:, -1] ** 2)
         fraction = min(fraction, float(np.sqrt(max(beyond_chance, 0.0))) / size)
     bias[1:] = fraction * (slopes - line[1:])
     return bias
-
-
-def _gust_bias(
-    Q: Matrix, residual: Vector, records: Sequence[Indices], settings: ErrorSettings
-) -> Vector:
-    """Return the slopes that instruments find in the residuals, beyond chance, and zero for the constant, (m,)."""
-    change, scatter, is_determined = instrumented(Q, residual, records, settings)
-    is_determined[0] = False
-    variance = np.sum(scatter**2, axis=0)
-    squares = np.divide(change**2, variance, out=np.zeros_like(change), where=variance > 0)
-    total = np.sum(squares * is_determined)
-    beyond_chance = np.maximum(total - is_determined.sum(), 0.0)
-    fraction = beyond_chance / total if total > 0 else 0.0
-    return change * np.sqrt(fraction) * is_determined
 
 
 def _records(sample: Sequence[Indices], flight: Vector | None) -> list[Indices]:
@@ -394,25 +446,12 @@ def white_variance(Q: Matrix, noise: float, settings: ErrorSettings) -> Vector:
     return noise * np.diag(settings.inverse(Q.T @ Q))
 
 
-def beyond(errors: Matrix, variance: Vector) -> Matrix:
+def reduced(errors: Matrix, variance: Vector) -> Matrix:
     """Return errors (k, m) that are smaller, so that the sum of their squares is less by a ``variance`` (m,)."""
     total = np.sum(errors**2, axis=0)
     remaining = np.maximum(total - variance, 0.0)
     fraction = np.divide(remaining, total, out=np.zeros_like(total), where=total > 0)
     return errors * np.sqrt(fraction)
-
-
-def _attenuation(
-    X: Sequence[Matrix], input_std: Vector | None, slopes: Matrix, settings: ErrorSettings
-) -> Array:
-    """Return how far noise of each regressor flattens each slope (P, d) of each output, (d, d + 1, P)."""
-    P, d = slopes.shape
-    attenuation = np.zeros((d, d + 1, P))
-    if input_std is not None:
-        for i, x in enumerate(X):
-            inverse = settings.inverse(np.atleast_2d(np.cov(x.T)))
-            attenuation[:, 1:, i] = inverse * (input_std**2 * slopes[i])[:, None]
-    return attenuation
 
 
 def bias_ratio(learned_from: Matrix, others: Matrix, settings: ErrorSettings = SETTINGS) -> Matrix:
@@ -468,7 +507,7 @@ def block_errors(
     return scores @ inverse.T * np.sqrt(n_blocks / (n_blocks - 1))
 
 
-def instrumented(
+def instrumental_weights(
     Q: Matrix, y: Vector, records: Sequence[Indices], settings: ErrorSettings = SETTINGS
 ) -> tuple[Vector, Matrix, Mask]:
     """Return weights (m,) of y (n,) by two-stage least squares, their errors, and whether they are determined.
@@ -478,33 +517,60 @@ def instrumented(
     section 8.1). An error that causes motion, such as a gust, correlates with present regressors
     and so biases least squares. Part of the bias remains, the more the longer gusts last.
     """
-    longest = settings.delays[-1]
-    lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]
-    lag = min(round(sum(lasting) / len(y)), len(y) // (2 * longest))
-    first = lag * longest
-    long = [rows for rows in records if len(rows) > first]
-    if not long:
+    lag = _instrument_lag(y, records, settings)
+    present, delayed = delayed_rows(records, lag, settings.delays)
+    if not present:
         m = Q.shape[1]
         return np.zeros(m), np.zeros((2, m)), np.zeros(m, bool)
-    now = [rows[first:] for rows in long]
-    past = []
-    for delay in settings.delays:
-        earlier = [rows[first - lag * delay : len(rows) - lag * delay] for rows in long]
-        past.append(Q[np.concatenate(earlier)])
-    instruments = np.hstack(past)
-
-    present = np.concatenate(now)
-    Q = Q[present]
-    y = y[present]
-    between = settings.inverse(instruments.T @ instruments)
-    expected = instruments @ (between @ (instruments.T @ Q))  # first stage
-    inverse = settings.inverse(expected.T @ Q)
-    weights = inverse @ (expected.T @ y)  # second stage
-    of_records = [np.arange(place.start, place.stop) for place in consecutive(now)]
+    Z = np.hstack([Q[rows] for rows in delayed])
+    rows = np.concatenate(present)
+    Q = Q[rows]
+    y = y[rows]
+    weights, fitted, inverse = two_stage_least_squares(Q, Z, y, settings)
+    of_records = [np.arange(place.start, place.stop) for place in consecutive(present)]
     parts = blocks(of_records, settings=settings)
-    errors = block_errors(expected, y - Q @ weights, parts, settings, inverse)
-    count = len(Q) / max(lag, 1)
-    return weights, errors, determined_by_instruments(Q, inverse, count, settings)
+    errors = block_errors(fitted, y - Q @ weights, parts, settings, inverse)
+    n_independent = len(Q) / max(lag, 1)
+    return weights, errors, determined_by_instruments(Q, inverse, n_independent, settings)
+
+
+def _instrument_lag(y: Vector, records: Sequence[Indices], settings: ErrorSettings) -> int:
+    """Return the autocorrelation time of y [samples]; half of the samples are as long as the longest delay."""
+    lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]
+    return min(round(sum(lasting) / len(y)), len(y) // (2 * settings.delays[-1]))
+
+
+def delayed_rows(
+    records: Sequence[Indices], lag: int, delays: Sequence[int]
+) -> tuple[list[Indices], list[Indices]]:
+    """Return the rows of each record that have a row before them by all delays [lags], and those by each delay."""
+    first = lag * delays[-1]
+    long = [rows for rows in records if len(rows) > first]
+    if not long:
+        return [], []
+    delayed = []
+    for delay in delays:
+        shift = lag * delay
+        earlier = [rows[first - shift : len(rows) - shift] for rows in long]
+        delayed.append(np.concatenate(earlier))
+    return [rows[first:] for rows in long], delayed
+
+
+def two_stage_least_squares(
+    Q: Matrix, Z: Matrix, y: Vector, settings: ErrorSettings
+) -> tuple[Vector, Matrix, Matrix]:
+    r"""Return weights (m,) of y (n,) in the terms Q (n, m), with instruments Z (n, k).
+
+    The first stage is the part of the terms that instruments explain, the second their weights,
+
+    .. math:: \hat Q = Z (Z^T Z)^{-1} Z^T Q, \quad w = (\hat Q^T Q)^{-1} \hat Q^T y.
+
+    :math:`\hat Q` (n, m) and :math:`(\hat Q^T Q)^{-1}` (m, m) follow the weights.
+    """
+    between = settings.inverse(Z.T @ Z)
+    fitted = Z @ (between @ (Z.T @ Q))
+    inverse = settings.inverse(fitted.T @ Q)
+    return inverse @ (fitted.T @ y), fitted, inverse
 
 
 def determined_by_instruments(

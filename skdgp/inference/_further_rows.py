@@ -81,30 +81,36 @@ def expected_errors(
 
     centre = longest.mean(axis=0)
     scale = column_scale(longest)
-    paths = posterior.paths(N_PATHS, 0)
-    values = paths.each(centre[None, None])[:, 0]
-    slopes = paths.slopes(centre[None, None])[:, 0] * scale
-    noise = mean_noise(posterior)
     Q_added = linear_basis((added - centre) / scale)
+    lines = _drawn_lines(posterior, centre, scale)
     random = errors.random.copy()
-    method = errors.method.copy()
-    for i, x in enumerate(X):
-        line = np.column_stack([values[:, i], slopes[:, i]])
-        narrowing[i] = _narrowing(np.cov(line.T), Q_added, noise[i], settings)
+    bias = errors.method.copy()
+    for i, (x, noise) in enumerate(zip(X, mean_noise(posterior), strict=True)):
+        narrowing[i] = _narrowing(np.cov(lines[i].T), Q_added, noise, settings)
         Q = linear_basis((x - centre) / scale)
         random[:, 1:, i] *= _least_squares_ratio(Q, Q_added, settings)
-        biases = method[:, 1:, i]
-        is_biased = np.any(biases != 0, axis=0)
         ratio = bias_ratio(x, np.vstack([x, added]), settings)
-        method[:, 1:, i] = is_biased * (biases @ ratio.T)
-    width = column_scale(np.vstack([longest, added]))
+        bias[:, 1:, i] = _turned(bias[:, 1:, i], ratio)
     discrepancy = errors.discrepancy
     if misfit is not None:
         discrepancy = np.maximum(discrepancy, misfit.expected(1.0 + len(added) / len(longest)))
-    later = errors._replace(
-        random=random, method=method, discrepancy=discrepancy, length_scale=width
-    )
+    width = column_scale(np.vstack([longest, added]))
+    later = errors._replace(random=random, method=bias, discrepancy=discrepancy, length_scale=width)
     return ExpectedErrors(narrowing, later)
+
+
+def _drawn_lines(posterior: Posterior, centre: Vector, scale: Vector) -> list[Matrix]:
+    """Return value and slopes at the centre of drawn functions, (n_paths, 1 + d) for each output."""
+    paths = posterior.paths(N_PATHS, 0)
+    values = paths.each(centre[None, None])[:, 0]
+    slopes = paths.slopes(centre[None, None])[:, 0] * scale
+    return [np.column_stack([values[:, i], slopes[:, i]]) for i in range(values.shape[1])]
+
+
+def _turned(biases: Matrix, ratio: Matrix) -> Matrix:
+    """Return biases of slopes (k, d) by other samples; slopes without a bias have none."""
+    is_biased = np.any(biases != 0, axis=0)
+    return is_biased * (biases @ ratio.T)
 
 
 def _narrowing(covariance: Matrix, Q: Matrix, noise: float, settings: ErrorSettings) -> Vector:

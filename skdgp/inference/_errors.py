@@ -535,7 +535,7 @@ def instrumental_weights(
 
 
 def _instrument_lag(y: Vector, records: Sequence[Indices], settings: ErrorSettings) -> int:
-    """Return the autocorrelation time of y [samples]; half of the samples are as long as the longest delay."""
+    """Return the autocorrelation time of y [samples]; the longest delay is at most half of the samples."""
     lasting = [autocorrelation_time(y[rows]) * len(rows) for rows in records if len(rows)]
     return min(round(sum(lasting) / len(y)), len(y) // (2 * settings.delays[-1]))
 

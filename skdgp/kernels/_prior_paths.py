@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import singledispatch
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp, ndtri
@@ -19,9 +19,9 @@ def draw_waves(
 ) -> tuple[Waves, Indices]:
     r"""Return sample paths of a ConvolvedGaussian and the latent of each wave, (C,).
 
-    There are F waves for each of S paths of every latent, A_i = 2 L_i^-2.
-
-    The spectral density of h_i * x is the Gaussian N_i = N(0, L_i^-2), so samples are
+    There are F waves for each of S paths of every latent. With the amplitude w_i, the width L_i and
+    the shift mu_i of the filter to output i, the spectral density of h_i * x is the Gaussian
+    N_i = N(0, L_i^-2), so samples are
 
     .. math:: w_i \sum_k \sqrt{\frac{N_i(\omega_k)}{F q(\omega_k)}}
               \big(g_k \cos \omega_k^T (s - \mu_i) + g'_k \sin \omega_k^T (s - \mu_i)\big),
@@ -29,7 +29,7 @@ def draw_waves(
 
     These are the random features of Rahimi & Recht (2007) for several outputs at once. q is the
     mixture of the N_i of all c outputs of the latent. Frequencies are stratified over its
-    components, so the weights are bounded (the balance heuristic of Veach & Guibas 1995). Every
+    components, so the roots are bounded (the balance heuristic of Veach & Guibas 1995). Every
     path has new frequencies, so paths have the moments of the prior for any number of
     frequencies, at least c. Those of functions of a single regressor are stratified in size too,
     so a quarter of them makes paths as Gaussian.
@@ -38,40 +38,69 @@ def draw_waves(
     if len(along) == 1:
         n_frequencies = n_frequencies // 4
     filters = kernel.filters.of_regressors(along)
-    unit = np.eye(filters.feeds.shape[1])
-    S = n_paths
+    P = filters.feeds.shape[1]
     F = max(n_frequencies, int(filters.feeds.sum(axis=1).max()))
-    omegas, phases, weights, latents = [], [], [], []
+    drawn: list[_LatentWaves] = []
+    latents: list[int] = []
     for m, feeds in enumerate(filters.feeds):
         i = np.flatnonzero(feeds)
         amplitude = filters.amplitude[m, i]
-        shift = filters.shift[m, i]
         lengths = filters.length_scale[m, i]
         component = np.arange(F) % len(i)
-        omega = _frequencies(S, component, lengths, random_state)
-        log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
-        counts = np.bincount(component)
-        log_mixture = logsumexp(log_density, axis=2, b=counts, keepdims=True)  # log(F q)
-        gain = amplitude * np.exp(0.5 * (log_density - log_mixture))
-        # the length of (g, g'); the phase is its direction
-        gain *= random_state.rayleigh(size=(S, F, 1))
-        # the phase of the first output, and differences of the others
-        turn = omega @ shift.T
-        phase = random_state.uniform(0.0, 2 * np.pi, (S, F)) - turn[..., 0]
-        turn -= turn[..., :1].copy()
-        omegas.append(omega)
-        phases.append(phase)
-        weights.append((gain * np.cos(turn)) @ unit[i])
-        latents += [m] * F
-        if turn.any():  # cos(a - turn) = cos(a) cos(turn) + sin(a) sin(turn)
-            omegas.append(omega)
-            phases.append(phase - 0.5 * np.pi)
-            weights.append((gain * np.sin(turn)) @ unit[i])
-            latents += [m] * F
-    omega = np.concatenate(omegas, axis=1).swapaxes(1, 2).copy()
-    phase = np.concatenate(phases, axis=1)[:, None]
-    drawn = np.concatenate(weights, axis=1).swapaxes(1, 2).copy()
-    return Waves(omega, phase, drawn, along), np.array(latents)
+        omega = _frequencies(n_paths, component, lengths, random_state)
+        gains = amplitude * _importance_gains(omega, lengths, np.bincount(component))
+        # (g, g') in polar coordinates: its length, and its direction, the phase
+        gains *= random_state.rayleigh(size=(n_paths, F, 1))
+        phase = random_state.uniform(0.0, 2 * np.pi, (n_paths, F))
+        of_latent = _delayed_waves(omega, phase, gains, filters.shift[m, i])
+        drawn += [waves.scattered(i, P) for waves in of_latent]
+        latents += [m] * F * len(of_latent)
+    omega = np.concatenate([waves.omega for waves in drawn], axis=1)
+    phase = np.concatenate([waves.phase for waves in drawn], axis=1)
+    gains = np.concatenate([waves.gains for waves in drawn], axis=1)
+    paths = Waves(omega.swapaxes(1, 2).copy(), phase[:, None], gains.swapaxes(1, 2).copy(), along)
+    return paths, np.array(latents)
+
+
+class _LatentWaves(NamedTuple):
+    """Waves gain_i cos(omega^T s + phase) of a latent in c outputs i."""
+
+    omega: Array  #: (n_paths, F, k)
+    phase: Array  #: (n_paths, F)
+    gains: Array  #: (n_paths, F, c)
+
+    def scattered(self, outputs: Indices, n_outputs: int) -> _LatentWaves:
+        """Return the waves in all outputs, without those that the latent does not feed."""
+        gains = np.zeros((*self.phase.shape, n_outputs))
+        gains[..., outputs] = self.gains
+        return self._replace(gains=gains)
+
+
+def _importance_gains(omega: Array, lengths: Matrix, counts: Indices) -> Array:
+    r"""Return :math:`\sqrt{N_i / (F q)}` at frequencies (n_paths, F, k), (n_paths, F, c).
+
+    ``counts`` (c,) of the frequencies were drawn from the densities N_i with widths (c, k).
+    """
+    log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
+    log_mixture = logsumexp(log_density, axis=2, b=counts, keepdims=True)  # log(F q)
+    return np.exp(0.5 * (log_density - log_mixture))
+
+
+def _delayed_waves(omega: Array, phase: Array, gains: Array, shift: Matrix) -> list[_LatentWaves]:
+    r"""Return the waves :math:`\cos(\omega^T (s - \mu_i) + \phi)` of c outputs with shifts (c, k).
+
+    With :math:`a = \omega^T (s - \mu_1) + \phi` and :math:`b_i = \omega^T (\mu_i - \mu_1)` they are
+    :math:`\cos(a - b_i) = \cos b_i \cos a + \sin b_i \cos(a - \pi / 2)`: a cosine and a sine, which
+    all outputs share; without shifts a cosine.
+    """
+    delay = omega @ shift.T
+    phase = phase - delay[..., 0]
+    delay -= delay[..., :1].copy()
+    cosine = _LatentWaves(omega, phase, gains * np.cos(delay))
+    if not delay.any():
+        return [cosine]
+    sine = _LatentWaves(omega, phase - 0.5 * np.pi, gains * np.sin(delay))
+    return [cosine, sine]
 
 
 def draw_waves_of_one_width(
@@ -109,13 +138,13 @@ def _has_one_width(filters: Filters) -> bool:
 def _frequencies(n_paths: int, component: Indices, lengths: Matrix, random_state: Any) -> Array:
     """Return frequencies (n_paths, F, k) of the ``component`` (F,) of filters with these lengths (c, k)."""
     if lengths.shape[1] == 1:
-        normal = _stratified_normal(n_paths, component, random_state)
+        normal = _stratified_half_normal(n_paths, component, random_state)
     else:
         normal = random_state.standard_normal((n_paths, len(component), lengths.shape[1]))
     return normal / lengths[component]
 
 
-def _stratified_normal(n_paths: int, component: Indices, random_state: Any) -> Array:
+def _stratified_half_normal(n_paths: int, component: Indices, random_state: Any) -> Array:
     """Return absolute values of normal numbers, (n_paths, F, 1), stratified over each ``component`` (F,)."""
     place = np.empty(len(component))
     size = np.empty(len(component))

@@ -56,13 +56,14 @@ CONTROLS = (*ALL_SURFACES, *AUXILIARY, *PROPULSION, "gust")
 # Largest deflection [rad] of a control whose training range is not known
 DEFLECTION = np.pi / 4
 # Channels that follow from the loads, and so from the coefficients that they may be regressors of
-IMPLICIT = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
+FROM_LOADS = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 # Channels that are rebuilt from the state
-REBUILT = (
+FROM_STATE = (
     *("airspeed", "alpha", "beta", "density", "altitude"),
     *("u", "v", "w", "p", "q", "r", "phi", "theta", "psi"),
 )
-FOLLOWING = (*REBUILT, *IMPLICIT)
+# All channels that a motion gives
+FROM_MOTION = (*FROM_STATE, *FROM_LOADS)
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Instant(NamedTuple):
     beta: Array
     density: Array
     force: Array  #: All but gravity, body axes, (..., 3) [N]
-    implicit: Array | None  #: The regressors of `IMPLICIT`, (..., 8), where the model has any
+    implicit: Array | None  #: The regressors of `FROM_LOADS`, (..., 8), where the model has any
     settled: Array | bool  #: Whether the fixed point of the implicit regressors was found
 
 
@@ -199,18 +200,18 @@ class Motion:
         self._lengths = self._check_lengths()
         self._sources = [self._source(name) for name in self.aerodynamics.regressors]
         self.regressors = tuple(name for name, _ in self._sources)
-        self.controls = tuple(name for name in self.regressors if name not in FOLLOWING)
+        self.controls = tuple(name for name in self.regressors if name not in FROM_MOTION)
         unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
         if unknown:
             raise ValueError(
                 f"Got a model with the regressors {unknown}, which are neither controls nor "
-                f"rebuilt along a flight: learn one without them. What is rebuilt: {', '.join(FOLLOWING)}."
+                f"rebuilt along a flight: learn one without them. What is rebuilt: {', '.join(FROM_MOTION)}."
             )
         self._needs_velocity = not set(BODY_VELOCITY).isdisjoint(self.regressors)
         self._needs_angles = not set(EULER).isdisjoint(self.regressors)
-        # Of regressors that follow from the coefficients: their places, and those in `IMPLICIT`
-        self.implicit = [k for k, name in enumerate(self.regressors) if name in IMPLICIT]
-        self._follows = [IMPLICIT.index(self.regressors[k]) for k in self.implicit]
+        # Regressors that follow from the loads: their places, and those in `FROM_LOADS`
+        self._implicit_places = [k for k, name in enumerate(self.regressors) if name in FROM_LOADS]
+        self._load_places = [FROM_LOADS.index(self.regressors[k]) for k in self._implicit_places]
 
     def _check_lengths(self) -> dict[str, float]:
         """Return span and chord of the non-dimensional rates; warn if the aircraft has others."""
@@ -283,7 +284,7 @@ class Motion:
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
-        ``implicit`` (..., 8) is a guess of the channels of `IMPLICIT`, best from the last call.
+        ``implicit`` (..., 8) is a guess of the channels of `FROM_LOADS`, best from the last call.
         ``drift`` (..., 6) is added to the coefficients. Given ``coefficients`` (..., 6) take the
         place of the model's, a ``tangent`` takes the place of the model.
         """
@@ -300,24 +301,24 @@ class Motion:
             C = model(X) + drift if coefficients is None else coefficients
             return self._loaded(state, X, C, flow, other_loads)
 
-        def follow(guess: Array) -> Instant:
-            for k, place in zip(self.implicit, self._follows, strict=True):
+        def loaded_by(guess: Array) -> Instant:
+            for k, place in zip(self._implicit_places, self._load_places, strict=True):
                 X[..., k] = guess[..., place] * self.factor(k, flow.airspeed)
             now = loaded()
-            return now._replace(implicit=self._follow(state, now, flow, air))
+            return now._replace(implicit=self._from_loads(state, now, flow, air))
 
-        if not self.implicit:
+        if not self._implicit_places:
             return loaded()
-        guess = np.zeros((*state.shape[:-1], len(IMPLICIT))) if implicit is None else implicit
-        return follow(guess) if self.lagged else self._fixed_point(follow, guess)
+        guess = np.zeros((*state.shape[:-1], len(FROM_LOADS))) if implicit is None else implicit
+        return loaded_by(guess) if self.lagged else self._fixed_point(loaded_by, guess)
 
-    def _fixed_point(self, follow: Callable[[Array], Instant], guess: Array) -> Instant:
+    def _fixed_point(self, loaded_by: Callable[[Array], Instant], guess: Array) -> Instant:
         """Return the instant whose implicit regressors are those that follow from it (Anderson 1965)."""
         tried: list[tuple[Array, Array]] = []
         for _ in range(self.settings.iterations):
-            now = follow(guess)
+            now = loaded_by(guess)
             result: Any = now.implicit
-            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._follows]
+            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._load_places]
             settled = np.abs(off).max(axis=-1) < self.settings.tolerance
             is_lost = ~np.isfinite(off).all(axis=-1)
             if np.all(settled | is_lost):
@@ -355,7 +356,7 @@ class Motion:
             values |= by_name(EULER, quaternion_to_euler(state[..., ATTITUDE]))
         X = np.empty((*state.shape[:-1], len(self.regressors)))
         for k, name in enumerate(self.regressors):
-            if name in IMPLICIT:
+            if name in FROM_LOADS:
                 continue
             value = values[name]
             if self._sources[k][1] is not None:
@@ -401,8 +402,8 @@ class Motion:
         air = (flow.airspeed, flow.alpha, flow.beta, flow.density)
         return Instant(derivative, C, X, *air, force, None, True)
 
-    def _follow(self, state: Array, now: Instant, flow: Flow, air: LocalAir | None) -> Array:
-        """Return what follows from the loads, (..., 8), in the order of `IMPLICIT`."""
+    def _from_loads(self, state: Array, now: Instant, flow: Flow, air: LocalAir | None) -> Array:
+        """Return what follows from the loads, (..., 8), in the order of `FROM_LOADS`."""
         acceleration = now.derivative[..., VELOCITY]
         if flow.wind is not None:
             # a wind that is constant over the earth turns against the aircraft in body axes

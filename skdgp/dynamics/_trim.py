@@ -14,7 +14,14 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.differences import central_difference
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ALL_SURFACES, AUXILIARY, CHANNELS, HAT
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    AUXILIARY,
+    CHANNELS,
+    HAT,
+    THRUST_FORCES,
+    THRUST_MOMENTS,
+)
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, ned_to_body
 from skdgp._flight.tables import by_name
@@ -23,8 +30,7 @@ from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._motion import (
     DEFLECTION,
-    IMPLICIT,
-    PROPULSION,
+    FROM_LOADS,
     Instant,
     Motion,
     check_settled,
@@ -37,9 +43,10 @@ from skdgp.dynamics._rigid_body import (
     thrust_control,
 )
 
-# Controls that give the thrust of any engine
-ENGINE = PROPULSION[:3]
-THRUSTS = PROPULSION[1:]
+# Settings of an engine, one of which trims the thrust
+ENGINE_CONTROLS = ("throttle", "propeller_speed", "thrust")
+# What gives the thrust where it is given
+THRUST_SOURCES = ("propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
 ANGLES = ("alpha", "beta", "theta", "phi", "turn_rate", "climb")
 # Accelerations that vanish: places in the derivative of the state, and units
@@ -55,7 +62,7 @@ CONDITION_UNITS = {
     **dict.fromkeys(("climb", "phi", "beta"), " rad"),
 }
 # Limits of unknowns, of alpha where its training range is not known
-LIMITS = {
+UNKNOWN_LIMITS = {
     "alpha": (-np.pi / 6, np.pi / 4),
     "beta": (-np.pi / 6, np.pi / 6),
     "theta": (-1.4, 1.4),
@@ -216,10 +223,10 @@ def trim(
     }
     steady = SteadyFlight(motion, conditions, values)
     trims = []
-    near = None
+    solution = None
     for speed in np.atleast_1d(airspeeds).tolist():
-        near = steady.solve(speed, near)
-        trims.append(_trim_of(steady, near, speed))
+        solution = steady.solve(speed, near=solution)
+        trims.append(_trim_of(steady, solution, speed))
     return trims if airspeeds.ndim else trims[0]
 
 
@@ -240,20 +247,22 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         thrust=float((now.force - aerodynamic) @ aircraft.engine_line.direction),
         solved=steady.unknowns,
         residual=float(np.abs(now.derivative[ACCELERATIONS]).max()),
-        beyond=_beyond(steady.motion.aerodynamics, now.regressors),
+        beyond=_outside_training(steady.motion.aerodynamics, now.regressors),
     )
 
 
-def _beyond(model: Aerodynamics, regressors: Array) -> dict[str, tuple[float, float, float]]:
+def _outside_training(
+    model: Aerodynamics, regressors: Array
+) -> dict[str, tuple[float, float, float]]:
     """Return the regressors (d,) outside their training ranges: name to (value, smallest, largest)."""
     if model.limits is None:
         return {}
-    beyond = {}
+    outside = {}
     rows = np.stack([regressors, *model.limits], axis=1).tolist()
     for name, (value, low, high) in zip(model.regressors, rows, strict=True):
         if not low <= value <= high:
-            beyond[name] = (value, low, high)
-    return beyond
+            outside[name] = (value, low, high)
+    return outside
 
 
 class SteadyFlight:
@@ -283,15 +292,15 @@ class SteadyFlight:
         self.settings = settings
         _check_given(conditions, fixed)
         self.flown = _training_ranges(motion)
-        fixed, free = self._controls(fixed)
-        self.controls = (*fixed, *free)
+        held, free = self._controls(fixed)
+        self.controls = (*held, *free)
         known = {name: value for name, value in conditions.items() if value is not None}
         # without a given climb one control less is needed to hold the sideslip
         n_needed = 4 if "climb" in known else 3
         has_turn = {"phi", "turn_rate"} <= known.keys()
         if len(free) >= n_needed and not has_turn:
             known.setdefault("beta", 0.0)
-        self.given = known | fixed
+        self.given = known | held
         self.unknowns = (*(name for name in ANGLES if name not in known), *free)
         if len(self.unknowns) > 7:
             raise ValueError(
@@ -302,23 +311,27 @@ class SteadyFlight:
         self.limits = {name: self._limits(name) for name in self.unknowns}
 
     def _controls(self, fixed: dict) -> tuple[dict, list[str]]:
-        """Return fixed controls, a throttle without thrust and surfaces of unknown effect too, and the others."""
+        """Return the controls that are held, by name, and the names of those that are solved for.
+
+        Held are given ones, a throttle without thrust, and surfaces of unknown effect.
+        """
         engine = self._engine(fixed)
         names = list(self.motion.controls)
         if engine is not None and engine not in names:
             names.append(engine)
-        check_names(fixed, (*names, *THRUSTS), "controls of the model and the engine")
+        check_names(fixed, (*names, *THRUST_SOURCES), "controls of the model and the engine")
         held = dict(fixed)
         for name, limits in self.flown.items():
             has_moved = not constant_columns(np.array(limits)[:, None])[0]
             is_unmoved = name in ALL_SURFACES and not has_moved
-            if name in names and name != engine and (name in ENGINE or is_unmoved):
+            is_at_rest = name in ENGINE_CONTROLS or is_unmoved
+            if name in names and name != engine and is_at_rest:
                 held.setdefault(name, float(np.mean(limits)))
             elif name in names and name in AUXILIARY:
                 held.setdefault(name, float(np.clip(0.0, *limits)))
         free = [name for name in names if name not in held]
-        settings = {*ENGINE, *CHANNELS} - {*ALL_SURFACES, *AUXILIARY, engine}
-        lacking = [name for name in free if name in settings]
+        undetermined = {*ENGINE_CONTROLS, *CHANNELS} - {*ALL_SURFACES, *AUXILIARY, engine}
+        lacking = [name for name in free if name in undetermined]
         if lacking:
             raise ValueError(
                 f"The trim lacks values of {lacking}, which no steady flight determines: give "
@@ -329,7 +342,7 @@ class SteadyFlight:
     def _engine(self, fixed: dict) -> str | None:
         """Return the control of the thrust that is solved for, None without one."""
         motion = self.motion
-        if not fixed.keys().isdisjoint(THRUSTS):
+        if not fixed.keys().isdisjoint(THRUST_SOURCES):
             return None
         engine = thrust_control(motion.aircraft, motion.thrust)
         if engine == "throttle" and "propeller_speed" in motion.controls:
@@ -342,14 +355,14 @@ class SteadyFlight:
         if name == "propeller_speed" and propeller is not None and propeller.speed_range:
             idle, full = propeller.speed_range
             return idle, full
-        if name in self.flown and (name == "alpha" or name not in LIMITS):
+        if name in self.flown and (name == "alpha" or name not in UNKNOWN_LIMITS):
             low, high = self.flown[name]
             margin = max(high - low, self.settings.margin)
             return low - margin, high + margin
-        return LIMITS.get(name, (-DEFLECTION, DEFLECTION))
+        return UNKNOWN_LIMITS.get(name, (-DEFLECTION, DEFLECTION))
 
     def solve(self, airspeed: float, near: Array | None = None) -> Array:
-        """Return the values of the unknowns, searched first ``near`` another flight."""
+        """Return the values of the unknowns, searched first ``near`` the solution of another flight."""
         low, high = np.array(list(self.limits.values())).T
         margin = 1e-6 * np.minimum(high - low, 1.0)
         starts = [self._start(airspeed, fraction) for fraction in self.settings.starts]
@@ -408,11 +421,11 @@ class SteadyFlight:
         state[..., VELOCITY] = velocity
         state[..., ATTITUDE] = attitude
         state[..., RATES] = rates
-        # implicit regressors are searched from a steady flight
-        implicit = np.zeros((*x.shape[:-1], len(IMPLICIT)))
-        implicit[..., 5:] = cross(rates, velocity) - self.motion.gravity * vertical
+        # regressors that follow from the loads are searched from a steady flight
+        from_loads = np.zeros((*x.shape[:-1], len(FROM_LOADS)))
+        from_loads[..., 5:] = cross(rates, velocity) - self.motion.gravity * vertical
         controls = {name: flight[name] for name in self.controls}
-        return flight, state, self.motion.at(state, controls, implicit=implicit)
+        return flight, state, self.motion.at(state, controls, implicit=from_loads)
 
     def residual(self, x: Array, airspeed: float) -> Array:
         """Return the six accelerations, and the error of the path's slope, (..., 7)."""

@@ -19,7 +19,7 @@ from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._size_errors import errors_of_sizes
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import ROTATION_OF, std_by_method, unsteady_terms
+from skdgp.dynamics._unsteady import ROTATION_OF, std_of_biases, unsteady_terms
 
 ROWS = (*COEFFICIENTS, "CL", "CD")
 LIFT = ROWS.index("CL")
@@ -133,7 +133,7 @@ def stability_derivatives(
     """
     check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
-    rows = None if added is None else _check_added(added, motion.aerodynamics)
+    added_rows = None if added is None else _check_added(added, motion.aerodynamics)
     states, controls, is_single = _points(motion, point, controls)
     now = motion.at(states, controls)
     check_settled(now)
@@ -147,7 +147,7 @@ def stability_derivatives(
     if frame.perturbation is not None:
         columns["perturbation"] = np.broadcast_to(frame.perturbation[:, None], values.shape)
     if n_paths and motion.aerodynamics.is_uncertain:
-        columns |= _deviations(motion, now, frame, n_paths, random_state, rows)
+        columns |= _standard_deviations(motion, now, frame, n_paths, random_state, added_rows)
     if aircraft.deviations:
         columns |= _errors_of_aircraft(motion, now, frame)
     if "std" in columns and "std_log" in columns:
@@ -187,7 +187,7 @@ def _check_added(added: ArrayLike, model: Aerodynamics) -> Array:
     return rows
 
 
-def _deviations(
+def _standard_deviations(
     motion: Motion,
     now: Instant,
     frame: _Frame,
@@ -197,32 +197,32 @@ def _deviations(
 ) -> dict[str, np.ndarray]:
     """Return the standard deviations of the table by column, (n, rows, 1 + columns) each.
 
-    Deviations of functions drawn from the posterior, and their parts.
+    They are of functions drawn from the posterior, and of their parts.
     """
     model = motion.aerodynamics
     std = _std_of_paths(model.sample(n_paths, random_state), now, frame)
     if model.learned is None:
         return {"std": std}
     errors = model.learned.function_errors
-    std_random, std_method = _std_of_errors(errors, now, frame)
+    std_random, std_bias = _std_of_errors(errors, now, frame)
     # the part that the errors of the function do not explain
-    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
-    parts = {"std_posterior": std_posterior, "std_random": std_random, "std_method": std_method}
+    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_bias**2), 0.0))
+    parts = {"std_posterior": std_posterior, "std_random": std_random, "std_method": std_bias}
     if added is not None:
         later = _later_parts(model, model.learned, now, frame, std_posterior, added)
         std = std * _ratio(_total(later), _total(parts))
         parts = later
-    std_merged, merged = _merged(motion, now, frame, std_by_method(errors))
+    std_merged, merged = _merged(motion, now, frame, std_of_biases(errors))
     return {"std": std, **parts, "std_merged": std_merged, "merged": merged}
 
 
 def _std_of_errors(errors: Any, now: Instant, frame: _Frame) -> tuple[Array, Array]:
-    """Return random standard deviations and those by method, (n, rows, 1 + columns); zero without errors."""
+    """Return the standard deviations of random errors and of biases, (n, rows, 1 + columns); zero without errors."""
     if errors is None:
         nothing = frame.std(np.zeros((*now.coefficients.shape, now.regressors.shape[1], 1)))
         return nothing, nothing
-    (values, slopes), (values_by_method, slopes_by_method) = errors.parts(now.regressors)
-    return frame.std(slopes, values), frame.std(slopes_by_method, values_by_method)
+    (values, slopes), (biases, biases_of_slopes) = errors.parts(now.regressors)
+    return frame.std(slopes, values), frame.std(biases_of_slopes, biases)
 
 
 def _later_parts(
@@ -249,11 +249,11 @@ def _later_parts(
     of_body = std_of_kernel[:, : len(COEFFICIENTS), 1:] / frame.scale[:, None, :]
     before = _std_of_slopes(of_body, now, frame)
     after = _std_of_slopes(expected.narrowing * of_body, now, frame)
-    std_random, std_method = _std_of_errors(expected.errors, now, frame)
+    std_random, std_bias = _std_of_errors(expected.errors, now, frame)
     return {
         "std_posterior": np.hypot(std_of_kernel * _ratio(after, before), discrepancy_later),
         "std_random": std_random,
-        "std_method": std_method,
+        "std_method": std_bias,
     }
 
 
@@ -273,8 +273,8 @@ def _merged(
 ) -> tuple[Array, np.ndarray]:
     """Return the possible effects of alpha_dot and beta_dot on each entry, and the name of the larger."""
     slopes = motion.aerodynamics.gradient(now.regressors)
-    sizes = frame.sizes(unsteady_terms(motion, now, slopes, scatter).errors)
-    return np.hypot(*sizes), _largest(sizes, frame.merged_names()[:, None])
+    magnitudes = frame.magnitudes(unsteady_terms(motion, now, slopes, scatter).errors)
+    return np.hypot(*magnitudes), _largest(magnitudes, frame.merged_names()[:, None])
 
 
 def _std_of_paths(paths: Aerodynamics, now: Instant, frame: _Frame) -> Array:
@@ -298,28 +298,28 @@ def _std_of_slopes(std: Array, now: Instant, frame: _Frame) -> Array:
 def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str, np.ndarray]:
     """Return the effect of errors of the log and of the aircraft's sizes, and names of the largest of the latter."""
     aircraft = motion.aircraft
-    deviations = aircraft.deviations or {}
+    factors = aircraft.deviations or {}
     slopes = motion.aerodynamics.gradient(now.regressors)
     values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
-    errors = errors_of_sizes(deviations, aircraft.inertia, motion.regressors, values)
-    sizes = np.abs(frame(errors[..., 0], errors[..., 1:]))
-    names = np.array(list(deviations), dtype=object)
-    is_of_log = np.array([factor.of_log for factor in deviations.values()])
+    errors = errors_of_sizes(factors, aircraft.inertia, motion.regressors, values)
+    magnitudes = np.abs(frame(errors[..., 0], errors[..., 1:]))
+    names = np.array(list(factors), dtype=object)
+    is_of_log = np.array([factor.of_log for factor in factors.values()])
     columns = {}
     if is_of_log.any():
-        columns["std_log"] = np.sqrt(np.sum(sizes[is_of_log] ** 2, axis=0))
+        columns["std_log"] = np.sqrt(np.sum(magnitudes[is_of_log] ** 2, axis=0))
     if not is_of_log.all():
-        of_sizes = sizes[~is_of_log]
-        columns["std_aircraft"] = np.sqrt(np.sum(of_sizes**2, axis=0))
-        columns["aircraft"] = _largest(of_sizes, names[~is_of_log, None, None, None])
+        size_errors = magnitudes[~is_of_log]
+        columns["std_aircraft"] = np.sqrt(np.sum(size_errors**2, axis=0))
+        columns["aircraft"] = _largest(size_errors, names[~is_of_log, None, None, None])
     return columns
 
 
-def _largest(sizes: Array, names: np.ndarray) -> np.ndarray:
-    """Return the name of the largest of k sizes (k, ...) by entry, "" where all vanish."""
-    names = np.broadcast_to(names, sizes.shape)
-    largest = np.take_along_axis(names, sizes.argmax(axis=0)[None], axis=0)[0]
-    return np.where(sizes.any(axis=0), largest, "")
+def _largest(magnitudes: Array, names: np.ndarray) -> np.ndarray:
+    """Return the name of the largest of k magnitudes (k, ...) by entry, "" where all vanish."""
+    names = np.broadcast_to(names, magnitudes.shape)
+    largest = np.take_along_axis(names, magnitudes.argmax(axis=0)[None], axis=0)[0]
+    return np.where(magnitudes.any(axis=0), largest, "")
 
 
 class _Frame:
@@ -355,8 +355,8 @@ class _Frame:
             S[..., DRAG, k] += C[..., LIFT, 0]
         return np.concatenate([C, S], axis=-1)
 
-    def sizes(self, slopes: Array, values: Array | None = None) -> Array:
-        """Return the sizes (k, n, rows, 1 + columns) of k errors of slopes (n, 6, d, k).
+    def magnitudes(self, slopes: Array, values: Array | None = None) -> Array:
+        """Return the magnitudes (k, n, rows, 1 + columns) of k errors of slopes (n, 6, d, k).
 
         Errors of the coefficients are ``values`` (n, 6, k), by default zero.
         """
@@ -365,8 +365,8 @@ class _Frame:
         return np.abs(self(np.moveaxis(values, -1, 0), np.moveaxis(slopes, -1, 0)))
 
     def std(self, slopes: Array, values: Array | None = None) -> Array:
-        """Return the standard deviation (n, rows, 1 + columns) of independent errors, as of `sizes`."""
-        return np.sqrt(np.sum(self.sizes(slopes, values) ** 2, axis=0))
+        """Return the standard deviation (n, rows, 1 + columns) of independent errors, as of `magnitudes`."""
+        return np.sqrt(np.sum(self.magnitudes(slopes, values) ** 2, axis=0))
 
     def merged_names(self) -> np.ndarray:
         """Return the derivative by alpha_dot or beta_dot that each merges with, (2, rows, 1 + columns)."""

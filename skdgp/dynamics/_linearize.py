@@ -39,7 +39,7 @@ from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import UnsteadyTerms, std_by_method, unsteady_terms
+from skdgp.dynamics._unsteady import UnsteadyTerms, std_of_biases, unsteady_terms
 
 # States of a linear model, with Euler angles in place of the quaternion of `STATE_NAMES`
 STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
@@ -383,7 +383,7 @@ def _drawn(
     if model.learned is None:
         return motion_of_paths, None
     slopes = model.gradient(now.regressors)
-    unsteady = unsteady_terms(motion, now, slopes, std_by_method(model.learned.function_errors))
+    unsteady = unsteady_terms(motion, now, slopes, std_of_biases(model.learned.function_errors))
     # slopes by alpha_dot and beta_dot of each path
     draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
     return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)

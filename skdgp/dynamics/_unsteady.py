@@ -70,8 +70,8 @@ def unsteady_terms(
     return UnsteadyTerms(std, relation, missing)
 
 
-def std_by_method(errors: Any) -> Array | float:
-    """Return the standard deviation of slopes by method, (6, d), of errors of a function; 0 without them."""
+def std_of_biases(errors: Any) -> Array | float:
+    """Return the standard deviation of the biases of slopes, (6, d), by the errors of a function; 0 without them."""
     return 0.0 if errors is None else np.linalg.norm(errors.slopes()[1], axis=-1)
 
 

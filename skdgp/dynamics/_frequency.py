@@ -76,7 +76,15 @@ class SpectrumSettings:
 
 SPECTRA = SpectrumSettings()
 # Outputs that do not follow inputs within a sample
-STATES = (*RATES, *EULER, *AIR_DATA, *BODY_VELOCITY, *EARTH_VELOCITY, *POSITION, "altitude")
+LAGGING_OUTPUTS = (
+    *RATES,
+    *EULER,
+    *AIR_DATA,
+    *BODY_VELOCITY,
+    *EARTH_VELOCITY,
+    *POSITION,
+    "altitude",
+)
 # Relative, of matrices that are inverted: inputs may always move together
 RIDGE = 1e-10
 # Correlations of the powers of neighbouring bins, and of those two apart, of Hann's window
@@ -158,12 +166,12 @@ def frequency_response(
     phases = [2 * np.pi * step * spectra.frequency[band].mean() for band in bands]
     feedback = _feedback(records, np.array(phases), inputs, outputs, settings)
     rows = []
-    for band, *of_band in zip(bands, *feedback, strict=True):
-        rows += _responses(spectra, band, Feedback(*of_band), inputs, outputs, settings)
-    found = pd.DataFrame(rows).set_index(["output", "input", "frequency"]).sort_index()
+    for band, fed_back, is_free in zip(bands, feedback.fed_back, feedback.is_free, strict=True):
+        rows += _band_rows(spectra, band, fed_back, is_free, inputs, outputs, settings)
+    responses = pd.DataFrame(rows).set_index(["output", "input", "frequency"]).sort_index()
     if linear is not None:
-        found = found.join(_of_model(linear, found.index))
-    return found
+        responses = responses.join(_of_model(linear, responses.index))
+    return responses
 
 
 def _spectra(records: list[Array], step: float, settings: SpectrumSettings) -> Spectra:
@@ -181,8 +189,8 @@ def _spectra(records: list[Array], step: float, settings: SpectrumSettings) -> S
     transforms = []
     for record in records:
         for begin in range(0, record.shape[1] - n + 1, n // 2):
-            part = detrend(record[:, begin : begin + n])
-            transforms.append(np.fft.rfft(part * hann(n, sym=False)))
+            window = detrend(record[:, begin : begin + n])
+            transforms.append(np.fft.rfft(window * hann(n, sym=False)))
     X = np.array(transforms)
     cross = np.einsum("wif,wjf->fij", X.conj(), X) / len(X)
     n_independent = len(X) / (1.0 + 2.0 * OVERLAP * (1.0 - 1.0 / len(X)))
@@ -224,10 +232,10 @@ def _bands(frequency: Array, settings: SpectrumSettings) -> list[Indices]:
 
 
 class Feedback(NamedTuple):
-    """What an autopilot feeds back, at each frequency or at one."""
+    """What an autopilot feeds back to q inputs, at n frequencies."""
 
     is_free: Array  #: Whether inputs move by themselves, for each response (n, q, outputs)
-    part: Array  #: Part of the power of inputs that is fed back (n, q)
+    fed_back: Array  #: Fraction of the power of inputs that is fed back (n, q)
 
 
 def _feedback(
@@ -245,10 +253,10 @@ def _feedback(
         T(\omega) = \Big(I - \sum_j A_j e^{-i \omega j}\Big)^{-1} L,
 
     with white e of unit variance, gives the response from the spectra :math:`T T^H`, as
-    `_responses` estimates it. From the innovations of the inputs alone it is the aircraft's, and
+    `_estimated_response` has it. From the innovations of the inputs alone it is the aircraft's, and
     the power that remains is fed back. What moves within a sample may follow the inputs or the
-    outputs: L is triangular either way, and inputs are free if they are in one of them. The part
-    that errors count is larger: within a sample inputs follow states, as rates, and other outputs
+    outputs: L is triangular either way, and inputs are free if they are in one of them. The
+    fraction that errors count is larger: within a sample inputs follow states, as rates, and other outputs
     follow inputs.
     """
     A, covariance = _autoregression(records, settings)
@@ -259,20 +267,20 @@ def _feedback(
     is_free = np.zeros((len(phases), q, c - q), dtype=bool)
     channels = np.arange(c)
     for sequence in (channels, channels[::-1]):
-        T, part = _of_innovations(transfers, covariance, sequence, q)
+        T, fed_back = _of_innovations(transfers, covariance, sequence, q)
         aircraft = _response_of(T[..., channels < q], q)
         bias = np.abs(_response_of(T, q) - aircraft)
-        moves_by_itself = part <= settings.part
+        moves_by_itself = fed_back <= settings.part
         is_free |= (bias <= settings.bias * np.abs(aircraft)) & moves_by_itself[..., None]
-    rank = [1] * q + [0 if name in STATES else 2 for name in outputs]
-    _, part = _of_innovations(transfers, covariance, np.argsort(rank, kind="stable"), q)
-    return Feedback(is_free, part)
+    rank = [1] * q + [0 if name in LAGGING_OUTPUTS else 2 for name in outputs]
+    _, fed_back = _of_innovations(transfers, covariance, np.argsort(rank, kind="stable"), q)
+    return Feedback(is_free, fed_back)
 
 
 def _of_innovations(
     transfers: Array, covariance: Matrix, sequence: Indices, q: int
 ) -> tuple[Array, Array]:
-    """Return T (n, c, c) where channels follow in a sequence within a sample, and the part of inputs that is fed back.
+    """Return T (n, c, c) where channels follow in a sequence within a sample, and the fraction of inputs fed back.
 
     Columns of T are innovations of the channels in their order, of which the first q are inputs.
     """
@@ -316,47 +324,76 @@ def _response_of(T: Array, q: int) -> Array:
     return (outputs @ adjoint @ inverse).swapaxes(1, 2)
 
 
-def _responses(
+class _Response(NamedTuple):
+    """Response of an output to an input in a band."""
+
+    H: complex
+    coherence: float  #: Partial
+    error: float  #: Standard deviation of the gain, relative, and of the phase [rad]
+    power: float  #: Of the output, by what the other inputs do not explain of the input
+
+
+def _band_rows(
     spectra: Spectra,
     band: Indices,
-    feedback: Feedback,
+    fed_back: Array,
+    is_free: Array,
     inputs: list[str],
     outputs: list[str],
     settings: SpectrumSettings,
 ) -> list[dict[str, Any]]:
-    """Return the rows of all outputs and inputs in a band."""
+    """Return the rows of all outputs and inputs in a band.
+
+    ``fed_back`` (q,) and ``is_free`` (q, outputs) are as of `Feedback`.
+    """
     S = spectra.cross[band].mean(axis=0)
-    n_averages = spectra.n_windows * _independent_bins(len(band)) - len(inputs) + 1
     q = len(inputs)
+    n_averages = spectra.n_windows * _independent_bins(len(band)) - q + 1
+    frequency = 2 * np.pi * float(spectra.frequency[band].mean())
     rows = []
-    for j, output in enumerate(outputs, start=q):
-        floor = _noise(spectra, j, settings)
-        response = _solved(S[:q, :q], S[:q, j])
+    for j, output in enumerate(outputs):
+        noise = _noise(spectra, q + j, settings)
         for i, name in enumerate(inputs):
-            conditioned = _conditioned(S, i, j, q)
-            S_ii, S_yy = np.maximum(np.diag(conditioned).real, np.finfo(float).tiny)
-            coherence = min(float(abs(conditioned[0, 1]) ** 2 / (S_ii * S_yy)), 1.0)
-            error = np.inf
-            if coherence > 0 and n_averages > 0:
-                averaged = 1.0 / n_averages + feedback.part[i]
-                error = float(np.sqrt((1.0 - coherence) / (2.0 * coherence) * averaged))
-            H = response[i]
-            is_sure = coherence >= settings.coherence and error <= settings.error
-            is_large = abs(H) ** 2 * S_ii > settings.excited * floor
-            rows.append(
-                {
-                    "output": output,
-                    "input": name,
-                    "frequency": 2 * np.pi * float(spectra.frequency[band].mean()),
-                    "gain": _decibels(H),
-                    "phase": float(np.rad2deg(np.angle(H))),
-                    "gain_std": 20.0 / np.log(10.0) * error,
-                    "phase_std": float(np.rad2deg(error)),
-                    "coherence": coherence,
-                    "excited": is_sure and is_large and bool(feedback.is_free[i, j - q]),
-                }
-            )
+            response = _estimated_response(S, i, q + j, q, n_averages, fed_back[i])
+            is_excited = _is_excited(response, noise, settings) and bool(is_free[i, j])
+            names = {"output": output, "input": name, "frequency": frequency}
+            rows.append(names | _columns(response) | {"excited": is_excited})
     return rows
+
+
+def _estimated_response(
+    S: Matrix, i: int, j: int, q: int, n_averages: float, fed_back: float
+) -> _Response:
+    """Return the response of channel j to input i, one of q, by the spectra S of a band.
+
+    ``n_averages`` is n_d - q + 1, ``fed_back`` the fraction f of the power of the input.
+    """
+    H = _solved(S[:q, :q], S[:q, j])[i]
+    conditioned = _conditioned(S, i, j, q)
+    S_ii, S_yy = np.maximum(np.diag(conditioned).real, np.finfo(float).tiny)
+    coherence = min(float(abs(conditioned[0, 1]) ** 2 / (S_ii * S_yy)), 1.0)
+    error = np.inf
+    if coherence > 0 and n_averages > 0:
+        averaged = 1.0 / n_averages + fed_back
+        error = float(np.sqrt((1.0 - coherence) / (2.0 * coherence) * averaged))
+    return _Response(H, coherence, error, abs(H) ** 2 * S_ii)
+
+
+def _is_excited(response: _Response, noise: float, settings: SpectrumSettings) -> bool:
+    """Return whether coherence, error, and power over the noise of the output suffice."""
+    is_sure = response.coherence >= settings.coherence and response.error <= settings.error
+    return bool(is_sure and response.power > settings.excited * noise)
+
+
+def _columns(response: _Response) -> dict[str, float]:
+    """Return the columns of a response, in decibels and degrees."""
+    return {
+        "gain": _decibels(response.H),
+        "phase": float(np.rad2deg(np.angle(response.H))),
+        "gain_std": 20.0 / np.log(10.0) * response.error,
+        "phase_std": float(np.rad2deg(response.error)),
+        "coherence": response.coherence,
+    }
 
 
 def _conditioned(S: Array, i: int, j: int, q: int) -> Array:

@@ -43,7 +43,7 @@ class PathsAir(NamedTuple):
 
     air: AirAt
     drift: Drift | None  #: Of the coefficients
-    sentence: str  #: On the gusts
+    text: str  #: On the gusts
 
 
 def paths_air(
@@ -56,13 +56,13 @@ def paths_air(
     random_state: Any,
 ) -> PathsAir:
     """Return the gusts and the drift that paths from states (n_starts, 13) meet, besides the ``air``."""
-    met, sentence = met_turbulence(described, air, motion, states)
+    met, text = met_turbulence(described, air, motion, states)
     drift = None
     if described.drift:
         drift = drift_in(met, motion, float(airspeeds(states, air).mean()))
     if met is not None and np.any(met.intensity):
         air = gusty_air(described, met, air, motion, clock, states, n_paths, random_state)
-    return PathsAir(air, drift, sentence)
+    return PathsAir(air, drift, text)
 
 
 def met_turbulence(

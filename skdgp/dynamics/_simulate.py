@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,7 +14,7 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import SPECIFIC_FORCE
 from skdgp._flight.checks import check_number
 from skdgp.dynamics._aerodynamics import Aerodynamics
-from skdgp.dynamics._air import Air, as_air
+from skdgp.dynamics._air import Air, AirAt, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._inputs import (
@@ -26,9 +26,14 @@ from skdgp.dynamics._inputs import (
 )
 from skdgp.dynamics._integrate import FLYING, channels, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
-from skdgp.dynamics._path_air import paths_air
+from skdgp.dynamics._path_air import PathsAir, paths_air
 from skdgp.dynamics._starts import UncertainStart, as_starts, initial_states, perturbed
-from skdgp.dynamics._trajectories import beyond, farthest_beyond, trajectory_table, warn_of
+from skdgp.dynamics._trajectories import (
+    farthest_beyond,
+    farthest_regressor,
+    trajectory_table,
+    warn_of,
+)
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._turbulence import Turbulence
 
@@ -131,40 +136,68 @@ def simulate(
     >>> flown[["time", "airspeed", "altitude"]].iloc[-1].round(1).to_dict()
     {'time': 10.0, 'airspeed': 11.2, 'altitude': 90.8}
     """
-    described = as_air(air)
-    motion = Motion(model, aircraft, thrust=thrust, air=described)
+    given_air = as_air(air)
+    motion = Motion(model, aircraft, thrust=thrust, air=given_air)
     start_std = None
     if isinstance(x0, UncertainStart):
         x0, start_std = x0
     starts = as_starts(x0)
-    clock = StepClock.of(dt, duration, tables_of(controls, described.wind))
+    clock = StepClock.of(dt, duration, tables_of(controls, given_air.wind))
     warn_of_clocks(starts, controls, clock.dt)
-    local = wind_schedule(described.wind, clock, len(starts))
+    air_schedule = wind_schedule(given_air.wind, clock, len(starts))
     names = {*motion.inputs, *PROPULSION}
     commands = control_schedule(controls, clock, names, len(starts))
-    states = initial_states(starts, partial(local, 0))
-    drifts = None
-    sentence = ""
+    states = initial_states(starts, partial(air_schedule, 0))
     if n_paths is None:
-        _check_single(described, start_std)
-        if len(states) == 1:
-            states = states[0]
+        _check_single(given_air, start_std)
+        flight = _mean_flight(motion, air_schedule, states)
     else:
-        met = paths_air(described, local, motion, clock, states, n_paths, random_state)
-        local, drift, sentence = met
-        drawn = drawn_functions(motion, n_paths, random_state, rounded=True)
-        motion = motion.with_aerodynamics(drawn)
-        states = perturbed(states, start_std, n_paths, random_state)
-        if drift is not None:
-            drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
-    record = fly_record(motion, commands, local, clock, states, drifts)
-    farthest = farthest_beyond(motion, record.regressors)
-    warn_of(record, motion, farthest)
-    firsts = [float(table["time"].iloc[0]) for table in tables_of(controls)]
-    first_times = np.broadcast_to(firsts or 0.0, len(starts))
-    table = trajectory_table(record, motion, farthest, first_times)
-    table.attrs["air"] = sentence
+        path_air = paths_air(given_air, air_schedule, motion, clock, states, n_paths, random_state)
+        flight = _drawn_flights(motion, path_air, clock, states, start_std, n_paths, random_state)
+    record = fly_record(
+        flight.motion, commands, flight.air_schedule, clock, flight.states, flight.drifts
+    )
+    farthest = farthest_beyond(flight.motion, record.regressors)
+    warn_of(record, flight.motion, farthest)
+    table_times = [float(table["time"].iloc[0]) for table in tables_of(controls)]
+    first_times = np.broadcast_to(table_times or 0.0, len(starts))
+    table = trajectory_table(record, flight.motion, farthest, first_times)
+    table.attrs["air"] = flight.air_text
     return table
+
+
+class _Flight(NamedTuple):
+    """What is flown in a simulation."""
+
+    motion: Motion
+    air_schedule: AirAt
+    states: Array  #: At the start, (..., 13)
+    drifts: Array | None = None  #: Added to the coefficients, (n_stages, ..., 6)
+    air_text: str = ""  #: On the gusts
+
+
+def _mean_flight(motion: Motion, air_schedule: AirAt, states: Array) -> _Flight:
+    """Return the flight of the mean of the model, whose single start has no axis."""
+    return _Flight(motion, air_schedule, states[0] if len(states) == 1 else states)
+
+
+def _drawn_flights(
+    motion: Motion,
+    path_air: PathsAir,
+    clock: StepClock,
+    states: Array,
+    start_std: Mapping[str, float] | None,
+    n_paths: int,
+    random_state: Seed,
+) -> _Flight:
+    """Return the flights of functions drawn from the posterior, from states (n_starts, 13)."""
+    drawn = drawn_functions(motion, n_paths, random_state, rounded=True)
+    states = perturbed(states, start_std, n_paths, random_state)
+    drifts = None
+    if path_air.drift is not None:
+        drifts = path_air.drift.draw(clock.stages, states.shape[:-1], random_state)
+    motion = motion.with_aerodynamics(drawn)
+    return _Flight(motion, path_air.air, states, drifts, path_air.text)
 
 
 def _check_single(air: Air, start_std: Mapping[str, float] | None) -> None:
@@ -320,7 +353,7 @@ class Simulator:
         )
         self._steps += 1
         self.ended = record.ended[0]
-        self.beyond = beyond(self.motion, record.regressors[-1])[0]
+        self.beyond = farthest_regressor(self.motion, record.regressors[-1])[0]
         if not self.ended:
             self._state = record.states[-1]
             self._specific_force = record.specific_force[-1, 0]

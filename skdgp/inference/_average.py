@@ -57,20 +57,27 @@ class AverageSettings:
 SETTINGS = AverageSettings()
 
 
-def moments(mixture: Matrix, values: Any, return_variance: bool = False) -> Any:
-    r"""Return the mean and, with ``return_variance``, the variance of a mixture with weights (K, P).
+def mixture_mean(mixture: Matrix, means: Any) -> Array:
+    r"""Return the mean (n, P, ...) of a mixture with weights (K, P) of components with ``means`` (K, n, P, ...)."""
+    means = np.asarray(means)
+    return np.sum(_broadcast(mixture, means) * means, axis=0)
 
-    ``values`` are the means :math:`m_k` (n, P, ...) of the components, with ``return_variance``
-    pairs of these and the variances :math:`v_k`: :math:`m = \sum_k w_k m_k` and
-    :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
+
+def mixture_moments(mixture: Matrix, moments: Any) -> tuple[Matrix, Matrix]:
+    r"""Return the mean and the variance of a mixture with weights (K, P), (n, P) each.
+
+    ``moments`` are pairs of the means :math:`m_k` and the variances :math:`v_k` of the components:
+    :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
     """
-    means = np.asarray([value[0] for value in values] if return_variance else values)
-    weights = mixture.reshape(len(means), 1, -1, *(1,) * (means.ndim - 3))
-    mean = np.sum(weights * means, axis=0)
-    if not return_variance:
-        return mean
-    variances = np.asarray([value[1] for value in values])
-    return mean, np.sum(weights * (variances + (means - mean) ** 2), axis=0)
+    means, variances = (np.asarray(values) for values in zip(*moments, strict=True))
+    mean = mixture_mean(mixture, means)
+    scatter = variances + (means - mean) ** 2
+    return mean, np.sum(_broadcast(mixture, means) * scatter, axis=0)
+
+
+def _broadcast(mixture: Matrix, means: Array) -> Array:
+    """Return weights (K, P) in the shape of means (K, n, P, ...)."""
+    return mixture.reshape(len(means), 1, -1, *(1,) * (means.ndim - 3))
 
 
 def parts_of(kernel: MultiOutputKernel) -> list[tuple[int, ...]]:
@@ -103,7 +110,7 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
 
 
 class AveragePosterior(Posterior):
-    """A mixture of posteriors, its components, with weights for each output (``moments``).
+    """A mixture of posteriors, its components, with weights for each output (``mixture_moments``).
 
     Each posterior of all terms is followed by the posteriors of its parts, with the same
     hyperparameters. Another posterior of all terms is of another structure.
@@ -147,16 +154,19 @@ class AveragePosterior(Posterior):
             with one_blas_thread():
                 return self.mean_function.each(np.asarray(Xs)[None])[0]
         predictions = [member.predict(Xs, return_variance) for member in self.members]
-        return moments(self.mixture, predictions, return_variance)
+        if return_variance:
+            return mixture_moments(self.mixture, predictions)
+        return mixture_mean(self.mixture, predictions)
 
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
         """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
-        return moments(self.mixture, [member.gradient(Xs, spread) for member in self.members])
+        slopes = [member.gradient(Xs, spread) for member in self.members]
+        return mixture_mean(self.mixture, slopes)
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint covariance of the mixture at Xs, (P n, P n), output-major."""
         means = np.array([member.predict(Xs) for member in self.members])
-        off = means - moments(self.mixture, means)
+        off = means - mixture_mean(self.mixture, means)
         ends = np.cumsum(self.mixture, axis=0)
         starts = ends - self.mixture
         first = np.maximum(starts[:, None, :, None], starts[None, :, None, :])
@@ -337,7 +347,7 @@ class CentredTerm:
         self.X = X
         self.mixture = posterior.mixture
         self.terms = [_MemberTerm(member, regressors, X) for member in posterior.members]
-        self.values = moments(self.mixture, [term.values for term in self.terms])
+        self.values = mixture_mean(self.mixture, [term.values for term in self.terms])
         self._errors = None
         if isinstance(posterior, PosteriorWithErrors):
             self._errors = posterior.errors.of_term(regressors)
@@ -345,7 +355,7 @@ class CentredTerm:
     def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
         """Return the mean and the variance at X (n, d), (n, P) each."""
         of_terms = [term.predict(X) for term in self.terms]
-        mean, variance = moments(self.mixture, of_terms, return_variance=True)
+        mean, variance = mixture_moments(self.mixture, of_terms)
         if self._errors is None:
             return mean, variance
         return mean, variance + self._errors.change_variance(X, self.X)

@@ -34,6 +34,8 @@ def drawn_functions(
     draws = separate_generator(random_state, 6).standard_normal((n_paths, len(deviations)))
     relative = relative_errors(deviations, motion.regressors)
     of_coefficients = relative[:, :, 0]
+    # the slope of (1 + a) C((1 + b) x) has the relative error a + b to first order, so b is the
+    # difference; it is the same for all coefficients, so the first one gives it
     of_regressors = relative[:, 0, 1:] - relative[:, 0, :1]
     factor = 1.0 + draws @ of_coefficients  # (n_paths, 6)
     stretch = 1.0 + draws @ of_regressors  # (n_paths, d)
@@ -42,6 +44,8 @@ def drawn_functions(
     slope = added[:, :, 1:]  # (n_paths, 6, d)
     mean = mean_regressors(model)
 
+    # as `Aerodynamics` calls its functions: X (n_paths, n, d); ``paths.gradient`` also has slopes by
+    # differences, where the paths have none of their own
     def values(X: Array) -> Array:
         scaled = paths.function(X * stretch[:, None]) * factor[:, None]
         return scaled + offset + (X - mean) @ slope.mT

@@ -4,7 +4,7 @@ In the order of the computation: `jacobian` combines the slopes of mechanics and
 `Mechanics` are the equations of motion as one function of state, inputs and coefficients, whose
 slopes are differences; `_with_servos` puts the servos before the controls, and cuts A, B, C and D.
 
-A ``state`` (..., 13) is as of `STATE_NAMES`, with a quaternion; x (..., 12) are `STATES`, with Euler
+A ``state`` (..., 13) is as of `STATE_NAMES`, with a quaternion; x (..., 12) are `LINEAR_STATES`, with Euler
 angles; u (..., k) the inputs, z = (x, u), and C (..., 6) the coefficients.
 """
 
@@ -42,10 +42,10 @@ from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import UnsteadyTerms, std_of_biases, unsteady_terms
 
 # States of a linear model, with Euler angles in place of the quaternion of `STATE_NAMES`
-STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
+LINEAR_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
 OUTPUTS = (*AIR_DATA, *SPECIFIC_FORCE)
 AIR_ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
-EULER_ANGLES = slice(6, 9)  # Places of phi, theta, psi in `STATES`
+EULER_ANGLES = slice(6, 9)  # Places of phi, theta, psi in `LINEAR_STATES`
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class DifferenceSteps:
     fraction: float = 1e-3
 
 
-STEPS = DifferenceSteps()
+DIFFERENCE_STEPS = DifferenceSteps()
 
 
 class Matrices(NamedTuple):
@@ -215,7 +215,7 @@ def linearize(
         paths = _matrices(drawn, np.tile(state, (n_paths, 1)), controls, inputs, unsteady)
     surfaces = Servos.of(motion).surfaces
     positions = [f"{name}_position" for name in inputs if name in surfaces]
-    names = [*STATES, *positions]
+    names = [*LINEAR_STATES, *positions]
     outputs = [*names, *OUTPUTS]
     return LinearModel(
         A=pd.DataFrame(mean.A, names, names),
@@ -277,7 +277,7 @@ def jacobian(
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
-        angle_rates = H_z[..., AIR_ANGLES, : len(STATES)] @ (F_z + F_C @ C_z)
+        angle_rates = H_z[..., AIR_ANGLES, : len(LINEAR_STATES)] @ (F_z + F_C @ C_z)
         C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
     x_dot_z = F_z + F_C @ C_z
     y_z = H_z + H_C @ C_z
@@ -294,7 +294,7 @@ class Mechanics:
 
     def __call__(self, zC: Array) -> Array:
         """Return F, G and H as one vector, of (x, u, C) (..., 12 + k + 6)."""
-        x, u, C = np.split(zC, [len(STATES), len(STATES) + len(self.inputs)], axis=-1)
+        x, u, C = np.split(zC, [len(LINEAR_STATES), len(LINEAR_STATES) + len(self.inputs)], axis=-1)
         controls = {**self.controls, **by_name(self.inputs, u)}
         now = self.motion.at(_with_quaternion(x), controls, coefficients=C)
         F = _x_dot(x, now)
@@ -309,8 +309,8 @@ class Mechanics:
         u = np.broadcast_to(values, (*state.shape[:-1], len(values)))
         zC = np.concatenate([_with_euler_angles(state), u, now.coefficients], axis=-1)
         slopes = central_difference(self, zC, _steps(zC, now.airspeed))
-        by_z, by_C = np.split(slopes, [len(STATES) + len(self.inputs)], axis=-1)
-        ends = [len(STATES), len(STATES) + len(self.motion.regressors)]
+        by_z, by_C = np.split(slopes, [len(LINEAR_STATES) + len(self.inputs)], axis=-1)
+        ends = [len(LINEAR_STATES), len(LINEAR_STATES) + len(self.motion.regressors)]
         return np.split(by_z, ends, axis=-2), np.split(by_C, ends, axis=-2)
 
 
@@ -334,7 +334,7 @@ def _x_dot(x: Array, now: Instant) -> Array:
     return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
 
 
-def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = STEPS) -> Array:
+def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = DIFFERENCE_STEPS) -> Array:
     """Return the steps of the differences by (x, u, C) (..., 12 + k + 6)."""
     steps = np.full(zC.shape, sizes.fraction)
     steps[..., :3] = sizes.position
@@ -351,7 +351,7 @@ def _with_servos(x_dot_z: Array, y_z: Array, inputs: Sequence[str], servos: Serv
     :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
     :math:`E^T \delta + (I - E^T E) u`. Outputs are the states, and then the outputs of the aircraft.
     """
-    n_body = len(STATES)
+    n_body = len(LINEAR_STATES)
     n_inputs = len(inputs)
     E = np.eye(n_inputs)[[name in servos.surfaces for name in inputs]]
     n_states = n_body + len(E)

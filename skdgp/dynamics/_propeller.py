@@ -47,7 +47,7 @@ class UsualPropeller:
     loaded_std: float = 0.35
 
 
-USUAL = UsualPropeller()
+PROPELLER_FIT = UsualPropeller()
 
 
 @dataclass(frozen=True)
@@ -254,17 +254,17 @@ class Propeller:
         (array([7.8, 5.1]), 0.23)
         """
         ratio = check_number("pitch", pitch) / check_number("diameter", diameter)
-        _warn_beyond("diameter", diameter, USUAL.diameters)
-        _warn_beyond("pitch / diameter", ratio, USUAL.pitch_ratios)
+        _warn_beyond("diameter", diameter, PROPELLER_FIT.diameters)
+        _warn_beyond("pitch / diameter", ratio, PROPELLER_FIT.pitch_ratios)
         speed_range = None
-        std = USUAL.std
+        std = PROPELLER_FIT.std
         if motor_constant is not None or voltage is not None:
             constant = check_number("motor_constant", motor_constant, unit="rad/s/V")
             unloaded = constant * check_number("voltage", voltage, unit="V")
-            speed_range = (0.0, USUAL.loaded_speed * unloaded)
-            std = round(float(np.hypot(USUAL.std, USUAL.loaded_std)), 2)
-        thrust = (np.array(USUAL.thrust) @ [1.0, ratio]).tolist()
-        torque = (np.array(USUAL.torque) @ [1.0, ratio]).tolist()
+            speed_range = (0.0, PROPELLER_FIT.loaded_speed * unloaded)
+            std = round(float(np.hypot(PROPELLER_FIT.std, PROPELLER_FIT.loaded_std)), 2)
+        thrust = (np.array(PROPELLER_FIT.thrust) @ [1.0, ratio]).tolist()
+        torque = (np.array(PROPELLER_FIT.torque) @ [1.0, ratio]).tolist()
         return cls(
             diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std
         )

@@ -26,7 +26,7 @@ from skdgp.dynamics._rigid_body import (
 )
 from skdgp.dynamics._starts import table_states
 
-STATES = [*EARTH_VELOCITY, *EULER, *RATES]
+COMPARED_STATES = [*EARTH_VELOCITY, *EULER, *RATES]
 
 
 def replay(
@@ -75,7 +75,7 @@ def replay(
     """
     if not horizon > 0:
         raise ValueError(f"Got horizon={horizon!r}, but expected seconds > 0.")
-    flights = check_flight(flight, ["airspeed", "density", *STATES])
+    flights = check_flight(flight, ["airspeed", "density", *COMPARED_STATES])
     time = flights.time
     measured = table_states(flight)
     _check_coefficients(coefficients, len(flight))
@@ -123,7 +123,7 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -
     table = flight[[name for name in ("time", "flight") if name in flight]].astype({"time": float})
     table["horizon"] = horizon
     measured = [name for name in POSITION if name in flight]
-    for name in ("window", "elapsed", *measured, *STATES):
+    for name in ("window", "elapsed", *measured, *COMPARED_STATES):
         values = np.full(len(flight), -1 if name == "window" else np.nan)
         # a row that two windows share shows the end of the first
         values[rows[0]] = columns[name][0]

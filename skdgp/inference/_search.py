@@ -1,11 +1,12 @@
 """The search for hyperparameters, in stages.
 
-1. Each output alone (``separate``).
-2. All outputs, with widths that they share.
-3. All hyperparameters.
-4. The noise alone, if stage 3 neglected correlations between outputs.
+1. Each output alone (``outputs_alone``).
+2. All outputs, with widths that they share (``_shared_widths``).
+3. All hyperparameters (``_all_hyperparameters``, ``_with_input_noise``).
+4. The noise alone, if stage 3 neglected correlations between outputs (``_noise_alone``).
 
-Stages 2 to 4 learn from ``some_rows``. Each stage is a call of ``climb``, which maximises one
+Stages 2 to 4, ``from_one_start``, learn from ``some_rows``. Of several structures a short trial
+leaves the promising ones (``_StructureTrial``). Each stage is a call of ``climb``, which maximises one
 likelihood from one starting point by ``maximize``. Stage 3 of rows that are no time series learns
 from batches, whose likelihoods add up, and goes on where a test finds ``missed_effects``.
 """
@@ -24,7 +25,7 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, constant_columns, keep_freed_memory, output_scale
 from skdgp._compute.parallel import one_blas_thread, threads_for
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._likelihood import (
     Data,
     coupled_outputs,
@@ -303,76 +304,101 @@ def search(
         return [best_noise(hyperparameters, X, Y, data, known, settings)]
 
     stop = Event()
-    whole = _JointSearch(
+    all_rows = _JointSearch(
         X, Y, known, None, noise, bounds, stop, options, exact, column_scale(X), random_state
     )
-    joint = whole.of_rows(rows)
-    alone = single_output(kernel)
+    joint = all_rows.of_rows(rows)
+    single_kernel = single_output(kernel)
     shift = None
-    if alone is not None and not kernel.has_values():
-        fits = whole.separate(alone)
-        singles = [fit.kernel for fit in fits]
+    if single_kernel is not None and not kernel.has_values():
+        fits = all_rows.outputs_alone(single_kernel)
+        single_kernels = [fit.kernel for fit in fits]
         noise = np.concatenate([fit.noise for fit in fits])
-        joint = joint._replace(singles=singles, noise=noise)
-        if options.shifts and len(singles) > 1:
-            shift = found_shifts(singles, noise, X, Y)
+        joint = joint._replace(single_kernels=single_kernels, noise=noise)
+        if options.shifts and len(single_kernels) > 1:
+            shift = found_shifts(single_kernels, noise, X, Y)
 
     if len(kernels) == 1:
-        return [joint.likeliest(kernel)]
-    found = _compared(joint, kernels, shift)
+        return [joint.from_all_starts(kernel)]
+    ends = _StructureTrial(joint, kernels).ends(shift)
     if stop.is_set():  # even where it ended the search of another structure
-        found = [each._replace(interrupted=True) for each in found]
-    return found
+        ends = [end._replace(interrupted=True) for end in ends]
+    return ends
 
 
 class _Structure(NamedTuple):
-    """A kernel without values, and what its likelihood pays for the choice of its shifts [nats]."""
+    """A kernel without values that a search compares with others."""
 
     kernel: MultiOutputKernel
-    price: float = 0.0
+    is_richest: bool = False  #: Of those without shifts
+    shift_price: float = 0.0  #: What its likelihood pays for the choice of its shifts [nats]
 
 
-def _compared(joint, kernels, shift) -> list[Hyperparameters]:
-    """Return hyperparameters of the kernels that a trial on few values leaves, and of those with shifts (P, d).
+class _StructureTrial:
+    """The search of several structures: a trial on few values, then the promising ones on all.
 
-    The likelihood of all values is taken as proportional to that of few.
+    The likelihood of all values is taken as proportional to the likelihood of few.
     """
-    few = joint.trial()
-    structures = [_Structure(kernel) for kernel in kernels]
-    found: list[Hyperparameters] = []
-    for structure in structures:
-        found.append(few.compared(structure, found))
-    if shift is not None:
-        for kernel, without in zip(kernels, list(found), strict=True):
-            if has_shared_latents(kernel):
-                moved = with_shifts(kernel, shift, few.X)
-                structures.append(_Structure(moved, price_of_shifts(shift)))
-                found.append(few.compared(structures[-1]))
-                if found[-1].score() < without.score():
-                    break
-    if few is joint or joint.stop.is_set():
-        return found
-    batch = joint.n_values / joint.n_batches(joint.n_values)
-    scores = np.array([each.score(batch / few.n_values) for each in found])
-    margin, of_richest = joint.options.settings.trial_margins
-    margins = np.full(len(found), margin)
-    margins[len(kernels) - 1] = of_richest
-    promising = np.flatnonzero(scores > scores.max() - margins)
-    if few.n_values == joint.n_values:
-        return [joint.continued(structures[k], found[k]) for k in promising]
-    learned: list[Hyperparameters] = []
-    for k in promising:
-        learned.append(joint.compared(structures[k], learned))
-    return learned
+
+    def __init__(self, joint: _JointSearch, kernels: Sequence[MultiOutputKernel]) -> None:
+        self.joint = joint
+        self.trial = joint.trial()
+        self.structures = [_Structure(kernel, kernel is kernels[-1]) for kernel in kernels]
+        # where the trials ended
+        self.trial_ends: list[Hyperparameters] = []
+
+    def ends(self, shift: Matrix | None) -> list[Hyperparameters]:
+        """Return hyperparameters of the structures that the trial leaves, and of those with shifts (P, d)."""
+        for structure in self.structures:
+            self.trial_ends.append(self.trial.from_simpler_ends(structure, self.trial_ends))
+        if shift is not None:
+            self._try_shifts(shift)
+        joint = self.joint
+        is_whole_search = self.trial is joint
+        if is_whole_search or joint.stop.is_set():
+            return self.trial_ends
+        has_all_values = self.trial.n_values == joint.n_values
+        ends: list[Hyperparameters] = []
+        for k in self._promising():
+            structure = self.structures[k]
+            if has_all_values:
+                end = joint.from_trial_end(structure, self.trial_ends[k])
+            else:
+                end = joint.from_simpler_ends(structure, ends)
+            ends.append(end)
+        return ends
+
+    def _try_shifts(self, shift: Matrix) -> None:
+        """Add the structures with shifts (P, d), as long as these raise the score."""
+        for structure, without in [*zip(self.structures, self.trial_ends, strict=True)]:
+            if not has_shared_latents(structure.kernel):
+                continue
+            kernel = with_shifts(structure.kernel, shift, self.trial.X)
+            shifted = _Structure(kernel, shift_price=price_of_shifts(shift))
+            end = self.trial.from_simpler_ends(shifted)
+            self.structures.append(shifted)
+            self.trial_ends.append(end)
+            if end.score() < without.score():
+                break
+
+    def _promising(self) -> Indices:
+        """Return the places of the structures whose score is near the best."""
+        n_values = self.joint.n_values
+        times = n_values / self.joint.n_batches(n_values) / self.trial.n_values
+        scores = np.array([end.score(times) for end in self.trial_ends])
+        margin, of_richest = self.joint.options.settings.trial_margins
+        is_richest = [structure.is_richest for structure in self.structures]
+        margins = np.where(is_richest, of_richest, margin)
+        return np.flatnonzero(scores > scores.max() - margins)
 
 
 class _JointSearch(NamedTuple):
-    """Stages 1 to 4: rows of all outputs, the separate fits and their noise, and the bounds of the noise."""
+    """Stages 1 to 4 on some rows, from kernels of the outputs alone and their noise, within bounds of the noise."""
 
     X: Matrix
     Y: Matrix
     known: KnownNoise
-    singles: list[MultiOutputKernel] | None
+    single_kernels: list[MultiOutputKernel] | None
     noise: Vector
     bounds: Matrix
     stop: Event
@@ -397,7 +423,7 @@ class _JointSearch(NamedTuple):
         return self._replace(X=self.X[rows], Y=self.Y[rows], known=self.known.of_rows(rows))
 
     @one_blas_thread()  # two threads gain nothing on small matrices
-    def separate(self, alone: MultiOutputKernel) -> list[Point]:
+    def outputs_alone(self, kernel: MultiOutputKernel) -> list[Point]:
         """Return fits of a kernel to each output alone (stage 1).
 
         A single output has 1/P of the values, so an evaluation costs 1/P^3 of a joint one.
@@ -411,7 +437,7 @@ class _JointSearch(NamedTuple):
             column = slice(i, i + 1)
             of_output = None if loading is None else loading[rows, column]
             problem = SingleOutput(
-                alone,
+                kernel,
                 Data.from_table(self.X[rows], self.Y[rows, column], of_output),
                 self.noise[column],
                 self.bounds[column],
@@ -425,58 +451,59 @@ class _JointSearch(NamedTuple):
     def trial(self) -> _JointSearch:
         """Return a short search, on few values where there are more.
 
-        Itself where all values are few, and `continued` cannot go on from its end.
+        Itself where all values are few, and `from_trial_end` could not go on from its end.
         """
         settings = self.options.settings
         step = -(-self.n_values // settings.structure_values)
         if step == 1 and (self.options.input_noise or self.options.n_restarts):
             return self
         rows = np.arange(0, len(self.X), step)
-        few = min(self.options.max_iter, settings.structure_iterations)
-        return self.of_rows(rows)._replace(options=replace(self.options, max_iter=few))
+        max_iter = min(self.options.max_iter, settings.structure_iterations)
+        return self.of_rows(rows)._replace(options=replace(self.options, max_iter=max_iter))
 
-    def compared(
-        self, structure: _Structure, simpler: Sequence[Hyperparameters] = ()
+    def from_simpler_ends(
+        self, structure: _Structure, simpler_ends: Sequence[Hyperparameters] = ()
     ) -> Hyperparameters:
-        """Return the hyperparameters of a structure, with its price.
+        """Return the hyperparameters of a structure, with its price, from all starts.
 
-        It is searched again from the ends of simpler ones that it contains and that are not much
-        worse, and the best score counts.
+        These are its own, and the ends of simpler structures that it contains and that are not much
+        worse. The best score counts.
         """
-        best = self._priced(structure, self.likeliest(structure.kernel))
+        kernel = structure.kernel
+        best = self._priced(structure, self.from_all_starts(kernel))
         _, margin = self.options.settings.trial_margins
-        for each in simpler:
-            is_promising = each.score() > best.score() - margin
-            if contains(structure.kernel, each.kernel) and is_promising and not self.stop.is_set():
-                other = self._priced(structure, self.learned(structure.kernel, each))
+        for simpler in simpler_ends:
+            is_promising = simpler.score() > best.score() - margin
+            if contains(kernel, simpler.kernel) and is_promising and not self.stop.is_set():
+                other = self._priced(structure, self.from_one_start(kernel, simpler))
                 if other.score() > best.score():
                     best = other
         return best._replace(interrupted=self.stop.is_set())
 
-    def continued(self, structure: _Structure, trial: Hyperparameters) -> Hyperparameters:
+    def from_trial_end(self, structure: _Structure, trial: Hyperparameters) -> Hyperparameters:
         """Return the hyperparameters of a structure, from where a trial on the same values ended, with its price."""
         n_left = self.options.max_iter - trial.n_iter
         if n_left < 1:
             return trial
         data = Data.from_table(self.X, self.Y, self.known.loading)
-        learned = self._converging(trial.kernel, trial.noise, self.bounds, data, n_left)
+        learned = self._converged(trial.kernel, trial.noise, self.bounds, data, n_left)
         learned = learned._replace(n_iter=trial.n_iter + learned.n_iter)
         return self._priced(structure, learned)
 
-    def _priced(self, structure, learned):
+    def _priced(self, structure: _Structure, learned: Hyperparameters) -> Hyperparameters:
         """Return hyperparameters with the price of their structure."""
         price = min(
             n_mattering(learned.kernel, self.X), self.options.settings.most_price * self.n_values
         )
-        return learned._replace(price=price + structure.price)
+        return learned._replace(price=price + structure.shift_price)
 
-    def likeliest(self, kernel: MultiOutputKernel) -> Hyperparameters:
-        """Return the hyperparameters of a kernel with the largest likelihood, of all starts."""
-        best = self.learned(kernel)
+    def from_all_starts(self, kernel: MultiOutputKernel) -> Hyperparameters:
+        """Return the hyperparameters of a kernel with the largest likelihood, from its own start and random ones."""
+        best = self.from_one_start(kernel)
         for _ in range(self.options.n_restarts):
             if self.stop.is_set():
                 break
-            other = self.learned(self._redrawn(kernel))
+            other = self.from_one_start(self._redrawn(kernel))
             if other.log_likelihood > best.log_likelihood:
                 best = other
         return best._replace(interrupted=self.stop.is_set())
@@ -488,39 +515,55 @@ class _JointSearch(NamedTuple):
         start = self._start(kernel)
         return start.clone_with_theta(self.random_state.uniform(*start.bounds.T))
 
-    def learned(
+    def from_one_start(
         self, kernel: MultiOutputKernel, simpler: Hyperparameters | None = None
     ) -> Hyperparameters:
-        """Return the hyperparameters of a kernel from one start, that of the data or a simpler kernel's end."""
+        """Return the hyperparameters of a kernel from its own start, or a simpler kernel's end (stages 2 to 4)."""
         options = self.options
         data = Data.from_table(self.X, self.Y, self.known.loading)
         start = self._start(kernel)
         shared = self._start(coarse(kernel))
-
-        # Stage 2. From shared widths, stage 3 needs few iterations, and ends at optima that predict
-        # better than those reached from arbitrary widths. Few values show them, unless slopes of this
-        # fit propagate noise of the regressors (example flights, four seeds: errors 7 % larger).
+        # few values show shared widths, unless slopes of stage 2 propagate noise of the regressors
+        # (example flights, four seeds: errors 7 % larger)
         step = 1 if options.input_noise else -(-data.n_values // options.settings.coarse_values)
         if shared.n_dims == start.n_dims and step == 1 and not options.input_noise:
-            return self._all_learned(kernel, start, self.noise, data, 0)
-        half = min(-(-options.max_iter // 2), options.max_iter - 1)  # stage 3 has at least one
-        few = data.every(step)
-        noise = self.noise
-        if simpler is not None:
-            shared = from_simpler(shared, simpler.kernel)
-            noise = simpler.noise
-        shared, noise, end = self._climb(shared, noise, self.bounds, few, half)
+            return self._all_hyperparameters(kernel, start, self.noise, data, 0)
+        stage_2 = self._shared_widths(shared, data.every(step), simpler)
+        shared, noise, end = stage_2
         start = from_coarse(kernel, start, shared)
         if options.input_noise:
-            noisy = self._learned_with_input_noise(shared, start, noise, data, end)
+            noisy = self._with_input_noise(start, data, stage_2)
             if noisy is not None:
                 return noisy
-        return self._all_learned(kernel, start, noise, data, end.n_iter)
+        return self._all_hyperparameters(kernel, start, noise, data, end.n_iter)
 
-    def _all_learned(self, kernel, start, noise, data, n_iter) -> Hyperparameters:
+    def _shared_widths(
+        self, start: MultiOutputKernel, data: Data, simpler: Hyperparameters | None
+    ) -> Point:
+        """Return where stage 2 ends, from a kernel whose outputs share widths, or from a simpler kernel's end.
+
+        From shared widths, stage 3 needs few iterations, and ends at optima that predict better than
+        those reached from arbitrary widths.
+        """
+        max_iter = self.options.max_iter
+        half = min(-(-max_iter // 2), max_iter - 1)  # stage 3 has at least one
+        noise = self.noise
+        if simpler is not None:
+            start = from_simpler(start, simpler.kernel)
+            noise = simpler.noise
+        return self._climb(start, noise, self.bounds, data, half)
+
+    def _all_hyperparameters(
+        self,
+        kernel: MultiOutputKernel,
+        start: MultiOutputKernel,
+        noise: Vector,
+        data: Data,
+        n_iter: int,
+    ) -> Hyperparameters:
         """Return all hyperparameters of a ``kernel`` from a start (stage 3), for exact regressors."""
         n_left = self.options.max_iter - n_iter
-        learned = self._converging(start, noise, self.bounds, data, n_left)
+        learned = self._converged(start, noise, self.bounds, data, n_left)
         if not self.options.time_series:
             learned = self._with_missed_effects(kernel, learned, data, n_left)
         return learned._replace(n_iter=n_iter + learned.n_iter)
@@ -535,34 +578,34 @@ class _JointSearch(NamedTuple):
             start = with_effects(kernel, learned.kernel, effects, self.X)
             if np.array_equal(start.theta, learned.kernel.theta):
                 break
-            other = self._converging(start, learned.noise, self.bounds, data, n_iter)
+            other = self._converged(start, learned.noise, self.bounds, data, n_iter)
             rise = other.log_likelihood - learned.log_likelihood
             if rise <= n_mattering(other.kernel, self.X) - n_mattering(learned.kernel, self.X):
                 break
             learned = other._replace(n_iter=learned.n_iter + other.n_iter)
         return learned
 
-    def _learned_with_input_noise(
-        self, shared, start, noise, data, of_exact: Optimum
+    def _with_input_noise(
+        self, start: MultiOutputKernel, data: Data, stage_2: Point
     ) -> Hyperparameters | None:
         """Return all hyperparameters with the noise of the regressors (stages 3 and 4).
 
-        Slopes of the kernel of stage 2, whose end was ``of_exact``, propagate this noise. None:
-        the data show none, as it does not raise the likelihood of exact regressors.
+        Slopes of the kernel of stage 2, which had exact regressors, propagate this noise. None: the
+        data show none, as it does not raise the likelihood of exact regressors.
         """
-        options = self.options
+        shared, noise, exact_regressors = stage_2
         data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
         noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
         bounds = np.concatenate([self.bounds, input_bounds])
-        n_left = options.max_iter - of_exact.n_iter
-        learned = self._converging(start, noise, bounds, data, n_left)
+        n_left = self.options.max_iter - exact_regressors.n_iter
+        learned = self._converged(start, noise, bounds, data, n_left)
         noise = learned.noise
         is_known = self.known.input_std is not None
-        gains = learned.log_likelihood >= of_exact.value
+        gains = learned.log_likelihood >= exact_regressors.value
         if not gains and not is_known and not self.stop.is_set():
             return None
         if not self.exact and not self.stop.is_set():
-            noise = self._noise_from_half(learned.kernel, noise, bounds)
+            noise = self._noise_alone(learned.kernel, noise, bounds)
         P = self.Y.shape[1]
         if is_known:
             input_std = self.known.input_std
@@ -571,11 +614,11 @@ class _JointSearch(NamedTuple):
         return learned._replace(
             noise=noise[:P],
             input_std=input_std,
-            n_iter=of_exact.n_iter + learned.n_iter,
+            n_iter=exact_regressors.n_iter + learned.n_iter,
             interrupted=self.stop.is_set(),
         )
 
-    def _converging(self, start, noise, bounds, data, n_iter) -> Hyperparameters:
+    def _converged(self, start, noise, bounds, data, n_iter) -> Hyperparameters:
         """Return the hyperparameters after so many iterations, or further ones as long as they gain something."""
         point = self._climb(start, noise, bounds, data, n_iter)
         n_done = point.end.n_iter
@@ -628,8 +671,11 @@ class _JointSearch(NamedTuple):
             fall = (held_out_error(*earlier, data, n_blocks) - latest) * n_iter / end.n_since
         return fall <= settings.irrelevant_fall * latest
 
-    def _noise_from_half(self, kernel, noise, bounds):
-        """Return the noise vector learned from every other row; white noise is learned again from all samples."""
+    def _noise_alone(self, kernel, noise, bounds):
+        """Return the noise vector learned from every other row (stage 4).
+
+        White noise is learned again from all samples.
+        """
         settings = self.options.settings
         data = Data.from_table(self.X[::2], self.Y[::2])
         data = Hyperparameters(kernel, noise[: self.Y.shape[1]], self.scale).noisy(data, 1)
@@ -646,7 +692,7 @@ class _JointSearch(NamedTuple):
         return point.noise
 
     def _start(self, kernel):
-        return starting_kernel(kernel, self.X, self.Y, self.random_state, self.singles)
+        return starting_kernel(kernel, self.X, self.Y, self.random_state, self.single_kernels)
 
     def _climb(self, start, noise, bounds, data, max_iter) -> Point:
         """Return the best kernel and noise found from a start."""

@@ -69,7 +69,7 @@ def mixture_moments(mixture: Matrix, moments: Any) -> tuple[Matrix, Matrix]:
     ``moments`` are pairs of the means :math:`m_k` and the variances :math:`v_k` of the components:
     :math:`m = \sum_k w_k m_k` and :math:`v = \sum_k w_k (v_k + (m_k - m)^2)`.
     """
-    means, variances = (np.asarray(values) for values in zip(*moments, strict=True))
+    means, variances = map(np.asarray, zip(*moments, strict=True))
     mean = mixture_mean(mixture, means)
     scatter = variances + (means - mean) ** 2
     return mean, np.sum(_broadcast(mixture, means) * scatter, axis=0)
@@ -154,9 +154,8 @@ class AveragePosterior(Posterior):
             with one_blas_thread():
                 return self.mean_function.each(np.asarray(Xs)[None])[0]
         predictions = [member.predict(Xs, return_variance) for member in self.members]
-        if return_variance:
-            return mixture_moments(self.mixture, predictions)
-        return mixture_mean(self.mixture, predictions)
+        combined = mixture_moments if return_variance else mixture_mean
+        return combined(self.mixture, predictions)
 
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
         """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""

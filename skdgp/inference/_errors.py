@@ -328,9 +328,9 @@ def _output_series(
     data = posterior.data
     samples = data.sample or [np.arange(len(y)) for y in data.y]
     records = _records(samples, flight)
-    residuals = _residuals(posterior)
-    lasting = max(map(autocorrelation_time, residuals))
-    parts = blocks(records, lasting, settings)
+    means = [posterior.predict(x)[:, i] for i, x in enumerate(data.X)]
+    residuals = list(map(np.subtract, data.y, means))
+    parts = blocks(records, max(map(autocorrelation_time, residuals)), settings)
     series = []
     for x, y, residual, sample in zip(data.X, data.y, residuals, samples, strict=True):
         Q = linear_basis((x - centre) / scale)
@@ -338,15 +338,6 @@ def _output_series(
         of_blocks = [_places(sample, rows) for rows in parts]
         series.append(OutputSeries(Q, y - residual, residual, of_records, of_blocks))
     return series
-
-
-def _residuals(posterior: Posterior) -> list[Vector]:
-    """Return the observed values of each output less the mean, (n_i,)."""
-    data = posterior.data
-    residuals = []
-    for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
-        residuals.append(y - posterior.predict(x)[:, i])
-    return residuals
 
 
 def correlated_errors(
@@ -374,9 +365,7 @@ def nonlinear_errors(
 
     ``slopes`` (P, d) are the mean's over one standard deviation of the regressors.
     """
-    biases = []
-    for output, of_output in zip(series, slopes, strict=True):
-        biases.append(_nonlinear_bias(output, of_output, settings))
+    biases = [_nonlinear_bias(*pair, settings) for pair in zip(series, slopes, strict=True)]
     return np.stack(biases, axis=-1)[None]
 
 
@@ -412,7 +401,7 @@ def _nonlinear_bias(output: OutputSeries, slopes: Vector, settings: ErrorSetting
 
     The nonlinear part is the mean less its best linear approximation in the terms Q (n, m).
     """
-    Q, mean, residual = output.Q, output.mean, output.residual
+    Q, mean, residual, records, _ = output
     line = np.linalg.lstsq(Q, mean, rcond=None)[0]
     nonlinear = mean - Q @ line
     size = float(nonlinear.std())
@@ -420,7 +409,7 @@ def _nonlinear_bias(output: OutputSeries, slopes: Vector, settings: ErrorSetting
     if size <= settings.least_nonlinear * residual.std():
         return bias
     terms = np.column_stack([Q, nonlinear / size])
-    change, scatter, is_determined = instrumental_weights(terms, residual, output.records, settings)
+    change, scatter, is_determined = instrumental_weights(terms, residual, records, settings)
     fraction = min(1.0, float(residual.std()) / size)
     if is_determined[-1]:
         beyond_chance = change[-1] ** 2 - np.sum(scatter[:, -1] ** 2)
@@ -549,8 +538,7 @@ def delayed_rows(
     if not long:
         return [], []
     delayed = []
-    for delay in delays:
-        shift = lag * delay
+    for shift in lag * np.array(delays):
         earlier = [rows[first - shift : len(rows) - shift] for rows in long]
         delayed.append(np.concatenate(earlier))
     return [rows[first:] for rows in long], delayed

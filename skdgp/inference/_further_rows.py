@@ -8,7 +8,7 @@ import numpy as np
 
 from skdgp._compute.linalg import column_scale
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.inference._errors import (
     SETTINGS,
     ErrorSettings,
@@ -86,11 +86,13 @@ def expected_errors(
     random = errors.random.copy()
     bias = errors.method.copy()
     for i, (x, noise) in enumerate(zip(X, mean_noise(posterior), strict=True)):
-        narrowing[i] = _narrowing(np.cov(lines[i].T), Q_added, noise, settings)
+        narrowing[i] = _narrowing(np.cov(lines[:, i].T), Q_added, noise, settings)
         Q = linear_basis((x - centre) / scale)
         random[:, 1:, i] *= _least_squares_ratio(Q, Q_added, settings)
+        slopes = bias[:, 1:, i]
+        is_biased = np.any(slopes != 0, axis=0)
         ratio = bias_ratio(x, np.vstack([x, added]), settings)
-        bias[:, 1:, i] = _turned(bias[:, 1:, i], ratio)
+        bias[:, 1:, i] = is_biased * (slopes @ ratio.T)
     discrepancy = errors.discrepancy
     if misfit is not None:
         discrepancy = np.maximum(discrepancy, misfit.expected(1.0 + len(added) / len(longest)))
@@ -99,18 +101,12 @@ def expected_errors(
     return ExpectedErrors(narrowing, later)
 
 
-def _drawn_lines(posterior: Posterior, centre: Vector, scale: Vector) -> list[Matrix]:
-    """Return value and slopes at the centre of drawn functions, (n_paths, 1 + d) for each output."""
+def _drawn_lines(posterior: Posterior, centre: Vector, scale: Vector) -> Array:
+    """Return value and slopes at the centre of drawn functions, (n_paths, P, 1 + d)."""
     paths = posterior.paths(N_PATHS, 0)
     values = paths.each(centre[None, None])[:, 0]
     slopes = paths.slopes(centre[None, None])[:, 0] * scale
-    return [np.column_stack([values[:, i], slopes[:, i]]) for i in range(values.shape[1])]
-
-
-def _turned(biases: Matrix, ratio: Matrix) -> Matrix:
-    """Return biases of slopes (k, d) by other samples; slopes without a bias have none."""
-    is_biased = np.any(biases != 0, axis=0)
-    return is_biased * (biases @ ratio.T)
+    return np.concatenate([values[..., None], slopes], axis=-1)
 
 
 def _narrowing(covariance: Matrix, Q: Matrix, noise: float, settings: ErrorSettings) -> Vector:

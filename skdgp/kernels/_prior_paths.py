@@ -38,22 +38,12 @@ def draw_waves(
     if len(along) == 1:
         n_frequencies = n_frequencies // 4
     filters = kernel.filters.of_regressors(along)
-    P = filters.feeds.shape[1]
     F = max(n_frequencies, int(filters.feeds.sum(axis=1).max()))
     drawn: list[_LatentWaves] = []
     latents: list[int] = []
-    for m, feeds in enumerate(filters.feeds):
-        i = np.flatnonzero(feeds)
-        amplitude = filters.amplitude[m, i]
-        lengths = filters.length_scale[m, i]
-        component = np.arange(F) % len(i)
-        omega = _frequencies(n_paths, component, lengths, random_state)
-        gains = amplitude * _importance_gains(omega, lengths, np.bincount(component))
-        # (g, g') in polar coordinates: its length, and its direction, the phase
-        gains *= random_state.rayleigh(size=(n_paths, F, 1))
-        phase = random_state.uniform(0.0, 2 * np.pi, (n_paths, F))
-        of_latent = _delayed_waves(omega, phase, gains, filters.shift[m, i])
-        drawn += [waves.scattered(i, P) for waves in of_latent]
+    for m in range(len(filters.feeds)):
+        of_latent = _latent_waves(filters, m, n_paths, F, random_state)
+        drawn += of_latent
         latents += [m] * F * len(of_latent)
     omega = np.concatenate([waves.omega for waves in drawn], axis=1)
     phase = np.concatenate([waves.phase for waves in drawn], axis=1)
@@ -74,6 +64,24 @@ class _LatentWaves(NamedTuple):
         gains = np.zeros((*self.phase.shape, n_outputs))
         gains[..., outputs] = self.gains
         return self._replace(gains=gains)
+
+
+def _latent_waves(
+    filters: Filters, m: int, n_paths: int, n_frequencies: int, random_state: Any
+) -> list[_LatentWaves]:
+    """Return the waves of latent m in all outputs; with shifts these are cosines and sines."""
+    feeds = filters.feeds[m]
+    i = np.flatnonzero(feeds)
+    amplitude = filters.amplitude[m, i]
+    lengths = filters.length_scale[m, i]
+    component = np.arange(n_frequencies) % len(i)
+    omega = _frequencies(n_paths, component, lengths, random_state)
+    gains = amplitude * _importance_gains(omega, lengths, np.bincount(component))
+    # (g, g') in polar coordinates: its length, and its direction, the phase
+    gains *= random_state.rayleigh(size=(n_paths, n_frequencies, 1))
+    phase = random_state.uniform(0.0, 2 * np.pi, (n_paths, n_frequencies))
+    waves = _delayed_waves(omega, phase, gains, filters.shift[m, i])
+    return [wave.scattered(i, len(feeds)) for wave in waves]
 
 
 def _importance_gains(omega: Array, lengths: Matrix, counts: Indices) -> Array:

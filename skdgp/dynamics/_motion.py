@@ -68,7 +68,7 @@ FROM_MOTION = (*FROM_STATE, *FROM_LOADS)
 
 @dataclass(frozen=True)
 class FixedPointSettings:
-    """Settings of the fixed point of the implicit regressors (Anderson 1965)."""
+    """Settings of the fixed point of the implicit regressors, which follow from the loads (Anderson 1965)."""
 
     # Largest difference of a regressor between two iterations, over 1 + its size
     tolerance: float = 1e-10
@@ -166,7 +166,7 @@ class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 
     The parameters are as of `skdgp.dynamics.simulate`; of the air, density and gravity count.
-    With ``lagged`` the implicit regressors are the guess passed to `at`, instead of the fixed
+    With ``lagged`` the implicit regressors are the guess given to `at`, instead of the fixed
     point. Above a ``ground`` its loads count too, at one state (13,) at a time.
 
     Attributes
@@ -277,14 +277,14 @@ class Motion:
         state: Array,
         controls: Mapping,
         air: LocalAir | None = None,
-        implicit: Array | None = None,
+        guess: Array | None = None,
         drift: Array | float = 0.0,
         coefficients: Array | None = None,
         tangent: Tangent | None = None,
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
-        ``implicit`` (..., 8) is a guess of the channels of `FROM_LOADS`, best from the last call.
+        ``guess`` (..., 8) starts the search for the channels of `FROM_LOADS`, best from the last call.
         ``drift`` (..., 6) is added to the coefficients. Given ``coefficients`` (..., 6) take the
         place of the model's, a ``tangent`` takes the place of the model.
         """
@@ -309,7 +309,8 @@ class Motion:
 
         if not self._implicit_places:
             return loaded()
-        guess = np.zeros((*state.shape[:-1], len(FROM_LOADS))) if implicit is None else implicit
+        if guess is None:
+            guess = np.zeros((*state.shape[:-1], len(FROM_LOADS)))
         return loaded_by(guess) if self.lagged else self._fixed_point(loaded_by, guess)
 
     def _fixed_point(self, loaded_by: Callable[[Array], Instant], guess: Array) -> Instant:

@@ -27,10 +27,15 @@ class Servos(NamedTuple):
     def deflected(
         self, commands: Mapping, elapsed: float, first: Mapping, begun: Mapping
     ) -> dict[str, Array]:
-        """Return the controls, with the deflections of the surfaces, ``elapsed`` [s] after a step began.
+        r"""Return the controls, with the deflections of the surfaces, ``elapsed`` [s] after a step began.
 
         Commands were ``first`` then, and are linear since; ``begun`` are the deflections then, by
-        default the commands.
+        default the commands:
+
+        .. math:: \delta(t) = c(t) - T \dot c + (\delta_0 - c_0 + T \dot c) \, e^{-t / T}.
+
+        `skdgp.estimation` has the same solution as a filter of whole time series, whose rounding
+        differs.
         """
         controls = dict(commands)
         decay = np.exp(-elapsed / self.lag) if self.surfaces else 0.0

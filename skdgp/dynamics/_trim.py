@@ -425,7 +425,7 @@ class SteadyFlight:
         from_loads = np.zeros((*x.shape[:-1], len(FROM_LOADS)))
         from_loads[..., 5:] = cross(rates, velocity) - self.motion.gravity * vertical
         controls = {name: flight[name] for name in self.controls}
-        return flight, state, self.motion.at(state, controls, implicit=from_loads)
+        return flight, state, self.motion.at(state, controls, guess=from_loads)
 
     def residual(self, x: Array, airspeed: float) -> Array:
         """Return the six accelerations, and the error of the path's slope, (..., 7)."""

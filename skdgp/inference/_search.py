@@ -486,7 +486,7 @@ class _JointSearch(NamedTuple):
         if n_left < 1:
             return trial
         data = Data.from_table(self.X, self.Y, self.known.loading)
-        learned = self._converged(trial.kernel, trial.noise, self.bounds, data, n_left)
+        learned = self._until_converged(trial.kernel, trial.noise, self.bounds, data, n_left)
         learned = learned._replace(n_iter=trial.n_iter + learned.n_iter)
         return self._priced(structure, learned)
 
@@ -563,7 +563,7 @@ class _JointSearch(NamedTuple):
     ) -> Hyperparameters:
         """Return all hyperparameters of a ``kernel`` from a start (stage 3), for exact regressors."""
         n_left = self.options.max_iter - n_iter
-        learned = self._converged(start, noise, self.bounds, data, n_left)
+        learned = self._until_converged(start, noise, self.bounds, data, n_left)
         if not self.options.time_series:
             learned = self._with_missed_effects(kernel, learned, data, n_left)
         return learned._replace(n_iter=n_iter + learned.n_iter)
@@ -578,7 +578,7 @@ class _JointSearch(NamedTuple):
             start = with_effects(kernel, learned.kernel, effects, self.X)
             if np.array_equal(start.theta, learned.kernel.theta):
                 break
-            other = self._converged(start, learned.noise, self.bounds, data, n_iter)
+            other = self._until_converged(start, learned.noise, self.bounds, data, n_iter)
             rise = other.log_likelihood - learned.log_likelihood
             if rise <= n_mattering(other.kernel, self.X) - n_mattering(learned.kernel, self.X):
                 break
@@ -593,15 +593,15 @@ class _JointSearch(NamedTuple):
         Slopes of the kernel of stage 2, which had exact regressors, propagate this noise. None: the
         data show none, as it does not raise the likelihood of exact regressors.
         """
-        shared, noise, exact_regressors = stage_2
+        shared, noise, exact_end = stage_2
         data = Hyperparameters(shared, noise, self.scale).noisy(data, 1).with_loadings()
         noise, input_bounds = initial_input_noise(noise, data, self.scale, self.known)
         bounds = np.concatenate([self.bounds, input_bounds])
-        n_left = self.options.max_iter - exact_regressors.n_iter
-        learned = self._converged(start, noise, bounds, data, n_left)
+        n_left = self.options.max_iter - exact_end.n_iter
+        learned = self._until_converged(start, noise, bounds, data, n_left)
         noise = learned.noise
         is_known = self.known.input_std is not None
-        gains = learned.log_likelihood >= exact_regressors.value
+        gains = learned.log_likelihood >= exact_end.value
         if not gains and not is_known and not self.stop.is_set():
             return None
         if not self.exact and not self.stop.is_set():
@@ -614,11 +614,11 @@ class _JointSearch(NamedTuple):
         return learned._replace(
             noise=noise[:P],
             input_std=input_std,
-            n_iter=exact_regressors.n_iter + learned.n_iter,
+            n_iter=exact_end.n_iter + learned.n_iter,
             interrupted=self.stop.is_set(),
         )
 
-    def _converged(self, start, noise, bounds, data, n_iter) -> Hyperparameters:
+    def _until_converged(self, start, noise, bounds, data, n_iter) -> Hyperparameters:
         """Return the hyperparameters after so many iterations, or further ones as long as they gain something."""
         point = self._climb(start, noise, bounds, data, n_iter)
         n_done = point.end.n_iter

@@ -10,7 +10,7 @@ import numpy as np
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import SENSOR_GUST, VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
-from skdgp.estimation._air_linearization import LEARNED_BIASES
+from skdgp.estimation._air_linearization import LEARNED_BIASES, means_of_neighbours
 from skdgp.estimation._air_parameters import ARM, GUST_AXES, SENSOR_CONSTANTS, STATE_TERMS, Sums
 from skdgp.estimation._kalman import surface_covariance
 
@@ -184,7 +184,8 @@ def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
     motion = []
     for item in fitted:
         # in the motion without the answers to gusts that the last innovations show
-        terms = fit.linearized(item.record, item.linear.states).instrument_terms
+        expansion = fit.expansion(item.record, item.linear.states)
+        terms = means_of_neighbours(expansion.instrument_terms())
         motion.append(terms - terms.mean(axis=0))
     variance = np.concatenate(motion).var(axis=0)
     error = _term_errors(fit, fitted, len(variance))

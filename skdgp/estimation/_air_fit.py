@@ -21,7 +21,7 @@ import numpy as np
 from skdgp._compute.linalg import keep_freed_memory, matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
-from skdgp.estimation._air_linearization import RATE_STATES, Layout, linearized
+from skdgp.estimation._air_linearization import RATE_STATES, Expansion, Layout
 from skdgp.estimation._air_noise import NoiseSearch
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record
@@ -191,7 +191,7 @@ class AirFit:
         for record, states in zip(self.records, self.states, strict=True):
             if not self.is_known:
                 self._add_steady_wind(sums, record)
-            linear = self.linearized(record, states)
+            linear = self.expansion(record, states).linearization()
             filter_pass = filtered(linear, self.noise_search.noise(record))
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovations.covariance))
             e = matrix_vector(L_inverse, filter_pass.innovations.values)
@@ -251,11 +251,11 @@ class AirFit:
             blocks.append(sums)
         return np.concatenate(blocks)
 
-    def linearized(self, record: Record, states: Matrix) -> Linearization:
-        """Return the filter's linearization at the parameters."""
+    def expansion(self, record: Record, states: Matrix) -> Expansion:
+        """Return the expansion of a record about filtered states, at the parameters."""
         value = self.parameters.values(self.x, record.flight)
         decay = self.noise_search.noise(record).decay[0]
-        return linearized(record, self.layout, self.aircraft, value, states, decay, self.settings)
+        return Expansion(record, self.layout, self.aircraft, value, states, decay, self.settings)
 
 
 def _projection(squares: Matrix, products: Matrix, settings: AirSettings) -> Matrix:

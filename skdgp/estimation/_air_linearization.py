@@ -11,10 +11,12 @@ which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the 
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
 the past alone (innovation), and with the recorded path (residual).
 
-Variables s of the model are air velocity, rates, and errors of the coefficients C. A coefficient is the
-sum of its derivatives times terms, such as alpha. By the chain rule a value h(s) has the slopes
+Variables of the model are the motion M, which is air velocity and rates, and errors of the coefficients C. A
+coefficient is the sum of its derivatives times terms, such as alpha. By the chain rule a value h(M, C) has the
+slopes
 
-.. math:: \frac{d h}{d z} = \frac{\partial h}{\partial s} \frac{d s}{d z}, \quad
+.. math:: \frac{d h}{d z} = \frac{\partial h}{\partial M} \frac{d M}{d z} +
+          \frac{\partial h}{\partial C} \frac{d C}{d z}, \quad
           \frac{d C_i}{d C_{ij}} = \mathrm{term}_j.
 
 Instruments are the same derivatives with the terms in the motion that surfaces alone cause.
@@ -40,6 +42,7 @@ from skdgp.estimation._air_model import (
     AIR_VELOCITY,
     BODY_RATES,
     COEFFICIENT_ERRORS,
+    MOTION,
     N_VARIABLES,
     AirMotionModel,
     Inputs,
@@ -57,7 +60,7 @@ from skdgp.estimation._air_parameters import (
     stacked,
 )
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._kalman import Linearization
+from skdgp.estimation._kalman import Linearization, PastPrediction, PathPrediction, Transition
 from skdgp.estimation._sensors import (
     AIRSPEED,
     BIASED,
@@ -153,48 +156,52 @@ class Layout(NamedTuple):
         """Places of the constants, which are the parameters behind the derivatives, among the slopes by z."""
         return slice(N_STATES + self.n_derivatives, N_STATES + len(self.names))
 
-    def variable_slopes(
-        self,
-        attitude: Array,
-        rates: Matrix,
-        air_by_state: Array,
-        of_coefficients: Array | float = 0.0,
-    ) -> Array:
-        """Return d variables of the model / d states and constants, (n, 12, N + c).
-
-        They are zero by derivatives. ``of_coefficients`` (n, 6, 3) are slopes by `COEFFICIENT_CONSTANTS`.
-        """
-        slopes = np.zeros((len(rates), N_VARIABLES, self.constants.stop - self.n_derivatives))
+    def motion_slopes(self, attitude: Array, rates: Matrix, air_by_state: Array) -> Array:
+        """Return d variables of the model / d states and constants, (n, 12, N + c), at given coefficients."""
+        n_constants = self.constants.stop - self.constants.start
+        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + n_constants))
         slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
         slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
         by_constants = slopes[..., N_STATES:]
-        places = self.place_of_constants(*COEFFICIENT_CONSTANTS)
-        by_constants[:, COEFFICIENT_ERRORS, places] = of_coefficients
         by_constants[:, AIR_VELOCITY, self.place_of_constants(*WINDS)] = -attitude
         by_constants[:, AIR_VELOCITY, self.place_of_constants(*ARM)] = -cross_matrix(rates)
         return slopes
 
-    def chained(
-        self, by_variables: Array, slopes: Array, terms: Matrix, instrument_terms: Matrix
-    ) -> Array:
-        """Return d h / d z (n, m, N + q) by the chain rule, from d h / d s (n, m, 12).
+    def through_coefficients(self, by_variables: Array, slopes: CoefficientSlopes) -> Array:
+        """Return the term d h / d C d C / d z of the chain rule, (n, m, N + q).
 
-        ``slopes`` are d s / d states and constants of `variable_slopes`, ``terms`` (n, f) those of the
-        derivatives.
+        From d h / d variables, (n, m, 12). States do not change the coefficients at a given motion.
         """
-        values = np.empty((*by_variables.shape[:2], N_STATES + self.n_slopes))
-        by_states_and_constants = by_variables @ slopes
-        values[..., :N_STATES] = by_states_and_constants[..., :N_STATES]
-        values[..., self.constants] = by_states_and_constants[..., N_STATES:]
-        by_coefficients = by_variables[:, :, COEFFICIENT_ERRORS][:, :, self.rows]
+        by_coefficients = by_variables[..., COEFFICIENT_ERRORS]
+        values = np.zeros((*by_coefficients.shape[:2], N_STATES + self.n_slopes))
+        by_constants = values[..., self.constants]
+        places = self.place_of_constants(*COEFFICIENT_CONSTANTS)
+        by_constants[..., places] = by_coefficients @ slopes.by_constants
+        by_rows = by_coefficients[:, :, self.rows]
         by_derivatives = values[..., N_STATES : self.constants.start]
-        np.multiply(by_coefficients, terms[:, None, self.columns], out=by_derivatives)
+        np.multiply(by_rows, slopes.terms[:, None, self.columns], out=by_derivatives)
         if self.by_instruments:
             by_instruments = values[..., self.constants.stop :]
-            np.multiply(
-                by_coefficients, instrument_terms[:, None, self.columns], out=by_instruments
-            )
+            np.multiply(by_rows, slopes.instrument_terms[:, None, self.columns], out=by_instruments)
         return values
+
+    def chained(
+        self, by_variables: Array, motion_slopes: Array, coefficient_slopes: CoefficientSlopes
+    ) -> Array:
+        """Return d h / d z (n, m, N + q) by both terms of the chain rule, from d h / d variables (n, m, 12)."""
+        values = self.through_coefficients(by_variables, coefficient_slopes)
+        through_motion = by_variables @ motion_slopes
+        values[..., :N_STATES] += through_motion[..., :N_STATES]
+        values[..., self.constants] += through_motion[..., N_STATES:]
+        return values
+
+
+class CoefficientSlopes(NamedTuple):
+    """Slopes of the coefficients of n samples by derivatives, instruments and constants, at a given motion."""
+
+    terms: Matrix  # (n, f) d C_i / d C_ij
+    instrument_terms: Matrix  # (n, f) the same of instruments
+    by_constants: Array  # (n, 6, 3) by `COEFFICIENT_CONSTANTS`
 
 
 def motion_model(
@@ -222,79 +229,19 @@ def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tu
     return steady + matrix_vector(by_state, states), by_state
 
 
-def linearized(
-    record: Record,
-    layout: Layout,
-    aircraft: Aircraft,
-    value: Mapping[str, Any],
-    states: Matrix,
-    decay: Vector,
-    settings: AirSettings = AIR_SETTINGS,
-) -> Linearization:
-    """Return the linear filter about filtered states (n, N) and parameters by name.
-
-    ``decay`` (N,) are 1 / correlation time of the states, zero for the rates.
-    """
-    expansion = _Expansion(record, layout, aircraft, value, states, decay)
-    # motion over each step
-    end, by_start = expansion.predict()
-    instrument_terms = expansion.instrument_terms(by_start, settings)
-    step_slopes = expansion.step_slopes(end, by_start, instrument_terms)
-    predicted = states[:-1] * expansion.remaining
-    predicted[:, RATE_STATES] = end[:, BODY_RATES]
-    transition = expansion.remaining[:, :, None] * np.eye(N_STATES)
-    transition_slopes = np.zeros((len(end), N_STATES, layout.n_slopes))
-    transition[:, RATE_STATES] = step_slopes[:, BODY_RATES, :N_STATES]
-    transition_slopes[:, RATE_STATES] = step_slopes[:, BODY_RATES, N_STATES:]
-
-    # two predictions of the readings at its end
-    past = expansion.readings_of_past(end, step_slopes, instrument_terms)
-    path = expansion.readings_of_path(end, predicted, instrument_terms)
-    noise_slopes = past.by_variables @ expansion.end_variable_slopes(end)[..., :N_STATES]
-
-    # their errors
-    measured = record.measured[1:, record.sampled]
-    is_sampled = np.isfinite(measured)
-    not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
-    vibration = np.zeros((len(SENSORS), len(SENSORS)))
-    vibration[INERTIAL_READINGS, INERTIAL_READINGS] = record.vibration
-    innovation_states, innovation_slopes = _split(past.slopes)
-    residual_states, residual_slopes = _split(path.slopes)
-    return Linearization(
-        states=states,
-        predicted=predicted,
-        transition=transition,
-        transition_slopes=transition_slopes,
-        innovation=np.where(is_sampled, measured - past.values, 0.0),
-        innovation_states=innovation_states,
-        innovation_noise=noise_slopes,
-        innovation_slopes=innovation_slopes,
-        residual=np.where(is_sampled, measured - path.values, 0.0),
-        residual_states=residual_states,
-        residual_slopes=residual_slopes,
-        step=record.step,
-        surface_noise=expansion.surface_noise(by_start),
-        surface_reading_variance=expansion.surface_reading_variance(past.by_variables),
-        missing=np.where(is_sampled, 0.0, not_sampled),
-        vibration=vibration[np.ix_(record.sampled, record.sampled)],
-        instrument_terms=_means(instrument_terms),
-    )
-
-
 class _Readings(NamedTuple):
-    """Readings of the m sensors that are sampled, after each step, and their slopes."""
+    """Readings of the m sensors that are sampled, after each step, and their partial derivatives."""
 
     values: Matrix  # (n - 1, m)
-    by_variables: Array  # (n - 1, m, 12)
-    slopes: Array  # (n - 1, m, N + q) by z
+    by_variables: Array  # (n - 1, m, 12) of the model
+    by_constants: Array  # (n - 1, m, c) by biases, scale and position of the sensors
 
 
-class _Expansion:
+class Expansion:
     """Model, inputs and motion of a record at filtered states (n, N) and parameters by name.
 
-    `predict` and `step_slopes` predict the motion. Two predictions of the readings follow:
-    `readings_of_past` at the end of this step, from the past alone, and `readings_of_path` at the
-    recorded path.
+    ``decay`` (N,) are 1 / correlation time of the states, zero for the rates. The model moves the motion
+    over each step, from a sample (start) to the next one (end).
     """
 
     def __init__(
@@ -305,11 +252,13 @@ class _Expansion:
         value: Mapping[str, Any],
         states: Matrix,
         decay: Vector,
+        settings: AirSettings = AIR_SETTINGS,
     ) -> None:
         self.record = record
         self.layout = layout
         self.value = value
         self.states = states
+        self.settings = settings
         self.model = motion_model(record, layout, aircraft, value)
         logged = record.inputs
         surfaces, by_lag = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
@@ -322,22 +271,44 @@ class _Expansion:
         self.constant_slopes = self.model.constant_slopes(
             self.air, self.inputs, by_lag, logged.thrust
         )
-        self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
         # gusts and errors of the path decay, and the air velocity with them
-        self.remaining = np.exp(-record.step[:, None] * decay)
+        self.remaining = np.exp(-record.time_step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
+        # motion over each step: variables (n - 1, 12) before and after, d end / d start (n - 1, 6, 12)
+        self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
+        self.end, self.by_start = self._moved()
 
-    def predict(self) -> tuple[Matrix, Array]:
+    def _moved(self) -> tuple[Matrix, Array]:
         """Return the variables (n - 1, 12) after the step from each sample, and d end / d start (n - 1, 6, 12)."""
         drift = matrix_vector(self.drift_by_state, self.states[:-1])
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
-        steps = self.record.step
+        time_step = self.record.time_step
         end, slopes = differentiated(
-            lambda start: self.model.step(start, gravity, drift, self.inputs, steps), self.start
+            lambda start: self.model.step(start, gravity, drift, self.inputs, time_step), self.start
         )
         return _variables(end[:, AIR_VELOCITY], end[:, BODY_RATES]), slopes
 
-    def instrument_terms(self, by_start: Array, settings: AirSettings) -> Matrix:
+    def linearization(self) -> Linearization:
+        """Return the linear filter about the states and parameters."""
+        instrument_terms = self.instrument_terms()
+        step_slopes = self._step_slopes(instrument_terms)
+        predicted = self._predicted_states()
+        readings = self._readings(self.end)
+        missing, vibration = self._added_noise()
+        return Linearization(
+            states=self.states,
+            predicted=predicted,
+            transition=self._transition(step_slopes),
+            past=self._past_prediction(readings, step_slopes, instrument_terms),
+            path=self._path_prediction(predicted, instrument_terms),
+            time_step=self.record.time_step,
+            surface_noise=self._surface_noise(),
+            surface_reading_variance=self._surface_reading_variance(readings.by_variables),
+            missing=missing,
+            vibration=vibration,
+        )
+
+    def instrument_terms(self) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
         It contains no gusts. The motion is damped to a correlation time of
@@ -345,14 +316,15 @@ class _Expansion:
         """
         commanded = self._commanded()
         surfaces = commanded.surfaces
-        delay = settings.response_delay
+        delay = self.settings.response_delay
         late = np.concatenate([surfaces[:1]] * delay + [surfaces[: len(surfaces) - delay]])
-        A = by_start[:, :, :6]
+        A = self.by_start[:, :, MOTION]
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
-        A = A * np.exp(-self.record.median_step / settings.response_time) / max(growth, 1.0)
-        B = by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
+        damping = np.exp(-self.record.median_step / self.settings.response_time)
+        A = A * damping / max(growth, 1.0)
+        B = self.by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
         moved = (late - late.mean(axis=0)) * self.surface_effect
-        motion = _motion(A, matrix_vector(B, _means(moved)))
+        motion = _motion(A, matrix_vector(B, means_of_neighbours(moved)))
         motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
         return self.model.terms(motion, commanded._replace(surfaces=late))
 
@@ -367,98 +339,140 @@ class _Expansion:
         thrust[:, 0] -= answers[:, -1]
         return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
 
-    def step_slopes(self, end: Matrix, by_start: Array, instrument_terms: Matrix) -> Array:
-        """Return d air velocity and rates after the step / d z, (n - 1, 6, N + q)."""
+    def _predicted_states(self) -> Matrix:
+        """Return the states (n - 1, N) after each step."""
+        predicted = self.states[:-1] * self.remaining
+        predicted[:, RATE_STATES] = self.end[:, BODY_RATES]
+        return predicted
+
+    def _step_slopes(self, instrument_terms: Matrix) -> Array:
+        """Return d motion after the step / d z, (n - 1, 6, N + q)."""
         # terms within a step are the mean of the terms at its ends
         terms = self.model.terms(self.start, self.inputs.part(slice(-1)))
-        end_terms = self.model.terms(end, self.end_inputs)
-        variables = self.layout.variable_slopes(
-            self.record.attitude[:-1],
-            self.start[:, BODY_RATES],
-            self.air_by_state[:-1],
-            _means(self.constant_slopes),
+        end_terms = self.model.terms(self.end, self.end_inputs)
+        coefficients = CoefficientSlopes(
+            terms=0.5 * (terms + end_terms),
+            instrument_terms=means_of_neighbours(instrument_terms),
+            by_constants=means_of_neighbours(self.constant_slopes),
         )
-        terms = 0.5 * (terms + end_terms)
-        slopes = self.layout.chained(by_start, variables, terms, _means(instrument_terms))
-        slopes[:, AIR_VELOCITY, :N_STATES] += self.record.step[:, None, None] * self.drift_by_state
+        motion = self.layout.motion_slopes(
+            self.record.attitude[:-1], self.start[:, BODY_RATES], self.air_by_state[:-1]
+        )
+        slopes = self.layout.chained(self.by_start, motion, coefficients)
+        time_step = self.record.time_step[:, None, None]
+        slopes[:, AIR_VELOCITY, :N_STATES] += time_step * self.drift_by_state
         return slopes
 
-    def readings_of_past(
-        self, end: Matrix, step_slopes: Array, instrument_terms: Matrix
-    ) -> _Readings:
-        """Return the readings at the end of the step, from its start alone.
+    def _transition(self, step_slopes: Array) -> Transition:
+        """Return the slopes of the states after each step."""
+        Phi = self.remaining[:, :, None] * np.eye(N_STATES)
+        Theta = np.zeros((len(Phi), N_STATES, self.layout.n_slopes))
+        Phi[:, RATE_STATES] = step_slopes[:, BODY_RATES, :N_STATES]
+        Theta[:, RATE_STATES] = step_slopes[:, BODY_RATES, N_STATES:]
+        return Transition(Phi, Theta)
 
-        Air velocity and rates there depend on z by ``step_slopes``, the coefficients by their terms at the end.
+    def _past_prediction(
+        self, readings: _Readings, step_slopes: Array, instrument_terms: Matrix
+    ) -> PastPrediction:
+        """Return the prediction of the readings at the end of each step, from its start alone.
+
+        The motion there depends on z by ``step_slopes``, the coefficients by their terms there.
         """
-        values, by_variables, by_constants = self._readings(end)
-        by_coefficients = by_variables.copy()
-        by_coefficients[..., :6] = 0.0
-        slopes = self.end_slopes(end, by_coefficients, instrument_terms)
-        slopes += by_variables[..., :6] @ step_slopes
-        slopes[..., self.layout.constants] += by_constants
-        return _Readings(values, by_variables, slopes)
+        coefficients = self._end_coefficient_slopes(self.end, instrument_terms)
+        slopes = self.layout.through_coefficients(readings.by_variables, coefficients)
+        slopes += readings.by_variables[..., MOTION] @ step_slopes
+        slopes[..., self.layout.constants] += readings.by_constants
+        by_state, by_parameters = _split(slopes)
+        motion_by_state = self._end_motion_slopes(self.end)[..., :N_STATES]
+        return PastPrediction(
+            error=self._errors(readings.values),
+            by_state_before=by_state,
+            by_state_after=readings.by_variables @ motion_by_state,
+            by_parameters=by_parameters,
+        )
 
-    def readings_of_path(
-        self, end: Matrix, predicted: Matrix, instrument_terms: Matrix
-    ) -> _Readings:
-        """Return the readings at the recorded path, with the predicted gusts and rates."""
+    def _path_prediction(self, predicted: Matrix, instrument_terms: Matrix) -> PathPrediction:
+        """Return the prediction of the readings at the recorded path, with the predicted gusts and rates."""
         change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
-        variables = _variables(self.air[1:] + change, end[:, BODY_RATES])
-        values, by_variables, by_constants = self._readings(variables)
-        slopes = self.end_slopes(variables, by_variables, instrument_terms)
-        slopes[..., self.layout.constants] += by_constants
-        return _Readings(values, by_variables, slopes)
+        variables = _variables(self.air[1:] + change, self.end[:, BODY_RATES])
+        readings = self._readings(variables)
+        slopes = self.layout.chained(
+            readings.by_variables,
+            self._end_motion_slopes(variables),
+            self._end_coefficient_slopes(variables, instrument_terms),
+        )
+        slopes[..., self.layout.constants] += readings.by_constants
+        by_state, by_parameters = _split(slopes)
+        return PathPrediction(self._errors(readings.values), by_state, by_parameters)
 
-    def _readings(self, end: Matrix) -> tuple[Matrix, Array, Array]:
-        """Return readings at variables (n - 1, 12), and their slopes by these and by the sensors' constants."""
+    def _readings(self, end: Matrix) -> _Readings:
+        """Return the readings at variables (n - 1, 12) after each step."""
         errors = SensorErrors.of(self.value)
-        truth, by_variables = differentiated(lambda s: self.model.sensors(s, self.end_inputs), end)
-        values = errors.readings(truth)
+        truth, slopes = differentiated(lambda s: self.model.sensors(s, self.end_inputs), end)
+        sampled = self.record.sampled
+        by_variables = (errors.scale[:, None] * slopes)[:, sampled]
         layout = self.layout
         n_constants = layout.constants.stop - layout.constants.start
-        by_constants = np.zeros((*values.shape, n_constants))
-        by_constants[:, [*LEARNED_BIASES.values()], layout.place_of_constants(*LEARNED_BIASES)] = (
-            1.0
-        )
+        by_constants = np.zeros((*truth.shape, n_constants))
+        biases = layout.place_of_constants(*LEARNED_BIASES)
+        by_constants[:, [*LEARNED_BIASES.values()], biases] = 1.0
         (scale,) = layout.place_of_constants("airspeed_scale")
         by_constants[:, AIRSPEED, scale] = truth[:, AIRSPEED]
         arm = layout.place_of_constants(*ARM)
         by_constants[:, FORCE_READINGS, arm] = self.model.arm_slopes(end, self.end_inputs)
-        by_variables = errors.scale[:, None] * by_variables
-        sampled = self.record.sampled
-        return values[:, sampled], by_variables[:, sampled], by_constants[:, sampled]
-
-    def end_slopes(self, end: Matrix, by_variables: Array, instrument_terms: Matrix) -> Array:
-        """Return d values / d z of the same sample, (n - 1, m, N + q), from d values / d variables."""
-        terms = self.model.terms(end, self.end_inputs)
-        slopes = self.end_variable_slopes(end)
-        return self.layout.chained(by_variables, slopes, terms, instrument_terms[1:])
-
-    def end_variable_slopes(self, end: Matrix) -> Array:
-        """Return d variables / d states and constants of the same sample, (n - 1, 12, N + c)."""
-        return self.layout.variable_slopes(
-            self.record.attitude[1:],
-            end[:, BODY_RATES],
-            self.air_by_state[1:],
-            self.constant_slopes[1:],
+        return _Readings(
+            values=errors.readings(truth)[:, sampled],
+            by_variables=by_variables,
+            by_constants=by_constants[:, sampled],
         )
 
-    def surface_noise(self, by_start: Array) -> Array:
+    def _end_motion_slopes(self, end: Matrix) -> Array:
+        """Return d variables / d states and constants of the same sample, (n - 1, 12, N + c)."""
+        return self.layout.motion_slopes(
+            self.record.attitude[1:], end[:, BODY_RATES], self.air_by_state[1:]
+        )
+
+    def _end_coefficient_slopes(self, end: Matrix, instrument_terms: Matrix) -> CoefficientSlopes:
+        """Return the slopes of the coefficients at variables (n - 1, 12) after each step."""
+        terms = self.model.terms(end, self.end_inputs)
+        return CoefficientSlopes(terms, instrument_terms[1:], self.constant_slopes[1:])
+
+    def _errors(self, values: Matrix) -> Matrix:
+        """Return measured less predicted readings (n - 1, m), zero where not sampled."""
+        measured = self._measured()
+        return np.where(np.isfinite(measured), measured - values, 0.0)
+
+    def _measured(self) -> Matrix:
+        """Return the readings (n - 1, m) of the sensors that are sampled, after each step."""
+        return self.record.measured[1:, self.record.sampled]
+
+    def _added_noise(self) -> tuple[Matrix, Matrix]:
+        """Return variances (n - 1, m) where a sensor is not sampled, and the covariance (m, m) of vibration."""
+        not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
+        missing = np.where(np.isfinite(self._measured()), 0.0, not_sampled)
+        vibration = np.zeros((len(SENSORS), len(SENSORS)))
+        vibration[INERTIAL_READINGS, INERTIAL_READINGS] = self.record.vibration
+        sampled = self.record.sampled
+        return missing, vibration[np.ix_(sampled, sampled)]
+
+    def _surface_noise(self) -> Array:
         """Return the covariance (n - 1, N, N) by surfaces that are off by their change in the step.
 
         Or by their error between samples of a slow clock.
         """
         jump = np.diff(self.inputs.surfaces, axis=0)
-        error = np.where(self.record.periods > 0, _means(self.record.surface_errors), jump)
-        error = error * _means(self.surface_effect)
-        push = by_start[:, BODY_RATES, COEFFICIENT_ERRORS] @ self.model.by_surfaces * error[:, None]
+        between_samples = means_of_neighbours(self.record.surface_errors)
+        error = np.where(self.record.periods > 0, between_samples, jump)
+        error = error * means_of_neighbours(self.surface_effect)
+        rates_by_errors = self.by_start[:, BODY_RATES, COEFFICIENT_ERRORS]
+        push = rates_by_errors @ self.model.by_surfaces * error[:, None]
         covariance = np.zeros((len(jump), N_STATES, N_STATES))
         covariance[:, RATE_STATES, RATE_STATES] = push @ push.mT
         return covariance
 
-    def surface_reading_variance(self, by_end: Array) -> Matrix:
+    def _surface_reading_variance(self, by_variables: Array) -> Matrix:
         """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
-        by_surfaces = by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
+        by_surfaces = by_variables[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         error = self.record.surface_errors[1:] * self.surface_effect[1:]
         return np.sum((by_surfaces * error[:, None]) ** 2, axis=-1)
 
@@ -481,6 +495,6 @@ def _variables(air: Matrix, rates: Matrix) -> Matrix:
     return np.concatenate([air, rates, np.zeros((len(air), 6))], axis=1)
 
 
-def _means(values: Array) -> Array:
+def means_of_neighbours(values: Array) -> Array:
     """Return the means of neighbours along the first axis."""
     return 0.5 * (values[1:] + values[:-1])

@@ -35,7 +35,8 @@ N_VARIABLES = 12
 AIR_VELOCITY = slice(0, 3)
 BODY_RATES = slice(3, 6)
 COEFFICIENT_ERRORS = slice(6, 12)
-"""Places of air velocity, rates and errors of the coefficients among the variables."""
+MOTION = slice(0, 6)
+"""Places of air velocity, rates, errors of the coefficients, and the first two among the variables."""
 
 
 class Inputs(NamedTuple):

@@ -62,7 +62,7 @@ class NoiseSearch:
             moves[1:, places] = difference * np.eye(len(places))
             found = innovations(linear, self.noise(record, self.psi + moves))
             gradient, fisher = _likelihood_slopes(found, difference)
-            weight = len(record.step) / len(linear.step)
+            weight = len(record.time_step) / len(linear.time_step)
             sums.add(places, weight * gradient, weight * fisher)
         information, score = sums.damped(self.settings.noise_damping)
         before = self.psi[sums.free].copy()

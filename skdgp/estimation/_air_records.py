@@ -107,7 +107,7 @@ class Record(NamedTuple):
         return matrix_vector(self.attitude.mT, self.velocity)
 
     @property
-    def step(self) -> Vector:
+    def time_step(self) -> Vector:
         """Steps of the clock (n - 1,) [s]."""
         return np.diff(self.time)
 
@@ -119,12 +119,12 @@ class Record(NamedTuple):
     @property
     def seconds(self) -> float:
         """Length [s]."""
-        return self.step.sum()
+        return self.time_step.sum()
 
     @property
     def median_step(self) -> float:
         """Usual step [s]."""
-        return np.median(self.step)
+        return np.median(self.time_step)
 
     @property
     def sampled(self) -> Mask:

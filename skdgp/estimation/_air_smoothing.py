@@ -68,8 +68,8 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
 
 def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) -> Array:
     """Return derivatives (n, 9, N + q) by the states, and by the parameters at given states."""
-    variables = layout.variable_slopes(record.attitude, record.rates, air_by_state)
-    by_air = air_data_slopes(air) @ variables[:, AIR_VELOCITY]
+    motion = layout.motion_slopes(record.attitude, record.rates, air_by_state)
+    by_air = air_data_slopes(air) @ motion[:, AIR_VELOCITY]
     slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))
     slopes[:, OF_AIR_DATA, :N_STATES] = by_air[..., :N_STATES]
     slopes[:, OF_RATES, RATE_STATES] = np.eye(3)

@@ -23,6 +23,13 @@ where the noise :math:`Q^e` of the step reaches the sensors by D from its beginn
 end. A gust moves the aircraft within the step, so an innovation that knows the recorded motion would
 lack part of the gust.
 
+Parameters and instruments :math:`\theta` add :math:`\Theta_k \theta` to the state after a step, and
+:math:`E_k \theta` and :math:`F_k \theta` to the predictions behind :math:`\epsilon_k` and :math:`y_k`. With the
+slopes Z of the filtered states at given gains, an innovation has the slopes
+:math:`\partial e_k / \partial \theta = -(D_k Z_k + E_k)`, where
+
+.. math:: Z_{k+1} = (I - K_k H_k) (\Phi_k Z_k + \Theta_k) - K_k F_k.
+
 Errors of the surfaces are :math:`\kappa` times their change within a step. They add to Q and R.
 
 n samples, N states, m sensors, q slopes by the parameters of a flight and the instruments, s sets of
@@ -43,42 +50,75 @@ from skdgp._compute.typing import Array, Matrix, Vector
 STEPS = 256  # whose matrices are in memory at a time
 
 
+class Transition(NamedTuple):
+    """Derivatives of the state predicted after each step."""
+
+    Phi: Array  # (n - 1, N, N) by the state before
+    Theta: Array  # (n - 1, N, q) by parameters and instruments
+
+    def part(self, steps: slice) -> Transition:
+        """Return the derivatives of some steps."""
+        return Transition(self.Phi[steps], self.Theta[steps])
+
+
+class PastPrediction(NamedTuple):
+    """Prediction of the sensors after each step from the past alone: its error, and its derivatives."""
+
+    error: Matrix  # (n - 1, m) measured less predicted, epsilon
+    by_state_before: Array  # (n - 1, m, N) D
+    by_state_after: Array  # (n - 1, m, N) L, by a push at the end of the step
+    by_parameters: Array  # (n - 1, m, q) E, by parameters and instruments
+
+    def part(self, steps: slice) -> PastPrediction:
+        """Return the prediction after some steps."""
+        return PastPrediction._make(values[steps] for values in self)
+
+
+class PathPrediction(NamedTuple):
+    """Prediction of the sensors after each step with the recorded motion: its error, and its derivatives."""
+
+    error: Matrix  # (n - 1, m) measured less predicted, y
+    by_state_after: Array  # (n - 1, m, N) H, by the predicted state
+    by_parameters: Array  # (n - 1, m, q) F, by parameters and instruments
+
+    def part(self, steps: slice) -> PathPrediction:
+        """Return the prediction after some steps."""
+        return PathPrediction._make(values[steps] for values in self)
+
+
 class Linearization(NamedTuple):
     """A record of n samples of m sensors, linear in N states, parameters and instruments, about states X."""
 
     states: Matrix  # (n, N) X, filtered states of the last pass
-    # state after a step
-    predicted: Matrix  # (n - 1, N) of samples 1 to n - 1, from X
-    transition: Array  # (n - 1, N, N) Phi
-    transition_slopes: Array  # (n - 1, N, q) d predicted / d parameters and instruments
-    # prediction of the sensors from the past alone
-    innovation: Matrix  # (n - 1, m) its error from X, epsilon
-    innovation_states: Array  # (n - 1, m, N) D, d prediction / d X of the sample before
-    innovation_noise: Array  # (n - 1, m, N) L, d prediction / d state of the same sample
-    innovation_slopes: Array  # (n - 1, m, q) d prediction / d parameters and instruments
-    # prediction of the sensors with the recorded motion
-    residual: Matrix  # (n - 1, m) its error at the predicted state, y
-    residual_states: Array  # (n - 1, m, N) H, d prediction / d predicted state
-    residual_slopes: Array  # (n - 1, m, q) d prediction / d parameters and instruments
-    # noises
-    step: Vector  # (n - 1,) [s]
+    predicted: Matrix  # (n - 1, N) states of samples 1 to n - 1, from X
+    transition: Transition
+    past: PastPrediction
+    path: PathPrediction
+    time_step: Vector  # (n - 1,) length of each step [s]
     surface_noise: Array  # (n - 1, N, N) covariance of the states by surfaces, per kappa^2
     surface_reading_variance: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
     missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
     vibration: Matrix  # (m, m) covariance of the sensors by vibration
-    # terms of the coefficients in the motion that surfaces alone cause
-    instrument_terms: Matrix  # (n - 1, f)
 
     def part(self, first: int, last: int) -> Linearization:
         """Return the steps ``first`` to ``last`` - 1, with the state after them."""
-        parts = {name: values[first:last] for name, values in self._asdict().items()}
-        parts["vibration"] = self.vibration
-        parts["states"] = self.states[first : last + 1]
-        return Linearization(**parts)
+        steps = slice(first, last)
+        return Linearization(
+            states=self.states[first : last + 1],
+            predicted=self.predicted[steps],
+            transition=self.transition.part(steps),
+            past=self.past.part(steps),
+            path=self.path.part(steps),
+            time_step=self.time_step[steps],
+            surface_noise=self.surface_noise[steps],
+            surface_reading_variance=self.surface_reading_variance[steps],
+            missing=self.missing[steps],
+            vibration=self.vibration,
+        )
 
     def middle(self, n_steps: int) -> Linearization:
         """Return the linearization of at most ``n_steps`` steps in the middle."""
-        first = max(len(self.step) - n_steps, 0) // 2
+        first = max(len(self.time_step) - n_steps, 0) // 2
         return self.part(first, first + n_steps)
 
 
@@ -177,7 +217,7 @@ def innovations(linear: Linearization, noise: Noise) -> Innovations:
     values = []
     covariance = []
     x, P = _start(noise)
-    for first in range(0, len(linear.step), STEPS):
+    for first in range(0, len(linear.time_step), STEPS):
         steps = _filtered_steps(linear.part(first, first + STEPS), noise, x, P)
         values.append(steps.innovations.values)
         covariance.append(steps.innovations.covariance)
@@ -214,11 +254,11 @@ def _filtered_steps(linear: Linearization, noise: Noise, x: Array, P: Array) -> 
 
 def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
     """Return the matrices of the steps."""
-    step = linear.step[:, None, None]
-    Phi = np.repeat(linear.transition[:, None], len(noise.density), axis=1)
+    h = linear.time_step[:, None, None]
+    Phi = np.repeat(linear.transition.Phi[:, None], len(noise.density), axis=1)
     decaying = np.flatnonzero(noise.decay[0] > 0)
-    Phi[:, :, decaying, decaying] = np.exp(-step * noise.decay[:, decaying])
-    Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.density * step)
+    Phi[:, :, decaying, decaying] = np.exp(-h * noise.decay[:, decaying])
+    Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.density * h)
     Q += noise.surface[:, None, None] * linear.surface_noise[:, None]
     sensor = noise.sensor + linear.missing[:, None]
     sensor = sensor + noise.surface[:, None] * linear.surface_reading_variance[:, None]
@@ -227,9 +267,9 @@ def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
         Phi=Phi,
         Q=Q,
         c=shift[:, :, None],
-        H=linear.residual_states,
+        H=linear.path.by_state_after,
         R=sensor[..., None] * np.eye(sensor.shape[-1]) + linear.vibration,
-        y=linear.residual[:, :, None],
+        y=linear.path.error[:, :, None],
     )
 
 
@@ -240,18 +280,18 @@ def _past_innovations(
 
     The noise of the step reaches the sensors through its end as well.
     """
-    D = linear.innovation_states[:, None]
-    L = linear.innovation_noise[:, None]
-    e = linear.innovation[:, None, :, None] - D @ x
+    D = linear.past.by_state_before[:, None]
+    L = linear.past.by_state_after[:, None]
+    e = linear.past.error[:, None, :, None] - D @ x
     S = D @ P @ D.mT + R
-    S += _step_noise(L, D, noise.density * linear.step[:, None, None])
+    S += _step_noise(L, D, noise.density * linear.time_step[:, None, None])
     S += noise.surface[:, None, None] * (L @ linear.surface_noise[:, None] @ L.mT)
     return Innovations(e[..., 0], S)
 
 
 def surface_covariance(linear: Linearization, noise: Noise) -> Array:
     """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
-    L = linear.innovation_noise
+    L = linear.past.by_state_after
     of_readings = linear.surface_reading_variance[..., None] * np.eye(L.shape[1])
     return noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings)
 
@@ -275,17 +315,17 @@ def innovation_slopes(
 
     With ``factors`` (n - 1, m, m) each is multiplied by its factor.
     """
-    slopes = np.empty_like(linear.innovation_slopes)
+    slopes = np.empty_like(linear.past.by_parameters)
     for steps, Z in _parts_of_state_slopes(linear, filter_pass):
-        by_states = linear.innovation_states[steps] @ Z[:-1]
-        part = -(by_states + linear.innovation_slopes[steps])
+        past = linear.past.part(steps)
+        part = -(past.by_state_before @ Z[:-1] + past.by_parameters)  # -(D Z + E)
         slopes[steps] = part if factors is None else factors[steps] @ part
     return slopes
 
 
 def state_slopes(linear: Linearization, filter_pass: Pass) -> Array:
     """Return d filtered states / d parameters and instruments (n, N, q), the gains being given."""
-    n, N, q = linear.transition_slopes.shape
+    n, N, q = linear.transition.Theta.shape
     slopes = np.zeros((n + 1, N, q))
     for steps, Z in _parts_of_state_slopes(linear, filter_pass):
         slopes[steps.start + 1 : steps.stop + 1] = Z[1:]
@@ -296,14 +336,16 @@ def _parts_of_state_slopes(
     linear: Linearization, filter_pass: Pass
 ) -> Iterator[tuple[slice, Array]]:
     """Yield slices of steps, which fit the cache, and the slopes of the states before and after these steps."""
-    n, N, q = linear.transition_slopes.shape
+    n, N, q = linear.transition.Theta.shape
     last = np.zeros((N, q))
     for first in range(0, n, STEPS):
         steps = slice(first, min(first + STEPS, n))
         gain = filter_pass.gain[steps]
-        correction = np.eye(N) - gain @ linear.residual_states[steps]  # I - K H
-        T = correction @ linear.transition[steps]
-        B = correction @ linear.transition_slopes[steps] - gain @ linear.residual_slopes[steps]
+        path = linear.path.part(steps)
+        Phi, Theta = linear.transition.part(steps)
+        correction = np.eye(N) - gain @ path.by_state_after  # I - K H
+        T = correction @ Phi
+        B = correction @ Theta - gain @ path.by_parameters  # (I - K H) Theta - K F
         Z = np.empty((len(T) + 1, N, q))
         Z[0] = last
         for k in range(len(T)):
@@ -315,10 +357,11 @@ def _parts_of_state_slopes(
 
 def smoothed(linear: Linearization, filter_pass: Pass) -> tuple[Matrix, Array]:
     """Return the states given all samples (n, N), and their covariances (Rauch, Tung & Striebel 1965)."""
+    Phi = linear.transition.Phi
     change = filter_pass.states - linear.states
-    predicted = linear.predicted + matrix_vector(linear.transition, change[:-1])
+    predicted = linear.predicted + matrix_vector(Phi, change[:-1])
     P_predicted = filter_pass.predicted_covariance
-    PhiP = linear.transition @ filter_pass.covariance[:-1]
+    PhiP = Phi @ filter_pass.covariance[:-1]
     C = np.linalg.solve(P_predicted, PhiP).mT  # gain of the smoother
     x = filter_pass.states.copy()
     P = filter_pass.covariance.copy()

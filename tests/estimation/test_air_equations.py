@@ -2,6 +2,7 @@
 
 from functools import cache
 from itertools import pairwise
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from skdgp.estimation._air_covariance import (
     widen,
     without_estimate,
 )
-from skdgp.estimation._air_linearization import N_STATES, Layout, linearized
+from skdgp.estimation._air_linearization import N_STATES, Expansion, Layout
 from skdgp.estimation._air_model import Inputs, Slipstream
 from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
@@ -38,6 +39,9 @@ from skdgp.estimation._air_start import steady_wind
 from skdgp.estimation._kalman import (
     Linearization,
     Noise,
+    PastPrediction,
+    PathPrediction,
+    Transition,
     filtered,
     innovation_slopes,
     innovations,
@@ -132,10 +136,14 @@ def test_the_airspeed_shows_the_size_of_gusts_without_the_noise_of_its_sensor(gu
 DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))
 
 
+def linearized(record, layout, value, states):
+    return Expansion(record, layout, AIRCRAFT, value, states, DECAY).linearization()
+
+
 def moved(name, move):
     record, layout, value, states = flight_of_sines()
     value = value | {name: value[name] + move}
-    return linearized(record, layout, AIRCRAFT, value, states, DECAY)
+    return linearized(record, layout, value, states)
 
 
 @pytest.mark.parametrize("name", flight_of_sines()[1].names)
@@ -144,14 +152,14 @@ def test_slopes_by_parameters_are_those_of_the_predictions(name):
     later, before = moved(name, step), moved(name, -step)
     j = flight_of_sines()[1].names.index(name)
     pairs = (
-        ("predicted", here.transition_slopes),
-        ("innovation", -here.innovation_slopes),
-        ("residual", -here.residual_slopes),
+        ("predicted", here.transition.Theta),
+        ("past.error", -here.past.by_parameters),
+        ("path.error", -here.path.by_parameters),
     )
     for field, slopes in pairs:
-        numeric = (getattr(later, field) - getattr(before, field)) / (2 * step)
-        if field == "residual":  # the state that it starts from moves as well
-            numeric += (here.residual_states @ here.transition_slopes)[..., j]
+        numeric = (attrgetter(field)(later) - attrgetter(field)(before)) / (2 * step)
+        if field == "path.error":  # the state that it starts from moves as well
+            numeric += (here.path.by_state_after @ here.transition.Theta)[..., j]
         scale = np.abs(numeric).max() + 1e-3
         # terms within a step are taken as the mean of its ends, which is least true of rates
         atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
@@ -160,20 +168,19 @@ def test_slopes_by_parameters_are_those_of_the_predictions(name):
 
 def test_slopes_by_states_are_those_of_the_predictions():
     record, layout, value, states = flight_of_sines()
-    here = linearized(record, layout, AIRCRAFT, value, states, DECAY)
+    here = linearized(record, layout, value, states)
     for i in range(N_STATES):
         shift = np.zeros(N_STATES)
         shift[i] = 1e-5
         later, before = (
-            linearized(record, layout, AIRCRAFT, value, states + sign * shift, DECAY)
-            for sign in (1, -1)
+            linearized(record, layout, value, states + sign * shift) for sign in (1, -1)
         )
         for field, slopes in (
-            ("predicted", here.transition),
-            ("innovation", -here.innovation_states),
-            ("residual", -here.residual_states @ here.transition),
+            ("predicted", here.transition.Phi),
+            ("past.error", -here.past.by_state_before),
+            ("path.error", -here.path.by_state_after @ here.transition.Phi),
         ):
-            numeric = (getattr(later, field) - getattr(before, field)) / 2e-5
+            numeric = (attrgetter(field)(later) - attrgetter(field)(before)) / 2e-5
             assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
 
 
@@ -186,9 +193,9 @@ def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
     at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
     slopes, instruments = [], []
     for flown, states in ((record, calm), (record, gusty), (still, gusty)):
-        linear = linearized(flown, layout, AIRCRAFT, value, states, DECAY)
+        linear = linearized(flown, layout, value, states)
         for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
-            offset, slope = linear.innovation_slopes[:, 2, columns].T
+            offset, slope = linear.past.by_parameters[:, 2, columns].T
             out.append(
                 slope - offset * (offset @ slope) / (offset @ offset)
             )  # without the pressure
@@ -207,10 +214,10 @@ def test_moments_by_thrust_are_those_of_an_offset_thrust_line():
     thrust[:, 4] += z * thrust[:, 0]
     thrust[:, 5] -= y * thrust[:, 0]
     offset = record._replace(inputs=record.inputs._replace(thrust=thrust))
-    expected = linearized(offset, layout, AIRCRAFT, still, states, DECAY)
-    found = linearized(record, layout, AIRCRAFT, still | by_arm, states, DECAY)
+    expected = linearized(offset, layout, still, states)
+    found = linearized(record, layout, still | by_arm, states)
     assert_allclose(found.predicted, expected.predicted, rtol=1e-9)
-    assert_allclose(found.innovation, expected.innovation, rtol=1e-9)
+    assert_allclose(found.past.error, expected.past.error, rtol=1e-9)
 
 
 def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
@@ -235,13 +242,12 @@ def test_lag_of_a_ramp_is_the_lag():
 def test_slope_by_a_lag_of_zero_is_that_above_it():
     record, layout, value, states = flight_of_sines()
     at_zero, above = (
-        linearized(record, layout, AIRCRAFT, value | {"servo_lag": lag}, states, DECAY)
-        for lag in (0.0, 1e-3)
+        linearized(record, layout, value | {"servo_lag": lag}, states) for lag in (0.0, 1e-3)
     )
     j = layout.place("servo_lag")[0]
-    expected = above.innovation_slopes[..., j]
+    expected = above.past.by_parameters[..., j]
     assert np.abs(expected).max() > 0.1
-    assert_allclose(at_zero.innovation_slopes[..., j], expected, atol=0.1 * np.abs(expected).max())
+    assert_allclose(at_zero.past.by_parameters[..., j], expected, atol=0.1 * np.abs(expected).max())
 
 
 def linear_system(rng, n=7, N=3, m=2):
@@ -254,21 +260,14 @@ def linear_system(rng, n=7, N=3, m=2):
     linear = Linearization(
         states=np.zeros((n, N)),
         predicted=np.zeros((n - 1, N)),
-        transition=Phi,
-        transition_slopes=zero,
-        innovation=y,
-        innovation_states=H @ Phi,
-        innovation_noise=H,
-        innovation_slopes=zero,
-        residual=y,
-        residual_states=H,
-        residual_slopes=zero,
-        step=rng.uniform(0.1, 0.2, n - 1),
+        transition=Transition(Phi, zero),
+        past=PastPrediction(y, H @ Phi, H, zero),
+        path=PathPrediction(y, H, zero),
+        time_step=rng.uniform(0.1, 0.2, n - 1),
         surface_noise=np.zeros((n - 1, N, N)),
         surface_reading_variance=np.zeros((n - 1, m)),
         missing=np.zeros((n - 1, m)),
         vibration=shared @ shared.T,
-        instrument_terms=zero,
     )
     noises = Noise(
         density=rng.uniform(1, 2, (1, N)),
@@ -285,20 +284,20 @@ def joint_distribution(linear, noises):
 
     The noise of a step is by Simpson's rule.
     """
-    (n, N), m = linear.states.shape, linear.innovation.shape[1]
+    (n, N), m = linear.states.shape, linear.past.error.shape[1]
     M = np.zeros((n, N, n * N))
     M[0, :, :N] = np.eye(N)
     Q = [np.diag(noises.start[0])]
     for k in range(1, n):
-        Phi = linear.transition[k - 1]
+        Phi = linear.transition.Phi[k - 1]
         M[k] = Phi @ M[k - 1]
         M[k, :, k * N : (k + 1) * N] += np.eye(N)
         half = 0.5 * (np.eye(N) + Phi)
-        rate = np.diag(noises.density[0] * linear.step[k - 1])
+        rate = np.diag(noises.density[0] * linear.time_step[k - 1])
         Q.append((rate + 4 * half @ rate @ half.T + Phi @ rate @ Phi.T) / 6)
     M = M.reshape(n * N, n * N)
     X = M @ block_diag(*Q) @ M.T
-    H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.residual_states)])
+    H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.path.by_state_after)])
     R = np.diag(noises.sensor[0]) + linear.vibration
     return X, H, H @ X @ H.T + block_diag(*[R] * (n - 1))
 
@@ -307,10 +306,10 @@ def test_linear_filter_has_the_innovations_of_the_joint_distribution():
     """Of each of two sets of noises."""
     linear, noises = linear_system(default_rng(0))
     found = innovations(linear, Noise(*(np.concatenate([part, 2 * part]) for part in noises)))
-    m, y = linear.innovation.shape[1], linear.innovation.ravel()
+    m, y = linear.past.error.shape[1], linear.past.error.ravel()
     for number in range(2):
         _, _, S = joint_distribution(linear, Noise(*((1 + number) * part for part in noises)))
-        for k in range(len(linear.innovation)):
+        for k in range(len(linear.past.error)):
             past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
             gain = S[now, past] @ np.linalg.inv(S[past, past])
             covariance = S[now, now] - gain @ S[past, now]
@@ -323,7 +322,7 @@ def test_linear_smoother_has_the_conditional_distribution():
     states, covariance = smoothed(linear, filtered(linear, noises))
     X, H, S = joint_distribution(linear, noises)
     gain = X @ H.T @ np.linalg.inv(S)
-    assert_allclose(states.ravel(), gain @ linear.innovation.ravel(), atol=1e-10)
+    assert_allclose(states.ravel(), gain @ linear.past.error.ravel(), atol=1e-10)
     P = X - gain @ H @ X
     N = states.shape[1]
     for k, found in enumerate(covariance):
@@ -333,19 +332,20 @@ def test_linear_smoother_has_the_conditional_distribution():
 
 def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
     linear, noises = linear_system(default_rng(3))
-    (n, N), m = linear.states.shape, linear.innovation.shape[1]
+    (n, N), m = linear.states.shape, linear.past.error.shape[1]
     slopes = default_rng(4).standard_normal((n - 1, N, 1))
+    past, path = linear.past, linear.path
     linear = linear._replace(
-        transition_slopes=slopes,
-        innovation_slopes=linear.residual_states @ slopes,
-        residual_slopes=np.zeros((n - 1, m, 1)),
+        transition=linear.transition._replace(Theta=slopes),
+        past=past._replace(by_parameters=path.by_state_after @ slopes),
+        path=path._replace(by_parameters=np.zeros((n - 1, m, 1))),
     )
     run = filtered(linear, noises)
-    push = 1e-6 * linear.residual_states @ slopes
+    push = 1e-6 * path.by_state_after @ slopes
     moved = linear._replace(
         predicted=linear.predicted + 1e-6 * slopes[..., 0],
-        innovation=linear.innovation - push[..., 0],
-        residual=linear.residual - push[..., 0],
+        past=linear.past._replace(error=past.error - push[..., 0]),
+        path=linear.path._replace(error=path.error - push[..., 0]),
     )
     change = (filtered(moved, noises).innovations.values - run.innovations.values) / 1e-6
     assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)

@@ -53,6 +53,37 @@ class _Point(NamedTuple):
     psi: Vector
 
 
+class SearchResult(NamedTuple):
+    """How a search ended."""
+
+    converged: bool
+    went_back: bool  # to an earlier pass of larger likelihood
+
+
+class _StepControl:
+    """Damping of the steps of a search, and the fraction of them that is taken."""
+
+    def __init__(self, n_free: int, settings: AirSettings) -> None:
+        self.settings = settings
+        self.damping = settings.first_damping  # over the information
+        self.fraction = 1.0
+        self.last_step = np.zeros(n_free)
+
+    def shortened(self, step: Vector, information: Matrix) -> Vector:
+        """Return the fraction of a step to take: less where steps turn back, so that no two solutions alternate.
+
+        The next step is damped less.
+        """
+        settings = self.settings
+        if step @ information @ self.last_step < 0:
+            self.fraction = max(settings.shorter * self.fraction, settings.least_fraction)
+        else:
+            self.fraction = min(settings.longer * self.fraction, 1.0)
+        self.last_step = step
+        self.damping *= settings.less_damping
+        return self.fraction * step
+
+
 class AirFit:
     """Parameters x, noises and filtered states of the records, which `search` improves.
 
@@ -78,7 +109,6 @@ class AirFit:
         self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
         self.history: list[Vector] = []  # of x in the search
-        self.went_back = False  # to an earlier pass of larger likelihood
         self.winds = []
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
@@ -91,8 +121,8 @@ class AirFit:
         before = ((0, 0), (RATE_STATES.start, 0))
         self.states = [np.pad(record.rates, before) for record in records]
 
-    def search(self, n_before: int) -> bool:
-        """Improve parameters and noises; return whether the search converged.
+    def search(self, n_before: int) -> SearchResult:
+        """Improve parameters and noises by passes of the filter.
 
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges. It may
         end far below the likelihood of an earlier pass, as instruments are weak far from the solution,
@@ -101,61 +131,56 @@ class AirFit:
         """
         keep_freed_memory()
         settings = self.settings
-        damping = settings.first_damping
-        fraction = 1.0  # of a step that is taken
-        last_step = np.zeros(len(self.x) - self.parameters.n_held)
+        control = _StepControl(len(self.x) - self.parameters.n_held, settings)
         was_small = False
         converged = False
         likelihood = -np.inf
-        best = _Point(-np.inf, self.x, self.noise_search.psi)
-        lost = settings.lost_likelihood * sum(len(record.rows) for record in self.records)
+        best = self._point(likelihood)
         for number in range(settings.max_passes):
-            # filter about the states of the last pass
-            sums, fitted = self.filter_records(by_instruments=number >= n_before)
-            self.records = [item.record for item in fitted]
-            self.states = [item.filter_pass.states for item in fitted]
+            sums, fitted = self._pass(by_instruments=number >= n_before)
             likelihood = sum(item.log_likelihood for item in fitted)
             if likelihood > best.likelihood:
-                best = _Point(likelihood, self.x.copy(), self.noise_search.psi.copy())
-
-            # step of the parameters
-            information, score = sums.damped(damping)
-            step = self._bounded_step(information, score)
-            turns_back = bool(step @ information @ last_step < 0)
-            fraction = self._next_fraction(fraction, turns_back)
-            self.x[sums.free] += fraction * step
-            self.history.append(self.x.copy())
-
-            # step of the noises, from the second pass on
+                best = self._point(likelihood)
+            step = self._move_parameters(sums, control)
+            # noises move from the second pass on
             noise_length = self._move_noises(fitted) if number else np.inf
-
             is_small = sums.squared_length(step) < settings.tolerance
             is_still = was_small and is_small and noise_length < settings.noise_tolerance
             converged = is_still and number > n_before
             if converged:
                 break
-            last_step, was_small = step, is_small
-            damping *= settings.less_damping
+            was_small = is_small
+        lost = settings.lost_likelihood * sum(len(record.rows) for record in self.records)
         if likelihood < best.likelihood - lost:
             self._go_back(best)
-            return False
-        return converged
+            return SearchResult(converged=False, went_back=True)
+        return SearchResult(converged, went_back=False)
+
+    def _point(self, likelihood: float) -> _Point:
+        """Return parameters and noises as they are, of a given likelihood."""
+        return _Point(likelihood, self.x.copy(), self.noise_search.psi.copy())
+
+    def _pass(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
+        """Filter all records about the states of the last pass, and keep states and records for the next one."""
+        sums, fitted = self.filter_records(by_instruments)
+        self.records = [item.record for item in fitted]
+        self.states = [item.filter_pass.states for item in fitted]
+        return sums, fitted
 
     def _go_back(self, point: _Point) -> None:
         """Take parameters and noises of an earlier pass, and the states of one more pass there."""
-        self.went_back = True
+        self.noise_search.go_back(point.psi)
         self.x = point.x
-        self.noise_search.psi = point.psi
         self.history.append(self.x.copy())
-        _, fitted = self.filter_records()
-        self.records = [item.record for item in fitted]
-        self.states = [item.filter_pass.states for item in fitted]
+        self._pass()
 
-    def _next_fraction(self, fraction: float, turns_back: bool) -> float:
-        """Return the fraction of a step to take: less where steps turn back, so that no two solutions alternate."""
-        if turns_back:
-            return max(self.settings.shorter * fraction, self.settings.least_fraction)
-        return min(self.settings.longer * fraction, 1.0)
+    def _move_parameters(self, sums: Sums, control: _StepControl) -> Vector:
+        """Move the parameters by a part of the damped step; return the full step."""
+        information, score = sums.damped(control.damping)
+        step = self._bounded_step(information, score)
+        self.x[sums.free] += control.shortened(step, information)
+        self.history.append(self.x.copy())
+        return step
 
     def _move_noises(self, fitted: list[FittedRecord]) -> float:
         """Move the noises by the middle of each record; return the squared length of the step."""

@@ -352,11 +352,11 @@ def _searched(start: Callable[[], AirFit], settings: AirSettings, n_rows: int) -
         try:
             # a search that diverges leaves the range of numbers
             with np.errstate(over="ignore", invalid="ignore"):
-                converged = fit.search(n_before)
-            motion = _air_motion(fit, converged, n_rows)
+                result = fit.search(n_before)
+            motion = _air_motion(fit, result.converged, n_rows)
         except np.linalg.LinAlgError:  # the search diverged
             continue
-        if not fit.went_back:
+        if not result.went_back:
             break
     if motion is None:
         raise ValueError(DIVERGED)

@@ -57,9 +57,9 @@ def misfit_of(offset: Vector, prior_std: Vector) -> float:
     return max(1.0, float(np.sqrt(np.mean((offset / prior_std) ** 2))))
 
 
-def inflate_for_misfit(covariance: Matrix, misfit: float) -> Matrix:
-    """Return the covariance times the square of the misfit (Birge 1932)."""
-    return covariance * misfit**2
+def inflate(covariance: Matrix, factor: float) -> Matrix:
+    """Return the covariance of errors that are larger by a factor."""
+    return covariance * factor**2
 
 
 def add_model_error(covariance: Matrix, derivatives: Vector, fraction: float) -> Matrix:
@@ -116,7 +116,7 @@ def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
     last = fit.history[-fit.settings.last_passes :]
     if len(last) == len(fit.history):
         return without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
-    covariance = inflate_for_misfit(covariance, fit.settings.unfinished) + spread_of(last)
+    covariance = inflate(covariance, fit.settings.unfinished) + spread_of(last)
     if fit.is_known:
         return covariance
     derivatives = fit.x[: fit.layout.n_derivatives]
@@ -136,7 +136,7 @@ def _excess_of_gusts(fit: AirFit, axes: Sequence[str]) -> float:
     return excess
 
 
-def misfit_of_surfaces(fit: AirFit, fitted: list[FittedRecord]) -> float:
+def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:
     r"""Return the factor of standard deviations by errors of surfaces between samples of slow clocks.
 
     With the part :math:`S_{e,k}` of the innovations' covariance :math:`S_k` by these errors, whitened
@@ -158,8 +158,8 @@ def misfit_of_sensors(fit: AirFit) -> float:
     offset = fit.x - fit.parameters.mean
     misfits = []
     for constants in (SENSOR_CONSTANTS, ARM):
-        is_one = [name.split()[0] in constants for name in fit.parameters.names]
-        misfits.append(misfit_of(offset[is_one], fit.parameters.std[is_one]))
+        places = fit.parameters.places_of_all(constants)
+        misfits.append(misfit_of(offset[places], fit.parameters.std[places]))
     return max(misfits)
 
 

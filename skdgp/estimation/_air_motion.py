@@ -44,9 +44,9 @@ from skdgp.estimation._air_covariance import (
     add_attenuation,
     error_fractions,
     estimate_covariance,
-    inflate_for_misfit,
+    inflate,
     misfit_of_sensors,
-    misfit_of_surfaces,
+    surface_factor,
     unfinished_covariance,
     with_model_errors,
 )
@@ -512,10 +512,10 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
     vibrates = any(record.vibration.any() for record in fit.records)
     if not fit.is_known:
         misfit = misfit_of_sensors(fit)
-        covariance = inflate_for_misfit(covariance, misfit)
-        covariance = inflate_for_misfit(covariance, misfit_of_surfaces(fit, fitted))
+        covariance = inflate(covariance, misfit)
+        covariance = inflate(covariance, surface_factor(fit, fitted))
         if vibrates:
-            covariance = inflate_for_misfit(covariance, fit.settings.vibrating)
+            covariance = inflate(covariance, fit.settings.vibrating)
         covariance = with_model_errors(covariance, fit)
     # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)

@@ -119,6 +119,11 @@ class Parameters(NamedTuple):
         """Return the places of parameters of a flight by name."""
         return self.places[flight][[self.local_names.index(name) for name in names]]
 
+    def places_of_all(self, names: Sequence[str]) -> Indices:
+        """Return the places of parameters of all flights by name, ascending."""
+        columns = [self.local_names.index(name) for name in names]
+        return np.unique(self.places[:, columns])
+
     def free_places(self, flight: int) -> Indices:
         """Return the places of the parameters of a flight that are estimated."""
         places = self.places[flight]

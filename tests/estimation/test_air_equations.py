@@ -18,7 +18,7 @@ from skdgp.estimation._air_covariance import (
     add_model_error,
     add_scale_error,
     correlated_scatter,
-    inflate_for_misfit,
+    inflate,
     misfit_of,
     sandwich,
     spread_of,
@@ -385,7 +385,7 @@ def test_widened_variances_are_the_larger_ones_and_correlations_stay():
 def test_misfit_is_at_least_one():
     assert misfit_of(np.array([0.1, -0.2, 0.3]), PRIOR_STD) == 1.0
     assert misfit_of(2.5 * PRIOR_STD, PRIOR_STD) == pytest.approx(2.5)
-    assert_allclose(inflate_for_misfit(COVARIANCE, 2.5), 6.25 * COVARIANCE)
+    assert_allclose(inflate(COVARIANCE, 2.5), 6.25 * COVARIANCE)
 
 
 def test_errors_of_the_model_are_independent_and_those_of_an_angle_are_common():

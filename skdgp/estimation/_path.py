@@ -7,7 +7,9 @@ of a channel in n samples, and the covariance P of the path,
 .. math:: \sigma^2 = \frac{\sum e^2}{n - \operatorname{tr} J P J^T}.
 
 A step of it multiplies the variance by the ratio of the two sides to the power of ``stride``. The initial
-noise of a sensor counts as some samples in numerator and denominator.
+noise of a sensor counts as some samples in numerator and denominator. Three numbers scale a step:
+``fraction`` is of the step of the path, halved where the constants overshoot; ``pace`` is of the step of
+the noise, ever less in late steps; ``stride`` is ``pace`` over one minus the slope of the plain iteration.
 At the fixed point the gradient of the marginal likelihood is zero (Searle, Casella & McCulloch 1992,
 section 8.3). The traces are estimated from draws of the posterior.
 """
@@ -48,6 +50,8 @@ from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
 CALIBRATED = (*INERTIAL_BIASES, *MEAN_WIND)
 """Constants that are estimated where sensors have no lags."""
+PRIOR_STD = np.array(list(PATH_CONSTANTS.values()))
+"""Prior standard deviations of all constants (c,), of means of zero."""
 
 
 class PathEstimate(NamedTuple):
@@ -101,92 +105,130 @@ def estimate_path(
     -------
     PathEstimate
     """
-    search = _Search(sensors, free, settings)
-    path = FlightPath.initial(sensors)
-    delays = np.zeros(2, dtype=int)
-    fraction = 1.0  # of a step that is taken
-    last_step = np.zeros(len(free))
+    search = _Search(sensors, noise, learn, free, settings)
+    converged = False
     for number in range(settings.max_steps):
-        if number <= settings.delay_steps:
-            delays = search.delays(path)
-        equations = search.equations(path, noise, delays)
-        posterior = solve(equations, search.prior(path, noise), search.free, search.draws)
-        # the full step of the constants, in standard deviations
-        step = posterior.constants[search.free] / np.sqrt(np.diag(posterior.covariance))
-        if step @ last_step < -settings.overshoot * last_step @ last_step:
-            fraction /= 2
-        last_step = step
-        path = path.moved(fraction * posterior.states, fraction * posterior.constants)
-        before = noise
-        pace = min(1.0, settings.full_steps / (number + 1))
-        sums = search.residual_sums(equations, posterior)
-        noise = before | _variance_components(before, sums, learn, pace, settings)
-        largest_change = max((abs(np.log(noise[name] / before[name])) for name in learn), default=0)
-        is_steady = largest_change < settings.tolerance
-        converged = number > 0 and is_steady and _is_small(posterior, settings.tolerance)
+        converged = search.step(number)
         if converged:
             break
-    if not search.has_alpha:
-        noise = noise | {"gust_vertical": noise["gust_horizontal"]}
-    off_path = search.off_path(path, delays)
-    return PathEstimate(path, noise, posterior.covariance, converged, off_path)
+    return search.estimate(converged)
 
 
 class _Search:
-    """Equations, prior and draws of the path of one flight with some free constants."""
+    """The path of one flight, the noise of its sensors, and the steps that improve both."""
 
-    def __init__(self, sensors: FlightSensors, free: Sequence[str], settings: PathSettings) -> None:
+    def __init__(
+        self,
+        sensors: FlightSensors,
+        noise: dict[str, float],
+        learn: Collection[str],
+        free: Sequence[str],
+        settings: PathSettings,
+    ) -> None:
         self.sensors = sensors
+        self.noise = noise
+        self.learn = learn
         self.settings = settings
-        self.free = np.array([PLACE[name] for name in free])
+        self.places = np.array([PLACE[name] for name in free])  # of the free constants
+        self.path = FlightPath.initial(sensors)
+        self.covariance = np.diag(PRIOR_STD[self.places] ** 2)
+        self.delays = np.zeros(2, dtype=int)  # lags of GPS and attitude in whole samples
+        self.fraction = 1.0  # of a step of the path that is taken
+        self.last_step = np.zeros(len(free))
         self.draws = _mirrored_draws(len(sensors.time), free, settings.n_draws)
-        self.step = np.diff(sensors.time)
-        self.correlation = np.exp(-self.step / settings.gust_time)  # of gusts over a step
+        self.time_step = np.diff(sensors.time)
+        self.correlation = np.exp(-self.time_step / settings.gust_time)  # of gusts over a step
         self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR_READINGS.start + 1]).any())
         self.channels = list(EQUATION_NOISE)
         if not self.has_alpha:
             # without an alpha vane vertical gusts are like horizontal ones
             self.channels[GUST_ROWS.stop - 1] = "gust_horizontal"
 
-    def delays(self, path: FlightPath) -> Indices:
-        """Return the lags of GPS and attitude in whole samples, (2,)."""
-        interval = np.median(self.step) if len(self.step) else np.inf
-        return np.round(path.constants[[VELOCITY_LAG, ATTITUDE_LAG]] / interval).astype(int)
+    def step(self, number: int) -> bool:
+        """Take a step of the path, then one of the noise; return whether both were small."""
+        settings = self.settings
+        if number <= settings.delay_steps:
+            self.delays = self._delays()
+        equations = self._equations()
+        posterior = solve(equations, self._prior(), self.places, self.draws)
+        self._move_path(posterior)
+        pace = min(1.0, settings.full_steps / (number + 1))
+        largest_change = self._move_noise(self._residual_sums(equations, posterior), pace)
+        is_steady = largest_change < settings.tolerance
+        return number > 0 and is_steady and _is_small(posterior, settings.tolerance)
 
-    def equations(self, path: FlightPath, noise: Mapping[str, float], delays: Indices) -> Equations:
-        """Return the equations of a path in units of their noise."""
-        least = self.settings.least_airspeed
-        equations = path_equations(path, self.sensors, self.correlation, delays, least)
-        scale = np.tile(self._stds(noise), (len(self.sensors.time), 1))
+    def estimate(self, converged: bool) -> PathEstimate:
+        """Return path and noise as they are."""
+        noise = self.noise
+        if not self.has_alpha:  # vertical gusts were estimated with the horizontal ones
+            noise = noise | {"gust_vertical": noise["gust_horizontal"]}
+        off_path = self._raw_equations().residual[:-1, INERTIAL_ROWS]
+        return PathEstimate(self.path, noise, self.covariance, converged, off_path)
+
+    def _delays(self) -> Indices:
+        """Return the lags of GPS and attitude in whole samples, (2,)."""
+        interval = np.median(self.time_step) if len(self.time_step) else np.inf
+        lags = self.path.constants[[VELOCITY_LAG, ATTITUDE_LAG]]
+        return np.round(lags / interval).astype(int)
+
+    def _move_path(self, posterior: Posterior) -> None:
+        """Move the path by a fraction of the step to the posterior mean, half as large where it overshoots."""
+        # the full step of the constants, in standard deviations
+        step = posterior.constants[self.places] / np.sqrt(np.diag(posterior.covariance))
+        last_step = self.last_step
+        if step @ last_step < -self.settings.overshoot * last_step @ last_step:
+            self.fraction /= 2
+        states = self.fraction * posterior.states
+        self.path = self.path.moved(states, self.fraction * posterior.constants)
+        self.last_step = step
+        self.covariance = posterior.covariance
+
+    def _move_noise(self, residual_sums: Mapping[str, ResidualSums], pace: float) -> float:
+        """Move the noise of the channels in ``learn`` that were sampled; return the largest change of a logarithm."""
+        largest_change = 0.0
+        noise = self.noise.copy()
+        for name, sums in residual_sums.items():
+            if name in self.learn:
+                before = noise[name]
+                noise[name] = _variance_component(name, before, sums, pace, self.settings)
+                largest_change = max(largest_change, abs(np.log(noise[name] / before)))
+        self.noise = noise
+        return largest_change
+
+    def _equations(self) -> Equations:
+        """Return the equations of the path in units of their noise."""
+        equations = self._raw_equations()
+        scale = np.tile(self._stds(), (len(self.sensors.time), 1))
         # change of a Gauss-Markov process of correlation time T in a step
         growth = self.settings.gust_time / 2 * (1 - self.correlation**2)
         scale[:-1, GUST_ROWS] *= np.sqrt(growth)[:, None]
         equations.whiten(scale)
         return equations
 
-    def off_path(self, path: FlightPath, delays: Indices) -> Matrix:
-        """Return what the equations of the inertial sensors (n - 1, 6) leave at a path [SI]."""
+    def _raw_equations(self) -> Equations:
+        """Return the equations of the path [SI]."""
         least = self.settings.least_airspeed
-        equations = path_equations(path, self.sensors, self.correlation, delays, least)
-        return equations.residual[:-1, INERTIAL_ROWS]
+        return path_equations(self.path, self.sensors, self.correlation, self.delays, least)
 
-    def _stds(self, noise: Mapping[str, float]) -> Vector:
+    def _stds(self) -> Vector:
         """Return the noise of each equation."""
-        return np.array([noise[name] for name in self.channels])
+        return np.array([self.noise[name] for name in self.channels])
 
-    def prior(self, path: FlightPath, noise: Mapping[str, float]) -> GaussianPrior:
-        """Return the prior of the constants, and a wide one of states where segments begin."""
+    def _prior(self) -> GaussianPrior:
+        """Return the prior of constants and gusts, and a wide one of velocity and attitude where segments begin.
+
+        The mean of the latter is the path so far, by an offset of zero: it dampens steps and pulls to no value.
+        """
         settings = self.settings
-        gust_std = self._stds(noise)[GUST_ROWS] * np.sqrt(settings.gust_time / 2)  # stationary
+        gust_std = self._stds()[GUST_ROWS] * np.sqrt(settings.gust_time / 2)  # stationary
         start_std = np.repeat([settings.start_velocity, settings.start_attitude], 3)
         begins = np.append(True, ~self.sensors.joined)[:, None]
         precision = begins * np.concatenate([start_std, gust_std]) ** -2.0
         offset = np.zeros_like(precision)
-        offset[:, GUST] = path.gust
-        constant_std = np.array(list(PATH_CONSTANTS.values()))
-        return GaussianPrior(precision, offset, constant_std**-2, path.constants)
+        offset[:, GUST] = self.path.gust
+        return GaussianPrior(precision, offset, PRIOR_STD**-2, self.path.constants)
 
-    def residual_sums(self, equations: Equations, posterior: Posterior) -> dict[str, ResidualSums]:
+    def _residual_sums(self, equations: Equations, posterior: Posterior) -> dict[str, ResidualSums]:
         """Return sums over the residuals of each channel that was sampled."""
         change = equations.changes(posterior.states[..., None], posterior.constants[:, None])
         squares = np.sum((equations.residual + change[..., 0]) ** 2, axis=0)
@@ -230,30 +272,21 @@ def _is_small(posterior: Posterior, tolerance: float) -> bool:
     return bool(np.all(moved < tolerance**2 * variance))
 
 
-def _variance_components(
-    noise: Mapping[str, float],
-    residual_sums: Mapping[str, ResidualSums],
-    learn: Collection[str],
-    pace: float,
-    settings: PathSettings,
-) -> dict[str, float]:
-    """Return the new standard deviations of the channels in ``learn`` that were sampled."""
-    stds = {}
-    for name, sums in residual_sums.items():
-        if name in learn:
-            stds[name] = _variance_component(name, noise[name], sums, pace, settings)
-    return stds
-
-
 def _variance_component(
     name: str, std: float, sums: ResidualSums, pace: float, settings: PathSettings
 ) -> float:
-    """Return the new standard deviation of a channel, whose residuals are in units of the one before, ``std``.
+    r"""Return the new standard deviation of a channel, whose residuals are in units of the one before, ``std``.
 
-    For a random walk measured with other noise, the fraction of the residuals grows with the
-    variance and the redundancy with its root. The plain iteration would halve the error in each
-    step, so the step is divided by one minus that slope. ``pace`` shortens it, so that the search
-    does not oscillate.
+    With the redundancy :math:`\rho = n - \operatorname{tr} J P J^T` and prior samples of squares :math:`s_0`
+    and number :math:`n_0`, the plain iteration is :math:`\sigma'^2 = (\sum e^2 + s_0) / (\rho + n_0)`. For a
+    random walk measured with other noise, :math:`\sum e^2` grows with :math:`\sigma^2` and :math:`\rho`
+    with :math:`\sigma`, so that
+
+    .. math:: \frac{d \log \sigma'^2}{d \log \sigma^2} =
+              \frac{\sum e^2}{\sum e^2 + s_0} - \frac{1}{2} \frac{\rho}{\rho + n_0},
+
+    here times :math:`1 - \rho / n`. It would halve the error in each step, so the step is divided by one
+    minus this slope. ``pace`` shortens it, so that the search does not oscillate.
     """
     # the initial noise of a sensor counts as some residuals; gusts have no such prior
     prior_count = 0.0

@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from skdgp._compute.typing import Matrix
 
 # [m/s^2]
 STANDARD_GRAVITY = 9.80665
@@ -93,6 +96,16 @@ def euler_to_matrix(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.ndar
     return quaternion_to_matrix(euler_to_quaternion(phi, theta, psi))
 
 
+def euler_to_rotation(angles: Matrix) -> Rotation:
+    """Return the attitudes, body to NED, of roll, pitch and heading (n, 3) [rad]."""
+    return Rotation.from_euler("ZYX", angles[:, ::-1])
+
+
+def rotation_to_euler(attitude: Rotation) -> Matrix:
+    """Return roll, pitch and heading (n, 3) [rad] of attitudes, body to NED."""
+    return attitude.as_euler("ZYX")[:, ::-1]
+
+
 def body_to_ned(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
     """Return body vectors (..., 3) in NED axes, at the attitude of ``quaternion`` (..., 4)."""
     return _turn(components(quaternion), vector)
@@ -160,6 +173,11 @@ def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.n
     v = np.multiply(airspeed, np.sin(beta))
     w = in_plane * np.sin(alpha)
     return _vector(u, v, w)
+
+
+def wind_origin(north: float, east: float) -> float:
+    """Return where the wind comes from [deg], clockwise from north, 0 to 360, by its velocity."""
+    return np.rad2deg(np.arctan2(-east, -north)) % 360
 
 
 def components(vector: ArrayLike) -> tuple[Any, ...]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.frames import air_data, cross, cross_matrix
+from skdgp._flight.sensor_position import acceleration_by_rotation
 from skdgp.dynamics import (
     Aircraft,
     aerodynamic_loads,
@@ -194,7 +195,7 @@ class AirMotionModel:
         """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at variables (..., n, 12)."""
         rates = state[..., BODY_RATES]
         loads = self.accelerations(state, inputs)
-        turning = cross(loads[..., 3:], self.arm) + cross(rates, cross(rates, self.arm))
+        turning = acceleration_by_rotation(loads[..., 3:], rates, self.arm)
         air = np.stack(air_data(state[..., AIR_VELOCITY]), axis=-1)
         return np.concatenate([loads[..., :3] + turning, rates, air], axis=-1)
 

@@ -28,6 +28,7 @@ from skdgp._flight.channels import (
     VANES,
     by_elevons,
 )
+from skdgp._flight.frames import wind_origin
 from skdgp._flight.holds import with_own_clocks
 from skdgp._flight.sensor_position import sensor_position
 from skdgp._flight.tables import FlightTable, has_values
@@ -150,11 +151,10 @@ class AirMotion:
         """
         gust, length = self.gusts
         north, east = self.constants["value"].loc[["wind_north 0", "wind_east 0"]].to_numpy(float)
-        origin = np.rad2deg(np.arctan2(-east, -north)) % 360
         servo = self.constants.loc["servo_lag"]
         parts = [
             f"gusts {gust:.1f} m/s rms, {length:.0f} m",
-            f"wind {np.hypot(north, east):.1f} m/s from {origin:.0f} deg",
+            f"wind {np.hypot(north, east):.1f} m/s from {wind_origin(north, east):.0f} deg",
             f"servos {1e3 * servo['value']:.0f} ± {1e3 * servo['std']:.0f} ms late",
         ]
         slipstream = self.constants.loc["slipstream"]

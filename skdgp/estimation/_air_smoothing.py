@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
-from skdgp._flight.frames import air_data, air_data_slopes
+from skdgp._flight.frames import air_data, air_data_slopes, rotation_to_euler
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import (
     FAST_GUST,
@@ -89,5 +89,5 @@ def _variances(slopes: Array, covariance: Array) -> Matrix:
 def _path(record: Record) -> Matrix:
     """Return specific force, attitude and ground velocity (n, 9) without biases and lags."""
     to_earth = record.attitude.mT
-    angles = Rotation.from_matrix(to_earth).as_euler("ZYX")[:, ::-1]
+    angles = rotation_to_euler(Rotation.from_matrix(to_earth))
     return np.column_stack([record.force, angles, record.earth_velocity()])

@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from scipy.signal import detrend
-from scipy.spatial.transform import Rotation
 
 from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER
 from skdgp._flight.clock import Clock
-from skdgp._flight.frames import air_velocity
+from skdgp._flight.frames import air_velocity, euler_to_rotation
 from skdgp._flight.tables import has_values, numeric
 from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
@@ -126,7 +125,7 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
 
 
 def _moments(flight: pd.DataFrame, settings: PathSettings) -> _Moments:
-    attitude = Rotation.from_euler("ZYX", numeric(flight, EULER)[:, ::-1])
+    attitude = euler_to_rotation(numeric(flight, EULER))
     through_air = attitude.apply(air_velocity(*numeric(flight, AIR_DATA).T))
     forward = _horizontal(attitude.apply([1.0, 0.0, 0.0]))
     instrument = np.conj(forward)

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
-from skdgp._flight.frames import air_data
+from skdgp._flight.frames import air_data, rotation_to_euler
 from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._path_equations import FlightPath
 from skdgp.estimation._sensors import FlightSensors
@@ -22,7 +22,7 @@ RECONSTRUCTED = (*AIR_DATA, *ANGLE_RATES, *MOTION_COLUMNS)
 def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:
     """Return the columns `RECONSTRUCTED` (n,) by a flight's path, SI units and radians."""
     air = np.column_stack(air_data(path.air_velocity()))
-    euler = path.attitude.as_euler("ZYX")[:, ::-1]
+    euler = rotation_to_euler(path.attitude)
     force, rate = path.inertial(sensors)
     return _columns(sensors, air, np.hstack([rate, force, euler, path.velocity, path.wind()]))
 

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import flight_codes
+from skdgp._flight.frames import euler_to_rotation
 from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
 from skdgp._flight.sensor_position import sensor_acceleration, sensor_position
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
@@ -203,7 +204,7 @@ def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSe
         segment=segment,
         readings=np.concatenate([inertial, air], axis=1),
         velocity=numeric(table, EARTH_VELOCITY),
-        attitude=Rotation.from_euler("ZYX", angles[:, ::-1]),
+        attitude=euler_to_rotation(angles),
         attitude_sampled=sampled,
         position=sensor_position(table),
         lever_acceleration=lever_acceleration,

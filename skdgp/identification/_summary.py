@@ -13,6 +13,7 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.files import software_versions
 from skdgp._compute.wording import text_of
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
+from skdgp._flight.frames import wind_origin
 from skdgp._flight.sensor_position import sensor_position
 from skdgp.dynamics import Aircraft
 from skdgp.identification._learn import thrust_sources
@@ -204,7 +205,7 @@ def air_of(pipeline: Pipeline) -> str:
     winds = step.calibration_.pivot_table("estimate", "flight", "constant", sort=False)
     for name, row in winds.iterrows():
         north, east = row[["wind_north", "wind_east"]]
-        way = np.rad2deg(np.arctan2(-east, -north)) % 360
+        origin = wind_origin(north, east)
         speed = np.hypot(north, east)
-        parts.append(f"steady wind {speed:.2g} m/s from {way:.0f} deg in flight {name!r}")
+        parts.append(f"steady wind {speed:.2g} m/s from {origin:.0f} deg in flight {name!r}")
     return ", ".join(parts[:MOST_AIRS])

@@ -126,6 +126,11 @@ class Layout(NamedTuple):
         return len(self.rows)
 
     @property
+    def n_constants(self) -> int:
+        """Number of constants."""
+        return len(self.names) - self.n_derivatives
+
+    @property
     def n_slopes(self) -> int:
         """Number q of slopes by parameters and instruments."""
         return len(self.names) + self.by_instruments * self.n_derivatives
@@ -158,8 +163,7 @@ class Layout(NamedTuple):
 
     def motion_slopes(self, attitude: Array, rates: Matrix, air_by_state: Array) -> Array:
         """Return d variables of the model / d states and constants, (n, 12, N + c), at given coefficients."""
-        n_constants = self.constants.stop - self.constants.start
-        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + n_constants))
+        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + self.n_constants))
         slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
         slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
         by_constants = slopes[..., N_STATES:]
@@ -173,7 +177,7 @@ class Layout(NamedTuple):
         From d h / d variables, (n, m, 12). States do not change the coefficients at a given motion.
         """
         by_coefficients = by_variables[..., COEFFICIENT_ERRORS]
-        values = np.zeros((*by_coefficients.shape[:2], N_STATES + self.n_slopes))
+        values = np.zeros((*by_variables.shape[:2], N_STATES + self.n_slopes))
         by_constants = values[..., self.constants]
         places = self.place_of_constants(*COEFFICIENT_CONSTANTS)
         by_constants[..., places] = by_coefficients @ slopes.by_constants
@@ -412,8 +416,7 @@ class Expansion:
         sampled = self.record.sampled
         by_variables = (errors.scale[:, None] * slopes)[:, sampled]
         layout = self.layout
-        n_constants = layout.constants.stop - layout.constants.start
-        by_constants = np.zeros((*truth.shape, n_constants))
+        by_constants = np.zeros((*truth.shape, layout.n_constants))
         biases = layout.place_of_constants(*LEARNED_BIASES)
         by_constants[:, [*LEARNED_BIASES.values()], biases] = 1.0
         (scale,) = layout.place_of_constants("airspeed_scale")

@@ -39,7 +39,7 @@ noises.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.linalg import lapack
@@ -56,10 +56,6 @@ class Transition(NamedTuple):
     Phi: Array  # (n - 1, N, N) by the state before
     Theta: Array  # (n - 1, N, q) by parameters and instruments
 
-    def part(self, steps: slice) -> Transition:
-        """Return the derivatives of some steps."""
-        return Transition(self.Phi[steps], self.Theta[steps])
-
 
 class PastPrediction(NamedTuple):
     """Prediction of the sensors after each step from the past alone: its error, and its derivatives."""
@@ -69,10 +65,6 @@ class PastPrediction(NamedTuple):
     by_state_after: Array  # (n - 1, m, N) L, by a push at the end of the step
     by_parameters: Array  # (n - 1, m, q) E, by parameters and instruments
 
-    def part(self, steps: slice) -> PastPrediction:
-        """Return the prediction after some steps."""
-        return PastPrediction._make(values[steps] for values in self)
-
 
 class PathPrediction(NamedTuple):
     """Prediction of the sensors after each step with the recorded motion: its error, and its derivatives."""
@@ -81,9 +73,13 @@ class PathPrediction(NamedTuple):
     by_state_after: Array  # (n - 1, m, N) H, by the predicted state
     by_parameters: Array  # (n - 1, m, q) F, by parameters and instruments
 
-    def part(self, steps: slice) -> PathPrediction:
-        """Return the prediction after some steps."""
-        return PathPrediction._make(values[steps] for values in self)
+
+Group = TypeVar("Group", Transition, PastPrediction, PathPrediction)
+
+
+def _part(group: Group, steps: slice) -> Group:
+    """Return the arrays of some steps."""
+    return type(group)(*[values[steps] for values in group])
 
 
 class Linearization(NamedTuple):
@@ -106,9 +102,9 @@ class Linearization(NamedTuple):
         return Linearization(
             states=self.states[first : last + 1],
             predicted=self.predicted[steps],
-            transition=self.transition.part(steps),
-            past=self.past.part(steps),
-            path=self.path.part(steps),
+            transition=_part(self.transition, steps),
+            past=_part(self.past, steps),
+            path=_part(self.path, steps),
             time_step=self.time_step[steps],
             surface_noise=self.surface_noise[steps],
             surface_reading_variance=self.surface_reading_variance[steps],
@@ -317,7 +313,7 @@ def innovation_slopes(
     """
     slopes = np.empty_like(linear.past.by_parameters)
     for steps, Z in _parts_of_state_slopes(linear, filter_pass):
-        past = linear.past.part(steps)
+        past = _part(linear.past, steps)
         part = -(past.by_state_before @ Z[:-1] + past.by_parameters)  # -(D Z + E)
         slopes[steps] = part if factors is None else factors[steps] @ part
     return slopes
@@ -341,8 +337,8 @@ def _parts_of_state_slopes(
     for first in range(0, n, STEPS):
         steps = slice(first, min(first + STEPS, n))
         gain = filter_pass.gain[steps]
-        path = linear.path.part(steps)
-        Phi, Theta = linear.transition.part(steps)
+        path = _part(linear.path, steps)
+        Phi, Theta = _part(linear.transition, steps)
         correction = np.eye(N) - gain @ path.by_state_after  # I - K H
         T = correction @ Phi
         B = correction @ Theta - gain @ path.by_parameters  # (I - K H) Theta - K F

@@ -16,7 +16,7 @@ Surfaces that are early are commands. Then their servos have a first-order lag T
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from copy import copy
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -122,15 +122,15 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     free = ["p_bias", "q_bias", "r_bias", *lags, *MEAN_WIND]
     places = [free.index(name) for name in lags]
     noise = PATH_NOISE | GUSTS
-    prior = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
-    precision = prior.copy()
+    prior_precision = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
+    precision = prior_precision.copy()
     weighted = np.zeros(len(lags))
     first = _first_rows(table, settings).drop(columns=[*VANES], errors="ignore")
     for flight in flights_of(first):
         solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
-        of_flight = np.linalg.inv(solved.covariance[np.ix_(places, places)])
-        weighted += of_flight @ solved.path.constant(*lags)
-        precision += of_flight - prior
+        flight_precision = np.linalg.inv(solved.covariance[np.ix_(places, places)])
+        weighted += flight_precision @ solved.path.constant(*lags)
+        precision += flight_precision - prior_precision
     covariance = np.linalg.inv(precision)
     values = covariance @ weighted
     stds = np.sqrt(np.diag(covariance))
@@ -146,16 +146,22 @@ def _first_rows(table: pd.DataFrame, settings: LagSettings) -> pd.DataFrame:
     return table[is_early & (flights.cumcount() < settings.path_rows)]
 
 
+@dataclass(frozen=True)
 class _Segment:
     """A gap-free segment: splines of its channels within the band, rates over V, accelerations over V^2."""
 
-    def __init__(self, time: Vector, table: pd.DataFrame, settings: LagSettings) -> None:
+    splines: dict[str, CubicSpline]
+    time: Vector  # (n,) without the ends of the segment [s]
+    log_step: float  # step of the log [s]
+
+    @classmethod
+    def of(cls, time: Vector, table: pd.DataFrame, settings: LagSettings) -> _Segment:
+        """Return the segment of a table at increasing times."""
         clock = uniform_grid(time)[0]
         rate_hz = _rate_of(clock)
-        self.log_step = 1 / rate_hz
         low, high = _band_at(rate_hz, settings)
         channels = _on_clock(time, table, clock)
-        speed = self._steady_speed(channels, rate_hz, settings)
+        speed = _steady_speed(channels, rate_hz, settings)
         for name in RATES:
             rate = CubicSpline(clock, _low_pass(channels[name], 2 * high, rate_hz))
             channels[f"{name}_dot"] = rate(clock, 1) / speed**2
@@ -163,33 +169,22 @@ class _Segment:
         for name in SPECIFIC_FORCE:
             channels[name] /= speed**2
         sections = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
-        self.splines = {}
+        splines = {}
         for name, values in channels.items():
-            self.splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
+            splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
         step = 1 / min(rate_hz, settings.oversampling * high)
-        self.time = np.arange(clock[0] + settings.edge, clock[-1] - settings.edge, step)
-
-    @staticmethod
-    def _steady_speed(
-        channels: dict[str, Vector], rate_hz: float, settings: LagSettings
-    ) -> Vector | float:
-        """Return the airspeed below the band, (n,) [m/s]; one where it is not measured."""
-        if "airspeed" not in channels:
-            return 1.0
-        speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
-        return np.maximum(speed, settings.least_speed * np.median(speed))
+        inner = np.arange(clock[0] + settings.edge, clock[-1] - settings.edge, step)
+        return cls(splines, inner, 1 / rate_hz)
 
     def behind_servos(self, lag: float) -> _Segment:
         """Return the segment with the deflections of servos of a first-order lag [s], in place of their commands."""
-        late = copy(self)
-        late.splines = dict(self.splines)
+        splines = dict(self.splines)
         for name in self.present(ALL_SURFACES):
-            clock = self.splines[name].x
-            commands = self.splines[name](clock)[:, None]
-            late.splines[name] = CubicSpline(
-                clock, servo_output(commands, lag, clock[1] - clock[0])[:, 0]
-            )
-        return late
+            clock = splines[name].x
+            commands = splines[name](clock)[:, None]
+            deflections = servo_output(commands, lag, clock[1] - clock[0])
+            splines[name] = CubicSpline(clock, deflections[:, 0])
+        return replace(self, splines=splines)
 
     def earlier_surfaces(self, settings: LagSettings) -> Matrix:
         """Return an orthonormal basis (n, k) of the surfaces of the last seconds."""
@@ -215,6 +210,16 @@ class _Segment:
     def predictors(self, surface_lag: float) -> Matrix:
         """Return specific force, rates and surfaces (n, p), surfaces corrected for a lag."""
         return np.hstack([self.channels(INERTIAL), self.channels(ALL_SURFACES, surface_lag)])
+
+
+def _steady_speed(
+    channels: dict[str, Vector], rate_hz: float, settings: LagSettings
+) -> Vector | float:
+    """Return the airspeed below the band, (n,) [m/s]; one where it is not measured."""
+    if "airspeed" not in channels:
+        return 1.0
+    speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
+    return np.maximum(speed, settings.least_speed * np.median(speed))
 
 
 def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vector]:
@@ -258,7 +263,7 @@ def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:
             continue
         low, high = _band_at(_rate_of(uniform_grid(time)[0]), settings)
         if low < high:
-            segments.append(_Segment(time, part, settings))
+            segments.append(_Segment.of(time, part, settings))
     return segments
 
 
@@ -281,6 +286,8 @@ def _most_likely_lag(
     quantile at the significance, and the distance to that mean.
     """
     segments = [segment for segment in segments if segment.present(names)]
+    if not segments:
+        return UNKNOWN
 
     def profile(lag: float) -> Vector:
         return _profile(segments, regression, lag, settings)
@@ -313,13 +320,7 @@ def _most_likely_servos(
     instruments = [segment.earlier_surfaces(settings) for segment in segments]
 
     def loss(lags: Vector) -> float:
-        servo_lag, command_lag = lags
-        total = 0.0
-        for segment, Q in zip(segments, instruments, strict=True):
-            late = segment.behind_servos(servo_lag)
-            response, predictors = _turning_by_surfaces(late, command_lag)
-            total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
-        return total
+        return _servo_loss(segments, instruments, lags, settings)
 
     largest = settings.largest
     alone = optimize.minimize_scalar(
@@ -345,6 +346,19 @@ def _most_likely_servos(
     is_significant = removable(servos, settings) or removable(delay, settings)
     is_at_bound = servo_lag + settings.precision >= largest
     return (servos, delay) if is_significant and not is_at_bound else None
+
+
+def _servo_loss(
+    segments: list[_Segment], instruments: list[Matrix], lags: Vector, settings: LagSettings
+) -> float:
+    """Return n log RSS of the responses projected on instruments, at the lags of servos and of commands."""
+    servo_lag, command_lag = lags
+    total = 0.0
+    for segment, Q in zip(segments, instruments, strict=True):
+        late = segment.behind_servos(servo_lag)
+        response, predictors = _turning_by_surfaces(late, command_lag)
+        total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
+    return total
 
 
 def _profile(

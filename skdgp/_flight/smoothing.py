@@ -251,7 +251,7 @@ def noise_level(values: ArrayLike, time: ArrayLike) -> np.ndarray:
     shape = np.shape(values)[1:]
     std = np.full(shape or 1, np.nan)
     for channels, spectrum in _spectra(values, time, None):
-        std[channels] = np.sqrt(white_noise(spectrum) * spectrum.frequency[-1])
+        std[channels] = np.sqrt(noise_power(spectrum) * spectrum.frequency[-1])
     return std.reshape(shape)
 
 
@@ -346,7 +346,7 @@ def _low_pass(
     if spectrum is None:
         return None
     if joint:
-        gain = _joint_gain(spectrum, white_noise(spectrum))
+        gain = _joint_gain(spectrum, noise_power(spectrum))
     else:
         gain = _separate_gain(spectrum, shrinks)
     response = impulse_response(gain)
@@ -418,7 +418,7 @@ def _windows(segment: Matrix, size: int) -> Array:
     return np.concatenate([views[::half], views[::-half]])
 
 
-def white_noise(spectrum: Spectrum) -> Vector:
+def noise_power(spectrum: Spectrum) -> Vector:
     """Return the white noise power of each channel, (k,)."""
     floor = np.zeros(len(spectrum.rounding))
     for channel, power in enumerate(spectrum.channel_power.T):
@@ -460,7 +460,7 @@ def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
 
 def _separate_gain(spectrum: Spectrum, shrinks: NDArray[np.bool_]) -> Matrix:
     """Return the smoother of each channel alone, (m, k), for channels that do not shrink as for a target."""
-    gain = _wiener_gain(spectrum, white_noise(spectrum))
+    gain = _wiener_gain(spectrum, noise_power(spectrum))
     return np.where(shrinks | _is_beyond(gain), gain, 1.0)
 
 

@@ -64,18 +64,20 @@ def inflate(covariance: Matrix, factor: float) -> Matrix:
 
 def add_model_error(covariance: Matrix, derivatives: Vector, fraction: float) -> Matrix:
     """Return the covariance with independent errors of the derivatives, the first parameters, by a linear model."""
-    n = len(derivatives)
-    total = covariance.copy()
-    total[:n, :n] += np.diag((fraction * derivatives) ** 2)
-    return total
+    return _add_to_first(covariance, np.diag((fraction * derivatives) ** 2))
 
 
 def add_scale_error(covariance: Matrix, slopes: Vector, fraction: float) -> Matrix:
     """Return the covariance with a relative error that all slopes by one angle share."""
-    n = len(slopes)
-    total = covariance.copy()
     error = fraction * slopes
-    total[:n, :n] += np.outer(error, error)
+    return _add_to_first(covariance, np.outer(error, error))
+
+
+def _add_to_first(covariance: Matrix, added: Matrix) -> Matrix:
+    """Return the covariance with a covariance (n, n) added to that of the first n parameters."""
+    n = len(added)
+    total = covariance.copy()
+    total[:n, :n] += added
     return total
 
 

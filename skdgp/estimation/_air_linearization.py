@@ -281,6 +281,9 @@ class Expansion:
         # motion over each step: variables (n - 1, 12) before and after, d end / d start (n - 1, 6, 12)
         self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
         self.end, self.by_start = self._moved()
+        # of the m sensors that have any sample, after each step
+        self.measured = record.measured[1:, record.sampled]
+        self.is_sampled = np.isfinite(self.measured)
 
     def _moved(self) -> tuple[Matrix, Array]:
         """Return the variables (n - 1, 12) after the step from each sample, and d end / d start (n - 1, 6, 12)."""
@@ -385,8 +388,7 @@ class Expansion:
         coefficients = self._end_coefficient_slopes(self.end, instrument_terms)
         slopes = self.layout.through_coefficients(readings.by_variables, coefficients)
         slopes += readings.by_variables[..., MOTION] @ step_slopes
-        slopes[..., self.layout.constants] += readings.by_constants
-        by_state, by_parameters = _split(slopes)
+        by_state, by_parameters = self._by_state_and_parameters(slopes, readings)
         motion_by_state = self._end_motion_slopes(self.end)[..., :N_STATES]
         return PastPrediction(
             error=self._errors(readings.values),
@@ -405,8 +407,7 @@ class Expansion:
             self._end_motion_slopes(variables),
             self._end_coefficient_slopes(variables, instrument_terms),
         )
-        slopes[..., self.layout.constants] += readings.by_constants
-        by_state, by_parameters = _split(slopes)
+        by_state, by_parameters = self._by_state_and_parameters(slopes, readings)
         return PathPrediction(self._errors(readings.values), by_state, by_parameters)
 
     def _readings(self, end: Matrix) -> _Readings:
@@ -440,19 +441,19 @@ class Expansion:
         terms = self.model.terms(end, self.end_inputs)
         return CoefficientSlopes(terms, instrument_terms[1:], self.constant_slopes[1:])
 
+    def _by_state_and_parameters(self, slopes: Array, readings: _Readings) -> tuple[Array, Array]:
+        """Return slopes of readings by the states, and by parameters with the constants of the sensors."""
+        slopes[..., self.layout.constants] += readings.by_constants
+        return slopes[..., :N_STATES].copy(), slopes[..., N_STATES:]
+
     def _errors(self, values: Matrix) -> Matrix:
         """Return measured less predicted readings (n - 1, m), zero where not sampled."""
-        measured = self._measured()
-        return np.where(np.isfinite(measured), measured - values, 0.0)
-
-    def _measured(self) -> Matrix:
-        """Return the readings (n - 1, m) of the sensors that are sampled, after each step."""
-        return self.record.measured[1:, self.record.sampled]
+        return np.where(self.is_sampled, self.measured - values, 0.0)
 
     def _added_noise(self) -> tuple[Matrix, Matrix]:
         """Return variances (n - 1, m) where a sensor is not sampled, and the covariance (m, m) of vibration."""
         not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
-        missing = np.where(np.isfinite(self._measured()), 0.0, not_sampled)
+        missing = np.where(self.is_sampled, 0.0, not_sampled)
         vibration = np.zeros((len(SENSORS), len(SENSORS)))
         vibration[INERTIAL_READINGS, INERTIAL_READINGS] = self.record.vibration
         sampled = self.record.sampled
@@ -478,11 +479,6 @@ class Expansion:
         by_surfaces = by_variables[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         error = self.record.surface_errors[1:] * self.surface_effect[1:]
         return np.sum((by_surfaces * error[:, None]) ** 2, axis=-1)
-
-
-def _split(slopes: Array) -> tuple[Array, Array]:
-    """Return derivatives by the states, and by parameters and instruments."""
-    return slopes[..., :N_STATES].copy(), slopes[..., N_STATES:]
 
 
 def _motion(A: Array, push: Matrix) -> Matrix:

@@ -125,17 +125,13 @@ class AirMotionModel:
     def terms(self, state: Array, inputs: Inputs) -> Array:
         """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more)."""
         airspeed, alpha, beta = air_data(state[..., AIR_VELOCITY])
-        X = np.empty((*alpha.shape, self.derivatives.shape[1]))
-        X[..., 0] = 1.0
-        X[..., 1] = alpha
-        X[..., 2] = alpha**2
-        X[..., 3] = beta
-        X[..., 4:7] = (
-            state[..., BODY_RATES] * (0.5 * self.aircraft.moment_lengths) / airspeed[..., None]
-        )
-        X[..., 7] = self.relative_thrust(airspeed, inputs)
-        X[..., 8:] = inputs.surfaces * self.slipstream.effect(X[..., 7])
-        return X
+        half_lengths = 0.5 * self.aircraft.moment_lengths
+        tau = self.relative_thrust(airspeed, inputs)
+        # in the order of `STATE_TERMS`
+        angles = np.stack([np.ones_like(alpha), alpha, alpha**2, beta], axis=-1)
+        rates = state[..., BODY_RATES] * half_lengths / airspeed[..., None]
+        surfaces = inputs.surfaces * self.slipstream.effect(tau)
+        return np.concatenate([angles, rates, tau[..., None], surfaces], axis=-1)
 
     def accelerations(self, state: Array, inputs: Inputs) -> Array:
         """Return specific force and angular acceleration (..., 6) at variables (..., 12)."""
@@ -166,9 +162,9 @@ class AirMotionModel:
         return pressure[:, None] * self.aircraft.wing_area * lengths
 
     def step(
-        self, start: Array, gravity: Matrix, drift: Matrix, inputs: Inputs, step: Vector
+        self, start: Array, gravity: Matrix, drift: Matrix, inputs: Inputs, time_step: Vector
     ) -> Array:
-        """Return air velocity and rates (..., n - 1, 6) one ``step`` [s] after ``start`` (..., n - 1, 12).
+        """Return air velocity and rates (..., n - 1, 6) one ``time_step`` [s] after ``start`` (..., n - 1, 12).
 
         The method of Runge & Kutta. ``drift`` (n - 1, 3) is the acceleration of the air seen from
         the aircraft, ``gravity`` (n - 1, 3) that in body axes at the start.
@@ -185,7 +181,7 @@ class AirMotionModel:
             )
             derivative[..., BODY_RATES] = loads[..., 3:]
             derivative[..., N_VARIABLES:] = -cross(rates, down)
-            return step[:, None] * derivative
+            return time_step[:, None] * derivative
 
         gravity = np.broadcast_to(gravity, (*start.shape[:-1], 3))
         state = np.concatenate([start, gravity], axis=-1)

@@ -492,10 +492,10 @@ def _noises(
         return Parameters.of(shared, FLIGHT_NOISES, n_flights, len(shared))
     accelerometer = quietest_noise(records, FORCE_READINGS, settings.least_noise)
     gyro = quietest_noise(records, RATE_READINGS, settings.least_noise)
-    medians = dict.fromkeys(("ax", "ay", "az"), accelerometer) | {"gyro": gyro}
     shared = dict(AIRCRAFT_NOISES)
-    for name, median in medians.items():
-        shared[name] = (median, AIRCRAFT_NOISES[name][1])
+    for name in ("ax", "ay", "az"):
+        shared[name] = (accelerometer, shared[name][1])
+    shared["gyro"] = (gyro, shared["gyro"][1])
     return Parameters.of(shared, FLIGHT_NOISES, n_flights)
 
 

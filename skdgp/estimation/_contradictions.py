@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from skdgp.estimation._sensors import PATH_NOISE, READINGS_OF, FlightSensors, white_noise
+from skdgp.estimation._sensors import PATH_NOISE, READINGS_OF, FlightSensors, noise_by_differences
 from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
 
@@ -37,7 +37,7 @@ def contradictions(
     for sensor, columns in READINGS_OF.items():
         largest = settings.inertial_ratio if sensor in INERTIAL else settings.air_ratio
         residual = residuals[sensor]
-        noise = white_noise(flights, columns)
+        noise = noise_by_differences(flights, columns)
         is_smoothed = noise < settings.least_noise * PATH_NOISE[sensor]
         if residual > largest * noise:
             contradicted.append(SensorContradiction(sensor, residual, noise, is_smoothed))

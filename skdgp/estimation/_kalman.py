@@ -47,7 +47,7 @@ from scipy.linalg import lapack
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 
-STEPS = 256  # whose matrices are in memory at a time
+STEPS_IN_MEMORY = 256  # whose matrices are in memory at a time
 
 
 class Transition(NamedTuple):
@@ -213,8 +213,8 @@ def innovations(linear: Linearization, noise: Noise) -> Innovations:
     values = []
     covariance = []
     x, P = _start(noise)
-    for first in range(0, len(linear.time_step), STEPS):
-        steps = _filtered_steps(linear.part(first, first + STEPS), noise, x, P)
+    for first in range(0, len(linear.time_step), STEPS_IN_MEMORY):
+        steps = _filtered_steps(linear.part(first, first + STEPS_IN_MEMORY), noise, x, P)
         values.append(steps.innovations.values)
         covariance.append(steps.innovations.covariance)
         x, P = steps.x[-1], steps.P[-1]
@@ -334,8 +334,8 @@ def _parts_of_state_slopes(
     """Yield slices of steps, which fit the cache, and the slopes of the states before and after these steps."""
     n, N, q = linear.transition.Theta.shape
     last = np.zeros((N, q))
-    for first in range(0, n, STEPS):
-        steps = slice(first, min(first + STEPS, n))
+    for first in range(0, n, STEPS_IN_MEMORY):
+        steps = slice(first, min(first + STEPS_IN_MEMORY, n))
         gain = filter_pass.gain[steps]
         path = _part(linear.path, steps)
         Phi, Theta = _part(linear.transition, steps)

@@ -207,8 +207,13 @@ class _Search:
 
     def _raw_equations(self) -> Equations:
         """Return the equations of the path [SI]."""
-        least = self.settings.least_airspeed
-        return path_equations(self.path, self.sensors, self.correlation, self.delays, least)
+        return path_equations(
+            self.path,
+            self.sensors,
+            self.correlation,
+            self.delays,
+            self.settings.least_airspeed,
+        )
 
     def _stds(self) -> Vector:
         """Return the noise of each equation."""

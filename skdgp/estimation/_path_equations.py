@@ -37,11 +37,11 @@ from skdgp.estimation._sensors import (
 )
 
 PLACE = {name: place for place, name in enumerate(PATH_CONSTANTS)}
-FORCE_BIAS_CONSTANTS = slice(0, 3)
-RATE_BIAS_CONSTANTS = slice(3, 6)
+FORCE_BIAS_CONSTANTS = slice(PLACE["ax_bias"], PLACE["az_bias"] + 1)
+RATE_BIAS_CONSTANTS = slice(PLACE["p_bias"], PLACE["r_bias"] + 1)
 VELOCITY_LAG = PLACE["velocity_lag"]
 ATTITUDE_LAG = PLACE["attitude_lag"]
-WIND_CONSTANTS = slice(8, 10)
+WIND_CONSTANTS = slice(PLACE["wind_north"], PLACE["wind_east"] + 1)
 """Places among the constants, in the order of `PATH_CONSTANTS`."""
 N_STATES = 9
 VELOCITY = slice(0, 3)

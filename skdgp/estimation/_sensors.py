@@ -24,6 +24,7 @@ from skdgp._flight.frames import euler_to_rotation
 from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
 from skdgp._flight.sensor_position import sensor_acceleration, sensor_position
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
+from skdgp.estimation._settings import PATH_SETTINGS
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
 FORCE_READINGS = slice(0, 3)
@@ -56,7 +57,7 @@ Prior = Mapping[str, tuple[float, float]]
 """Mean and standard deviation by name; of noises the median, and that of the logarithm."""
 
 AIR_SENSOR_ERRORS: Prior = {
-    "airspeed_scale": (0.0, 0.03),
+    "airspeed_scale": (0.0, PATH_SETTINGS.airspeed_scale),
     "arm_x": (0.0, 0.03),  # inertial sensors from their position in the table, or from the CG [m]
     "arm_y": (0.0, 0.01),
     "arm_z": (0.0, 0.03),
@@ -226,7 +227,7 @@ def third_differences(values: Array) -> Array:
     return np.diff(values, 3, axis=0) / np.sqrt(20)  # 1 + 9 + 9 + 1, squares of the coefficients
 
 
-def white_noise_squares(column: Vector, segment: Indices) -> Vector:
+def squared_differences(column: Vector, segment: Indices) -> Vector:
     """Return estimates of the variance of white noise in a channel, one for each third difference.
 
     Samples that are not finite are left out; differences do not cross gaps.
@@ -236,11 +237,11 @@ def white_noise_squares(column: Vector, segment: Indices) -> Vector:
     return third_differences(column[rows])[joined] ** 2
 
 
-def white_noise(flights: Sequence[FlightSensors], columns: slice) -> float:
+def noise_by_differences(flights: Sequence[FlightSensors], columns: slice) -> float:
     """Return the standard deviation of the white noise in some readings of all flights; NaN if unknown."""
     squares = []
     for sensors in flights:
         for column in sensors.readings.T[columns]:
-            squares.append(white_noise_squares(column, sensors.segment))
+            squares.append(squared_differences(column, sensors.segment))
     values = np.concatenate(squares)
     return float(np.sqrt(values.mean())) if len(values) else np.nan

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PathSettings:
-    """Settings of `estimate_path`.
+    """Settings of the path over the ground, `estimate_path`, and of what is judged by it.
 
+    Settings of contradictions among sensors and of `airspeed_scale` follow those of the path.
     The sources "guess" and "trials" say whether a number was varied on simulated flights.
     """
 
@@ -36,20 +37,26 @@ class PathSettings:
     tolerance: float = 0.02
     # draws from the posterior that estimate traces, an even number; trials
     n_draws: int = 32
+    # one row in so many of a part of a long flight overlaps on either side; trials
+    overlap: int = 32
+    # weight of the gusts of the training flights [s of flight]: 2 and 5 have the best median scores
+    gust_prior_seconds: float = 2.0
+
+    # of contradictions among sensors
+
     # residual over the noise of a sensor of air data, above which it contradicts the others; trials
     air_ratio: float = 1.4
     # as above, of an inertial sensor: 30 s of sound sensors show up to 4.4; trials
     inertial_ratio: float = 6.0
-    # weight of the gusts of the training flights [s of flight]: 2 and 5 have the best median scores
-    gust_prior_seconds: float = 2.0
+
+    # of `airspeed_scale`, whose blocks have the length ``gust_time``
+
     # prior standard deviation of the relative error of the airspeed; guess
     airspeed_scale: float = 0.03
     # least variance of the unit vector forward that shows it: gusts turn a straight flight; a circle has 1; guess
     least_turning: float = 0.1
     # errors of the airspeed below this many standard deviations are not removed; convention
     significance: float = 2.0
-    # one row in so many of a part of a long flight overlaps on either side; trials
-    overlap: int = 32
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from skdgp._flight.clock import Clock, median_step
 from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, sensor_position
 from skdgp._flight.smoothing import differentiate
 from skdgp.dynamics import PRESSURE, Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
-from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
+from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM, AirSettings
 from skdgp.identification._least_squares import linear_terms
 
 
@@ -25,8 +25,8 @@ class LogErrorSettings:
     """Standard deviations of errors that flights do not show."""
 
     # of the time of a channel against the inertial sensors, by its motion between samples, in steps
-    # of the log; as `AirSettings.lag_error`
-    clock_steps: float = 0.1
+    # of the log
+    clock_steps: float = AirSettings.lag_error
     # prior of this time [s]; guess
     clock: float = 0.01
 

@@ -121,9 +121,8 @@ def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
     covariance = inflate(covariance, fit.settings.unfinished) + spread_of(last)
     if fit.is_known:
         return covariance
-    derivatives = fit.x[: fit.layout.n_derivatives]
     for angles, axes in ((("alpha", "alpha2"), GUST_AXES[2:]), (("beta",), GUST_AXES[:2])):
-        slopes = fit.layout.is_by(*angles) * derivatives
+        slopes = fit.layout.is_by(*angles) * fit.derivatives
         covariance = add_scale_error(covariance, slopes, _excess_of_gusts(fit, axes))
     return covariance
 
@@ -165,15 +164,23 @@ def misfit_of_sensors(fit: AirFit) -> float:
     return max(misfits)
 
 
+def widened(covariance: Matrix, fit: AirFit, fitted: list[FittedRecord], misfit: float) -> Matrix:
+    """Return the covariance with the misfit of sensors, and errors of surfaces, by vibration and of the model."""
+    covariance = inflate(covariance, misfit)
+    covariance = inflate(covariance, surface_factor(fit, fitted))
+    if fit.vibrates:
+        covariance = inflate(covariance, fit.settings.vibrating)
+    return with_model_errors(covariance, fit)
+
+
 def with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:
     """Return the covariance with errors of a linear model, and of the scale of angles without a vane."""
     settings = fit.settings
-    derivatives = fit.x[: fit.layout.n_derivatives]
-    covariance = add_model_error(covariance, derivatives, settings.model_error)
+    covariance = add_model_error(covariance, fit.derivatives, settings.model_error)
     for vane in VANES:
         place = LEARNED_BIASES[f"{vane}_bias"]
         if not any(record.sampled[place] for record in fit.records):
-            slopes = fit.layout.is_by(vane) * derivatives
+            slopes = fit.layout.is_by(vane) * fit.derivatives
             covariance = add_scale_error(covariance, slopes, settings.angle_error)
     return covariance
 

@@ -24,7 +24,7 @@ from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import RATE_STATES, Expansion, Layout
 from skdgp.estimation._air_noise import NoiseSearch
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
-from skdgp.estimation._air_records import Record
+from skdgp.estimation._air_records import Record, n_samples
 from skdgp.estimation._air_start import (
     SteadyRegression,
     mean_lift,
@@ -121,6 +121,16 @@ class AirFit:
         before = ((0, 0), (RATE_STATES.start, 0))
         self.states = [np.pad(record.rates, before) for record in records]
 
+    @property
+    def derivatives(self) -> Vector:
+        """Derivatives of the coefficients, the first parameters."""
+        return self.x[: self.layout.n_derivatives]
+
+    @property
+    def vibrates(self) -> bool:
+        """Whether an oscillation shakes the inertial sensors of a record."""
+        return any(record.vibration.any() for record in self.records)
+
     def search(self, n_before: int) -> SearchResult:
         """Improve parameters and noises by passes of the filter.
 
@@ -150,7 +160,7 @@ class AirFit:
             if converged:
                 break
             was_small = is_small
-        lost = settings.lost_likelihood * sum(len(record.rows) for record in self.records)
+        lost = settings.lost_likelihood * n_samples(self.records)
         if likelihood < best.likelihood - lost:
             self._go_back(best)
             return SearchResult(converged=False, went_back=True)

@@ -45,11 +45,9 @@ from skdgp.estimation._air_covariance import (
     add_attenuation,
     error_fractions,
     estimate_covariance,
-    inflate,
     misfit_of_sensors,
-    surface_factor,
     unfinished_covariance,
-    with_model_errors,
+    widened,
 )
 from skdgp.estimation._air_fit import AirFit
 from skdgp.estimation._air_linearization import Layout
@@ -67,7 +65,7 @@ from skdgp.estimation._air_parameters import (
     derivatives_of,
     is_coupling,
 )
-from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
+from skdgp.estimation._air_records import Record, n_samples, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import (
     FORCE_READINGS,
@@ -229,14 +227,19 @@ class AirMotion:
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
         gusts = self._gusts(flight)
-        slow = 2 * gusts.slow_std**2 * -np.expm1(-1 / gusts.slow_time)
-        fast = 2 * gusts.fast_std**2 * -np.expm1(-1 / gusts.fast_time)
+        slow = _variance_of_change(gusts.slow_std, gusts.slow_time)
+        fast = _variance_of_change(gusts.fast_std, gusts.fast_time)
         return float(np.sqrt(np.mean(slow + fast)))
 
     def _gusts(self, flight: int) -> GustProcesses:
         """Return the gusts of a flight, NaN if unknown."""
         intensities = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
         return GustProcesses.of({**self.noise, **intensities})
+
+
+def _variance_of_change(std: Array, time: Array) -> Array:
+    """Return the variance of the change in 1 s of a Gauss-Markov process of a correlation time [s]."""
+    return 2 * std**2 * -np.expm1(-1 / time)
 
 
 def estimate_air_motion(
@@ -338,7 +341,7 @@ def estimate_air_motion(
         settings,
     )
     motion = _searched(start, settings, len(table))
-    return replace(motion, is_complete=_n_samples(records) == _n_samples(every))
+    return replace(motion, is_complete=n_samples(records) == n_samples(every))
 
 
 def _searched(start: Callable[[], AirFit], settings: AirSettings, n_rows: int) -> AirMotion:
@@ -440,11 +443,6 @@ def _to_learn_from(records: list[Record], settings: AirSettings) -> list[Record]
     return shortened(long, settings)
 
 
-def _n_samples(records: list[Record]) -> int:
-    """Return the number of samples of records."""
-    return sum(len(record.rows) for record in records)
-
-
 def _check_any(records: list[Record], fewest: int) -> None:
     """Raise ValueError without a record of at least so many samples."""
     if not records:
@@ -509,14 +507,9 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
     if not converged:
         covariance = unfinished_covariance(fit, covariance)
     misfit = 1.0
-    vibrates = any(record.vibration.any() for record in fit.records)
     if not fit.is_known:
         misfit = misfit_of_sensors(fit)
-        covariance = inflate(covariance, misfit)
-        covariance = inflate(covariance, surface_factor(fit, fitted))
-        if vibrates:
-            covariance = inflate(covariance, fit.settings.vibrating)
-        covariance = with_model_errors(covariance, fit)
+        covariance = widened(covariance, fit, fitted, misfit)
     # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)
     if not fit.is_known:
@@ -537,6 +530,6 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
         converged=converged,
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
-        vibrates=vibrates,
+        vibrates=fit.vibrates,
         mean_thrust=fit.records[0].mean_thrust,
     )

@@ -243,9 +243,14 @@ def _thinned(time: Vector, rows: Indices, sample_rate: float) -> slice:
     return slice(rows[0], rows[-1] + 1, stride)
 
 
+def n_samples(records: list[Record]) -> int:
+    """Return the number of samples of records."""
+    return sum(len(record.rows) for record in records)
+
+
 def shortened(records: list[Record], settings: AirSettings) -> list[Record]:
     """Return the first part of each record, ``settings.most_samples`` samples together."""
-    fraction = settings.most_samples / sum(len(record.rows) for record in records)
+    fraction = settings.most_samples / n_samples(records)
     shorter = []
     for record in records:
         n = max(settings.fewest_samples, int(fraction * len(record.rows)))

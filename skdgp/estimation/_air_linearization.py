@@ -386,8 +386,9 @@ class Expansion:
         The motion there depends on z by ``step_slopes``, the coefficients by their terms there.
         """
         coefficients = self._end_coefficient_slopes(self.end, instrument_terms)
-        slopes = self.layout.through_coefficients(readings.by_variables, coefficients)
-        slopes += readings.by_variables[..., MOTION] @ step_slopes
+        through_coefficients = self.layout.through_coefficients(readings.by_variables, coefficients)
+        through_motion = readings.by_variables[..., MOTION] @ step_slopes
+        slopes = through_coefficients + through_motion  # d h / d C d C / d z + d h / d M d M / d z
         by_state, by_parameters = self._by_state_and_parameters(slopes, readings)
         motion_by_state = self._end_motion_slopes(self.end)[..., :N_STATES]
         return PastPrediction(

@@ -279,7 +279,11 @@ class TestFewRows:
     @pytest.mark.parametrize(
         ("data", "structure", "told"),
         [
-            ((30, 8), "average", r"Got 30 rows for 8 regressors, 3.8 for each, but expected at"),
+            (
+                (30, 8),
+                "average",
+                r"Got 30 rows for 8 regressors, 3.8 for each, but expected at least 10 for each",
+            ),
             (
                 (400, 8, 20),
                 "trend",

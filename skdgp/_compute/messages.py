@@ -15,8 +15,10 @@ from typing import Any, TypeAlias
 from skdgp._compute.findings import Code, Finding
 from skdgp._compute.wording import text_of
 
-#: Packages whose lines a warning does not show, but the user's line that called them
-LIBRARIES = frozenset({"skdgp", "sklearn", "scipy", "joblib", "contextlib"})
+#: Packages that are passed over in the search for the user's line of a warning
+LIBRARIES = frozenset(
+    {"skdgp", "sklearn", "scipy", "joblib", "contextlib", "functools", "dataclasses"}
+)
 
 
 class FindingWarning(UserWarning):

@@ -324,7 +324,7 @@ def _never_recovers(length: Indices, step: float) -> bool:
 def _is_improbable(length: Indices) -> Mask:
     """Return which of the runs are longer than chance makes one of them.
 
-    Where a part p of n runs is longer than usual, n p^(k - 1) are k times as long as usual by chance.
+    Where a fraction p of n runs is longer than usual, chance makes n p^(k - 1) of them k times as long.
     """
     usual = np.median(length)
     n_long = np.sum(length >= 1.5 * usual)

@@ -164,7 +164,7 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
     """Return the flights of a table that has the ``needed`` columns in SI units.
 
     Raises ValueError if a column is missing or not numeric, time does not increase within a flight
-    or has no usual step, airspeed is not positive, or values are impossible in SI units. Warns of
+    or has no usual step, airspeed or density is not positive, or values are impossible in SI units. Warns of
     values that are probably of another unit or sign.
     """
     flights = FlightTable.of(flight, needed)
@@ -173,7 +173,7 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
     _check_airspeed(flights)
     check_units(flights)
     if _quantile(flights.column("density"), 0.0) <= 0:
-        raise ValueError(_no_density(flights))
+        raise ValueError(_density_message(flights))
     _check_roll_rate(flights)
     _check_accelerations(flights)
     return flights
@@ -281,7 +281,7 @@ def _check_airspeed(flights: FlightTable) -> None:
         )
 
 
-def _no_density(flights: FlightTable) -> str:
+def _density_message(flights: FlightTable) -> str:
     """Return the error text of values that are no densities of air."""
     density = flights.column("density")
     return (
@@ -294,7 +294,7 @@ def _check_density(flights: FlightTable) -> None:
     """Raise ValueError if the density is not of air in kg/m^3; warn if it is far from that at the altitude."""
     middle = _quantile(flights.column("density"), 0.5)
     if middle <= 0.05 or middle >= 2.5:
-        raise ValueError(_no_density(flights))
+        raise ValueError(_density_message(flights))
     height = _quantile(flights.column("altitude"), 0.5)
     if not LOWEST <= height <= HIGHEST:
         return

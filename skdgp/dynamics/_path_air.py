@@ -197,7 +197,8 @@ def without_rotation(
     for k in range(DRIFT.points):
         autocovariance[k] = np.einsum("ij,jk,ik->i", rates, covariance, rates)
         covariance = step @ covariance
-    # The variance of an integral over T is in proportion to int (T - t) R(t) dt, by trapezia
+    # The variance of an integral over T is proportional to int (T - t) R(t) dt, by the trapezoidal
+    # rule; the last weight is zero
     weight = DRIFT.horizon - lags
     weight[0] *= 0.5
     rotation = slopes**2 @ (weight @ autocovariance)

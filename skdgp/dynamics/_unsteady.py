@@ -6,8 +6,8 @@ model without them gives their effect to the regressors that they follow from. W
 x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives :math:`C_{\dot\alpha} = C_q\,
 d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known here, so
 :math:`C_{\dot\alpha}` is zero with a standard deviation of `RELATIVE_STD` of :math:`C_q`, and of
-:math:`C_r` for beta_dot. The square of :math:`C_q` is the model's, plus the square of its
-deviation by method: where gusts make it vanish, :math:`C_{\dot\alpha}` need not vanish.
+:math:`C_r` for beta_dot. The square of :math:`C_q` is the model's, plus the variance
+of its bias: where gusts make it vanish, :math:`C_{\dot\alpha}` need not vanish.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def unsteady_terms(
 ) -> UnsteadyTerms:
     """Return the unsteady terms at a flight, by the slopes (..., 6, d) of the model.
 
-    ``scatter`` is the standard deviation of these slopes by method.
+    ``scatter`` is the standard deviation of the biases of these slopes.
     """
     units = _units(motion, now)
     sizes = np.copysign(np.hypot(slopes, scatter), slopes)

@@ -70,7 +70,7 @@ class _StepControl:
         self.last_step = np.zeros(n_free)
 
     def shortened(self, step: Vector, information: Matrix) -> Vector:
-        """Return the fraction of a step to take: less where steps turn back, so that no two solutions alternate.
+        """Return the part of a step that is taken: less where steps turn back, so that no two solutions alternate.
 
         The next step is damped less.
         """

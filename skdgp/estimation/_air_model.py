@@ -37,7 +37,7 @@ AIR_VELOCITY = slice(0, 3)
 BODY_RATES = slice(3, 6)
 COEFFICIENT_ERRORS = slice(6, 12)
 MOTION = slice(0, 6)
-"""Places of air velocity, rates, errors of the coefficients, and the first two among the variables."""
+"""Places among the variables: of air velocity, rates, errors of the coefficients, and the motion, the first two."""
 
 
 class Inputs(NamedTuple):

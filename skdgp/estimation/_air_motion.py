@@ -345,7 +345,7 @@ def estimate_air_motion(
 
 
 def _searched(start: Callable[[], AirFit], settings: AirSettings, n_rows: int) -> AirMotion:
-    """Return the result of the first search that keeps its last pass, else of the last one.
+    """Return the result of the first search that does not go back to an earlier pass, else of the last one that ends.
 
     Raise ValueError if all diverge.
     """

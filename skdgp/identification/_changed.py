@@ -242,7 +242,7 @@ def changes_in_flights(
 
 
 class FlightResiduals(NamedTuple):
-    """What a model leaves unexplained of a flight.
+    """Residuals of a flight, and what their errors depend on.
 
     Attributes
     ----------
@@ -280,7 +280,18 @@ def changes_of(
     flights: Mapping[str, FlightResiduals],
     settings: ChangeSettings = SETTINGS,
 ) -> Changes:
-    """Return the changes that the residuals of flights show, see `changed`."""
+    """Return the changes that the residuals of flights show, see `changed`.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+    flights : mapping of str to FlightResiduals
+    settings : ChangeSettings
+
+    Returns
+    -------
+    Changes
+    """
     p_values = {}
     tables = {}
     spread = _covariance_spread(pipeline, settings)

@@ -50,7 +50,7 @@ from skdgp.report import (
     scores,
 )
 
-FORMAT = 1  # of the metrics
+FORMAT = 2  # of the metrics
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -247,8 +247,8 @@ class FlightPipeline(Pipeline):
         Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their
         table, which says why.
     control_units_ : dict of str to str
-        Units of controls that differ from docs/notation.md, such as "full throw"; known of
-        :func:`identify`.
+        Units of controls that differ from docs/notation.md, such as "full throw"; given by
+        :func:`identify`, empty after another ``fit``.
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
     band_ : float
@@ -256,7 +256,7 @@ class FlightPipeline(Pipeline):
         vanes; else infinite.
     coefficient_filter_ : FittedFilter or "auto"
         Smoothing of the coefficients of the fit, with which those of other flights have the same
-        noise; known of :func:`identify`.
+        noise; given by :func:`identify`, "auto" after another ``fit``.
     airspeed_scale_ : float
         Relative error of the airspeed that is removed from flights; zero where those of the fit
         do not show one.
@@ -282,9 +282,10 @@ class FlightPipeline(Pipeline):
         """
         if get_config()["enable_metadata_routing"]:
             # scikit-learn's own fit leaves no place for a band
-            self._keep(self.errors_of_log(X)._replace(band=np.inf))
+            self._keep_errors(self.errors_of_log(X)._replace(band=np.inf))
             self.calibration_ = None
             self.coefficient_filter_ = "auto"
+            self.control_units_ = {}
             X = self.corrected(X)
             super().fit(X, y, **params)
             self._learn_turbulence(X)
@@ -309,7 +310,7 @@ class FlightPipeline(Pipeline):
         the set of regressors gets those of `engine_regressors`. ``coefficient_filter`` is how y was smoothed,
         "auto" if that is unknown, ``control_units`` are those of controls that differ from docs/notation.md.
         """
-        self._keep(self.errors_of_log(X) if errors is None else errors)
+        self._keep_errors(self.errors_of_log(X) if errors is None else errors)
         self.coefficient_filter_ = coefficient_filter
         self.control_units_ = dict(control_units)
         name, last = self.steps[-1]
@@ -340,7 +341,7 @@ class FlightPipeline(Pipeline):
             checked = FlightCheck().fit_transform(X)
         return LogErrors(airspeed_scale(checked), vibration_band(checked))
 
-    def _keep(self, errors: LogErrors) -> None:
+    def _keep_errors(self, errors: LogErrors) -> None:
         """Keep the errors that predictions remove."""
         self.airspeed_scale_ = errors.airspeed.removable()
         self.band_ = errors.band
@@ -367,7 +368,7 @@ class FlightPipeline(Pipeline):
     @available_if(_ends_with_transform)
     def fit_transform(self, X: pd.DataFrame, y: Any = None, **params: Any) -> Any:
         """Fit all steps to flights, and transform these, without the errors of the log that they show."""
-        self._keep(self.errors_of_log(X))
+        self._keep_errors(self.errors_of_log(X))
         return self._in_band(super().fit_transform(self.corrected(X), y, **params), X)
 
     @available_if(_ends_with_transform)

@@ -224,9 +224,9 @@ def without_last(flights: Flights) -> tuple[Flights, Flights]:
     Of a flight with more than half of all rows, such as a single one, the last quarter is.
     """
     *earlier, last = flights
-    all_rows = sum(len(flight.time) for flight in flights.values())
+    n_total = sum(len(flight.time) for flight in flights.values())
     others = {name: flights[name] for name in earlier}
-    if 2 * len(flights[last].time) <= all_rows:
+    if 2 * len(flights[last].time) <= n_total:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
         return others, {last: flights[last]}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last))

@@ -11,7 +11,7 @@ clock     time and flight number of each value, (n, 2)
 drift     the part of the noise that is correlated in time
 misfit    the model discrepancy: the error of the function that residuals show where flights come back to the same
           regressors
-errors    of the function beyond the posterior: by correlated noise, by method, and the discrepancy
+errors    of the function beyond the posterior: by correlated noise, biases, and the discrepancy
 ========  =============================================================================================================
 
 Names imported as themselves are not part of the public interface: other folders of the package use

@@ -348,7 +348,7 @@ def correlated_errors(
     for output, variance in zip(series, noise, strict=True):
         of_blocks = block_errors(output.Q, output.residual, output.blocks, settings)
         white = white_variance(output.Q, variance, settings)
-        errors.append(reduced(of_blocks, white))
+        errors.append(without_variance(of_blocks, white))
     return np.stack(errors, axis=-1)
 
 
@@ -435,7 +435,7 @@ def white_variance(Q: Matrix, noise: float, settings: ErrorSettings) -> Vector:
     return noise * np.diag(settings.inverse(Q.T @ Q))
 
 
-def reduced(errors: Matrix, variance: Vector) -> Matrix:
+def without_variance(errors: Matrix, variance: Vector) -> Matrix:
     """Return errors (k, m) that are smaller, so that the sum of their squares is less by a ``variance`` (m,)."""
     total = np.sum(errors**2, axis=0)
     remaining = np.maximum(total - variance, 0.0)

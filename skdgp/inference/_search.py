@@ -180,12 +180,12 @@ class Hyperparameters(NamedTuple):
     n_batches: int = 1
     price: float = 0.0
 
-    def score(self, times: float = 1.0) -> float:
-        """Return the logarithm of the weight among structures, for a likelihood of so many times the values.
+    def score(self, ratio: float = 1.0) -> float:
+        """Return the logarithm of the weight among structures, for a likelihood of ``ratio`` times as many values.
 
         Of batches it is the mean, as they may show the same function.
         """
-        return times * self.log_likelihood / self.n_batches - self.price
+        return ratio * self.log_likelihood / self.n_batches - self.price
 
     def noisy(self, data: Data, passes: int = 2) -> Data:
         """Return observed values of exact regressors with the noise of the regressors.
@@ -384,8 +384,8 @@ class _StructureTrial:
     def _promising(self) -> Indices:
         """Return the places of the structures whose score is near the best."""
         n_values = self.joint.n_values
-        times = n_values / self.joint.n_batches(n_values) / self.trial.n_values
-        scores = np.array([end.score(times) for end in self.trial_ends])
+        ratio = n_values / self.joint.n_batches(n_values) / self.trial.n_values
+        scores = np.array([end.score(ratio) for end in self.trial_ends])
         margin, of_richest = self.joint.options.settings.trial_margins
         is_richest = [structure.is_richest for structure in self.structures]
         margins = np.where(is_richest, of_richest, margin)

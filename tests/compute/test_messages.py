@@ -1,9 +1,12 @@
 """Warnings are recorded and silenced for one caller alone; a listener hears of a fit until its block ends."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
+from sklearn.model_selection import cross_val_score
 
 from skdgp import DependentGPRegressor, listening
 from skdgp._compute.findings import Code, Finding
@@ -15,6 +18,7 @@ from skdgp._compute.messages import (
     without_warnings,
 )
 from skdgp._compute.wording import REASONS, TEXTS, reason_of, texts_of
+from skdgp.dynamics import Aircraft
 
 
 class Late(UserWarning):
@@ -55,6 +59,24 @@ def test_ignored_warnings_are_neither_shown_nor_recorded():
 @pytest.mark.parametrize("code", Code)
 def test_every_finding_has_a_text(code):
     assert code in {**TEXTS, **REASONS}
+
+
+FEW = default_rng(0).normal(size=(12, 4))
+LINE = DependentGPRegressor(structure="trend")
+GLIDER = Aircraft(mass=1.0, inertia=np.diag([0.1, 0.1, 0.15]), wing_area=0.2, span=1.0, chord=0.2)
+USES = {
+    "fit": (lambda: LINE.fit(FEW, FEW[:, 0]), "Got 12 rows"),
+    "search": (lambda: cross_val_score(LINE, FEW, FEW[:, 0], cv=2), "Got 6 rows"),
+    "copy": (lambda: replace(GLIDER, inertia=np.diag([0.1, 0.1, 0.5])), "inertia"),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_warning_shows_the_line_of_the_user(use):
+    call, words = USES[use]
+    with pytest.warns(UserWarning, match=words) as shown:
+        call()
+    assert {warning.filename for warning in shown} == {__file__}
 
 
 def test_another_thread_is_not_silenced():

@@ -291,7 +291,11 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
 @pytest.mark.parametrize(
     ("parameters", "full", "words"),
     [
-        ({"MC_ROLLRATE_P": 0.1}, {"aileron": 0.4}, "a gain of a multicopter"),
+        (
+            {"MC_ROLLRATE_P": 0.1},
+            {"aileron": 0.4},
+            "a gain of a multicopter, but expected FW_RR_P or",
+        ),
         ({"BATT_CAPACITY": 5.0}, {"aileron": 0.4}, "without gains of a rate loop"),
         ({"RLL2SRV_P": 1.0}, {"aileron": 0.4}, "before 4.1"),
         ({"FW_RR_P": 0.0}, {"aileron": 0.4}, "no gains other than zero"),

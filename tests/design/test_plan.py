@@ -235,7 +235,11 @@ def test_files_that_are_no_plan_are_refused(model, uav, tmp_path):
     [
         ({"goal": ["Cm_alpha_dot"]}, "Cm_alpha_dot.*learn a model with that regressor"),
         ({"goal": "Cm_q"}, "give a list"),
-        ({"axes": ["elevator", "flaps"]}, "flaps"),
+        ({"axes": ["elevator", "flaps"]}, "controls of the trim lack 'flaps'"),
+        (
+            {"axes": ["elevon_left"], "limits": {}},
+            "controls of the trim lack 'elevon_left'.*elevator",
+        ),
         ({"limits": {"aileron": 0.1}}, "aileron"),
         ({"limits": {"elevator": 5.0}}, "rad, not degrees"),
         ({"axes": "elevator"}, "Got axes='elevator', but expected different controls in a list"),

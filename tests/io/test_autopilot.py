@@ -314,6 +314,7 @@ class TestSharedLogs:
 def test_a_bench_log_of_px4_is_no_flight_but_can_be_read(vtol_bench):
     with pytest.raises(FlightReadError, match="no flight was found"):
         read_flight(vtol_bench)
+    assert "never stays above" in inspect_log(vtol_bench).remarks[-1]
     with pytest.warns(FlightDataWarning):
         table = read_flight(vtol_bench, airborne=False)
     force = np.linalg.norm(table[["ax", "ay", "az"]].dropna(), axis=1)

@@ -143,12 +143,12 @@ def learn(
         coefficient_filter=coefficient_filter(table),
         control_units=FULL_THROWS if prepared.has_full_throws else {},
     )
-    is_target = targets.notna()
+    seconds = round(time.monotonic() - began, 3)
     training = TrainingRecord(
-        samples=int(is_target.any(axis=1).sum()),
-        samples_available=int(Y.notna().any(axis=1).sum()),
-        values=int(is_target.to_numpy().sum()),
-        seconds=round(time.monotonic() - began, 3),
+        samples=_n_observed(targets),
+        samples_available=_n_observed(Y),
+        values=int(targets.notna().to_numpy().sum()),
+        seconds=seconds,
         thrust=thrust_sources(prepared.loads["thrust"], prepared.train.values()),
         least_squares=fit_least_squares(pipeline, X, targets),
         flights={name: len(part) for name, part in prepared.train.items()},
@@ -179,6 +179,11 @@ def learn(
         fit=fit,
         options=_options(prepared, pipeline, training.samples, horizons),
     )
+
+
+def _n_observed(coefficients: pd.DataFrame) -> int:
+    """Return the number of rows with any coefficient."""
+    return int(coefficients.notna().any(axis=1).sum())
 
 
 def _report_errors_of_log(errors: LogErrors) -> None:

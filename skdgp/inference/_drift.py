@@ -124,21 +124,25 @@ def fit_drift_to_integrals(
 
     def loss(theta):
         variance, memory = np.exp(theta)
-        ratio = horizons / memory
-        drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
         white = (power - variance) * step * horizons
+        drift = _integrated_drift(variance, memory, horizons)
         return weight @ (np.log(drift + white) - target) ** 2
 
     bounds = np.log([(least, power), (step, longest)])
-    shortest, longest = bounds[1]
-    memories = np.linspace(shortest, longest, settings.n_starts + 1)[:-1]
     optima = []
-    for memory in memories:
-        start = (np.log(0.5 * power), memory)
+    log_memories = np.linspace(np.log(step), np.log(longest), settings.n_starts + 1)[:-1]
+    for log_memory in log_memories:
+        start = (np.log(0.5 * power), log_memory)
         optima.append(minimize(loss, start, method="L-BFGS-B", bounds=[*bounds]))
     best = min(optima, key=lambda optimum: optimum.fun)
     variance, memory = np.exp(best.x)
     return Drift(max(power - variance, least), variance, memory)
+
+
+def _integrated_drift(variance: float, memory: float, horizons: Vector) -> Vector:
+    """Return the variances of the integral of a drift over horizons."""
+    ratio = horizons / memory
+    return 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
 
 
 class _Record(NamedTuple):

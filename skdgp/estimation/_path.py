@@ -162,7 +162,8 @@ class _Search:
         noise = self.noise
         if not self.has_alpha:  # vertical gusts were estimated with the horizontal ones
             noise = noise | {"gust_vertical": noise["gust_horizontal"]}
-        off_path = self._raw_equations().residual[:-1, INERTIAL_ROWS]
+        # a copy, as a view would keep all equations of this part of the flight in memory
+        off_path = self._raw_equations().residual[:-1, INERTIAL_ROWS].copy()
         return PathEstimate(self.path, noise, self.covariance, converged, off_path)
 
     def _delays(self) -> Indices:

@@ -23,6 +23,12 @@ def at_rest():
     return pd.DataFrame({"time": time, **dict.fromkeys((*RATES, *FORCES), 0.0)})
 
 
+def on_a_turn_table(rate, arm):
+    """Return a flight that turns at a constant yaw rate, without gravity; sensors feel r omega^2 inward."""
+    turning = {"r": rate, "ax": -arm[0] * rate**2, "ay": -arm[1] * rate**2}
+    return at_rest().assign(**turning)
+
+
 def tumbling(arm):
     """Return rates of a rigid body, and what sensors at ``arm`` read of its rotation about the origin.
 
@@ -46,6 +52,11 @@ def placed(flight, arm):
 def at_centre_of_gravity(flight):
     """Return a flight that lacks what its path needs, so that its forces alone are moved."""
     return FlightPathReconstruction(optional=True).fit_transform(flight)
+
+
+def test_a_turn_table_has_no_force_at_its_axis():
+    moved = at_centre_of_gravity(placed(on_a_turn_table(2.0, ARM), ARM))
+    assert_allclose(moved[FORCES], 0.0, atol=1e-9)
 
 
 def test_an_unknown_position_stays_unknown_beside_a_known_one():

@@ -43,6 +43,7 @@ from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._missed import Effect, missed_effects
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._noise import input_noise_information as input_noise_information
+from skdgp.inference._objective import Objective as Objective
 from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings
 from skdgp.inference._optimizer import Optimum, maximize
 from skdgp.inference._posterior import (
@@ -56,7 +57,6 @@ from skdgp.inference._posterior import (
 )
 from skdgp.inference._posterior import check_spread as check_spread
 from skdgp.inference._search import TIME_SERIES as TIME_SERIES
-from skdgp.inference._search import Objective as Objective
 from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings
 from skdgp.inference._search import search as search

@@ -15,7 +15,6 @@ from skdgp._compute.files import without_nones
 from skdgp._compute.messages import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.design import PlanCheck
 from skdgp.dynamics import KINDS, Aircraft, Propeller
 from skdgp.identification import Identification, PredictedFlight, changes_in_flights
 from skdgp.identification import identify as identify_flights
@@ -218,13 +217,11 @@ def validate(run: Run) -> None:
     Its coefficients are compared with the measured ones, and the aircraft is simulated from measured
     states, restarted every --horizons seconds. Prints the scores and whether the aircraft has
     changed since the flights of the model, and with -o writes report.html
-    and metrics.json into DIR, all or none. With --plan also the standard deviations of derivatives that the
-    plan promised, beside this model's, which learned from its flight.
+    and metrics.json into DIR, all or none.
 
     For example:
       skdgp validate results/model.joblib thursday.csv
       skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
-      skdgp validate both/model.joblib thursday.csv --plan next/plan.json -o validation
       skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
@@ -240,14 +237,7 @@ def validate(run: Run) -> None:
             for flight in result.evaluations
         }
         changes = changes_in_flights(model.pipeline, predicted, result.aircraft, result.options)
-        supplements: list[Any] = [changes]
-        if options.plan is not None:
-            thrust = result.options["thrust"]
-            check = PlanCheck.from_file(
-                options.plan, model.pipeline, result.aircraft, thrust=thrust
-            )
-            supplements.append(check)
-        _finish(run, replace(result, supplements=supplements))
+        _finish(run, replace(result, supplements=[changes]))
 
 
 LEARNING: dict[str, dict[str, Any]] = {
@@ -388,11 +378,6 @@ COMMANDS: opt.Commands = {
     validate: {
         "": {
             **opt.shared("model", "flight", "--aircraft", *opt.LOG, "--horizons", "--output"),
-            "--plan": {
-                "metavar": "FILE",
-                "help": "plan.json of a flight that the model learned from: compares its promises "
-                "with this model",
-            },
             **opt.shared("--thrust", "--external-forces"),
         },
     },

@@ -16,16 +16,9 @@ from sklearn.utils import Bunch
 from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run, wrote
 from skdgp._compute.files import Writer, csv_writer, text_writer
-from skdgp._compute.messages import listening, warn
+from skdgp._compute.messages import can_draw, listening, warn
 from skdgp._excitation import AXES
-from skdgp.design import (
-    Envelope,
-    Plan,
-    PlanSettings,
-    ardupilot_script,
-    surface_mixes,
-    write_flight_card,
-)
+from skdgp.design import Envelope, Plan, PlanSettings, ardupilot_script, surface_mixes
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
     Aircraft,
@@ -237,10 +230,9 @@ def plan(run: Run) -> None:
     Writes into DIR, all or none, and removes a script there that an earlier plan wrote:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1], at 50 Hz
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
-      card.html      a flight card to print: trim, entry, inputs, expected responses, abort limits, promised errors
+      plan.svg       the controls and the expected responses; needs matplotlib
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
-      plan.json      trim, manoeuvres, standard deviations before and promised; validate --plan compares them with a
-                     model learned from this flight too
+      plan.json      trim, manoeuvres, limits, standard deviations before and promised
 
     For example:
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next
@@ -289,9 +281,10 @@ def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
     """Return the writers of the files of a plan, with a script where there are full deflections."""
     writers: dict[str, Writer] = {
         "plan.csv": csv_writer(planned.train.table(PlanSettings.rate)),
-        "card.html": partial(write_flight_card, plan=planned, full=full),
         "expected.csv": csv_writer(planned.flight),
     }
+    if can_draw():
+        writers["plan.svg"] = lambda path: planned.plot().figure_.savefig(path, format="svg")
     if full:
         try:
             script = ardupilot_script(planned.train, PlanSettings.rate, full)
@@ -304,7 +297,8 @@ def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
 def _plan_text(planned: Plan, full: dict[str, float]) -> str:
     """Return manoeuvres and standard deviations as tables."""
     lines = [_table(planned.manoeuvres[["start", "name", "scale"]]), "", _table(planned.errors), ""]
-    if np.isinf(planned.abort_limits).all(axis=None):
+    lines += [_table(planned.limits.rename_axis("limit")), ""]
+    if np.isinf(planned.limits).all(axis=None):
         lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not full:
         lines.append("no script for ArduPilot: --full gives the full deflections that it needs")

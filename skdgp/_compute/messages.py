@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import inspect
 import warnings
 from collections.abc import Callable, Iterator
@@ -156,6 +157,11 @@ def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("na
     listener = _listener.get()
     if listener is not None:
         listener(stage, n_evaluations, log_likelihood)
+
+
+def can_draw() -> bool:
+    """Return whether matplotlib is installed."""
+    return importlib.util.find_spec("matplotlib") is not None
 
 
 def extra(package: str, name: str) -> Any:

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from html import escape
 from importlib.resources import files
-from importlib.util import find_spec
 from io import StringIO
 from string import Template
 from types import MappingProxyType
@@ -87,11 +86,6 @@ def render_page(kind: str, title: str, meta: str, body: str, colophon: str) -> s
     return PAGE.substitute(
         kind=text(kind), title=text(title), meta=meta, body=body, colophon=colophon, style=STYLE
     )
-
-
-def can_draw() -> bool:
-    """Return whether matplotlib is installed."""
-    return find_spec("matplotlib") is not None
 
 
 def picture(draw: Callable, *, label: str, size: tuple[float, float]) -> str:

@@ -1,4 +1,4 @@
-"""Design of flights: inputs that excite an aircraft, plans of manoeuvres, and their promises."""
+"""Design of flights: inputs that excite an aircraft, and plans of manoeuvres with promised standard deviations."""
 
 from skdgp._excitation import (
     Multisine,
@@ -10,8 +10,6 @@ from skdgp._excitation import (
     three_two_one_one,
     wavetrain,
 )
-from skdgp.design._card import write_flight_card
-from skdgp.design._check import PlanCheck
 from skdgp.design._envelope import Envelope
 from skdgp.design._library import PlanSettings
 from skdgp.design._planner import Plan, plan
@@ -21,7 +19,6 @@ __all__ = [
     "Envelope",
     "Multisine",
     "Plan",
-    "PlanCheck",
     "PlanSettings",
     "Steps",
     "Wavetrain",
@@ -33,5 +30,4 @@ __all__ = [
     "surface_mixes",
     "three_two_one_one",
     "wavetrain",
-    "write_flight_card",
 ]

@@ -14,21 +14,18 @@ from skdgp._compute.files import plain
 from skdgp._compute.messages import notify, warn, without_warnings
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._excitation import Signal, Wavetrain, wavetrain
+from skdgp._excitation import Wavetrain, wavetrain
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.tables import interpolated
-from skdgp.design._check import std_at, with_range
 from skdgp.design._choice import Choice, information
 from skdgp.design._envelope import (
     OPTIONS,
-    QUANTITIES,
     UNLIMITED,
     WHOLE_RANGE,
     Envelope,
     common_range,
-    quantities,
     regressors_of,
 )
 from skdgp.design._library import SETTINGS, PlanSettings, input_bands, library
@@ -40,19 +37,23 @@ from skdgp.dynamics import (
     Trim,
     as_aerodynamics,
     linearize,
+    stability_derivatives,
 )
+from skdgp.plotting import TimeHistoryDisplay
 
 # Controls whose effects only their own motion teaches
 CONTROLS = (*SURFACES, "throttle")
 # Axes that are no deflections
 UNBOUNDED = ("thrust", "propeller_speed")
+# Responses that are drawn
+RESPONSES = ("alpha", "airspeed", "phi", "beta")
 # Facts of the trim in plan.json
 TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state", "controls")
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flight that `plan` has chosen, with promised standard deviations; `write_flight_card` draws it.
+    """Flight that `plan` has chosen, with promised standard deviations.
 
     Parameters
     ----------
@@ -69,15 +70,13 @@ class Plan:
     errors : DataFrame
         Standard deviations of the derivatives of the goal at the trim, as of
         :func:`skdgp.dynamics.stability_derivatives`: ``before`` the flight, and ``promised`` of a
-        model learned from this flight too, with ``low`` and ``high`` ends that hold 80 % of what is
-        found. NaN where the model has no posterior, or does not hold its rows.
+        model learned from this flight too. NaN where the model has no posterior, or does not hold
+        its rows.
     limits : DataFrame
         ``low`` and ``high`` limits of all manoeuvres: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
     margin : float
         Of the responses to the limits: see `Envelope`.
-    servo_lag : float, default=0.0
-        Of the surfaces behind the inputs, which are commands [s].
     """
 
     train: Wavetrain
@@ -88,7 +87,6 @@ class Plan:
     limits: pd.DataFrame
     aircraft: Aircraft
     margin: float
-    servo_lag: float = 0.0
 
     @property
     def seconds(self) -> float:
@@ -101,28 +99,19 @@ class Plan:
         """Promised standard deviations over those before, their geometric mean."""
         return float(np.exp(np.log(self.errors["promised"] / self.errors["before"]).mean()))
 
-    def inputs(self, k: int) -> dict[str, Signal]:
-        """Return the inputs of a row of ``manoeuvres`` by axis."""
-        begin = self.manoeuvres["start"].iloc[k]
-        inputs = {}
-        for axis, start, signal in self.train.events():
-            if np.isclose(start, begin):
-                inputs[axis] = signal
-        return inputs
-
-    @property
-    def expected(self) -> pd.DataFrame:
-        """The ``low`` and ``high`` ends that the quantities are expected to reach."""
-        values = quantities(self.flight)
-        return pd.DataFrame({"low": values.min(), "high": values.max()})
-
-    @property
-    def abort_limits(self) -> pd.DataFrame:
-        """The ``low`` and ``high`` ends of the quantities."""
-        limits = self.limits.reindex(QUANTITIES)
-        slowest = limits["low"]["airspeed"]
-        limits.loc["airspeed", "low"] = slowest if slowest > 0 else -np.inf
-        return limits
+    def plot(self, ax: Any = None) -> TimeHistoryDisplay:
+        """Draw the moved controls and the expected responses; for ``ax`` see :mod:`skdgp.plotting`."""
+        number = self.flight["flight"].to_numpy(int)
+        starts = self.manoeuvres["start"].to_numpy(float)
+        names = (*self.train.inputs, *RESPONSES)
+        display = TimeHistoryDisplay(
+            time=starts[number] + self.flight["time"].to_numpy(float),
+            names=names,
+            mean=self.flight[[*names]].to_numpy(float),
+            window=number,
+            estimate="expected",
+        )
+        return display.plot(ax)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values, SI units and radians."""
@@ -261,7 +250,6 @@ def plan(
         limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
         aircraft=aircraft,
         margin=envelope.margin,
-        servo_lag=aerodynamics.servo_lag,
     )
 
 
@@ -424,12 +412,15 @@ def _errors(
     model: Aerodynamics | BaseEstimator, aircraft: Aircraft, trim: Trim, thrust: Any, added: Matrix
 ) -> pd.DataFrame:
     """Return standard deviations of derivatives before the flight, and promised after it."""
-    point = vars(trim)
-    before = std_at(model, aircraft, point, thrust)
+
+    def std(added: Matrix | None = None) -> pd.Series:
+        derivatives = stability_derivatives(model, aircraft, trim, thrust=thrust, added=added)
+        return derivatives.get("std", pd.Series(dtype=float))
+
     promised = pd.Series(dtype=float)
     if as_aerodynamics(model).learned is not None:
-        promised = std_at(model, aircraft, point, thrust, added)
-    return with_range(pd.DataFrame({"before": before, "promised": promised}, dtype=float))
+        promised = std(added)
+    return pd.DataFrame({"before": std(), "promised": promised}, dtype=float)
 
 
 def _timetable(flown: Sequence[Rehearsed], pause: float, end: float) -> pd.DataFrame:

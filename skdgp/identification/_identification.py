@@ -22,9 +22,8 @@ from skdgp._compute.files import (
     write_together,
 )
 from skdgp._compute.findings import Code, Finding, with_codes
-from skdgp._compute.messages import notify
+from skdgp._compute.messages import can_draw, notify
 from skdgp._compute.wording import reason_of, text_of
-from skdgp._display.page import can_draw
 from skdgp.dynamics import Aircraft
 from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._model_file import save_model
@@ -74,7 +73,7 @@ class Identification:
     assumptions : tuple of Finding
         Assumptions where flights and aircraft do not say; empty without assumptions.
     supplements : sequence
-        Further parts such as `skdgp.design.PlanCheck`: ``name`` and ``to_dict()`` for the metrics,
+        Further parts such as the changes of the aircraft: ``name`` and ``to_dict()`` for the metrics,
         ``summary()``, a list of lines, and ``section()``, HTML for the report.
     title, command, created : str
         Heading of the report, the command line, date and time.

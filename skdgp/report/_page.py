@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import can_draw
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._compute.wording import text_of
 from skdgp._display.page import (
     DASH,
     THIN,
-    can_draw,
     display_unit,
     lowered,
     number,

@@ -299,7 +299,7 @@ class TestPlan:
     def test_writes_what_autopilots_fly(self, run, tmp_path, no_pictures):
         more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder --growth 2")
         said = run("plan", *self.WORDS, *more)
-        names = {"plan.csv", "plan.lua", "card.html", "expected.csv", "plan.json"}
+        names = {"plan.csv", "plan.lua", "expected.csv", "plan.json"}
         assert files(tmp_path / "out") == names
         table = pd.read_csv(tmp_path / "out" / "plan.csv")
         assert table["rudder"].abs().max() <= 0.1
@@ -315,18 +315,10 @@ class TestPlan:
         known = known["points"][0]["derivatives"]["Cn_rudder"]  # to the scatter of 500 draws
         assert errors["before"] == pytest.approx(known["std"], rel=0.1)
 
-        more = ["--plan", tmp_path / "out" / "plan.json", "--horizons", "1"]
-        judged = run("validate", "test.csv", *more)["plan"]
-        assert judged["errors"]["Cn_rudder"]["promised"] == errors["promised"]
-        found = judged["errors"]["Cn_rudder"]["found"]
-        assert found == pytest.approx(errors["before"], rel=0.01)  # it is the model of the plan
-        report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-        assert "The plan and this model" in report
-
     def test_what_an_earlier_plan_wrote_does_not_stay(
         self, command, path, run, tmp_path, capsys, no_pictures
     ):
-        """Its script would be flown with the card of another plan."""
+        """Its script would be flown beside the table of another plan."""
         folder = tmp_path / "out"
         folder.mkdir()
         for name in ("plan.lua", "plan_b.csv", "my_plan.lua"):
@@ -335,7 +327,7 @@ class TestPlan:
         run("plan", *self.WORDS, *more)
         assert "plan.lua" in files(folder)  # there was no plan.json beside it
         assert command(["plan", path, *self.WORDS, *more, "-o", str(folder)]) == 0
-        names = {"plan.csv", "card.html", "expected.csv", "plan.json"}
+        names = {"plan.csv", "expected.csv", "plan.json"}
         assert files(folder) == names | {"plan_b.csv", "my_plan.lua"}
         said = capsys.readouterr().out
         assert "no limits, not even a floor: set them by --growth" in said

@@ -6,6 +6,7 @@ from copy import copy
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
@@ -13,7 +14,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
-from skdgp.design import Envelope, PlanCheck, PlanSettings, plan
+from skdgp.design import Envelope, PlanSettings, plan
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -81,10 +82,11 @@ def test_the_time_and_the_limits_are_kept(planned):
     assert planned.seconds <= 14.0
     assert table["elevator"].abs().max() <= 0.06
     assert planned.manoeuvres["pause"].iloc[-1] == 3.0
-    for k, row in planned.manoeuvres.iterrows():
-        now = table["time"].between(row["start"], row["start"] + row["duration"])
-        flown = planned.inputs(k)["elevator"](table["time"][now] - row["start"])
-        assert_allclose(table["elevator"][now], flown, atol=1e-9)
+    ends = planned.manoeuvres["start"] + planned.manoeuvres["duration"]
+    for start, end in zip(planned.manoeuvres["start"], ends, strict=True):
+        is_inside = table["time"].between(start, end)
+        signal = planned.train.inputs["elevator"][start]
+        assert_allclose(table["elevator"][is_inside], signal(table["time"][is_inside] - start))
 
 
 def test_the_pause_is_a_quarter_of_the_phugoid(glider, uav):
@@ -107,6 +109,16 @@ def table(planned):
     return table[table["time"].between(first["start"], first["start"] + first["duration"] + 1.0)]
 
 
+def test_the_figure_shows_each_manoeuvre_at_its_time(planned):
+    """The lines of the controls and of the responses begin and end with the manoeuvres."""
+    display = planned.plot(Figure())
+    assert display.keys == ["elevator", "alpha", "airspeed", "phi", "beta"]
+    assert len(display.axes_.flat) >= len(display.keys)
+    begins = display.time[np.flatnonzero(np.diff(display.window, prepend=-1))]
+    assert_allclose(begins, planned.manoeuvres["start"])
+    assert_allclose(display.mean[:, 1], planned.flight["alpha"])
+
+
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
 def test_aircraft_of_the_posterior_stay_inside_in_calm_air(planned, table, model, uav):
     assert (planned.manoeuvres["scale"] < 1).any()  # alpha was the limit
@@ -126,7 +138,8 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
     flown = simulate(model, glider.aircraft, planned.trim, table, 0.04)
     lowest, highest = LIMITED.alpha
     assert flown["alpha"].between(lowest - 1e-4, highest + 1e-4).all()  # nearly proportional
-    expected, room = np.array([planned.expected.loc["alpha"], LIMITED.alpha]) - planned.trim.alpha
+    ends = planned.flight["alpha"].agg(["min", "max"])
+    expected, room = np.array([ends, LIMITED.alpha]) - planned.trim.alpha
     used = (1 + LIMITED.margin) * expected / room
     assert 0.8 < used.max() <= 1.0  # no more is given away
 
@@ -169,7 +182,7 @@ def learned(*flights):
     return pipeline.fit(pd.concat(tables, ignore_index=True), Y)
 
 
-def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tmp_path):
+def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point):
     first = flown_rows(200, 0.02, 1)
     second = flown_rows(250, 0.06, 2)
     before = learned(first)
@@ -181,23 +194,6 @@ def test_the_promise_is_what_derivatives_state_after_both_flights(uav, point, tm
     of_slopes = now.index[now.index.str.contains("_")]
     assert 1 / 1.5 < (promised / found)[of_slopes].median() < 1.5
     assert (promised / now)[of_slopes].median() < 0.6
-
-    goal = ["Cm_alpha", "Cm_q", "Cm_elevator"]
-    errors = pd.DataFrame({"before": now, "promised": promised, "found": found}).loc[goal]
-    plain = {"state": point.state.tolist(), "controls": point.controls}
-    path = tmp_path / "plan.json"
-    path.write_text(json.dumps({"errors": errors.iloc[:, :2].to_dict("index"), "trim": plain}))
-    check = PlanCheck.from_file(path, after, uav)
-    pd.testing.assert_frame_equal(check.errors[[*errors]], errors)
-    expected = np.exp(np.log(errors["found"] / errors["before"]).mean())
-    assert check.remaining["found"] == pytest.approx(expected)
-    is_within = errors["found"].between(check.errors["low"], check.errors["high"])
-    assert check.n_within == is_within.sum() > 0
-    assert (check.errors["low"] < errors["promised"]).all()
-    assert (errors["promised"] < check.errors["high"]).all()
-    other = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha", "q_hat", "elevator"])
-    with pytest.raises(ValueError, match="the regressors that the plan was made with"):
-        PlanCheck.from_file(path, other, uav)
 
 
 def test_a_plan_promises_less_and_its_record_is_plain(ask):
@@ -219,15 +215,6 @@ def test_rows_that_are_added_have_the_regressors_of_the_model(uav, point):
     for rows in (np.zeros((3, 2)), np.zeros(8), np.full((3, 8), np.nan)):
         with pytest.raises(ValueError, match=r"Got added of shape .*expected finite regressors"):
             stability_derivatives(model, uav, point, added=rows)
-
-
-def test_files_that_are_no_plan_are_refused(model, uav, tmp_path):
-    path = tmp_path / "plan.json"
-    path.write_text('{"errors": 3}')
-    with pytest.raises(ValueError, match=r"expected the plan\.json that skdgp plan"):
-        PlanCheck.from_file(path, model, uav)
-    with pytest.raises(FileNotFoundError):
-        PlanCheck.from_file(tmp_path / "none.json", model, uav)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,430 @@
+"""What each mechanism buys: the model without it, one at a time, on aircraft of known aerodynamics.
+
+    python tests/benchmarks/ablation.py ../shared/data --out OUT [--cases DHC6 A4] [--airs light] [--seeds 2]
+
+Each aircraft of JSBSim flies 200 s in an air, viggen_uav as recorded, and learns from ten rows a
+second by the default pipeline. Variants of preparation and of the fit are fitted; sources of error
+and weights are taken out of the fitted models without another fit. Prepared flights are kept in
+OUT/prepared, or in the folder that --cache gives. The function is asked at regressors without noise
+along another path, in calm air and in gusts, and scored by the truth; logged rows are scored by
+their measured coefficients, with the noise of the fit and of the gusts of the flight. AP2 is a real
+flight, of which one quarter is left out: logged rows alone are scored.
+
+Errors are NRMSE, the mean over the coefficients. In the table of effects they are over the error of
+the whole model, geometric means over aircraft, airs and seeds, with the standard error of the mean;
+"seeds" is the standard deviation of that ratio between seeds of one flight. Coverage is the change
+of the percentage in the bands, NLPD the change of the negative log density [nats], over standard
+deviations of the coefficients. Less error and less NLPD are better: a mechanism whose removal does
+not raise any of them beyond its standard error buys nothing here.
+"""
+
+import copy
+import time
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from _common import Kept, commit, finish, parser_of
+from _jsbsim_flight import (
+    COEFFICIENTS,
+    FLOWN,
+    KNOTS,
+    STEADY,
+    evaluated_derivatives,
+    exact_regressors,
+    flight_of,
+    known_derivatives,
+    learned_derivatives,
+    sensed,
+    true_values,
+)
+from comparison import task_of
+from joblib import Memory
+from pairs import quarter
+from scipy.stats import norm
+
+from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.dynamics import aerodynamic_coefficients
+from skdgp.identification import flight_regressors
+from skdgp.inference import AveragePosterior, PosteriorWithErrors
+from skdgp.kernels import ConvolvedGaussian
+from skdgp.metrics import interval_coverage, normalized_rmse
+from skdgp.model_selection import thin_targets
+
+EVERY = 10  # rows of a flight per row that is scored
+ROWS_A_SECOND = 10.0  # of the default of `identify`
+# Calibrated airspeed [kt] of aircraft that no other table has
+LEFT_OUT = {"pa28": 90.0, "OV10": 150.0, "Boeing314": 130.0, "F4N": 320.0, "787-8": 250.0}
+LEFT_OUT |= {"MD11": 280.0, "Camel": 85.0}
+KNOTS |= LEFT_OUT
+RECORDED = {"viggen_uav": "viggen"}
+REAL = {"AP2, quarter 1": 1, "AP2, quarter 3": 3}
+CASES = [*KNOTS, *RECORDED, *REAL]
+FIRST = ["pa28", "Camel", "F4N", "viggen_uav"]
+TRAINED = {"calm": (1, "calm", 0), "light": (1, "light", 1), "moderate": (1, "moderate", 2)}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Preparation and fit of a model; the defaults are the product's."""
+
+    #: Rows a second that are learned from; None: all
+    rate: float | None = ROWS_A_SECOND
+    #: Parameters of make_identification_pipeline
+    steps: dict = field(default_factory=dict)
+    #: Cutoff of the coefficients
+    targets: str | None = "auto"
+    #: Parameters of the regressor
+    regressor: dict = field(default_factory=dict)
+    #: Parameters of `kernel_of`; None: the product's kernel
+    kernel: dict | None = None
+
+
+WHOLE = "as it is"
+FITS = {
+    WHOLE: Variant(),
+    "all rows": Variant(rate=None),
+    "without main effects": Variant(kernel={"effects": False}),
+    "without main effects, all rows": Variant(rate=None, kernel={"effects": False}),
+    "without noise of regressors": Variant(regressor={"input_noise": None}),
+    "structure joint": Variant(regressor={"structure": "joint"}),
+    "without private latents": Variant(kernel={"private": False}),
+    "without bounds of widths": Variant(kernel={"bounded": False}),
+    "one latent": Variant(regressor={"n_latent": 1}),
+    "half the iterations": Variant(regressor={"max_iter": 30}),
+    "regressors not smoothed": Variant(steps={"cutoff": None}),
+    "targets not smoothed": Variant(targets=None),
+    "lags not corrected": Variant(steps={"lags": None}),
+    "flight path not reconstructed": Variant(steps={"reconstruction": "passthrough"}),
+}
+FEW = [*FITS][:5]
+
+
+def kernel_of(d, effects=True, private=True, bounded=True):
+    """Return the default kernel of a time series of d regressors, or one with less."""
+    bounds = {"length_scale": "spacing"} if bounded else None
+    kernel = ConvolvedGaussian(2, private_latents=private, parameter_bounds=bounds)
+    for k in range(d if effects else 0):
+        kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel
+    return kernel
+
+
+# -- flights
+
+
+class Asked(NamedTuple):
+    """Rows of a flight: scaled regressors and measured coefficients, exact regressors and the truth."""
+
+    X: np.ndarray
+    ratio: np.ndarray  #: Of the noise of the regressors to the one in training
+    measured: np.ndarray
+    exact: np.ndarray | None
+    truth: np.ndarray | None
+
+
+class Prepared(NamedTuple):
+    """A training flight behind all steps but the last, and the flights that a model is asked about."""
+
+    pipeline: object
+    X: np.ndarray
+    Y: pd.DataFrame
+    clock: dict
+    seconds: float
+    asked: dict
+    derivatives: dict | None  #: Aircraft, place, airspeed and known derivatives
+
+
+def flights_of(name, air, data):
+    """Return the aircraft, the training flight, those that are asked about, and loads of the inverse dynamics."""
+    if name in REAL:
+        aircraft, train, test, loads = quarter(data, REAL[name])
+        return aircraft, train, {"flown": test}, loads
+    if name in RECORDED:
+        task = task_of(RECORDED[name], data)
+        return task.aircraft, task.train, {"flown": task.test}, {}
+    train, aircraft = flight_of(name, *TRAINED[air])
+    return aircraft, train, {air: flight_of(name, *flown)[0] for air, flown in FLOWN.items()}, {}
+
+
+def prepared(name, air, steps, targets, data, _commit):
+    """Return the flights of an aircraft, prepared for the fit of its last step."""
+    aircraft, train, flown, loads = flights_of(name, air, data)
+    log = sensed(train)
+    Y = aerodynamic_coefficients(log, aircraft, cutoff=targets, **loads)
+    pipeline = make_identification_pipeline(
+        aircraft, regressor=DependentGPRegressor(structure="trend"), **steps
+    )
+    pipeline.fit(log, Y)
+    clock = {"time": log["time"].to_numpy(float)}
+    if "flight" in log:
+        clock["flight"] = np.asarray(log["flight"].astype(str))
+    asked = {}
+    for where, flight in flown.items():
+        asked[where] = rows_of(pipeline, flight, aircraft, loads, is_known=name not in REAL)
+    derivatives = None if name in REAL else derivatives_of(name, aircraft, flown)
+    X = np.asarray(pipeline[:-1].transform(log))
+    return Prepared(pipeline, X, Y, clock, pipeline.seconds_, asked, derivatives)
+
+
+def rows_of(pipeline, flight, aircraft, loads, is_known):
+    """Return the rows of a flight that are scored."""
+    some = slice(None, None, EVERY)
+    log = sensed(flight)
+    X, ratio = flight_regressors(pipeline, log)
+    measured = aerodynamic_coefficients(pipeline.corrected(log), aircraft, **loads).to_numpy()
+    exact = truth = None
+    if is_known:
+        names = [name + "_hat" * (name in "pqr") for name in STEADY]
+        values = exact_regressors(flight, aircraft)[some, : len(STEADY)]
+        exact = np.asarray(pipeline[-3:-1].transform(pd.DataFrame(values, columns=names)))
+        truth = flight[[f"{C}_true" for C in COEFFICIENTS]].to_numpy()[some]
+    return Asked(np.asarray(X)[some], ratio[some], measured[some], exact, truth)
+
+
+def derivatives_of(name, aircraft, flown):
+    """Return the known derivatives at the mean of the first flight."""
+    flight = next(iter(flown.values()))
+    at = exact_regressors(flight, aircraft).mean(axis=0)
+    known = (
+        known_derivatives([flight], aircraft, at)
+        if name in RECORDED
+        else evaluated_derivatives(name, flight, aircraft, at)
+    )
+    airspeed = flight["airspeed_true"].mean()
+    return {"aircraft": aircraft, "at": at, "airspeed": airspeed, "known": known}
+
+
+# -- models
+
+
+def fitted(variant, flights, seed):
+    """Return the regressor of a variant."""
+    Y = flights.Y
+    if variant.rate is not None:
+        Y = thin_targets(Y, min(len(Y), int(np.ceil(variant.rate * flights.seconds))))
+    options = {"random_state": seed, **variant.regressor}
+    if variant.kernel is not None:
+        options["kernel"] = kernel_of(flights.X.shape[1], **variant.kernel)
+    return DependentGPRegressor(**options).fit(flights.X, Y, **flights.clock)
+
+
+def with_errors(model, **changed):
+    """Return a model with other errors of the function."""
+    posterior = model.posterior_
+    return with_posterior(
+        model, PosteriorWithErrors(posterior.posterior, posterior.errors._replace(**changed))
+    )
+
+
+def with_mixture(model, mixture):
+    """Return a model with other weights (K, P) of its components."""
+    posterior = model.posterior_
+    average = AveragePosterior(posterior.members, mixture)
+    return with_posterior(model, PosteriorWithErrors(average, posterior.errors))
+
+
+def with_posterior(model, posterior):
+    """Return a copy of the model with this posterior."""
+    model = copy.copy(model)
+    model.posterior_ = posterior
+    return model
+
+
+def without_errors(model):
+    """Yield the name of each source of error, and the model without it."""
+    errors = model.posterior_.errors
+    P, d = len(model.scale_), model.n_features_in_
+    sources = {
+        "mean errors": ("random", slice(0, P)),
+        "block errors": ("random", slice(P, None)),
+        "gusts": ("method", slice(0, 1)),
+        "attenuation": ("method", slice(1, 1 + d)),
+        "nonlinear errors": ("method", slice(1 + d, None)),
+    }
+    for source, (kind, place) in sources.items():
+        terms = getattr(errors, kind).copy()
+        terms[place] = 0.0
+        yield f"without {source}", with_errors(model, **{kind: terms})
+    nothing = np.zeros_like(errors.discrepancy)
+    yield "without misfit", with_errors(model, discrepancy=nothing)
+    zero = {kind: np.zeros_like(getattr(errors, kind)) for kind in ("random", "method")}
+    yield "without errors of the function", with_errors(model, discrepancy=nothing, **zero)
+
+
+def with_weights(model):
+    """Yield the model with equal weights, and with each component alone."""
+    members = model.posterior_.members
+    K, P = len(members), len(model.scale_)
+    if K > 1:
+        yield "equal weights", with_mixture(model, np.full((K, P), 1.0 / K))
+    for name, k in zip(model.weights_, range(K), strict=False):
+        if K > 1:
+            alone = np.zeros((K, P))
+            alone[k] = 1.0
+            yield f"{name} alone", with_mixture(model, alone)
+
+
+# -- scores
+
+
+def density(truth, mean, std):
+    """Return the negative log density of values [nats], over their standard deviations, of each output."""
+    unit = truth.std(axis=0)
+    return -np.nanmean(norm.logpdf(truth, mean, std) + np.log(unit), axis=0)
+
+
+def scores_of(truth, mean, std):
+    """Return error, NLPD, the width of the bands, and what they hold."""
+    rows = np.isfinite(truth).all(axis=1)
+    truth, mean, std = truth[rows], mean[rows], std[rows]
+    held = 100 * np.array(
+        [interval_coverage(truth[:, [i]], mean[:, [i]], std[:, [i]]) for i in range(6)]
+    )
+    half = 100 * np.mean(np.abs(truth - mean) < norm.ppf(0.75) * std, axis=0)
+    by_output = np.sqrt(np.mean((truth - mean) ** 2, axis=0)) / truth.std(axis=0)
+    return {
+        "NRMSE": float(normalized_rmse(truth, mean)),
+        "by output": by_output.tolist(),
+        "NLPD": float(density(truth, mean, std).mean()),
+        "width": float(np.mean(std / truth.std(axis=0))),
+        "95 %": float(held.mean()),
+        "by output, 95 %": held.tolist(),
+        "50 %": float(half.mean()),
+    }
+
+
+def scored(model, flights):
+    """Return the scores of a model by place: function and logged rows of each flight, and derivatives."""
+    scores = {}
+    for where, rows in flights.asked.items():
+        if rows.exact is not None:
+            bands = model.predict(rows.exact, return_std=True, include_input_noise=False)
+            scores[f"function, {where}"] = scores_of(rows.truth, *bands)
+        noise = {"include_noise": True, "include_input_noise": rows.ratio}
+        bands = model.predict(rows.X, return_std=True, **noise)
+        scores[f"logged, {where}"] = scores_of(rows.measured, *bands)
+    if flights.derivatives is not None:
+        scores["derivatives"] = of_derivatives(model, flights)
+    return scores
+
+
+def of_derivatives(model, flights):
+    """Return how far derivatives are off, and the percentage within two standard deviations."""
+    pipeline = copy.copy(flights.pipeline)
+    pipeline.steps = [*pipeline.steps[:-1], ("dependentgpregressor", model)]
+    aircraft, at, airspeed, known = flights.derivatives.values()
+    table = learned_derivatives(pipeline[-3:], aircraft, at, airspeed, STEADY[:8])
+    true = true_values(table, known)
+    z = ((table["value"] - true) / table["std"])[np.abs(true) > 0]
+    return {"95 %": 100 * float((np.abs(z) < 2).mean()), "largest z": float(np.abs(z).max())}
+
+
+def measured(name, air, seed, variant, data, cache):
+    """Return the scores of a fit, and of what is taken out of it."""
+    flights = cache(name, air, variant.steps, variant.targets, data, commit())
+    start = time.process_time()
+    model = fitted(variant, flights, seed)
+    seconds = time.process_time() - start
+    scores = {"": scored(model, flights)}
+    if variant == FITS[WHOLE]:
+        for part, other in [*without_errors(model), *with_weights(model)]:
+            scores[part] = scored(other, flights)
+    weights = {component: values.tolist() for component, values in model.weights_.items()}
+    return {"scores": scores, "weights": weights, "CPU": seconds}
+
+
+# -- tables
+
+RATIOS = {
+    "function, calm": "function, calm",
+    "function, gusts": "function, light|function, moderate|function, flown",
+    "logged": "logged",
+}
+
+
+def flat(runs):
+    """Return a row for each aircraft, air, seed and variant, with the means of its scores."""
+    rows = []
+    for run in runs:
+        if "scores" not in run:
+            continue
+        for part, scores in run["scores"].items():
+            row = {key: run[key] for key in ("case", "air", "seed")}
+            row |= {"variant": part or run["variant"], "CPU": np.nan if part else run["CPU"]}
+            for column, places in RATIOS.items():
+                some = [
+                    s for w, s in scores.items() if any(w.startswith(p) for p in places.split("|"))
+                ]
+                for kind in ("NRMSE", "NLPD", "95 %", "50 %"):
+                    row[f"{column}; {kind}"] = np.mean([s[kind] for s in some]) if some else np.nan
+            cells = [s["by output, 95 %"] for w, s in scores.items() if w.startswith("function")]
+            row["worst cell"] = np.min(cells) if cells else np.nan
+            known = scores.get("derivatives", {"95 %": np.nan, "largest z": np.nan})
+            row |= {"derivatives; 95 %": known["95 %"], "largest z": known["largest z"]}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def of_models(table):
+    """Return the scores of the whole model for each aircraft and air, means over seeds."""
+    whole = table[table["variant"] == WHOLE].drop(columns="variant")
+    means = whole.groupby(["case", "air"], sort=False).mean(numeric_only=True).drop(columns="seed")
+    return means.reset_index().to_dict("records")
+
+
+def of_effects(table):
+    """Return what changes without each mechanism, with the standard error of its mean."""
+    key = ["case", "air", "seed"]
+    whole = table[table["variant"] == WHOLE].set_index(key)
+    rows = []
+    for variant, part in table.groupby("variant", sort=False):
+        if variant == WHOLE:
+            continue
+        part = part.set_index(key)
+        base = whole.loc[part.index]
+        row = {"variant": variant, "fits": len(part)}
+        for column in RATIOS:
+            ratio = np.log(part[f"{column}; NRMSE"] / base[f"{column}; NRMSE"]).dropna()
+            row[f"{column}; NRMSE"] = spread(np.exp(ratio.mean()), ratio)
+            if column == "function, calm":
+                row["seeds"] = ratio.groupby(["case", "air"]).std().mean()
+            change = (part[f"{column}; NLPD"] - base[f"{column}; NLPD"]).dropna()
+            row[f"{column}; NLPD"] = spread(change.mean(), change)
+            for level in ("95 %", "50 %"):
+                row[f"{column}; {level}"] = (
+                    part[f"{column}; {level}"] - base[f"{column}; {level}"]
+                ).mean()
+        row["derivatives; 95 %"] = (part["derivatives; 95 %"] - base["derivatives; 95 %"]).mean()
+        row["CPU"] = (part["CPU"] / base["CPU"]).mean()
+        rows.append(row)
+    return rows
+
+
+def spread(mean, values):
+    """Return a mean with the standard error of its values, as a cell."""
+    return f"{mean:.3f} ± {values.std() / np.sqrt(max(len(values), 1)):.3f}"
+
+
+def main(words=None):
+    parser = parser_of(__doc__, data=True)
+    parser.add_argument("--cases", nargs="+", default=FIRST, choices=CASES)
+    parser.add_argument("--airs", nargs="+", default=["light"], choices=[*TRAINED])
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--fits", nargs="+", default=FEW, choices=[*FITS])
+    parser.add_argument("--cache", default=None, help="folder of prepared flights")
+    options = parser.parse_args(words)
+    kept = Kept(options, "ablation")
+    cache = Memory(options.cache or options.out / "prepared", verbose=0).cache(prepared)
+    for seed in range(options.seeds):
+        for name in options.cases:
+            for air in options.airs if name in KNOTS else ["flown"]:
+                for label in options.fits:
+                    key = {"case": name, "air": air, "seed": seed, "variant": label}
+                    kept.run(key, measured, name, air, seed, FITS[label], options.data, cache)
+    table = flat(kept.asked.values())
+    finish(options, "ablation", models=of_models(table), effects=of_effects(table))
+
+
+if __name__ == "__main__":
+    main()

@@ -60,6 +60,7 @@ class GaussianBasis:
         constant = -0.5 * np.einsum("ck,ck->c", linear, self._centred)
         self._matrix = np.vstack([-0.5 * precision.T, linear.T, constant])
         self._far = -constant.min(initial=0.0) > FAR
+        self._has_gain = bool((gain != 1.0).any())
 
     @classmethod
     def joined(cls, n_features: int, parts: Sequence[GaussianBasis]) -> GaussianBasis:
@@ -78,7 +79,8 @@ class GaussianBasis:
     def __call__(self, X: Matrix) -> Matrix:
         """Return all functions at X (n, d), (n, C)."""
         values = self.exponentials(X)
-        values *= self.gain
+        if self._has_gain:
+            values *= self.gain
         return values
 
     def exponentials(self, X: Matrix) -> Matrix:
@@ -93,7 +95,11 @@ class GaussianBasis:
     def _powers(self, X):
         """Return (x^2, x, 1), (n, 2 d + 1)."""
         x = X - self.middle
-        return np.hstack([x * x, x, np.ones((len(x), 1))])
+        d = x.shape[1]
+        powers = np.ones((len(x), 2 * d + 1))
+        np.multiply(x, x, out=powers[:, :d])
+        powers[:, d:-1] = x
+        return powers
 
     def _exponents_of_differences(self, X):
         """Return the exponents (n, C) of centres so far apart that expanded squares would cancel."""
@@ -111,7 +117,10 @@ class GaussianBasis:
         values = self(X.reshape(-1, d)).reshape(n_functions, n, len(self.gain))
         slopes = []
         for w, places in zip(weights, columns, strict=True):
-            sums = (values[..., places] * w[:, None]) @ self._matrix[:, places].T
+            weighted = values[..., places] * w[:, None]
+            # one product of matrices, as many small ones take longer
+            sums = weighted.reshape(-1, w.shape[1]) @ self._matrix[:, places].T
+            sums = sums.reshape(*weighted.shape[:2], -1)
             slopes.append(sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle))
         return np.stack(slopes, axis=2)
 

@@ -268,6 +268,8 @@ class MixedPaths(PathBundle):
         self.bundles = bundles
         self.member = member
         self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
+        # whether an output is taken, in the order of the functions of each bundle
+        self._taken = [1.0 * (member[rows] == k) for k, rows in enumerate(self.rows)]
 
     def rounded(self):
         return MixedPaths([bundle.rounded() for bundle in self.bundles], self.member)
@@ -289,12 +291,11 @@ class MixedPaths(PathBundle):
 
     def _fill(self, values, X, functions):
         """Add the outputs of all functions, each from the bundle that it is taken from."""
-        for k, (evaluate, rows) in enumerate(zip(functions, self.rows, strict=True)):
+        for evaluate, rows, taken in zip(functions, self.rows, self._taken, strict=True):
             if len(rows):
                 of_bundle = evaluate(X if len(X) == 1 else X[rows])
-                is_taken = (self.member[rows] == k)[:, None]
-                is_taken = is_taken.reshape(is_taken.shape + (1,) * (values.ndim - 3))
-                values[rows] += np.where(is_taken, of_bundle, 0.0)
+                of_bundle *= taken.reshape(len(rows), 1, -1, *(1,) * (values.ndim - 3))
+                values[rows] += of_bundle
         return values
 
 
@@ -319,8 +320,16 @@ class BasisPaths(PathBundle):
 
     def __init__(self, basis: Basis, weights: list[Matrix], columns: list[slice]) -> None:
         self.basis = basis
-        self.weights = weights
         self.columns = columns
+        self._all_weights = np.concatenate(weights, axis=1)
+        self._starts = [places.start for places in columns]
+        # `reduceat` has no sums of no functions
+        self._is_dense = all(places.stop > places.start for places in columns)
+
+    @property
+    def weights(self) -> list[Matrix]:
+        """The weights (S, c) of each output."""
+        return [self._all_weights[:, columns] for columns in self.columns]
 
     def take(self, index):
         return BasisPaths(self.basis, [w[index] for w in self.weights], self.columns)
@@ -341,6 +350,10 @@ class BasisPaths(PathBundle):
     def each(self, X):
         A = self.basis(X.reshape(-1, X.shape[-1]))
         A = A.reshape(*X.shape[:2], A.shape[-1])
+        if self._is_dense and A.shape[:2] == (len(self._all_weights), 1):
+            # a step of a simulation
+            A *= self._all_weights[:, None]
+            return np.add.reduceat(A, self._starts, axis=-1)
         outputs = zip(self.columns, self.weights, strict=True)
         return np.stack([contract(A[..., columns], c) for columns, c in outputs], axis=-1)
 
@@ -357,21 +370,22 @@ def _with_one_basis(parts: Sequence[PathBundle]) -> list[PathBundle]:
             based.append(part)
         else:
             others.append(part)
-    if len(based) > 1:
+    if based:
         others.append(_joined_bases(based))
-        return others
-    return list(parts)
+    return others
 
 
 def _joined_bases(parts: Sequence[BasisPaths]) -> BasisPaths:
-    """Return the sum of functions of several Gaussian bases, with the functions of each output side by side."""
+    """Return the sum of functions of Gaussian bases, which have no gains, with those of each output side by side."""
     bases: list[GaussianBasis] = []
     weights: list[Matrix] = []
     for i in range(len(parts[0].columns)):
+        of_output = []
         for part in parts:
-            basis = cast(GaussianBasis, part.basis)
-            bases.append(basis.part(part.columns[i]))
-        weights.append(np.concatenate([part.weights[i] for part in parts], axis=1))
+            basis = cast(GaussianBasis, part.basis).part(part.columns[i])
+            of_output.append(part.weights[i] * basis.gain)
+            bases.append(GaussianBasis(np.ones(len(basis.gain)), basis.precision, basis.centres))
+        weights.append(np.concatenate(of_output, axis=1))
     joined = GaussianBasis.joined(bases[0].centres.shape[1], bases)
     return BasisPaths(joined, weights, consecutive([w.T for w in weights]))
 

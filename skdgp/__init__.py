@@ -23,7 +23,6 @@ if TYPE_CHECKING:
         report as report,
     )
     from skdgp._compute.messages import listening as listening
-    from skdgp.plotting import Effects as Effects, effects as effects
     from skdgp._regressor import (
         DependentGPRegressor as DependentGPRegressor,
         FewRowsWarning as FewRowsWarning,
@@ -34,9 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DependentGPRegressor",
-    "Effects",
     "FewRowsWarning",
-    "effects",
     "listening",
     "make_identification_pipeline",
 ]
@@ -44,9 +41,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "DependentGPRegressor": "_regressor",
-    "Effects": "plotting",
     "FewRowsWarning": "_regressor",
-    "effects": "plotting",
     "listening": "_compute.messages",
     "make_identification_pipeline": "identification",
 }

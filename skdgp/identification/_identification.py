@@ -24,7 +24,7 @@ from skdgp._compute.files import (
 from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import can_draw, notify
 from skdgp._compute.wording import reason_of, text_of
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, as_aerodynamics
 from skdgp.identification._mechanics import flight_mechanics
 from skdgp.identification._model_file import save_model
 from skdgp.identification._summary import (
@@ -196,9 +196,17 @@ class Identification:
         write_together(path, writers)
         return path
 
+    def _effects(self) -> EffectsDisplay:
+        """Return slices of the model through its trim, through the mean of the flights if it has none."""
+        aerodynamics: Any = as_aerodynamics(self.pipeline)
+        rows = pd.DataFrame(aerodynamics.learned.training_rows(), columns=aerodynamics.regressors)
+        trim = self.mechanics.trim
+        steady = {} if trim is None else {"alpha": trim.alpha, "beta": trim.beta, **trim.controls}
+        at = {name: steady[name] for name in rows if name in steady}
+        return EffectsDisplay.from_estimator(self.pipeline[-2:], rows, at, ax=False)
+
     def _report_content(self) -> ReportContent:
         tested = {flight.name: flight.table for flight in self.evaluations}
-        effects = EffectsDisplay.from_model(self.pipeline[-2:], ax=False) if can_draw() else None
         return ReportContent(
             title=self.title,
             subtitle=self.aircraft.name,
@@ -210,7 +218,7 @@ class Identification:
             ),
             verdict=self.verdict,
             mechanics=self.mechanics,
-            effects=effects,
+            effects=self._effects() if can_draw() else None,
             air=air_of(self.pipeline),
             sections=[part.section() for part in self.supplements],
             assumed=self.assumed,

@@ -19,7 +19,7 @@ them.
 """
 
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp.inference._average import AveragePosterior, CentredTerm, training_inputs
+from skdgp.inference._average import AveragePosterior, training_inputs
 from skdgp.inference._average import AverageSettings as AverageSettings
 from skdgp.inference._average import held_out as held_out
 from skdgp.inference._average import stacked as stacked
@@ -84,7 +84,6 @@ from skdgp.inference._unbiased import unbiased_factor
 
 __all__ = [
     "AveragePosterior",
-    "CentredTerm",
     "Data",
     "Effect",
     "ExactPosterior",

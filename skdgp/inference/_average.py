@@ -21,10 +21,9 @@ import numpy as np
 from scipy.special import softmax
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import constant_columns, unexplained_variance
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._errors import PosteriorWithErrors
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle
@@ -309,82 +308,6 @@ def _folds(Y, order):
     turn = block[:, None] + shift
     for fold in range(SETTINGS.n_folds):
         yield (turn % SETTINGS.n_folds == fold) & observed
-
-
-# -- one term of a sum of kernels
-# -------------------------------------------------------------------------------------
-
-
-class CentredTerm:
-    r"""The posterior of g(x) = f(x) - mean_n f(x_n) for one term f of a sum of kernels.
-
-    The data determine g much better than f, as a constant can move from one term to another. With
-    the covariances A(x) of f and the data, or the inducing features, mean and variance of g follow
-    from the formulas of f with A(x) - mean_n A(x_n) in place of A(x), and with the prior variance
-
-    .. math:: k(x, x) - \frac{2}{N} \sum_n k(x, x_n) + \frac{1}{N^2} \sum_{nm} k(x_n, x_m).
-
-    For an average it is the mixture of the terms of its components, zero where one lacks the term.
-    Errors of the function add their variance: linear ones to the terms of single regressors,
-    the discrepancy to the term of all regressors.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    regressors : tuple of int
-        Regressors of the term, one of ``posterior.kernel.term_regressors()``.
-    X : ndarray (N, d)
-        The samples x_n.
-
-    Attributes
-    ----------
-    values : ndarray (N, P)
-        Mean of f at the samples; its own mean over them is not subtracted.
-    """
-
-    def __init__(self, posterior: Posterior, regressors: tuple[int, ...], X: Matrix) -> None:
-        self.X = X
-        self.mixture = posterior.mixture
-        self.terms = [_MemberTerm(member, regressors, X) for member in posterior.members]
-        self.values = mixture_mean(self.mixture, [term.values for term in self.terms])
-        self._errors = None
-        if isinstance(posterior, PosteriorWithErrors):
-            self._errors = posterior.errors.of_term(regressors)
-
-    def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
-        """Return the mean and the variance at X (n, d), (n, P) each."""
-        of_terms = [term.predict(X) for term in self.terms]
-        mean, variance = mixture_moments(self.mixture, of_terms)
-        if self._errors is None:
-            return mean, variance
-        return mean, variance + self._errors.change_variance(X, self.X)
-
-
-class _MemberTerm:
-    """The centred term of a single posterior."""
-
-    def __init__(self, posterior: SinglePosterior, regressors: tuple[int, ...], X: Matrix) -> None:
-        self.posterior = posterior.term(posterior.kernel.term(regressors))
-        self.X = X
-        outputs = range(posterior.kernel.n_outputs)
-        kernel = self.posterior.kernel
-        loadings = [self.posterior.loading(i, X) for i in outputs]
-        self.values = np.column_stack([A @ b for A, b in loadings])
-        self._means = [A.mean(axis=0) for A, _ in loadings]
-        self._variances = [kernel.block(i, i, X, X).mean() for i in outputs]
-
-    def predict(self, X: Matrix) -> tuple[Matrix, Matrix]:
-        """Return the mean and the variance of g at X (n, d), (n, P) each."""
-        kernel = self.posterior.kernel
-        mean, variance = np.empty((2, len(X), len(self._means)))
-        for i, centre in enumerate(self._means):
-            A, b = self.posterior.loading(i, X)
-            A = A - centre
-            mean[:, i] = A @ b
-            shared = kernel.block(i, i, X, self.X).mean(axis=1)
-            prior = np.maximum(kernel.block_diag(i, X) - 2 * shared + self._variances[i], 0.0)
-            variance[:, i] = unexplained_variance(prior, self.posterior.explained(i, A))
-        return mean, variance
 
 
 def training_inputs(posterior: Posterior) -> Matrix:

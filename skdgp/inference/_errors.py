@@ -138,29 +138,6 @@ class FunctionErrors(NamedTuple):
         of_unit = (1.0 + 2.0 * ratio**2) ** -0.75 / self.length_scale
         return np.sqrt(self.discrepancy)[:, None] * of_unit
 
-    def of_term(self, regressors: tuple[int, ...]) -> FunctionErrors:
-        """Return the errors in the term of some regressors, of a sum: linear ones of one, the discrepancy of all."""
-        keep = np.zeros(self.weights.shape[1], dtype=bool)
-        if len(regressors) == 1:
-            keep[1 + regressors[0]] = True
-        has_all = len(regressors) == len(self.centre)
-        return self._replace(
-            random=self.random * keep[:, None],
-            method=self.method * keep[:, None],
-            discrepancy=self.discrepancy * has_all,
-        )
-
-    def change_variance(self, X: Matrix, samples: Matrix) -> Matrix:
-        """Return the variance of e(x) less the mean of e over samples (N, d), at X (n, d), (n, P)."""
-        change = self.linear(X) - self.linear(samples).mean(axis=1, keepdims=True)
-        variance = np.sum(change**2, axis=0)
-        kernel = self.kernel
-        for i in np.flatnonzero(self.discrepancy).tolist():
-            shared = kernel.block(i, i, X, samples).mean(axis=1)
-            among = kernel.block(i, i, samples, samples).mean()
-            variance[:, i] += np.maximum(self.discrepancy[i] - 2.0 * shared + among, 0.0)
-        return variance
-
     def without_means(self, n_outputs: int) -> FunctionErrors:
         """Return the errors of outputs that were not centred, without the first terms (``mean_errors``)."""
         return self._replace(random=self.random[n_outputs:])

@@ -12,9 +12,7 @@ ax : Figure, SubFigure or False, optional
     Where to draw; default: a new pyplot figure. False: do not draw.
 """
 
-from skdgp.plotting._effects import Effects as Effects
 from skdgp.plotting._effects import EffectsDisplay
-from skdgp.plotting._effects import effects as effects
 from skdgp.plotting._frequency_responses import FrequencyDisplay
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 

@@ -141,11 +141,8 @@ OF_AIRCRAFT = (
 )
 # Captions of the displays of the model
 EFFECTS = (
-    "For each coefficient the regressors whose effect varies most, on one scale, with mean zero "
-    "over the samples (short lines) and the 95 % band. Then the two strongest interactions: how the "
-    "coefficient changes with one regressor at a low (5 %) and a high (95 %) value of another, all "
-    "others at their means. Without an interaction both lines are one. Bands are wide where "
-    "regressors moved together in the flights: the sum is then known better than its terms."
+    "For each coefficient the regressors along which it changes most, on one scale, the others as in "
+    "the trim (vertical line), with the 95 % band. Short lines are quantiles of the samples."
 )
 SIMULATED = (
     "One of these simulations, from a measured state with the recorded controls. The band holds 95 % "

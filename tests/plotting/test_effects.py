@@ -1,6 +1,4 @@
-"""The display of effects draws their curves, bands and what is joint."""
-
-from copy import copy
+"""Slices of a model along each regressor: values, bands and the panels that draw them."""
 
 import numpy as np
 import pandas as pd
@@ -8,74 +6,73 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.stats import norm
+from sklearn.exceptions import NotFittedError
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
-from skdgp import DependentGPRegressor, effects
+from skdgp import DependentGPRegressor
 from skdgp.plotting import EffectsDisplay
+
+NAMES = ["alpha", "q", "throttle", "beta", "elevator"]
+NOISE = 0.02
+
+
+def truth(X):
+    """Return outputs of which one is a product, the other a sum."""
+    lift = X["throttle"] + 20 * X["alpha"] * X["q"]
+    return pd.DataFrame({"CZ": lift, "Cm": np.sin(5 * X["alpha"]) - X["elevator"]})
 
 
 @pytest.fixture(scope="module")
-def model():
-    X = pd.DataFrame(default_rng(0).uniform(-0.2, 0.2, (50, 2)), columns=["alpha", "throttle"])
-    Y = pd.DataFrame({"CZ": -4 * X["alpha"], "Cm": np.sin(5 * X["alpha"]) - X["throttle"]})
-    return DependentGPRegressor(structure="additive", n_latent=0, optimizer=None).fit(X, Y)
+def samples():
+    return pd.DataFrame(default_rng(0).uniform(-0.2, 0.2, (150, 5)), columns=NAMES)
 
 
-def test_a_row_for_each_output_holds_effects_and_interactions(model):
-    display = EffectsDisplay.from_model(model, ax=Figure())
-    found = effects(model)
-    assert display.axes_.shape == (2, 3)
-    assert display.keys[3:] == [("Cm", "alpha"), ("Cm", "throttle"), ("Cm", 0)]
-    assert [ax.get_ylabel() for ax in display.axes_[:, 0]] == ["$C_Z$", "$C_m$"]
-    assert [ax.get_xlabel() for ax in display.axes_[0, :2]] == [r"$\alpha$ [deg]", "throttle"]
-    _, line, _ = display.axes_[1, 0].lines
-    curve = found.curves["alpha"]
-    assert_allclose(line.get_xdata(), np.rad2deg(curve.at))
-    assert_allclose(line.get_ydata(), curve.mean[:, 1])
-    upper = display.axes_[1, 0].collections[0].get_paths()[0].vertices[:, 1].max()
-    expected = (curve.mean + norm.ppf(0.975) * curve.std)[:, 1].max()
-    assert upper == pytest.approx(expected, rel=1e-4)
-    for row in display.axes_:
-        assert row[0].get_ylim() == row[1].get_ylim()
-    of_levels = display.axes_[1, 2].get_legend().texts
-    assert len(of_levels) == 2
+@pytest.fixture(scope="module")
+def model(samples):
+    Y = truth(samples) + default_rng(1).normal(0, NOISE, (150, 2))
+    regressor = DependentGPRegressor(n_latent=0, max_iter=20, random_state=0)
+    return make_pipeline(StandardScaler(), regressor).fit(samples, Y)
 
 
-def test_controls_in_parts_of_their_full_throw_are_shown_so(model):
-    parts = copy(model)
-    parts.control_units_ = {"alpha": "full throw"}  # as of a pipeline of `identify`
-    display = EffectsDisplay.from_model(parts, ax=Figure())
-    ax = display.axes_[0, 0]
-    assert ax.get_xlabel() == r"$\alpha$ [full throw]"
-    assert_allclose(ax.lines[1].get_xdata(), display.curves["alpha"].at)
+@pytest.mark.parametrize("at", [None, {"alpha": 0.1, "q": -0.15}])
+def test_slices_are_the_function_along_each_regressor(model, samples, at):
+    """Through the means, or through the given point, where the slope by alpha is 20 q."""
+    display = EffectsDisplay.from_estimator(model, samples, at, ax=False)
+    point = samples.mean().to_dict() | (at or {})
+    for i, name in enumerate(NAMES):
+        values = display.values[name]
+        assert_allclose(values.iloc[[0, -1]], samples[name].quantile([0.01, 0.99]))
+        expected = truth(pd.DataFrame({**point, name: values}))
+        error = np.abs(display.mean[i] - expected)
+        assert (error < 4 * display.std[i] + NOISE).all(axis=None)
+        assert np.sqrt((error**2).mean(axis=None)) < 2 * NOISE
 
 
-def test_joint_processes_alone_have_interactions(model):
-    X = effects(model).samples
-    joint = DependentGPRegressor(trend="constant", n_latent=0, optimizer=None).fit(X, X["alpha"])
-    display = EffectsDisplay.from_model(joint, ax=Figure())
-    display.figure_.canvas.draw()
-    assert display.keys == [("alpha", 0)]
+def test_bands_are_of_the_function(model, samples):
+    display = EffectsDisplay.from_estimator(model, samples, ax=False)
+    points = pd.DataFrame([display.at] * 30).reset_index(drop=True)
+    points["alpha"] = display.values["alpha"]
+    _, cov = model.predict(points, return_cov=True, include_input_noise=False)
+    assert_allclose(display.std[0].T.ravel(), np.sqrt(np.diag(cov)), rtol=1e-6)
 
 
-def test_an_interaction_is_what_effects_do_not_add_up_to(model):
-    X = pd.DataFrame(default_rng(1).uniform(-0.2, 0.2, (80, 3)), columns=["alpha", "q", "r"])
-    Y = pd.DataFrame({"CZ": X["r"] + 20 * X["alpha"] * X["q"], "Cm": np.sin(5 * X["r"])})
-    joint = DependentGPRegressor(n_latent=0, max_iter=30, random_state=0).fit(X, Y)
-    display = EffectsDisplay.from_model(joint, ax=False)
-    found = display.interactions
-    strongest = found["CZ"][0]
-    assert strongest.regressors == ("alpha", "q")
-    products = 20 * (X["alpha"] - X["alpha"].mean()) * (X["q"] - X["q"].mean())
-    assert strongest.share == pytest.approx(np.sqrt((products**2).mean()), rel=0.2)
-    assert found["Cm"][0].share < 0.05 * np.sin(5 * X["r"]).std()
-    # Between the two levels of q the slope by alpha differs by 20 times their distance.
-    slopes = np.ptp(strongest.mean, axis=0) / np.ptp(strongest.at) * np.sign(strongest.mean[-1])
-    assert np.diff(slopes) == pytest.approx(20 * np.diff(strongest.levels), rel=0.15)
-    assert (strongest.std >= 0).all()
-    display.draw(ax := Figure().subplots(), ("CZ", 0))
-    _, low, high = ax.lines
-    assert_allclose(low.get_ydata(), strongest.mean[:, 0])
-    assert high.get_label().startswith("$q$ = ")
-    assert len(ax.collections) == 2
-    assert set(EffectsDisplay.from_model(model, ax=False).interactions) == {"CZ", "Cm"}
+def test_a_row_for_each_output_holds_the_largest_effects_on_one_scale(model, samples):
+    display = EffectsDisplay.from_estimator(model, samples, {"q": 0.1}, ax=Figure())
+    assert display.axes_.shape == (2, 4)
+    assert set(display.keys[4:6]) == {("Cm", "alpha"), ("Cm", "elevator")}
+    assert {ax.get_ylabel() for ax in display.axes_[1]} == {"$C_m$"}
+    assert len({ax.get_ylim() for ax in display.axes_[1]}) == 1
+    ax = display.axes_.ravel()[display.keys.index(("Cm", "alpha"))]
+    assert ax.get_xlabel() == r"$\alpha$ [deg]"
+    at, line, _ = ax.lines
+    assert_allclose(at.get_xdata()[0], np.rad2deg(samples["alpha"].mean()))
+    assert_allclose(line.get_xdata(), np.rad2deg(display.values["alpha"]))
+    assert_allclose(line.get_ydata(), display.mean[0, :, 1])
+
+
+def test_an_unfitted_model_and_unknown_regressors_are_refused(model, samples):
+    with pytest.raises(NotFittedError):
+        EffectsDisplay.from_estimator(DependentGPRegressor(), samples)
+    with pytest.raises(ValueError, match="The regressors lack 'flaps'"):
+        EffectsDisplay.from_estimator(model, samples, {"flaps": 0.0})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from skdgp.control import (
 )
 from skdgp.control import fly as fly_model
 from skdgp.control import margins as margins_of
-from skdgp.dynamics import Turbulence, as_aerodynamics, linearize
+from skdgp.dynamics import Turbulence, linearize
 from skdgp.identification import named_flights, usable_flights_of_model
 
 
@@ -55,14 +56,16 @@ def margins(run: Run) -> None:
         perturbation=None if options.slopes == "local" else "flown",
     )
     now = margins_of(linear, loops, flight=flight)
-    servo_lag = as_aerodynamics(model.pipeline).servo_lag
-    late = f"servos late by {1e3 * servo_lag:.0f} ms, commands by {1e3 * options.delay:.0f} ms"
-    texts = [f"margins now, at {options.airspeed:g} m/s, {late}", _margin_text(now)]
+    servos = linear.servos
+    late = f"servos behind the logged commands {servos.words}; {1e3 * options.delay:.0f} ms more before (--delay)"
+    texts = [f"margins now, at {options.airspeed:g} m/s: {late}", _margin_text(now)]
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
         "model": options.model,
         "parameters": options.params,
-        "servo_lag": servo_lag,
+        "servos": asdict(servos)
+        if np.isfinite(servos.rate_limit)
+        else asdict(servos) | {"rate_limit": None},
         "delay": options.delay,
         "margins": _records(now),
     }
@@ -225,7 +228,8 @@ COMMANDS: opt.Commands = {
                 "metavar": "S",
                 "type": opt.from_zero(),
                 "default": 0.02,
-                "help": "of the commands [s], from computing and sampling (default: 0.02)",
+                "help": "of the commands before they are logged [s], from sampling and computing; the delay of the "
+                "servos and the hold of the commands, which the flights show, come on top (default: 0.02)",
             },
             "--slopes": {
                 "choices": ["flown", "local"],

@@ -4,7 +4,7 @@ The loop transfer function of a loop, opened at its control with the other loops
 
 .. math:: L_i = M_{ii} - M_{io} (I + M_{oo})^{-1} M_{oi}, \quad M = -K(s) G(s) e^{-s \tau}
 
-with the response G of the linear model, the laws K of all loops and the delay tau of the commands
+with the response G of the linear model, the laws K of all loops and the delay tau of commands and servos
 (Skogestad & Postlethwaite 2005, sections 2.4 and 4.9).
 """
 
@@ -76,7 +76,7 @@ def margins(
 
     The gain margin is the smallest rise of all gains of the loop, and the phase margin the smallest
     turn of L at a crossover, negative for a lead, that makes the aircraft unstable. The sensitivity is
-    the largest :math:`|1 / (1 + L)|`. The delay is exact. A closed loop with an unstable mode has margins
+    the largest :math:`|1 / (1 + L)|`. Delays are exact. A closed loop with an unstable mode has margins
     of minus infinity; growth of a mode of frequency w up to :math:`0.1 / (1 + w^2)` 1/s does not count.
     Each deflection has the sign that turns the aircraft of the mean in the positive direction.
 
@@ -335,7 +335,7 @@ def _sign(linear, control, rate):
 
 def _responses(linear, loops, s) -> Array:
     """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first."""
-    late = np.exp(-s * linear.delay)[:, None, None]
+    late = np.exp(-s * (linear.delay + linear.servos.delay))[:, None, None]
     inputs = _inputs(linear, loops)
     models = [linear]
     if linear.paths is not None:

@@ -98,6 +98,7 @@ from skdgp.dynamics._rigid_body import (
 from skdgp.dynamics._rigid_body import (
     thrust_control as thrust_control,
 )
+from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import PRESSURE as PRESSURE
@@ -118,6 +119,7 @@ __all__ = [
     "LinearModel",
     "Propeller",
     "ScaleFactor",
+    "Servos",
     "SimulationWarning",
     "Simulator",
     "SpectrumSettings",

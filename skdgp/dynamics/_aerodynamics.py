@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
 from itertools import takewhile
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -22,6 +22,7 @@ from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array, Predictor
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._servos import IDEAL, Servos
 
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
@@ -90,9 +91,8 @@ class Aerodynamics:
         How the model's controls follow from the aircraft's surfaces.
     units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md.
-    servo_lag : float, default=0.0
-        Time constant [s] of the servos, from the commands of a simulation to the surfaces, which
-        are the regressors.
+    servos : Servos, optional
+        From the commands of a simulation to the surfaces, which are the regressors; by default ideal.
     learned : Coefficients, optional
         The fit of a regressor with a posterior: its rows, the errors of its function, and slopes
         over a perturbation.
@@ -131,7 +131,7 @@ class Aerodynamics:
     chord: float | None = None
     mixing: Mixing | None = None
     units: Mapping[str, str] = field(default_factory=dict)
-    servo_lag: float = 0.0
+    servos: Servos = IDEAL
     learned: Coefficients | None = None
     perturbation: Any = None
     n_paths: int | None = None
@@ -270,10 +270,10 @@ class PosteriorRegressor(Protocol):
 
 
 @runtime_checkable
-class LateSurfaces(Protocol):
-    """A step that knows how late surfaces follow their logged commands."""
+class CommandedSurfaces(Protocol):
+    """A step that knows how surfaces follow their logged commands."""
 
-    servo_lag_: float  #: [s]
+    servos_: Servos
 
 
 def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
@@ -295,7 +295,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
     - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
     - "measurements": treats measurements, and is left out. So is a step without the attribute. Its
-      ``servo_lag_`` [s], if any, is how late surfaces follow the logged commands.
+      ``servos_`` (`Servos`), if any, is how surfaces follow the logged commands.
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by
     ``transform``. The regressor at the end may have a posterior, as ``DependentGPRegressor`` has:
@@ -326,7 +326,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     regressors, limits, flown = _chosen_regressors(choice, type(model).__name__)
     rates = by_role.get("rates")
     lengths = {} if rates is None else {"span": rates.span, "chord": rates.chord}
-    late = [step for step in (*before, *behind) if isinstance(step, LateSurfaces)]
+    servos = [step.servos_ for step in (*before, *behind) if isinstance(step, CommandedSurfaces)]
     facts = vars(unwrap(model))
     coefficients = Coefficients(behind, len(regressors), facts.get("seconds_"))
     aerodynamics = Aerodynamics(
@@ -337,7 +337,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
         flown=flown,
         mixing=_mixing_of(by_role.get("controls")),
         units=facts.get("control_units_", {}),
-        servo_lag=sum(step.servo_lag_ for step in late),
+        servos=reduce(Servos.before, servos, IDEAL),
         **lengths,
     )
     if coefficients.others or not isinstance(coefficients.regressor, PosteriorRegressor):

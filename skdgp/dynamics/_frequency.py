@@ -120,8 +120,8 @@ def frequency_response(
     inputs, outputs : sequence of str
         Columns such as ``aileron``, ``rudder`` and ``p``, ``r``, ``ay``.
     linear : LinearModel, optional
-        Of :func:`linearize`, for the model's response beside the estimate, without its delay, which
-        lies before the logged commands.
+        Of :func:`linearize`, for the model's response beside the estimate, without its ``delay``,
+        which lies before the logged commands.
     settings : SpectrumSettings
 
     Returns
@@ -437,10 +437,11 @@ def _of_model(linear: LinearModel, index: pd.Index) -> pd.DataFrame:
     inputs = linear.B.columns.intersection(index.unique("input"))
     rows = linear.C.index.get_indexer(outputs)[:, None]
     columns = linear.B.columns.get_indexer(inputs)
-    H = transfer(linear.A, linear.B, linear.C, linear.D, linear.A.index, s)[:, rows, columns]
+    late = np.exp(-s[:, None, None] * linear.servo_delays[columns])
+    H = transfer(linear.A, linear.B, linear.C, linear.D, linear.A.index, s)[:, rows, columns] * late
     responses = {"model_gain": _decibels(H), "model_phase": np.rad2deg(np.angle(H))}
     if linear.paths is not None:
-        drawn = transfer(*linear.paths, linear.A.index, s)[..., rows, columns]
+        drawn = transfer(*linear.paths, linear.A.index, s)[..., rows, columns] * late
         turned = responses["model_phase"] + np.rad2deg(np.angle(drawn / H))
         for name, values in (("model_gain", _decibels(drawn)), ("model_phase", turned)):
             lower, upper = np.quantile(values, [0.025, 0.975], axis=0)

@@ -25,7 +25,7 @@ from skdgp.dynamics._air import AirAt, LocalAir
 from skdgp.dynamics._inputs import StepClock
 from skdgp.dynamics._motion import Instant, Motion, Tangent
 from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
-from skdgp.dynamics._servos import Servos
+from skdgp.dynamics._servos import Ramp, ServoState
 
 FLYING = ""
 REASONS = {
@@ -91,13 +91,14 @@ class Moment(NamedTuple):
     controls: dict[str, Any]  #: With the deflections of the surfaces
     wind: Array | None
     tangent: Tangent | None  #: Of the paths, None where every stage evaluates the model
+    servos: ServoState
 
 
 class End(NamedTuple):
     """States at the end of a step, and what the next step begins with."""
 
     state: Array
-    deflections: Mapping[str, Array]
+    servos: ServoState | None = None  #: None: the surfaces are as commanded next
     implicit: Array | None = None  #: Guess of the implicit regressors
     tangent: Tangent | None = None
     force: Array | float = 0.0  #: At the last stage, as of `Instant`
@@ -135,7 +136,8 @@ class Integrator:
         self.air = air
         self.dt = clock.dt
         self.drifts = drifts
-        self.servos = Servos.of(motion)
+        self.servos = motion.aerodynamics.servos
+        self._surfaces = motion.surfaces
         self.tangents = tangents
         # Steps for which slopes are kept; if only for one they save nothing
         self._renewal = min(clock.n_steps, round(tangents.interval / clock.dt))
@@ -146,14 +148,15 @@ class Integrator:
         state = last.state
         stage = 2 * step
         air, commands = self._inputs(step, stage, state)
-        controls = self.servos.deflected(commands, 0.0, commands, last.deflections)
+        servos = last.servos or self.servos.at_rest(self._of_surfaces(commands))
+        controls, _ = self._deflected(servos, commands, commands, 0.0)
         drift = self._drift(stage)
         now = self.motion.at(state, controls, air, last.implicit, drift, tangent=last.tangent)
         tangent = last.tangent
         if self._has_tangents and tangent is None:
             tangent = self._tangent(now.regressors, now.coefficients - drift)
         wind = None if air is None else air.velocity(state[..., ATTITUDE])
-        return Moment(state, now, commands, controls, wind, tangent)
+        return Moment(state, now, commands, controls, wind, tangent, servos)
 
     def step(self, step: int, begin: Moment) -> End:
         """Return the end of a step: states, deflections of the surfaces, and the next tangent."""
@@ -171,20 +174,33 @@ class Integrator:
         if tangent is not None:
             change, tangent = self._corrected(stages, tangent)
             state = state + change
-        deflections: Mapping[str, Array] = {}
-        if self.servos.surfaces:
+        servos = begin.servos
+        if not self.servos.are_ideal:
             _, commands = self._inputs(step, 2 * step + 2, state)
-            deflections = self.servos.deflected(commands, self.dt, begin.commands, begin.controls)
-        return End(state, deflections, begin.now.implicit, tangent, stages[-1].force)
+            _, servos = self._deflected(servos, begin.commands, commands, self.dt)
+        return End(state, servos, begin.now.implicit, tangent, stages[-1].force)
 
     def _at(self, step: int, begin: Moment, t: float, state: Array) -> Instant:
         """Return what happens at a time ``t`` [s] after a step began."""
         stage = 2 * step + round(2 * t / self.dt)
         air, commands = self._inputs(step, stage, state)
-        controls = self.servos.deflected(commands, t, begin.commands, begin.controls)
+        controls, _ = self._deflected(begin.servos, begin.commands, commands, t)
         guess = begin.now.implicit
         drift = self._drift(stage)
         return self.motion.at(state, controls, air, guess, drift, tangent=begin.tangent)
+
+    def _deflected(
+        self, servos: ServoState, first: Mapping, commands: Mapping, elapsed: float
+    ) -> tuple[dict[str, Any], ServoState]:
+        """Return the controls, with deflections, and the servos, ``elapsed`` [s] after the ``first`` commands."""
+        if self.servos.are_ideal:
+            return dict(commands), servos
+        ramp = Ramp(elapsed, self._of_surfaces(first), self._of_surfaces(commands))
+        moved = self.servos.moved(servos, ramp)
+        return {**commands, **moved.deflections}, moved
+
+    def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
+        return {name: commands[name] for name in self._surfaces & commands.keys()}
 
     def _corrected(self, stages: list[Instant], tangent: Tangent) -> tuple[Array, Tangent]:
         """Return the change of the states by the errors of the tangent in a step, and the next tangent."""
@@ -234,6 +250,7 @@ class Trajectories(NamedTuple):
     controls: dict[str, Array]
     ended: np.ndarray  #: Why each trajectory ended, (...), `FLYING` where it did not
     end: Array  #: The step at which it did, (...)
+    servos: ServoState | None = None  #: At the end of the last step
 
     def rows(self, part: slice) -> Trajectories:
         """Return the record of some of the steps."""
@@ -249,7 +266,7 @@ def fly_record(
     clock: StepClock,
     state: Array,
     drifts: Array | None = None,
-    deflections: Mapping[str, Array] | None = None,
+    servos: ServoState | None = None,
 ) -> Trajectories:
     """Return the flight from states: the loop of RK4 over time.
 
@@ -266,8 +283,8 @@ def fly_record(
         At the start.
     drifts : array (n_stages, ..., 6) or None
         Added to the coefficients.
-    deflections : mapping of str to array (...), optional
-        Of the surfaces at the start, by default as commanded.
+    servos : ServoState, optional
+        At the start, by default at rest at the first commands.
 
     Returns
     -------
@@ -275,7 +292,7 @@ def fly_record(
     """
     integrator = Integrator(motion, commands, air, clock, drifts)
     start = state = by_components(state)
-    last = End(state, deflections or {})
+    last = End(state, servos)
     ended = np.full(state.shape[:-1], FLYING, dtype=object)
     end = np.full(state.shape[:-1], clock.n_steps + 1)
     flown: list[Moment] = []
@@ -292,12 +309,12 @@ def fly_record(
             if over and flies_on:
                 # flights that ended continue from their start, without being shown
                 state = np.where(is_flying[..., None], moment.state, start)
-                moment = integrator.begin(k, End(state, last.deflections))
+                moment = integrator.begin(k, End(state, last.servos))
             flown.append(moment)
             if k == clock.n_steps or not flies_on:
                 break
             last = integrator.step(k, moment)
-    return _record(motion, clock, flown, ended, end)
+    return _record(motion, clock, flown, ended, end)._replace(servos=last.servos)
 
 
 def _record(
@@ -314,7 +331,7 @@ def _record(
         array[is_over] = np.nan
         return array
 
-    states, instants, _, controls, winds, _ = zip(*flown, strict=True)
+    states, instants, _, controls, winds, *_ = zip(*flown, strict=True)
     force = over_time((now.force for now in instants), 3)
     deflected = {}
     for name in controls[0]:

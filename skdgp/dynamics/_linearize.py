@@ -35,9 +35,9 @@ from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import Instant, Motion, check_settled
+from skdgp.dynamics._motion import WITHOUT_SERVOS, Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
-from skdgp.dynamics._servos import Servos
+from skdgp.dynamics._servos import IDEAL, Servos
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import UnsteadyTerms, std_of_biases, unsteady_terms
 
@@ -74,7 +74,8 @@ class Matrices(NamedTuple):
 class LinearModel:
     r"""Linear model of small deviations from a flight condition: :math:`\dot x = A x + B u,\; y = C x + D u`.
 
-    Rows and columns of the tables A, B, C, D carry the names of states, inputs, outputs.
+    Rows and columns of the tables A, B, C, D carry the names of states, inputs, outputs. Delays are
+    not in them: their response is exactly :math:`e^{-s \tau}`.
     """
 
     A: Any
@@ -85,10 +86,17 @@ class LinearModel:
     paths: Matrices | None = None
     airspeed: float = np.nan  #: Of the flight [m/s]
     density: float = np.nan  #: Of its air [kg/m^3]
-    delay: float = 0.0  #: Of the commands [s]; not in A, B, C, D
+    delay: float = 0.0  #: Of the commands before they are logged [s]
+    servos: Servos = IDEAL  #: Behind the logged commands; their lag is in A and B
+
+    @property
+    def servo_delays(self) -> Array:
+        """Delay of the servo of each input [s], (n_inputs,)."""
+        has_servo = [name not in WITHOUT_SERVOS for name in self.B.columns]
+        return np.where(has_servo, self.servos.delay, 0.0)
 
     def to_control(self) -> Any:
-        """Return the model of the mean as a ``control.StateSpace`` of python-control, with names, without the delay.
+        """Return the model of the mean as a ``control.StateSpace`` of python-control, with names, without delays.
 
         Raises ImportError if python-control is not installed.
         """
@@ -161,8 +169,8 @@ def linearize(
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; of the air, density and gravity count.
     delay : float
-        Of the commands [s], from computing and sampling, for
-        :func:`skdgp.control.margins`. It is no state.
+        Of the commands before they are logged [s], from sampling and computing, for
+        :func:`skdgp.control.margins`. The delay of the servos comes on top of it.
     perturbation : {"flown", None}
         Slopes of the model over the flown perturbation, or local ones, as for
         :func:`skdgp.dynamics.stability_derivatives`.
@@ -173,9 +181,10 @@ def linearize(
         Its states are north, east, down [m], u, v, w [m/s], phi, theta, psi [rad], p, q, r [rad/s];
         its inputs the model's controls and the one that sets the thrust; its outputs the states and
         airspeed, alpha, beta, ax, ay, az. Inputs of surfaces are commands, as for
-        :func:`skdgp.dynamics.simulate`: where the model has a ``servo_lag`` T, the deflection of
-        each surface is a further state, such as elevator_position [rad]. It follows
-        :math:`T \dot\delta = u - \delta`.
+        :func:`skdgp.dynamics.simulate`: where the servos have a lag T, the deflection of each
+        surface is a further state, such as elevator_position [rad]. It follows
+        :math:`T \dot\delta = u - \delta`. The delay of the servos is in ``servos``; the limit of
+        their rate has no part in a linear model.
 
     Examples
     --------
@@ -213,8 +222,7 @@ def linearize(
     if n_paths:
         drawn, unsteady = _drawn(motion, now, n_paths, random_state)
         paths = _matrices(drawn, np.tile(state, (n_paths, 1)), controls, inputs, unsteady)
-    surfaces = Servos.of(motion).surfaces
-    positions = [f"{name}_position" for name in inputs if name in surfaces]
+    positions = [f"{name}_position" for name in _lagging(motion, inputs)]
     names = [*LINEAR_STATES, *positions]
     outputs = [*names, *OUTPUTS]
     return LinearModel(
@@ -226,7 +234,15 @@ def linearize(
         airspeed=float(now.airspeed),
         density=float(now.density),
         delay=float(delay),
+        servos=motion.aerodynamics.servos,
     )
+
+
+def _lagging(motion: Motion, inputs: Sequence[str]) -> list[str]:
+    """Return the inputs whose deflections are states."""
+    if not motion.aerodynamics.servos.lag > 0:
+        return []
+    return [name for name in inputs if name in motion.surfaces]
 
 
 def _matrices(
@@ -243,7 +259,8 @@ def _matrices(
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
-    return _with_servos(x_dot_z, y_z, inputs, Servos.of(motion))
+    lagging = [name in _lagging(motion, inputs) for name in inputs]
+    return _with_servos(x_dot_z, y_z, lagging, motion.aerodynamics.servos.lag)
 
 
 def jacobian(
@@ -344,7 +361,7 @@ def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = DIFFERENCE_STEPS
     return steps
 
 
-def _with_servos(x_dot_z: Array, y_z: Array, inputs: Sequence[str], servos: Servos) -> Matrices:
+def _with_servos(x_dot_z: Array, y_z: Array, lagging: Sequence[bool], lag: float) -> Matrices:
     r"""Return the matrices of the motion by commands, from slopes (..., m, 12 + k) by rigid body and controls.
 
     The surfaces have the deflections :math:`\delta` and the commands :math:`E u`. The states are
@@ -352,8 +369,8 @@ def _with_servos(x_dot_z: Array, y_z: Array, inputs: Sequence[str], servos: Serv
     :math:`E^T \delta + (I - E^T E) u`. Outputs are the states, and then the outputs of the aircraft.
     """
     n_body = len(LINEAR_STATES)
-    n_inputs = len(inputs)
-    E = np.eye(n_inputs)[[name in servos.surfaces for name in inputs]]
+    n_inputs = len(lagging)
+    E = np.eye(n_inputs)[lagging]
     n_states = n_body + len(E)
     # Rows of these matrices are linear in (x, delta, u).
     x_and_delta = np.eye(n_states, n_states + n_inputs)
@@ -365,7 +382,7 @@ def _with_servos(x_dot_z: Array, y_z: Array, inputs: Sequence[str], servos: Serv
     n_paths = x_dot_z.shape[:-2]
     rates = np.zeros((*n_paths, *x_and_delta.shape))
     rates[..., :n_body, :] = x_dot_z @ x_and_controls
-    rates[..., n_body:, :] = (commands - delta) / servos.lag
+    rates[..., n_body:, :] = (commands - delta) / lag
     outputs = np.zeros((*n_paths, n_states + len(OUTPUTS), n_states + n_inputs))
     outputs[..., :n_states, :] = x_and_delta
     outputs[..., n_states:, :] = y_z @ x_and_controls

@@ -53,6 +53,8 @@ PROPULSION = ("throttle", "propeller_speed", "thrust", *THRUST_FORCES, *THRUST_M
 # Channels that are set, not rebuilt from the state; a control may also have a name that is no
 # channel
 CONTROLS = (*ALL_SURFACES, *AUXILIARY, *PROPULSION, "gust")
+# Controls that no servo of a surface moves
+WITHOUT_SERVOS = frozenset((*PROPULSION, "gust"))
 # Largest deflection [rad] of a control whose training range is not known
 DEFLECTION = np.pi / 4
 # Channels that follow from the loads, and so from the coefficients that they may be regressors of
@@ -231,6 +233,11 @@ class Motion:
         mixing = self.aerodynamics.mixing
         surfaces = () if mixing is None else mixing.surfaces
         return frozenset((*self.controls, *surfaces))
+
+    @property
+    def surfaces(self) -> frozenset[str]:
+        """Names of the inputs that servos move."""
+        return self.inputs - WITHOUT_SERVOS
 
     def factor(self, k: int, airspeed: Array) -> Array | float:
         """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""

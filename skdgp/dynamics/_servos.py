@@ -1,47 +1,131 @@
-"""Servos: the first-order lag between commands and deflections of the control surfaces."""
+"""Servos: delay, first-order lag and rate limit between commands and deflections of the control surfaces."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from skdgp._compute.typing import Array
-from skdgp.dynamics._motion import PROPULSION, Motion
+
+Deflections = Mapping[str, Any]
+# Durations that are equal but for rounding [s]
+ROUNDING = 1e-9
 
 
-class Servos(NamedTuple):
-    r"""Servos of the control surfaces with a first-order lag T: :math:`T \dot\delta = c - \delta`, commands c."""
+class Ramp(NamedTuple):
+    """Commands of the surfaces that change linearly over a duration."""
 
-    lag: float  #: T [s]
-    surfaces: frozenset[str]  #: The controls that they move
+    duration: float  #: [s]
+    first: Deflections
+    last: Deflections
 
-    @classmethod
-    def of(cls, motion: Motion) -> Servos:
-        """Return the servos of an aircraft; they move nothing where its model has no lag."""
-        lag = motion.aerodynamics.servo_lag
-        surfaces = motion.inputs - {*PROPULSION, "gust"} if lag > 0 else frozenset()
-        return cls(lag, surfaces)
+    def cut(self, duration: float) -> tuple[Ramp, Ramp]:
+        """Return the commands before and after a ``duration`` [s], which is shorter."""
+        fraction = duration / self.duration
+        between = {}
+        for name, first in self.first.items():
+            between[name] = first + fraction * (self.last[name] - first)
+        before = Ramp(duration, self.first, between)
+        return before, Ramp(self.duration - duration, between, self.last)
 
-    def deflected(
-        self, commands: Mapping, elapsed: float, first: Mapping, begun: Mapping
-    ) -> dict[str, Array]:
-        r"""Return the controls, with the deflections of the surfaces, ``elapsed`` [s] after a step began.
 
-        Commands were ``first`` then, and are linear since; ``begun`` are the deflections then, by
-        default the commands:
+class ServoState(NamedTuple):
+    """Deflections of the surfaces, and the commands that wait for the end of the delay, oldest first."""
 
-        .. math:: \delta(t) = c(t) - T \dot c + (\delta_0 - c_0 + T \dot c) \, e^{-t / T}.
+    deflections: Deflections
+    waiting: tuple[Ramp, ...] = ()
 
-        `skdgp.estimation` has the same solution as a filter of whole time series, whose rounding
-        differs.
+
+@dataclass(frozen=True)
+class Servos:
+    r"""Servos of the control surfaces, from the commands that are logged to the deflections.
+
+    .. math:: T \dot\delta(t) = c(t - \tau) - \delta(t), \quad |\dot\delta| \le R
+
+    Parameters
+    ----------
+    lag : float, default=0.0
+        Time constant T [s].
+    delay : float, default=0.0
+        :math:`\tau` [s], with half of the time for which the autopilot holds a command.
+    rate_limit : float, default=inf
+        R, in the unit of the surfaces per second, [rad/s].
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import Servos
+    >>> Servos(lag=0.04, delay=0.03)
+    Servos(lag=0.04, delay=0.03, rate_limit=inf)
+    """
+
+    lag: float = 0.0
+    delay: float = 0.0
+    rate_limit: float = np.inf
+
+    @property
+    def are_ideal(self) -> bool:
+        """Whether deflections are the commands."""
+        return self == IDEAL
+
+    @property
+    def words(self) -> str:
+        """Lag, delay and, if there is one, rate limit as text."""
+        text = f"lag {1e3 * self.lag:.0f} ms, delay {1e3 * self.delay:.0f} ms"
+        if np.isfinite(self.rate_limit):
+            text += f", at most {self.rate_limit:.2g} rad/s"
+        return text
+
+    def before(self, others: Servos) -> Servos:
+        """Return one record for these servos whose deflections are the commands of ``others``."""
+        return Servos(
+            self.lag + others.lag,
+            self.delay + others.delay,
+            min(self.rate_limit, others.rate_limit),
+        )
+
+    def at_rest(self, commands: Deflections) -> ServoState:
+        """Return the state of servos that have had these ``commands`` for long."""
+        waiting = (Ramp(self.delay, commands, commands),) if self.delay > 0 else ()
+        return ServoState(commands, waiting)
+
+    def moved(self, state: ServoState, commands: Ramp) -> ServoState:
+        """Return the state after the duration of further ``commands``."""
+        waiting = [*state.waiting, commands]
+        left = commands.duration
+        deflections = None
+        while deflections is None or left > ROUNDING:
+            ramp = waiting.pop(0)
+            if ramp.duration > left + ROUNDING:
+                ramp, rest = ramp.cut(left)
+                waiting.insert(0, rest)
+            deflections = self._response(deflections or state.deflections, ramp)
+            left -= ramp.duration
+        return ServoState(deflections, tuple(waiting) if self.delay > 0 else ())
+
+    def _response(self, begun: Deflections, ramp: Ramp) -> dict[str, Array]:
+        r"""Return the deflections behind a ramp of delayed commands, by those at its beginning.
+
+        .. math:: \delta(t) = c(t) - T \dot c + (\delta_0 - c_0 + T \dot c) \, e^{-t / T}
+
+        They change by at most R t. `skdgp.estimation` has the same solution as a filter of whole time
+        series, whose rounding differs.
         """
-        controls = dict(commands)
-        decay = np.exp(-elapsed / self.lag) if self.surfaces else 0.0
-        for name in self.surfaces & commands.keys():
-            change = commands[name] - first[name]
-            behind = self.lag / elapsed * change if elapsed > 0 else 0.0
-            late = begun.get(name, first[name]) - first[name] + behind
-            controls[name] = commands[name] - behind + late * decay
-        return controls
+        duration, first, last = ramp
+        decay = np.exp(-duration / self.lag) if self.lag > 0 else 0.0
+        reach = self.rate_limit * duration if np.isfinite(self.rate_limit) else np.inf
+        deflections = {}
+        for name in first:
+            slope = (last[name] - first[name]) / duration if duration > 0 else 0.0
+            behind = self.lag * slope
+            late = begun[name] - first[name] + behind
+            deflection = last[name] - behind + late * decay
+            if np.isfinite(reach):
+                deflection = np.clip(deflection, begun[name] - reach, begun[name] + reach)
+            deflections[name] = deflection
+        return deflections
+
+
+IDEAL = Servos()

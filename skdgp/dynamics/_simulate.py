@@ -27,6 +27,7 @@ from skdgp.dynamics._inputs import (
 from skdgp.dynamics._integrate import FLYING, channels, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
 from skdgp.dynamics._path_air import PathsAir, paths_air
+from skdgp.dynamics._servos import ServoState
 from skdgp.dynamics._starts import UncertainStart, as_starts, initial_states, perturbed
 from skdgp.dynamics._trajectories import (
     farthest_beyond,
@@ -71,8 +72,8 @@ def simulate(
         other values are zero. Of paths also an `UncertainStart`.
     controls : DataFrame, list of DataFrame, mapping or callable
         Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what
-        gives the thrust. Surfaces are commands, which the servos follow with the lag that the model
-        has learned. A table with ``time`` [s], its first row the start (linear between rows; a
+        gives the thrust. Surfaces are commands, which the servos follow with the delay and the lag
+        that the model has learned. A table with ``time`` [s], its first row the start (linear between rows; a
         list: one for each start); constants by name; or a feedback law, a function (t, state) to
         values by name, where ``state`` maps the names of channels to arrays, ``state["phi"]``; or
         ``FlightComputer(law)``, which asks it once a step.
@@ -277,8 +278,8 @@ class Simulator:
         self.beyond = ""
         self._state: Any = None
         self._specific_force = UNKNOWN_FORCE
-        # deflections at the end of the last step
-        self._reached: dict[str, Array] = {}
+        # at the end of the last step
+        self._servos: ServoState | None = None
 
     @property
     def time(self) -> float:
@@ -318,7 +319,7 @@ class Simulator:
         self.motion = motion
         self._state = states
         self._steps = 0
-        self._reached = {}
+        self._servos = None
         self.ended = FLYING
         self.beyond = ""
         self._specific_force = UNKNOWN_FORCE
@@ -348,16 +349,14 @@ class Simulator:
             return controls
 
         clock = StepClock(self.dt, 1)
-        record = fly_record(
-            self.motion, held, self._air, clock, self._state, deflections=self._reached
-        )
+        record = fly_record(self.motion, held, self._air, clock, self._state, servos=self._servos)
         self._steps += 1
         self.ended = record.ended[0]
         self.beyond = farthest_regressor(self.motion, record.regressors[-1])[0]
         if not self.ended:
             self._state = record.states[-1]
             self._specific_force = record.specific_force[-1, 0]
-            self._reached = {name: values[-1] for name, values in record.controls.items()}
+            self._servos = record.servos
         return self._seen()
 
     def _seen(self) -> dict[str, float]:

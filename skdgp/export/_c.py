@@ -136,7 +136,12 @@ def _tables(model: PortableModel, terms: _Terms) -> dict[str, Array]:
 
 def _header(model: PortableModel) -> dict[str, Any]:
     constants = model.aircraft.to_dict() | inertia_entries(model.aircraft)
-    constants["servo_lag"] = float(model.servo_lag[0])
+    lag, delay, rate_limit = model.servos.tolist()
+    constants |= {
+        "lag": lag,
+        "delay": delay,
+        "rate": rate_limit if np.isfinite(rate_limit) else 0.0,
+    }
     inputs = [f"{r.name} [{r.unit}]" if r.unit else r.name for r in model.regressors]
     functions = max(len(readout.weights) for readout in model.readouts)
     name = re.sub(r"[^ -~]|[*\\$]", "?", model.aircraft.name)

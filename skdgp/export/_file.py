@@ -14,7 +14,7 @@ from skdgp._compute.files import write_atomically
 from skdgp.export._model import PortableModel
 
 FORMAT = "skdgp portable model"
-VERSION = 6
+VERSION = 7
 HEAD = "model.json"
 
 

@@ -271,10 +271,9 @@ def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]
     """Add surfaces with their servos, and the properties of other controls."""
     control = _part(root, "flight_control")
     channel = _part(control, "channel")
-    lag = float(model.servo_lag[0])
     for name in SURFACES:
         if name in model.regressor_names:
-            channel.extend(_surface(name, full[name], lag))
+            channel.extend(_surface(name, full[name], *model.servos.tolist()))
     settable = [] if _has_engine(model.aircraft) else [THROTTLE]
     for regressor in model.regressors:
         if not regressor.power and regressor.name not in SOURCES:
@@ -283,15 +282,18 @@ def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]
         control.insert(place, _named("property", name, value="0"))
 
 
-def _surface(name: str, full: float, lag: float) -> Element:
-    """Return the command of a surface and its servo, without a lag if that is zero."""
+def _surface(name: str, full: float, lag: float, delay: float, rate_limit: float) -> Element:
+    """Return the command of a surface and its servo, whose delay JSBSim cuts to whole frames."""
     command, trim, position = SURFACES[name]
     values = {"surface": name, "command": command, "trim": trim, "position": position, "full": full}
-    values["lag"] = 1.0 / lag if lag > 0 else 0.0
     parts = _filled("surface.xml", values)
-    if not lag > 0:
-        servo = _part(parts, "actuator")
-        servo.remove(_part(servo, "lag"))
+    servo = _part(parts, "actuator")
+    if lag > 0:
+        servo.append(_named("lag", repr(1.0 / lag)))
+    if np.isfinite(rate_limit):
+        servo.append(_named("rate_limit", repr(rate_limit / full)))
+    if delay > 0:
+        servo.append(_named("delay", repr(delay), type="time"))
     return parts
 
 

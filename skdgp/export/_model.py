@@ -324,8 +324,9 @@ class PortableModel:
         Smallest and largest value of each regressor in the training data.
     samples : ndarray (n, d)
         Some rows of the training data.
-    servo_lag : ndarray (1,)
-        Time constant T of the servos [s]: surfaces follow commands c by :math:`T \dot\delta = c - \delta`.
+    servos : ndarray (3,)
+        Time constant T [s], delay tau [s] and limit R of the rate of the servos, infinite where there is none:
+        surfaces follow commands c by :math:`T \dot\delta(t) = c(t - \tau) - \delta(t)`.
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
     reference : Reference or None
@@ -346,7 +347,7 @@ class PortableModel:
     input_covariance: Matrix
     limits: Matrix
     samples: Matrix
-    servo_lag: Vector
+    servos: Vector
     provenance: dict[str, Any] = field(default_factory=dict)
     reference: Reference | None = None
 
@@ -576,7 +577,7 @@ class PortableModel:
 # Arrays of a model
 NUMBERS_OF_MODEL = (
     *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
-    *("noise_variance", "input_covariance", "limits", "samples", "servo_lag"),
+    *("noise_variance", "input_covariance", "limits", "samples", "servos"),
 )
 # Prefix of the arrays of a `Reference`
 REFERENCE = "reference_"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import pairwise
 from typing import Any, cast
 
@@ -114,7 +114,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
         limits=np.stack([points.min(axis=0), points.max(axis=0)]),
         samples=samples[::every],
-        servo_lag=np.array([simulated.servo_lag]),
+        servos=np.array(astuple(simulated.servos)),
         provenance=plain(facts | {"inference": regressor.inference_}),
         reference=_reference(behind, samples, simulated.regressors),
     )

@@ -27,7 +27,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable, by_name, has_values, numeric
 from skdgp._flight.units import check_radians
-from skdgp.dynamics import Aircraft, with_sensor_position
+from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
     CALIBRATED,
     GUSTS,
@@ -190,10 +190,12 @@ class FlightPathReconstruction(TableTransformer):
         self.settings = settings
 
     @property
-    def servo_lag_(self) -> float:
-        """How late the surfaces follow their logged commands [s], zero where it is not estimated."""
+    def servos_(self) -> Servos:
+        """Servos between the commands and the surfaces, ideal where their lag is not estimated."""
         motion = self.air_motion_
-        return 0.0 if motion is None else max(0.0, float(motion.constants["value"]["servo_lag"]))
+        if motion is None:
+            return Servos()
+        return Servos(lag=max(0.0, float(motion.constants["value"]["servo_lag"])))
 
     @property
     def finding_(self) -> Finding:
@@ -361,7 +363,7 @@ class FlightPathReconstruction(TableTransformer):
         for number, (_, rows, sensors) in enumerate(flights_of(table)):
             columns: dict[str, Any] = air_columns(motion.air.iloc[rows], sensors)
             columns["gust"] = np.nan_to_num(motion.gust_change(number), nan=self.gust_std_)
-            late = delayed_surfaces(sensors.time, deflections[rows], self.servo_lag_)
+            late = delayed_surfaces(sensors.time, deflections[rows], self.servos_.lag)
             columns |= by_name(surfaces, late)
             flights.append(pd.DataFrame(columns, index=rows))
         return _in_rows(flights)

@@ -21,7 +21,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.holds import without_repeats
 from skdgp._flight.tables import by_name, numeric, unwrapped
-from skdgp.dynamics import Aircraft, with_sensor_position
+from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
     Lag,
     LagSettings,
@@ -113,10 +113,11 @@ class LagCorrector(TableTransformer):
         self.aircraft = aircraft
 
     @property
-    def servo_lag_(self) -> float:
-        """How late the surfaces follow their logged commands [s], with their delay; zero where they do not."""
+    def servos_(self) -> Servos:
+        """Servos between the logged commands and the surfaces, ideal where surfaces are logged."""
         applied = self.lags_["applied"]
-        return max(0.0, -float(applied.get("surfaces", 0.0))) + float(applied.get("servos", 0.0))
+        early = -float(applied.get("surfaces", 0.0))
+        return Servos(lag=float(applied.get("servos", 0.0)), delay=max(0.0, early))
 
     def _fit_table(self, table):
         check_columns(table, ["time"])

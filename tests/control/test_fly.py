@@ -14,6 +14,7 @@ from skdgp.control import FlySettings, fly
 from skdgp.dynamics import (
     Aerodynamics,
     ScaleFactor,
+    Servos,
     Turbulence,
     simulate,
     standard_density,
@@ -143,8 +144,8 @@ def test_in_the_air_without_pulses_it_stays_in_trim(flown, steady):
 
 @pytest.mark.parametrize("lag", [0.0, 0.08])
 def test_flies_as_simulate_does(flown, lag, glider, steady):
-    """Half aileron and elevator for 0.5 s, with the lag of the servos."""
-    model = glider.model(servo_lag=lag)
+    """Half aileron and elevator for 0.5 s, with delay and lag of the servos."""
+    model = glider.model(servos=Servos(lag=lag, delay=0.4 * lag))
     pulses = (1700, 1600, 1500, 1500)
     controls = {"aileron": 0.5 * 0.4, "elevator": -0.25 * 0.3, "rudder": 0.0, "thrust": 30.0}
 

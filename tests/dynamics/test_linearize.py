@@ -17,6 +17,7 @@ from skdgp.dynamics import (
     Mixing,
     Motion,
     ScaleFactor,
+    Servos,
     euler_to_quaternion,
     linearize,
     quaternion_to_euler,
@@ -172,7 +173,9 @@ POSITIONS = [f"{name}_position" for name in SURFACES]
 
 @pytest.fixture(scope="module")
 def late(glider, level):
-    return linearize(glider.model(servo_lag=LAG), glider.aircraft, level, air=AIR, n_paths=3)
+    return linearize(
+        glider.model(servos=Servos(lag=LAG)), glider.aircraft, level, air=AIR, n_paths=3
+    )
 
 
 class TestServos:
@@ -213,7 +216,7 @@ class TestServos:
             """Return the largest differences, and the largest deviations from trim."""
             commands = pd.DataFrame({"time": time, **level.controls})
             commands[surface] += size * doublet
-            model = glider.model(servo_lag=LAG)
+            model = glider.model(servos=Servos(lag=LAG))
             flown = simulate(model, glider.aircraft, level, commands, 0.01, air=AIR)
             response = pd.DataFrame(lsim(system, size * doublet, time)[1], columns=[*late.C.index])
             position = flown[surface] - level.controls[surface]
@@ -234,7 +237,7 @@ class TestServos:
         """Controls are linear in the surfaces, which all have the same servos."""
         elevons = ("elevon_left", "elevon_right")
         mixing = Mixing(elevons, ("elevator", "aileron"), np.array([[0.5, 0.5], [-0.5, 0.5]]))
-        model = glider.model(servo_lag=LAG, mixing=mixing)
+        model = glider.model(servos=Servos(lag=LAG), mixing=mixing)
         late = linearize(model, glider.aircraft, level, air=AIR)
         assert [*late.A][-3:] == POSITIONS
         time = np.arange(0.0, 1.01, 0.01)

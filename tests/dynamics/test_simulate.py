@@ -24,6 +24,7 @@ from skdgp.dynamics import (
     FlightComputer,
     Propeller,
     ScaleFactor,
+    Servos,
     SimulationWarning,
     Simulator,
     UncertainStart,
@@ -262,7 +263,7 @@ class TestControls:
 
     def test_surfaces_follow_the_commands_with_the_lag_of_the_servos(self, fly, glider):
         """Against an independent solution of T d(delta)/dt = command - delta, and the flight with these deflections."""
-        late = glider.model(servo_lag=0.08)
+        late = glider.model(servos=Servos(lag=0.08))
         table = table_of(2.0, step=0.02).assign(rudder=lambda t: 0.05 * (t["time"] > 0.5))
         flown = fly(late, controls=table, dt=0.02)
         commanded = interp1d(table["time"], table[SURFACES], axis=0)
@@ -280,7 +281,7 @@ class TestControls:
         def law(t, state):
             return commands(t) | {"aileron": -0.4 * state["phi"] - 0.1 * state["p"]}
 
-        flown = fly(glider.model(servo_lag=0.08), controls=law, dt=dt, duration=3.0)
+        flown = fly(glider.model(servos=Servos(lag=0.08)), controls=law, dt=dt, duration=3.0)
         time = flown["time"].to_numpy()
         aileron = followed(
             CubicSpline(time, -0.4 * flown[["phi"]] - 0.1 * flown[["p"]].to_numpy()), time
@@ -291,13 +292,16 @@ class TestControls:
         at_once = fly(controls=law, dt=dt, duration=3.0)
         assert np.abs(at_once["phi"] - flown["phi"]).max() > 0.01
 
-    def test_a_model_has_the_servo_lag_of_its_pipeline(self):
+    def test_a_model_has_the_servos_of_its_pipeline(self):
         rng = default_rng(0)
         table = pd.DataFrame(rng.normal(size=(60, 2)), columns=["alpha", "elevator"])
         table["time"] = 0.02 * np.arange(60)
-        steps = LagCorrector({"surfaces": -0.06}), RegressorSelector(["alpha", "elevator"])
+        steps = (
+            LagCorrector({"surfaces": -0.06, "servos": 0.04}),
+            RegressorSelector(["alpha", "elevator"]),
+        )
         model = make_pipeline(*steps, LinearRegression()).fit(table, rng.normal(size=(60, 6)))
-        assert as_aerodynamics(model).servo_lag == 0.06
+        assert as_aerodynamics(model).servos == Servos(lag=0.04, delay=0.06)
 
     def test_a_law_that_is_held_sees_the_flight_once_a_step(self, fly):
         seen = []
@@ -617,7 +621,7 @@ class TestSimulator:
         def law(t, state):
             return commands(0.0) | {"aileron": -gain * (state["phi"] + 0.25 * state["p"])}
 
-        model, wind = glider.model(servo_lag=lag), [1.0, 2.0, 0.0]
+        model, wind = glider.model(servos=Servos(lag=lag)), [1.0, 2.0, 0.0]
         at_once = fly(model, controls=FlightComputer(law), dt=0.02, duration=1.0, air=wind)
         simulator = Simulator(model, aircraft, dt=0.02, air=wind)
         seen = simulator.reset(START, controls=law(0.0, START))

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 from pandas.testing import assert_frame_equal
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, stability_derivatives
+from skdgp.dynamics import Aircraft, Servos, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
 from skdgp.estimation._air_fit import AirFit
 from skdgp.model_selection import thin_targets
@@ -470,7 +470,7 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
     assert not any("Singular" in str(warning.message) for warning in said)
     step = model["flightpathreconstruction"]
     assert step.air_motion_ is None
-    assert step.servo_lag_ == 0.0
+    assert step.servos_ == Servos()
     assert np.isfinite(step.transform(flight.table)["alpha"]).all()
     flown = flown_derivatives(model, flight, 0.03)
     for name, std in (("CZ_alpha", 1.5), ("Cm_q", 10.0), ("Cm_elevator", 1.0)):

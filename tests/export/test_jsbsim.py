@@ -178,17 +178,31 @@ def test_thrust_is_that_of_the_propeller(load, portable_of):
     assert_allclose(loads(fdm, "external"), expected, rtol=1e-6, atol=1e-9)
 
 
-def test_surfaces_follow_commands_with_the_lag_of_the_servos(load, portable_of):
-    model = replace(portable_of("trend"), servo_lag=np.array([0.2]))
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_surfaces_follow_commands_with_delay_and_lag_of_the_servos(load, portable_of, delay):
+    model = replace(portable_of("trend"), servos=np.array([0.2, delay, np.inf]))
     fdm = load(model)
     placed(fdm, model, np.zeros(6))
     fdm["fcs/elevator-cmd-norm"] = 0.5
     begin = fdm.get_sim_time()
     while fdm.get_sim_time() < begin + 0.4:
         fdm.run()
-    elapsed = fdm.get_sim_time() - begin
+    elapsed = fdm.get_sim_time() - begin - max(0.0, delay - fdm.get_delta_t())
     expected = 0.5 * FULL["elevator"] * (1 - np.exp(-elapsed / 0.2))
     assert fdm["fcs/elevator-pos-rad"] == pytest.approx(expected, rel=0.03)
+
+
+def test_surfaces_keep_the_rate_limit_of_the_servos(load, portable_of):
+    model = replace(portable_of("trend"), servos=np.array([0.0, 0.0, 0.3]))
+    fdm = load(model)
+    placed(fdm, model, np.zeros(6))
+    fdm["fcs/elevator-cmd-norm"] = 1.0
+    begin = fdm.get_sim_time()
+    while fdm.get_sim_time() < begin + 0.5:
+        fdm.run()
+    expected = 0.3 * (fdm.get_sim_time() - begin)
+    assert expected < FULL["elevator"]
+    assert fdm["fcs/elevator-pos-rad"] == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("propeller", [None, PROPELLER])

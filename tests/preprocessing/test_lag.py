@@ -123,7 +123,8 @@ class TestEstimate:
         out = corrector.fit_transform(table)
         assert corrector.lags_.applied["servos"] == pytest.approx(servos, abs=0.01)
         assert corrector.lags_.applied["surfaces"] == pytest.approx(-delay, abs=0.01)
-        assert corrector.servo_lag_ == pytest.approx(servos + delay, abs=0.01)
+        assert corrector.servos_.lag == pytest.approx(servos, abs=0.01)
+        assert corrector.servos_.delay == pytest.approx(delay, abs=0.01)
         error = (out.elevator - truth.elevator)[40:-40].std()
         assert error < 0.2 * (table.elevator - truth.elevator)[40:-40].std()
 

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
-from skdgp.dynamics import Aircraft, air_data
+from skdgp.dynamics import Aircraft, Servos, air_data
 from skdgp.estimation import PATH_CHANNELS, air_columns, flights_of
 from skdgp.preprocessing import (
     FlightDataWarning,
@@ -161,7 +161,7 @@ class TestRecovery:
         for name, bias in biases.items():
             estimate, std = found.loc[f"{name}_bias", ["estimate", "std"]]
             assert abs(estimate - bias) < 4 * std
-        assert reconstruction.servo_lag_ == 0.0  # without an aircraft it is not estimated
+        assert reconstruction.servos_ == Servos()  # without an aircraft it is not estimated
         out = reconstruction.transform(table)
         assert_near(table, out, {"airspeed": 0.06, "alpha": 0.002, "ax": 0.06, "r": 0.0022})
 

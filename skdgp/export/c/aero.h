@@ -25,8 +25,9 @@ extern "C" {
 /* Smallest and largest value of each input in the training data: outside of them nothing was learned. */
 extern const double aero_limits[2][AERO_INPUTS];
 
-/* kg, m^2, m, m; the inertia tensor about the centre of gravity in kg m^2, off its diagonal minus the products; and the
- * lag T of the servos in s: surfaces d follow commands c by T d' = c - d. */
+/* kg, m^2, m, m; the inertia tensor about the centre of gravity in kg m^2, off its diagonal minus the products; and lag T
+ * and delay tau of the servos in s, and the limit of their rate, 0 if there is none: surfaces d follow commands c by
+ * T d'(t) = c(t - tau) - d(t). */
 #define AERO_MASS ${mass}
 #define AERO_WING_AREA ${wing_area}
 #define AERO_SPAN ${span}
@@ -37,7 +38,9 @@ extern const double aero_limits[2][AERO_INPUTS];
 #define AERO_IXY ${ixy}
 #define AERO_IXZ ${ixz}
 #define AERO_IYZ ${iyz}
-#define AERO_SERVO_LAG ${servo_lag}
+#define AERO_SERVO_LAG ${lag}
+#define AERO_SERVO_DELAY ${delay}
+#define AERO_SERVO_RATE ${rate}
 
 /* Inputs of the sources: non-dimensional rates, mixed controls. */
 void aero_inputs(const double source[AERO_SOURCES], double x[AERO_INPUTS]);

@@ -1,0 +1,129 @@
+"""Servos with delay, lag and rate limit, against independent solutions of T d'(t) = c(t - tau) - d(t), |d'| <= R."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+
+from skdgp.dynamics import (
+    FlightComputer,
+    Servos,
+    Simulator,
+    frequency_response,
+    linearize,
+    simulate,
+    trim,
+)
+
+STATES = ["p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed"]
+
+
+@pytest.fixture(scope="module")
+def level(glider):
+    return trim(glider.model(), glider.aircraft, 20.0)
+
+
+def flown(glider, level, servos, controls, dt=0.02, duration=2.0):
+    model = glider.model(servos=servos)
+    return simulate(model, glider.aircraft, level, controls, dt, duration=duration)
+
+
+def steps_of(time, size=0.05):
+    """Return commands that are held for 0.1 s each."""
+    wave = np.array([0, 0, 1, 1, -1, -1, 1, 0, -1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
+    return size * wave[np.floor(np.asarray(time) / 0.1 + 1e-6).astype(int).clip(0, 19)]
+
+
+def followed(command, times, lag, delay, rate_limit=np.inf):
+    """Return deflections of servos that start at rest."""
+
+    def rate(t, delta):
+        return np.clip((command(max(t - delay, 0.0)) - delta) / lag, -rate_limit, rate_limit)
+
+    solved = solve_ivp(rate, (0, times[-1]), [0.0], t_eval=times, max_step=1e-3, rtol=1e-6)
+    return solved.y[0]
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.0125])
+@pytest.mark.parametrize("delay", [0.0, 0.007, 0.02, 0.033, 0.1])
+def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, delay, dt):
+    def law(t, state):
+        return level.controls | {"aileron": float(steps_of(t))}
+
+    table = flown(glider, level, Servos(0.04, delay), FlightComputer(law), dt)
+    time = table["time"].to_numpy()
+
+    def held(t):
+        return steps_of(dt * np.floor(t / dt + 1e-6))
+
+    assert_allclose(table["aileron"], followed(held, time, 0.04, delay), atol=2e-4)
+
+
+@pytest.mark.parametrize("delay", [0.01, 0.02, 0.05])
+def test_a_delay_alone_shifts_a_flight_of_commands(glider, level, delay):
+    """The flight of the commands that were given earlier by the delay, the first of them before the start."""
+    time = 0.02 * np.arange(101)
+    table = pd.DataFrame({"time": time, **level.controls})
+    table["rudder"] += 0.05 * np.sin(4.0 * time) * (time > 0.1)
+    finer = 0.01 * np.arange(201)
+    shifted = pd.DataFrame({"time": finer, **level.controls})
+    shifted["rudder"] = np.interp(finer - delay, time, table["rudder"])
+    late = flown(glider, level, Servos(delay=delay), table)
+    expected = flown(glider, level, Servos(), shifted)
+    assert_allclose(late[STATES], expected[STATES], atol=1e-10)
+    assert_allclose(late["rudder"], expected["rudder"], atol=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.04])
+def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, lag):
+    def law(t, state):
+        return level.controls | {"aileron": float(steps_of(t, 0.3))}
+
+    servos = Servos(lag, 0.03, rate_limit=5.0)
+    table = flown(glider, level, servos, FlightComputer(law), 0.005, 1.5)
+    rate = np.abs(np.diff(table["aileron"])) / 0.005
+    assert rate.max() == pytest.approx(5.0)
+    if lag:
+        time = table["time"].to_numpy()
+        expected = followed(lambda t: steps_of(t, 0.3), time, lag, 0.03, 5.0)
+        assert_allclose(table["aileron"], expected, atol=2e-3)
+
+
+def test_a_simulator_has_the_servos_of_simulate(glider, level):
+    def law(t, state):
+        return level.controls | {"aileron": -0.3 * state["phi"] - 0.1 * state["p"] + 0.02}
+
+    servos = Servos(0.04, 0.033, 2.0)
+    table = flown(glider, level, servos, FlightComputer(law), 0.02, 1.0)
+    simulator = Simulator(glider.model(servos=servos), glider.aircraft, dt=0.02)
+    seen = simulator.reset(level)
+    for row in table.to_dict("records"):
+        assert_allclose([seen[name] for name in STATES], [row[name] for name in STATES], atol=1e-10)
+        seen = simulator.step(law(seen["time"], seen))
+
+
+def test_a_linear_model_has_the_phase_of_the_delay_at_every_frequency(glider, level):
+    """Of its response beside the flight's: minus w tau for surfaces, nothing for the thrust."""
+    rng = np.random.default_rng(0)
+    names = ["aileron", "thrust"]
+    table = pd.DataFrame(rng.normal(size=(4000, 4)), columns=[*names, "p", "u"])
+    table["time"] = 0.01 * np.arange(len(table))
+    responses = []
+    for delay in (0.0, 0.03):
+        model = glider.model(servos=Servos(0.04, delay))
+        linear = linearize(model, glider.aircraft, level, delay=0.05)
+        assert_allclose(linear.A.loc["aileron_position", "aileron_position"], -25.0)
+        responses.append(frequency_response(table, names, ["p", "u"], linear=linear))
+    turn = (responses[1]["model_phase"] - responses[0]["model_phase"]).unstack("input")
+    w = turn.index.get_level_values("frequency")
+    for output in ("p", "u"):
+        of_output = turn.loc[output]
+        expected = np.rad2deg(-0.03 * w.unique())
+        assert_allclose((of_output["aileron"] - expected + 180) % 360, 180.0, atol=1e-6)
+        assert_allclose((of_output["thrust"] + 180) % 360, 180.0, atol=1e-6)
+    assert_allclose(responses[0]["model_gain"], responses[1]["model_gain"], atol=1e-9)
+
+
+def test_two_servos_in_series_are_one_record():
+    assert Servos(0.04, 0.0, 5.0).before(Servos(0.0, 0.03)) == Servos(0.04, 0.03, 5.0)

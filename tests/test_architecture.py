@@ -21,7 +21,7 @@ ALLOWED = {
     "_flight": "_compute",
     "dynamics": "_compute _flight",
     "estimation": "_compute _flight dynamics",
-    "io": "_compute _flight",
+    "io": "_compute _flight dynamics",
     "preprocessing": "_compute _flight dynamics estimation",
     "_excitation": "_compute _flight",
     "datasets": "_compute _flight _excitation dynamics",

@@ -40,7 +40,8 @@ CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": 
 def inspect(run: Run) -> None:
     """Print what a log holds: vehicle, firmware, topics with rates, columns of its flight table, flights.
 
-    And faults of its channels, and which channels contradict physics (a wrong sign, unit or axis).
+    And faults of its channels, and which channels contradict physics (a wrong sign, unit or axis). With
+    --mass and --span or a file of the aircraft, whether the lift carries it.
 
     LOG is a log of PX4 (.ulg, a folder of ulog2csv) or ArduPilot (.bin, in text .log), telemetry of
     both (.tlog), or a table (.csv, .parquet).
@@ -48,10 +49,15 @@ def inspect(run: Run) -> None:
     For example:
       skdgp inspect log.ulg
       skdgp inspect log.bin --servos servo.toml
+      skdgp inspect log.bin --mass 3.2 --span 1.6
     """
     options = run.options
     run.console.stage("reading")
-    summary = inspect_log(options.log, **opt.reading(options))
+    aircraft = None
+    if any(vars(options)[name] is not None for name in ("aircraft", "kind", *SIZES)):
+        sizes = _aircraft(run, options.log)
+        aircraft = Aircraft.from_file(sizes) if isinstance(sizes, str) else sizes
+    summary = inspect_log(options.log, aircraft=aircraft, **opt.reading(options))
     run.print(str(summary), summary.to_dict())
 
 
@@ -100,7 +106,7 @@ def identify(run: Run) -> None:
     _identify(
         run,
         options.train,
-        _aircraft(run),
+        _aircraft(run, options.train[0]),
         options.test,
         thrust=opt.none_of(options.thrust),
         external_forces=options.external_forces,
@@ -108,13 +114,12 @@ def identify(run: Run) -> None:
     )
 
 
-def _aircraft(run: Run) -> Aircraft | str:
+def _aircraft(run: Run, log: str) -> Aircraft | str:
     """Return the file of the aircraft, or its estimate of a mass and a span."""
     options = run.options
-    sizes = without_nones(
-        {name: vars(options)[name] for name in (*SIZES, "kind", "sensor_position")}
-    )
-    engine = without_nones({"--propeller": options.propeller, "--motor": options.motor})
+    given = vars(options)
+    sizes = without_nones({name: given.get(name) for name in (*SIZES, "kind", "sensor_position")})
+    engine = without_nones({"--propeller": given.get("propeller"), "--motor": given.get("motor")})
     if options.aircraft is not None and not sizes and not engine:
         return options.aircraft
     if options.aircraft is not None or not {"mass", "span"} <= sizes.keys():
@@ -125,13 +130,13 @@ def _aircraft(run: Run) -> Aircraft | str:
             f"got {' '.join(got) or 'no aircraft'}, but expected --aircraft FILE, or --mass and "
             "--span, of which the rest is estimated"
         )
-    if options.motor and not options.propeller:
+    if "--motor" in engine and "--propeller" not in engine:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    if options.propeller:
+    if engine:
         sizes["propeller"] = _propeller(options.propeller, options.motor)
-    return Aircraft.estimate(**sizes, name=Path(options.train[0]).stem)
+    return Aircraft.estimate(**sizes, name=Path(log).stem)
 
 
 def _propeller(
@@ -323,14 +328,24 @@ SIZE_OPTIONS = {}
 for name, text in SIZES.items():
     option = f"--{name.replace('_', '-')}"
     SIZE_OPTIONS[option] = {"metavar": "X", "type": opt.size, "help": text}
+ENGINE_OPTIONS = {}
 for name, text in ENGINE.items():
-    SIZE_OPTIONS[f"--{name}"] = {"metavar": "AxB", "type": opt.factors, "help": text}
+    ENGINE_OPTIONS[f"--{name}"] = {"metavar": "AxB", "type": opt.factors, "help": text}
+
+SIZE_OPTIONS["--kind"] = {
+    "choices": list(KINDS),
+    "help": "kind of the aircraft, for the estimates (default: conventional)",
+}
 
 COMMANDS: opt.Commands = {
     inspect: {
         "": {
             "log": {"metavar": "LOG", "help": "the log"},
             **opt.shared("--servos", "--rename", "--airborne"),
+        },
+        "the aircraft": {
+            **opt.shared("--aircraft", help="the aircraft, JSON or TOML (or --mass and --span)"),
+            **SIZE_OPTIONS,
         },
     },
     demo: {
@@ -361,10 +376,7 @@ COMMANDS: opt.Commands = {
         },
         "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": {
             **SIZE_OPTIONS,
-            "--kind": {
-                "choices": list(KINDS),
-                "help": "kind of the aircraft, for the estimates (default: conventional)",
-            },
+            **ENGINE_OPTIONS,
             "--sensor-position": {
                 "metavar": ("X", "Y", "Z"),
                 "nargs": 3,

@@ -44,6 +44,7 @@ class Code(Enum):
     # assumptions
     ENGINE_UNEXPLAINED = "engine_unexplained"
     FULL_THROWS = "full_throws"
+    SIZES_QUESTIONED = "sizes_questioned"
     SIZES_ESTIMATED = "sizes_estimated"
     SIZES_SOURCES = "sizes_sources"
     THRUST_IN_COEFFICIENTS = "thrust_in_coefficients"
@@ -118,7 +119,7 @@ class Code(Enum):
     NO_FREQUENCY_RESPONSES = "no_frequency_responses"
 
 
-DOUBTS = frozenset({Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED})
+DOUBTS = frozenset({Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED, Code.SIZES_QUESTIONED})
 NOTES = frozenset(
     {
         Code.AIRSPEED_CORRECTED,

@@ -275,6 +275,35 @@ def _paths_reason(finding: Finding) -> str:
     return although + "; ".join(parts)
 
 
+# Sizes of an aircraft, and the airspeed of its flights, that a question is about, with their units
+ASKED = {
+    "mass": ("the mass", "kg"),
+    "span": ("the span", "m"),
+    "chord": ("the chord", "m"),
+    "wing_area": ("the wing area", "m^2"),
+    "airspeed": ("the median airspeed", "m/s"),
+}
+
+
+def _sizes_questioned(finding: Finding) -> str:
+    laws = []
+    for name, (value, least, most) in finding.numbers["laws"].items():
+        laws.append(f"{name} is {value:.3g}, but of aeroplanes {least:g} to {most:g}")
+    return f"{'; '.join(laws)}. {_question(finding)}"
+
+
+def _question(finding: Finding) -> str:
+    """Return the question for sizes in another unit, or for all of them as they are."""
+    asked = []
+    for name, value, given, unit in finding.numbers["asked"]:
+        what, si_unit = ASKED[name]
+        origin = f" ({given:.4g} {unit})" if unit else ""
+        asked.append(f"{what} {value:.4g} {si_unit}{origin}")
+    joint = " or " if finding.numbers["asked"][0][3] else " and "
+    verb = "Is" if joint == " or " or len(asked) == 1 else "Are"
+    return f"{verb} {joint.join(asked)}?"
+
+
 def _sizes_estimated(finding: Finding) -> str:
     sizes = []
     for name, (value, unit, std) in finding.numbers["sizes"].items():
@@ -430,6 +459,7 @@ TEXTS = _by_code(
     "'airspeed', or give the thrust.",
     full_throws="Surfaces are in parts of their full throw, as no servo file gives angles: "
     "effects are of a full throw.",
+    sizes_questioned=_sizes_questioned,
     sizes_estimated=_sizes_estimated,
     sizes_sources="Estimated by: {sources}.",
     thrust_in_coefficients="Neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a "
@@ -519,6 +549,7 @@ REASONS = _by_code(
     held_out_flight="the last flight, {flight}",
     held_out_quarter="the last quarter of {flight}, which has most of the rows",
     gusts_unknown="gusts without vanes are not known",
+    sizes_questioned="no aeroplane has these sizes",
     paths_not_converged="a reconstruction did not converge",
     paths_reconstructed=_paths_reason,
     paths_smoothed=_paths_reason,

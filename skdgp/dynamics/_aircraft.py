@@ -17,20 +17,21 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.files import plain, read_json, read_toml, without_nones
-from skdgp._compute.messages import warn
+from skdgp._compute.findings import Finding
+from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
 from skdgp._flight.checks import as_floats, check_full_deflection
+from skdgp._flight.physics import question_of_sizes, sizes_in_flight
 from skdgp._flight.sensor_position import sensor_position, with_sensors_at
+from skdgp._flight.tables import FlightTable
 from skdgp.dynamics._estimated_sizes import INERTIAS, KINDS, QUANTITIES, estimated, value_and_std
 from skdgp.dynamics._propeller import Propeller, ThrustLine
-from skdgp.dynamics._size_errors import ScaleFactor
+from skdgp.dynamics._size_errors import MOMENTS, ScaleFactor
 
 CENTRED = ThrustLine()
 # farthest inertial sensors from the centre of gravity [spans]; farther ones are given in mm; a guess
 FARTHEST_SENSORS = 2.0
-# largest ratio of span times chord to the wing area, or its inverse; a larger one is of another unit; a guess
-LARGEST_AREA_RATIO = 5.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,7 +102,6 @@ class Aircraft:
             self._set(name, value)
             if std:
                 deviations[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "given")
-        _check_planform(self.wing_area, self.span, self.chord)
         inertia, of_inertia = _inertia_and_deviations(self.inertia)
         deviations |= of_inertia
         checked = {}
@@ -122,6 +122,50 @@ class Aircraft:
     def inertia_inverse(self) -> np.ndarray:
         """The inverse of the inertia tensor, (3, 3) [1/(kg m^2)]."""
         return np.linalg.inv(self.inertia)
+
+    def question_of_sizes(
+        self,
+        flights: FlightTable | None = None,
+        derivatives: pd.DataFrame | None = None,
+    ) -> Finding | None:
+        """Return the question for sizes that no aeroplane has, None if all are plausible.
+
+        Flights tell the lift that carries it, and ``derivatives`` of a model (``value``, ``std``)
+        its lift slope and damping.
+        """
+        sizes = {name: vars(self)[name] for name in QUANTITIES}
+        sizes |= dict(zip(MOMENTS, self.inertia.diagonal().tolist(), strict=True))
+        stds: dict[str, float] = {}
+        if flights is not None:
+            flown, stds = sizes_in_flight(flights, self.mass, self.wing_area)
+            sizes |= flown
+            for name in flown.keys() & {"CL", "CZ_alpha"}:
+                of_area = abs(flown[name]) * self._relative_std("wing_area")
+                stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
+        if derivatives is not None and len(derivatives):
+            sizes |= derivatives["value"].to_dict()
+            stds |= derivatives["std"].to_dict()
+        estimated = set()
+        for factor in (self.deviations or {}).values():
+            if factor.source != "given" and not factor.of_log:
+                estimated |= factor.powers.keys()
+        if "wing_area" in estimated:
+            estimated.add("chord")
+        return question_of_sizes(sizes, stds, estimated)
+
+    def _questioned(self) -> Aircraft:
+        """Return the aircraft; warn of sizes that no aeroplane has."""
+        question = self.question_of_sizes()
+        if question is not None:
+            report(question)
+        return self
+
+    def _relative_std(self, size: str) -> float:
+        """Return the relative standard deviation of a size by errors of all causes."""
+        factors = (self.deviations or {}).values()
+        return float(
+            np.linalg.norm([0.0, *(each.std * each.powers.get(size, 0.0) for each in factors)])
+        )
 
     @property
     def lengths(self) -> dict[str, float]:
@@ -186,7 +230,7 @@ class Aircraft:
         sizes = estimated(
             kind, inertia, mass=mass, span=span, wing_area=wing_area, chord=chord, length=length
         )
-        return cls(**sizes, **parts)
+        return cls(**sizes, **parts)._questioned()
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
@@ -211,7 +255,7 @@ class Aircraft:
             keys = [*signature(cls.estimate).parameters, *parts]
             check_keys(values, keys, ["mass", "span"], what)
             return cls.estimate(**values)
-        return _build(cls, values, what)
+        return _build(cls, values, what)._questioned()
 
     def to_dict(self) -> dict:
         """Return plain numbers, lists and dictionaries that `from_dict` reads back."""
@@ -257,16 +301,6 @@ def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:
         )
     _check_distance(position[None], span)
     return tuple(position.tolist())
-
-
-def _check_planform(wing_area: float, span: float, chord: float) -> None:
-    """Raise ValueError if span times chord is far from the wing area, as of a length in mm."""
-    ratio = span * chord / wing_area
-    if not 1 / LARGEST_AREA_RATIO < ratio < LARGEST_AREA_RATIO:
-        raise ValueError(
-            f"Got wing_area {wing_area:g}, span {span:g} and chord {chord:g}, but expected [m^2] and [m]: "
-            f"span times chord is {ratio:.2g} times the wing area. Check their units."
-        )
 
 
 def _check_distance(positions: Array, span: float) -> None:

@@ -130,6 +130,9 @@ class Identification:
         """Training data, and uses that the model is good enough for."""
         # assumptions are told in their own list
         findings = [finding for finding in self.findings if finding not in self.assumptions]
+        question = self.aircraft.question_of_sizes(derivatives=self.mechanics.derivatives)
+        if question is not None:
+            findings.append(question)
         return judge(self.train.values(), self.evaluations, self.fit, self.mechanics, findings)
 
     @cached_property

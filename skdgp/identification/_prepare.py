@@ -279,17 +279,20 @@ def usable_flights(
         without_faults = FlightCheck().fit_transform(flight.table)
         _warn_of_positions(name, without_faults, aircraft)
         tables[name] = with_sensor_position(without_faults, aircraft)
-    _warn_of_contradictions(tables)
+    _warn_of_contradictions(tables, aircraft)
     return {name: _complete_rows(name, table, regressors) for name, table in tables.items()}
 
 
-def _warn_of_contradictions(tables: Tables) -> None:
-    """Warn of channels that contradict others by physics, in all flights together."""
+def _warn_of_contradictions(tables: Tables, aircraft: Aircraft | None) -> None:
+    """Warn of channels, and of sizes of the aircraft, that contradict others by physics, in all flights together."""
     together = FlightTable.of(pd.concat(tables.values(), ignore_index=True))
     only = next(iter(tables)) if len(tables) == 1 else None
     for contradiction in find_contradictions(together):
         finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning)
+    question = None if aircraft is None else aircraft.question_of_sizes(together)
+    if question is not None:
+        report(question)
 
 
 def usable_flights_of_model(

@@ -345,7 +345,9 @@ def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
 
 
 def _is_failure(doubt: Finding) -> bool:
-    """Return whether the air was estimated and the estimate did not converge, so that alpha and beta are wrong."""
+    """Return whether sizes are of another aircraft, or the estimate of the air did not converge."""
+    if doubt.code is Code.SIZES_QUESTIONED:
+        return True
     cause = doubt.numbers.get("cause")
     return cause is not None and cause.code is Code.AIR_NOT_CONVERGED
 

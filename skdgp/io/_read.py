@@ -16,7 +16,7 @@ import pandas as pd
 from skdgp._compute.files import plain
 from skdgp._compute.findings import Code
 from skdgp._compute.messages import recorded_warnings, warn
-from skdgp._compute.wording import grouped_faults, reason_of
+from skdgp._compute.wording import grouped_faults, reason_of, text_of
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
@@ -29,6 +29,7 @@ from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
+from skdgp.dynamics import Aircraft
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, name_of, on_one_clock, read_log
 from skdgp.io._log import FULL_THROW, Topic, full_throws, reversed_of
 from skdgp.io._tables import (
@@ -337,6 +338,7 @@ def inspect_log(
     servos: PathLike | Mapping[str, Any] | None = None,
     airborne: bool | float = True,
     rename: Mapping[str, str] | None = None,
+    aircraft: Aircraft | None = None,
 ) -> LogSummary:
     r"""Return format, vehicle, topics, columns and their sources, flights, and faults of a log.
 
@@ -347,6 +349,8 @@ def inspect_log(
     path, servos, airborne, rename : as of :func:`read_flight`
         A table takes ``rename`` alone. Without servos, surfaces are in parts of their full throw
         where the parameters of a log name them.
+    aircraft : Aircraft, optional
+        Its sizes are judged by the lift that carried it.
 
     Returns
     -------
@@ -372,7 +376,7 @@ def inspect_log(
     path = Path(path)
     if not is_log(path):
         table = read_flight(path, servos=servos, airborne=airborne, rename=rename)
-        return _of_table(path, table)
+        return _of_table(path, table, aircraft)
     lacking = []
     with reading(path):
         log = read_log(path)
@@ -385,7 +389,7 @@ def inspect_log(
         flown = on_one_clock(log, servos=servos, airborne=airborne)
     try:
         table = flight_table(flown, name_of(path), airborne=airborne)
-        faults = _faults(table)
+        faults = _faults(table, aircraft)
     except FlightReadError as error:
         table = flown.longest.table[:0].assign(flight="")
         faults = [str(error)]
@@ -416,7 +420,7 @@ def names_servos(path: PathLike) -> bool:
         return bool(read_log(Path(path)).controls)
 
 
-def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:
+def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> LogSummary:
     """Return the summary of a file that is no log of an autopilot."""
     steps = table.groupby("flight", sort=False)["time"].diff().dropna()
     step = steps.median()
@@ -425,7 +429,7 @@ def _of_table(path: Path, table: pd.DataFrame) -> LogSummary:
     columns = pd.DataFrame(
         {"source": "column", "rate": channels.notna().mean() / step}, index=channels.columns
     )
-    remarks = _faults(table)
+    remarks = _faults(table, aircraft)
     unknown_names = unknown_columns_message(unknown, table.columns)
     if unknown_names:
         remarks.insert(0, f"columns of unknown names: {unknown_names}")
@@ -446,8 +450,8 @@ def _flights(table: pd.DataFrame) -> pd.DataFrame:
     return flights.agg(begin=("time", "first"), end=("time", "last"), airspeed=("airspeed", "mean"))
 
 
-def _faults(table: pd.DataFrame) -> list[str]:
-    """Return faults of flights, and contradictions of what was measured.
+def _faults(table: pd.DataFrame, aircraft: Aircraft | None) -> list[str]:
+    """Return faults of flights, and contradictions of what was measured and of sizes of the aircraft.
 
     There is no contradiction if the clocks are too irregular to filter.
     """
@@ -456,6 +460,8 @@ def _faults(table: pd.DataFrame) -> list[str]:
     measured = FlightTable.of(without_faults(table, found))
     try:
         contradictions = find_contradictions(measured)
+        question = None if aircraft is None else aircraft.question_of_sizes(measured)
     except ValueError:
         return faults
-    return faults + [reason_of(contradiction.finding) for contradiction in contradictions]
+    faults += [reason_of(contradiction.finding) for contradiction in contradictions]
+    return faults if question is None else [*faults, text_of(question)]

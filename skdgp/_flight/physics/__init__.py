@@ -12,10 +12,18 @@ report: they never change a flight.
 In the order of the computation: channels at one rate (``_signals.py``), y and x by the equations of
 flight (``_equations.py``), the slope and its error (``_regression.py``), the judgement of a slope
 (``_checks.py``), the list of all checks (``_list.py``), and the channels that are probably wrong
-(``_contradictions.py``).
+(``_contradictions.py``). Sizes of the aircraft have laws of their own, numbers between limits
+(``_sizes.py``).
 """
 
 from skdgp._flight.physics._contradictions import find_contradictions
 from skdgp._flight.physics._regression import Regression, estimated_slope
+from skdgp._flight.physics._sizes import question_of_sizes, sizes_in_flight
 
-__all__ = ["Regression", "estimated_slope", "find_contradictions"]
+__all__ = [
+    "Regression",
+    "estimated_slope",
+    "find_contradictions",
+    "question_of_sizes",
+    "sizes_in_flight",
+]

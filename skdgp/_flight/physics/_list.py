@@ -168,6 +168,7 @@ def _sign_of_effect(name: str, effects: tuple[str, ...], admissible: Interval) -
     return Sign(relation=_relation_of_response(name, effects), admissible=admissible, angle=angle)
 
 
+LIFT = _relation_of_response("az", ("alpha", "q", "elevator"))
 SIDEFORCE = _relation_of_response("ay", ("beta", *LATERAL_EFFECTS))
 WEATHERCOCK = _sign_of_effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
 THRUST = Relation(
@@ -183,7 +184,7 @@ SIGNS = (
     _sign_of_vane("alpha", "the normal ground velocity less a wind"),
     _sign_of_accelerometer("ax", axis=0),
     _sign_of_accelerometer("ay", axis=1),
-    _sign_of_effect("az", ("alpha", "q", "elevator"), NEGATIVE),
+    Sign(relation=LIFT, admissible=NEGATIVE, angle="alpha"),
     Sign(
         relation=replace(SIDEFORCE, uses=(*SIDEFORCE.uses, "r")),
         admissible=NEGATIVE,

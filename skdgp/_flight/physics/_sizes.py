@@ -1,0 +1,214 @@
+"""Laws of sizes: numbers that every aeroplane has within limits, and the question where one is outside.
+
+Errors over the spread of a coefficient are blind to the scale of mass, lengths and airspeed; numbers
+without units show it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from skdgp._compute.findings import Code, Finding
+from skdgp._flight.frames import SEA_LEVEL_DENSITY
+from skdgp._flight.physics._list import CHANNELS, LIFT
+from skdgp._flight.physics._settings import PHYSICS
+from skdgp._flight.physics._signals import signals_of
+from skdgp._flight.sensor_position import at_centre_of_gravity
+from skdgp._flight.tables import FlightTable
+
+#: Sizes of an aircraft and medians of its flights [SI], and coefficients and derivatives, by name
+Sizes: TypeAlias = Mapping[str, float]
+#: Standard deviations outside of its limits by which a derivative contradicts a law
+LEAST_T = 2.0
+#: Sizes in other units that a question asks for
+MOST_ASKED = 3
+
+
+class Law(NamedTuple):
+    """A number without unit of sizes and derivatives, and its limits."""
+
+    text: str
+    value: Callable[[Sizes], float]
+    least: float
+    most: float
+    #: Aircraft at the limits
+    source: str
+    #: Coefficient or derivative whose relative standard deviation the number has
+    uncertain: str = ""
+
+
+def usual_lift_slope(sizes: Sizes) -> float:
+    """Return CL_alpha of a wing of the aspect ratio A, 2 pi A / (2 + sqrt(4 + A^2)) (Helmbold 1942)."""
+    ratio = _aspect_ratio(sizes)
+    return 2 * np.pi * ratio / (2 + np.sqrt(4 + ratio**2))
+
+
+def _aspect_ratio(sizes: Sizes) -> float:
+    return sizes["span"] ** 2 / sizes["wing_area"]
+
+
+def _area_ratio(sizes: Sizes) -> float:
+    return sizes["span"] * sizes["chord"] / sizes["wing_area"]
+
+
+def _relative_density(sizes: Sizes) -> float:
+    density = sizes.get("density", SEA_LEVEL_DENSITY)
+    return 2 * sizes["mass"] / (density * sizes["wing_area"] * sizes["chord"])
+
+
+def _radius(moment: str) -> Callable[[Sizes], float]:
+    """Return the function of a radius of gyration over the span."""
+    return lambda sizes: np.sqrt(sizes[moment] / sizes["mass"]) / sizes["span"]
+
+
+def _size_of(name: str) -> Callable[[Sizes], float]:
+    return lambda sizes: abs(sizes[name])
+
+
+def _over_lift_slope(name: str) -> Callable[[Sizes], float]:
+    return lambda sizes: abs(sizes[name]) / usual_lift_slope(sizes)
+
+
+# Of ten jets (Heffley & Jewell 1972, NASA CR-2144), two small UAVs (Beard & McLain 2012), light
+# aircraft and gliders (Raymer, Aircraft Design), with a third of room or more
+LAWS = (
+    Law("aspect ratio", _aspect_ratio, 0.7, 55.0, "X-24B 1.1, eta 51"),
+    Law("span times chord over wing area", _area_ratio, 0.6, 2.2, "rectangle 1, triangle 1.33"),
+    Law("relative density 2 m / (rho S c)", _relative_density, 1.0, 3000.0,
+        "Gossamer Albatross 2.4, X-15 at altitude 2000"),
+    Law("radius of gyration in roll over span", _radius("Ixx"), 0.05, 0.35, "F-104 0.12, flying wings 0.19"),
+    Law("radius of gyration in pitch over span", _radius("Iyy"), 0.03, 0.85, "eta 0.05, X-15 0.58"),
+    Law("radius of gyration in yaw over span", _radius("Izz"), 0.08, 0.9, "gliders 0.13, X-15 0.58"),
+    Law("lift coefficient at the median of the flights", _size_of("CL"), 0.03, 2.5,
+        "F-104 at sea level 0.07, flaps 2.2", "CL"),
+    Law("CL_alpha over that of a wing of this aspect ratio", _over_lift_slope("CZ_alpha"), 0.4, 2.0,
+        "Aerosonde 0.63, JetStar at Mach 0.75 1.5", "CZ_alpha"),
+    Law("Cl_p over CL_alpha of a wing of this aspect ratio", _over_lift_slope("Cl_p"), 0.02, 0.3,
+        "0.06 to 0.11", "Cl_p"),
+    Law("Cm_q", _size_of("Cm_q"), 0.1, 150.0, "Skywalker X8 1.3, Aerosonde 38", "Cm_q"),
+    Law("Cn_r", _size_of("Cn_r"), 0.0, 3.0, "Zagi 0.004, X-15 1.0", "Cn_r"),
+)  # fmt: skip
+
+# Powers of mass and span in the sizes that are estimated by them
+ESTIMATES = {
+    "mass": dict.fromkeys(("Ixx", "Iyy", "Izz"), 1.0),
+    "span": {"chord": 1.0, "wing_area": 2.0, **dict.fromkeys(("Ixx", "Iyy", "Izz"), 2.0)},
+}
+# Powers of sizes in the coefficients that follow from a log
+OF_LOAD = {"mass": 1.0, "wing_area": -1.0, "airspeed": -2.0}
+POWERS = {
+    "CL": OF_LOAD,
+    "CZ_alpha": OF_LOAD,
+    "Cl_p": {"Ixx": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
+    "Cm_q": {"Iyy": 1.0, "wing_area": -1.0, "chord": -2.0, "airspeed": -1.0},
+    "Cn_r": {"Izz": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
+}
+FOOT = 0.3048
+OF_LENGTHS = {"ft": FOOT, "cm": 0.01, "mm": 0.001, "in": FOOT / 12}
+# Other units of sizes, in the SI unit
+UNITS = {
+    "mass": {"lb": 0.45359237, "g": 0.001},
+    "span": OF_LENGTHS,
+    "chord": OF_LENGTHS,
+    "wing_area": {"ft^2": FOOT**2, "dm^2": 0.01, "cm^2": 1e-4},
+    "airspeed": {"kt": 1852 / 3600, "ft/s": FOOT, "km/h": 1 / 3.6},
+}
+
+
+def question_of_sizes(
+    sizes: Sizes, stds: Mapping[str, float], estimated: Collection[str] = ()
+) -> Finding | None:
+    """Return the finding of numbers that break a law, None if all hold.
+
+    It asks for each size that would keep all laws in another unit. Sizes that were ``estimated``
+    follow mass and span.
+    """
+    broken = _broken(sizes, stds)
+    if not broken:
+        return None
+    values = {law.text: [law.value(sizes), law.least, law.most] for law in broken}
+    given = [name for name in UNITS if name in sizes and name not in estimated]
+    plausible = []
+    for name in given:
+        for unit, factor in UNITS[name].items():
+            changed = _in_other_unit(sizes, name, factor, estimated)
+            if not _broken(changed, stds):
+                plausible.append((_distance_from_usual(changed), name, factor, unit))
+    asked = []
+    for _, name, factor, unit in sorted(plausible)[:MOST_ASKED]:
+        asked.append([name, factor * sizes[name], sizes[name], unit])
+    if not asked:
+        asked = [[name, sizes[name], sizes[name], ""] for name in given]
+    return Finding(Code.SIZES_QUESTIONED, numbers={"laws": values, "asked": asked})
+
+
+def _distance_from_usual(sizes: Sizes) -> float:
+    """Return the mean distance of numbers from the middle of their limits, in logarithms."""
+    distances = []
+    for law in LAWS:
+        with suppress(KeyError):
+            middle = np.sqrt(max(law.least, 1e-3) * law.most)
+            distances.append(abs(np.log(law.value(sizes) / middle)))
+    return float(np.mean(distances))
+
+
+def _broken(sizes: Sizes, stds: Mapping[str, float]) -> list[Law]:
+    """Return the laws whose numbers are surely outside of their limits."""
+    broken = []
+    for law in LAWS:
+        with suppress(KeyError):
+            value = law.value(sizes)
+            relative = LEAST_T * stds.get(law.uncertain, 0.0)
+            margin = relative * value / max(abs(sizes.get(law.uncertain, 1.0)), 1e-12)
+            if value - margin > law.most or value + margin < law.least:
+                broken.append(law)
+    return broken
+
+
+def _in_other_unit(
+    sizes: Sizes, name: str, factor: float, estimated: Collection[str]
+) -> dict[str, float]:
+    """Return the sizes with one in another unit, and the numbers that follow from it."""
+    powers = {name: 1.0}
+    for follower, power in ESTIMATES.get(name, {}).items():
+        if follower in estimated:
+            powers[follower] = power
+    changed = {}
+    for quantity, value in sizes.items():
+        power = powers.get(quantity, 0.0)
+        for size, of_size in POWERS.get(quantity, {}).items():
+            power += of_size * powers.get(size, 0.0)
+        changed[quantity] = value * factor**power
+    return changed
+
+
+def sizes_in_flight(
+    flights: FlightTable, mass: float, wing_area: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return median airspeed, density and CL of flights, and CZ_alpha by their vane, with standard deviations."""
+    measured = FlightTable.of(at_centre_of_gravity(flights.table))
+    signals = signals_of(measured, CHANNELS)
+    numbers: dict[str, float] = {}
+    stds: dict[str, float] = {}
+    if "airspeed" not in signals:
+        return numbers, stds
+    density = SEA_LEVEL_DENSITY
+    if "density" in flights.table:
+        density = float(np.nanmedian(measured.column("density")))
+    numbers |= {"airspeed": float(np.nanmedian(signals["airspeed"])), "density": density}
+    if "az" in signals:
+        loads = -2 * mass * signals["az"] / (density * wing_area * signals["airspeed"] ** 2)
+        numbers["CL"] = float(np.nanmedian(loads))
+    slope = LIFT.slopes(signals).get(0.0)
+    if slope is not None and slope.n_effective >= PHYSICS.least_samples:
+        scale = 2 * mass / (density * wing_area)
+        # noise of the vane attenuates the slope; the reverse regression bounds it (Frisch 1934)
+        largest = slope.value / slope.correlation**2
+        numbers["CZ_alpha"] = scale * (slope.value + largest) / 2
+        bounds = abs(largest - slope.value) / 2
+        stds["CZ_alpha"] = scale * (slope.std + bounds / LEAST_T)
+    return numbers, stds

@@ -323,12 +323,12 @@ def export(run: Run) -> None:
     jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives its full deflections
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi
 
-    With --max-kb the model gets fewer basis functions; the loss is printed in standard deviations
-    of the posterior. All files are written into DIR, or none.
+    All files are written into DIR, or none. A model of sparse inference with fewer inducing inputs is smaller:
+    identify --inference sparse --inducing 50.
 
     For example:
       skdgp export results/model.joblib --to portable -o portable
-      skdgp export results/model.joblib --to c --max-kb 256 -o flight_code
+      skdgp export results/model.joblib --to c -o flight_code
       skdgp export results/model.joblib --to jsbsim --full elevator=0.42 aileron=0.42 rudder=0.35 -o jsbsim
     """
     options = run.options
@@ -340,7 +340,7 @@ def export(run: Run) -> None:
     writers: dict[str, Writer] = {}
     sizes = {}
     with tempfile.TemporaryDirectory() as temporary:
-        facts = export_model(temporary, model, options.to, max_kb=options.max_kb, full=full)
+        facts = export_model(temporary, model, options.to, full=full)
         for file in facts["files"]:
             name = str(Path(file).relative_to(temporary))
             writers[name] = partial(shutil.copyfile, file)
@@ -351,15 +351,12 @@ def export(run: Run) -> None:
 
 
 def _export_text(folder: str, numbers: Mapping[str, Any]) -> str:
-    """Return the files with their sizes, and the loss of a model of fewer basis functions."""
+    """Return the files with their sizes."""
     lines = []
     for name, size in numbers["files"].items():
         lines.append(f"{size / 1024:>9.1f} kB  {Path(folder, name)}")
     if numbers["to"] == "c":
-        lines.append(f"{numbers['size'] / 1024:>9.1f} kB  compiled, at most: the size of --max-kb")
-    if numbers.get("loss"):
-        loss = pd.DataFrame.from_dict(numbers["loss"], orient="index")
-        lines += ["", "loss, root mean square, in posterior deviations", _table(loss)]
+        lines.append(f"{numbers['size'] / 1024:>9.1f} kB  compiled, at most")
     return "\n".join(lines)
 
 
@@ -448,11 +445,6 @@ COMMANDS: opt.Commands = {
             **opt.shared("model", "--aircraft"),
             **opt.shared("--output", required=True),
             "--to": {"choices": list(FORMATS), "required": True, "help": "the format"},
-            "--max-kb": {
-                "metavar": "KB",
-                "type": opt.positive("kB"),
-                "help": "largest size of the code, or of the portable form (default: whole model)",
-            },
             **opt.shared(
                 "--full",
                 help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "

@@ -10,7 +10,6 @@ from string import Template
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from sklearn.utils import gen_batches
 
 from skdgp._compute.files import text_writer, write_together
@@ -24,8 +23,6 @@ class CSettings:
 
     # Of the self-test, relative to the largest value; of deviations at least PortableModel.rounding
     tolerance: float = 1e-9
-    # Allowed above the stated loss of a reduced model, in posterior standard deviations
-    loss_tolerance: float = 1e-6
     # Vectors of the model's own values
     vectors: int = 40
     # Numbers in a line
@@ -56,8 +53,7 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     ``aero_predict`` gives mean and standard deviation, ``aero_gradient`` the slopes of the mean,
     ``aero_inputs`` the regressors of flight data; ``aero_limits`` holds the range of the training
     data. ``make test`` compares them with values of the pipeline that the model holds
-    (``model.reference``). :func:`export_model` with ``max_kb`` writes a smaller form, which is
-    compared with the smaller model, and with the pipeline within the stated loss.
+    (``model.reference``).
 
     Parameters
     ----------
@@ -193,16 +189,9 @@ def _parts(model: PortableModel) -> list[str]:
 
 
 def _test(model: PortableModel) -> dict[str, Any]:
-    """Return the self-test: values of the pipeline; of a reduced model its own, and the pipeline's."""
-    losses = model.provenance.get("reduction", {})
-    if model.reference is None:
-        rows = np.linspace(0, len(model.samples) - 1, SETTINGS.vectors).astype(int)
-        X = model.samples[rows]
-    else:
-        X = model.reference.regressors
-    own = Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
-    pipeline = model.reference or own
-    expected = own if losses else pipeline
+    """Return the self-test: values of the pipeline, or of a model without these its own."""
+    expected = model.reference or _own_reference(model)
+    X = expected.regressors
     slopes = model.predict_gradient(X)
     size = np.abs(slopes * model.scale).max(axis=(0, 2))[:, None] / model.scale
     tables = {
@@ -213,26 +202,20 @@ def _test(model: PortableModel) -> dict[str, Any]:
         "mean_size": np.abs(expected.mean).max(axis=0),
         "std_size": np.maximum(expected.std.max(axis=0), model.rounding(X) / SETTINGS.tolerance),
         "slope_size": np.where(size > 0, size, 1.0),
-        "pipeline_mean": pipeline.mean,
-        "pipeline_std": pipeline.std,
-        "allowed": _allowed(model, losses),
     }
-    source = "the pipeline" if model.reference else "the portable model"
     return {
         "n": len(X),
         "tolerance": SETTINGS.tolerance,
-        "reduced": int(bool(losses)),
-        "source": "the reduced model" if losses else source,
+        "source": "the pipeline" if model.reference else "the portable model",
         "tables": "\n".join(_array(name, values) for name, values in tables.items()),
     }
 
 
-def _allowed(model: PortableModel, losses: dict[str, dict[str, float]]) -> Array:
-    """Return the changes of mean and deviation that the stated loss allows, (2, P) in standard deviations."""
-    if not losses:
-        return np.zeros((2, len(model.outputs)))
-    stated = pd.DataFrame(losses)[list(model.outputs)]
-    return stated.loc[["mean", "std"]].to_numpy() + SETTINGS.loss_tolerance
+def _own_reference(model: PortableModel) -> Reference:
+    """Return predictions of the model at some of its samples."""
+    rows = np.linspace(0, len(model.samples) - 1, SETTINGS.vectors).astype(int)
+    X = model.samples[rows]
+    return Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
 
 
 def _formulas(model: PortableModel) -> list[str]:

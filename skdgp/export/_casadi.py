@@ -17,8 +17,8 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
 
     The function is named ``aero``. The regressors are in their units, in the order of
     ``model.regressor_names``. The Jacobian is the mean's. The function can be differentiated
-    further, also the deviation, and be saved with its method ``save``. A reduced model
-    (``export_model`` with ``max_kb``) is faster. Raises ImportError if CasADi is not installed.
+    further, also the deviation, and be saved with its method ``save``. Raises ImportError if CasADi is
+    not installed.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""All formats of an export, and the choice of a size."""
+"""All formats of an export."""
 
 from __future__ import annotations
 
@@ -11,14 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from sklearn.utils import Bunch
 
-from skdgp._flight.checks import check_number
 from skdgp.export._c import c_bytes, write_c
 from skdgp.export._casadi import write_casadi
 from skdgp.export._file import file_bytes, save_portable
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
-from skdgp.export._reduce import reduced
 
 
 class Format(NamedTuple):
@@ -49,7 +47,6 @@ def export_model(
     model: Bunch | PortableModel,
     to: str,
     *,
-    max_kb: float | None = None,
     full: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its facts.
@@ -64,18 +61,13 @@ def export_model(
         What :func:`skdgp.identification.load_model` or :func:`load_portable` returns.
     to : str
         Name of the format.
-    max_kb : float, optional
-        Largest size [kB], of the flash memory for C, else of the portable file: the
-        model gets fewer basis functions. Default: the whole model.
     full : mapping of str to float, optional
         For JSBSim: see :func:`write_jsbsim`.
 
     Returns
     -------
     dict
-        ``files``, paths; ``size``, the bytes that ``max_kb`` limits; and ``loss`` by a smaller size
-        of each coefficient: root mean square changes of "mean" and "std", in posterior standard
-        deviations.
+        ``files``, paths; ``size``, bytes of the flash memory for C, else of the portable file.
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
@@ -87,16 +79,10 @@ def export_model(
             )
         write = partial(write_jsbsim, full=full)
     portable = portable_model(**model) if isinstance(model, Bunch) else model
-    if max_kb is not None:
-        check_number("max_kb", max_kb, unit="kB")
-        portable = reduced(portable, size, int(1024 * max_kb))
     if (bytes_needed := size(portable)) > most:
         raise ValueError(
             f"Got a model of {bytes_needed / 1e6:.0f} MB, but expected at most {most / 1e6:.0f} MB for the "
-            f"format {to}: give max_kb=256 (--max-kb 256), or another size."
+            f"format {to}: learn with sparse inference of fewer inducing inputs, inference='sparse' and n_inducing "
+            "(identify --inference sparse --inducing 50)."
         )
-    return {
-        "files": write(Path(folder), portable),
-        "size": bytes_needed,
-        "loss": portable.provenance.get("reduction", {}),
-    }
+    return {"files": write(Path(folder), portable), "size": bytes_needed}

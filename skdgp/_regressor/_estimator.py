@@ -716,8 +716,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         _check_number("paths", n_paths)
+        return self._paths(self.posterior_.paths(n_paths, random_state), n_paths)
+
+    def mean_path(self) -> Paths:
+        """Return the mean as a single path, see `sample_paths`: a simulation evaluates it at one point at a time."""
+        check_is_fitted(self)
+        return self._paths(self.posterior_.mean_function.rounded(), 1)
+
+    def _paths(self, bundle, n_paths):
+        """Return functions of the posterior in units of the outputs."""
         return Paths(
-            self.posterior_.paths(n_paths, random_state),
+            bundle,
             n_paths,
             self.n_features_in_,
             self.center_,

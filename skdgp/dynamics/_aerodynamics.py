@@ -253,11 +253,8 @@ class PosteriorRegressor(Protocol):
     drift_variance_: Array
     drift_memory_: Array
 
-    def predict(self, X: Any) -> Array:
-        """Return the outputs at X (n, d)."""
-
-    def predict_gradient(self, X: Any, spread: Any = None) -> Array:
-        """Return the slopes (n, P, d), or their expectations over a perturbation with deviations (d,)."""
+    def mean_path(self) -> Any:
+        """Return the mean as a function, the only one of sample paths."""
 
     def sample_paths(self, n_paths: int, random_state: Any) -> Any:
         """Return functions drawn from the posterior."""
@@ -342,9 +339,11 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     )
     if coefficients.others or not isinstance(coefficients.regressor, PosteriorRegressor):
         return aerodynamics
+    function, slopes = coefficients.mean_function()
     return replace(
         aerodynamics,
-        slopes=coefficients.slopes,
+        function=function,
+        slopes=slopes,
         sampler=coefficients.sample,
         drift=coefficients.drift(),
         learned=coefficients,
@@ -438,12 +437,15 @@ class Coefficients:
     def averaged(self, perturbation: Array) -> tuple[Callable, Callable]:
         """Return the slopes of the mean and the sampler, with slopes over a perturbation (d,)."""
         spread = perturbation / np.abs(self.scale)
-        return partial(self.slopes, spread=spread), partial(self.sample, spread=spread)
+        return self.mean_function(spread)[1], partial(self.sample, spread=spread)
 
-    def slopes(self, X: Array, spread: Array | None = None) -> Array:
-        """Return the slopes (n, 6, d) of the mean, over a perturbation of the inputs of the regressor (d,)."""
-        slopes = self.regressor.predict_gradient(self.scaled(X), spread)
-        return slopes[:, self.order] / self.scale
+    def mean_function(self, spread: Array | None = None) -> tuple[Callable, Callable]:
+        """Return the mean (n, 6), and its slopes (n, 6, d) over a perturbation of the inputs of the regressor (d,).
+
+        They are functions of regressors (n, d).
+        """
+        values, slopes = self._functions(self.regressor.mean_path(), spread)
+        return lambda X: values(X[None])[0], lambda X: slopes(X[None])[0]
 
     def sample(
         self, n_paths: int, random_state: Any, spread: Array | None = None
@@ -453,17 +455,18 @@ class Coefficients:
         Then both as simulations evaluate them, whose errors are far below those of the integration.
         """
         paths = self.regressor.sample_paths(n_paths, random_state)
+        return *self._functions(paths, spread), *self._functions(paths.rounded(), spread)
 
-        def functions(paths: Any) -> tuple[Callable, Callable]:
-            def values(X: Array) -> Array:
-                return paths.each(self.scaled(X))[..., self.order]
+    def _functions(self, paths: Any, spread: Array | None) -> tuple[Callable, Callable]:
+        """Return values and slopes of functions of the posterior, at regressors (n_paths, n, d)."""
 
-            def slopes(X: Array) -> Array:
-                return paths.gradient(self.scaled(X), spread)[..., self.order, :] / self.scale
+        def values(X: Array) -> Array:
+            return paths.each(self.scaled(X))[..., self.order]
 
-            return values, slopes
+        def slopes(X: Array) -> Array:
+            return paths.gradient(self.scaled(X), spread)[..., self.order, :] / self.scale
 
-        return *functions(paths), *functions(paths.rounded())
+        return values, slopes
 
     def expected_errors(self, added: Array) -> Any:
         """Return the errors that are expected of a fit to further rows (k, d) too."""

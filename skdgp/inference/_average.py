@@ -22,7 +22,6 @@ from scipy.special import softmax
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
@@ -148,10 +147,6 @@ class AveragePosterior(Posterior):
 
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        if len(Xs) == 1 and not return_variance:
-            # a step of a simulation
-            with one_blas_thread():
-                return self.mean_function.each(np.asarray(Xs)[None])[0]
         predictions = [member.predict(Xs, return_variance) for member in self.members]
         combined = mixture_moments if return_variance else mixture_mean
         return combined(self.mixture, predictions)

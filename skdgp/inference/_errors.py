@@ -191,6 +191,11 @@ class PosteriorWithErrors(Posterior):
         """The weights of the components, (K, P)."""
         return self.posterior.mixture
 
+    @property
+    def mean_function(self) -> PathBundle:
+        """The mean, as a single path."""
+        return self.posterior.mean_function
+
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         if not return_variance:

@@ -69,6 +69,11 @@ class Posterior(ABC):
     members: Sequence[SinglePosterior]
     mixture: Matrix
 
+    @property
+    @abstractmethod
+    def mean_function(self) -> PathBundle:
+        """The mean, as a single path."""
+
     @abstractmethod
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
@@ -141,11 +146,6 @@ class SinglePosterior(Posterior):
     @abstractmethod
     def explained(self, i: int, A: Matrix) -> Array:
         """Return the variance that the data explain of functions with the loadings A (n, c), (n,)."""
-
-    @property
-    @abstractmethod
-    def mean_function(self) -> PathBundle:
-        """The mean, as a single path."""
 
     @few_threads
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:

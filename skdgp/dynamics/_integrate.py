@@ -54,8 +54,11 @@ STAGE_LIMIT = 1e9
 
 @dataclass(frozen=True)
 class TangentSettings:
-    """Settings of steps with one evaluation of the paths."""
+    """Settings of steps whose stages have a tangent of the paths."""
 
+    # Steps from one evaluation of the paths to the next, and the longest time between them [s]
+    steps: int = 2
+    evaluation: float = 0.04
     # Time for which slopes are kept [s]: errors of the states are then at most four times those of Runge
     # and Kutta at steps of 0.02 s, and 2 % of the spread of the paths of the example aircraft
     interval: float = 0.2
@@ -110,16 +113,17 @@ class Integrator:
     Parameters as for `fly_record`. A step has three stages: its beginning, its middle and its end,
     which is the beginning of the next step.
 
-    Paths are evaluated once a step, as they take most of the time. The stages have their tangent at
-    the beginning,
+    Paths are evaluated once in some steps, as they take most of the time. The stages of these steps have
+    their tangent at the beginning,
 
     .. math:: C(x) = C_0 + J (x - x_0),
 
     and at the last stage, :math:`x_1`, its error :math:`e = C(x_1) - C_0 - J (x_1 - x_0)` is known.
     With B the derivative of d state / dt by the coefficients, and :math:`\bar e` the mean of the
-    errors over the step (`Tangent.mean_error`), the state at its end is corrected by
-    :math:`h B \bar e`. The next tangent begins at :math:`x_1`. Its slopes J are kept for some
-    steps, as their error is in e. Where a control jumps, all stages evaluate the paths.
+    errors over these steps of h seconds in all (`Tangent.mean_error`), the state at their end is
+    corrected by :math:`h B \bar e`. The next tangent begins at :math:`x_1`. Its slopes J are kept for
+    some evaluations, as their error is in e; an error in proportion to time, as large as the last one,
+    is expected, and counts in the stages. Where a control jumps, all stages evaluate the paths.
     """
 
     def __init__(
@@ -139,9 +143,13 @@ class Integrator:
         self.servos = motion.aerodynamics.servos
         self._surfaces = motion.surfaces
         self.tangents = tangents
-        # Steps for which slopes are kept; if only for one they save nothing
-        self._renewal = min(clock.n_steps, round(tangents.interval / clock.dt))
-        self._has_tangents = motion.aerodynamics.has_path_slopes and self._renewal > 1
+        # Steps from one evaluation to the next; evaluations for which slopes are kept
+        fitting = min(tangents.steps, clock.n_steps, round(tangents.evaluation / clock.dt))
+        self._stride = max(1, fitting)
+        n_kept = min(clock.n_steps, round(tangents.interval / clock.dt))
+        self._renewal = n_kept // self._stride
+        # slopes that are kept for one step save nothing
+        self._has_tangents = motion.aerodynamics.has_path_slopes and n_kept > 1
 
     def begin(self, step: int, last: End) -> Moment:
         """Return what happens at the beginning of a step, with what the ``last`` one reached."""
@@ -151,8 +159,9 @@ class Integrator:
         servos = last.servos or self.servos.at_rest(self._of_surfaces(commands))
         controls, _ = self._deflected(servos, commands, commands, 0.0)
         drift = self._drift(stage)
-        now = self.motion.at(state, controls, air, last.implicit, drift, tangent=last.tangent)
         tangent = last.tangent
+        grown = None if tangent is None else self._grown(tangent, 0.0)
+        now = self.motion.at(state, controls, air, last.implicit, drift, tangent=grown)
         if self._has_tangents and tangent is None:
             tangent = self._tangent(now.regressors, now.coefficients - drift)
         wind = None if air is None else air.velocity(state[..., ATTITUDE])
@@ -187,7 +196,14 @@ class Integrator:
         controls, _ = self._deflected(begin.servos, begin.commands, commands, t)
         guess = begin.now.implicit
         drift = self._drift(stage)
-        return self.motion.at(state, controls, air, guess, drift, tangent=begin.tangent)
+        tangent = begin.tangent
+        if tangent is not None:
+            tangent = self._grown(tangent, t / self.dt)
+        return self.motion.at(state, controls, air, guess, drift, tangent=tangent)
+
+    def _grown(self, tangent: Tangent, fraction: float) -> Tangent:
+        """Return a tangent with the error that is expected after a fraction of a step."""
+        return tangent.grown((tangent.steps + fraction) / self._stride)
 
     def _deflected(
         self, servos: ServoState, first: Mapping, commands: Mapping, elapsed: float
@@ -202,18 +218,22 @@ class Integrator:
     def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
         return {name: commands[name] for name in self._surfaces & commands.keys()}
 
-    def _corrected(self, stages: list[Instant], tangent: Tangent) -> tuple[Array, Tangent]:
+    def _corrected(self, stages: list[Instant], tangent: Tangent) -> tuple[Array | float, Tangent]:
         """Return the change of the states by the errors of the tangent in a step, and the next tangent."""
         *_, middle, last = (stage.regressors for stage in stages)
-        coefficients = self.motion.evaluated(last)
         distance = last - tangent.regressors
-        if tangent.is_far(distance):
+        is_far = tangent.is_far(distance)
+        if not is_far and tangent.steps + 1 < self._stride:
+            return 0.0, tangent._replace(steps=tangent.steps + 1)
+        coefficients = self.motion.evaluated(last)
+        if is_far:
             # Simpson's rule; the error is zero at the beginning, and at the end, without a tangent
-            halfway = self.motion.evaluated(middle) - tangent(middle)
+            halfway = self.motion.evaluated(middle) - self._grown(tangent, 0.5)(middle)
             change = self.dt * self.motion.response(stages[-1], (2.0 / 3.0) * halfway)
             return change, self._tangent(last, coefficients)
         error = coefficients - tangent.linear(distance)
-        change = self.dt * self.motion.response(stages[-1], tangent.mean_error(error))
+        unexpected = self._stride * (tangent.mean_error(error) - 0.5 * tangent.error)
+        change = self.dt * self.motion.response(stages[-1], unexpected)
         if tangent.age + 1 >= self._renewal:
             return change, self._tangent(last, coefficients)
         return change, tangent.moved(last, coefficients, error)

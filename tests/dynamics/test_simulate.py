@@ -494,7 +494,7 @@ class TestEnsembles:
         model = Aerodynamics(curved, glider.names, sampler=lambda n_paths, random_state: one)
         errors = []
         truth = solved(aircraft, curved, inputs, 2.0)
-        for dt in (0.04, 0.02):
+        for dt in (0.02, 0.01):
             t = np.arange(0.0, 2.0 + dt / 2, dt)
             paths = fly(model, START, pd.DataFrame({"time": t, **inputs(t)}), dt=dt, n_paths=2)
             end = paths[paths["path"] == 1].iloc[-1]

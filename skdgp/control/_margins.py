@@ -21,7 +21,7 @@ from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
-from skdgp.dynamics import UNUSED, LinearModel, SpectrumSettings, frequency_response, transfer
+from skdgp.dynamics import UNUSED, LinearModel, frequency_response, transfer
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,6 @@ class MarginSettings:
     gain: float = 6.0
     phase: float = 45.0
     sensitivity: float = 2.0
-    #: Shortest windows [s] of the spectra of a flight, for short logs
-    least_window: float = 1.0
     #: Largest factor of suggested gains [dB], up or down, and the two steps of the search
     largest_factor: float = 26.0
     steps: tuple[float, float] = (2.0, 0.25)
@@ -515,8 +513,7 @@ class _Excitation(NamedTuple):
         is_still = constant_columns(table[inputs].to_numpy(dtype=float))
         moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
         rates = [LOOP_AXES[loop.name][0] for loop in loops]
-        spectra = SpectrumSettings(least_window=settings.least_window)
-        responses = frequency_response(flight, moved, rates, settings=spectra)
+        responses = frequency_response(flight, moved, rates)
         bands = {}
         for loop, rate in zip(loops, rates, strict=True):
             bands[loop.name] = (np.array([1.0]), np.array([False]))

@@ -36,7 +36,7 @@ from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import gust_stream as gust_stream
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
-from skdgp.dynamics._frequency import SpectrumSettings, frequency_response
+from skdgp.dynamics._frequency import frequency_response
 from skdgp.dynamics._ground import Ground as Ground
 from skdgp.dynamics._ground import contact_points as contact_points
 from skdgp.dynamics._inputs import FlightComputer
@@ -122,7 +122,6 @@ __all__ = [
     "Servos",
     "SimulationWarning",
     "Simulator",
-    "SpectrumSettings",
     "ThrustLine",
     "Trim",
     "Turbulence",

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import butter, lfilter, lsim
 
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import SpectrumSettings, frequency_response, linearize, trim
+from skdgp.dynamics import frequency_response, linearize, trim
 from skdgp.preprocessing import ElevonSplitter
 
 STATES = ["v", "phi", "p", "r"]
@@ -96,15 +96,21 @@ def test_errors_are_as_large_as_stated(linear):
 def test_errors_grow_with_what_the_inputs_do_not_explain(linear):
     """As (1 - c) / 2 c of the coherence c (Bendat & Piersol 2010), alike in gain [dB] and phase [deg]."""
     found = frequency_response(flown(linear, 0), ["aileron", "rudder"], ["p", "r", "ay"])
-    found = found[(found["coherence"] > 0.05) & np.isfinite(found["phase_std"])]
+    found = found[(found["coherence"] > 0.05) & (found["coherence"] < 0.9999)]
     error = np.deg2rad(found["phase_std"])
     assert_allclose(found["gain_std"], 20 * error / np.log(10), rtol=1e-9)
     coherence = found["coherence"]
-    averaged = error**2 * 2 * coherence / (1 - coherence)
+    n_averages = (1 - coherence) / (2 * coherence * error**2)
     assert coherence.min() < 0.5
-    of_outputs = averaged.groupby(["input", "frequency"])
-    assert (of_outputs.count() > 1).sum() > 10
-    assert_allclose(of_outputs.transform("min"), averaged, rtol=1e-6)
+    of_frequency = n_averages.groupby("frequency")
+    assert_allclose(of_frequency.transform("min"), n_averages, rtol=1e-6)
+    assert n_averages.xs("p").xs("aileron").loc[:20.0].is_monotonic_increasing  # wider bands
+
+
+def test_a_linear_model_without_the_outputs_is_refused(linear):
+    flight = flown(linear, 0).assign(y=np.random.default_rng(0).normal(size=6000))
+    with pytest.raises(ValueError, match="outputs of the linear model lack 'y'"):
+        frequency_response(flight, ["aileron"], ["y"], linear=linear)
 
 
 DECAY = np.exp(-10.0 * STEP)
@@ -144,8 +150,7 @@ def test_gusts_that_an_autopilot_feeds_back_are_no_excitation():
     found = frequency_response(flight, ["aileron"], ["p"]).loc[("p", "aileron")]
     z = np.exp(1j * STEP * found.index.to_numpy(float))
     error = (found["gain"] - 20 * np.log10(np.abs((1 - DECAY) * 6.0 / (z - DECAY)))).abs()
-    far = error.loc[30.0:]
-    assert far.min() > 5.0
+    assert error.loc[30.0:].min() > 5.0
     assert found.loc[30.0:, "coherence"].min() > 0.6
     assert not found.loc[30.0:, "excited"].any()
     assert found["excited"].sum() >= 10
@@ -153,7 +158,7 @@ def test_gusts_that_an_autopilot_feeds_back_are_no_excitation():
 
 
 @pytest.mark.slow
-def test_of_the_example_flights_errors_are_as_large_as_stated():
+def test_of_the_example_flights():
     """Their autopilot feeds back what gusts do. The multisine of the aileron ends at 2 Hz."""
     flights = load_example_flights()
     log = ElevonSplitter().fit_transform(flights.train)
@@ -163,14 +168,12 @@ def test_of_the_example_flights_errors_are_as_large_as_stated():
     true = linearize(flights.truth, flights.aircraft, steady)
     inputs = ["elevator", "aileron", "rudder"]
     found = frequency_response(log, inputs, ["p", "q", "r"], linear=true)
-    own = [("p", "aileron"), ("q", "elevator"), ("r", "rudder")]
-    sure = pd.concat({pair: found.loc[pair] for pair in own}).query("excited")
-    gain, phase = errors(sure)
-    scores = np.abs(np.concatenate([gain / sure["gain_std"], phase / sure["phase_std"]]))
-    assert np.mean(scores < 1.0) > 0.5
-    assert np.mean(scores < 2.0) > 0.85
-    excited = sure.loc[("p", "aileron")].index
-    assert 10.0 < excited.max() < 1.1 * 2 * np.pi * 2.0
+    for pair in (("p", "aileron"), ("q", "elevator"), ("r", "rudder")):
+        sure = found.loc[pair].query("excited")
+        gain, phase = errors(sure)
+        assert np.sqrt(np.mean(gain**2)) < 1.5
+        assert np.sqrt(np.mean(phase**2)) < 5.0
+        assert 10.0 < sure.index.max() < 1.1 * 2 * np.pi * 2.0
 
 
 @pytest.mark.parametrize("is_missing", [False, True])
@@ -199,12 +202,8 @@ class TestRefuses:
             frequency_response(flight, inputs, outputs)
 
     def test_short_records(self, linear):
-        with pytest.raises(
-            ValueError, match=r"Got records of 10.0 s, .* but expected at least 20 s"
-        ):
-            frequency_response(flown(linear, 0).iloc[:500], ["aileron"], ["p"])
-        shorter = SpectrumSettings(least_window=1.0)
-        found = frequency_response(
-            flown(linear, 0).iloc[:500], ["aileron"], ["p"], settings=shorter
-        )
-        assert len(found)
+        flight = flown(linear, 0)
+        message = r"Got records of 4.0 s, .* but expected at least 5 s"
+        with pytest.raises(ValueError, match=message):
+            frequency_response(flight.iloc[:200], ["aileron"], ["p"])
+        assert len(frequency_response(flight.iloc[:500], ["aileron"], ["p"]))

@@ -104,7 +104,8 @@ def test_errors_grow_with_what_the_inputs_do_not_explain(linear):
     assert coherence.min() < 0.5
     of_frequency = n_averages.groupby("frequency")
     assert_allclose(of_frequency.transform("min"), n_averages, rtol=1e-6)
-    assert n_averages.xs("p").xs("aileron").loc[:20.0].is_monotonic_increasing  # wider bands
+    of_pair = n_averages.xs("p").xs("aileron")
+    assert of_pair.loc[15.0:19.0].min() > 3.0 * of_pair.loc[:1.5].max()  # wider bands
 
 
 def test_a_linear_model_without_the_outputs_is_refused(linear):

@@ -139,8 +139,8 @@ def _margin_text(table: pd.DataFrame) -> str:
 def fly(run: Run) -> None:
     """Fly a model in ArduPilot's simulator, as its physics: JSON interface, UDP.
 
-    Start the simulator beside it: sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1. The aircraft begins on its
-    wheels, whose places are guessed, or with --height in the air. --full gives deflections [rad] at full output,
+    Start the simulator beside it: sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1. The aircraft begins at its
+    trim, 100 m or --height above the ground, where the flight is over. --full gives deflections [rad] at full output,
     and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv; each start of
     the simulator is a flight in it.
 
@@ -276,9 +276,9 @@ COMMANDS: opt.Commands = {
             },
             "--height": {
                 "metavar": "M",
-                "type": opt.from_zero(),
-                "default": 0.0,
-                "help": "of a start in the air [m] (default: 0, on the wheels)",
+                "type": opt.positive("m"),
+                "default": 100.0,
+                "help": "of the start above the ground [m] (default: 100)",
             },
             **opt.shared("--altitude", help="of the ground [m] (default: 0)"),
             "--wind": {

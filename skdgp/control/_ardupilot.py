@@ -32,11 +32,11 @@ from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_densit
 from skdgp._flight.servo_functions import ServoFunction, ServoRange
 from skdgp.dynamics import (
     ATTITUDE,
+    REASONS,
     VELOCITY,
     Aerodynamics,
     Aircraft,
     End,
-    Ground,
     Gusts,
     Integrator,
     LinearModel,
@@ -49,6 +49,7 @@ from skdgp.dynamics import (
     as_aerodynamics,
     channels,
     drawn_functions,
+    end_reasons,
     gust_stream,
     linearize,
     thrust_control,
@@ -93,21 +94,16 @@ RAISED = {"aileron": "p", "elevator": "q", "rudder": "r"}
 class FlySettings:
     """Settings of the simulation behind an autopilot."""
 
-    # Longest step of the integration [s]: the springs of the ground need it
-    longest_step: float = 0.0025
+    # Longest step of the integration [s]
+    longest_step: float = 0.01
     # Longest time that a packet asks for [s]: ArduPilot ignores longer ones
     longest_frame: float = 0.09
-    # Forward airspeed [m/s] that a slower one counts as in the coefficients: on the ground there is
-    # no angle of attack
-    least_airspeed: float = 1.0
     # Pulses [us] below this are none
     no_pulse: int = 500
     # Time between two rows of the table [s]
     row_step: float = 0.0199
     # Least height [m] of gusts, which vanish at the ground
     gust_height: float = 100.0
-    # Largest speed [m/s] of a flight that has not diverged
-    fastest: float = 1000.0
     # Silence [s] of an autopilot after which another one may fly
     handover: float = 1.0
 
@@ -282,7 +278,7 @@ def _effect(linear: LinearModel, control: str) -> float:
 
 
 class ModelInFlight:
-    """An aircraft with its servos, on the ground or in the air, that is advanced step by step."""
+    """An aircraft with its servos that is advanced step by step, at most to the ground."""
 
     def __init__(
         self,
@@ -296,10 +292,9 @@ class ModelInFlight:
         random_state: int,
         settings: FlySettings = FLY,
     ) -> None:
-        self.ground = Ground(aircraft, steady.altitude - height)
-        self.motion = Motion(model, aircraft, thrust=thrust, ground=self.ground)
+        self.ground = steady.altitude - height  # altitude [m]
+        self.motion = Motion(model, aircraft, thrust=thrust)
         self.steady = steady
-        self.height = height
         self.wind = None if wind is None else np.asarray(wind, dtype=float)
         self.turbulence = turbulence
         self.random_state = random_state
@@ -307,17 +302,13 @@ class ModelInFlight:
         self.start()
 
     def start(self) -> None:
-        """Put the aircraft on its wheels, heading north, or in the air at its trim."""
+        """Put the aircraft at its trim, heading north."""
         self.time = 0.0
-        state = np.zeros(13)
-        state[6] = 1.0
-        state[2] = -self.ground.rest
-        if self.height > 0:
-            state = np.array(self.steady.state, dtype=float)
-            state[2] = -self.steady.altitude
-            if self.wind is not None:
-                state[VELOCITY] += ned_to_body(state[ATTITUDE], self.wind)
-        self._end = End(state, {})
+        state = np.array(self.steady.state, dtype=float)
+        state[2] = -self.steady.altitude
+        if self.wind is not None:
+            state[VELOCITY] += ned_to_body(state[ATTITUDE], self.wind)
+        self._end = End(state)
         self._gust_step = 0.0
         self._gust_stream: Any = None
         self._gusts: Gusts | None = None  # of the present step
@@ -342,13 +333,18 @@ class ModelInFlight:
         with np.errstate(all="ignore"):  # what diverges is ended
             for k in range(n_steps):
                 self._gusts = self._next_gusts(clock.dt)
-                self._end = integrator.step(k, integrator.begin(k, self._end))
+                begin = integrator.begin(k, self._end)
+                self._end = integrator.step(k, begin)
         self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
         self._specific_force = np.divide(self._end.force, self.motion.aircraft.mass)
         self.time += duration
-        is_flying = np.isfinite(self.state).all() and np.isfinite(self._specific_force).all()
-        if not is_flying or np.abs(self.state[VELOCITY]).max() > self.settings.fastest:
-            self.ended = f"the flight diverged after {self.time:.1f} s"
+        reasons = [REASONS[reason] for reason in end_reasons(begin.state, begin.now)]
+        if not np.isfinite(self.state).all() or not np.isfinite(self._specific_force).all():
+            reasons.append(REASONS["diverged"])
+        if -self.state[2] <= self.ground:
+            reasons.append("at the ground")
+        if reasons:
+            self.ended = f"the flight ended after {self.time:.1f} s: {reasons[0]}"
 
     def _next_gusts(self, step: float) -> Gusts | None:
         """Return the gusts of a step, or None in calm air."""
@@ -362,22 +358,13 @@ class ModelInFlight:
         return next(self._gust_stream)
 
     def _air(self, stage: int, state: Vector) -> LocalAir | None:
-        """Return the air at a state; a forward airspeed below the least one counts as that."""
+        """Return the air at a state."""
         local = None if self.wind is None else LocalAir(self.wind)
         if self._gusts is not None:
             gust, gust_rate, rotation = self._gusts
             local = LocalAir(self.wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
-        forward = state[3]
-        velocity = None if local is None else local.velocity(state[ATTITUDE])
-        if velocity is not None:
-            forward = forward - ned_to_body(state[ATTITUDE], velocity)[0]
-        self._wind = velocity
-        lacking = self.settings.least_airspeed - forward
-        if lacking <= 0.0:
-            return local
-        behind = LocalAir() if local is None else local
-        gust = np.zeros(3) if behind.gust is None else behind.gust
-        return behind._replace(gust=gust - np.array([lacking, 0.0, 0.0]))
+        self._wind = None if local is None else local.velocity(state[ATTITUDE])
+        return local
 
     def channels(self) -> dict[str, float]:
         """Return the channels of the present state by name, with accelerometers and density."""
@@ -390,7 +377,7 @@ class ModelInFlight:
     def readings(self) -> str:
         """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
         values = self.channels()
-        position = [values["north"], values["east"], values["down"] + self.ground.altitude]
+        position = [values["north"], values["east"], values["down"] + self.ground]
         equivalent = values["airspeed"] * math.sqrt(values["density"] / SEA_LEVEL_DENSITY)
         facts = {
             "timestamp": self.time,
@@ -472,7 +459,7 @@ def fly(
     full: Mapping[str, float],
     *,
     parameters: Mapping[str, float] | None = None,
-    height: float = 0.0,
+    height: float = 100.0,
     path: int | None = None,
     wind: Any = None,
     gusts: Turbulence | None = None,
@@ -488,7 +475,7 @@ def fly(
     """Fly a model in ArduPilot's simulator: answer each packet of pulses with a step of the nonlinear motion.
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
-    that of ``SIM_JSON.cpp``. The aircraft has the servo lag of its model. A restart of the autopilot
+    that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot
     starts another flight; silence, ``seconds`` or Ctrl-C end it.
 
     Parameters
@@ -504,9 +491,9 @@ def fly(
         ``SERVOn_FUNCTION``, ``_MIN``, ``_TRIM``, ``_MAX``, ``_REVERSED`` of the autopilot, see
         `read_parameters`. By default servos 1 to 4 are aileron, elevator, throttle and rudder, 1100
         to 1900 us.
-    height : float, default=0.0
-        Of the start above the ground, at the trim [m]; 0: on the wheels. Places of wheels are guessed
-        from the span.
+    height : float, default=100.0
+        Of the start above the ground [m]. The flight begins at the trim and is over at the ground: an
+        aircraft that takes off and lands is that of :func:`skdgp.export.write_jsbsim`.
     path : int, optional
         Seed of one aircraft of the posterior; by default the mean flies.
     wind : array-like (3,), optional
@@ -542,7 +529,7 @@ def fly(
     UserWarning
         If other bytes come, or packets of a second autopilot, which are ignored.
     """
-    check_number("height", height, is_open=False, unit="m")
+    check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")
     if wind is not None:
         check_numbers("wind", wind, 3, unit="m/s north, east, down")

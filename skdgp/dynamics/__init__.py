@@ -37,10 +37,11 @@ from skdgp.dynamics._dryden import gust_stream as gust_stream
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
 from skdgp.dynamics._frequency import frequency_response
-from skdgp.dynamics._ground import Ground as Ground
-from skdgp.dynamics._ground import contact_points as contact_points
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._inputs import StepClock as StepClock
+from skdgp.dynamics._integrate import (
+    REASONS as REASONS,
+)
 from skdgp.dynamics._integrate import (
     End as End,
 )
@@ -55,6 +56,9 @@ from skdgp.dynamics._integrate import (
 )
 from skdgp.dynamics._integrate import (
     channels as channels,
+)
+from skdgp.dynamics._integrate import (
+    end_reasons as end_reasons,
 )
 from skdgp.dynamics._integrate import (
     fly_record as fly_record,

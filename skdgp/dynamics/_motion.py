@@ -39,7 +39,6 @@ from skdgp._flight.tables import by_name
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft, check_aircraft
-from skdgp.dynamics._ground import Ground
 from skdgp.dynamics._rigid_body import (
     ATTITUDE,
     RATES,
@@ -175,7 +174,7 @@ class Motion:
 
     The parameters are as of `skdgp.dynamics.simulate`; of the air, density and gravity count.
     With ``lagged`` the implicit regressors are the guess given to `at`, instead of the fixed
-    point. Above a ``ground`` its loads count too, at one state (13,) at a time.
+    point.
 
     Attributes
     ----------
@@ -193,12 +192,10 @@ class Motion:
         thrust: str | None = "auto",
         air: Any = None,
         lagged: bool = False,
-        ground: Ground | None = None,
         settings: FixedPointSettings = FIXED_POINT,
     ) -> None:
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
-        self.ground = ground
         self.settings = settings
         self.aircraft = check_aircraft(aircraft)
         self.thrust = thrust
@@ -306,9 +303,6 @@ class Motion:
         X = self._explicit(state, controls, flow, air)
         values = {**controls, "airspeed": flow.airspeed, "density": flow.density}
         other_loads = propulsive_loads(values, self.aircraft, self.thrust)
-        touching = None if self.ground is None else self.ground.loads(state)
-        if touching is not None:
-            other_loads = other_loads[0] + touching[0], other_loads[1] + touching[1]
 
         def loaded() -> Instant:
             C = model(X) + drift if coefficients is None else coefficients
@@ -410,7 +404,7 @@ class Motion:
     def _loaded(
         self, state: Array, X: Array, C: Array, flow: Flow, other_loads: tuple[Array, Array]
     ) -> Instant:
-        """Return what happens at coefficients (..., 6), with force and moment of engine and ground."""
+        """Return what happens at coefficients (..., 6), with force and moment of the engine."""
         force, moment = aerodynamic_loads(C, flow.airspeed, flow.density, self.aircraft)
         force += other_loads[0]
         moment += other_loads[1]

@@ -19,7 +19,8 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_full_deflection
-from skdgp.dynamics import Aircraft, Propeller, contact_points
+from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp.dynamics import Aircraft, Propeller
 from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
 
@@ -63,6 +64,22 @@ SOURCES = {
     "aileron": ("fcs/left-aileron-pos-rad", 1.0),
     "rudder": ("fcs/rudder-pos-rad", 1.0),
 }
+# Wheels, and ends of the body: name, place in spans (x forward, y right, z down from the centre of gravity),
+# fraction of the weight and compression at rest [m], friction across and along; guesses, and tyres on a dry
+# runway (Raymer 2018, table 17.1). A nose wheel that turns freely has no friction across.
+WHEELS = (
+    ("nose wheel", (0.2, 0.0, 0.1), 1 / 6, 0.02, 0.03, 0.03),
+    ("left wheel", (-0.04, -0.15, 0.1), 5 / 12, 0.02, 0.6, 0.03),
+    ("right wheel", (-0.04, 0.15, 0.1), 5 / 12, 0.02, 0.6, 0.03),
+)
+BODY = (
+    ("nose", (0.2, 0.0, 0.0), 1.0, 0.1, 0.4, 0.4),
+    ("tail", (-0.4, 0.0, 0.0), 1.0, 0.1, 0.4, 0.4),
+    ("left tip", (0.0, -0.5, 0.0), 1.0, 0.1, 0.4, 0.4),
+    ("right tip", (0.0, 0.5, 0.0), 1.0, 0.1, 0.4, 0.4),
+)
+# Damping ratio of their springs with the mass that rests on them
+CONTACT_DAMPING = 0.7
 ACCELERATIONS = ("p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 # Of a function: other functions, a property or a number
 Operand: TypeAlias = "Element[Any] | str | float"
@@ -231,21 +248,23 @@ def _add_thrust(root: Element, aircraft: Aircraft) -> None:
 def _add_contacts(root: Element, aircraft: Aircraft) -> None:
     """Add wheels and the ends of the body, so that the aircraft stands on the ground."""
     ground = _part(root, "ground_reactions")
-    for point in contact_points(aircraft):
-        x, y, z = point.position
+    for name, place, fraction, sink, across, along in (*WHEELS, *BODY):
+        mass = fraction * aircraft.mass
+        stiffness = mass * STANDARD_GRAVITY / sink
+        x, y, z = np.multiply(place, aircraft.span).tolist()
         values = {
-            "name": point.name,
-            "type": "BOGEY" if point.is_wheel else "STRUCTURE",
+            "name": name,
+            "type": "BOGEY" if z > 0.0 else "STRUCTURE",
             # x aft, z up
             "x": -x,
             "y": y,
             "z": -z,
-            "across": point.across,
-            "rolling": point.along,
+            "across": across,
+            "rolling": along,
             # 360: it turns freely
-            "steer": 360.0 if point.is_wheel and point.across == point.along else 0.0,
-            "stiffness": point.stiffness,
-            "damping": point.damping,
+            "steer": 360.0 if z > 0.0 and across == along else 0.0,
+            "stiffness": stiffness,
+            "damping": 2.0 * CONTACT_DAMPING * np.sqrt(stiffness * mass),
         }
         ground.append(_filled("contact.xml", values))
 

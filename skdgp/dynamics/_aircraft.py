@@ -153,13 +153,6 @@ class Aircraft:
             estimated.add("chord")
         return question_of_sizes(sizes, stds, estimated)
 
-    def _questioned(self) -> Aircraft:
-        """Return the aircraft; warn of sizes that no aeroplane has."""
-        question = self.question_of_sizes()
-        if question is not None:
-            report(question)
-        return self
-
     def _relative_std(self, size: str) -> float:
         """Return the relative standard deviation of a size by errors of all causes."""
         factors = (self.deviations or {}).values()
@@ -230,7 +223,7 @@ class Aircraft:
         sizes = estimated(
             kind, inertia, mass=mass, span=span, wing_area=wing_area, chord=chord, length=length
         )
-        return cls(**sizes, **parts)._questioned()
+        return _questioned(cls(**sizes, **parts))
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Aircraft:
@@ -255,7 +248,7 @@ class Aircraft:
             keys = [*signature(cls.estimate).parameters, *parts]
             check_keys(values, keys, ["mass", "span"], what)
             return cls.estimate(**values)
-        return _build(cls, values, what)._questioned()
+        return _questioned(_build(cls, values, what))
 
     def to_dict(self) -> dict:
         """Return plain numbers, lists and dictionaries that `from_dict` reads back."""
@@ -274,6 +267,14 @@ class Aircraft:
     def __repr__(self) -> str:
         sizes = f"S {self.wing_area:g} m^2, b {self.span:g} m, c {self.chord:g} m"
         return f"Aircraft({self.name!r}, {self.mass:g} kg, {sizes})"
+
+
+def _questioned(aircraft: Aircraft) -> Aircraft:
+    """Return the aircraft; warn of sizes that no aeroplane has."""
+    question = aircraft.question_of_sizes()
+    if question is not None:
+        report(question)
+    return aircraft
 
 
 def _full_deflections(values: Any) -> dict[str, float] | None:

@@ -21,7 +21,7 @@ import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
-from skdgp._flight.frames import euler_to_quaternion
+from skdgp._flight.frames import euler_to_matrix, euler_to_quaternion
 from skdgp._flight.servo_functions import ServoFunction, ServoRange
 from skdgp.io._log import (
     DOWN,
@@ -46,9 +46,11 @@ from skdgp.io._log import (
     from_rpm,
     in_force,
     instance_name,
+    last_before,
     numeric_fields,
     scaled,
     stated_positions,
+    turned,
     whole,
 )
 from skdgp.io._tables import FlightReadError
@@ -108,6 +110,15 @@ IMU_MASKS = {"XKF4": "EK3_IMU_MASK", "NKF4": "EK2_IMU_MASK"}
 MOST_IMUS = 8
 # field with the parameter that says whether the autopilot uses an IMU
 IMU_USE = "INS_USE"
+# field with the parameter that says whether the autopilot uses an airspeed sensor
+AIRSPEED_USE = "ARSPD_USE"
+# its parameters by the names of the topic: whether it is used (2: without throttle alone), and the ratio of V^2 to
+# the pressure difference
+AIRSPEEDS = {
+    "ARSP": ("ARSPD_USE", "ARSPD_RATIO"),
+    "ARSP#1": ("ARSPD2_USE", "ARSPD2_RATIO"),
+    "ASP2": ("ARSPD2_USE", "ARSPD2_RATIO"),
+}
 # parameters of the position of each IMU (AP_InertialSensor)
 IMU_POSITIONS = ("INS_POS1", "INS_POS2", "INS_POS3", "INS4_POS", "INS5_POS")
 # further instances of sensors before the messages had a number
@@ -131,7 +142,12 @@ RULES = (
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude, switches=(*LANE_3, *LANE_2)),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
-        (EQUIVALENT,), "ARSP", ("Airspeed",), valid=("H", "Health"), used=PRIMARY, preferred=("U",)
+        (EQUIVALENT,),
+        "ARSP",
+        ("Airspeed",),
+        valid=("H", "Health", "U", AIRSPEED_USE),
+        used=PRIMARY,
+        preferred=("U",),
     ),
     *_estimator("XKF", LANE_3),
     *_estimator("NKF", LANE_2),
@@ -190,6 +206,8 @@ TILT_SERVOS = (
 OUTER = (ServoFunction.OUTER_SPOILER_LEFT, ServoFunction.OUTER_SPOILER_RIGHT)
 INNER = (ServoFunction.INNER_SPOILER_LEFT, ServoFunction.INNER_SPOILER_RIGHT)
 FLAPERONS = (ServoFunction.FLAPERON_LEFT, ServoFunction.FLAPERON_RIGHT)
+# angles [rad] of the vehicle against the board: roll, pitch, heading
+TRIM = ("AHRS_TRIM_X", "AHRS_TRIM_Y", "AHRS_TRIM_Z")
 # Weights of a V-tail, left = elevator + rudder, right = elevator - rudder of commands that go up and
 # right (ArduPlane/servos.cpp)
 MIXES = {
@@ -374,6 +392,8 @@ def _log(
     kind = FRAMES.get((program, frame), VEHICLES.get(program))
     vehicle = vehicle_of(kind, parameters)
     topics = topics | _imus(topics, parameters)
+    airspeeds, of_ratio = _airspeeds(topics, parameters, defined)
+    topics = topics | airspeeds
     if "RCOU" in topics:
         topics = topics | {"RCOU": _all_outputs(topics)}
     outputs = outputs_of(topics.get("RCOU", NOTHING), parameters)
@@ -383,11 +403,11 @@ def _log(
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=_rules(topics, parameters, lifting),
+        rules=in_vehicle_axes(_rules(topics, parameters, lifting), parameters),
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=(*remarks, *outputs.remarks),
+        remarks=(*remarks, *outputs.remarks, *of_ratio),
         landed=(("STAT", "isFlying", 0.0, 0.0),),
         outputs=("RCOU",),
         naming=NAMING,
@@ -421,6 +441,48 @@ def _imus(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[
     return imus
 
 
+def _airspeeds(
+    topics: Mapping[str, Topic], parameters: Mapping[str, float], defined: Messages
+) -> tuple[dict[str, Topic], tuple[str, ...]]:
+    """Return the messages of airspeed sensors by their last ratio, with whether the autopilot uses them, and remarks.
+
+    A ratio that was calibrated in flight is right for the time before, too: V^2 goes with it.
+    """
+    airspeeds = {}
+    remarks: tuple[str, ...] = ()
+    for name in AIRSPEEDS.keys() & topics.keys():
+        topic = topics[name]
+        use, ratio = AIRSPEEDS[name]
+        # a use without throttle alone is told by the flag of each message
+        trusted = (1, 2) if "U" in topic else (1,)
+        is_used = whole(parameters.get(use, 1.0)) in trusted
+        fields = {AIRSPEED_USE: np.full(len(topic), float(is_used))}
+        ratios = _values_of(ratio, defined)
+        changes = np.flatnonzero(np.diff(ratios[1])) + 1
+        if len(changes) and "Airspeed" in topic:
+            times, values = ratios
+            at = values[last_before(times, topic.time)]
+            fields["Airspeed"] = topic["Airspeed"] * np.sqrt(values[-1] / at)
+            remarks = (
+                f"{ratio} changed from {values[0]:.3g} to {values[-1]:.3g}: airspeeds before are "
+                "scaled to the last",
+            )
+        airspeeds[name] = topic.with_fields(**fields)
+    return airspeeds, remarks
+
+
+def _values_of(parameter: str, defined: Messages) -> tuple[Vector, Vector]:
+    """Return the times [s] at which a parameter was set, and its positive values."""
+    rows = []
+    for name, value, time in zip(
+        defined.texts("Name"), defined.numbers("Value"), defined.numbers("TimeUS"), strict=False
+    ):
+        if name == parameter and 0 < value < np.inf and np.isfinite(time):
+            rows.append((1e-6 * time, value))
+    times, values = np.reshape(sorted(rows), (-1, 2)).T
+    return times, values
+
+
 def _all_outputs(topics: Mapping[str, Topic]) -> Topic:
     """Return RCOU with the outputs of the messages that follow each."""
     outputs = topics["RCOU"]
@@ -437,6 +499,16 @@ def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | No
     """Return the kind of vehicle, of a plane with motors that lift "VTOL"."""
     has_rotors = parameters.get("Q_ENABLE", 0.0) > 0
     return "VTOL" if vehicle == "fixed wing" and has_rotors else vehicle
+
+
+def in_vehicle_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+    """Return rules whose inertial sensors are turned by AHRS_TRIM, from axes of the board to those of the attitude.
+
+    As by get_rotation_autopilot_body_to_vehicle_body of AP_AHRS.
+    """
+    trim = [parameters.get(name, 0.0) for name in TRIM]
+    angles = " ".join(f"{angle:.3g}" for angle in trim)
+    return turned(rules, euler_to_matrix(*trim), f"turned by AHRS_TRIM {angles} rad")
 
 
 def lifting_modes(topic: str, field: str) -> States:

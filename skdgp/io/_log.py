@@ -340,19 +340,43 @@ def in_flight_axes(rules: Iterable[Rule]) -> tuple[Rule, ...]:
 
     Forward is then along -z, and down along x (FixedwingRateControl.cpp of PX4).
     """
-    turned = []
+    return _converted(rules, {RATES: _swapped, SPECIFIC_FORCE: _swapped, QUATERNION: _pitched})
+
+
+def turned(rules: Iterable[Rule], rotation: Matrix, note: str) -> tuple[Rule, ...]:
+    """Return rules whose inertial sensors are turned by a rotation (3, 3), from axes of the board to body axes."""
+    if np.allclose(rotation, np.eye(3), atol=1e-9):
+        return tuple(rules)
+    turn = partial(_rotated, rotation)
+    return _converted(rules, {RATES: turn, SPECIFIC_FORCE: turn}, note)
+
+
+def _converted(
+    rules: Iterable[Rule],
+    turns: Mapping[tuple[str, ...], Callable[[Matrix], Matrix]],
+    note: str = "",
+) -> tuple[Rule, ...]:
+    """Return rules that convert their columns further, which a note says."""
+    converted = []
     for rule in rules:
-        turn = TURNS.get(rule.columns)
-        convert = partial(_turned, rule.convert, turn) if turn else rule.convert
-        turned.append(rule._replace(convert=convert))
-    return tuple(turned)
+        turn = turns.get(rule.columns)
+        if turn is not None:
+            convert = partial(_in_turn, rule.convert, turn)
+            rule = rule._replace(convert=convert, note=rule.note or note)
+        converted.append(rule)
+    return tuple(converted)
 
 
-def _turned(
+def _in_turn(
     convert: Callable[[Matrix], Matrix], turn: Callable[[Matrix], Matrix], fields: Matrix
 ) -> Matrix:
     """Return converted fields in other body axes."""
     return turn(convert(fields))
+
+
+def _rotated(rotation: Matrix, vectors: Matrix) -> Matrix:
+    """Return vectors (n, 3), each turned."""
+    return vectors @ rotation.T
 
 
 def _swapped(vectors: Matrix) -> Matrix:
@@ -365,9 +389,6 @@ def _pitched(quaternions: Matrix) -> Matrix:
     """Return attitudes of the axes of hover as of the axes of forward flight, a turn by 90 degrees about y."""
     w, x, y, z = quaternions.T
     return np.column_stack([w - y, x - z, y + w, z + x]) / np.sqrt(2)
-
-
-TURNS = {RATES: _swapped, SPECIFIC_FORCE: _swapped, QUATERNION: _pitched}
 
 
 def stated_positions(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,19 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import extra
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
-from skdgp.io._dataflash import IMU_POSITIONS, NAMING, lifting_modes, outputs_of, vehicle_of
+from skdgp.io._dataflash import (
+    AIRSPEED_USE,
+    IMU_POSITIONS,
+    NAMING,
+    TRIM,
+    in_vehicle_axes,
+    lifting_modes,
+    outputs_of,
+    vehicle_of,
+)
 from skdgp.io._log import (
     EQUIVALENT,
     NOTHING,
@@ -43,6 +53,7 @@ from skdgp.io._log import (
     rows_in,
     scaling,
     stated_positions,
+    whole,
 )
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import IMU_POSITIONS as PX4_IMU_POSITIONS
@@ -58,6 +69,12 @@ MAVLINK_2 = 0xFD
 OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}
 # MAV_AUTOPILOT
 PX4 = 12
+# bit of FLIGHT_OPTIONS by which the telemetry of ArduPlane has the pitch of the vehicle
+KEEPS_PITCH_TRIM = 1 << 8
+UNKNOWN_TRIM = (
+    "the parameters AHRS_TRIM_X and _Y are not in the telemetry: accelerometers that are turned against the "
+    "attitude by 0.05 rad change CX by 0.05 CL (fetch the parameters while the ground station records)"
+)
 # MAV_TYPE of tailsitters, with two rotors, four, and any
 TAILSITTERS = (19, 20, 23)
 # MAV_MODE_FLAG_SAFETY_ARMED of base_mode
@@ -151,6 +168,10 @@ def read_tlog(path: Path) -> Log:
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
     topics = _topics(by_name)
+    if whole(parameters.get(AIRSPEED_USE, 1.0)) != 1 and "VFR_HUD" in topics:
+        # estimated on board, as the autopilot does not use the sensor
+        hud = topics["VFR_HUD"]
+        topics["VFR_HUD"] = hud.with_fields(**{PITOT: np.zeros(len(hud), dtype=bool)})
     outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
     vehicle = _vehicle(topics, vehicles, parameters)
     lifting: States = ()
@@ -158,6 +179,11 @@ def read_tlog(path: Path) -> Log:
         modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
         lifting = (HOVER, *(outputs.lifting or modes))
     rules = _rules(topics, lifting)
+    of_trim: tuple[str, ...] = ()
+    if not is_px4:
+        rules = _with_pitch_trim(rules, parameters)
+        rules = in_vehicle_axes(rules, parameters)
+        of_trim = () if TRIM[0] in parameters else (UNKNOWN_TRIM,)
     positions = PX4_IMU_POSITIONS if is_px4 else IMU_POSITIONS
     return Log(
         kind="MAVLink telemetry",
@@ -166,7 +192,7 @@ def read_tlog(path: Path) -> Log:
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicle,
-        remarks=(*damage(skipped), *others, *outputs.remarks),
+        remarks=(*damage(skipped), *others, *outputs.remarks, *of_trim),
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
         naming=PX4_NAMING if is_px4 else f"{NAMING} (fetch them while the ground station records)",
@@ -224,6 +250,22 @@ def _rules(topics: dict[str, Topic], lifting: States) -> tuple[Rule, ...]:
         if engines:
             rules.append(engines_rule(name, engines))
     return tuple(rules)
+
+
+def _with_pitch_trim(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+    """Return the rules with the pitch trim that the telemetry of ArduPlane subtracts from theta (GCS_MAVLINK_Plane)."""
+    degrees = parameters.get("PTCH_TRIM_DEG", 0.01 * parameters.get("TRIM_PITCH_CD", 0.0))
+    if whole(parameters.get("FLIGHT_OPTIONS", 0.0)) & KEEPS_PITCH_TRIM:
+        degrees = 0.0
+    shift = np.array([0.0, np.deg2rad(degrees), 0.0])
+    convert = partial(_shifted_attitude, shift)
+    return tuple(
+        rule._replace(convert=convert) if rule.convert is _attitude else rule for rule in rules
+    )
+
+
+def _shifted_attitude(shift: Vector, angles: Matrix) -> Matrix:
+    return _attitude(angles + shift)
 
 
 def _with_armed(beats: Topic) -> Topic:

@@ -19,6 +19,7 @@ import numpy as np
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE
+from skdgp._flight.frames import euler_to_matrix
 from skdgp.io._log import (
     DOWN,
     NOTHING,
@@ -42,6 +43,7 @@ from skdgp.io._log import (
     milli,
     numeric_fields,
     stated_positions,
+    turned,
     whole,
 )
 from skdgp.io._tables import FlightReadError
@@ -228,6 +230,20 @@ RULES = (
     Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), from_rpm),
 )
 
+# topics of single sensors, in axes of the board; others are in body axes
+OF_BOARD = ("sensor_gyro", "sensor_accel")
+BY_BOARD = "turned by SENS_BOARD_ROT, _X_OFF, _Y_OFF, _Z_OFF"
+# roll, pitch, heading [deg] by SENS_BOARD_ROT (lib/conversion/rotation.h)
+BOARD_ROTATIONS = (
+    *((0, 0, yaw) for yaw in range(0, 360, 45)),
+    *((180, 0, yaw) for yaw in (0, 45, 90, 135)),
+    (0, 180, 0),
+    *((180, 0, yaw) for yaw in (225, 270, 315)),
+    *((90, 0, yaw) for yaw in (0, 45, 90, 135)),
+    *((270, 0, yaw) for yaw in (0, 45, 90, 135)),
+    (0, 90, 0),
+    (0, 270, 0),
+)
 # VEHICLE_VTOL_STATE 1 to 3 are transitions and rotary wing; before, two flags (VtolVehicleStatus.msg)
 LIFTING = (
     ("vtol_vehicle_status", "vehicle_vtol_state", 1, 3),
@@ -329,6 +345,7 @@ def px4_log(
     sits_on_tail = is_vtol and _sits_on_tail(topics, parameters)
     tilts = sits_on_tail or (is_vtol and parameters.get("VT_TYPE") in TILTING)
     rules = _rules(topics, lifting, tilts)
+    rules = _in_body_axes(rules, parameters)
     if sits_on_tail:
         rules = in_flight_axes(rules)
     return Log(
@@ -347,6 +364,20 @@ def px4_log(
         commands={} if is_vtol else _commands(topics, parameters),
         sensor_positions=stated_positions(parameters, IMU_POSITIONS, sits_on_tail),
     )
+
+
+def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+    """Return rules whose sensors in axes of the board are turned to body axes, as PX4 does (GetBoardRotationMatrix)."""
+    place = whole(parameters.get("SENS_BOARD_ROT", 0.0))
+    offsets = [parameters.get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"]
+    if not 0 <= place < len(BOARD_ROTATIONS):
+        return tuple(rule for rule in rules if rule.topic not in OF_BOARD)
+    board = euler_to_matrix(*np.deg2rad(BOARD_ROTATIONS[place]))
+    rotation = euler_to_matrix(*np.deg2rad(offsets)) @ board
+    in_body_axes = []
+    for rule in rules:
+        in_body_axes += turned([rule], rotation, BY_BOARD) if rule.topic in OF_BOARD else [rule]
+    return tuple(in_body_axes)
 
 
 def _rules(topics: Mapping[str, Topic], lifting: States, tilts: bool) -> tuple[Rule, ...]:

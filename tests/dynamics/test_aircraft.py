@@ -99,7 +99,7 @@ def test_sizes_must_be_positive_numbers(name, value):
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [  # mm
+    [
         (without(inertia=[1.0, 2.0, 3.0]), "3 x 3"),
         (without(inertia=[[1, 0], [0, 1]]), "3 x 3"),
         (without(inertia=[[1, 0, 0], [0, np.nan, 0], [0, 0, 1]]), "finite"),

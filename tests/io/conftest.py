@@ -475,7 +475,8 @@ def tlog(flight):
         message = vars(mavlink)[f"MAVLink_{kind}_message"](*values)
         sent.append((time, message.pack(by)))
 
-    parameters = {b"AIRSPEED_MIN": 12.0, b"SERVO2_FUNCTION": 19.0, b"SERVO4_FUNCTION": 21.0}
+    parameters = {b"AHRS_TRIM_X": 0.0, b"AHRS_TRIM_Y": 0.0}
+    parameters |= {b"AIRSPEED_MIN": 12.0, b"SERVO2_FUNCTION": 19.0, b"SERVO4_FUNCTION": 21.0}
     for name, value in parameters.items():
         send(flight.BEGIN, "param_value", name, value, 9, 3, 0)
     for t in flight.time(1):
@@ -489,3 +490,19 @@ def tlog(flight):
     arrivals = np.maximum.accumulate([ARRIVAL + time for time, _ in sent] + late)
     stamps = [struct.pack(">Q", round(1e6 * arrival)) for arrival in arrivals]
     return [stamp + message for stamp, (_, message) in zip(stamps, sent, strict=True)]
+
+
+@pytest.fixture
+def mavlink_parameters(tlog):
+    """Return a function to the telemetry with further parameters, without one."""
+    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+    def with_parameters(values, without=b"nothing"):
+        sent = []
+        for name, value in values.items():
+            message = mavlink.MAVLink_param_value_message(name, value, 9, 3, 0)
+            sent.append(tlog[0][:8] + message.pack(plane))
+        return sent + [message for message in tlog if without not in message]
+
+    return with_parameters

@@ -107,7 +107,6 @@ from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import PRESSURE as PRESSURE
 from skdgp.dynamics._size_errors import ScaleFactor
-from skdgp.dynamics._starts import UncertainStart
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
 from skdgp.dynamics._transfer import UNUSED as UNUSED
 from skdgp.dynamics._transfer import transfer as transfer
@@ -129,7 +128,6 @@ __all__ = [
     "ThrustLine",
     "Trim",
     "Turbulence",
-    "UncertainStart",
     "aerodynamic_coefficients",
     "aerodynamic_loads",
     "air_data",

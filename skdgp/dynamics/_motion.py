@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,20 +66,10 @@ FROM_STATE = (
 FROM_MOTION = (*FROM_STATE, *FROM_LOADS)
 
 
-@dataclass(frozen=True)
-class FixedPointSettings:
-    """Settings of the fixed point of the implicit regressors, which follow from the loads (Anderson 1965)."""
-
-    # Largest difference of a regressor between two iterations, over 1 + its size
-    tolerance: float = 1e-10
-    iterations: int = 60
-    # Changes that are mixed
-    memory: int = 4
-    # Of the normal equations of the mixture, over their trace
-    ridge: float = 1e-12
-
-
-FIXED_POINT = FixedPointSettings()
+# Largest difference of a regressor between two iterations, over 1 + its size, of a fixed point of the
+# implicit regressors, which follow from the loads; and most iterations
+TOLERANCE = 1e-10
+ITERATIONS = 60
 
 
 class Instant(NamedTuple):
@@ -102,8 +91,8 @@ def check_settled(instant: Instant) -> None:
     """Raise ValueError if the fixed point of the implicit regressors was not found."""
     if not np.all(instant.settled):
         raise ValueError(
-            "The coefficients depend so strongly on the accelerations they cause that the motion is "
-            "not determined: learn a model without accelerations, as RegressorSelector() does."
+            "The coefficients depend so strongly on the accelerations they cause that no fixed point "
+            "was found: learn a model without accelerations, as RegressorSelector() does."
         )
 
 
@@ -192,11 +181,9 @@ class Motion:
         thrust: str | None = "auto",
         air: Any = None,
         lagged: bool = False,
-        settings: FixedPointSettings = FIXED_POINT,
     ) -> None:
         self.aerodynamics: Aerodynamics = as_aerodynamics(model)
         self.lagged = lagged
-        self.settings = settings
         self.aircraft = check_aircraft(aircraft)
         self.thrust = thrust
         air = as_air(air)
@@ -321,17 +308,14 @@ class Motion:
         return loaded_by(guess) if self.lagged else self._fixed_point(loaded_by, guess)
 
     def _fixed_point(self, loaded_by: Callable[[Array], Instant], guess: Array) -> Instant:
-        """Return the instant whose implicit regressors are those that follow from it (Anderson 1965)."""
-        tried: list[tuple[Array, Array]] = []
-        for _ in range(self.settings.iterations):
+        """Return the instant whose implicit regressors are those that follow from it, by iteration."""
+        for _ in range(ITERATIONS):
             now = loaded_by(guess)
-            result: Any = now.implicit
-            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._load_places]
-            settled = np.abs(off).max(axis=-1) < self.settings.tolerance
-            is_lost = ~np.isfinite(off).all(axis=-1)
-            if np.all(settled | is_lost):
+            off = ((now.implicit - guess) / (1.0 + np.abs(now.implicit)))[..., self._load_places]
+            settled = np.abs(off).max(axis=-1) < TOLERANCE
+            if np.all(settled | ~np.isfinite(off).all(axis=-1)):
                 break
-            guess = _anderson(tried, result, off, self.settings)
+            guess = now.implicit
         return now._replace(settled=settled)
 
     def _flow(self, state: Array, air: LocalAir | None) -> Flow:
@@ -426,26 +410,3 @@ class Motion:
         angle_rates = air_rates[..., 1:, 0]
         specific_force = now.force / self.aircraft.mass
         return np.concatenate([angle_rates, now.derivative[..., RATES], specific_force], axis=-1)
-
-
-def _anderson(
-    tried: list[tuple[Array, Array]], result: Array, off: Array, settings: FixedPointSettings
-) -> Array:
-    """Return the next guess from the last ones, (result, off) each: the mixture whose residual vanishes to first order.
-
-    Anderson (1965), over the last changes, for each trajectory by itself.
-    """
-    tried.append((result, off))
-    del tried[: -settings.memory - 1]
-    if len(tried) == 1:
-        return result
-    results, offs = zip(*tried, strict=True)
-    F = np.diff(np.stack(results, axis=-1))
-    D = np.diff(np.stack(offs, axis=-1))
-    transposed = np.swapaxes(D, -1, -2)
-    normal = transposed @ D
-    ridge = settings.ridge * np.trace(normal, axis1=-2, axis2=-1) + np.finfo(float).tiny
-    identity = np.eye(normal.shape[-1])
-    normal = normal + ridge[..., None, None] * identity
-    mixture = np.linalg.solve(normal, transposed @ off[..., None])
-    return result - (F @ mixture)[..., 0]

@@ -18,9 +18,9 @@ from skdgp.dynamics._inputs import StepClock, tables_of
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._rigid_body import ATTITUDE
-from skdgp.dynamics._turbulence import SPECTRA, TooShort, Turbulence
+from skdgp.dynamics._turbulence import LENGTH, TooShort, Turbulence
 
-STILL = Turbulence(np.zeros(3), np.full(3, SPECTRA.length))
+STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 
 
 @dataclass(frozen=True)

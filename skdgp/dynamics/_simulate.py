@@ -28,7 +28,7 @@ from skdgp.dynamics._integrate import FLYING, channels, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
 from skdgp.dynamics._path_air import PathsAir, paths_air
 from skdgp.dynamics._servos import ServoState
-from skdgp.dynamics._starts import UncertainStart, as_starts, initial_states, perturbed
+from skdgp.dynamics._starts import as_starts, initial_states
 from skdgp.dynamics._trajectories import (
     farthest_beyond,
     farthest_regressor,
@@ -69,7 +69,7 @@ def simulate(
     x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like, (13,) or (n_starts, 13)
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``,
         ``alpha``, ``beta``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...;
-        other values are zero. Of paths also an `UncertainStart`.
+        other values are zero.
     controls : DataFrame, list of DataFrame, mapping or callable
         Elevator, aileron, rudder [rad], elevons, throttle and the model's other controls, and what
         gives the thrust. Surfaces are commands, which the servos follow with the delay and the lag
@@ -139,9 +139,6 @@ def simulate(
     """
     given_air = as_air(air)
     motion = Motion(model, aircraft, thrust=thrust, air=given_air)
-    start_std = None
-    if isinstance(x0, UncertainStart):
-        x0, start_std = x0
     starts = as_starts(x0)
     clock = StepClock.of(dt, duration, tables_of(controls, given_air.wind))
     warn_of_clocks(starts, controls, clock.dt)
@@ -150,11 +147,11 @@ def simulate(
     commands = control_schedule(controls, clock, names, len(starts))
     states = initial_states(starts, partial(air_schedule, 0))
     if n_paths is None:
-        _check_single(given_air, start_std)
+        _check_single(given_air)
         flight = _mean_flight(motion, air_schedule, states)
     else:
         path_air = paths_air(given_air, air_schedule, motion, clock, states, n_paths, random_state)
-        flight = _drawn_flights(motion, path_air, clock, states, start_std, n_paths, random_state)
+        flight = _drawn_flights(motion, path_air, clock, states, n_paths, random_state)
     record = fly_record(
         flight.motion, commands, flight.air_schedule, clock, flight.states, flight.drifts
     )
@@ -187,13 +184,12 @@ def _drawn_flights(
     path_air: PathsAir,
     clock: StepClock,
     states: Array,
-    start_std: Mapping[str, float] | None,
     n_paths: int,
     random_state: Seed,
 ) -> _Flight:
     """Return the flights of functions drawn from the posterior, from states (n_starts, 13)."""
     drawn = drawn_functions(motion, n_paths, random_state, rounded=True)
-    states = perturbed(states, start_std, n_paths, random_state)
+    states = np.tile(states, (n_paths, 1, 1))
     drifts = None
     if path_air.drift is not None:
         drifts = path_air.drift.draw(clock.stages, states.shape[:-1], random_state)
@@ -201,14 +197,12 @@ def _drawn_flights(
     return _Flight(motion, path_air.air, states, drifts, path_air.text)
 
 
-def _check_single(air: Air, start_std: Mapping[str, float] | None) -> None:
-    """Raise ValueError if gusts or errors of the start are given, which only paths meet."""
+def _check_single(air: Air) -> None:
+    """Raise ValueError if gusts are given, which only paths meet."""
     if isinstance(air.gusts, Turbulence):
         raise ValueError(
             "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
         )
-    if start_std is not None:
-        raise ValueError("Got an UncertainStart without n_paths: nothing would show it.")
 
 
 class Simulator:

@@ -1,15 +1,14 @@
-"""Starts of a simulation: states of names and values, of flights and of trims, and drawn around these."""
+"""Starts of a simulation: states of names and values, of flights and of trims."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from sklearn.utils import check_random_state
 
 from skdgp._compute.files import column_names
 from skdgp._compute.messages import warn
@@ -26,20 +25,15 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import (
     air_velocity,
-    body_to_ned,
     euler_to_quaternion,
     ned_to_body,
-    quaternion_to_euler,
 )
 from skdgp._flight.units import check_radians
-from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._air import LocalAir
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked
 from skdgp.dynamics._trim import Trim
 
 START_NAMES = (*AIR_DATA, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
-# States of a start that may have standard deviations
-DRAWN = (*POSITION, *BODY_VELOCITY, *EULER, *RATES, *EARTH_VELOCITY)
 
 
 @dataclass(frozen=True)
@@ -53,17 +47,6 @@ class StartChecks:
 
 
 CHECKS = StartChecks()
-
-
-class UncertainStart(NamedTuple):
-    """A start of paths that is known with standard deviations: ``simulate(model, aircraft, UncertainStart(...), ...)``.
-
-    ``std`` is by name ("u", "v", "w", "v_north", ..., "phi", ...). Deviations of angles alone leave
-    the velocity over the ground as it is, which is how it is measured.
-    """
-
-    x0: Any
-    std: Mapping[str, float]
 
 
 def as_starts(x0: Any) -> pd.DataFrame | Array:
@@ -178,33 +161,3 @@ def _warn_of_wind(stated: Array, velocity: Array) -> None:
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, "
             f"but x0 says {stated[worst]:.1f} m/s: give the wind of that flight (air=wind)."
         )
-
-
-def perturbed(
-    states: Array, std: Mapping[str, float] | None, n_paths: int, random_state: Any
-) -> Array:
-    """Return a start for each path, (n_paths, n, 13), drawn around the states (n, 13) with deviations by name."""
-    std = std or {}
-    check_names(std, DRAWN, "names of standard deviations of a start")
-    shape = (n_paths, len(states))
-    rng = check_random_state(random_state)
-    errors = {}
-    for name, size in std.items():
-        check_number(f"standard deviation of {name}", size, is_open=False)
-        errors[name] = float(size) * rng.standard_normal(shape)
-    drawn = np.tile(states, (n_paths, 1, 1))
-    attitude = drawn[..., ATTITUDE]
-    ground_error = ned_to_body(attitude, stacked(errors, EARTH_VELOCITY, shape))
-    drawn[..., rigid_body.POSITION] += stacked(errors, POSITION, shape)
-    drawn[..., rigid_body.RATES] += stacked(errors, RATES, shape)
-    drawn[..., VELOCITY] += stacked(errors, BODY_VELOCITY, shape) + ground_error
-    if errors.keys().isdisjoint(EULER):
-        return drawn
-    ground = body_to_ned(attitude, drawn[..., VELOCITY])
-    angles = quaternion_to_euler(attitude) + stacked(errors, EULER, shape)
-    turned = euler_to_quaternion(*np.moveaxis(angles, -1, 0))
-    drawn[..., ATTITUDE] = turned
-    if errors.keys().isdisjoint(BODY_VELOCITY):
-        # the velocity over the ground was measured
-        drawn[..., VELOCITY] = ned_to_body(turned, ground)
-    return drawn

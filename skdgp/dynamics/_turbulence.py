@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
-from scipy.optimize import Bounds, minimize
-from scipy.stats import chi2
 from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Array, Seed
@@ -26,38 +22,28 @@ FEET = 0.3048
 CEILING = 1000 * FEET  # Height [m] at which the low-altitude model ends
 
 
-@dataclass(frozen=True)
-class SpectraSettings:
-    """Settings of the estimate of turbulence from spectra of the wind."""
-
-    # Shortest flight [s] that separates gusts from the mean wind
-    duration: float = 30.0
-    # Frequency [rad/s] below which the wind changes for other reasons than turbulence
-    slowest: float = 0.03
-    # Largest scale length [m]
-    longest: float = 3000.0
-    # Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of the
-    # sensors
-    samples: int = 10
-    # Frequency, over the frequency of a wing's lag, up to which spectra are fitted. Sensors measure
-    # the wind at a point, the wing meets its mean over the span. Below, both are the same to a
-    # factor of 2. With the lag in the spectra, gusts of JSBSim's aircraft had lengths of 8 to 90 m
-    # for 100 to 260 m, and their rates were 1.3 to 4 times too large.
-    band: float = 1.0
-    # Prior median [m] of a scale length and standard deviation of its logarithm: 95 % within 30 m
-    # (a flight at that height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2.
-    # Short winds do not show it.
-    length: float = 126.0
-    length_std: float = 0.72
-    # Least values of the periodogram for an estimate: the standard error of an intensity is 30 %
-    fewest: int = 3
-    # Level of the test that intensity and length of u and v differ: the usual one
-    level: float = 0.95
-    # Power [m^2/s^2] of the wind below which it is round-off
-    calm: float = 1e-12
-
-
-SPECTRA = SpectraSettings()
+# Shortest flight [s] that separates gusts from the mean wind
+DURATION = 30.0
+# Frequency [rad/s] below which the wind changes for other reasons than turbulence
+SLOWEST = 0.03
+# Largest scale length [m]
+LONGEST = 3000.0
+# Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of sensors
+SAMPLES = 10
+# Prior median [m] of a scale length and standard deviation of its logarithm: 95 % within 30 m (a
+# flight at that height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds
+# do not show it.
+LENGTH = 126.0
+LENGTH_STD = 0.72
+# Least values of the periodogram for an estimate: the standard error of an intensity is 30 %
+FEWEST = 3
+# Variance [m^2/s^2] of a wind below which it is round-off
+CALM = 1e-16
+# Bands of a factor of ten in frequency, lengths that are compared, and variances of the noise of a
+# sample over that of the gusts
+PER_DECADE = 20
+N_LENGTHS = 120
+NOISES = np.append(0.0, np.geomspace(1e-3, 1e3, 49))
 
 
 class Turbulence(NamedTuple):
@@ -102,11 +88,10 @@ class Turbulence(NamedTuple):
 
         The velocity over the ground less that through the air is the wind, with the noise of the
         sensors. Its parts along the flight through the air, across and down are u, v and w:
-        intensity and length are estimated as by `from_wind`, and white noise of each with them. u
-        and v share intensity and length (MIL-F-8785C, 3.7.2) unless the test of the likelihood
-        ratio (Wilks 1938) tells them apart at a level of 5 %. Six minutes give intensities to a
-        tenth and lengths to a fifth. Raises ValueError if columns are missing, angles are in
-        degrees, the span is not > 0, or no flight lasts 30 s and is sampled every 300 m.
+        intensity and length of each are estimated as by `from_wind`, and its white noise with them.
+        Six minutes give intensities to a tenth and lengths to a fifth. Raises ValueError if columns
+        are missing, angles are in degrees, the span is not > 0, or no flight lasts 30 s and is
+        sampled every 300 m.
 
         Parameters
         ----------
@@ -126,7 +111,7 @@ class Turbulence(NamedTuple):
         airspeeds = []
         for segment in flights.segments:
             wind = _wind_of(flight.iloc[segment][columns].dropna())
-            if len(wind) > 1 and np.ptp(wind["time"]) >= SPECTRA.duration:
+            if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION:
                 winds.append(wind)
                 airspeeds.append(wind["airspeed"].mean())
         return cls.from_wind(winds, airspeeds, span)
@@ -137,15 +122,15 @@ class Turbulence(NamedTuple):
     ) -> Turbulence:
         r"""Return the turbulence of winds that were met at some airspeeds.
 
-        The spectra S are Dryden's. Their parameters maximise Whittle's likelihood of the
-        periodogram I, with a prior on the length L,
+        The spectra S are Dryden's. Of a grid of lengths L and noises, those maximise the likelihood of
+        the periodogram I, averaged over bands of n values, with a prior on the length,
 
-        .. math:: -\sum_\omega \left(\log S(\omega) + \frac{I(\omega)}{S(\omega)}\right)
+        .. math:: -\sum n \left(\log S + \frac{I}{S}\right)
                   - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
 
         over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
-        one, all winds and axes. Where the direction of flight is not known, u and v share intensity
-        and length (MIL-F-8785C, 3.7.2), and of north and east, S is the mean of their spectra.
+        one; the variance follows from each as the mean of I over S of unit variance. Where the
+        direction of flight is not known, north and east have the mean of the spectra of u and v.
         Raises ValueError if the span is not > 0, or the winds are too short or too rarely sampled.
 
         Parameters
@@ -178,15 +163,12 @@ class Turbulence(NamedTuple):
                 f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
             )
         speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), len(winds)).tolist()
-        spectra = _spectra(winds, speeds, span, SPECTRA)
-        fits = [*_along_and_across(spectra, SPECTRA), _fitted(spectra, (2,), SPECTRA)]
-        durations = [spectrum.step * len(spectrum.values) for spectrum in spectra]
-        airspeed = np.average([spectrum.airspeed for spectrum in spectra], weights=durations)
-        return cls(
-            intensity=np.array([fit.intensity for fit in fits]),
-            length=np.array([fit.length for fit in fits]),
-            airspeed=float(airspeed),
-        )
+        spectra = _band_spectra(winds, speeds, span)
+        is_along = all("heading" in table for table in winds)
+        fits = [_fitted(spectra, axis, is_along) for axis in range(3)]
+        intensity, length = np.transpose(fits)
+        durations = [np.ptp(table["time"]) for table in winds]
+        return cls(intensity, length, float(np.average(speeds, weights=durations)))
 
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""
@@ -253,51 +235,46 @@ def dryden_wind(
 
 
 class _Spectra(NamedTuple):
-    """Periodograms of the wind (n, 3), at frequencies (n,) [rad/s]."""
+    """Spectra of the wind over wave numbers, averaged over bands."""
 
-    frequency: np.ndarray
-    values: Array
-    step: float
-    airspeed: float
-    shortest: float  # Scale length [m] that they can show
-    # Whether the axes are along the flight, across, down, with noise of sensors; else north, east,
-    # down
-    is_along: bool
-
-    def unit(self, length: float, axis: int) -> Array:
-        """Return Dryden's spectrum of an axis for unit variance: of north and east the mean spectrum of u and v."""
-        time = length / self.airspeed
-        if axis < 2 and not self.is_along:
-            u = _spectrum(self.frequency, time, 0)
-            v = _spectrum(self.frequency, time, 1)
-            return (u + v) / 2
-        return _spectrum(self.frequency, time, axis)
+    wave_number: Array  #: (n,) [rad/m]
+    values: Array  #: Of u, v, w, or north, east, down, (n, 3)
+    interval: (
+        Array  #: Of the samples, in the air (n,) [m]: the spectrum of white noise of unit variance
+    )
+    count: Array  #: Values of the periodograms in a band, (n,)
+    shortest: float  #: Scale length that they can show [m]
 
 
-class _Fit(NamedTuple):
-    """Intensity and length of some axes."""
-
-    intensity: float
-    length: float
-    loss: float  # The negative logarithm of likelihood and prior, but for a constant
-
-
-def _spectra(
-    winds: list[pd.DataFrame], airspeeds: list[float], span: float, settings: SpectraSettings
-) -> list[_Spectra]:
-    """Return the periodograms of the winds that are long enough; raise `TooShort` without enough values."""
-    spectra = []
+def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float) -> _Spectra:
+    """Return the spectra of the winds that are long enough; raise `TooShort` without enough values."""
+    parts = []
+    shortest = []
     for wind, airspeed in zip(winds, airspeeds, strict=True):
-        spectrum = _periodogram(wind, airspeed, span, settings)
-        if spectrum is not None:
-            spectra.append(spectrum)
-    if sum(len(spectrum.frequency) for spectrum in spectra) < settings.fewest:
+        wind = wind.dropna()
+        steps = np.diff(wind["time"].to_numpy(float))
+        interval = airspeed * float(np.median(steps)) if len(steps) else 0.0
+        if not 0 < SAMPLES * interval < LONGEST:
+            continue
+        gusts = _even_gusts(wind, interval / airspeed)
+        wave_number = 2 * np.pi * np.fft.rfftfreq(len(gusts), interval)
+        values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * interval / len(gusts)
+        # above, a wing meets the mean over its span, while sensors measure the wind at a point
+        highest = min(np.pi / (4 * span), 0.9 * np.pi / interval)
+        is_used = (wave_number > SLOWEST / airspeed) & (wave_number < highest)
+        columns = [wave_number, *values.T, np.full(len(wave_number), interval)]
+        parts.append(np.stack(columns, axis=1)[is_used])
+        shortest.append(max(SAMPLES * interval, 1.0 / highest))
+    if sum(map(len, parts)) < FEWEST:
         raise TooShort(
             "Got winds that are too short, or too rarely sampled, to show gusts, but expected a flight of "
-            f"{settings.duration:g} s in the air, without gaps or missing values, or some seconds of a "
-            f"wind, with a row for each {settings.longest / settings.samples:g} m: fly longer."
+            f"{DURATION:g} s in the air, without gaps or missing values, or some seconds of a "
+            f"wind, with a row for each {LONGEST / SAMPLES:g} m: fly longer."
         )
-    return spectra
+    table = pd.DataFrame(np.concatenate(parts))
+    bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
+    mean = bands.mean().to_numpy()
+    return _Spectra(mean[:, 0], mean[:, 1:4], mean[:, 4], bands.size().to_numpy(), min(shortest))
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
@@ -311,26 +288,6 @@ def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
     return wind
 
 
-def _periodogram(
-    wind: pd.DataFrame, airspeed: float, span: float, settings: SpectraSettings
-) -> _Spectra | None:
-    """Return the periodogram of a wind, None if it is too short, met at no airspeed, or sampled too rarely."""
-    wind = wind.dropna()
-    steps = np.diff(wind["time"].to_numpy(float))
-    step = float(np.median(steps)) if len(steps) else 0.0
-    sampled = settings.samples * step * airspeed
-    if not 0 < sampled < settings.longest:
-        return None
-    gusts = _even_gusts(wind, step)
-    n_times = len(gusts)
-    values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * step / n_times
-    frequency = 2 * np.pi * np.fft.rfftfreq(n_times, step)
-    highest = min(settings.band * np.pi * airspeed / (4 * span), 0.9 * np.pi / step)
-    used = (frequency > settings.slowest) & (frequency < highest)
-    shortest = max(sampled, airspeed / highest)
-    return _Spectra(frequency[used], values[used], step, airspeed, shortest, "heading" in wind)
-
-
 def _even_gusts(wind: pd.DataFrame, step: float) -> Array:
     """Return a wind less its mean (n, 3) at even times: along a heading, across, down; or north, east, down."""
     time = wind["time"].to_numpy(float)
@@ -339,72 +296,34 @@ def _even_gusts(wind: pd.DataFrame, step: float) -> Array:
     gusts -= gusts.mean(axis=0)
     if "heading" not in wind:
         return gusts
-    return _turned(gusts, np.interp(even, time, wind["heading"].to_numpy(float)))
-
-
-def _turned(gusts: Array, heading: Array) -> Array:
-    """Return gusts (n, 3), north, east, down, along the heading, across and down."""
+    heading = np.interp(even, time, wind["heading"].to_numpy(float))
     north, east, down = gusts.T
     along = np.cos(heading) * north + np.sin(heading) * east
     across = np.cos(heading) * east - np.sin(heading) * north
     return np.stack([along, across, down], axis=1)
 
 
-def _spectrum(frequency: Array, time: float, axis: int) -> Array:
-    """Return the spectrum of u, v, w (axis 0, 1, 2) of unit variance without lags: `dryden_system`, T = ``time``."""
-    x = (time * frequency) ** 2
-    return 2 * time / (1 + x) if axis == 0 else time * (1 + 3 * x) / (1 + x) ** 2
+def _unit_spectrum(wave_number: Array, length: Array, axis: int) -> Array:
+    """Return the spectrum of u, v, w (axis 0, 1, 2) of unit variance without lags: see `dryden_system`."""
+    x = (length * wave_number) ** 2
+    return 2 * length / (1 + x) if axis == 0 else length * (1 + 3 * x) / (1 + x) ** 2
 
 
-def _along_and_across(spectra: list[_Spectra], settings: SpectraSettings) -> tuple[_Fit, _Fit]:
-    """Return intensity and length of u and v: shared, unless they differ significantly (Wilks 1938)."""
-    both = _fitted(spectra, (0, 1), settings)
-    if not spectra[0].is_along:
-        return both, both
-    u = _fitted(spectra, (0,), settings)
-    v = _fitted(spectra, (1,), settings)
-    if 2 * (both.loss - u.loss - v.loss) >= chi2.ppf(settings.level, 2):
-        return u, v
-    return both, both
+def _fitted(spectra: _Spectra, axis: int, is_along: bool) -> tuple[float, float]:
+    """Return intensity [m/s] and length [m] of an axis; of north and east those that u and v share.
 
-
-def _fitted(spectra: list[_Spectra], axes: tuple[int, ...], settings: SpectraSettings) -> _Fit:
-    """Return intensity and length that the axes share; each has white noise of its own."""
-    columns = list(axes)
-    observed = np.concatenate([part.values[:, columns].T.ravel() for part in spectra])
-
-    def loss(theta: Array) -> float:
-        """Return the negative logarithm of Whittle's likelihood and of the prior of the length."""
-        logarithm = _log_spectrum(theta, spectra, axes)
-        whittle = np.sum(logarithm + observed * np.exp(-logarithm))
-        off = (theta[1] - np.log(settings.length)) / settings.length_std
-        return whittle + 0.5 * off**2
-
-    level = max(float(np.mean(observed)), settings.calm)
-    power = level * max(part.frequency[-1] for part in spectra)
-    density = level / min(part.step for part in spectra)
-    loudest = (10 if spectra[0].is_along else 2e-6) * density
-    shortest = min(part.shortest for part in spectra)
-
-    def logarithms(variance: float, length: float, noise: float) -> Array:
-        return np.log([variance, length, *[noise] * len(axes)])
-
-    least = logarithms(1e-6 * power, shortest, 1e-6 * density)
-    most = logarithms(100 * power, settings.longest, loudest)
-    solutions = []
-    for length in (2 * shortest, 10 * shortest):
-        start = logarithms(0.5 * power, length, 0.05 * loudest)
-        solutions.append(minimize(loss, start, bounds=Bounds(least, most)))
-    best = min(solutions, key=attrgetter("fun"))
-    variance, length, *_ = np.exp(best.x)
-    return _Fit(float(np.sqrt(variance)), float(length), best.fun)
-
-
-def _log_spectrum(theta: Array, spectra: list[_Spectra], axes: tuple[int, ...]) -> Array:
-    """Return the logarithm of the spectra of all axes, by the logarithms of variance, length and white noises."""
-    variance, length, *noise = np.exp(theta)
-    parts = []
-    for part in spectra:
-        for axis, white in zip(axes, noise, strict=True):
-            parts.append(variance * part.unit(length, axis) + white * part.step)
-    return np.log(np.concatenate(parts))
+    The air along a flight is measured by sensors with white noise, a table of wind has none.
+    """
+    values = spectra.values[:, axis]
+    length = np.geomspace(spectra.shortest, LONGEST, N_LENGTHS)[:, None]
+    unit = _unit_spectrum(spectra.wave_number, length, axis)
+    if axis < 2 and not is_along:
+        values = spectra.values[:, :2].mean(axis=1)
+        unit = (unit + _unit_spectrum(spectra.wave_number, length, 1 - axis)) / 2
+    noises = NOISES if is_along else NOISES[:1]
+    S = unit[:, None] + noises[:, None] * spectra.interval  # (lengths, noises, bands)
+    variance = np.maximum(np.average(values / S, axis=-1, weights=spectra.count), CALM)
+    loss = np.sum(spectra.count * np.log(variance[..., None] * S), axis=-1)
+    loss += 0.5 * (np.log(length / LENGTH) / LENGTH_STD) ** 2
+    i, j = np.unravel_index(np.argmin(loss), loss.shape)
+    return float(np.sqrt(variance[i, j])), float(length[i, 0])

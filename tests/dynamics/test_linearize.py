@@ -155,7 +155,7 @@ def test_what_cannot_be_linearized(glider, level, change, match):
 
 
 @pytest.mark.parametrize(
-    ("function", "names", "match"), [(nowhere, [], "not finite"), (loop, ["az"], "not determined")]
+    ("function", "names", "match"), [(nowhere, [], "not finite"), (loop, ["az"], "no fixed point")]
 )
 def test_a_motion_that_is_none(glider, level, function, names, match):
     model = Aerodynamics(function, [*glider.names, *names])

@@ -27,7 +27,6 @@ from skdgp.dynamics import (
     Servos,
     SimulationWarning,
     Simulator,
-    UncertainStart,
     aerodynamic_coefficients,
     as_aerodynamics,
     simulate,
@@ -333,7 +332,6 @@ class TestControls:
         (table_of(1.0), {"dt": 0.0}, "Got dt=0.0, but expected a number > 0"),
         (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
-        (table_of(1.0), {"x0": UncertainStart(START, {"phi": 0.1})}, "nothing would show it"),
         (table_of(1.0), {"air": lambda t, position: [1.0, 2.0, 3.0]}, r"wind of shape \(\)"),
         (table_of(1.0).assign(rudder="left"), {}, "rudder.*expected numbers"),
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
@@ -598,9 +596,6 @@ class TestEnsembles:
     def test_a_model_without_beliefs_has_no_ensemble(self, fly, glider):
         with pytest.raises(ValueError, match="without posterior samples"):
             fly(glider.model(has_paths=False), duration=1.0, n_paths=3)
-        start = UncertainStart(START, {"speed": 1.0})
-        with pytest.raises(ValueError, match="standard deviations of a start lack 'speed'"):
-            fly(x0=start, duration=1.0, n_paths=3)
 
 
 class TestSimulator:

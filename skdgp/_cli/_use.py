@@ -448,7 +448,7 @@ COMMANDS: opt.Commands = {
             **opt.shared(
                 "--full",
                 help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
-                "file, else the largest that were flown)",
+                "file, else the largest that were flown), thrust [N] without a propeller",
             ),
         },
     },

@@ -97,8 +97,9 @@ def write_jsbsim(
     the name of the aircraft. A coefficient is its posterior mean: a constant, a linear function and
     Gaussian functions. The aircraft stands on three wheels, whose places are guessed from its span. The thrust is of
     ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
-    ``fcs/propeller_speed`` [rad/s]; without a propeller it is the property
-    ``external_reactions/thrust/magnitude`` [lbf]. Raises ValueError if the model lacks a
+    ``fcs/propeller_speed`` [rad/s]; without a propeller the throttle's command is the fraction of
+    ``full["thrust"]``, or the thrust is the property ``external_reactions/thrust/magnitude`` [lbf], which
+    JSBSim's trim does not move. Raises ValueError if the model lacks a
     coefficient, a regressor is an acceleration, or ``full`` names another control or is no number > 0.
 
     Parameters
@@ -109,7 +110,7 @@ def write_jsbsim(
     full : mapping of str to float, optional
         Deflections of elevator, aileron and rudder at a command of 1, in the unit of the control,
         [rad] unless it is "full throw". Default: the ``full_deflections`` of the aircraft, or 1 of
-        a control in parts of its full throw.
+        a control in parts of its full throw. Without a propeller also the ``thrust`` [N] at full throttle.
 
     Returns
     -------
@@ -130,7 +131,7 @@ def write_jsbsim(
     name = re.sub(r"[^\w-]", "_", model.aircraft.name, flags=re.ASCII) or "aircraft"
     path = Path(folder, "aircraft", name, f"{name}.xml")
     root = _skeleton(name, model, full)
-    _add_thrust(root, model.aircraft)
+    _add_thrust(root, model.aircraft, full)
     _add_contacts(root, model.aircraft)
     _add_controls(root, model, full)
     _add_aerodynamics(root, model)
@@ -144,13 +145,14 @@ def write_jsbsim(
 def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[str, float]:
     """Return the deflections at a command of 1: given, of the aircraft, or the largest flown with a warning."""
     units = _units(model)
+    commands = units if model.aircraft.propeller is not None else units | {"thrust": "N"}
     for name, value in full.items():
-        if name not in units:
+        if name not in commands:
             raise ValueError(
                 f"Got a full deflection of {name!r}, but expected one of the commands of this "
-                f"model: {', '.join(units) or 'it has none'}."
+                f"model: {', '.join(commands) or 'it has none'}."
             )
-        check_full_deflection(name, value, unit=units[name])
+        check_full_deflection(name, value, unit=commands[name])
     by_unit = {name: 1.0 for name, unit in units.items() if unit == FULL_THROW}
     known = {**(model.aircraft.full_deflections or {}), **by_unit, **full}
     largest = np.abs(model.limits).max(axis=0).tolist()
@@ -163,7 +165,8 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
             f"{_listed(unknown, units)}. Gains tuned with it are too large for servos that throw more: "
             f"give full (--full {example})."
         )
-    return {name: float(known.get(name, flown[name])) for name in units}
+    given = {name: float(value) for name, value in full.items()}
+    return {name: float(known.get(name, flown[name])) for name in units} | given
 
 
 def _units(model: PortableModel) -> dict[str, str]:
@@ -203,7 +206,7 @@ def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Ele
     values |= {
         "file": file,
         "name": escape(aircraft.name),
-        "full": _listed(full, _units(model)) or "none",
+        "full": _listed(full, _units(model) | {"thrust": "N"}) or "none",
         "ixy": -inertia["ixy"],
         "iyz": -inertia["iyz"],
         "thrust_x": -x,
@@ -216,23 +219,28 @@ def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Ele
     return _filled("aircraft.xml", values)
 
 
-def _has_engine(aircraft: Aircraft) -> bool:
+def _has_engine(aircraft: Aircraft, full: Mapping[str, float]) -> bool:
     """Return whether JSBSim's trim can find the throttle.
 
     It moves the throttles of engines and no other property, so the file has one without power.
     """
-    return aircraft.propeller is not None and aircraft.propeller.speed_range is not None
+    if aircraft.propeller is None:
+        return "thrust" in full
+    return aircraft.propeller.speed_range is not None
 
 
-def _add_thrust(root: Element, aircraft: Aircraft) -> None:
+def _add_thrust(root: Element, aircraft: Aircraft, full: Mapping[str, float]) -> None:
     """Add thrust and torque of the propeller, and remove parts that the aircraft does not have."""
     reactions = _part(root, "external_reactions")
     moment = _part(reactions, "moment")
     propeller = aircraft.propeller
-    if not _has_engine(aircraft):
+    if not _has_engine(aircraft, full):
         root.remove(_part(root, "propulsion"))
     if propeller is None:
         reactions.remove(moment)
+        if "thrust" in full:
+            thrust = _apply("product", full["thrust"] / POUND_FORCE, THROTTLE)
+            _part(reactions, "force").insert(0, _function("propulsion/thrust-lbs", thrust))
         return
     reactions.insert(0, _named("property", SPEED))
     thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
@@ -293,7 +301,7 @@ def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]
     for name in SURFACES:
         if name in model.regressor_names:
             channel.extend(_surface(name, full[name], *model.servos.tolist()))
-    settable = [] if _has_engine(model.aircraft) else [THROTTLE]
+    settable = [] if _has_engine(model.aircraft, full) else [THROTTLE]
     for regressor in model.regressors:
         if not regressor.power and regressor.name not in SOURCES:
             settable.append(f"fcs/{regressor.name}")

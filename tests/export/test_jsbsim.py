@@ -205,6 +205,28 @@ def test_surfaces_keep_the_rate_limit_of_the_servos(load, portable_of):
     assert fdm["fcs/elevator-pos-rad"] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("latitude", [0.0, 60.0])
+def test_trim_finds_the_throttle_of_a_given_thrust_over_the_earth(portable_of, tmp_path, latitude):
+    """The weight is that of JSBSim's Earth, gravitation without the acceleration of its rotation."""
+    jsbsim = pytest.importorskip("jsbsim", reason="flies exports in JSBSim: pip install jsbsim")
+    model = of_aircraft(portable_of("trend"), propeller=None)
+    (path,) = write_jsbsim(tmp_path, model, full=FULL | {"thrust": 200.0})
+    fdm = jsbsim.FGFDMExec(str(tmp_path))
+    fdm.set_debug_level(0)
+    assert fdm.load_model(path.stem)
+    fdm["ic/lat-geod-deg"] = latitude
+    placed(fdm, model, np.zeros(6))
+    fdm["simulation/do_simple_trim"] = 1
+    assert abs(fdm["accelerations/udot-ft_sec2"]) < 1e-3
+    rotation = 7.292115e-5**2 * 6378137.0 * np.cos(np.deg2rad(latitude)) ** 2
+    gravity = fdm["accelerations/gravity-ft_sec2"] * FOOT - rotation
+    aerodynamics = Aerodynamics(model.predict, model.regressor_names)
+    air = Air(density=density(fdm), gravity=gravity)
+    expected = trim(aerodynamics, model.aircraft, AIRSPEED, air=air)
+    assert 200.0 * fdm["fcs/throttle-cmd-norm"] == pytest.approx(expected.thrust, rel=1e-3)
+    assert fdm["aero/alpha-rad"] == pytest.approx(expected.alpha, abs=2e-4)
+
+
 @pytest.mark.parametrize("propeller", [None, PROPELLER])
 def test_trim_is_that_of_jsbsim(load, portable_of, propeller):
     """JSBSim's full trim, to 0.001 ft/s^2, from controls at zero; with a propeller it finds the throttle."""

@@ -37,8 +37,6 @@ from skdgp._flight.tables import interpolated
 class SmoothingSettings:
     """Settings of the smoother; guesses without another source."""
 
-    # of the Butterworth filter, run forward and backward
-    order: int = 2
     # length of a periodogram [s], and least number of its samples
     window_seconds: float = 6.4
     shortest_window: int = 64
@@ -182,10 +180,10 @@ def smooth(
     out = np.full(columns.shape, np.nan)
     groups = list(_channel_groups(columns, clock))
     for group in groups:
-        low_pass = _low_pass(group, cutoff, joint, shrinks[group.channels])
+        filter_of_group = _filter_of(group, cutoff, joint, shrinks[group.channels])
         for run in group.runs:
             place = np.ix_(group.rows[run], group.channels)
-            out[place] = _filtered(group.columns[run], group.time[run], low_pass, derivative)
+            out[place] = _filtered(group.columns[run], group.time[run], filter_of_group, derivative)
     if derivative and any(min(group.lengths) == 1 for group in groups):
         warn(NO_RATE)
     if cutoff == "auto" and any(max(group.lengths) < SMOOTHING.least_samples for group in groups):
@@ -298,38 +296,41 @@ def _channel_groups(columns: Matrix, clock: Clock) -> Iterator[ChannelGroup]:
                 yield ChannelGroup(rows, channels, together, its_clock.time, runs)
 
 
-def _filtered(columns: Matrix, time: Vector, low_pass: LowPass | None, derivative: bool) -> Matrix:
+def _filtered(columns: Matrix, time: Vector, smoother: LowPass | None, derivative: bool) -> Matrix:
     """Return one run without gaps filtered on a uniform grid: its values, or slopes, at the run's times."""
     if len(time) == 1:
         return np.full_like(columns, np.nan) if derivative else columns
     grid, is_jittered = uniform_grid(time)
     at = time if is_jittered else grid
     knots = at
-    if low_pass is not None:
+    if smoother is not None:
         knots = grid
         if is_jittered:
             columns = interpolate.CubicSpline(time, columns)(grid)
         rate = (len(grid) - 1) / np.ptp(grid)
-        columns = low_pass(columns, rate)
+        columns = smoother(columns, rate)
     if knots is at and not derivative:
         return columns
     return interpolate.CubicSpline(knots, columns)(at, int(derivative))
 
 
-def _butterworth(columns: Matrix, rate: float, cutoff: float) -> Matrix:
-    """Return channels through a Butterworth filter, forward and backward."""
+def low_pass(columns: Array, rate: float, cutoff: float, *, order: int = 2) -> Array:
+    """Return equidistant values (n, ...) of a rate [Hz] through a Butterworth filter, forward and backward.
+
+    The gain is 1/2 at the cutoff [Hz]. Raises ValueError if this is not below half the rate.
+    """
     if cutoff > rate / 2 * (1 - 1e-6):
         raise ValueError(
             f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than half "
             f"the sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
         )
-    sections = signal.butter(SMOOTHING.order, cutoff, fs=rate, output="sos")
+    sections = signal.butter(order, cutoff, fs=rate, output="sos")
     transient = int(np.ceil(5 * rate / cutoff))
     padding = min(len(columns) - 1, transient)
     return signal.sosfiltfilt(sections, columns, axis=0, padlen=padding)
 
 
-def _low_pass(
+def _filter_of(
     group: ChannelGroup,
     cutoff: float | str | FittedFilter | None,
     joint: bool,
@@ -341,7 +342,7 @@ def _low_pass(
     if isinstance(cutoff, FittedFilter):
         return cutoff.of_channels(group.channels)
     if not isinstance(cutoff, str):
-        return partial(_butterworth, cutoff=cutoff)
+        return partial(low_pass, cutoff=cutoff)
     spectrum = _flight_spectrum(group)
     if spectrum is None:
         return None

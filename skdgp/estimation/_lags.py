@@ -31,6 +31,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.clock import flight_codes, uniform_grid
 from skdgp._flight.sensor_position import at_centre_of_gravity
+from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 from skdgp._flight.units import check_radians
 from skdgp.estimation._path import estimate_path
@@ -163,7 +164,7 @@ class _Segment:
         channels = _on_clock(time, table, clock)
         speed = _steady_speed(channels, rate_hz, settings)
         for name in RATES:
-            rate = CubicSpline(clock, _low_pass(channels[name], 2 * high, rate_hz))
+            rate = CubicSpline(clock, low_pass(channels[name], rate_hz, 2 * high))
             channels[f"{name}_dot"] = rate(clock, 1) / speed**2
             channels[name] /= speed
         for name in SPECIFIC_FORCE:
@@ -218,7 +219,7 @@ def _steady_speed(
     """Return the airspeed below the band, (n,) [m/s]; one where it is not measured."""
     if "airspeed" not in channels:
         return 1.0
-    speed = _low_pass(channels["airspeed"], settings.steady_frequency, rate_hz)
+    speed = low_pass(channels["airspeed"], rate_hz, settings.steady_frequency)
     return np.maximum(speed, settings.least_speed * np.median(speed))
 
 
@@ -241,13 +242,6 @@ def _band_at(rate_hz: float, settings: LagSettings) -> tuple[float, float]:
     """Return the band of frequencies at a rate of samples [Hz]; empty where samples are too slow."""
     low, high = settings.band
     return low, min(high, settings.highest * rate_hz)
-
-
-def _low_pass(values: Vector, frequency: float, rate_hz: float) -> Vector:
-    """Return values without frequencies above the given one [Hz], and without delay."""
-    sections = signal.butter(2, frequency, fs=rate_hz, output="sos")
-    padding = min(len(values) - 1, round(2 * rate_hz / frequency))
-    return signal.sosfiltfilt(sections, values, padlen=padding)
 
 
 def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:

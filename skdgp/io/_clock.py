@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import butter, sosfiltfilt
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.clock import CLOCK, slices
+from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
 
@@ -200,7 +200,6 @@ def _low_passed(time: Vector, values: Matrix, rate: float) -> Matrix:
     if old_rate < RESAMPLING.least_ratio * rate:
         return values
     even = np.linspace(time[0], time[-1], n)
-    sections = butter(RESAMPLING.filter_order, RESAMPLING.cutoff * rate, fs=old_rate, output="sos")
-    padding = min(n - 1, round(4 * old_rate / rate) + 27)
-    passed = sosfiltfilt(sections, interpolated(even, time, values), axis=0, padlen=padding)
+    evenly = interpolated(even, time, values)
+    passed = low_pass(evenly, old_rate, RESAMPLING.cutoff * rate, order=RESAMPLING.filter_order)
     return interpolated(time, even, passed)

@@ -23,8 +23,7 @@ ALLOWED = {
     "estimation": "_compute _flight dynamics",
     "io": "_compute _flight dynamics",
     "preprocessing": "_compute _flight dynamics estimation",
-    "_excitation": "_compute _flight",
-    "datasets": "_compute _flight _excitation dynamics",
+    "datasets": "_compute _flight dynamics",
     "kernels": "_compute",
     "inference": "_compute kernels",
     "_regressor": "_compute kernels inference",
@@ -38,15 +37,15 @@ ALLOWED = {
     "model_selection plotting report",
     # what is done with a model: export and design could become packages by moving a folder
     "export": "_compute _flight dynamics io kernels inference _regressor",
-    "design": "_compute _flight _display _excitation dynamics preprocessing plotting",
+    "design": "_compute _flight _display dynamics preprocessing plotting",
     "control": "_compute _flight dynamics",
-    "_cli": "_compute _flight _excitation dynamics io datasets _regressor report identification export design control",
+    "_cli": "_compute _flight dynamics io datasets _regressor report identification export design control",
     "__main__": "_cli",
     "__init__": "_compute dynamics estimation io preprocessing datasets kernels inference _regressor metrics "
     "model_selection plotting report identification export design control",
 }
 # Rooms whose files any room above may import; of others it imports what their ``__init__`` shows
-SHARED = {"_compute", "_flight", "_excitation", "_display"}
+SHARED = {"_compute", "_flight", "_display"}
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),

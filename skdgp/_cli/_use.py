@@ -17,7 +17,7 @@ from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run, wrote
 from skdgp._compute.files import Writer, csv_writer, text_writer
 from skdgp._compute.messages import can_draw, listening, warn
-from skdgp._excitation import AXES
+from skdgp._flight.excitation import AXES
 from skdgp.design import Envelope, Plan, PlanSettings, ardupilot_script, surface_mixes
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (

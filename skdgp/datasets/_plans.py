@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skdgp._compute.files import read_toml
-from skdgp._excitation import Steps, Wavetrain, doublet, multisine, three_two_one_one
+from skdgp._flight.excitation import Steps, Wavetrain, doublet, multisine, three_two_one_one
 
 WAVES: dict[str, Callable[..., Any]] = {
     "doublet": doublet,

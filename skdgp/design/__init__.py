@@ -1,6 +1,6 @@
 """Design of flights: inputs that excite an aircraft, and plans of manoeuvres with promised standard deviations."""
 
-from skdgp._excitation import (
+from skdgp._flight.excitation import (
     Multisine,
     Steps,
     Wavetrain,

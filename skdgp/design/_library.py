@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from skdgp._excitation import (
+from skdgp._flight.excitation import (
     Signal,
     Wavetrain,
     doublet,

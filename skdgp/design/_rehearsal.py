@@ -11,7 +11,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.messages import notify
-from skdgp._excitation import ROUNDING, Steps, Wavetrain
+from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
 from skdgp.design._envelope import Envelope, option_of
 from skdgp.design._library import Inputs, PlanSettings, duration_of, scaled
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate

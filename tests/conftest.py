@@ -23,10 +23,10 @@ from numpy.random import default_rng
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets, design
+from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aerodynamics, Aircraft
-from skdgp.identification import Identification
+from skdgp.identification import FlightMechanics, Identification
 from skdgp.inference import SearchSettings
-from skdgp.report import Code, Finding, FlightMechanics
 
 # Of processes that tests start, as _threads below for this one
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -31,10 +31,9 @@ ALLOWED = {
     "metrics": "_compute _flight",
     "model_selection": "_compute",
     "plotting": "_compute _flight _display dynamics inference _regressor",
-    "report": "_compute _flight _display dynamics metrics plotting",  # shows arrays; it knows no models
-    # fills the reports of its models
-    "identification": "_compute _flight _display dynamics estimation io preprocessing inference _regressor metrics "
-    "model_selection plotting report",
+    "identification": "_compute _flight dynamics estimation io preprocessing inference _regressor metrics "
+    "model_selection plotting",
+    "report": "_compute _flight _display dynamics identification plotting",
     # what is done with a model: export and design could become packages by moving a folder
     "export": "_compute _flight dynamics io kernels inference _regressor",
     "design": "_compute _flight _display dynamics preprocessing plotting",

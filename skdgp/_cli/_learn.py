@@ -16,10 +16,11 @@ from skdgp._compute.messages import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import KINDS, Aircraft, Propeller
-from skdgp.identification import Identification, PredictedFlight, changes_in_flights
+from skdgp.identification import Identification
 from skdgp.identification import identify as identify_flights
 from skdgp.identification import validate as validate_flights
 from skdgp.io import inspect_log
+from skdgp.report import save_report
 
 SIZES = {
     "mass": "[kg]",
@@ -208,7 +209,7 @@ def _finish(run: Run, result: Identification) -> None:
     result = replace(result, command=run.command_line)
     lines: list[str] = []
     if run.folder is not None:
-        result.save(run.folder)
+        save_report(result, run.folder)
         lines = [f"{what:<9}{run.folder / name}" for name, what in CONTENTS.items()]
     run.print(
         "\n".join([result.summary(), "", *lines[: 3 if result.train else 2]]).rstrip(),
@@ -237,12 +238,7 @@ def validate(run: Run) -> None:
         result = validate_flights(
             model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
         )
-        predicted = {
-            flight.name: PredictedFlight(flight.table, flight.regressors, flight.mean)
-            for flight in result.evaluations
-        }
-        changes = changes_in_flights(model.pipeline, predicted, result.aircraft, result.options)
-        _finish(run, replace(result, supplements=[changes]))
+        _finish(run, result)
 
 
 LEARNING: dict[str, dict[str, Any]] = {

@@ -29,13 +29,13 @@ from skdgp.dynamics import (
 )
 from skdgp.export import FORMATS, export_model
 from skdgp.identification import (
+    FlightMechanics,
     FlightPipeline,
     check_identified,
     load_model,
     named_flights,
     usable_flights_of_model,
 )
-from skdgp.report import FlightMechanics
 
 
 def read_model(options) -> Bunch:

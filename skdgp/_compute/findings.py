@@ -1,11 +1,20 @@
-"""Findings of checks, reconstruction, fit and evaluation; `wording` turns them into text."""
+"""Findings: facts with their numbers, and the wording of each kind, which stands once, in its row of a table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from string import Formatter
 from typing import Any
+
+MOST_NAMES = 3  # names in a list that is shortened
+MOST_FINDINGS = 8  # findings in a text that lists them
+SHORT = "short"  # format spec of a shortened list
+GROUPED = "grouped"  # format spec of findings that are one text for each kind
+ADVICE = "advice"  # format spec of the advice of a finding
+OPTIONAL = re.compile(r"\[([^\[\]]*\{[^\[\]]*)\]")  # a part of a template with its fields
 
 
 class Severity(Enum):
@@ -16,124 +25,42 @@ class Severity(Enum):
     DOUBT = "doubt"  # no use of the model is judged with "yes"
 
 
-class Code(Enum):
-    """Kind of a finding."""
+class Kind(Enum):
+    """Base of tables of kinds of findings: a row is ``NAME = statement, advice, severity``.
 
-    MESSAGE = "message"  # a text that has no code of its own
+    The statement is a clause without a stop, the advice whole sentences. Both are templates over
+    flight, channel and numbers of the finding: a part in brackets, ``[: {causes}]``, is left out
+    where one of its fields is unknown, and the format of a flag is shown where it is true.
+    """
 
-    # faults of a channel of a log
-    GAP = "gap"
-    MISSING = "missing"
-    STUCK = "stuck"
-    IMPOSSIBLE = "impossible"
-    SPIKE = "spike"
-    CONSTANT = "constant"
-    # all faults of a log, by their treatment
-    FAULTS_BRIDGED = "faults_bridged"
-    FAULTS_EXCLUDED = "faults_excluded"
+    statement: str
+    advice: str
+    severity: Severity
 
-    # flights
-    CONTRADICTION = "contradiction"
-    LARGE_SURFACES = "large_surfaces"
-    LONE_ROWS = "lone_rows"
-    NO_ELEVATOR = "no_elevator"
-    ROWS_LEFT_OUT = "rows_left_out"
-    SENSOR_POSITIONS_DIFFER = "sensor_positions_differ"
-    SLOW_CHANNELS = "slow_channels"
+    def __new__(
+        cls, statement: str, advice: str = "", severity: Severity = Severity.WARNING
+    ) -> Kind:
+        member = object.__new__(cls)
+        member._value_ = len(cls.__members__)  # two kinds may have one wording
+        member.statement = statement
+        member.advice = advice
+        member.severity = severity
+        return member
 
-    # assumptions
-    ENGINE_UNEXPLAINED = "engine_unexplained"
-    FULL_THROWS = "full_throws"
-    SIZES_QUESTIONED = "sizes_questioned"
-    SIZES_ESTIMATED = "sizes_estimated"
-    SIZES_SOURCES = "sizes_sources"
-    THRUST_IN_COEFFICIENTS = "thrust_in_coefficients"
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Return the name of the kind, which a saved finding knows it by."""
+        return getattr, (type(self), self.name)
 
-    # training and test
-    ALREADY_LEARNED = "already_learned"
-    HELD_OUT_FLIGHT = "held_out_flight"
-    HELD_OUT_QUARTER = "held_out_quarter"
-    OTHER_VERSIONS = "other_versions"
-    TESTED_ON_TRAINING = "tested_on_training"
-
-    # transformers
-    AIRSPEED_CORRECTED = "airspeed_corrected"
-    VIBRATION = "vibration"
-    AIR_NOT_CONVERGED = "air_not_converged"
-    AIR_NOT_ESTIMATED = "air_not_estimated"
-    COUPLINGS_FOUND = "couplings_found"
-    SENSORS_ELSEWHERE = "sensors_elsewhere"
-    CONSTANT_REGRESSORS = "constant_regressors"
-    GUSTS_UNKNOWN = "gusts_unknown"
-    LAGS_CORRECTED = "lags_corrected"
-    NO_AIRCRAFT = "no_aircraft"
-    PATHS_NOT_CONVERGED = "paths_not_converged"
-    PATHS_RECONSTRUCTED = "paths_reconstructed"
-    PATHS_SMOOTHED = "paths_smoothed"
-    SENSORS_MISSING = "sensors_missing"
-    TRUTH_AS_REGRESSORS = "truth_as_regressors"
-
-    # fit
-    APPROXIMATION_POOR = "approximation_poor"
-    BOUNDS_REACHED = "bounds_reached"
-    CONSTANT_INPUTS = "constant_inputs"
-    CONSTANT_OUTPUTS = "constant_outputs"
-    FEW_ROWS = "few_rows"
-    FIT_INTERRUPTED = "fit_interrupted"
-    FIT_NOT_CONVERGED = "fit_not_converged"
-    INDICES_DIFFER = "indices_differ"
-    SAMPLES_REPEATED = "samples_repeated"
-    SEARCH_STOPPED = "search_stopped"
-
-    # scores
-    BANDS_TOO_NARROW = "bands_too_narrow"
-    BANDS_TOO_WIDE = "bands_too_wide"
-    BY_CONSTRUCTION = "by_construction"
-    CONSTANT_BETTER_IN_FLIGHTS = "constant_better_in_flights"
-    DIVERGING = "diverging"
-    ERRORS_SMALL = "errors_small"
-    ERRORS_TOO_LARGE = "errors_too_large"
-    LEAST_SQUARES_BETTER = "least_squares_better"
-    MOMENTS_UNEXPLAINED = "moments_unexplained"
-    NOT_VARYING = "not_varying"
-    TOO_LITTLE_FLOWN = "too_little_flown"
-
-    # flight mechanics
-    CONTROLS_KNOWN = "controls_known"
-    CONTROLS_MISSING = "controls_missing"
-    CONTROLS_TOO_UNCERTAIN = "controls_too_uncertain"
-    NO_DERIVATIVES = "no_derivatives"
-    NO_TRIM = "no_trim"
-    TRIM_BEYOND = "trim_beyond"
-    IMPLAUSIBLE_SIZES = "implausible_sizes"
-    SIGNS_UNKNOWN = "signs_unknown"
-    WRONG_SIGNS = "wrong_signs"
-
-    # simulation
-    ACCELERATIONS_AS_REGRESSORS = "accelerations_as_regressors"
-    FOLLOWS = "follows"
-    FOLLOWS_SHORTLY = "follows_shortly"
-    GUSTS_HIDE_ERRORS = "gusts_hide_errors"
-    NOT_EXCITED = "not_excited"
-    NOT_SIMULATED = "not_simulated"
-    NO_FREQUENCY_RESPONSES = "no_frequency_responses"
+    @property
+    def label(self) -> str:
+        """Name of the kind in metrics.json."""
+        return self.name.lower()
 
 
-DOUBTS = frozenset({Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED, Code.SIZES_QUESTIONED})
-NOTES = frozenset(
-    {
-        Code.AIRSPEED_CORRECTED,
-        Code.CONTROLS_KNOWN,
-        Code.COUPLINGS_FOUND,
-        Code.ERRORS_SMALL,
-        Code.FOLLOWS,
-        Code.LAGS_CORRECTED,
-        Code.PATHS_RECONSTRUCTED,
-        Code.PATHS_SMOOTHED,
-        Code.SLOW_CHANNELS,
-        Code.VIBRATION,
-    }
-)
+class PlainText(Kind):
+    """Warnings that have a text and no numbers."""
+
+    MESSAGE = "{text}"
 
 
 @dataclass(frozen=True)
@@ -142,7 +69,7 @@ class Finding:
 
     Parameters
     ----------
-    code : Code
+    code : Kind
         Kind of the finding; rules decide by it.
     flight, channel : str, optional
         Flight and channel that it is about.
@@ -150,36 +77,156 @@ class Finding:
         Numbers, names, and further findings that the text shows.
     """
 
-    code: Code
+    code: Kind
     flight: Any = None
     channel: str | None = None
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def severity(self) -> Severity:
-        """Consequence, which follows from the code."""
-        if self.code in DOUBTS:
-            return Severity.DOUBT
-        return Severity.NOTE if self.code in NOTES else Severity.WARNING
+        """Consequence, which follows from the kind."""
+        return self.code.severity
+
+    @property
+    def clause(self) -> str:
+        """The statement as a part of a sentence, such as the reason of a judgement."""
+        return self._filled(self.code.statement).removesuffix(".")
+
+    @property
+    def advice(self) -> str:
+        """What to do, as sentences."""
+        return self._filled(self.code.advice)
+
+    @property
+    def text(self) -> str:
+        """Statement and advice as sentences."""
+        clause = self.clause
+        if self.code.statement[0].islower():
+            clause = clause[0].upper() + clause[1:]
+        return f"{clause}. {self.advice}".strip()
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         return {
-            "code": self.code.value,
+            "code": self.code.label,
             "severity": self.severity.value,
             "flight": self.flight,
             "channel": self.channel,
-            "numbers": {name: _plain(value) for name, value in self.numbers.items()},
+            "numbers": _plain(self.numbers),
         }
+
+    def _filled(self, template: str) -> str:
+        """Return a template with the values of the finding."""
+        values = {"flight": self.flight, "channel": self.channel, **self.numbers}
+
+        def known_part(match: re.Match) -> str:
+            part = match[1]
+            fields = [name for _, name, _, _ in WORDS.parse(part) if name]
+            return part if all(_is_known(values.get(name)) for name in fields) else ""
+
+        return WORDS.vformat(OPTIONAL.sub(known_part, template), (), values)
+
+
+def texts_of(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return the text of each finding; of several of one kind and channel the longest, and the others' number.
+
+    Examples
+    --------
+    >>> texts_of(Finding(PlainText.MESSAGE, numbers={"text": "late"}) for _ in range(2))
+    ('late. (1 more of this kind)',)
+    """
+    groups = _groups(findings, lambda finding: (finding.channel, finding.numbers.get("text")))
+    return tuple(longest.text + others for longest, others in groups)
+
+
+def clauses_of(findings: Iterable[Finding]) -> str:
+    """Return clauses as one sentence without its stop; of several of one kind the longest, and the others' channels."""
+    groups = _groups(findings, lambda finding: finding.numbers.get("text"))
+    return "; ".join(longest.clause + others for longest, others in groups)
+
+
+def _groups(
+    findings: Iterable[Finding], key: Callable[[Finding], Any]
+) -> list[tuple[Finding, str]]:
+    """Return the longest finding of each kind and key, and how many others there are, as text."""
+    groups: dict[Any, list[Finding]] = {}
+    for finding in findings:
+        groups.setdefault((finding.code, key(finding)), []).append(finding)
+    texts = []
+    for group in groups.values():
+        longest = max(group, key=lambda finding: finding.numbers.get("samples", 0))
+        channels = {str(finding.channel): None for finding in group}
+        channels.pop(str(longest.channel))
+        among = f": {shortened(list(channels))}" if channels else ""
+        others = f" ({len(group) - 1} more of this kind{among})" if len(group) > 1 else ""
+        texts.append((longest, others))
+    return texts
+
+
+def with_codes(findings: Iterable[Finding], *codes: Kind) -> list[Finding]:
+    """Return the findings that have one of the codes."""
+    return [finding for finding in findings if finding.code in codes]
+
+
+def shortened(names: Sequence[str], most: int = MOST_NAMES, separator: str = ", ") -> str:
+    """Return the first names, and the number of the others."""
+    text = separator.join(names[:most])
+    n_hidden = len(names) - most
+    return f"{text} and {n_hidden} more" if n_hidden > 0 else text
+
+
+class _Words(Formatter):
+    """Formats values of findings.
+
+    Items of a list are joined by its format spec, values of a mapping take it, a pair is a value
+    and its standard deviation, a flag is its format spec or nothing, and a finding its clause.
+    """
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a value as text."""
+        if isinstance(value, bool):
+            return format_spec if value else ""
+        if isinstance(value, Finding):
+            return value.advice if format_spec == ADVICE else value.clause
+        if isinstance(value, Kind):
+            return value.statement
+        if isinstance(value, Mapping):
+            parts = [f"{name} {self.format_field(value[name], format_spec)}" for name in value]
+            return shortened(parts, MOST_FINDINGS)
+        if isinstance(value, tuple):
+            return " ± ".join(self.format_field(number, format_spec) for number in value)
+        if isinstance(value, list):
+            return _listed(value, format_spec)
+        text = format(value, format_spec)
+        return text.replace("%", " %") if isinstance(value, float) else text
+
+
+WORDS = _Words()
+
+
+def _listed(values: list[Any], format_spec: str) -> str:
+    """Return a list of names, or of findings, as text."""
+    if any(isinstance(value, Finding) for value in values):
+        if format_spec == GROUPED:
+            return clauses_of(values)
+        return shortened([value.clause for value in values], MOST_FINDINGS, "; ")
+    if format_spec == SHORT:
+        return shortened(values)
+    return (format_spec or ", ").join(values)
+
+
+def _is_known(value: Any) -> bool:
+    """Return whether a value is more than None, False, or an empty text or collection."""
+    is_empty = isinstance(value, str | Mapping | list) and not value
+    return value is not None and value is not False and not is_empty
 
 
 def _plain(value: Any) -> Any:
-    """Return a number of a finding; further findings as plain values."""
+    """Return a number of a finding, or several; further findings as plain values."""
     if isinstance(value, Finding):
         return value.to_dict()
+    if isinstance(value, Kind):
+        return value.label
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list) else value
-
-
-def with_codes(findings: Iterable[Finding], *codes: Code) -> list[Finding]:
-    """Return the findings that have one of the codes."""
-    return [finding for finding in findings if finding.code in codes]

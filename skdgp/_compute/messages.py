@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any, TypeAlias
 
-from skdgp._compute.findings import Code, Finding
-from skdgp._compute.wording import text_of
+from skdgp._compute.findings import Finding, Kind, PlainText
 
 #: Packages that are passed over in the search for the user's line of a warning
 LIBRARIES = frozenset(
@@ -27,7 +26,7 @@ class FindingWarning(UserWarning):
 
     def __init__(self, content: Finding | str = "") -> None:
         self.finding = content if isinstance(content, Finding) else None
-        super().__init__(text_of(content) if isinstance(content, Finding) else content)
+        super().__init__(content.text if isinstance(content, Finding) else content)
 
 
 @dataclass
@@ -35,10 +34,10 @@ class FindingRecord:
     """Findings of warnings, each once; findings of the ignored codes and category are neither shown nor kept."""
 
     findings: list[Finding] = field(default_factory=list)
-    ignored_codes: set[Code] = field(default_factory=set)
+    ignored_codes: set[Kind] = field(default_factory=set)
     ignored_category: type[Warning] | None = None
 
-    def ignore(self, *codes: Code) -> None:
+    def ignore(self, *codes: Kind) -> None:
         """Ignore findings of these codes until the end of the block."""
         self.ignored_codes.update(codes)
 
@@ -64,7 +63,7 @@ def report(finding: Finding, category: type[FindingWarning] = FindingWarning) ->
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn by a text, which is recorded as a finding of the code ``MESSAGE``."""
-    finding = Finding(Code.MESSAGE, numbers={"text": " ".join(message.split())})
+    finding = Finding(PlainText.MESSAGE, numbers={"text": " ".join(message.split())})
     if not _is_ignored(finding, category):
         warnings.warn(message, category, stacklevel=_level_of_user())
 

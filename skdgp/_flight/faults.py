@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import FindingWarning
 from skdgp._compute.typing import Indices, Mask, Vector
 from skdgp._flight.channels import (
@@ -31,6 +30,7 @@ from skdgp._flight.channels import (
     WRAPPED,
 )
 from skdgp._flight.clock import CLOCK, n_rows, true_runs
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
 
@@ -149,7 +149,8 @@ def find_faults(flights: FlightTable, ignore: Iterable[str] = ()) -> list[Fault]
             times = part.time[fault.rows]
             begin = float(times[0])
             end = float(times[-1])
-            place = {"start": begin, "end": end, "samples": len(fault.rows), "origin": origin}
+            place = {"start": begin, "end": end, "samples": len(fault.rows)}
+            place |= {"begin": begin - origin, "last": end - origin}
             finding = Finding(fault.code, flight, fault.channel, place | fault.numbers)
             faults.append(Fault(finding, rows[fault.rows]))
     return faults
@@ -209,7 +210,7 @@ def _missing(name: str, values: Vector, step: float) -> list[_Rows]:
     """Return the gaps, together, of a channel that usually has values there, if any."""
     is_missing = ~np.isfinite(values)
     if is_missing.all():
-        return [_Rows(name, Code.MISSING, np.arange(len(values)), {})]
+        return [_Rows(name, Code.NEVER_MEASURED, np.arange(len(values)), {})]
     # as many rows are missing between samples of a sensor that is slower than the table
     usual = FAULTS.missing * usual_spacing(values) - 1
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
@@ -19,6 +18,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     WRAPPED,
 )
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density, wrapped
 from skdgp._flight.tables import FlightTable, has_values
 

@@ -11,7 +11,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import check_array
 
 from skdgp._compute.files import column_names
-from skdgp._compute.findings import Code, Finding
+from skdgp._compute.findings import Finding, Kind
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.messages import FindingWarning, report
 from skdgp._compute.statistics import autocorrelation_time, check_deviations
@@ -40,6 +40,53 @@ class WarningSettings:
 
 
 SETTINGS = WarningSettings()
+
+
+class FitCode(Kind):
+    """Findings of a fit."""
+
+    APPROXIMATION_POOR = (
+        "{inducing} inducing inputs leave {neglected:.2g} of the noise variance unexplained"
+        "[: the model is learned from {exact} of the values instead]",
+        "Raise n_inducing to learn from all.",
+    )
+    BOUNDS_REACHED = (
+        "got hyperparameters that end at a bound of the kernel: {reached:short}",
+        "Widen the bounds, unless they are known to hold.",
+    )
+    CONSTANT_INPUTS = (
+        "the regressors {names!r} are constant over the samples: their effect cannot be learned, and "
+        "predictions at other values are not reliable",
+        "Leave them out, or add samples in which they vary.",
+    )
+    CONSTANT_OUTPUTS = (
+        "the outputs {names!r} are constant over the samples: nothing can be learned about them, and their "
+        "stated uncertainty is not reliable",
+        "Leave them out, or check the data.",
+    )
+    FEW_ROWS = (
+        "got {rows} rows[, worth {independent:.0f} independent ones as errors last {lasting:.0f} rows,] for "
+        "{regressors} regressors, {each:.2g} for each, but expected at least {least} for each: with fewer, "
+        "the model leans on the linear trend, and standard deviations may be too small",
+        "Give more rows, or name fewer regressors.",
+    )
+    FIT_INTERRUPTED = (
+        "the fit was interrupted; the best hyperparameters so far are kept",
+        "Fit again to continue.",
+    )
+    INDICES_DIFFER = (
+        "the indices of X and y differ; rows are matched by position",
+        "If rows of one were dropped or sorted, do the same to the other (y.loc[X.index]).",
+    )
+    SAMPLES_REPEATED = (
+        "{repeated} of {samples} samples repeat another sample with the same regressors and targets",
+        "They count as independent, so the uncertainty is too small: drop repeated rows.",
+    )
+    SEARCH_STOPPED = (
+        "the fit stopped at max_iter={max_iter} before it converged: in as many iterations again the log "
+        "likelihood is expected to rise by {remaining:,.0f} nats",
+        "Raise max_iter[, or scale the regressors {unscaled!r} (StandardScaler)].",
+    )
 
 
 class SearchWarning(FindingWarning, ConvergenceWarning):
@@ -234,7 +281,7 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
     ``n_exact``: the number of values that the model is learned from instead, if any.
     """
     numbers = {"inducing": n_inducing, "neglected": neglected, "exact": n_exact}
-    report(Finding(Code.APPROXIMATION_POOR, numbers=numbers))
+    report(Finding(FitCode.APPROXIMATION_POOR, numbers=numbers))
 
 
 def warn_of_indices(index: Any, y: Any) -> None:
@@ -242,7 +289,7 @@ def warn_of_indices(index: Any, y: Any) -> None:
     if not isinstance(index, pd.Index) or not isinstance(y, (pd.DataFrame, pd.Series)):
         return
     if not index.equals(y.index):
-        report(Finding(Code.INDICES_DIFFER))
+        report(Finding(FitCode.INDICES_DIFFER))
 
 
 def warn_of_samples(
@@ -251,13 +298,13 @@ def warn_of_samples(
     """Warn of constant regressors and outputs, and of repeated samples."""
     constant = _marked(regressors, constant_columns(X))
     if constant:
-        report(Finding(Code.CONSTANT_INPUTS, numbers={"names": constant}))
+        report(Finding(FitCode.CONSTANT_INPUTS, numbers={"names": constant}))
     constant = _marked(outputs, constant_columns(Y))
     if constant:
-        report(Finding(Code.CONSTANT_OUTPUTS, numbers={"names": constant}))
+        report(Finding(FitCode.CONSTANT_OUTPUTS, numbers={"names": constant}))
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
-        report(Finding(Code.SAMPLES_REPEATED, numbers={"repeated": repeated, "samples": len(X)}))
+        report(Finding(FitCode.SAMPLES_REPEATED, numbers={"repeated": repeated, "samples": len(X)}))
 
 
 def _marked(names, mask):
@@ -291,12 +338,12 @@ def warn_of_few_rows(
     numbers = {
         "rows": len(errors),
         "independent": rows,
-        "lasting": lasting,
+        "lasting": lasting if lasting > 1 else None,
         "regressors": n_regressors,
         "each": rows / n_regressors,
         "least": SETTINGS.least_rows,
     }
-    report(Finding(Code.FEW_ROWS, numbers=numbers), FewRowsWarning)
+    report(Finding(FitCode.FEW_ROWS, numbers=numbers), FewRowsWarning)
 
 
 def warn_of_search(
@@ -307,7 +354,7 @@ def warn_of_search(
 ) -> None:
     """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
     if best.interrupted:
-        report(Finding(Code.FIT_INTERRUPTED), SearchWarning)
+        report(Finding(FitCode.FIT_INTERRUPTED), SearchWarning)
     elif not best.converged:
         std = X.std(axis=0)
         unscaled = _marked(
@@ -318,7 +365,7 @@ def warn_of_search(
             "remaining": best.remaining,
             "unscaled": unscaled,
         }
-        report(Finding(Code.SEARCH_STOPPED, numbers=numbers), SearchWarning)
+        report(Finding(FitCode.SEARCH_STOPPED, numbers=numbers), SearchWarning)
 
 
 def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
@@ -335,7 +382,7 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
             if name not in before and not term.bounds_from_data(name[0]):
                 reached.append(text)
     if reached:
-        finding = Finding(Code.BOUNDS_REACHED, numbers={"reached": reached})
+        finding = Finding(FitCode.BOUNDS_REACHED, numbers={"reached": reached})
         report(finding, SearchWarning)
 
 

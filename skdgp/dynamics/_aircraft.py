@@ -17,11 +17,11 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.files import plain, read_json, read_toml, without_nones
-from skdgp._compute.findings import Finding
 from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
 from skdgp._flight.checks import as_floats, check_full_deflection
+from skdgp._flight.findings import Finding
 from skdgp._flight.physics import question_of_sizes, sizes_in_flight
 from skdgp._flight.sensor_position import sensor_position, with_sensors_at
 from skdgp._flight.tables import FlightTable

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
@@ -23,6 +22,7 @@ from skdgp._flight.faults import (
     find_faults,
     without_faults,
 )
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.motion_band import vibration_band
 from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
 from skdgp._flight.smoothing import FittedFilter, differentiate, smooth

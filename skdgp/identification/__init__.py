@@ -9,9 +9,12 @@ from skdgp.identification._changed import (
 )
 from skdgp.identification._changed import PredictedFlight as PredictedFlight
 from skdgp.identification._changed import changes_in_flights as changes_in_flights
+from skdgp.identification._evaluate import Evaluation as Evaluation
+from skdgp.identification._evaluate import scores as scores
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._identify import identify, validate
+from skdgp.identification._mechanics import FlightMechanics as FlightMechanics
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     FlightPipeline,
@@ -19,14 +22,22 @@ from skdgp.identification._pipeline import (
     make_identification_pipeline,
 )
 from skdgp.identification._prepare import check_identified, usable_flights_of_model
+from skdgp.identification._record import FitRecord as FitRecord
+from skdgp.identification._record import TrainingRecord as TrainingRecord
+from skdgp.identification._record import flown_seconds as flown_seconds
+from skdgp.identification._thresholds import THRESHOLDS
+from skdgp.identification._verdict import Use as Use
+from skdgp.identification._verdict import Verdict
 
 __all__ = [
+    "THRESHOLDS",
     "ChangeSettings",
     "Changes",
     "FlightPipeline",
     "FlightResiduals",
     "Identification",
     "ModelFileError",
+    "Verdict",
     "changed",
     "changes_of",
     "check_identified",

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -19,7 +18,6 @@ from sklearn.utils import Bunch
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp._display.page import section
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, HAT, MIRRORED, VANES
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -87,7 +85,6 @@ class Changes:
         p-value below which the summary says that the aircraft has changed.
     """
 
-    name: ClassVar[str] = "changed"
     p_values: pd.DataFrame
     derivatives: pd.DataFrame
     level: float = SETTINGS.level
@@ -115,12 +112,6 @@ class Changes:
                 text += ", ".join(parts) + ", +- one standard deviation"
             lines.append(text)
         return lines
-
-    def section(self) -> str:
-        """Return its section of the report, HTML."""
-        paragraphs = [f"<p>{escape(line)}</p>" for line in self.summary()]
-        table = self.p_values.to_html(float_format="{:.2g}".format, border=0)
-        return section("Has the aircraft changed?", *paragraphs, table)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""

@@ -1,6 +1,11 @@
-"""Third stage of an identification: predictions and replays of test flights."""
+"""Third stage of an identification: predictions and replays of test flights, and their scores."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,9 +18,105 @@ from skdgp.dynamics import aerodynamic_coefficients, replay
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms, named_regressors
 from skdgp.identification._pipeline import band_limited, cutoff_of, flight_regressors
-from skdgp.report import Evaluation
+from skdgp.metrics import (
+    interval_coverage,
+    median_relative_error,
+    negative_log_predictive_density,
+    normalized_rmse,
+)
 
 MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Predictions for one flight and their replay.
+
+    Parameters
+    ----------
+    name, time : str, (n,)
+        What to call it, and the time of the samples [s].
+    table : DataFrame
+        The flight table, for the inputs and the path.
+    measured, mean, std : (n, 6)
+        Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
+        noise.
+    measured_as_in_fit, prediction_std : (n, 6)
+        Coefficients measured with the noise of the fit, and standard deviations of such measurements.
+        ``measured`` is smoothed by the spectra of the flight, and so has more or less noise.
+    rows : ndarray of int
+        Where standard deviations were computed; between them they are interpolated.
+    regressors : (n, d)
+        Inputs of the last step of the pipeline.
+    truth : (n, 6), optional
+        Noise-free coefficients of a simulation.
+    baseline : (n, 6), optional
+        Coefficients that least squares on the same rows predict.
+    replay : DataFrame, optional
+        Of `skdgp.dynamics.replay` for ``table``.
+    """
+
+    name: str
+    time: Vector
+    table: pd.DataFrame
+    measured: Matrix
+    mean: Matrix
+    std: Matrix
+    measured_as_in_fit: Matrix
+    prediction_std: Matrix
+    rows: Indices
+    regressors: Matrix
+    truth: Matrix | None = None
+    baseline: Matrix | None = None
+    replay: pd.DataFrame | None = None
+
+    @cached_property
+    def scores(self) -> dict[str, pd.DataFrame]:
+        """The :func:`scores` of this flight."""
+        return scores([self])
+
+
+def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
+    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it.
+
+    Metrics of bands are of the rows where standard deviations were computed.
+    """
+    measured = [flight.measured for flight in flights]
+    in_bands = [flight.measured_as_in_fit for flight in flights]
+    bands = [flight.prediction_std for flight in flights]
+    against = {"measured": _scores(flights, measured, in_bands, bands)}
+    truth = [flight.truth for flight in flights if flight.truth is not None]
+    if len(truth) == len(flights):
+        against["truth"] = _scores(flights, truth, truth, [flight.std for flight in flights])
+    return against
+
+
+def _scores(
+    flights: Sequence[Evaluation],
+    reference: Sequence[Matrix],
+    in_bands: Sequence[Matrix],
+    std: Sequence[Matrix],
+) -> pd.DataFrame:
+    """Return coefficients by metrics: errors against a reference, and how bands hold values."""
+    expected = np.concatenate(reference)
+    mean = np.concatenate([flight.mean for flight in flights])
+    each: dict[str, Any] = {"multioutput": "raw_values"}
+    table = pd.DataFrame(index=list(COEFFICIENTS))
+    table["median_relative_error"] = median_relative_error(expected, mean, **each)
+    table["normalized_rmse"] = normalized_rmse(expected, mean, **each)
+    baselines = [flight.baseline for flight in flights if flight.baseline is not None]
+    if len(baselines) == len(flights):
+        linear = np.concatenate(baselines)
+        table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
+    has_std = np.zeros(len(mean), dtype=bool)
+    begin = 0
+    for flight in flights:
+        has_std[begin + flight.rows] = True
+        begin += len(flight.mean)
+    bands = np.concatenate(in_bands)[has_std], mean[has_std], np.concatenate(std)[has_std]
+    table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
+    table["interval_coverage"] = interval_coverage(*bands, **each)
+    return table
 
 
 def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:

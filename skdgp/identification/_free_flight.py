@@ -26,11 +26,9 @@ from skdgp.dynamics import (
     as_aerodynamics,
     simulate,
 )
-from skdgp.plotting import TimeHistoryDisplay
-from skdgp.report import THRESHOLDS
+from skdgp.identification._thresholds import THRESHOLDS
 
 STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # of no wind and no heading
-SHOWN_STATES = ("airspeed", "alpha", "phi", "theta", "p", "q")
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ class FreeFlight:
         """Return how long the simulations follow the flights, by state.
 
         Columns: ``spread``, the standard deviation in the flights; ``limit``,
-        `skdgp.report.THRESHOLDS.error` times that, or three times the noise of the sensor if that
+        `THRESHOLDS.error` times that, or three times the noise of the sensor if that
         is more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error
         passes the limit, at most ``horizon``; ``lasts_without_gusts``, the same for the part of the
         error that ``gusts`` [m/s], where they are not estimated, do not explain.
@@ -132,18 +130,15 @@ class FreeFlight:
         errors["horizon"] = elapsed[-1]
         return errors
 
-    def example(self) -> TimeHistoryDisplay:
-        """Return the simulation of the part in the middle, with its band, and as flown."""
+    def example(self) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+        """Return simulated paths of the part in the middle, their mean, and the flight."""
         middle = self.parts[len(self.parts) // 2]
         mean = self._simulated(self.model, [middle])
         paths = mean
         if self.model.is_uncertain:
             n_paths = self.settings.shown_paths
             paths = self._simulated(self.model, [middle], n_paths=n_paths)
-        columns = [name for name in SHOWN_STATES if name in middle.flown]
-        return TimeHistoryDisplay.from_trajectories(
-            paths, middle.flown, mean=mean, columns=columns, ax=False
-        )
+        return paths, mean, middle.flown
 
     def _air(self, parts: Sequence[Part]) -> Air:
         """Return the density of parts of flights, and their estimated wind with its gusts, where it is known."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from sklearn.pipeline import Pipeline
@@ -21,12 +20,13 @@ from skdgp._compute.files import (
     text_writer,
     write_together,
 )
-from skdgp._compute.findings import Code, Finding, with_codes
-from skdgp._compute.messages import can_draw, notify
-from skdgp._compute.wording import reason_of, text_of
-from skdgp.dynamics import Aircraft, as_aerodynamics
-from skdgp.identification._mechanics import flight_mechanics
+from skdgp._flight.findings import Code, Finding, with_codes
+from skdgp.dynamics import Aircraft
+from skdgp.identification._changed import Changes
+from skdgp.identification._evaluate import Evaluation, scores
+from skdgp.identification._mechanics import FlightMechanics, flight_mechanics
 from skdgp.identification._model_file import save_model
+from skdgp.identification._record import FitRecord
 from skdgp.identification._summary import (
     air_of,
     assumption_lines,
@@ -37,17 +37,7 @@ from skdgp.identification._summary import (
     score_lines,
     verdict_lines,
 )
-from skdgp.identification._verdict import judge
-from skdgp.plotting import EffectsDisplay
-from skdgp.report import (
-    Evaluation,
-    FitRecord,
-    FlightMechanics,
-    ReportContent,
-    Verdict,
-    render_report,
-    scores,
-)
+from skdgp.identification._verdict import Verdict, judge
 
 FORMAT = 2  # of the metrics
 
@@ -72,9 +62,8 @@ class Identification:
         Warnings.
     assumptions : tuple of Finding
         Assumptions where flights and aircraft do not say; empty without assumptions.
-    supplements : sequence
-        Further parts such as the changes of the aircraft: ``name`` and ``to_dict()`` for the metrics,
-        ``summary()``, a list of lines, and ``section()``, HTML for the report.
+    changes : Changes, optional
+        Whether the aircraft has changed since the flights of a model that existed before.
     title, command, created : str
         Heading of the report, the command line, date and time.
     """
@@ -87,7 +76,7 @@ class Identification:
     evaluations: list[Evaluation]
     findings: tuple[Finding, ...] = ()
     assumptions: tuple[Finding, ...] = ()
-    supplements: Sequence[Any] = ()
+    changes: Changes | None = None
     title: str = ""
     command: str | None = None
     created: str = field(
@@ -97,18 +86,18 @@ class Identification:
     @property
     def messages(self) -> list[str]:
         """The findings as sentences."""
-        return [text_of(finding) for finding in self.findings]
+        return [finding.text for finding in self.findings]
 
     @property
     def assumed(self) -> list[str]:
         """The assumptions as sentences."""
-        return [text_of(finding) for finding in self.assumptions]
+        return [finding.text for finding in self.assumptions]
 
     @property
     def held_out(self) -> str | None:
         """The part held out because no test flight was named; None if one was."""
         held_out = with_codes(self.findings, Code.HELD_OUT_FLIGHT, Code.HELD_OUT_QUARTER)
-        return reason_of(held_out[0]) if held_out else None
+        return held_out[0].clause if held_out else None
 
     @cached_property
     def mechanics(self) -> FlightMechanics:
@@ -157,8 +146,8 @@ class Identification:
             "verdict": self.verdict.to_dict(),
             "flight_mechanics": self.mechanics.to_dict(),
         }
-        for part in self.supplements:
-            metrics[part.name] = part.to_dict()
+        if self.changes is not None:
+            metrics["changed"] = self.changes.to_dict()
         metrics["messages"] = self.messages
         metrics["findings"] = [finding.to_dict() for finding in self.findings]
         if self.assumptions:
@@ -170,22 +159,21 @@ class Identification:
         lines = fit_lines(self.aircraft, self.fit)
         lines += ["", *score_lines(self.evaluations)]
         if self.fit.reconstruction is not None:
-            lines.append(f"flight paths {text_of(self.fit.reconstruction)}")
-        for part in self.supplements:
-            lines += part.summary()
+            lines.append(f"{self.fit.reconstruction.clause}")
+        if self.changes is not None:
+            lines += self.changes.summary()
         lines += ["", *verdict_lines(self.verdict)]
         lines += assumption_lines(self.assumed)
         return "\n".join(lines)
 
-    def save(self, path: str | os.PathLike) -> Path:
-        """Write report and metrics and, of a model that was learned here, the model into a folder, all or none."""
+    def save(self, path: str | os.PathLike, **further: Writer) -> Path:
+        """Write metrics.json and, of a model that was learned here, model.joblib into a folder, all or none.
+
+        ``further`` files have writers by name, see `skdgp.report.save_report`.
+        """
         path = Path(path)
         path.mkdir(parents=True, exist_ok=True)
-        notify("report")
-        writers: dict[str, Writer] = {
-            "report.html": text_writer(render_report(self._report_content())),
-            "metrics.json": text_writer(json_text(self.metrics)),
-        }
+        writers = {**further, "metrics.json": text_writer(json_text(self.metrics))}
         if self.train:
             writers["model.joblib"] = partial(
                 save_model,
@@ -199,34 +187,22 @@ class Identification:
         write_together(path, writers)
         return path
 
-    def _effects(self) -> EffectsDisplay:
-        """Return slices of the model through its trim, through the mean of the flights if it has none."""
-        aerodynamics: Any = as_aerodynamics(self.pipeline)
-        rows = pd.DataFrame(aerodynamics.learned.training_rows(), columns=aerodynamics.regressors)
-        trim = self.mechanics.trim
-        steady = {} if trim is None else {"alpha": trim.alpha, "beta": trim.beta, **trim.controls}
-        at = {name: steady[name] for name in rows if name in steady}
-        return EffectsDisplay.from_estimator(self.pipeline[-2:], rows, at, ax=False)
+    @property
+    def air(self) -> str:
+        """Gusts and steady wind of the training flights; empty where they are not known."""
+        return air_of(self.pipeline)
 
-    def _report_content(self) -> ReportContent:
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of controls that differ from docs/notation.md."""
+        return self.pipeline.control_units_
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """Facts of the fit as text; empty where a fact does not apply."""
         tested = {flight.name: flight.table for flight in self.evaluations}
-        return ReportContent(
-            title=self.title,
-            subtitle=self.aircraft.name,
-            created=datetime.fromisoformat(self.created),
-            train=self.train,
-            test=self.evaluations,
-            facts=facts_of_fit(
-                self.aircraft, self.pipeline, self.fit, self.options, self.train, tested
-            ),
-            verdict=self.verdict,
-            mechanics=self.mechanics,
-            effects=self._effects() if can_draw() else None,
-            air=air_of(self.pipeline),
-            sections=[part.section() for part in self.supplements],
-            assumed=self.assumed,
-            units=self.pipeline.control_units_,
-            command=self.command,
+        return facts_of_fit(
+            self.aircraft, self.pipeline, self.fit, self.options, self.train, tested
         )
 
 

@@ -8,10 +8,11 @@ from typing import Any
 
 from sklearn.utils import Bunch
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, recorded_warnings, report
+from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft
+from skdgp.identification._changed import PredictedFlight, changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
@@ -23,7 +24,7 @@ from skdgp.identification._prepare import (
     prepare,
     usable_flights_of_model,
 )
-from skdgp.report import TrainingRecord
+from skdgp.identification._record import TrainingRecord
 
 
 def identify(
@@ -168,7 +169,7 @@ def validate(
     Returns
     -------
     Identification
-        Without training flights.
+        Without training flights; with the changes of the aircraft, see `changed`.
     """
     options = options_of(model) | loads
     options["horizons"] = list(horizons)
@@ -191,6 +192,11 @@ def validate(
             options=options,
         )
         evaluations = [evaluate(name, table, learned) for name, table in tables.items()]
+        predicted = {
+            flight.name: PredictedFlight(flight.table, flight.regressors, flight.mean)
+            for flight in evaluations
+        }
+        changes = changes_in_flights(model.pipeline, predicted, aircraft, options)
     return Identification(
         title=f"{learned.aircraft.name}: a model on other flights",
         aircraft=learned.aircraft,
@@ -199,5 +205,6 @@ def validate(
         fit=learned.fit,
         train={},
         evaluations=evaluations,
+        changes=changes,
         findings=tuple(warned.findings),
     )

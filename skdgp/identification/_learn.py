@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import notify, report
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
@@ -27,6 +26,7 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
     VANES,
 )
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
@@ -41,11 +41,11 @@ from skdgp.identification._pipeline import (
     regressor_names,
 )
 from skdgp.identification._prepare import PreparedFlights
+from skdgp.identification._record import FitRecord, TrainingRecord, flown_seconds
 from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction
-from skdgp.report import Extent, FitRecord, TrainingRecord
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def learn(
     Y = aerodynamic_coefficients(
         corrected, prepared.aircraft, cutoff=errors.cutoff, **prepared.loads
     )
-    flown = Extent.of(list(prepared.train.values())).seconds
+    flown = flown_seconds(prepared.train.values())
     targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
@@ -157,7 +157,10 @@ def learn(
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:
-        finding = Finding(Code.LAGS_CORRECTED, numbers={"lags": fit.lags_corrected})
+        finding = Finding(
+            Code.LAGS_CORRECTED,
+            numbers={"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands},
+        )
         report(finding)
     regressors_of_fit = named_regressors(pipeline, X)
     aircraft = prepared.aircraft

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import without_warnings
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, RATES
+from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import (
     ATTITUDE,
     VELOCITY,
@@ -19,6 +20,7 @@ from skdgp.dynamics import (
     Air,
     Aircraft,
     LinearModel,
+    Trim,
     air_velocity,
     as_aerodynamics,
     euler_to_quaternion,
@@ -30,12 +32,94 @@ from skdgp.dynamics import (
 from skdgp.identification._free_flight import FreeFlight
 from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._pipeline import reconstruction_of
+from skdgp.identification._record import TrainingRecord
 from skdgp.plotting import FrequencyDisplay
 from skdgp.preprocessing import ElevonSplitter
-from skdgp.report import FlightMechanics, TrainingRecord
 
 # Rate that a surface excites most
 RATE_OF = {"elevator": "q", "aileron": "p", "rudder": "r"}
+
+
+# Facts of a trim and columns of derivatives in metrics.json
+TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
+DERIVATIVE = (
+    *("value", "std", "lower", "upper"),
+    *("std_random", "std_method", "std_log", "std_posterior"),
+    *("std_merged", "std_aircraft", "aircraft"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightMechanics:
+    """Trim, derivatives and modes in the middle of the training range.
+
+    Parameters
+    ----------
+    trim : Trim, optional
+        None where there is no steady flight.
+    derivatives, least_squares : DataFrame
+        Of `skdgp.dynamics.stability_derivatives`, for the model and for a linear one by least
+        squares.
+    modes : DataFrame, optional
+        Of `skdgp.dynamics.LinearModel.modes`.
+    simulation : DataFrame, optional
+        By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its
+        ``horizon`` [s].
+    simulated : tuple of DataFrame, optional
+        Paths of a simulated part of a test flight, their mean, and the flight.
+    frequency : FrequencyDisplay, optional
+        Responses of rates to surfaces in the test flights, beside the model's.
+    notes : tuple of Finding
+        Why trim, modes or derivatives are missing.
+    simulation_note : Finding, optional
+        Why the simulation is missing.
+    frequency_note : Finding, optional
+        Why frequency responses are missing.
+    """
+
+    trim: Trim | None = None
+    derivatives: pd.DataFrame = field(default_factory=pd.DataFrame)
+    least_squares: pd.DataFrame | None = None
+    modes: pd.DataFrame | None = None
+    simulation: pd.DataFrame | None = None
+    simulated: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame] | None = None
+    frequency: FrequencyDisplay | None = None
+    notes: tuple[Finding, ...] = ()
+    simulation_note: Finding | None = None
+    frequency_note: Finding | None = None
+
+    @property
+    def mode_kinds(self) -> pd.Index:
+        """Kind of each mode: its name without the number, which several of one kind have."""
+        names = pd.Index([]) if self.modes is None else self.modes.index
+        return names.astype(str).str.replace(r" \d+$", "", regex=True)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values, SI units and radians."""
+        plain: dict[str, Any] = {
+            "note": " ".join(note.text for note in self.notes),
+            "simulation_note": "",
+        }
+        if self.simulation_note is not None:
+            plain["simulation_note"] = self.simulation_note.text
+        if self.trim is not None:
+            trim = pd.Series(vars(self.trim))[[*TRIM]].to_dict()
+            beyond = {name: list(values) for name, values in self.trim.beyond.items()}
+            plain["trim"] = trim | {"beyond": beyond}
+        plain["derivatives"] = self.derivatives.filter(DERIVATIVE).to_dict("index")
+        modes = self.modes
+        if modes is not None:
+            modes = modes.drop(columns="eigenvalue")
+        tables = {
+            "least_squares": self.least_squares,
+            "modes": modes,
+            "simulation": self.simulation,
+            "frequency": None if self.frequency is None else self.frequency.errors(),
+        }
+        for name, table in tables.items():
+            if table is not None:
+                plain[name] = table.to_dict("index")
+        return plain
 
 
 def flight_mechanics(

@@ -20,9 +20,9 @@ from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import sha256_of, software_versions, write_atomically
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.typing import Array
+from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.findings import Code, Finding, with_codes
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     ALL_SURFACES,
@@ -32,10 +31,11 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.findings import Code, Finding, with_codes
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.sensor_position import sensor_position
 from skdgp._flight.tables import FlightTable, numeric
-from skdgp._regressor import DependentGPRegressor
+from skdgp._regressor import DependentGPRegressor, FitCode
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -60,7 +60,7 @@ INTERCHANGEABLE = (*MIXED, *ELEVONS)
 REPEATED = (
     Code.FAULTS_BRIDGED,
     Code.FAULTS_EXCLUDED,
-    Code.CONSTANT_INPUTS,
+    FitCode.CONSTANT_INPUTS,
     Code.SLOW_CHANNELS,
 )
 
@@ -417,8 +417,8 @@ def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[F
     return (*findings, *with_codes(reported, *ASSUMED))
 
 
-def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, str, float]]:
-    """Return value, unit and relative standard deviation of each size that is uncertain."""
+def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, float]]:
+    """Return value and standard deviation of each size that is uncertain, by name and unit."""
     values = {
         "mass": aircraft.mass,
         "wing_area": aircraft.wing_area,
@@ -431,5 +431,6 @@ def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, str, float]]:
     for name, value in values.items():
         std = float(np.linalg.norm([f.std * f.powers.get(name, 0.0) for f in factors]))
         if std:
-            sizes[name] = value, QUANTITIES.get(name, "kg m^2"), std
+            label = f"{name.replace('_', ' ')} [{QUANTITIES.get(name, 'kg m^2')}]"
+            sizes[label] = value, std * value
     return sizes

@@ -11,14 +11,15 @@ import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.files import software_versions
-from skdgp._compute.wording import text_of
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp._flight.frames import wind_origin
 from skdgp._flight.sensor_position import sensor_position
 from skdgp.dynamics import Aircraft
+from skdgp.identification._evaluate import Evaluation, scores
 from skdgp.identification._learn import thrust_sources
 from skdgp.identification._pipeline import reconstruction_of
-from skdgp.report import Evaluation, FitRecord, Verdict, scores
+from skdgp.identification._record import FitRecord
+from skdgp.identification._verdict import Verdict
 
 GROUPS = {"longitudinal": LONGITUDINAL, "lateral": LATERAL, "all": COEFFICIENTS}
 MOST_WARNINGS = 3  # in the summary
@@ -150,7 +151,7 @@ def facts_of_fit(
     sources = thrust_sources(options["thrust"], [*train.values(), *tested.values()])
     facts["Thrust"] = " or ".join([THRUSTS[name] for name in sources])
     if fit.reconstruction is not None:
-        facts["Flight paths"] = text_of(fit.reconstruction)
+        facts["Flight paths"] = fit.reconstruction.clause
     facts["Lags"] = _lags(fit)
     facts["Other loads"] = ", ".join(options["external_forces"])
     if fit.interrupted:

@@ -1,59 +1,183 @@
-"""The verdict on a model: the uses that it is good enough for, and warnings, by numbers and findings.
+"""The verdict on a model: findings with numbers, and the table of limits that turns them into judgements.
 
-`judge` calls a function for each use, `_prediction`, `_simulation` and `_control`. Each returns at the
-first condition that decides, with the finding and its numbers. `_limited` then lowers the judgement
-where data or estimates do not allow it.
+A new limit is a kind of finding, a function that finds it, and its place in `LIMITS`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding, Severity
+from skdgp._compute.findings import Severity, clauses_of, texts_of
 from skdgp._compute.statistics import half_width
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, SPECIFIC_FORCE
-from skdgp.report import (
-    THRESHOLDS,
-    Evaluation,
-    Extent,
-    FitRecord,
-    FlightMechanics,
-    Use,
-    Verdict,
-    scores,
-)
+from skdgp._flight.findings import Code, Finding
+from skdgp.identification._evaluate import Evaluation, scores
+from skdgp.identification._mechanics import FlightMechanics
+from skdgp.identification._record import FitRecord, flown_seconds
+from skdgp.identification._thresholds import THRESHOLDS
 
-CONTROL_DERIVATIVES = (
-    "Cm_elevator",
-    "Cl_aileron",
-    "Cn_rudder",
-)  # derivatives of each moment by its control
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
 USUAL_SIGNS = {
     "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
+CONTROL_DERIVATIVES = ("Cm_elevator", "Cl_aileron", "Cn_rudder")
 # The rudder's side force is opposite to its yawing moment, as it acts behind the centre of gravity
 OPPOSITE = ("CY_rudder", "Cn_rudder")
 # Largest effects on drag by non-dimensional rates: textbooks neglect them (guess)
 LARGEST_DRAG_SLOPES = {"CD_q": 5.0, "CD_p": 5.0, "CD_r": 5.0}
 # Vanes without which a coefficient is predicted from angles that its own accelerometer gave
 VANES_OF = {"CZ": "alpha", "CY": "beta"}
-# kinds of modes that a controller of attitude works in
+# Kinds of modes that a controller of attitude works in
 FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
-MOMENT_COEFFICIENTS = ("Cl", "Cm", "Cn")
-# parts of the standard deviation of a derivative
-PARTS = ("std_random", "std_method", "std_log", "std_posterior")
+# Parts of the standard deviation of a derivative
+PARTS = (Code.STD_RANDOM, Code.STD_METHOD, Code.STD_LOG, Code.STD_POSTERIOR)
 # Regressors that are known only after a flight
 ACCELERATION_REGRESSORS = {
     *SPECIFIC_FORCE,
     *ACCELERATION_LENGTHS,
     *(name + HAT for name in ACCELERATION_LENGTHS),
 }
+# columns of scores
+NRMSE = "normalized_rmse"
+LINEAR_NRMSE = "least_squares_normalized_rmse"
+COVERAGE = "interval_coverage"
+
+# Alpha and beta are wrong, or all coefficients
+FAILURES = (Code.AIR_NOT_CONVERGED, Code.SIZES_QUESTIONED)
+DOUBTS = (Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED)
+# For each use its limits, judgement and kinds of findings: the first that has a finding decides. A
+# "yes" needs a finding too; without any the judgement is "unknown".
+LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
+    "predict coefficients": (
+        ("unknown", (Code.TOO_LITTLE_FLOWN,)),
+        ("no", (Code.DIVERGING,)),
+        ("unknown", (Code.NOTHING_JUDGED,)),
+        ("no", (Code.ALL_ERRORS_TOO_LARGE, *FAILURES)),
+        ("partly", (Code.ERRORS_TOO_LARGE, Code.BY_CONSTRUCTION, Code.NOT_VARYING, *DOUBTS)),
+        ("yes", (Code.ERRORS_SMALL,)),
+    ),
+    "simulate": (
+        ("no", (Code.ACCELERATIONS_AS_REGRESSORS,)),
+        ("unknown", (Code.TOO_LITTLE_FLOWN, Code.NOT_SIMULATED, Code.GUSTS_HIDE_ERRORS)),
+        ("no", (Code.FOLLOWS_TOO_SHORTLY, *FAILURES)),
+        ("partly", (Code.FOLLOWS_SHORTLY, *DOUBTS)),
+        ("yes", (Code.FOLLOWS,)),
+    ),
+    "design a controller": (
+        ("unknown", (Code.TOO_LITTLE_FLOWN,)),
+        ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN, Code.IMPLAUSIBLE_SIZES)),
+        ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES, Code.CONTROLS_MISSING)),
+        ("no", (Code.CONTROLS_TOO_UNCERTAIN, Code.BANDS_DO_NOT_HOLD, Code.TRIM_BEYOND)),
+        ("partly", (Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
+        ("partly", (Code.ACCELERATIONS_AS_REGRESSORS,)),
+        ("yes", (Code.CONTROLS_KNOWN,)),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Use:
+    """A use of a model: ``judgement`` is "yes", "partly", "no" or "unknown", by its ``findings``."""
+
+    purpose: str
+    judgement: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def reason(self) -> str:
+        """The findings as a sentence without its stop."""
+        return clauses_of(self.findings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            "purpose": self.purpose,
+            "judgement": self.judgement,
+            "reason": self.reason,
+            "codes": [finding.code.label for finding in self.findings],
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Training, tests, and the uses that the model is good enough for.
+
+    Parameters
+    ----------
+    learned : str
+        A sentence on the model, its training and its test.
+    scores : DataFrame
+        Of `scores` against measured values, all test flights together.
+    unvarying : tuple of str
+        Coefficients that vary by less than their noise, so that no error judges them.
+    uses : tuple of Use
+        Judgements by `LIMITS`.
+    findings : tuple of Finding
+        Warnings; the one that costs most comes first.
+    """
+
+    learned: str
+    scores: pd.DataFrame
+    unvarying: tuple[str, ...]
+    uses: tuple[Use, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def varying(self) -> pd.DataFrame:
+        """The scores of the coefficients that vary by more than their noise."""
+        return self.scores.drop(index=list(self.unvarying))
+
+    @property
+    def error(self) -> float:
+        """NRMSE, mean of the coefficients that vary; NaN where none does."""
+        return float(self.varying[NRMSE].mean())
+
+    @property
+    def coverage(self) -> float:
+        """Coverage of the 95 % bands, mean of the coefficients."""
+        return float(self.scores[COVERAGE].mean())
+
+    @property
+    def least_squares_error(self) -> float | None:
+        """Error of a linear model of the same rows."""
+        return float(self.varying[LINEAR_NRMSE].mean()) if LINEAR_NRMSE in self.scores else None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings as sentences."""
+        return texts_of(self.findings)
+
+    def against_least_squares(self) -> dict[str, list[str]]:
+        """Return the coefficients that the model predicts "better", "equal" and "worse" than least squares."""
+        return _against_least_squares(self.varying)
+
+    def compared(self) -> str:
+        """Return a sentence on least squares, empty where it is not known."""
+        if self.least_squares_error is None or not np.isfinite(self.error):
+            return ""
+        compared = self.against_least_squares()
+        parts = [f"{kind} in {' '.join(names)}" for kind, names in compared.items() if names]
+        errors = f"an error of {self.least_squares_error:.3f}, the model {self.error:.3f}"
+        return f"Least squares on the same rows has {errors}: the model is {', '.join(parts)}."
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return {
+            "learned": self.learned,
+            "error": self.error,
+            "coverage": self.coverage,
+            "uses": [use.to_dict() for use in self.uses],
+            "warnings": self.warnings,
+            "least_squares_error": self.least_squares_error,
+            **self.against_least_squares(),
+            "thresholds": THRESHOLDS._asdict(),
+        }
 
 
 def judge(
@@ -63,79 +187,100 @@ def judge(
     mechanics: FlightMechanics,
     findings: Sequence[Finding],
 ) -> Verdict:
-    """Return the verdict, by the thresholds of `skdgp.report.THRESHOLDS`.
+    """Return the verdict: of all findings the judgement of each use by `LIMITS`, and the warnings.
 
-    Of all ``findings`` of the identification, doubts exclude the judgement "yes", and warnings are told
-    again. Doubts, wrong signs and sizes are faults, with which no controller is designed.
+    ``findings`` of the identification are judged and told again with those of scores and mechanics.
     """
     table = scores(evaluations)["measured"]
     unvarying = _not_varying(evaluations, table)
     varying = table.drop(index=unvarying)
-    doubts = _doubts(fit, findings)
-    derivatives = mechanics.derivatives
-    faults = [*doubts, *_sign_findings(derivatives), *_implausible_sizes(derivatives)]
-    simulation = _simulation(mechanics, fit.regressors)
-    by_scores = (
-        _prediction(varying, _by_construction(evaluations, fit), unvarying),
-        simulation,
-        _control(mechanics, table, varying, faults, simulation),
-    )
-    too_little = _too_little(fit)
-    better, worse = _against_least_squares(varying)
-
     # the costliest first
-    warnings = [
-        *faults,
-        *_warnings_of_errors(varying, evaluations, worse),
-        *_warnings_of_bands(table),
+    every = [
+        *_doubts(fit, findings),
+        *_sign_findings(mechanics.derivatives),
+        *_implausible_sizes(mechanics.derivatives),
+        *_against_simpler_models(varying, evaluations),
+        *_band_findings(table),
+        *_if_any(Code.NOT_VARYING, names=unvarying),
+        *([] if fit.converged else [Finding(Code.FIT_NOT_CONVERGED)]),
+        *(finding for finding in findings if finding.severity is Severity.WARNING),
+        *_training_findings(fit),
+        *_error_findings(varying, _by_construction(evaluations, fit)),
+        *_simulation_findings(mechanics),
+        *_control_findings(mechanics, varying),
     ]
-    if unvarying:
-        warnings.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
-    if not fit.converged:
-        warnings.append(Finding(Code.FIT_NOT_CONVERGED))
-    warnings += [finding for finding in findings if finding.severity is Severity.WARNING]
-
-    learned = list(train)
-    means = varying.mean()
     return Verdict(
-        regressors=fit.regressors,
-        tested=Extent.of([flight.table for flight in evaluations]),
-        trained=Extent.of(learned) if learned else None,
-        samples=fit.training.samples if fit.training else 0,
-        error=float(means["normalized_rmse"]),
-        coverage=float(table["interval_coverage"].mean()),
-        least_squares_error=means.get("least_squares_normalized_rmse"),
-        better=better,
-        worse=worse,
+        learned=_learned(list(train), [flight.table for flight in evaluations], fit),
+        scores=table,
         unvarying=tuple(unvarying),
-        uses=tuple(_limited(use, too_little, doubts) for use in by_scores),
-        findings=tuple(warnings),
+        uses=tuple(_judged(purpose, every) for purpose in LIMITS),
+        findings=tuple(finding for finding in every if finding.severity is not Severity.NOTE),
     )
 
 
-def _prediction(table: pd.DataFrame, lacking_vane: dict[str, str], unvarying: list[str]) -> Use:
-    """Return whether the model predicts coefficients; ``table`` are the scores of those that vary.
+def _judged(purpose: str, findings: Sequence[Finding]) -> Use:
+    """Return the judgement of a use by the first of its limits that has findings."""
+    for judgement, codes in LIMITS[purpose]:
+        decisive = tuple(finding for finding in findings if finding.code in codes)
+        if decisive:
+            return Use(purpose, judgement, decisive)
+    return Use(purpose, "unknown", ())
 
-    ``lacking_vane``: coefficients that no error judges, and their vanes. Beside ``unvarying`` ones
-    the judgement is "partly" at best.
-    """
-    purpose = "predict coefficients"
-    mean_error = table["normalized_rmse"].mean()
-    if mean_error > 1:
-        return _use(purpose, "no", Code.DIVERGING, error=mean_error)
-    vanes = {name: vane for name, vane in lacking_vane.items() if name not in unvarying}
-    unjudged = []
-    if vanes:
-        numbers = {"names": list(vanes), "vanes": list(vanes.values())}
-        unjudged.append(Finding(Code.BY_CONSTRUCTION, numbers=numbers))
-    if unvarying:
-        unjudged.append(Finding(Code.NOT_VARYING, numbers={"names": unvarying}))
-    table = table.drop(index=list(vanes))
-    if table.empty:
-        return Use(purpose, "unknown", tuple(unjudged))
-    use = _use_by_scores(purpose, table)
-    judgement = "partly" if use.judgement == "yes" and unjudged else use.judgement
-    return Use(purpose, judgement, (*use.findings, *unjudged))
+
+def _if_any(code: Code, **numbers: Any) -> list[Finding]:
+    """Return a finding if the first of its numbers, names or values by name, is not empty."""
+    return [Finding(code, numbers=numbers)] if next(iter(numbers.values())) else []
+
+
+def _learned(train: list[pd.DataFrame], tested: list[pd.DataFrame], fit: FitRecord) -> str:
+    """Return a sentence on the model, its training and its test."""
+    source = "flights that are not part of this report"
+    if train:
+        samples = fit.training.samples if fit.training else 0
+        source = f"{_extent(train)}, {samples:,} samples"
+    return (
+        f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
+        f"{', '.join(fit.regressors)}, learned from {source}; tested on {_extent(tested)}."
+    )
+
+
+def _extent(tables: list[pd.DataFrame]) -> str:
+    """Return duration and number of flights as text."""
+    seconds = flown_seconds(tables)
+    time = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.3g} s"
+    return f"{time} of {len(tables)} flight{'' if len(tables) == 1 else 's'}"
+
+
+def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
+    """Return the doubts of the fit and of the test flights, one of each code, and failures behind them."""
+    doubts: dict[Any, Finding] = {}
+    for finding in [*fit.doubts, *findings]:
+        if finding.severity is Severity.DOUBT:
+            doubts.setdefault(finding.code, finding)
+    causes = [doubt.numbers.get("cause") for doubt in doubts.values()]
+    # alpha and beta are wrong
+    failures = [cause for cause in causes if cause and cause.code is Code.AIR_NOT_CONVERGED]
+    return [*doubts.values(), *failures]
+
+
+def _training_findings(fit: FitRecord) -> list[Finding]:
+    """Return the findings of too few seconds or rows, and of regressors that are known only after a flight."""
+    accelerations = sorted(ACCELERATION_REGRESSORS & set(fit.regressors))
+    findings = _if_any(Code.ACCELERATIONS_AS_REGRESSORS, names=accelerations)
+    training = fit.training
+    if training is None:
+        return findings
+    seconds = np.inf if training.flown is None else training.flown
+    rows_by_regressor = training.samples / len(fit.regressors)
+    if seconds < THRESHOLDS.flown or rows_by_regressor < THRESHOLDS.rows:
+        numbers = {
+            "seconds": seconds,
+            "each": rows_by_regressor,
+            "least_seconds": THRESHOLDS.flown,
+            "least_rows": THRESHOLDS.rows,
+        }
+        findings.append(Finding(Code.TOO_LITTLE_FLOWN, numbers=numbers))
+    return findings
 
 
 def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame) -> list[str]:
@@ -148,7 +293,7 @@ def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame) -> list
     variances = [flight.prediction_std**2 - flight.std**2 for flight in evaluations]
     noise = np.sqrt(np.maximum(np.nanmean(np.concatenate(variances), axis=0), 0.0))
     is_still = pd.Series(spread < noise, index=list(COEFFICIENTS))
-    is_excused = (table["interval_coverage"] >= THRESHOLDS.held) & (table["normalized_rmse"] > 1)
+    is_excused = (table[COVERAGE] >= THRESHOLDS.held) & (table[NRMSE] > 1)
     return [name for name in COEFFICIENTS if is_still[name] and is_excused[name]]
 
 
@@ -162,194 +307,100 @@ def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[
     return by_construction
 
 
-def _use_by_scores(purpose: str, table: pd.DataFrame) -> Use:
-    """Return the judgement of coefficients by their errors and bands."""
-    errors = table["normalized_rmse"]
-    coverages = table["interval_coverage"]
+def _error_findings(varying: pd.DataFrame, vanes: dict[str, str]) -> list[Finding]:
+    """Return the findings of the errors and bands of coefficients, without those that lack their ``vanes``."""
+    findings = []
+    mean_error = varying[NRMSE].mean()
+    if mean_error > 1:
+        findings.append(Finding(Code.DIVERGING, numbers={"error": mean_error}))
+    vanes = {name: vane for name, vane in vanes.items() if name in varying.index}
+    findings += _if_any(Code.BY_CONSTRUCTION, names=list(vanes), vanes=list(vanes.values()))
+    judged = varying.drop(index=list(vanes))
+    if judged.empty:
+        return [*findings, Finding(Code.NOTHING_JUDGED)]
+    errors = judged[NRMSE]
     # NaN is neither small nor wide enough
     is_large = ~(errors <= THRESHOLDS.error)
-    is_narrow = ~(coverages >= THRESHOLDS.coverage)
+    is_narrow = ~(judged[COVERAGE] >= THRESHOLDS.coverage)
     is_poor = is_large | is_narrow
     if not is_poor.any():
-        return _use(purpose, "yes", Code.ERRORS_SMALL, smallest=errors.min(), largest=errors.max())
-    return _use(
-        purpose,
-        "no" if is_poor.all() else "partly",
-        Code.ERRORS_TOO_LARGE,
-        good=list(table.index[~is_poor]),
-        poor=list(table.index[is_poor]),
-        errors=errors[is_large].to_dict(),
-        coverages=coverages[is_narrow].to_dict(),
-    )
+        numbers = {"smallest": errors.min(), "largest": errors.max()}
+        return [*findings, Finding(Code.ERRORS_SMALL, numbers=numbers)]
+    numbers = {
+        "good": list(judged.index[~is_poor]),
+        "poor": list(judged.index[is_poor]),
+        "errors": errors[is_large].to_dict(),
+        "coverages": judged.loc[is_narrow, COVERAGE].to_dict(),
+    }
+    code = Code.ALL_ERRORS_TOO_LARGE if is_poor.all() else Code.ERRORS_TOO_LARGE
+    return [*findings, Finding(code, numbers=numbers)]
 
 
-def _simulation(mechanics: FlightMechanics, regressors: Sequence[str]) -> Use:
-    """Return whether the model simulates flights: how long each state stays near the flight."""
-    purpose = "simulate"
-    accelerations = sorted(ACCELERATION_REGRESSORS & set(regressors))
-    if accelerations:
-        return _use(purpose, "no", Code.ACCELERATIONS_AS_REGRESSORS, names=accelerations)
+def _simulation_findings(mechanics: FlightMechanics) -> list[Finding]:
+    """Return how long each state of a simulation stays near the flights."""
     table = mechanics.simulation
     if table is None:
-        note = mechanics.simulation_note
-        return Use(purpose, "unknown", () if note is None else (note,))
+        return [] if mechanics.simulation_note is None else [mechanics.simulation_note]
     lasts = table["lasts"].sort_values()
     seconds = float(lasts.min())
     horizon = float(table["horizon"].min())
-    if seconds >= horizon:
-        return _use(purpose, "yes", Code.FOLLOWS, horizon=horizon)
     without_gusts = float(table["lasts_without_gusts"].min())
-    if seconds < THRESHOLDS.seconds <= without_gusts:
-        numbers = {"seconds": seconds, "gusts": float(table["gusts"].min()), "apart": without_gusts}
-        return _use(purpose, "unknown", Code.GUSTS_HIDE_ERRORS, **numbers)
-    return _use(
-        purpose,
-        "partly" if seconds >= THRESHOLDS.seconds else "no",
-        Code.FOLLOWS_SHORTLY,
-        seconds=seconds,
-        horizon=horizon,
-        late=lasts[lasts < horizon].to_dict(),
-        states=len(table),
-    )
+    numbers = {
+        "seconds": seconds,
+        "horizon": horizon,
+        "late": lasts[lasts < horizon].to_dict(),
+        "gusts": float(table["gusts"].min()),
+        "apart": without_gusts,
+    }
+    code = Code.FOLLOWS_TOO_SHORTLY
+    if seconds >= horizon:
+        code = Code.FOLLOWS
+    elif seconds >= THRESHOLDS.seconds:
+        code = Code.FOLLOWS_SHORTLY
+    elif without_gusts >= THRESHOLDS.seconds:
+        code = Code.GUSTS_HIDE_ERRORS
+    return [Finding(code, numbers=numbers)]
 
 
-def _control(
-    mechanics: FlightMechanics,
-    table: pd.DataFrame,
-    varying: pd.DataFrame,
-    faults: Sequence[Finding],
-    simulation: Use,
-) -> Use:
-    """Return whether the model serves to design a controller.
-
-    ``varying`` are the rows of the table of scores whose errors count. The use needs a trim, derivatives
-    by the controls, and no fault. "yes" needs a ``simulation`` that
-    is not refuted by the test flights.
-    """
-    purpose = "design a controller"
-    if faults:
-        return Use(purpose, "no", tuple(faults))
-    if mechanics.trim is None or mechanics.derivatives.empty:
-        return Use(purpose, "no", mechanics.notes)
+def _control_findings(mechanics: FlightMechanics, varying: pd.DataFrame) -> list[Finding]:
+    """Return what a controller depends on: trim, derivatives by the controls, fast modes, errors of the moments."""
+    findings = list(mechanics.notes)
     widths = _half_widths(mechanics)
-    if widths is None:
-        return _use(purpose, "no", Code.CONTROLS_MISSING)
+    if mechanics.trim is None or widths.empty:
+        return findings or [Finding(Code.CONTROLS_MISSING)]
     wide = widths[~(widths <= THRESHOLDS.band)]
-    if len(wide):
-        parts = _largest_parts(mechanics.derivatives, wide.index)
-        return _use(purpose, "no", Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict(), parts=parts)
-    coverages = table["interval_coverage"]
-    narrow = coverages[~(coverages >= THRESHOLDS.held)]
-    if len(narrow):
-        return _use(purpose, "no", Code.BANDS_TOO_NARROW, coverages=narrow.to_dict())
-    use = _control_of_known(purpose, list(mechanics.trim.beyond), widths, varying)
-    if use.judgement == "yes" and simulation.judgement == "no":
-        return Use(purpose, "partly", (*use.findings, *simulation.findings))
-    return use
-
-
-def _control_of_known(
-    purpose: str, beyond: Sequence[str], widths: pd.Series, varying: pd.DataFrame
-) -> Use:
-    """Return the judgement where controls and fast modes are known.
-
-    Regressors of the trim ``beyond`` what was flown, and the errors of the moments, decide.
-    """
-    numbers = {"width": widths.max(), "widest": widths.idxmax()}
-    controls_known = Finding(Code.CONTROLS_KNOWN, numbers=numbers)
-    if beyond:
-        trim_beyond = Finding(Code.TRIM_BEYOND, numbers={"names": list(beyond)})
-        return Use(purpose, "no", (trim_beyond, controls_known))
-    errors = varying["normalized_rmse"].reindex([*MOMENT_COEFFICIENTS])
+    causes = _largest_parts(mechanics.derivatives, wide.index)
+    findings += _if_any(Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict(), causes=causes)
+    findings += _if_any(Code.TRIM_BEYOND, names=list(mechanics.trim.beyond))
+    errors = varying[NRMSE].reindex(["Cl", "Cm", "Cn"])
     poor = errors[errors > THRESHOLDS.error]
-    if len(poor):
-        unexplained = Finding(Code.MOMENTS_UNEXPLAINED, numbers={"errors": poor.to_dict()})
-        return Use(purpose, "partly", (controls_known, unexplained))
-    return Use(purpose, "yes", (controls_known,))
+    findings += _if_any(Code.MOMENTS_UNEXPLAINED, errors=poor.to_dict())
+    known = {"width": widths.max(), "widest": widths.idxmax()}
+    return [*findings, Finding(Code.CONTROLS_KNOWN, numbers=known)]
 
 
-def _half_widths(mechanics: FlightMechanics) -> pd.Series | None:
-    """Return half widths of 95 % bands over values, of controls and fast modes; None without controls."""
+def _half_widths(mechanics: FlightMechanics) -> pd.Series:
+    """Return half widths of 95 % bands over values, of controls and fast modes; empty without controls."""
     table = mechanics.derivatives
+    if table.empty:
+        return pd.Series(dtype=float)
     bands = table.loc[table.index.isin(CONTROL_DERIVATIVES), ["value", "std"]]
-    if bands.empty:
-        return None
-    if mechanics.modes is not None:
+    if mechanics.modes is not None and len(bands):
         is_fast = mechanics.mode_kinds.isin(FAST_MODES)
         fast = mechanics.modes.loc[is_fast, ["frequency", "frequency_std"]]
         bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
     return half_width(0.95) * bands["std"] / bands["value"].abs()
 
 
-def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str, str]:
+def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str, Code]:
     """Return by derivative the part of its standard deviation that makes up more than half of the variance."""
-    parts = {}
-    columns = [name for name in PARTS if name in derivatives]
-    for name in names:
-        if name in derivatives.index and columns:
-            squares = derivatives.loc[name, columns].astype(float) ** 2
-            if squares.max() > 0.5 * squares.sum():
-                parts[name] = str(squares.idxmax())
-    return parts
-
-
-def _use(purpose: str, judgement: str, code: Code, **numbers: Any) -> Use:
-    """Return a judgement by one finding."""
-    return Use(purpose, judgement, (Finding(code, numbers=numbers),))
-
-
-def _limited(use: Use, too_little: Finding | None, doubts: Sequence[Finding]) -> Use:
-    """Return a judgement by the scores, no better than the data and the estimates behind them allow.
-
-    Of a model from too little data nothing is known, but what its regressors exclude. Otherwise "no"
-    and "unknown" remain, and doubts turn "yes" into "partly", the doubt of a failed estimate both
-    into "no". A controller has "no" by its doubts already, which are among its faults.
-    """
-    is_excluded = any(finding.code is Code.ACCELERATIONS_AS_REGRESSORS for finding in use.findings)
-    if too_little is not None and not is_excluded:
-        return Use(use.purpose, "unknown", (too_little,))
-    if use.judgement not in ("yes", "partly"):
-        return use
-    if any(map(_is_failure, doubts)):
-        return Use(use.purpose, "no", (*use.findings, *doubts))
-    if doubts and use.judgement == "yes":
-        return Use(use.purpose, "partly", (*use.findings, *doubts))
-    return use
-
-
-def _too_little(fit: FitRecord) -> Finding | None:
-    """Return the finding of a model that learned from too few seconds or rows to be judged, if it did."""
-    training = fit.training
-    if training is None:
-        return None
-    seconds = np.inf if training.flown is None else training.flown
-    rows_by_regressor = training.samples / len(fit.regressors)
-    if seconds >= THRESHOLDS.flown and rows_by_regressor >= THRESHOLDS.rows:
-        return None
-    numbers = {
-        "seconds": seconds,
-        "each": rows_by_regressor,
-        "least_seconds": THRESHOLDS.flown,
-        "least_rows": THRESHOLDS.rows,
-    }
-    return Finding(Code.TOO_LITTLE_FLOWN, numbers=numbers)
-
-
-def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
-    """Return the doubts of the fit, and further ones of the test flights, one of each code."""
-    doubts: dict[Code, Finding] = {}
-    for finding in [*fit.doubts, *findings]:
-        if finding.severity is Severity.DOUBT:
-            doubts.setdefault(finding.code, finding)
-    return list(doubts.values())
-
-
-def _is_failure(doubt: Finding) -> bool:
-    """Return whether sizes are of another aircraft, or the estimate of the air did not converge."""
-    if doubt.code is Code.SIZES_QUESTIONED:
-        return True
-    cause = doubt.numbers.get("cause")
-    return cause is not None and cause.code is Code.AIR_NOT_CONVERGED
+    largest = {}
+    parts = [part for part in PARTS if part.label in derivatives]
+    for name in derivatives.index.intersection(pd.Index(names)):
+        squares = [float(derivatives.at[name, part.label]) ** 2 for part in parts]
+        if squares and max(squares) > 0.5 * sum(squares):
+            largest[name] = parts[int(np.argmax(squares))]
+    return largest
 
 
 def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
@@ -367,14 +418,12 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
         side_force = OPPOSITE[0]
         wrong[side_force] = derivatives.at[side_force, "value"]
         is_known[side_force] = True
-    findings = []
-    if is_known.any():
-        findings.append(_of_derivatives(Code.WRONG_SIGNS, wrong[is_known]))
     unknown = wrong[~is_known]
-    if len(unknown):
-        parts = _largest_parts(derivatives, unknown.index)
-        findings.append(_of_derivatives(Code.SIGNS_UNKNOWN, unknown, parts=parts))
-    return findings
+    causes = _largest_parts(derivatives, unknown.index)
+    return [
+        *_if_any(Code.WRONG_SIGNS, values=wrong[is_known].to_dict()),
+        *_if_any(Code.SIGNS_UNKNOWN, values=unknown.to_dict(), causes=causes),
+    ]
 
 
 def _is_rudder_ahead(derivatives: pd.DataFrame) -> bool:
@@ -391,55 +440,51 @@ def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
     values = derivatives.loc[derivatives.index.isin(LARGEST_DRAG_SLOPES), ["value", "std"]]
     least = values["value"].abs() - half_width(0.95) * values["std"]
     large = values.loc[least > pd.Series(LARGEST_DRAG_SLOPES).reindex(values.index), "value"]
-    return [] if large.empty else [_of_derivatives(Code.IMPLAUSIBLE_SIZES, large)]
+    return _if_any(Code.IMPLAUSIBLE_SIZES, values=large.to_dict())
 
 
-def _of_derivatives(code: Code, values: pd.Series, **numbers: Any) -> Finding:
-    """Return a finding of derivatives with their values, and further numbers."""
-    names = list(values.index)
-    return Finding(code, numbers={"values": values.to_dict(), "names": names, **numbers})
+def _against_least_squares(table: pd.DataFrame) -> dict[str, list[str]]:
+    """Return the coefficients whose error is smaller, equal, and larger, than by least squares on the same rows."""
+    if LINEAR_NRMSE not in table:
+        return {"better": [], "equal": [], "worse": []}
+    ratio = table[NRMSE] / table[LINEAR_NRMSE]
+    better = ratio < 1 - THRESHOLDS.tie
+    worse = ratio > 1 + THRESHOLDS.tie
+    return {
+        "better": list(table.index[better]),
+        "equal": list(table.index[~(better | worse)]),
+        "worse": list(table.index[worse]),
+    }
 
 
-def _against_least_squares(table: pd.DataFrame) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the coefficients whose error is smaller, and larger, than by least squares on the same rows."""
-    if "least_squares_normalized_rmse" not in table:
-        return (), ()
-    ratio = table["normalized_rmse"] / table["least_squares_normalized_rmse"]
-    better = ratio.index[ratio < 1 - THRESHOLDS.tie]
-    worse = ratio.index[ratio > 1 + THRESHOLDS.tie]
-    return tuple(better), tuple(worse)
-
-
-def _warnings_of_errors(
-    table: pd.DataFrame, evaluations: Sequence[Evaluation], worse: Sequence[str]
+def _against_simpler_models(
+    varying: pd.DataFrame, evaluations: Sequence[Evaluation]
 ) -> list[Finding]:
-    """Return the warnings of the errors of coefficients that vary, the costliest first."""
-    findings = []
+    """Return the warnings that a constant, or least squares, predicts better."""
     diverging = []
     for flight in evaluations:
-        if flight.scores["measured"].loc[table.index, "normalized_rmse"].mean() > 1:
+        if flight.scores["measured"].loc[varying.index, NRMSE].mean() > 1:
             diverging.append(flight.name)
-    if diverging:
-        numbers = {"flights": diverging, "worse": len(diverging), "tested": len(evaluations)}
-        findings.append(Finding(Code.CONSTANT_BETTER_IN_FLIGHTS, numbers=numbers))
-    means = table.mean()
-    limit = (1 + THRESHOLDS.tie) * means.get("least_squares_normalized_rmse", np.inf)
-    is_mostly_worse = bool(worse) and len(worse) >= len(table) / 2
-    if is_mostly_worse or means["normalized_rmse"] > limit:
-        numbers = {"names": list(worse), "worse": len(worse), "coefficients": len(table)}
-        findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers))
+    numbers = {"worse": len(diverging), "tested": len(evaluations)}
+    findings = _if_any(Code.CONSTANT_BETTER_IN_FLIGHTS, flights=diverging, **numbers)
+    means = varying.mean()
+    limit = (1 + THRESHOLDS.tie) * means.get(LINEAR_NRMSE, np.inf)
+    worse = _against_least_squares(varying)["worse"]
+    is_mostly_worse = bool(worse) and len(worse) >= len(varying) / 2
+    if is_mostly_worse or means[NRMSE] > limit:
+        numbers = {"worse": len(worse), "coefficients": len(varying)}
+        findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers={"names": worse, **numbers}))
     return findings
 
 
-def _warnings_of_bands(table: pd.DataFrame) -> list[Finding]:
-    """Return the warnings of bands that are too narrow or too wide, of all coefficients."""
-    findings = []
-    coverages = table["interval_coverage"]
-    narrow = coverages[coverages < THRESHOLDS.coverage]
-    if len(narrow):
-        numbers = {"coverages": narrow.to_dict()}
-        findings.append(Finding(Code.BANDS_TOO_NARROW, numbers=numbers))
-    wide = coverages[coverages > THRESHOLDS.widest]
-    if len(wide):
-        findings.append(Finding(Code.BANDS_TOO_WIDE, numbers={"coverages": wide.to_dict()}))
-    return findings
+def _band_findings(table: pd.DataFrame) -> list[Finding]:
+    """Return the findings of bands that are too narrow or too wide, of all coefficients."""
+    coverages = table[COVERAGE]
+    narrow = coverages[coverages < THRESHOLDS.coverage].to_dict()
+    wide = coverages[coverages > THRESHOLDS.widest].to_dict()
+    not_held = coverages[~(coverages >= THRESHOLDS.held)].to_dict()
+    return [
+        *_if_any(Code.BANDS_TOO_NARROW, coverages=narrow),
+        *_if_any(Code.BANDS_TOO_WIDE, coverages=wide),
+        *_if_any(Code.BANDS_DO_NOT_HOLD, coverages=not_held),
+    ]

@@ -14,9 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import plain
-from skdgp._compute.findings import Code
 from skdgp._compute.messages import recorded_warnings, warn
-from skdgp._compute.wording import grouped_faults, reason_of, text_of
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
@@ -26,6 +24,7 @@ from skdgp._flight.checks import (
 )
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
+from skdgp._flight.findings import Code, texts_of
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
@@ -456,12 +455,12 @@ def _faults(table: pd.DataFrame, aircraft: Aircraft | None) -> list[str]:
     There is no contradiction if the clocks are too irregular to filter.
     """
     found = find_faults(FlightTable.of(table))
-    faults = grouped_faults(fault.finding for fault in found)
+    faults = list(texts_of(fault.finding for fault in found))
     measured = FlightTable.of(without_faults(table, found))
     try:
         contradictions = find_contradictions(measured)
         question = None if aircraft is None else aircraft.question_of_sizes(measured)
     except ValueError:
         return faults
-    faults += [reason_of(contradiction.finding) for contradiction in contradictions]
-    return faults if question is None else [*faults, text_of(question)]
+    faults += [contradiction.finding.text for contradiction in contradictions]
+    return faults if question is None else [*faults, question.text]

@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
-from skdgp._compute.wording import text_of
 from skdgp._flight.channels import AIR_DATA, CHANNELS, RATES, SPECIFIC_FORCE, VANES, WRAPPED
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import (
@@ -23,6 +21,7 @@ from skdgp._flight.faults import (
     usual_spacing,
     without_faults,
 )
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
 from skdgp._flight.smoothing import differentiate, smooth
 from skdgp._flight.tables import FlightTable, numeric, unwrapped
@@ -84,11 +83,11 @@ def _row(fault: Finding) -> dict[str, Any]:
     return {
         "flight": fault.flight,
         "channel": fault.channel,
-        "kind": fault.code.value,
+        "kind": fault.code.label,
         "start": fault.numbers["start"],
         "end": fault.numbers["end"],
         "n_samples": fault.numbers["samples"],
-        "message": text_of(fault),
+        "message": fault.text,
     }
 
 

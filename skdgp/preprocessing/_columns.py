@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._flight.channels import (
@@ -29,6 +28,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import numeric
 from skdgp._flight.units import check_airspeed
 from skdgp.preprocessing._table import (

@@ -10,11 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.findings import Code, Finding
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, fit_context
 from skdgp._compute.typing import Indices, Vector
-from skdgp._compute.wording import reason_of
 from skdgp._flight.channels import (
     AIR_DATA,
     ALL_SURFACES,
@@ -24,6 +22,7 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.faults import FlightDataWarning
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable, by_name, has_values, numeric
 from skdgp._flight.units import check_radians
@@ -203,7 +202,10 @@ class FlightPathReconstruction(TableTransformer):
         code = Code.PATHS_RECONSTRUCTED if self.used_ else Code.PATHS_SMOOTHED
         numbers = {
             "missing": self.missing_,
-            "contradictions": [found._asdict() for found in self.contradictions_],
+            "contradictions": [
+                Finding(Code.SENSOR_CONTRADICTS, channel=found.sensor, numbers=found._asdict())
+                for found in self.contradictions_
+            ],
             "air": "" if self.air_motion_ is None else self.air_motion_.summary,
         }
         return Finding(code, numbers=numbers)
@@ -211,7 +213,7 @@ class FlightPathReconstruction(TableTransformer):
     @property
     def reason_(self) -> str:
         """Why ``transform`` reconstructs flights, or not, in words."""
-        return reason_of(self.finding_)
+        return self.finding_.clause
 
     @fit_context(prefer_skip_nested_validation=True)
     def fit_transform(self, X: Any, y: Any = None) -> Any:

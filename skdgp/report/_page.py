@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import can_draw
+from skdgp._compute.files import text_writer
+from skdgp._compute.messages import can_draw, notify
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._compute.wording import text_of
 from skdgp._display.page import (
     DASH,
     THIN,
@@ -28,17 +31,19 @@ from skdgp._display.page import (
     units_shown,
 )
 from skdgp._flight.channels import LATERAL, LONGITUDINAL, MIRRORED
-from skdgp.dynamics import Trim
-from skdgp.plotting import TimeHistoryDisplay
-from skdgp.report._content import (
+from skdgp.dynamics import Trim, as_aerodynamics
+from skdgp.identification import (
     THRESHOLDS,
+    Changes,
     Evaluation,
-    Extent,
     FlightMechanics,
-    ReportContent,
+    Identification,
     Verdict,
+    flown_seconds,
 )
+from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
 
+NRMSE = "normalized_rmse"
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
 # Regressors in a heading; others stand as they are
 REGRESSORS = {
@@ -139,6 +144,7 @@ OF_AIRCRAFT = (
     "± of aircraft: the effect of errors of its sizes, which all derivatives of a moment or force "
     "share; it does not matter for simulations with this aircraft."
 )
+SIMULATED_STATES = ("airspeed", "alpha", "phi", "theta", "p", "q")
 # Captions of the displays of the model
 EFFECTS = (
     "For each coefficient the regressors along which it changes most, on one scale, the others as in "
@@ -197,45 +203,71 @@ class PageSettings:
 SETTINGS = PageSettings()
 
 
-def render_report(content: ReportContent) -> str:
+def save_report(result: Identification, path: str | os.PathLike) -> Path:
+    """Write report.html beside the files of `Identification.save` into a folder, all or none."""
+    notify("report")
+    page = text_writer(render_report(result, _effects(result) if can_draw() else None))
+    return result.save(path, **{"report.html": page})
+
+
+def _effects(result: Identification) -> EffectsDisplay:
+    """Return slices of a model through its trim, through the mean of the flights if it has none."""
+    aerodynamics: Any = as_aerodynamics(result.pipeline)
+    rows = pd.DataFrame(aerodynamics.learned.training_rows(), columns=aerodynamics.regressors)
+    trim = result.mechanics.trim
+    steady = {} if trim is None else {"alpha": trim.alpha, "beta": trim.beta, **trim.controls}
+    at = {name: steady[name] for name in rows if name in steady}
+    return EffectsDisplay.from_estimator(result.pipeline[-2:], rows, at, ax=False)
+
+
+def render_report(result: Identification, effects: EffectsDisplay | None = None) -> str:
     """Return the report as one HTML document that needs nothing else, no network, no script.
 
     Its figures are SVG images. Without matplotlib it has no figures and says so.
     """
-    count = f"flights: {len(content.train)} training, {len(content.test)} test"
-    parts = [content.subtitle, count, f"{content.created:%d %B %Y, %H:%M}"]
-    meta = " · ".join(text(part) for part in parts if part)
+    count = f"flights: {len(result.train)} training, {len(result.evaluations)} test"
+    created = datetime.fromisoformat(result.created)
+    meta = f"{text(result.aircraft.name)} · {count} · {created:%d %B %Y, %H:%M}"
     colophon = "Made by skdgp. SI units; degrees in figures and in the table of states."
-    with units_shown(content.units):
-        body = _with_contents(_sections(content))
-    return render_page("Aerodynamic identification report", content.title, meta, body, colophon)
+    with units_shown(result.units):
+        body = _with_contents(_sections(result, effects))
+    return render_page("Aerodynamic identification report", result.title, meta, body, colophon)
 
 
-def _sections(content: ReportContent) -> list[str]:
+def _sections(result: Identification, effects: EffectsDisplay | None) -> list[str]:
     """Return all sections in their order; those without content are empty."""
     draw = can_draw()
-    further = _list(content.verdict.warnings[SETTINGS.warnings :], "ul", "alerts")
+    further = _list(result.verdict.warnings[SETTINGS.warnings :], "ul", "alerts")
     sections = [
-        _verdict(content),
-        _next_flight(content),
-        *content.sections,
+        _verdict(result),
+        _next_flight(result),
+        _changes(result.changes),
         section("Further warnings", further),
-        section("What was assumed", _list(content.assumed)),
+        section("What was assumed", _list(result.assumed)),
     ]
     if not draw:
         sections.append(_note(NO_FIGURES))
-    sections.append(_mechanics(content.mechanics))
-    sections.append(_simulation(content.mechanics, draw))
-    sections.append(_frequency(content.mechanics, draw))
-    sections += _flights(content, draw)
-    if draw and content.effects is not None:
-        sections.append(section("Effects", content.effects.html(EFFECTS)))
+    sections.append(_mechanics(result.mechanics))
+    sections.append(_simulation(result.mechanics, draw))
+    sections.append(_frequency(result.mechanics, draw))
+    sections += _flights(result, draw)
+    if draw and effects is not None:
+        sections.append(section("Effects", effects.html(EFFECTS)))
     if draw:
-        sections.append(_flown(content))
-    done = facts([*content.facts.items(), ("Command", content.command)])
+        sections.append(_flown(result))
+    done = facts([*result.facts.items(), ("Command", result.command)])
     sections.append(section("What was done", done, SIGN))
     sections.append(section("How to read", HOW_TO_READ))
     return sections
+
+
+def _changes(changes: Changes | None) -> str:
+    """Return whether the aircraft has changed since its model was learned."""
+    if changes is None:
+        return ""
+    lines = "".join(f"<p>{text(line)}</p>" for line in changes.summary())
+    p_values = changes.p_values.to_html(float_format="{:.2g}".format, border=0)
+    return section("Has the aircraft changed?", lines, p_values)
 
 
 def _with_contents(sections: Iterable[str]) -> str:
@@ -255,10 +287,10 @@ def _note(sentence: str) -> str:
     return f'<p class="note">{sentence}</p>' if sentence else ""
 
 
-def _verdict(content: ReportContent) -> str:
+def _verdict(result: Identification) -> str:
     """Return the verdict on the model in the air that was flown, and its errors on each test flight."""
-    verdict = content.verdict
-    air = f"Air: {text(content.air)}." if content.air else "The air was not estimated."
+    verdict = result.verdict
+    air = f"Air: {text(result.air)}." if result.air else "The air was not estimated."
     uses = [
         [text(use.purpose), _JUDGEMENTS[use.judgement], text(use.reason)] for use in verdict.uses
     ]
@@ -273,7 +305,7 @@ def _verdict(content: ReportContent) -> str:
         table(head, uses, caption="What the model is good for.", classes="words"),
         f"<p>{text(verdict.compared())}</p>",
         alerts,
-        _errors_by_flight(content.test) if len(content.test) > 1 else "",
+        _errors_by_flight(result.evaluations) if len(result.evaluations) > 1 else "",
     )
 
 
@@ -311,9 +343,9 @@ def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
     )
 
 
-def _next_flight(content: ReportContent) -> str:
+def _next_flight(result: Identification) -> str:
     """Return the weak derivatives by the manoeuvre that excites them, weakest first."""
-    mechanics = content.mechanics
+    mechanics = result.mechanics
     if "std" not in mechanics.derivatives:
         return ""
     weak = _weak(mechanics.derivatives)
@@ -325,7 +357,7 @@ def _next_flight(content: ReportContent) -> str:
             rows.append([axis + _manoeuvre(axis, mechanics), named, str(len(excited))])
     if not rows:
         return section("What to fly next", _note("Every derivative is known to half its size."))
-    flown = Extent.of(list(content.train.values())).seconds
+    flown = flown_seconds(result.train.values())
     reach = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
     caption = (
         "Inputs to excite, and the derivatives that they determine whose 95 % bands are wider than half "
@@ -372,7 +404,7 @@ def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
 
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
-    parts = [_note(text(text_of(note))) for note in mechanics.notes]
+    parts = [_note(text(note.text)) for note in mechanics.notes]
     if mechanics.trim is not None:
         parts.append("<p>Steady flight in the middle of the training range:</p>")
         parts.append(_trim(mechanics.trim))
@@ -503,11 +535,16 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
     """Return how long a free simulation follows the test flights, and one flight with its bands."""
     parts = []
     if mechanics.simulation_note is not None:
-        parts.append(_note(f"Not simulated: {text(text_of(mechanics.simulation_note))}."))
+        parts.append(_note(f"Not simulated: {text(mechanics.simulation_note.clause)}."))
     if mechanics.simulation is not None:
         parts.append(_simulation_errors(mechanics.simulation))
     if draw and mechanics.simulated is not None:
-        parts.append(mechanics.simulated.html(SIMULATED))
+        paths, mean, flown = mechanics.simulated
+        names = [name for name in SIMULATED_STATES if name in flown]
+        display = TimeHistoryDisplay.from_trajectories(
+            paths, flown, mean=mean, columns=names, ax=False
+        )
+        parts.append(display.html(SIMULATED))
     return section("Simulation", *parts)
 
 
@@ -545,7 +582,7 @@ def _frequency(mechanics: FlightMechanics, draw: bool) -> str:
     """Return the model's errors of frequency responses in the test flights, and the responses."""
     parts = []
     if mechanics.frequency_note is not None:
-        parts.append(_note(text(text_of(mechanics.frequency_note))))
+        parts.append(_note(text(mechanics.frequency_note.text)))
     display = mechanics.frequency
     if display is not None:
         rows = []
@@ -560,15 +597,16 @@ def _frequency(mechanics: FlightMechanics, draw: bool) -> str:
     return section("Frequency responses", *parts)
 
 
-def _flights(content: ReportContent, draw: bool) -> list[str]:
+def _flights(result: Identification, draw: bool) -> list[str]:
     """Return errors and figures of each test flight; of many, figures of the one predicted worst."""
-    errors = [float(result.scores["measured"]["normalized_rmse"].mean()) for result in content.test]
+    flights = result.evaluations
+    errors = [float(flight.scores["measured"][NRMSE].mean()) for flight in flights]
     parts = []
-    for result, error in zip(content.test, errors, strict=True):
-        body = _errors(result)
+    for flight, error in zip(flights, errors, strict=True):
+        body = _errors(flight)
         if draw and (len(errors) <= SETTINGS.flights or not error < max(errors)):
-            body += _figures(result)
-        parts.append(section(f"Test flight {text(result.name)}", body, classes="flight"))
+            body += _figures(flight)
+        parts.append(section(f"Test flight {text(flight.name)}", body, classes="flight"))
     return parts
 
 
@@ -632,13 +670,13 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = SETTINGS.excerp
     return slice(int(begin[liveliest]), int(end[liveliest]))
 
 
-def _flown(content: ReportContent) -> str:
+def _flown(result: Identification) -> str:
     """Return the inputs of the flights."""
     parts = []
-    for name, flight in content.train.items():
+    for name, flight in result.train.items():
         parts.append(_inputs(f"{name} (train)", flight))
-    for result in content.test:
-        parts.append(_inputs(f"{result.name} (test)", result.table))
+    for tested in result.evaluations:
+        parts.append(_inputs(f"{tested.name} (test)", tested.table))
     return section("What was flown", *parts)
 
 

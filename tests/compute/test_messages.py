@@ -1,5 +1,6 @@
 """Warnings are recorded and silenced for one caller alone; a listener hears of a fit until its block ends."""
 
+import pickle
 import threading
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ from numpy.random import default_rng
 from sklearn.model_selection import cross_val_score
 
 from skdgp import DependentGPRegressor, listening
-from skdgp._compute.findings import Code, Finding
+from skdgp._compute.findings import texts_of
 from skdgp._compute.messages import (
     FindingWarning,
     recorded_warnings,
@@ -17,7 +18,8 @@ from skdgp._compute.messages import (
     warn,
     without_warnings,
 )
-from skdgp._compute.wording import REASONS, TEXTS, reason_of, texts_of
+from skdgp._flight.findings import Code, Finding
+from skdgp._regressor import FitCode
 from skdgp.dynamics import Aircraft
 
 
@@ -30,16 +32,35 @@ def test_recorded_warnings_are_shown_and_kept_once():
         for _ in range(2):
             with pytest.warns(Late, match="^a  gap$"):
                 warn("a  gap", Late)
-    assert texts_of(inner.findings) == texts_of(outer.findings) == ("a gap",)
+    assert texts_of(inner.findings) == texts_of(outer.findings) == ("a gap.",)
 
 
-@pytest.mark.parametrize(
-    ("largest", "words"),
-    [(0.142, "error 0.14 of the spread"), (0.15, "errors 0.14 to 0.15 of the spread of the coeff")],
-)
-def test_errors_that_are_shown_alike_are_one_number(largest, words):
-    errors = {"smallest": 0.141, "largest": largest}
-    assert reason_of(Finding(Code.ERRORS_SMALL, numbers=errors)).startswith(words)
+def test_parts_of_a_text_whose_values_are_unknown_are_left_out():
+    numbers = {"channels": ["q", "r"], "y": "y", "x": "x", "std": 0.1, "t": 6.0, "causes": []}
+    numbers |= {"correlation": 0.9, "effective_samples": 20.0}
+    of_slope = numbers | {"slope": 0.0, "expected": "1"}
+    slope = "the slope of y over x is 0 ± 0.1, but expected 1"
+    lag = "y is 0.3 ± 0.1 s late against x"
+    end = " (t = 6.0, correlation 0.90, 20 effective samples)"
+    begin = "q or r is probably wrong: "
+    assert Finding(Code.CONTRADICTION, numbers=of_slope).clause == begin + slope + end
+    of_lag = numbers | {"lag": 0.3, "causes": ["a magnetic heading"]}
+    text = Finding(Code.CONTRADICTION, "a", numbers=of_lag).text
+    assert text == f"flight a: {begin}{lag}: a magnetic heading?{end}."
+
+
+def test_the_advice_of_a_cause_follows_the_statement():
+    numbers = {"cause": Finding(Code.AIR_NOT_CONVERGED), "angles_lack_gusts": True}
+    finding = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
+    assert finding.clause.endswith(f": {Code.AIR_NOT_CONVERGED.statement}")
+    assert finding.text.startswith("Gusts without vanes are not known: ")
+    assert " converge. Give " in finding.text
+    assert finding.text.endswith(" sensors. alpha and beta lack them.")
+
+
+def test_a_saved_finding_has_its_kind():
+    finding = Finding(Code.NO_ELEVATOR)
+    assert pickle.loads(pickle.dumps(finding)) == finding
 
 
 def test_ignored_warnings_are_neither_shown_nor_recorded():
@@ -47,7 +68,7 @@ def test_ignored_warnings_are_neither_shown_nor_recorded():
         warn("late", Late)
         with pytest.warns(UserWarning, match="other"):
             warn("other")
-    assert texts_of(outer.findings) == ("other",)
+    assert texts_of(outer.findings) == ("other.",)
     with recorded_warnings() as record:
         record.ignore(Code.FULL_THROWS)
         report(Finding(Code.FULL_THROWS))
@@ -56,9 +77,10 @@ def test_ignored_warnings_are_neither_shown_nor_recorded():
     assert record.findings == [shown[0].message.finding] == [Finding(Code.NO_ELEVATOR)]
 
 
-@pytest.mark.parametrize("code", Code)
-def test_every_finding_has_a_text(code):
-    assert code in {**TEXTS, **REASONS}
+@pytest.mark.parametrize("code", [*Code, *FitCode])
+def test_a_statement_is_a_clause_and_its_advice_whole_sentences(code):
+    assert not code.statement.endswith(".")
+    assert code.advice == "" or code.advice.rstrip("]}").endswith((".", ".)"))
 
 
 FEW = default_rng(0).normal(size=(12, 4))

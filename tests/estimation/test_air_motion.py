@@ -15,12 +15,12 @@ from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 from pandas.testing import assert_frame_equal
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._flight.findings import Code
 from skdgp.dynamics import Aircraft, Servos, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
 from skdgp.estimation._air_fit import AirFit
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
-from skdgp.report import Code
 
 BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "small_uav.py"
 SURFACES = ["elevator", "aileron", "rudder"]

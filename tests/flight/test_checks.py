@@ -141,7 +141,7 @@ def coefficients(elevator, rows):
 @pytest.mark.parametrize(("elevator", "rows"), [(0.9, 900), (1.0, 5), (-1.0, 5)])
 def test_commands_from_minus_one_to_one_are_warned_of(elevator, rows):
     """Beyond what servos move, or at the end of a command's range though rarely."""
-    words = r"surfaces up to elevator [^,]*, more than .* commands from -1 to 1, multiply"
+    words = r"surfaces .* up to elevator [^,]*, more than .* commands from -1 to 1, multiply"
     with pytest.warns(UserWarning, match=words):
         coefficients(elevator, rows)
 

@@ -10,7 +10,6 @@ import pytest
 from numpy.random import default_rng
 from scipy import signal
 
-from skdgp._compute.wording import reason_of
 from skdgp._flight.physics import Regression, estimated_slope, find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import euler_to_matrix
@@ -256,8 +255,8 @@ def test_accelerometers_in_earth_axes_are_named(flight, west):
 )  # fmt: skip
 def test_the_message_says_what_is_over_what_and_usual_causes(flight, change, words):
     (found,) = contradictions(change(flight))
-    assert words in reason_of(found)
-    assert reason_of(found).endswith("effective samples)")
+    assert words in found.clause
+    assert found.clause.endswith("effective samples)")
 
 
 def test_the_error_of_a_slope_counts_dependent_samples():
@@ -403,7 +402,7 @@ def test_one_of_several_flights(flight):
     wrong = opposite(flight, "beta").assign(flight="d")
     (found,) = contradictions(pd.concat([*good, wrong], ignore_index=True))
     assert (found.flight, found.numbers["channels"]) == ("d", ["beta"])
-    assert reason_of(found).startswith("flight d: beta is probably wrong")
+    assert found.clause.startswith("flight d: beta is probably wrong")
 
 
 @pytest.mark.parametrize("air", ["calm", "light"])

@@ -10,10 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor, listening
+from skdgp._flight.findings import Code
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import portable_model, write_c
 from skdgp.identification import identify, load_model, validate
-from skdgp.report import Code
+from skdgp.report import save_report
 
 QUICK = DependentGPRegressor(structure="trend", random_state=0)
 UNKNOWN = Aircraft.estimate(3.0, 1.8)
@@ -137,8 +138,9 @@ def test_a_table_without_thrust():
     assert "servos" not in found.options
     for findings in (found.assumptions, found.findings):
         assert Code.THRUST_IN_COEFFICIENTS in {finding.code for finding in findings}
-    assert "wing area 0.432 m^2 ± 35 %" in found.assumed[0]
-    assert "Iyy 0.208 kg m^2 ± 39 %" in found.assumed[0]
+    sizes = found.assumptions[0].numbers["sizes"]
+    assert sizes["wing area [m^2]"] == pytest.approx((0.432, 0.35 * 0.432), rel=0.01)
+    assert sizes["Iyy [kg m^2]"] == pytest.approx((0.208, 0.39 * 0.208), rel=0.01)
     assert "mass" not in found.assumed[0]
     assert {*found.verdict.warnings}.isdisjoint(found.assumed)
 
@@ -201,7 +203,7 @@ class TestALogAMassAndASpan:
         lines = found.summary().partition("assumed, as nothing was told:")[2].strip().splitlines()
         assert len(lines) <= 10
         assert any("full throw" in line for line in lines)
-        page = (found.save(tmp_path) / "report.html").read_text(encoding="utf-8")
+        page = (save_report(found, tmp_path) / "report.html").read_text(encoding="utf-8")
         assert "What was assumed</h2>" in page
         assert "Those by surfaces are by their full throw." in page
 

@@ -9,6 +9,8 @@ from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
 from scipy.signal import lfilter
 
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -19,8 +21,13 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification import Identification
-from skdgp.report import Code, Evaluation, Finding, FitRecord, FlightMechanics, TrainingRecord
+from skdgp.identification import (
+    Evaluation,
+    FitRecord,
+    FlightMechanics,
+    Identification,
+    TrainingRecord,
+)
 
 AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
@@ -169,7 +176,7 @@ def with_derivative(name, value, std=0.01, **parts):
 
 def use(found, purpose):
     (one,) = [one for one in found.uses if one.purpose == purpose]
-    return one.judgement, one.reason
+    return one.judgement, {finding.code for finding in one.findings}
 
 
 def mechanics_of(*tables, train=None, **options):
@@ -198,18 +205,13 @@ def test_one_error_one_coverage_and_how_much_was_learned_from():
 def test_least_squares_by_coefficient():
     linear = np.array([0.2, 0.2, 0.101, 0.1, 0.05, 0.05])
     found = verdict([evaluation(error=0.1, linear=linear)])
-    assert (found.better, found.worse) == (("CX", "CY"), ("Cm", "Cn"))
+    compared = {"better": ["CX", "CY"], "equal": ["CZ", "Cl"], "worse": ["Cm", "Cn"]}
+    assert found.against_least_squares() == compared
     assert found.compared().endswith(
         "the model is better in CX CY, equal in CZ Cl, worse in Cm Cn."
     )
-    assert verdict([evaluation(error=0.3, linear=linear)]).worse == (
-        "CX",
-        "CY",
-        "CZ",
-        "Cl",
-        "Cm",
-        "Cn",
-    )
+    worse = verdict([evaluation(error=0.3, linear=linear)]).against_least_squares()["worse"]
+    assert worse == [*COEFFICIENTS]
 
 
 @pytest.mark.parametrize(
@@ -297,28 +299,23 @@ class TestSimulation:
         assert message in found.simulation_note.numbers["error"]
 
 
-UNSTABLE = "not as on a conventional stable aircraft"
-
-
 @pytest.mark.parametrize(
-    ("name", "value", "words", "reason"),
+    ("name", "value", "code"),
     [
-        ("Cm_q", 7.5, UNSTABLE, "wrong sign of Cm_q"),
-        ("Cl_p", 0.1, UNSTABLE, "wrong sign of Cl_p"),
-        ("Cn_beta", -0.1, UNSTABLE, "wrong sign of Cn_beta"),
-        ("CD_q", 31.6, "the accelerometers", "implausible CD_q"),
+        ("Cm_q", 7.5, Code.WRONG_SIGNS),
+        ("Cl_p", 0.1, Code.WRONG_SIGNS),
+        ("Cn_beta", -0.1, Code.WRONG_SIGNS),
+        ("CD_q", 31.6, Code.IMPLAUSIBLE_SIZES),
         # of the sign of Cn_rudder
-        ("CY_rudder", -0.1, "the accelerometers", "wrong sign of CY_rudder"),
+        ("CY_rudder", -0.1, Code.WRONG_SIGNS),
     ],
 )
-def test_what_no_aircraft_has_is_the_first_warning_and_forbids_a_controller(
-    name, value, words, reason
-):
+def test_what_no_aircraft_has_is_the_first_warning_and_forbids_a_controller(name, value, code):
     wrong = with_derivative(name, value, abs(value) / 4)
     found = verdict(derivatives=wrong, findings=[ALONE["a"]])
-    assert words in found.warnings[0]
-    assert f"{name} {value:+.2g}" in found.warnings[0]
-    assert use(found, CONTROL) == ("no", reason)
+    assert found.findings[0].code is code
+    assert found.findings[0].numbers["values"] == {name: value}
+    assert use(found, CONTROL) == ("no", {code})
 
 
 @pytest.mark.parametrize(
@@ -335,10 +332,10 @@ def test_what_aircraft_have_forbids_none(name, value):
 def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(fit):
     doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
     found = verdict(findings=[ALONE["a"], doubt], fit=fit)
-    assert "The paths of these flights did not converge: a." in found.warnings[0]
+    assert found.findings[0] == doubt
     assert "yes" not in {use.judgement for use in found.uses}
     assert found.findings[1:] == (ALONE["a"],)
-    assert use(found, CONTROL) == ("no", "a reconstruction did not converge")
+    assert use(found, CONTROL) == ("no", {Code.PATHS_NOT_CONVERGED})
 
 
 def still(flight, *outputs):
@@ -358,11 +355,10 @@ class TestCoefficientsThatDoNotVary:
         calm = still(evaluation(), 5)
         found = verdict([calm])
         assert found.error == pytest.approx(verdict().error)
-        fit, reason = use(found, PREDICT)
-        assert fit == "partly"
-        assert "Cn vary by less than their noise in the test flights" in reason
+        assert use(found, PREDICT) == ("partly", {Code.NOT_VARYING})
         assert "Cn" not in found.compared()
-        assert any("In the test flights Cn vary by less" in warning for warning in found.warnings)
+        (not_varying,) = [one for one in found.findings if one.code is Code.NOT_VARYING]
+        assert not_varying.numbers["names"] == ["Cn"]
 
     def test_of_none_there_is_no_error(self):
         found = verdict([still(evaluation(), *range(6))])
@@ -382,9 +378,9 @@ class TestCoefficientsThatDoNotVary:
 def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown_and_has_its_source():
     parts = {"std_random": 0.02, "std_method": 0.01, "std_posterior": 0.2}
     found = verdict(derivatives=with_derivative("CY_beta", 0.1, 0.2, **parts))
-    assert use(found, CONTROL) == ("no", "unknown sign of CY_beta")
-    words = "not known, as their 95 % bands hold zero: CY_beta +0.1 (few or small inputs)"
-    assert words in found.warnings[0]
+    assert use(found, CONTROL) == ("no", {Code.SIGNS_UNKNOWN})
+    assert found.findings[0].numbers["causes"] == {"CY_beta": Code.STD_POSTERIOR}
+    assert "CY_beta +0.1, by CY_beta few or small inputs." in found.warnings[0]
 
 
 def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
@@ -406,13 +402,9 @@ def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
     found = verdict(fit={"gusts_unknown": doubt}) if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
-    assert found.warnings == ("Gusts are not known: too short.",)
-    for purpose in (PREDICT, SIMULATE):
-        fit, reason = use(found, purpose)
-        assert fit == "partly"
-        assert reason.endswith("; but gusts without vanes are not known")
-    assert "yes" not in {use.judgement for use in found.uses}
-    assert use(found, CONTROL) == ("no", "gusts without vanes are not known")
+    assert found.warnings == ("Gusts without vanes are not known: too short.",)
+    for purpose, judgement in {PREDICT: "partly", SIMULATE: "partly", CONTROL: "no"}.items():
+        assert use(found, purpose) == (judgement, {Code.GUSTS_UNKNOWN})
 
 
 def test_warnings_are_ranked():
@@ -421,17 +413,18 @@ def test_warnings_are_ranked():
         evaluation(error=1.2, linear=0.5, inside=False),
         evaluation("b", error=0.1, inside=False),
     ]
-    found = verdict(bad, findings=findings, fit={"converged": False}).warnings
-    assert found[0].startswith(
-        "In 1 of 2 test flights a constant predicts better (error above 1): a."
-    )
-    assert found[1].startswith("Least squares is better in 6 of 6 coefficients")
-    assert found[2].startswith("95 % bands are too narrow: they hold CX 6")
-    assert found[3] == "The fit has not converged: raise max_iter."
-    assert found[4].startswith("Flight 'a': 2 rows")
-    assert found[4].endswith("(1 more of this kind)")
-    assert found[5].startswith("Got flights without an elevator")
-    assert len(found) == 6
+    found = verdict(bad, findings=findings, fit={"converged": False})
+    assert list(dict.fromkeys(finding.code for finding in found.findings)) == [
+        Code.CONSTANT_BETTER_IN_FLIGHTS,
+        Code.LEAST_SQUARES_BETTER,
+        Code.BANDS_TOO_NARROW,
+        Code.FIT_NOT_CONVERGED,
+        Code.LONE_ROWS,
+        Code.NO_ELEVATOR,
+    ]
+    assert found.findings[0].numbers["flights"] == ["a"]
+    assert found.findings[1].numbers["worse"] == 6
+    assert found.warnings[4].endswith("(1 more of this kind)")
     assert verdict().warnings == ()
 
 
@@ -457,51 +450,64 @@ def modes(name):
 
 
 BLIND = replace(errors(0.7), table=errors().table[["time"]])
+BRIEF = SHORT.assign(lasts_without_gusts=[4.0, 0.6], gusts=0.7)
+HIDDEN = SHORT.assign(lasts_without_gusts=[4.0, 1.2], gusts=0.7)
+LITTLE = {"training": replace(FIT.training, flown=5.0)}
+BEYOND = replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})
+RATES = {"regressors": ["p_hat", "elevator"]}
 USES = [
-    (PREDICT, {"evaluations": [errors(0.49, 0.1, 0.51)]}, "partly",
-     "only CX CY CZ Cl Cm. Cn: error 0.51 of its spread"),
-    (PREDICT, {"evaluations": [evaluation(inside=[False] + [True] * 5)]}, "partly", "CX: its 95 % band holds 6"),
-    (PREDICT, {"evaluations": [BIASED]}, "no", ""),  # its band does not hold, though Cn does not vary
-    (PREDICT, {"evaluations": [evaluation(error=1.5)]}, "no", "the error is 1.5 of the spread"),
-    (PREDICT, {"evaluations": [errors(187.3)]}, "no", "is 31.3 of the spread, so a constant predicts better"),
+    (PREDICT, {}, "yes", {Code.ERRORS_SMALL}),
+    (PREDICT, {"evaluations": [errors(0.49, 0.1, 0.51)]}, "partly", {Code.ERRORS_TOO_LARGE}),
+    (PREDICT, {"evaluations": [evaluation(inside=[False] + [True] * 5)]}, "partly", {Code.ERRORS_TOO_LARGE}),
+    # its band does not hold, though Cn does not vary
+    (PREDICT, {"evaluations": [BIASED]}, "no", {Code.DIVERGING}),
+    (PREDICT, {"evaluations": [evaluation(error=1.5)]}, "no", {Code.DIVERGING}),
+    (PREDICT, {"evaluations": [errors(187.3)]}, "no", {Code.DIVERGING}),
+    (PREDICT, {"evaluations": [evaluation(error=0.6)]}, "no", {Code.ALL_ERRORS_TOO_LARGE}),
     # without vanes alpha and beta follow from the accelerometers that give CZ and CY
-    (PREDICT, {"evaluations": [BLIND]}, "partly",
-     "only CX Cl Cm. Cn: error 0.70 of its spread; CZ and CY cannot be judged"),
-    (PREDICT, {"evaluations": [BLIND], "fit": {"regressors": ["p_hat", "elevator"]}}, "partly",
-     "only CX CY CZ Cl Cm. Cn"),
-    (SIMULATE, {}, "yes", "for the 4 s that were simulated"),
-    (SIMULATE, {"simulation": simulated([2.5, 4.0])}, "partly", "for 2.5 s: theta 2.5 s; the other states for all 4 s"),
-    (SIMULATE, {"simulation": SHORT}, "no", "for 0.5 s: p 0.5 s; the other"),
-    (SIMULATE, {"simulation": SHORT.assign(lasts_without_gusts=[4.0, 1.2], gusts=0.7)}, "unknown",
-     "not testable in this air"),
-    (SIMULATE, {"simulation": SHORT.assign(lasts_without_gusts=[4.0, 0.6], gusts=0.7)}, "no", "it follows the test"),
-    (SIMULATE, {"simulation": None, "simulation_note": NO_ALPHA}, "unknown", "no alpha"),
-    (SIMULATE, {"fit": AX}, "no", "the regressors ax are known only after a flight"),
-    (SIMULATE, {"fit": AX | {"training": replace(FIT.training, flown=5.0)}}, "no", "regressors ax"),
-    (CONTROL, {"derivatives": WIDE}, "no", "Cm_elevator ± 98 % (gusts, or noise of the regressors)"),
-    *[(CONTROL, modes(name), "no", f"not known well enough, half of the 95 % interval: {name} ± 78 %")
+    (PREDICT, {"evaluations": [BLIND]}, "partly", {Code.ERRORS_TOO_LARGE, Code.BY_CONSTRUCTION}),
+    (PREDICT, {"evaluations": [BLIND], "fit": RATES}, "partly", {Code.ERRORS_TOO_LARGE}),
+    (SIMULATE, {}, "yes", {Code.FOLLOWS}),
+    (SIMULATE, {"simulation": simulated([2.5, 4.0])}, "partly", {Code.FOLLOWS_SHORTLY}),
+    (SIMULATE, {"simulation": SHORT}, "no", {Code.FOLLOWS_TOO_SHORTLY}),
+    (SIMULATE, {"simulation": HIDDEN}, "unknown", {Code.GUSTS_HIDE_ERRORS}),
+    (SIMULATE, {"simulation": BRIEF}, "no", {Code.FOLLOWS_TOO_SHORTLY}),
+    (SIMULATE, {"simulation": None, "simulation_note": NO_ALPHA}, "unknown", {Code.NOT_SIMULATED}),
+    (SIMULATE, {"simulation": None}, "unknown", set()),
+    (SIMULATE, {"fit": AX}, "no", {Code.ACCELERATIONS_AS_REGRESSORS}),
+    (SIMULATE, {"fit": AX | LITTLE}, "no", {Code.ACCELERATIONS_AS_REGRESSORS}),
+    (CONTROL, {}, "yes", {Code.CONTROLS_KNOWN}),
+    (CONTROL, {"derivatives": WIDE}, "no", {Code.CONTROLS_TOO_UNCERTAIN}),
+    *[(CONTROL, modes(name), "no", {Code.CONTROLS_TOO_UNCERTAIN})
       for name in ("Dutch roll", "Dutch roll 1", "short period 2", "roll-spiral")],
-    (CONTROL, {"derivatives": pd.DataFrame(), "notes": (NO_DERIVATIVES,)}, "no", "no derivatives"),
-    (CONTROL, {"derivatives": ANGLES}, "no", "the model has none of the controls elevator, aileron, rudder"),
-    (CONTROL, {"evaluations": [errors(0.6, 0.1)]}, "partly",
-     "; but errors over the spread of the test flights are Cm 0.60"),
-    (CONTROL, {"evaluations": [errors(0.4, 0.1)]}, "yes", ""),
-    (CONTROL, {"evaluations": [evaluation(inside=[True, False] + [True] * 4)]}, "no", "bands do not hold"),
-    (CONTROL, {"simulation": SHORT}, "partly", "it follows the test flights for 0.5 s"),
-    (CONTROL, {"simulation": simulated([4.0, 2.0])}, "yes", ""),
-    (CONTROL, {"trim": replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})}, "no",
-     "the trim is outside the flown range in alpha"),
-    (CONTROL, {"trim": None, "notes": (NO_TRIM,)}, "no", "no steady flight was found at 20 m/s"),
+    (CONTROL, {"derivatives": pd.DataFrame(), "notes": (NO_DERIVATIVES,)}, "no", {Code.NO_DERIVATIVES}),
+    (CONTROL, {"derivatives": pd.DataFrame()}, "no", {Code.CONTROLS_MISSING}),
+    (CONTROL, {"derivatives": ANGLES}, "no", {Code.CONTROLS_MISSING}),
+    (CONTROL, {"evaluations": [errors(0.6, 0.1)]}, "partly", {Code.MOMENTS_UNEXPLAINED}),
+    (CONTROL, {"evaluations": [errors(0.4, 0.1)]}, "yes", {Code.CONTROLS_KNOWN}),
+    (CONTROL, {"evaluations": [evaluation(inside=[True, False] + [True] * 4)]}, "no", {Code.BANDS_DO_NOT_HOLD}),
+    (CONTROL, {"simulation": SHORT}, "partly", {Code.FOLLOWS_TOO_SHORTLY}),
+    (CONTROL, {"simulation": simulated([4.0, 2.0])}, "yes", {Code.CONTROLS_KNOWN}),
+    (CONTROL, {"fit": AX}, "partly", {Code.ACCELERATIONS_AS_REGRESSORS}),
+    (CONTROL, {"trim": BEYOND}, "no", {Code.TRIM_BEYOND}),
+    (CONTROL, {"trim": None, "notes": (NO_TRIM,)}, "no", {Code.NO_TRIM}),
+    (CONTROL, {"trim": None}, "no", {Code.CONTROLS_MISSING}),
     # some aircraft have hardly any, and no controller of attitude needs it
-    (CONTROL, {"derivatives": with_derivative("CY_rudder", -0.01)}, "yes", ""),
+    (CONTROL, {"derivatives": with_derivative("CY_rudder", -0.01)}, "yes", {Code.CONTROLS_KNOWN}),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("purpose", "parts", "fit", "words"), USES)
-def test_what_a_model_may_be_used_for_and_why(purpose, parts, fit, words):
-    found = use(verdict(**parts), purpose)
-    assert found[0] == fit
-    assert words in found[1]
+@pytest.mark.parametrize(("purpose", "parts", "judgement", "codes"), USES)
+def test_what_a_model_may_be_used_for_and_why(purpose, parts, judgement, codes):
+    assert use(verdict(**parts), purpose) == (judgement, codes)
+
+
+def test_the_cause_of_a_wide_band_is_named():
+    (_, _, control) = verdict(derivatives=WIDE).uses
+    (uncertain,) = control.findings
+    assert uncertain.numbers["widths"] == {"Cm_elevator": pytest.approx(0.98, abs=0.01)}
+    assert uncertain.numbers["causes"] == {"Cm_elevator": Code.STD_METHOD}
+    assert "Cm_elevator 98 %, by Cm_elevator gusts" in control.reason
 
 
 class TestMechanics:

@@ -2,8 +2,8 @@
 
 import re
 from dataclasses import replace
-from datetime import datetime
 from html.parser import HTMLParser
+from types import SimpleNamespace
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
@@ -15,19 +15,12 @@ from numpy.random import default_rng
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp import DependentGPRegressor
+from skdgp._compute.findings import PlainText
+from skdgp._flight.findings import Finding
+from skdgp.identification import Evaluation, FlightMechanics, Use, Verdict
 from skdgp.metrics import interval_coverage, normalized_rmse
-from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
-from skdgp.report import (
-    Code,
-    Evaluation,
-    Extent,
-    Finding,
-    FlightMechanics,
-    ReportContent,
-    Use,
-    Verdict,
-    render_report,
-)
+from skdgp.plotting import EffectsDisplay
+from skdgp.report import render_report
 
 VOID = {"meta", "br", "hr", "img", "input", "link"}
 LOADED = ("src", "href", "data", "action")
@@ -126,19 +119,18 @@ def effects():
 
 
 def said(text):
-    return Finding(Code.MESSAGE, numbers={"text": text})
+    return Finding(PlainText.MESSAGE, numbers={"text": text})
 
 
-def verdict(**changes):
+def verdict(error=0.131, coverage=0.972, linear=0.191, **changes):
+    """Return a verdict of a mean error and coverage."""
+    scores = {"normalized_rmse": error, "interval_coverage": coverage}
+    if linear is not None:
+        scores["least_squares_normalized_rmse"] = linear
     given = {
-        "regressors": ["alpha"],
-        "trained": Extent(2, 360.0),
-        "tested": Extent(1, 20.0),
-        "error": 0.131,
-        "coverage": 0.972,
-        "least_squares_error": 0.191,
-        "better": ("CX", "CY"),
-        "worse": ("Cn",),
+        "learned": "CX CY CZ as functions of alpha, learned from 6.0 minutes of 2 flights.",
+        "scores": pd.DataFrame(scores, index=["CX", "CY", "CZ", "Cl", "Cm", "Cn"]),
+        "unvarying": (),
         "uses": (
             Use("predict coefficients", "yes", (said("errors are small"),)),
             Use("simulate", "partly", (said("for 5 s"),)),
@@ -148,19 +140,24 @@ def verdict(**changes):
     return Verdict(**given | changes)
 
 
-def render(**changes):
+def render(effects=None, **changes):
     """Return the report of a flight, or of other content."""
     given = {
         "title": "Brumby, six flights",
         "verdict": verdict(),
         "mechanics": FlightMechanics(),
         "train": {"train": table(800, 1)},
-        "test": [result()],
+        "evaluations": [result()],
         "facts": {"Mass": "45 kg", "Samples": "755 of 14,400", "Kernel": ""},
-        "subtitle": "brumby",
-        "created": datetime(2026, 5, 4, 12, 30),
+        "aircraft": SimpleNamespace(name="brumby"),
+        "created": "2026-05-04T12:30:00",
+        "changes": None,
+        "assumed": [],
+        "air": "",
+        "units": {},
+        "command": None,
     }
-    return render_report(ReportContent(**given | changes))
+    return render_report(SimpleNamespace(**given | changes), effects)
 
 
 def words_of(**changes):
@@ -168,14 +165,15 @@ def words_of(**changes):
 
 
 TIME = np.arange(400) / 10.0
-WAVE = np.sin(1.3 * TIME)[:, None]
+WAVE = np.sin(1.3 * TIME)
 
 
 @pytest.fixture(scope="module")
 def html(effects):
     """Return a report with all kinds of figures."""
-    bands = {"mean": WAVE, "lower": WAVE - 0.2, "upper": WAVE + 0.2}
-    simulated = TimeHistoryDisplay(time=TIME, names=("phi",), **bands)
+    mean = pd.DataFrame({"time": TIME, "phi": WAVE, "start": 0, "ended": ""})
+    paths = pd.concat(mean.assign(path=k, phi=WAVE + 0.2 * (k - 5)) for k in range(10))
+    simulated = paths, mean, mean
     return render(effects=effects, mechanics=FlightMechanics(simulated=simulated))
 
 
@@ -205,7 +203,7 @@ class TestPage:
     def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self):
         before = plt.get_fignums()
         setting = plt.rcParams["svg.fonttype"]
-        content = {"test": [result(100, replay=None)], "train": {}}
+        content = {"evaluations": [result(100, replay=None)], "train": {}}
         assert render(**content) == render(**content)
         assert plt.get_fignums() == before
         assert plt.rcParams["svg.fonttype"] == setting
@@ -240,7 +238,7 @@ class TestPictures:
         picture = Page(html).pictures["phi against time"]
         lines = re.findall(r' d="M([^"MZz]*)"', picture)
         x, y = np.fromstring(max(lines, key=len), sep=" ").reshape(-1, 2).T
-        seen = np.interp(np.interp(x, [x.min(), x.max()], [0, 39.9]), TIME, WAVE[:, 0])
+        seen = np.interp(np.interp(x, [x.min(), x.max()], [0, 39.9]), TIME, WAVE)
         slope, intercept = np.polyfit(seen, y, 1)
         assert slope < 0
         assert np.abs(y - slope * seen - intercept).max() < 0.02 * 72
@@ -251,7 +249,7 @@ class TestPictures:
         n = 28_800
         mean = 1e-6 * default_rng(0).normal(size=(n, 6))
         mean[16_000:16_600] += np.sin(np.arange(600))[:, None]
-        html = render(test=[result(n, replay=None, mean=mean)], train={})
+        html = render(evaluations=[result(n, replay=None, mean=mean)], train={})
         assert len(html.encode()) < 2e6
         assert "Coefficients of test, the 15" in html
         texts = self.texts(Page(html).pictures["CX against time"])
@@ -273,7 +271,7 @@ class TestWords:
         first = words[: words.index("What was done")]
         for piece in (
             "from 6.0 minutes of 2 flights", "Air: gusts 1.0 m/s rms.", "0.131", "97.2 %",
-            "least squares 0.191", "better in CX CY, equal in CZ Cl Cm, worse in Cn",
+            "least squares 0.191", "better in CX CY CZ Cl Cm Cn",
             "simulate ◐ partly for 5 s",
         ):  # fmt: skip
             assert piece in first
@@ -288,7 +286,7 @@ class TestWords:
         bad = replace(good, mean=good.mean + 10 * default_rng(0).normal(size=(100, 6)))
         flights = {"a": good, "b": good, "c": bad, "d": good}
         tested = [replace(flight, name=name) for name, flight in flights.items()]
-        html = render(test=tested, train={})
+        html = render(evaluations=tested, train={})
         assert "Coefficients of c" in html
         assert "Coefficients of a" not in html
         error = normalized_rmse(bad.measured, bad.mean, multioutput="raw_values").mean()
@@ -360,28 +358,28 @@ class TestWords:
 
     def test_bands_are_judged_against_measured_values_alone(self, no_pictures):
         """The standard deviations of the function do not know of gusts: none of these bands holds the truth."""
-        words = words_of(test=[result(std=np.full((800, 6), 1e-9))])
+        words = words_of(evaluations=[result(std=np.full((800, 6), 1e-9))])
         assert "▼" not in words.replace("▼ covers", "")
         assert "no band promises" in words
-        assert "no band promises" not in words_of(test=[result(truth=None)])
+        assert "no band promises" not in words_of(evaluations=[result(truth=None)])
 
     def test_effects_of_each_coefficient(self, html):
         assert html.count('alt="Cm by alpha"') == html.count('alt="Cm by beta"') == 1
         assert "Inputs of train (train)" in html
-        html = render(effects=None, test=[result(100, replay=None)], train={})
+        html = render(effects=None, evaluations=[result(100, replay=None)], train={})
         assert " by beta" not in html
         assert "figure 7" not in html  # without a replay
 
     @pytest.mark.parametrize(("factor", "mark"), [(0.1, "▼"), (100, "▲ 100.0")])
     def test_marks_dishonest_bands(self, no_pictures, factor, mark):
         flight = result(truth=None)
-        assert mark in words_of(test=[replace(flight, prediction_std=factor * flight.std)])
+        assert mark in words_of(evaluations=[replace(flight, prediction_std=factor * flight.std)])
 
     def test_escapes_what_comes_from_outside(self):
         """Markup, and dollars, which are no templates and no mathematics."""
         evil = '<script>alert("&")</script> $title $$ ${body} $x^{'
         html = render(
-            title=evil, train={evil: table(100)}, test=[result(100, name=evil, replay=None)],
+            title=evil, train={evil: table(100)}, evaluations=[result(100, name=evil, replay=None)],
             subtitle=evil, facts={evil: evil}, assumed=[evil], command=evil, air=evil,
             verdict=verdict(findings=(said(evil),)),
         )  # fmt: skip
@@ -398,7 +396,7 @@ class TestPoorContent:
         flight = result(400, truth=None, replay=None)
         flight.measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
-            words = words_of(test=[flight])
+            words = words_of(evaluations=[flight])
         assert "–" in words
 
     def test_without_matplotlib_the_numbers_remain(self, no_pictures):

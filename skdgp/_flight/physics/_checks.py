@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skdgp._compute.findings import Code, Finding
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics._regression import Regression, Slope, estimated_slope
 from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.physics._signals import Signals

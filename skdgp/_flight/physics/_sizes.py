@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from skdgp._compute.findings import Code, Finding
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY
 from skdgp._flight.physics._list import CHANNELS, LIFT
 from skdgp._flight.physics._settings import PHYSICS
@@ -109,6 +109,7 @@ POWERS = {
 }
 FOOT = 0.3048
 OF_LENGTHS = {"ft": FOOT, "cm": 0.01, "mm": 0.001, "in": FOOT / 12}
+SI_UNITS = {"mass": "kg", "span": "m", "chord": "m", "wing_area": "m^2", "airspeed": "m/s"}
 # Other units of sizes, in the SI unit
 UNITS = {
     "mass": {"lb": 0.45359237, "g": 0.001},
@@ -130,7 +131,10 @@ def question_of_sizes(
     broken = _broken(sizes, stds)
     if not broken:
         return None
-    values = {law.text: [law.value(sizes), law.least, law.most] for law in broken}
+    laws = []
+    for law in broken:
+        numbers = {"value": law.value(sizes), "least": law.least, "most": law.most}
+        laws.append(Finding(Code.BROKEN_LAW, channel=law.text, numbers=numbers))
     given = [name for name in UNITS if name in sizes and name not in estimated]
     plausible = []
     for name in given:
@@ -140,10 +144,16 @@ def question_of_sizes(
                 plausible.append((_distance_from_usual(changed), name, factor, unit))
     asked = []
     for _, name, factor, unit in sorted(plausible)[:MOST_ASKED]:
-        asked.append([name, factor * sizes[name], sizes[name], unit])
+        asked.append(_asked(name, factor * sizes[name], sizes[name], unit))
     if not asked:
-        asked = [[name, sizes[name], sizes[name], ""] for name in given]
-    return Finding(Code.SIZES_QUESTIONED, numbers={"laws": values, "asked": asked})
+        asked = [_asked(name, sizes[name], sizes[name], "") for name in given]
+    return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
+
+
+def _asked(name: str, value: float, given: float, unit: str) -> Finding:
+    """Return the question for a size that was given in another unit, or in none."""
+    numbers = {"value": value, "si_unit": SI_UNITS[name], "given": given, "unit": unit}
+    return Finding(Code.ASKED_SIZE, channel=name, numbers=numbers)
 
 
 def _distance_from_usual(sizes: Sizes) -> float:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from skdgp._compute.findings import Code, Finding
-from skdgp._compute.wording import text_of
+import numpy as np
+import pandas as pd
+
+from skdgp._flight.findings import Code, Finding
+
+
+def flown_seconds(tables: Iterable[pd.DataFrame]) -> float:
+    """Return the duration of flights together [s]."""
+    return sum(float(np.ptp(table["time"])) for table in tables)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +123,11 @@ class FitRecord:
         }
 
     @property
+    def surfaces_are_commands(self) -> bool:
+        """Whether lags show that logged surfaces are commands of slower servos."""
+        return "servos" in self.lags_corrected or self.lags_corrected.get("surfaces", 0) < 0
+
+    @property
     def doubts(self) -> list[Finding]:
         """Findings that exclude the judgement "yes" of any use of the model."""
         doubts = []
@@ -130,6 +142,6 @@ class FitRecord:
         """Return it as plain values."""
         values = asdict(self)
         values["paths_reconstructed"] = self.paths_reconstructed
-        values["gusts_unknown"] = text_of(self.gusts_unknown) if self.gusts_unknown else ""
-        values["reconstruction"] = text_of(self.reconstruction) if self.reconstruction else None
+        values["gusts_unknown"] = self.gusts_unknown.text if self.gusts_unknown else ""
+        values["reconstruction"] = self.reconstruction.clause if self.reconstruction else None
         return values | (values.pop("training") or {})

@@ -1,0 +1,330 @@
+"""Findings of flights and of models of aircraft: a row for each kind, with its one wording and its severity."""
+
+from __future__ import annotations
+
+from skdgp._compute.findings import Finding as Finding
+from skdgp._compute.findings import Kind, Severity
+from skdgp._compute.findings import clauses_of as clauses_of
+from skdgp._compute.findings import texts_of as texts_of
+from skdgp._compute.findings import with_codes as with_codes
+
+NOTE = Severity.NOTE
+DOUBT = Severity.DOUBT
+PLACE = " ({begin:.6g} to {last:.6g} s, {samples} samples)"
+NOT_MEASURED = ": not measured"
+
+
+class Code(Kind):
+    """Kinds of findings; a new check adds its row."""
+
+    # faults of a channel of a log
+    GAP = "[flight {flight}: ]{channel} jumps forward {times} x, by {longest:.3g} s at most" + PLACE
+    MISSING = (
+        "[flight {flight}: ]{channel} has no value in {times} gap(s) of at most {longest:.2g} s"
+        + PLACE
+    )
+    NEVER_MEASURED = "[flight {flight}: ]{channel} has no value" + PLACE
+    STUCK = (
+        "[flight {flight}: ]{channel} is stuck at {value:.4g}"
+        + PLACE
+        + NOT_MEASURED
+        + "; if it was, name the column in ignore"
+    )
+    IMPOSSIBLE = (
+        "[flight {flight}: ]{channel} has impossible values, such as {value:.4g}"
+        + PLACE
+        + NOT_MEASURED
+        + "; write missing values as empty cells"
+    )
+    SPIKE = (
+        "[flight {flight}: ]{channel} leaps from its neighbours and back {times} x"
+        + PLACE
+        + NOT_MEASURED
+    )
+    CONSTANT = (
+        "[flight {flight}: ]{channel} never changes, while {moving:short} moved"
+        + PLACE
+        + ": a dead sensor, or none: drop the column unless the flight was simulated so"
+    )
+    # all faults of a log, by their treatment
+    FAULTS_BRIDGED = (
+        "faults in the log: {faults:grouped}",
+        "Faulty values are NaN, gaps up to {longest_bridge:g} s are interpolated; "
+        "skdgp.preprocessing.inspect_flight shows all.",
+    )
+    FAULTS_EXCLUDED = (
+        "faults in the log: {faults:grouped}",
+        "The coefficients are not known there (NaN); skdgp.preprocessing.inspect_flight shows all.",
+    )
+
+    # flights
+    CONTRADICTION = (
+        "[flight {flight}: ]{channels: or } is probably wrong: "
+        "[the slope of {y} over {x} is {slope:.3g} ± {std:.2g}, but expected {expected}]"
+        "[{y} is {lag:.2g} ± {std:.2g} s late against {x}][: {causes: or }?]"
+        " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)"
+    )
+    LARGE_SURFACES = (
+        "got surfaces in rad up to {largest:.2f}, more than most servos reach",
+        "If these are commands from -1 to 1, multiply each by its largest deflection [rad].",
+    )
+    LONE_ROWS = "flight {flight!r}: {rows} rows that stand alone between gaps are left out"
+    NO_ELEVATOR = (
+        "got flights without an elevator",
+        "Its effect goes into the coefficients of alpha and q, so Cm_q and Cm_alpha may be wrong, even in "
+        "sign. Give the column elevator.",
+    )
+    ROWS_LEFT_OUT = (
+        "flight {flight!r}: {left_out} of {rows} rows are left out, because regressors are missing there "
+        "(by rows: {missing})",
+        "Bring slow sensors to the clock of the others if these are many.",
+    )
+    SENSOR_POSITIONS_DIFFER = (
+        "flight {flight!r} states inertial sensors {distance:.2g} m from where the aircraft of the model has "
+        "them (the centre of gravity, if it states no position)",
+        "The flight's position counts. Correct the wrong one, or learn the model again.",
+    )
+    SLOW_CHANNELS = (
+        "channels have slower clocks than the log [Hz]: {rates:.3g}",
+        "A repeated sample counts once, and controls are splines between samples.",
+        NOTE,
+    )
+
+    # assumptions
+    ENGINE_UNEXPLAINED = (
+        "got thrust=None for flights with {names: and }: the coefficients include the thrust, and no "
+        "regressor explains it",
+        "Name regressors with {names: or } and 'airspeed', or give the thrust.",
+    )
+    FULL_THROWS = (
+        "surfaces are in parts of their full throw, as no servo file gives angles",
+        "Effects are of a full throw.",
+    )
+    SIZES_QUESTIONED = (
+        "no aeroplane has these sizes: {laws}",
+        "Check these sizes and their units: {asked}.",
+        DOUBT,
+    )
+    BROKEN_LAW = "{channel} is {value:.3g}, but of aeroplanes {least:g} to {most:g}"
+    ASKED_SIZE = "{channel} {value:.4g} {si_unit}[ ({given:.4g} {unit})]"
+    SIZES_ESTIMATED = (
+        "sizes of the aircraft, with standard deviations: {sizes:.3g}",
+        "Their part in errors of derivatives is std_aircraft.",
+    )
+    SIZES_SOURCES = "estimated by: {sources}"
+    THRUST_IN_COEFFICIENTS = (
+        "neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a propeller and its speed give the "
+        "thrust, so it is part of the coefficients: CX is thrust less drag, which the model does not tell apart",
+        "Throttle and airspeed are regressors if held-out parts show them.",
+    )
+
+    # training and test
+    ALREADY_LEARNED = (
+        "the model learned from a flight {flight!r}",
+        "If it is this one, its errors say nothing about others.",
+    )
+    HELD_OUT_FLIGHT = (
+        "no test flight was named: the last flight, {flight}, is held out and tested on"
+    )
+    HELD_OUT_QUARTER = (
+        "no test flight was named: the last quarter of {flight}, which has most of the rows, is held out "
+        "and tested on"
+    )
+    OTHER_VERSIONS = (
+        "got {path}, written with {differences}: its predictions may differ",
+        "Compare a few, fit it again, or install those versions.",
+    )
+    TESTED_ON_TRAINING = (
+        "flight {flight!r} is both learned from and tested on",
+        "Its errors say nothing about other flights.",
+    )
+
+    # transformers
+    AIRSPEED_CORRECTED = (
+        "the airspeed has an error of {percent:+.2g} ± {std_percent:.2g} %, by the velocity over the ground "
+        "in a steady wind, and is corrected",
+        "Calibrate the pitot tube, or check the density.",
+        NOTE,
+    )
+    VIBRATION = (
+        "the specific forces vibrate beyond {band:.2g} Hz, where the aircraft does not move",
+        "Coefficients and regressors were filtered to that frequency, and errors of test flights are within it.",
+        NOTE,
+    )
+    AIR_NOT_CONVERGED = (
+        "the estimate of the motion of the air did not converge",
+        "Give longer flights with inputs of every surface, and look at the signs and units of their sensors.",
+    )
+    AIR_NOT_ESTIMATED = "{error}"
+    COUPLINGS_FOUND = (
+        "terms beyond the usual ones are significant in the motion of the air: {couplings:.2g}",
+        "",
+        NOTE,
+    )
+    SENSORS_ELSEWHERE = (
+        "by the motion of the flights the inertial sensors are {distance:.2g} m from the position that was "
+        "given, or from the centre of gravity if none was given",
+        "Bands are wider by it: measure the position.",
+    )
+    CONSTANT_REGRESSORS = (
+        "in the training flights {names!r} never change, so the model cannot learn their effects",
+        "Fly manoeuvres that move them, or leave them out of the regressors.",
+    )
+    GUSTS_UNKNOWN = (
+        "gusts without vanes are not known: {cause}",
+        "{cause:advice}[{angles_lack_gusts: alpha and beta lack them.}]"
+        "[{general_bands: Bands of derivatives are those of small aircraft in general.}]",
+        DOUBT,
+    )
+    LAGS_CORRECTED = (
+        "lags against the inertial unit, positive where late, are corrected: {lags:+.3f} [s]",
+        "[{commands:The logged surfaces are commands of slower servos.}]",
+        NOTE,
+    )
+    NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
+    PATHS_NOT_CONVERGED = (
+        "the paths of these flights did not converge: {flights:short}",
+        "Wrong signs, units or clocks of their sensors may be the cause.",
+        DOUBT,
+    )
+    PATHS_RECONSTRUCTED = (
+        "flight paths are reconstructed from all sensors[, alpha and beta by the motion that gusts cause: "
+        "{air}][, although sensors contradict each other: {contradictions}]",
+        "",
+        NOTE,
+    )
+    PATHS_SMOOTHED = (
+        "flight paths are only smoothed, not reconstructed[: the flights lack {missing}]"
+        "[: sensors contradict each other: {contradictions}]",
+        "",
+        NOTE,
+    )
+    SENSOR_CONTRADICTS = (
+        "{channel}[{is_smoothed: is smoothed, so its noise is not known}]"
+        " (residual {residual:.2g}, noise {noise:.2g})"
+    )
+    SENSORS_MISSING = (
+        "got flights without {names!r}, which those of the fit had: they are smoothed channel by channel "
+        "(FlightSmoother), not reconstructed",
+        "Expect larger errors than with those sensors.",
+    )
+    TRUTH_AS_REGRESSORS = (
+        "regressors {names!r} are noise-free truth of a simulation, which no aircraft has",
+        "Use them only to score, or to measure the effect of sensor noise.",
+    )
+
+    # fit and scores
+    FIT_NOT_CONVERGED = "the fit has not converged: raise max_iter"
+    BANDS_TOO_NARROW = "95 % bands are too narrow: they hold {coverages:.0%} of the measured values"
+    BANDS_TOO_WIDE = "95 % bands are too wide: they hold {coverages:.1%} of the measured values"
+    BANDS_DO_NOT_HOLD = (
+        "the bands do not hold on the test flights: {coverages:.0%} of the measured values",
+        "",
+        NOTE,
+    )
+    BY_CONSTRUCTION = (
+        "{names: and } cannot be judged without {vanes: and }: the angles follow from the same accelerometers",
+        "",
+        NOTE,
+    )
+    CONSTANT_BETTER_IN_FLIGHTS = (
+        "in {worse} of {tested} test flights a constant predicts better (error above 1): "
+        "{flights:short}"
+    )
+    DIVERGING = "the error is {error:.3g} of the spread, so a constant predicts better", "", NOTE
+    ERRORS_SMALL = "errors are {smallest:.2f} to {largest:.2f} of the spread", "", NOTE
+    ERRORS_TOO_LARGE = (
+        "[only {good: }. ]{poor: } too large or uncertain[: errors {errors:.2f} of the spread]"
+        "[: 95 % bands hold {coverages:.0%}]",
+        "",
+        NOTE,
+    )
+    ALL_ERRORS_TOO_LARGE = ERRORS_TOO_LARGE
+    LEAST_SQUARES_BETTER = (
+        "least squares is better in {worse} of {coefficients} coefficients[: {names: }]"
+    )
+    MOMENTS_UNEXPLAINED = (
+        "errors over the spread of the test flights are {errors:.2f}: what else turned the aircraft, such as "
+        "gusts, may bias derivatives",
+        "",
+        NOTE,
+    )
+    NOTHING_JUDGED = "no coefficient can be judged", "", NOTE
+    NOT_VARYING = (
+        "in the test flights {names: } vary by less than their noise, so their errors tell nothing",
+        "Test on a flight with inputs of every surface.",
+    )
+    TOO_LITTLE_FLOWN = (
+        "learned from {seconds:.3g} s and {each:.2g} rows for each regressor: a judgement needs "
+        "{least_seconds:g} s and {least_rows:g} rows",
+        "",
+        NOTE,
+    )
+
+    # flight mechanics
+    CONTROLS_KNOWN = (
+        "controls and fast modes are known to {width:.0%} or better ({widest})",
+        "",
+        NOTE,
+    )
+    CONTROLS_MISSING = (
+        "no effect of the controls elevator, aileron, rudder at a trim is known",
+        "",
+        NOTE,
+    )
+    CONTROLS_TOO_UNCERTAIN = (
+        "not known well enough, half of the 95 % interval over the value: {widths:.0%}[, by {causes}]",
+        "",
+        NOTE,
+    )
+    NO_DERIVATIVES = "no derivatives: {error}", "", NOTE
+    NO_TRIM = (
+        "no steady flight was found[ at {airspeed:.3g} m/s]",
+        "The reference is the median state, and there are no modes.",
+        NOTE,
+    )
+    TRIM_BEYOND = "the trim is outside the flown range in {names}", "", NOTE
+    IMPLAUSIBLE_SIZES = (
+        "no aircraft has such effects: {values:+.2g}",
+        "Look at the place and the signs of the accelerometers, and at gusts without vanes.",
+    )
+    SIGNS_UNKNOWN = (
+        "the signs of these derivatives are not known, as their 95 % bands hold zero: {values:+.2g}[, by {causes}]",
+        "Fly larger inputs of every surface.",
+    )
+    WRONG_SIGNS = (
+        "signs are not as on a conventional stable aircraft: {values:+.2g}",
+        "Look at the signs of the log's surfaces and rates, at the place and the signs of the "
+        "accelerometers, and at gusts without vanes.",
+    )
+    # causes of the parts of the standard deviation of a derivative
+    STD_RANDOM = "errors that last"
+    STD_METHOD = "gusts, or noise of the regressors"
+    STD_LOG = "times of channels, position of sensors, airspeed"
+    STD_POSTERIOR = "few or small inputs"
+
+    # simulation
+    ACCELERATIONS_AS_REGRESSORS = (
+        "the regressors {names} are known only after a flight",
+        "",
+        NOTE,
+    )
+    FOLLOWS = "it follows the test flights for the {horizon:.2g} s that were simulated", "", NOTE
+    FOLLOWS_SHORTLY = (
+        "it follows the test flights for {seconds:.2g} of {horizon:.2g} s: {late:.2g} s",
+        "",
+        NOTE,
+    )
+    FOLLOWS_TOO_SHORTLY = FOLLOWS_SHORTLY
+    GUSTS_HIDE_ERRORS = (
+        "not testable in this air: it follows the test flights for {seconds:.2g} s, and gusts of "
+        "{gusts:.2g} m/s, which are not estimated, explain the difference for {apart:.2g} s",
+        "",
+        NOTE,
+    )
+    NOT_EXCITED = (
+        "no response of a rate to a surface is shown: at hardly a frequency does it stand out of the noise "
+        "of the test flights",
+    )
+    NOT_SIMULATED = "{error}", "", NOTE
+    NO_FREQUENCY_RESPONSES = "no frequency responses are shown: {error}"

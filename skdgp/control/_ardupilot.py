@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import socket
 import struct
 import sys
@@ -29,7 +28,8 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.checks import check_full_deflection, check_number, check_numbers
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_density
-from skdgp._flight.servo_functions import ServoFunction, ServoRange
+from skdgp._flight.servo_functions import ServoRange
+from skdgp.control._parameters import WEIGHTS, servo_functions
 from skdgp.dynamics import (
     ATTITUDE,
     REASONS,
@@ -57,35 +57,6 @@ from skdgp.dynamics import (
 
 # Number of pulses of a packet by its first word
 PULSES = {18458: 16, 29569: 32}
-# Weights of the outputs of servos in a control: elevons and V-tails are mixed by the autopilot,
-# left = pitch - roll, right = pitch + roll; left = pitch + yaw, right = pitch - yaw
-WEIGHTS = {
-    "aileron": {
-        ServoFunction.AILERON: 1.0,
-        ServoFunction.ELEVON_LEFT: -0.5,
-        ServoFunction.ELEVON_RIGHT: 0.5,
-    },
-    "elevator": {
-        ServoFunction.ELEVATOR: 1.0,
-        ServoFunction.ELEVON_LEFT: 0.5,
-        ServoFunction.ELEVON_RIGHT: 0.5,
-        ServoFunction.VTAIL_LEFT: 0.5,
-        ServoFunction.VTAIL_RIGHT: 0.5,
-    },
-    "rudder": {
-        ServoFunction.RUDDER: 1.0,
-        ServoFunction.VTAIL_LEFT: 0.5,
-        ServoFunction.VTAIL_RIGHT: -0.5,
-    },
-    "throttle": {ServoFunction.THROTTLE: 1.0},
-}
-# ArduPilot's default functions of servos 1 to 4
-USUAL_FUNCTIONS = {
-    1: ServoFunction.AILERON,
-    2: ServoFunction.ELEVATOR,
-    3: ServoFunction.THROTTLE,
-    4: ServoFunction.RUDDER,
-}
 # Rate that a positive output of a surface raises
 RAISED = {"aileron": "p", "elevator": "q", "rudder": "r"}
 
@@ -150,11 +121,7 @@ def servos_of(parameters: Mapping[str, float]) -> dict[str, list[Servo]]:
 
     Raises ValueError if the pulses of a servo do not increase.
     """
-    is_told = any(re.fullmatch(r"SERVO\d+_FUNCTION", name) for name in parameters)
-    usual = {} if is_told else USUAL_FUNCTIONS
-    functions = {}
-    for n in range(1, max(PULSES.values()) + 1):
-        functions[n] = int(parameters.get(f"SERVO{n}_FUNCTION", usual.get(n, 0)))
+    functions = servo_functions(parameters)
     servos: dict[str, list[Servo]] = {}
     for control, weights in WEIGHTS.items():
         for function, weight in weights.items():

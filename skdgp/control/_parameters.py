@@ -1,0 +1,618 @@
+"""Parameters of PX4 and ArduPilot Plane: their files, the firmwares' defaults, and the loops that they describe.
+
+The names and defaults are those of PX4 1.14 and ArduPilot Plane 4.5. Filters of the rates are those of PX4's
+``VehicleAngularVelocity``, and of ArduPilot's ``HarmonicNotchFilter``, ``NotchFilter`` and ``AP_NotchFilter_params``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skdgp._compute.messages import warn
+from skdgp._flight.checks import check_full_deflection
+from skdgp._flight.servo_functions import ServoFunction
+from skdgp.control._loops import GAINS, LOOP_AXES, Loop, Notch
+
+#: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
+ARDUPILOT_FULL = 45.0
+#: Corner of the high-pass filter of ArduPilot's yaw damper [rad/s]
+WASHOUT = 0.2
+# Defaults other than zero
+# fmt: off
+PX4_DEFAULTS = {
+    "FW_RR_P": 0.05, "FW_RR_I": 0.1, "FW_RR_FF": 0.5, "FW_RR_IMAX": 0.2, "FW_R_TC": 0.4,
+    "FW_PR_P": 0.08, "FW_PR_I": 0.1, "FW_PR_FF": 0.5, "FW_PR_IMAX": 0.4, "FW_P_TC": 0.4,
+    "FW_YR_P": 0.05, "FW_YR_I": 0.1, "FW_YR_FF": 0.3, "FW_YR_IMAX": 0.2,
+    "FW_AIRSPD_TRIM": 15.0, "FW_AIRSPD_STALL": 7.0, "FW_AIRSPD_MAX": 20.0,
+    "IMU_GYRO_CUTOFF": 40.0, "IMU_DGYRO_CUTOFF": 30.0,
+    "IMU_GYRO_NF0_BW": 20.0, "IMU_GYRO_NF1_BW": 20.0,
+}
+ARDUPILOT_DEFAULTS = {
+    "RLL_RATE_P": 0.08, "RLL_RATE_I": 0.15, "RLL_RATE_FF": 0.345, "RLL_RATE_IMAX": 0.666,
+    "PTCH_RATE_P": 0.04, "PTCH_RATE_I": 0.15, "PTCH_RATE_FF": 0.345, "PTCH_RATE_IMAX": 0.666,
+    "RLL_RATE_FLTT": 3.0, "RLL_RATE_FLTD": 12.0, "PTCH_RATE_FLTT": 3.0, "PTCH_RATE_FLTD": 12.0,
+    "RLL2SRV_TCONST": 0.5, "PTCH2SRV_TCONST": 0.5, "YAW2SRV_RLL": 1.0, "KFF_RDDRMIX": 0.5,
+    "SCALING_SPEED": 15.0, "AIRSPEED_MIN": 9.0, "AIRSPEED_MAX": 22.0, "MIXING_GAIN": 0.5,
+    "INS_GYRO_FILTER": 20.0,
+}
+# fmt: on
+# Notch filters of ArduPilot's gyros
+HARMONIC_DEFAULTS = {
+    "FREQ": 80.0,
+    "BW": 40.0,
+    "ATT": 40.0,
+    "HMNCS": 3.0,
+    "MODE": 1.0,
+    "FM_RAT": 1.0,
+}
+STATIC_DEFAULTS = {"FREQ": 80.0, "BW": 20.0, "ATT": 15.0}
+FILTER_DEFAULTS = {"NOTCH_Q": 2.0, "NOTCH_ATT": 40.0}
+# Tracking modes of a harmonic notch: of a fixed frequency, and by the throttle
+FIXED, BY_THROTTLE = 0, 1
+NUMBERS = (int, float, np.number)
+# Parameters that divide
+POSITIVE = {
+    *("FW_AIRSPD_TRIM", "FW_AIRSPD_STALL", "FW_AIRSPD_MAX", "FW_R_TC", "FW_P_TC"),
+    *("SCALING_SPEED", "AIRSPEED_MIN", "AIRSPEED_MAX", "ARSPD_FBW_MIN", "ARSPD_FBW_MAX"),
+    *("RLL2SRV_TCONST", "PTCH2SRV_TCONST"),
+}
+NAME = re.compile(r"[A-Z][A-Z0-9_]{1,16}")
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d")
+# Comments of ground stations and of ArduPilot's default files
+COMMENT = re.compile(r"#.*|//.*|\[[^\]]*\]")
+# Vehicle and component before the name, in files of QGroundControl
+VEHICLE = re.compile(r"(\d+)\s+\d+\s+[A-Z]")
+# Beginnings of the names that control laws use, and of gains of multicopters
+OF_LAWS = (
+    *("FW_", "IMU_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "AIRSPEED_M", "ARSPD_FBW_M"),
+    *("KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH", "FILT"),
+)
+OF_PX4 = ("FW_RR_", "FW_PR_", "FW_YR_")
+OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
+OF_COPTERS = ("MC_", "ATC_RAT_")
+# Limits of integrators and of commanded rates, the turn's pitch rate, and what chooses rates of sampling: none of
+# them changes a small oscillation about level flight
+WITHOUT_EFFECT = re.compile(
+    r".*_(IMAX|RMAX|RMAX_UP|RMAX_DN|RMX)|PTCH2SRV_RLL|IMU_GYRO_(RATEMAX|CAL_EN|FFT_.*|DNF_(BW|HMC|MIN))"
+)
+# Weights of the outputs of servos in a control: elevons and V-tails are mixed by the autopilot,
+# left = pitch - roll, right = pitch + roll; left = pitch + yaw, right = pitch - yaw
+WEIGHTS = {
+    "aileron": {
+        ServoFunction.AILERON: 1.0,
+        ServoFunction.ELEVON_LEFT: -0.5,
+        ServoFunction.ELEVON_RIGHT: 0.5,
+        ServoFunction.FLAPERON_LEFT: 0.5,
+        ServoFunction.FLAPERON_RIGHT: 0.5,
+    },
+    "elevator": {
+        ServoFunction.ELEVATOR: 1.0,
+        ServoFunction.ELEVON_LEFT: 0.5,
+        ServoFunction.ELEVON_RIGHT: 0.5,
+        ServoFunction.VTAIL_LEFT: 0.5,
+        ServoFunction.VTAIL_RIGHT: 0.5,
+    },
+    "rudder": {
+        ServoFunction.RUDDER: 1.0,
+        ServoFunction.VTAIL_LEFT: 0.5,
+        ServoFunction.VTAIL_RIGHT: -0.5,
+    },
+    "throttle": {ServoFunction.THROTTLE: 1.0},
+}
+# Servos that the autopilot mixes, with MIXING_GAIN
+MIXED = {
+    *(ServoFunction.ELEVON_LEFT, ServoFunction.ELEVON_RIGHT),
+    *(ServoFunction.VTAIL_LEFT, ServoFunction.VTAIL_RIGHT),
+}
+# ArduPilot's default functions of servos 1 to 4
+USUAL_FUNCTIONS = {
+    1: ServoFunction.AILERON,
+    2: ServoFunction.ELEVATOR,
+    3: ServoFunction.THROTTLE,
+    4: ServoFunction.RUDDER,
+}
+N_SERVOS = 32
+
+
+def read_parameters(path: str | Path) -> dict[str, float]:
+    """Return the parameters of an autopilot from a file, by name.
+
+    Files of QGroundControl, Mission Planner, MAVProxy and PX4's ``param show`` have a parameter on each
+    line, its name before its value. Comments begin with ``#`` or ``//``. In ArduPilot's files of defaults
+    ``@delete NAME`` removes a parameter.
+
+    Raises
+    ------
+    ValueError
+        If the file has none, one of them twice with different values, those of two vehicles, a line that
+        includes another file, or a parameter of the control law that is no finite number.
+    """
+    path = Path(path)
+    found: dict[str, float] = {}
+    vehicles = set()
+    # Windows writes a mark of the byte order first
+    for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
+        text = COMMENT.sub(" ", line).strip()
+        if text.startswith("@include"):
+            raise ValueError(
+                f"Got the line {line.strip()!r} in {path}, but expected all parameters in one file: put those of "
+                "the other file in its place."
+            )
+        words = re.split(r"[\s,:=]+", text)
+        if words[0] == "@delete":
+            found.pop(words[-1], None)
+            continue
+        if vehicle := VEHICLE.match(text):
+            vehicles.add(vehicle[1])
+        name, number = _parameter(words, text, f"{line.strip()!r} in {path}")
+        if number is None:
+            continue
+        if found.get(name, number) != number:
+            raise ValueError(
+                f"Got {name} twice in {path}, {found[name]:g} and {number:g}, but expected the parameters of one "
+                "vehicle, each once: delete those that do not count."
+            )
+        found[name] = number
+    if len(vehicles) > 1:
+        raise ValueError(
+            f"Got parameters of the vehicles {', '.join(sorted(vehicles))} in {path}, but expected those of one: "
+            "delete the lines of the others."
+        )
+    if not found:
+        raise ValueError(
+            f"Got {path} without parameters, but expected lines of a name and a value, as ground stations save them."
+        )
+    return found
+
+
+def _parameter(words: list[str], text: str, place: str) -> tuple[str, float | None]:
+    """Return the first name in a line and the number behind it, None for none; ValueError if a law needs a number."""
+    for name, value in pairwise(words):
+        if NAME.fullmatch(name):
+            number = _number(value)
+            behind = text.split(name, 1)[1].lstrip(" \t,:=")
+            if DECIMAL_COMMA.match(behind):
+                number = None
+            if number is None and name.startswith(OF_LAWS):
+                raise ValueError(
+                    f"Got the line {place}, but expected a number with a decimal point behind {name}: save the "
+                    "parameters again."
+                )
+            return name, number
+    return "", None
+
+
+def _number(text: str) -> float | None:
+    try:
+        number = float(text)
+    except ValueError:
+        return None
+    return number if np.isfinite(number) else None
+
+
+class Parameters:
+    """Parameters of an autopilot with the defaults of its firmware; it remembers what was asked and absent."""
+
+    def __init__(self, given: Mapping[str, float], defaults: Mapping[str, float]) -> None:
+        self.given = given
+        self.defaults = defaults
+        self.asked: set[str] = set()
+        #: Defaults other than zero that count
+        self.absent: dict[str, float] = {}
+
+    def __call__(self, name: str, former: str = "") -> float:
+        """Return a parameter, by its name or the one of earlier firmware, or its default, zero where there is none."""
+        self.asked |= {name, former}
+        for key in (name, former):
+            if key in self.given:
+                return self.given[key]
+        default = self.defaults.get(name, 0.0)
+        if default and not WITHOUT_EFFECT.fullmatch(name):
+            self.absent[name] = default
+        return default
+
+    def corner(self, name: str) -> float:
+        """Return the corner of a filter [Hz]; zero switches it off."""
+        corner = self(name)
+        return corner if corner > 0 else np.inf
+
+    def group(self, prefix: str, defaults: Mapping[str, float]) -> dict[str, float]:
+        """Return the parameters of a group by the ends of their names."""
+        names = {end: f"{prefix}_{end}" for end in defaults}
+        self.asked |= {*names.values()}
+        return {end: self.given.get(name, defaults[end]) for end, name in names.items()}
+
+    def unread(self, prefixes: tuple[str, ...]) -> dict[str, float]:
+        """Return the parameters with some beginnings of their names that are not zero, and were not asked."""
+        unread = {}
+        for name, value in self.given.items():
+            counts = value and name.startswith(prefixes) and not WITHOUT_EFFECT.fullmatch(name)
+            if counts and name not in self.asked:
+                unread[name] = value
+        return unread
+
+
+def autopilot_loops(
+    parameters: str | Path | Mapping[str, float], full: Mapping[str, float]
+) -> list[Loop]:
+    """Return the loops of PX4 or ArduPilot Plane with gains, for the controls that ``full`` names.
+
+    Parameters
+    ----------
+    parameters : path or mapping of str to float
+        A file, see `read_parameters`, or its parameters; those that are missing have the firmware's defaults. PX4:
+        gains and time constants ``FW_RR_*``, ``FW_PR_*``, ``FW_YR_*``, ``FW_R_TC``, ``FW_P_TC``, the rudder's
+        ``FW_RLL_TO_YAW_FF``, filters ``IMU_GYRO_*``, airspeeds ``FW_AIRSPD_*``. ArduPilot Plane 4.1 and newer:
+        ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``,
+        filters ``FILTn_*``, ``INS_GYRO_FILTER``, ``INS_HNTCH_*``, ``INS_HNTC2_*`` and ``INS_NOTCH_*``, airspeeds
+        ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION``,
+        ``MIXING_GAIN`` and ``MIXING_OFFSET``.
+    full : mapping of str to float
+        Deflection [rad] of aileron, elevator and rudder with the servos at their ends, positive, as of `fly`; for
+        PX4 at an output of 1. Loops of controls that are not named are left out.
+
+    Returns
+    -------
+    list of Loop
+
+    Raises
+    ------
+    ValueError
+        If there are no gains of these firmwares, or of both, no loop for the controls, a parameter is no finite
+        number, an airspeed or a time constant is not above zero, or the trim of PX4's airspeed is beyond its limits.
+
+    Warns
+    -----
+    UserWarning
+        Of a control that ``full`` names and no gains move; of parameters that have the firmware's defaults; of
+        parameters that are not zero, and change the loops in a way that is not known here.
+
+    Examples
+    --------
+    >>> from skdgp.control import autopilot_loops
+    >>> gains = {"FW_RR_P": 0.05, "FW_RR_I": 0.1, "FW_RR_FF": 0.5, "FW_R_TC": 0.4}
+    >>> speeds = {"FW_AIRSPD_TRIM": 15.0, "FW_AIRSPD_STALL": 9.0, "FW_AIRSPD_MAX": 25.0}
+    >>> filters = {"IMU_GYRO_CUTOFF": 40.0, "IMU_DGYRO_CUTOFF": 30.0}
+    >>> [loop.name for loop in autopilot_loops(gains | speeds | filters, full={"aileron": 0.42})]
+    ['roll']
+    """
+    given = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
+    _check_parameters(given)
+    _check_full(full)
+    is_px4 = any(name.startswith(OF_PX4) for name in given)
+    is_ardupilot = any(name.startswith(OF_ARDUPILOT) for name in given)
+    if is_px4 and is_ardupilot:
+        raise ValueError(
+            "Got gains of PX4 (FW_RR_P, FW_PR_P) and of ArduPilot (RLL_RATE_P, PTCH_RATE_P), but expected those of "
+            "one autopilot: save the parameters of the aircraft again."
+        )
+    if not (is_px4 or is_ardupilot):
+        raise _no_gains(given)
+    value = Parameters(given, PX4_DEFAULTS if is_px4 else ARDUPILOT_DEFAULTS)
+    loops, unknown = (_px4_loops if is_px4 else _ardupilot_loops)(value, full)
+    if not loops:
+        raise ValueError(
+            f"Got no gains other than zero for {sorted(full)}, but expected at least one loop for these controls."
+        )
+    _warn_of_open(loops, full)
+    if value.absent:
+        firmware = "PX4 1.14" if is_px4 else "ArduPilot Plane 4.5"
+        warn(
+            f"The parameters lack {_listed(value.absent)}: these are the defaults of {firmware}, which count here. "
+            "Save all parameters of the autopilot if it has others."
+        )
+    if unknown:
+        warn(
+            f"These parameters of the loops are not zero, and margins do not contain what they do: {_listed(unknown)}."
+        )
+    return loops
+
+
+def _listed(values: Mapping[str, float]) -> str:
+    """Return parameters with their values as text."""
+    return ", ".join(f"{name} {value:g}" for name, value in values.items())
+
+
+def _no_gains(given: Mapping[str, float]) -> ValueError:
+    """Return the error of parameters without gains of a rate loop."""
+    if "RLL2SRV_P" in given or "PTCH2SRV_P" in given:
+        return ValueError(
+            "Got the gains RLL2SRV_P or PTCH2SRV_P of ArduPilot before 4.1, but expected RLL_RATE_P and "
+            "PTCH_RATE_P: the older firmware has another control law."
+        )
+    if copter := [name for name in given if name.startswith(OF_COPTERS)]:
+        return ValueError(
+            f"Got {copter[0]}, a gain of a multicopter, but expected FW_RR_P or FW_PR_P of PX4, or RLL_RATE_P or "
+            "PTCH_RATE_P of ArduPilot Plane: save the parameters of the aeroplane."
+        )
+    return ValueError(
+        f"Got parameters without gains of a rate loop ({len(given)} in all), but expected FW_RR_P or FW_PR_P "
+        "of PX4, or RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane."
+    )
+
+
+def _warn_of_open(loops: list[Loop], full: Mapping[str, float]) -> None:
+    """Warn of controls that no loop moves."""
+    moved = {loop.control for loop in loops}
+    if any(loop.rudder for loop in loops):
+        moved.add("rudder")
+    open_controls = sorted({*full} - moved)
+    if open_controls:
+        warn(
+            f"The parameters have no gains other than zero for {' and '.join(open_controls)}: no loop moves "
+            "them. Leave them out of full, or save all parameters of the autopilot."
+        )
+
+
+def _check_parameters(given: Mapping[str, float]) -> None:
+    """Raise ValueError of parameters of control laws that are no finite numbers, or divide and are not above zero."""
+    for name, value in given.items():
+        is_number = isinstance(value, NUMBERS) and np.isfinite(value)
+        if str(name).startswith(OF_LAWS) and not is_number:
+            raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
+    # without scaling by the airspeed that of the trim does not count
+    is_scaled = given.get("FW_ARSP_SCALE_EN", 1)
+    for name in POSITIVE & {*given}:
+        if not given[name] > 0 and (is_scaled or not name.startswith("FW_AIRSPD")):
+            raise ValueError(f"Got {name}={given[name]:g}, but expected a number above zero.")
+
+
+def _check_full(full: Mapping[str, float]) -> None:
+    """Raise ValueError where full deflections are no mapping of surfaces to positive angles up to 90 degrees."""
+    surfaces = [surface for *_, surface in LOOP_AXES.values()]
+    if not isinstance(full, Mapping) or not full or not {*full} <= {*surfaces}:
+        raise ValueError(
+            f"Got full={full!r}, but expected deflections [rad] at full output of some of {surfaces}."
+        )
+    for name, value in full.items():
+        check_full_deflection(name, value)
+
+
+def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop], dict[str, float]]:
+    """Return the loops of PX4's ``FixedwingRateControl``, and the parameters of the loops that are not known here.
+
+    FF is inside the loop of the attitude.
+    """
+    notches = []
+    for n, former in enumerate((("IMU_GYRO_NF_FREQ", "IMU_GYRO_NF_BW"), ("", ""))):
+        frequency = value(f"IMU_GYRO_NF{n}_FRQ", former[0])
+        if frequency > 0 and (width := value(f"IMU_GYRO_NF{n}_BW", former[1])) > 0:
+            notches.append(Notch(frequency, frequency / width))
+    common = {
+        **_px4_scaling(value),
+        "gyro_corner": value.corner("IMU_GYRO_CUTOFF"),
+        "derivative_corner": value.corner("IMU_DGYRO_CUTOFF"),
+        "gyro_notches": tuple(notches),
+    }
+    loops = []
+    prefixes = ["IMU_GYRO_", "IMU_DGYRO_"]
+    for name, short in {"roll": "R", "pitch": "P", "yaw": "Y"}.items():
+        if LOOP_AXES[name][2] not in full:
+            continue
+        prefixes.append(f"FW_{short}R_")
+        settings: dict[str, Any] = {"coordination": 1.0}
+        if name != "yaw":
+            settings = {"time_constant": value(f"FW_{short}_TC")}
+        if name == "roll" and "rudder" in full:
+            settings["rudder"] = value("FW_RLL_TO_YAW_FF") * full["rudder"]
+        loops += _loop(name, f"FW_{short}R", 1.0, value, full, **settings, **common)
+    return loops, value.unread(tuple(prefixes))
+
+
+def _px4_scaling(value: Parameters) -> dict[str, float]:
+    """Return the speed of the gains and the limits of the scaling by airspeed."""
+    # without airspeed the firmware takes that of the trim
+    is_measured = value.given.get("FW_USE_AIRSPD", 1) and not value.given.get("FW_ARSP_MODE", 0)
+    if not (value.given.get("FW_ARSP_SCALE_EN", 1) and is_measured):
+        return {}
+    trim = value("FW_AIRSPD_TRIM")
+    slowest = value("FW_AIRSPD_STALL")
+    fastest = value("FW_AIRSPD_MAX")
+    # the firmware refuses a trim beyond its limits, so a default that excludes the trim is not its limit
+    if slowest > trim and "FW_AIRSPD_STALL" not in value.given:
+        slowest = 0.1
+    if fastest < trim and "FW_AIRSPD_MAX" not in value.given:
+        fastest = 1000.0
+    if not slowest <= trim <= fastest:
+        raise ValueError(
+            f"Got FW_AIRSPD_STALL {slowest:g}, TRIM {trim:g} and MAX {fastest:g}, given or by default, but "
+            "expected airspeeds that increase: give all three."
+        )
+    limits = {"least_scaling": trim / fastest, "most_scaling": trim / slowest}
+    return {"scaling_speed": trim, **limits}
+
+
+def _ardupilot_loops(
+    value: Parameters, full: Mapping[str, float]
+) -> tuple[list[Loop], dict[str, float]]:
+    """Return the loops of ArduPilot's ``AP_FW_Controller`` and ``AP_YawController``, as `_px4_loops` does."""
+    if value("YAW_RATE_ENABLE") and "rudder" in full:
+        raise ValueError(
+            "Got YAW_RATE_ENABLE=1 and the rudder in full, but the law of ArduPilot's yaw rate controller is not "
+            "known here: leave the rudder out of full."
+        )
+    full = {name: angle * output_factor(value, name) for name, angle in full.items()}
+    scaling_speed = value("SCALING_SPEED")
+    slowest = value("AIRSPEED_MIN", "ARSPD_FBW_MIN")
+    fastest = value("AIRSPEED_MAX", "ARSPD_FBW_MAX")
+    notches, following = _gyro_notches(value)
+    common = {
+        "scaling_speed": scaling_speed,
+        # Plane::calc_speed_scaler
+        "least_scaling": min(0.5, scaling_speed / (2 * fastest)),
+        "most_scaling": max(2.0, scaling_speed / (0.7 * slowest)),
+        "gyro_corner": value.corner("INS_GYRO_FILTER"),
+        "gyro_notches": notches,
+    }
+    unit = np.rad2deg(1.0) / ARDUPILOT_FULL
+    loops = []
+    prefixes = []
+    for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
+        if LOOP_AXES[name][2] not in full:
+            continue
+        prefixes += [f"{rate}_", f"{angle}_"]
+        settings = {
+            "time_constant": value(f"{angle}_TCONST"),
+            "forward_by_true_airspeed": True,
+            "error_corner": value.corner(f"{rate}_FLTE"),
+            "target_corner": value.corner(f"{rate}_FLTT"),
+            "derivative_corner": value.corner(f"{rate}_FLTD"),
+            "error_notches": _numbered_notch(value, f"{rate}_NEF"),
+            "target_notches": _numbered_notch(value, f"{rate}_NTF"),
+            "derivative_of_error": True,
+        }
+        if name == "roll" and "rudder" in full:
+            settings["rudder"] = value("KFF_RDDRMIX") * full["rudder"]
+        loops += _loop(name, rate, unit, value, full, **settings, **common)
+    if "rudder" in full:
+        prefixes.append("YAW2SRV_")
+        loops += _ardupilot_yaw_damper(value, full, unit, common)
+    return loops, value.unread(tuple(prefixes)) | following
+
+
+def output_factor(value: Parameters, control: str) -> float:
+    """Return the deflection of a control at a full output of its loop, over the one with the servos at their ends.
+
+    The mixer of elevons and V-tails, ``Plane::channel_function_mixer``, multiplies outputs by MIXING_GAIN;
+    MIXING_OFFSET raises roll and yaw where it is positive, else pitch. Warns if no servo moves the control.
+    """
+    functions = {*servo_functions(value.given).values()}
+    factor = 0.0
+    for function, weight in WEIGHTS[control].items():
+        if function in functions:
+            factor += abs(weight) * (_mixed(value, control) if function in MIXED else 1.0)
+    if not factor:
+        warn(
+            f"No servo is the {control} by SERVOn_FUNCTION: its loop is taken as one whose full output is full "
+            "deflection."
+        )
+        return 1.0
+    return factor
+
+
+def _mixed(value: Parameters, control: str) -> float:
+    """Return the gain of the mixer of elevons and V-tails."""
+    offset = value("MIXING_OFFSET")
+    counts = offset < 0 if control == "elevator" else offset > 0
+    return value("MIXING_GAIN") * (1.0 + counts * abs(offset) / 100.0)
+
+
+def servo_functions(given: Mapping[str, float]) -> dict[int, int]:
+    """Return the function of each output, by default aileron, elevator, throttle, rudder."""
+    numbers = range(1, N_SERVOS + 1)
+    return {n: int(given.get(f"SERVO{n}_FUNCTION", USUAL_FUNCTIONS.get(n, 0))) for n in numbers}
+
+
+def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float]]:
+    """Return the notches of ArduPilot's gyros, and the modes of those whose frequency follows the engine.
+
+    These have their lowest frequency here, at which they are latest.
+    """
+    notches: list[Notch] = []
+    following = {}
+    for group in ("INS_HNTCH", "INS_HNTC2"):
+        if not value(f"{group}_ENABLE"):
+            continue
+        settings = value.group(group, HARMONIC_DEFAULTS)
+        lowest = settings["FREQ"]
+        follows = value(f"{group}_REF") and settings["MODE"] != FIXED
+        if follows:
+            following[f"{group}_MODE"] = settings["MODE"]
+            lowest *= settings["FM_RAT"] if settings["MODE"] == BY_THROTTLE else 1.0
+        notches += _harmonics(settings, int(value(f"{group}_OPTS")), lowest)
+    if value("INS_NOTCH_ENABLE"):
+        settings = value.group("INS_NOTCH", STATIC_DEFAULTS)
+        notches += _notch(settings["FREQ"], settings["BW"], settings["ATT"])
+    return tuple(notches), following
+
+
+def _harmonics(settings: Mapping[str, float], options: int, lowest: float) -> list[Notch]:
+    """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic."""
+    is_double, is_triple = options & 1, options & 16
+    n_each = 2 if is_double else 3 if is_triple else 1
+    frequency = max(settings["FREQ"], 0.52 * settings["BW"])
+    spread = settings["BW"] / (32 * frequency) if n_each > 1 else 0.0
+    places = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[n_each]
+    (of_all,) = _notch(frequency, settings["BW"] / n_each, settings["ATT"])
+    notches = []
+    for k in range(16):
+        if int(settings["HMNCS"]) >> k & 1:
+            centre = max(lowest, 0.52 * settings["BW"]) * (k + 1)
+            notches += [of_all._replace(frequency=centre * (1 + place)) for place in places]
+    return notches
+
+
+def _numbered_notch(value: Parameters, name: str) -> tuple[Notch, ...]:
+    """Return the notch of ``FILTn_*`` whose number a parameter is, if there is one."""
+    n = int(value(name))
+    if not n or value(f"FILT{n}_TYPE") != 1:
+        return ()
+    frequency = value(f"FILT{n}_NOTCH_FREQ")
+    settings = value.group(f"FILT{n}", FILTER_DEFAULTS)
+    if not (frequency > 0 and settings["NOTCH_Q"] > 0 and settings["NOTCH_ATT"] > 0):
+        return ()
+    return tuple(_notch(frequency, frequency / settings["NOTCH_Q"], settings["NOTCH_ATT"]))
+
+
+def _notch(frequency: float, width: float, attenuation: float) -> list[Notch]:
+    """Return ArduPilot's ``NotchFilter`` of a width [Hz] and an attenuation [dB], none if it is too wide."""
+    if not frequency > 0.5 * width > 0:
+        return []
+    ratio = frequency / (frequency - 0.5 * width)
+    return [Notch(frequency, ratio / (ratio**2 - 1), 10 ** (-attenuation / 20))]
+
+
+def _ardupilot_yaw_damper(
+    value: Parameters, full: Mapping[str, float], unit: float, common: Mapping[str, Any]
+) -> list[Loop]:
+    """Return the yaw damper: the output is -DAMP (1 + INT / s) of the washed out rate, and INT of the slip."""
+    damping = value("YAW2SRV_DAMP")
+    integral, turn, slip = value("YAW2SRV_INT"), value("YAW2SRV_RLL"), value("YAW2SRV_SLIP")
+    if not damping:
+        return []
+    return [
+        Loop(
+            name="yaw",
+            control="rudder",
+            full=full["rudder"],
+            P=unit * damping,
+            I=unit * damping * integral,
+            washout=WASHOUT,
+            coordination=turn,
+            # degrees of rate for an acceleration
+            slip=np.deg2rad(slip),
+            parameters={"YAW2SRV_DAMP": damping},
+            **common,
+        )
+    ]
+
+
+def _loop(
+    name: str,
+    prefix: str,
+    unit: float,
+    value: Parameters,
+    full: Mapping[str, float],
+    **settings: Any,
+) -> list[Loop]:
+    """Return the loop of an axis, or none without gains."""
+    control = LOOP_AXES[name][2]
+    values = {gain: value(f"{prefix}_{gain}") for gain in GAINS}
+    if not value(f"{prefix}_IMAX"):
+        values["I"] = 0.0
+    feeds_back = any(values[gain] for gain in ("P", "I", "D"))
+    # FF and D_FF close the loop of the attitude, or of the turn
+    commands = np.isfinite(settings.get("time_constant", np.inf)) or settings.get("coordination")
+    if not (feeds_back or ((values["FF"] or values["D_FF"]) and commands)):
+        return []
+    named = {f"{prefix}_{gain}": values[gain] for gain in GAINS if values[gain]}
+    gains = {gain: unit * values[gain] for gain in GAINS}
+    return [
+        Loop(name=name, control=control, full=full[control], parameters=named, **gains, **settings)
+    ]

@@ -36,7 +36,8 @@ FULL = {"aileron": 0.42, "elevator": 0.42}
 SLOW_GAINS = {
     "FW_RR_P": 0.05, "FW_RR_I": 0.05, "FW_RR_FF": 0.1, "FW_R_TC": 0.5,
     "FW_PR_P": 0.05, "FW_PR_I": 0.05, "FW_PR_FF": 0.1, "FW_P_TC": 0.5,
-    "FW_AIRSPD_TRIM": 35.0,
+    "FW_AIRSPD_STALL": 25.0, "FW_AIRSPD_TRIM": 35.0, "FW_AIRSPD_MAX": 50.0,
+    "IMU_GYRO_CUTOFF": 40.0, "IMU_DGYRO_CUTOFF": 30.0,
 }  # fmt: skip
 AIRSPEED, ALTITUDE, BANK = 35.0, 200.0, np.deg2rad(20.0)
 STEP, DELAY = 0.02, 0.02

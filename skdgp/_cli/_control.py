@@ -30,8 +30,8 @@ def margins(run: Run) -> None:
     """Print the margins of the loops of PX4 or ArduPilot Plane around a model, and gains that have wanted margins.
 
     The file has the autopilot's parameters, as a ground station saves them. --full gives the deflections
-    [rad] at an output of 1; loops of controls that it does not name are open. With -o writes margins.csv,
-    suggested.csv and margins.json.
+    [rad] with the servos at their ends, as of fly (PX4: at an output of 1); loops of controls that it does not
+    name are open. With -o writes margins.csv, suggested.csv and margins.json.
 
     For example:
       skdgp margins results/model.joblib --params plane.params --airspeed 20 --full aileron=0.42 elevator=0.42
@@ -59,6 +59,8 @@ def margins(run: Run) -> None:
     servos = linear.servos
     late = f"servos behind the logged commands {servos.words}; {1e3 * options.delay:.0f} ms more before (--delay)"
     texts = [f"margins now, at {options.airspeed:g} m/s: {late}", _margin_text(now)]
+    for name, part in now.attrs["unstable"].items():
+        texts.append(f"the closed loops are unstable in {part:.0%} of the aircraft: {name}")
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
         "model": options.model,
@@ -68,6 +70,7 @@ def margins(run: Run) -> None:
         else asdict(servos) | {"rate_limit": None},
         "delay": options.delay,
         "margins": _records(now),
+        "unstable": now.attrs["unstable"],
     }
     try:
         suggested = suggest_gains(
@@ -223,7 +226,11 @@ COMMANDS: opt.Commands = {
                 "required": True,
                 "help": "parameters of PX4 or ArduPilot Plane, as a ground station saves them",
             },
-            **opt.shared("--full", required=True, help="deflections [rad] at an output of 1"),
+            **opt.shared(
+                "--full",
+                required=True,
+                help="deflections [rad] with the servos at their ends (PX4: at an output of 1)",
+            ),
             "--delay": {
                 "metavar": "S",
                 "type": opt.from_zero(),

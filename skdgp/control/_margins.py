@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import constant_columns
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
@@ -35,6 +36,9 @@ class MarginSettings:
     #: seconds, and frequency [rad/s] at which a mode is allowed half of it
     growth: float = 0.1
     slow: float = 1.0
+    #: Part of a mode in the attitude that a loop's control moves, over that of the largest mode, below which the
+    #: loop does not move it
+    least_share: float = 0.02
     #: Interval of values over the paths
     interval: tuple[float, float] = (0.05, 0.95)
     #: Usual requirements: gain [dB], phase [deg], sensitivity
@@ -75,7 +79,8 @@ def margins(
     The gain margin is the smallest rise of all gains of the loop, and the phase margin the smallest
     turn of L at a crossover, negative for a lead, that makes the aircraft unstable. The sensitivity is
     the largest :math:`|1 / (1 + L)|`. Delays are exact. A closed loop with an unstable mode has margins
-    of minus infinity; growth of a mode of frequency w up to :math:`0.1 / (1 + w^2)` 1/s does not count.
+    of minus infinity; growth of a mode of frequency w up to :math:`0.1 / (1 + w^2)` 1/s does not count, nor
+    does a mode of the aircraft that none of the loops moves, such as the spiral where the roll loop is open.
     Each deflection has the sign that turns the aircraft of the mean in the positive direction.
 
     Parameters
@@ -95,13 +100,19 @@ def margins(
         Rows (loop, quantity) with the quantities ``gain`` [dB], ``phase`` [deg], ``sensitivity`` and
         ``crossover`` [rad/s]; columns ``value``, of the mean, ``lower`` and ``upper``, which hold 90 % of the
         paths, ``probability`` that the gain margin is at least 6 dB, the phase margin 45 deg, and the
-        sensitivity at most 2, and ``excited``, empty without a flight.
+        sensitivity at most 2, and ``excited``, empty without a flight. ``attrs["unstable"]`` has the modes by
+        which the closed loops are unstable, with the fractions of the paths, or of the mean.
 
     Raises
     ------
     ValueError
         If a loop has a control that the linear model has not, the linear model has no airspeed or density,
         or the flight lacks a channel or is too short for spectra.
+
+    Warns
+    -----
+    UserWarning
+        Of unstable modes of the aircraft that none of the loops moves.
 
     Examples
     --------
@@ -117,22 +128,28 @@ def margins(
     >>> model = Aerodynamics(roll, ["alpha", "p_hat", "aileron", "elevator"])
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
     >>> linear = linearize(model, aircraft, trim(model, aircraft, 20.0), delay=0.02)
-    >>> loops = autopilot_loops({"FW_RR_P": 0.5, "FW_RR_I": 0.2}, full={"aileron": 0.42})
+    >>> px4 = {"FW_RR_P": 0.5, "FW_RR_I": 0.2, "FW_RR_FF": 0.0, "FW_R_TC": 0.5, "FW_ARSP_SCALE_EN": 0}
+    >>> px4 |= {"IMU_GYRO_CUTOFF": 40.0, "IMU_DGYRO_CUTOFF": 30.0}
+    >>> loops = autopilot_loops(px4, full={"aileron": 0.42})
     >>> margins(linear, loops).loc["roll", "value"].round(1).to_dict()
-    {'gain': 18.4, 'phase': 116.1, 'sensitivity': 1.2, 'crossover': 0.2}
+    {'gain': 13.2, 'phase': 124.4, 'sensitivity': 1.3, 'crossover': 2.8}
     """
     _check(linear, loops)
     s = 1j * _frequencies(settings)
     responses = _responses(linear, loops, s)
     transfer = _of_loops(responses, linear, loops, s)
-    unstable = _Stability.of(linear, loops, settings).unstable(linear, loops)
+    stability = _Stability.of(linear, loops, settings)
+    unstable = stability.unstable(linear, loops)
+    stability.warn_of_unmoved()
     excitation = None if flight is None else _Excitation.of(linear, loops, flight, settings)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable)
         excited = None if excitation is None else excitation.of_quantities(loop, loop_margins)
         rows += _rows(loop, loop_margins, excited, settings)
-    return pd.DataFrame(rows).set_index(["loop", "quantity"])
+    table = pd.DataFrame(rows).set_index(["loop", "quantity"])
+    table.attrs["unstable"] = stability.causes(linear, loops)
+    return table
 
 
 def suggest_gains(
@@ -227,7 +244,7 @@ class _GainSearch(NamedTuple):
                 best = float(decibels)
                 break
         if best is None:
-            raise self._none_found(loops[k])
+            raise self._none_found(loops, k)
         while best < largest and self.is_enough(best + fine, risen, k, transfer):
             best += fine
         return best
@@ -235,27 +252,33 @@ class _GainSearch(NamedTuple):
     def lowered(self, loops: list[Loop]) -> list[Loop]:
         """Return the loops, with lower gains of all if one lacks the margins; ValueError if that does not help."""
         fine = self.settings.steps[1]
+        lacking: list[int] = []
         for fall in np.arange(0.0, self.settings.largest_factor, fine):
             fallen = [loop.scaled(_factor(-fall)) for loop in loops]
             lacking = self._lacking(fallen)
             if not lacking:
                 return fallen
-        raise self._none_found(lacking[0])
+        raise self._none_found(loops, lacking[0])
 
-    def _lacking(self, loops: list[Loop]) -> list[Loop]:
-        """Return the loops without the margins."""
+    def _lacking(self, loops: list[Loop]) -> list[int]:
+        """Return the numbers of the loops without the margins."""
         transfer = _of_loops(self.responses, self.linear, loops, self.s)
         lacking = []
-        for k, loop in enumerate(loops):
+        for k in range(len(loops)):
             if not self.is_enough(0.0, loops, k, transfer[..., k]):
-                lacking.append(loop)
+                lacking.append(k)
         return lacking
 
-    def _none_found(self, loop: Loop) -> ValueError:
+    def _none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
+        causes = self.stability.causes(self.linear, loops)
+        unstable = ""
+        if causes:
+            parts = [f"by the {name} in {part:.0%} of the paths" for name, part in causes.items()]
+            unstable = f" With the gains given, the closed loops are unstable {', '.join(parts)}."
         return ValueError(
-            f"Got no gains of the {loop.name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
-            f"in {self.probability:.0%} of the paths. Lower the wanted margins, shorten the delay, start from "
-            "gains that are stable, or fly manoeuvres that tell the derivatives."
+            f"Got no gains of the {loops[k].name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
+            f"in {self.probability:.0%} of the paths.{unstable} Lower the wanted margins, shorten the delay, start "
+            "from gains that are stable, or fly manoeuvres that tell the derivatives."
         )
 
     def is_enough(self, decibels: float, loops: list[Loop], k: int, transfer: Matrix) -> bool:
@@ -382,11 +405,18 @@ class _Stability(NamedTuple):
     the right of the curve :math:`s = g / (1 + (w / w_0)^2) + j w`, as it is one at infinity: g is the
     growth that a slow mode may have. ``aircraft`` (1 + n_paths, n) are the first factor over the last,
     of the mean and of the paths.
+
+    Of the aircraft without loops ``roots`` (1 + n_paths, m) are the modes, those on the right of the curve are
+    ``growing``, and loops do not move the ``unmoved`` ones. Names of modes are those of the mean's nearest one.
     """
 
     s: Vector
     aircraft: Array
     responses: Array
+    roots: Array
+    growing: Mask
+    unmoved: Mask
+    modes: pd.Series
 
     @classmethod
     def of(cls, linear, loops, settings):
@@ -398,14 +428,91 @@ class _Stability(NamedTuple):
             A = np.concatenate([A, linear.paths.A])
         roots = np.linalg.eigvals(A[:, kept, :][..., kept])
         aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
-        return cls(s, aircraft, _responses(linear, loops, s))
+        roots, shares = _modes_moved(linear, loops)
+        growing = roots.real > settings.growth / (1.0 + (roots.imag / settings.slow) ** 2)
+        unmoved = growing & (shares < settings.least_share).all(axis=1)
+        modes = linear.modes()["eigenvalue"]
+        return cls(s, aircraft, _responses(linear, loops, s), roots, growing, unmoved, modes)
 
     def unstable(self, linear, loops) -> Mask:
-        """Return whether the mean and each path are unstable, (1 + n_paths,)."""
+        """Return whether the mean and each path are unstable by modes that loops move, (1 + n_paths,)."""
+        angle = np.unwrap(np.angle(self._determinants(linear, loops)), axis=-1)
+        n_unstable = np.round((angle[:, 0] - angle[:, -1]) / np.pi)
+        return n_unstable > self.unmoved.sum(axis=-1)
+
+    def _determinants(self, linear, loops) -> Array:
+        """Return the products of both determinants, (1 + n_paths, n)."""
         K = _gains(linear, loops, self.s)
-        value = self.aircraft * np.linalg.det(np.eye(len(loops)) - K @ self.responses)
-        angle = np.unwrap(np.angle(value), axis=-1)
-        return np.round((angle[:, 0] - angle[:, -1]) / np.pi) > 0
+        return self.aircraft * np.linalg.det(np.eye(len(loops)) - K @ self.responses)
+
+    def causes(self, linear, loops) -> dict[str, float]:
+        """Return the modes by which the closed loops are unstable, and the fractions of the paths, or of the mean.
+
+        A mode that the aircraft has without loops is named; another one has the frequency of the least determinant.
+        """
+        unstable = self.unstable(linear, loops)
+        slowest = np.abs(self._determinants(linear, loops)).argmin(axis=-1)
+        n_paths = len(unstable) - 1
+        causes: dict[str, float] = {}
+        for k in np.flatnonzero(unstable):
+            own = self.roots[k][self.growing[k] & ~self.unmoved[k]]
+            names = {self._name(root) for root in own}
+            frequency = self.s.imag[slowest[k]]
+            for name in names or {f"oscillation of {frequency:.1g} rad/s"}:
+                counts = k > 0 or not n_paths
+                causes[name] = causes.get(name, 0.0) + counts / max(n_paths, 1)
+        return causes
+
+    def _name(self, root: complex) -> str:
+        """Return the name of the mode of the mean that a root lies nearest to."""
+        distances = np.minimum(abs(self.modes - root), abs(self.modes - np.conj(root)))
+        return str(distances.idxmin())
+
+    def warn_of_unmoved(self) -> None:
+        """Warn of unstable modes of the aircraft that no loop moves."""
+        if not self.unmoved.any():
+            return
+        names = sorted({self._name(root) for root in self.roots[self.unmoved]})
+        fastest = self.roots.real[self.unmoved].max()
+        where = "in the mean"
+        if len(self.unmoved) > 1:
+            where = f"in {self.unmoved[1:].any(axis=-1).mean():.0%} of the paths"
+        warn(
+            f"Modes of the aircraft are unstable {where}, {' and '.join(names)} (growth up to {fastest:.2g} 1/s), and "
+            "none of these loops moves them: margins leave them out. Close the loop that does."
+        )
+
+
+def _modes_moved(linear, loops) -> tuple[Array, Array]:
+    """Return the modes of the aircraft without servos (1 + n_paths, m), and the parts that loops move of each.
+
+    These are the parts of modes in the attitude that a deflection causes, over the largest one, (1 + n_paths, n_loops,
+    m): the response of a rate has the residue C v w B at a mode with right and left vectors v and w, and the
+    attitude is its integral.
+    """
+    names = list(linear.A.index)
+    positions = [f"{name}_position" for name in linear.B.columns]
+    kept = [k for k, name in enumerate(names) if name not in {*UNUSED, *positions}]
+    A, B, C = (np.asarray(table)[None] for table in (linear.A, linear.B, linear.C))
+    if linear.paths is not None:
+        paths = linear.paths
+        A, B, C = (
+            np.concatenate([A, paths.A]),
+            np.concatenate([B, paths.B]),
+            np.concatenate([C, paths.C]),
+        )
+    B = B[:, kept]
+    for k, position in enumerate(positions):
+        if position in names:  # behind a servo the deflection is a state
+            B[..., k] += A[:, kept, names.index(position)]
+    rates = [linear.C.index.get_loc(LOOP_AXES[loop.name][0]) for loop in loops]
+    roots, vectors = np.linalg.eig(A[:, kept, :][..., kept])
+    # a repeated root may have a single vector
+    excited = np.linalg.pinv(vectors) @ (B @ _inputs(linear, loops))
+    seen = C[:, rates, :][..., kept] @ vectors
+    # a mode that does not move has no part
+    parts = np.abs(seen * excited.mT) / np.maximum(np.abs(roots), 1e-3)[:, None]
+    return roots, parts / np.maximum(parts.max(axis=-1, keepdims=True), np.finfo(float).tiny)
 
 
 def _margins_of(transfer: Matrix, w: Vector) -> Margins:

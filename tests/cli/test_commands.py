@@ -176,7 +176,9 @@ class TestMargins:
     """Of the loops of an autopilot around the model."""
 
     PARAMETERS = (
-        "FW_RR_P,0.1\nFW_RR_I,0.1\nFW_R_TC,0.4\nFW_PR_P,0.2\nFW_PR_I,0.3\nFW_AIRSPD_TRIM,30\n"
+        "FW_RR_P,0.1\nFW_RR_I,0.1\nFW_RR_FF,0\nFW_R_TC,0.4\nFW_PR_P,0.2\nFW_PR_I,0.3\nFW_PR_FF,0\n"
+        "FW_P_TC,0.4\nFW_AIRSPD_STALL,20\nFW_AIRSPD_TRIM,30\nFW_AIRSPD_MAX,50\n"
+        "IMU_GYRO_CUTOFF,40\nIMU_DGYRO_CUTOFF,30\n"
     )
     WORDS = shlex.split("--airspeed 35 --altitude 100 --paths 10 --full aileron=0.4 elevator=0.4")
 

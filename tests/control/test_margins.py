@@ -14,7 +14,11 @@ from skdgp.dynamics import linearize, trim
 
 AIRSPEED, DELAY = 20.0, 0.04
 FULL = {"aileron": 0.42, "elevator": 0.4, "rudder": 0.35}
+pytestmark = pytest.mark.filterwarnings("ignore:The parameters lack")
+# Without gains, filters and scaling; the loops of the attitude are too slow to count
 UNFILTERED = {"IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0, "FW_ARSP_SCALE_EN": 0.0}
+UNFILTERED |= {f"FW_{axis}R_{gain}": 0.0 for axis in "RPY" for gain in ("P", "I", "FF")}
+UNFILTERED |= {"FW_R_TC": 1e9, "FW_P_TC": 1e9}
 PX4 = UNFILTERED | {
     "FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_FF": 0.1, "FW_R_TC": 0.4,
     "FW_PR_P": 0.2, "FW_PR_I": 0.3, "FW_PR_FF": 0.1, "FW_P_TC": 0.5,
@@ -76,6 +80,38 @@ def test_a_slow_mode_that_grows_does_not_hide_the_gain_margin(glider):
     size = g * np.hypot(P, I / at_180) / np.hypot(a, at_180)
     found = margins(linear, loops)["value"]["roll"]
     assert_allclose(found["gain"], -20 * np.log10(size), atol=0.02)
+
+
+@pytest.fixture(scope="module")
+def with_spiral(glider):
+    """Return the linear model of an aircraft whose spiral grows faster than 0.1 1/s, and is moved by the ailerons."""
+    slopes = glider.slopes.copy()
+    slopes[3, 1] = 0.05  # Cl_beta
+    slopes[5, [1, 4]] = [0.04, -0.04]  # Cn_beta, Cn_r
+    linear = linear_of(glider, slopes, n_paths=20)
+    assert linear.modes()["eigenvalue"]["spiral"].real > 0.2
+    return linear
+
+
+def test_a_spiral_does_not_count_where_the_roll_loop_is_open(with_spiral):
+    """The elevator moves the attitude along the plane of symmetry alone."""
+    pitch = autopilot_loops(PX4, {"elevator": FULL["elevator"]})
+    with pytest.warns(UserWarning, match="in 100% of the paths, spiral .* none of these loops"):
+        alone = margins(with_spiral, pitch)
+    both = autopilot_loops(PX4 | {"FW_RR_P": 0.5}, {k: FULL[k] for k in ("aileron", "elevator")})
+    together = margins(with_spiral, both)
+    assert_allclose(alone.loc["pitch", "value"], together.loc["pitch", "value"], rtol=1e-3)
+    assert np.isfinite(alone["lower"]["pitch"]).all()
+    assert suggest_gains(with_spiral, pitch)[0].P > 0.0
+
+
+def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_named(with_spiral):
+    weak = UNFILTERED | {"FW_RR_P": 1e-4}
+    table = margins(with_spiral, autopilot_loops(weak, {"aileron": FULL["aileron"]}))
+    assert table["value"]["roll"]["gain"] == -np.inf
+    assert table.attrs["unstable"] == {"spiral": pytest.approx(1.0)}
+    with pytest.raises(ValueError, match="unstable by the spiral in 100% of the paths"):
+        suggest_gains(with_spiral, autopilot_loops(weak, {"aileron": FULL["aileron"]}))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +178,9 @@ def test_the_feed_forward_of_ardupilot_falls_with_the_air(name):
         "roll": ("RLL", "phi", "aileron"),
         "pitch": ("PTCH", "theta", "elevator"),
     }[name]
-    parameters = {f"{rate}_RATE_P": 1e-9, f"{rate}_RATE_FF": 0.3, f"{rate}2SRV_TCONST": 0.4}
+    gains = {"P": 1e-9, "I": 0.0, "FF": 0.3}
+    parameters = {f"{rate}_RATE_{gain}": value for gain, value in gains.items()}
+    parameters[f"{rate}2SRV_TCONST"] = 0.4
     (loop,) = autopilot_loops(parameters, {control: 0.4})
     density = 0.9
     to_true = np.sqrt(1.225 / density)
@@ -170,7 +208,7 @@ def test_parameters_that_do_not_count_are_no_errors():
 
 def test_a_control_without_gains_is_named():
     with pytest.warns(UserWarning, match="no gains other than zero for rudder"):
-        autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4, "rudder": 0.3})
+        autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1}, {"aileron": 0.4, "rudder": 0.3})
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -257,7 +295,8 @@ def linear_of_path(linear, number):
 
 def test_outputs_of_ardupilot_are_degrees_of_45():
     """A rate of 1 rad/s at twice the scaling speed: P deg / 45, over four."""
-    parameters = {"RLL_RATE_P": 0.2, "SCALING_SPEED": 15.0, "INS_GYRO_FILTER": 0.0}
+    parameters = {"RLL_RATE_P": 0.2, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.0}
+    parameters |= {"SCALING_SPEED": 15.0, "INS_GYRO_FILTER": 0.0}
     (roll,) = autopilot_loops(parameters, {"aileron": 0.4})
     laws = roll.feedback(np.array([1e-6 + 0j]), 30.0, 1.225)
     assert_allclose(laws["p"], -0.4 * 0.2 * np.rad2deg(1.0) / 45 / 4, rtol=1e-6)
@@ -272,11 +311,137 @@ def test_the_yaw_damper_of_ardupilot_washes_out_a_steady_rate():
     assert_allclose(abs(fast), 0.3 * 0.5 * np.rad2deg(1.0) / 45, rtol=0.01)
 
 
+def response(loop, frequency, of):
+    """Return the command for a channel at a frequency [Hz]."""
+    return loop.feedback(np.array([2j * np.pi * frequency]), 20.0, 1.225)[of][0]
+
+
+@pytest.mark.parametrize(
+    ("firmware", "notch", "width", "depth"),
+    [
+        (PX4, {"IMU_GYRO_NF0_FRQ": 15.0, "IMU_GYRO_NF0_BW": 10.0}, 10.0, 0.0),
+        (PX4, {"IMU_GYRO_NF_FREQ": 15.0, "IMU_GYRO_NF_BW": 10.0}, 10.0, 0.0),  # before 1.13
+        (
+            {"RLL_RATE_P": 0.1, "PTCH_RATE_P": 0.1},
+            {
+                "INS_HNTCH_ENABLE": 1,
+                "INS_HNTCH_FREQ": 15.0,
+                "INS_HNTCH_BW": 10.0,
+                "INS_HNTCH_HMNCS": 1,
+            },
+            12.5,  # 15 Hz less half of 10 Hz, and as much above in octaves: 10 to 22.5 Hz
+            0.01,
+        ),
+        (
+            {"RLL_RATE_P": 0.1, "PTCH_RATE_P": 0.1},
+            {"RLL_RATE_NEF": 2, "FILT2_TYPE": 1, "FILT2_NOTCH_FREQ": 15.0, "FILT2_NOTCH_Q": 1.5},
+            12.5,
+            0.01,
+        ),
+    ],
+)
+def test_static_notches_are_in_the_loop(firmware, notch, width, depth):
+    """Of a width B about f_0 the phase at f is -atan(B f / (f_0^2 - f^2)), where the notch is deep."""
+    (without,), (with_notch,) = (
+        autopilot_loops(firmware | extra, {"aileron": 0.4}) for extra in ({}, notch)
+    )
+
+    def ratio(frequency):
+        return response(with_notch, frequency, "p") / response(without, frequency, "p")
+
+    for frequency in (1.0, 4.3, 60.0):
+        late = np.arctan2(width * frequency, 15.0**2 - frequency**2)
+        early = np.arctan2(depth * width * frequency, 15.0**2 - frequency**2)
+        assert_allclose(
+            np.angle(ratio(frequency)), np.angle(np.exp(1j * (early - late))), atol=1e-9
+        )
+    assert_allclose(abs(ratio(15.0)), depth, atol=1e-9)
+
+
+def test_double_notches_and_harmonics_of_ardupilot_are_notches_at_their_frequencies():
+    harmonic = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0, "INS_HNTCH_BW": 10.0}
+    harmonic |= {"INS_HNTCH_HMNCS": 5, "INS_HNTCH_OPTS": 1, "INS_HNTCH_ATT": 40.0}
+    (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | harmonic, {"aileron": 0.4})
+    spread = 10.0 / (32 * 20.0)
+    expected = [f * (1 + sign * spread) for f in (20.0, 60.0) for sign in (-1, 1)]
+    assert_allclose([notch.frequency for notch in loop.gyro_notches], expected)
+    assert len({notch.quality for notch in loop.gyro_notches}) == 1
+
+
+def test_a_notch_that_follows_the_engine_is_taken_at_its_lowest_frequency_and_named():
+    follows = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 40.0, "INS_HNTCH_BW": 20.0}
+    follows |= {"INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_FM_RAT": 0.7}
+    with pytest.warns(UserWarning, match="INS_HNTCH_MODE 1"):
+        (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | follows, {"aileron": 0.4})
+    assert_allclose([notch.frequency for notch in loop.gyro_notches], [28.0, 56.0])
+
+
+def test_the_derivative_of_the_target_feeds_forward():
+    """AC_PID: DFF is the derivative of the filtered target times D_FF, of rates scaled by the airspeed, squared."""
+    gains = {"RLL_RATE_P": 0.1, "RLL2SRV_TCONST": 0.5, "SCALING_SPEED": 15.0}
+    (without,) = autopilot_loops(gains, {"aileron": 0.4})
+    (loop,) = autopilot_loops(gains | {"RLL_RATE_D_FF": 0.02}, {"aileron": 0.4})
+    s = 2j * np.pi * 2.0
+    added = response(loop, 2.0, "phi") - response(without, 2.0, "phi")
+    unit = np.rad2deg(1.0) / 45.0
+    expected = -0.4 * unit * (15.0 / 20.0) ** 2 * 0.02 * s / (1 + s / (2 * np.pi * 3.0)) / 0.5
+    assert_allclose(added, expected)
+
+
+@pytest.mark.parametrize(
+    ("extra", "names"),
+    [
+        ({"RLL_RATE_PDMX": 0.1, "RLL_RATE_SMAX": 150.0}, "RLL_RATE_PDMX 0.1, RLL_RATE_SMAX 150"),
+        ({"RLL_RATE_NEW": 0.1}, "RLL_RATE_NEW 0.1"),
+    ],
+)
+def test_parameters_of_the_loops_that_are_not_known_are_named(extra, names):
+    given = {"RLL_RATE_P": 0.1, "PTCH_RATE_SMAX": 150.0, "RLL_RATE_IMAX": 0.5} | extra
+    with pytest.warns(UserWarning, match=f"margins do not contain what they do: {names}\\."):
+        autopilot_loops(given, {"aileron": 0.4})
+
+
+def test_an_integrator_without_room_is_none():
+    gains = UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_IMAX": 0.0}
+    assert autopilot_loops(gains, {"aileron": 0.4})[0].I == 0.0
+
+
+ELEVONS = {"SERVO1_FUNCTION": 77, "SERVO2_FUNCTION": 78}
+VTAILS = {"SERVO2_FUNCTION": 79, "SERVO4_FUNCTION": 80}
+
+
+@pytest.mark.parametrize(
+    ("servos", "full"),
+    [
+        ({}, (0.42, 0.4, 0.35)),
+        (ELEVONS, (0.21, 0.2, 0.35)),
+        (ELEVONS | {"MIXING_GAIN": 1.0}, (0.42, 0.4, 0.35)),
+        (ELEVONS | {"MIXING_OFFSET": 50}, (0.315, 0.2, 0.35)),
+        (ELEVONS | {"MIXING_OFFSET": -50}, (0.21, 0.3, 0.35)),
+        (VTAILS | {"MIXING_GAIN": 0.8}, (0.42, 0.32, 0.28)),
+    ],
+)
+def test_mixed_servos_move_by_the_mixing_gain(servos, full):
+    """channel_function_mixer: left = (pitch - roll) MIXING_GAIN."""
+    gains = {"RLL_RATE_P": 0.1, "PTCH_RATE_P": 0.1, "YAW2SRV_DAMP": 0.2}
+    loops = autopilot_loops(gains | servos, FULL)
+    assert_allclose([loop.full for loop in loops], full)
+    assert_allclose(loops[0].rudder, 0.5 * full[2])
+
+
+def test_gains_that_a_file_lacks_are_the_firmwares_defaults():
+    with pytest.warns(UserWarning, match="lack .*FW_RR_I 0.1.* defaults of PX4"):
+        (roll,) = autopilot_loops({"FW_RR_P": 0.2}, {"aileron": 0.4})
+    assert (roll.P, roll.I, roll.FF, roll.time_constant) == (0.2, 0.1, 0.5, 0.4)
+    assert roll.parameters == {"FW_RR_P": 0.2, "FW_RR_I": 0.1, "FW_RR_FF": 0.5}
+
+
 FILES = {
     "ground.params": "# Vehicle-Id Component-Id Name Value Type\n1\t1\tFW_RR_P\t0.05\t9\n1\t1\tFW_AIRSPD_TRIM\t15\t9\n",
     "show.txt": "x + FW_RR_P [123,456] : 0.0500\n  * FW_AIRSPD_TRIM [1,2] : 15.0\n",
     "mission_planner.param": "FW_RR_P,0.05\nFW_AIRSPD_TRIM,15\n",
     "windows.params": "\ufeffFW_RR_P,0.05\r\nFW_AIRSPD_TRIM,15\r\n",
+    "comments.parm": "// saved\nFW_RR_P 0.05 // roll\nFW_RR_I 0.1\n@delete FW_RR_I\nFW_AIRSPD_TRIM 15\n",
     "mavproxy.parm": "FW_RR_P          0.050000\nFW_AIRSPD_TRIM   15.0  # a remark\n",
 }
 
@@ -298,7 +463,7 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
         ),
         ({"BATT_CAPACITY": 5.0}, {"aileron": 0.4}, "without gains of a rate loop"),
         ({"RLL2SRV_P": 1.0}, {"aileron": 0.4}, "before 4.1"),
-        ({"FW_RR_P": 0.0}, {"aileron": 0.4}, "no gains other than zero"),
+        (UNFILTERED, {"aileron": 0.4}, "no gains other than zero"),
         ({"FW_RR_P": 0.1}, {"flap": 0.4}, "expected deflections"),
         ({"FW_RR_P": 0.1}, {"aileron": 24.0}, "radians, not degrees"),
         ({"FW_RR_P": 0.1}, {}, "expected deflections"),
@@ -323,10 +488,19 @@ def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
         autopilot_loops(parameters, full)
 
 
-def test_a_file_without_parameters_is_refused(tmp_path):
-    path = tmp_path / "notes.txt"
-    path.write_text("the gains are fine\n")
-    with pytest.raises(ValueError, match="without parameters"):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("the gains are fine\n", "without parameters"),
+        ("FW_RR_P 0.05\nFW_RR_P 0.06\n", "FW_RR_P twice"),
+        ("1\t1\tFW_RR_P\t0.05\t9\n2\t1\tFW_RR_I\t0.1\t9\n", "vehicles 1, 2"),
+        ("@include plane.parm\nRLL_RATE_P 0.1\n", "in one file"),
+    ],
+)
+def test_files_that_are_not_of_one_vehicle_are_refused(text, words, tmp_path):
+    path = tmp_path / "plane.parm"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words):
         read_parameters(path)
 
 

@@ -18,8 +18,10 @@ FULL = 0.42
 GAINS = {"aileron": (0.1, 0.1, 0.4), "elevator": (0.2, 0.3, 0.4)}
 MOTION = {"aileron": ("p", "phi"), "elevator": ("q", "theta")}
 PX4 = {
-    "FW_RR_P": 0.1, "FW_RR_I": 0.1, "FW_R_TC": 0.4, "FW_PR_P": 0.2, "FW_PR_I": 0.3, "FW_P_TC": 0.4,
-    "FW_AIRSPD_TRIM": AIRSPEED, "IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0,
+    "FW_RR_P": 0.1, "FW_RR_I": 0.1, "FW_RR_FF": 0.0, "FW_R_TC": 0.4,
+    "FW_PR_P": 0.2, "FW_PR_I": 0.3, "FW_PR_FF": 0.0, "FW_P_TC": 0.4,
+    "FW_AIRSPD_STALL": 25.0, "FW_AIRSPD_TRIM": AIRSPEED, "FW_AIRSPD_MAX": 50.0,
+    "IMU_GYRO_CUTOFF": 0.0, "IMU_DGYRO_CUTOFF": 0.0,
 }  # fmt: skip
 
 

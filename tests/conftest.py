@@ -192,23 +192,19 @@ def first_minute(once):
 
 
 @pytest.fixture(scope="session")
-def jsbsim_benchmark():
-    """Return the module of the benchmarks that flies JSBSim."""
+def jsbsim_maker():
+    """Return the module that flies JSBSim."""
     pytest.importorskip("jsbsim", reason="flies JSBSim, which is not installed")
-    folder = str(Path(__file__).parent / "benchmarks")
-    sys.path.insert(0, folder)
-    module = importlib.import_module("_jsbsim_flight")
-    sys.path.remove(folder)
-    return module
+    return importlib.import_module("jsbsim_flight")
 
 
 @pytest.fixture(scope="session")
-def jsbsim_flight(jsbsim_benchmark, once):
+def jsbsim_flight(jsbsim_maker, once):
     """Return a function from a model of JSBSim and its air to 40 s of a flight with truth, flown once."""
 
     def flight(model, air):
         def write(folder):
-            table, _ = jsbsim_benchmark.flight_of(model, 1, air, 1, duration=40.0)
+            table, _ = jsbsim_maker.flight_of(model, 1, air, 1, duration=40.0)
             joblib.dump(table, folder / "flight")
 
         return joblib.load(once(f"{model} in {air} air", write) / "flight")

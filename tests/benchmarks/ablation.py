@@ -26,7 +26,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from _common import Kept, commit, finish, parser_of
-from _jsbsim_flight import (
+from comparison import task_of
+from joblib import Memory
+from jsbsim_flight import (
     COEFFICIENTS,
     FLOWN,
     KNOTS,
@@ -39,8 +41,6 @@ from _jsbsim_flight import (
     sensed,
     true_values,
 )
-from comparison import task_of
-from joblib import Memory
 from pairs import quarter
 from scipy.stats import norm
 

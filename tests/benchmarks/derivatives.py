@@ -20,14 +20,14 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
-from _jsbsim_flight import (
+from freeflight_air import learned
+from jsbsim_flight import (
     COEFFICIENTS,
     exact_regressors,
     flight_of,
     known_derivatives,
     learned_derivatives,
 )
-from freeflight_air import learned
 from numpy.polynomial.hermite_e import hermegauss
 
 from skdgp import make_identification_pipeline

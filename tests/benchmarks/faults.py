@@ -17,28 +17,23 @@ from functools import partial
 
 import numpy as np
 from _common import Kept, finish, parser_of
+from log_errors import EULER, FORCES, GRAVITY, RATES, VELOCITY, ahead, late, without_gravity
 from numpy.random import default_rng
 from scipy import signal
-from small_uav import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, Fleet, logged
+from uav_flight import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, Fleet, logged
 
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_flight
-from skdgp.dynamics import euler_to_matrix
 
 N_FLIGHTS = 60
 SECONDS = 120.0
-GRAVITY = 9.80665
 DEGREES = 180 / np.pi
 KNOT = 0.514444
 FOOT = 0.3048
 VANE_NOISE, POSITION_NOISE = 0.005, 0.5  # rad, m
 ARM = 0.25  # of the sensors ahead of the centre of gravity, over the span
 CORNER = 2.0  # Hz, of a recorder that smooths
-FORCES = ["ax", "ay", "az"]
-RATES = ["p", "q", "r"]
-EULER = ["phi", "theta", "psi"]
-VELOCITY = ["v_north", "v_east", "v_down"]
 SURFACES = ["elevator", "aileron", "rudder"]
 COMMANDS = [*SURFACES, "throttle"]
 
@@ -65,26 +60,6 @@ def smoothed(table):
     result = table.copy()
     result[names] = signal.sosfiltfilt(corner, values, axis=0)
     return result
-
-
-def ahead(table, arm):
-    """Return a table whose accelerometers are ahead of the centre of gravity [m]."""
-    p, q, r = rates = table[RATES].to_numpy().T
-    step = np.median(np.diff(table["time"]))
-    _, q_dot, r_dot = signal.savgol_filter(rates, 15, 2, 1, step, axis=1)
-    moved = table.copy()
-    moved[FORCES] += arm * np.stack([-(q**2) - r**2, p * q + r_dot, p * r - q_dot], axis=1)
-    return moved
-
-
-def late(table, seconds, names):
-    """Return a table with late channels."""
-    time = table["time"]
-    delayed = table.copy()
-    for name in names:
-        values = np.unwrap(table[name]) if name in EULER else table[name]
-        delayed[name] = np.interp(time - seconds, time, values)
-    return delayed
 
 
 def thinned(table):
@@ -124,13 +99,6 @@ def scaled(table, factor, names):
 def exchanged(table, first, second):
     """Return a table with two channels exchanged."""
     return table.rename(columns={first: second, second: first})
-
-
-def without_gravity(table):
-    down = euler_to_matrix(table["phi"], table["theta"], table["psi"])[:, 2]
-    changed = table.copy()
-    changed[FORCES] += GRAVITY * down
-    return changed
 
 
 def from_east(table):

@@ -22,7 +22,7 @@ changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p an
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
-from _jsbsim_flight import (
+from jsbsim_flight import (
     COEFFICIENTS,
     FLOWN,
     KNOTS,

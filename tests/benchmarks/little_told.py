@@ -13,7 +13,7 @@ percentage inside, the median ratio of bands to those with everything told, and 
 
 import numpy as np
 from _common import Kept, finish, parser_of
-from _jsbsim_flight import (
+from jsbsim_flight import (
     FLOWN,
     STEADY,
     TRAINING,

@@ -47,9 +47,9 @@ def columns():
 
 
 @pytest.fixture(scope="module")
-def flown(jsbsim_benchmark):
+def flown(jsbsim_maker):
     """Return a flight of JSBSim's Cessna 172 with doublets of all surfaces, and the aircraft it was."""
-    fdm = jsbsim_benchmark.started("c172p", RATE, 100.0)
+    fdm = jsbsim_maker.started("c172p", RATE, 100.0)
     for name, method in INTEGRATORS.items():
         fdm[f"simulation/integrator/{name}"] = method
     names, sources, factors = zip(*columns(), strict=True)
@@ -61,7 +61,7 @@ def flown(jsbsim_benchmark):
             fdm[f"fcs/{surface}-cmd-norm"] = neutral[surface] + size * doublet
         fdm.run()
         rows[k] = [fdm[source] for source in sources]
-    return pd.DataFrame(rows * factors, columns=names), jsbsim_benchmark.aircraft_of(fdm, "c172p")
+    return pd.DataFrame(rows * factors, columns=names), jsbsim_maker.aircraft_of(fdm, "c172p")
 
 
 def vectors(flight, start, axes="xyz"):

@@ -1,15 +1,13 @@
 """What the filter-error method recovers from flights, and what it says when it cannot."""
 
-import importlib.util
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
+import uav_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 from pandas.testing import assert_frame_equal
@@ -22,20 +20,8 @@ from skdgp.estimation._air_fit import AirFit
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
 
-BENCHMARK = Path(__file__).parents[1] / "benchmarks" / "small_uav.py"
 SURFACES = ["elevator", "aileron", "rudder"]
 GUSTY = "0.5 m/s, 1 s"
-
-
-@cache
-def benchmark():
-    """The simulation of the benchmark."""
-    sys.path.insert(0, str(BENCHMARK.parent))
-    spec = importlib.util.spec_from_file_location("small_uav", BENCHMARK)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    sys.path.remove(str(BENCHMARK.parent))
-    return module
 
 
 class Flown(NamedTuple):
@@ -93,11 +79,10 @@ def flown(
     and unknown. ``thrust_arm`` are Cl and Cm by thrust. With a ``slipstream`` on the tail airspeeds
     change every 15 s.
     """
-    module = benchmark()
     rng = default_rng(seed)
-    plane = module.AIRCRAFT["trainer"]
+    plane = uav_flight.AIRCRAFT["trainer"]
     plane = plane | {"thrust_arm": np.array(thrust_arm), "slipstream": slipstream}
-    fleet = module.Fleet([plane], [module.AIRS[case]], [rng], seconds, [0.05])
+    fleet = uav_flight.Fleet([plane], [uav_flight.AIRS[case]], [rng], seconds, [0.05])
     changes = 1.0 if slipstream else 0.0
     fleet.legs = [
         (bank + 0 * banks, 1.0 + changes * (speeds - 1.0)) for banks, speeds in fleet.legs
@@ -105,19 +90,19 @@ def flown(
     starts = np.arange(0.5, seconds - 2, 2.0) if inputs else np.zeros(0)
     starts = starts + rng.uniform(0.0, 0.02, len(starts))  # between samples
     fleet.pulses[:] = 0.0
-    fleet.pulses[:, 0] += pulses(module.STEP * np.arange(len(fleet.pulses)), starts)
+    fleet.pulses[:, 0] += pulses(uav_flight.STEP * np.arange(len(fleet.pulses)), starts)
     rows = fleet.fly()[:, 0]
     if arm is not None:
         spin, rates = rows[:, 3:6], rows[:, 17:20]
         rows[:, :3] += np.cross(spin, arm) + np.cross(rates, np.cross(rates, arm))
-    table = module.logged(rows, rng, "ideal")
+    table = uav_flight.logged(rows, rng, "ideal")
     table[SURFACES] = rows[:, 23:26] if deflections else rows[:, 26:29]
     alpha = table.pop("alpha_true")
     sizes = ("mass", "wing_area", "span", "chord", "inertia")
     aircraft = Aircraft(**{name: plane[name] for name in sizes}, sensor_position=arm)
     pressure = 0.5 * table["density"] * table["airspeed"] ** 2
     loading = (table["thrust_x"] / (pressure * plane["wing_area"])).mean()
-    return Flown(table, alpha, module.truth_of(plane, alpha.mean(), loading), aircraft)
+    return Flown(table, alpha, uav_flight.truth_of(plane, alpha.mean(), loading), aircraft)
 
 
 @cache
@@ -248,7 +233,7 @@ def test_derivatives_of_a_flight_that_vibrates():
     """All inertial sensors feel the propeller, by 15 and 6 times their noise, at frequencies that follow its speed."""
     flight = flown(GUSTY, 40.0)
     table = flight.table
-    shake = benchmark().vibration(default_rng(2), table["throttle"].to_numpy(), 0.02)
+    shake = uav_flight.vibration(default_rng(2), table["throttle"].to_numpy(), 0.02)
     table[["ax", "ay", "az", "p", "q", "r"]] += shake
     found = flight.estimate()
     assert found.vibrates

@@ -1,9 +1,6 @@
 """Checks of physics: a fault put into a good flight is found in its channel, and a good flight has none."""
 
-import importlib
-import sys
-from pathlib import Path
-
+import log_errors
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,11 +11,6 @@ from skdgp._flight.physics import Regression, estimated_slope, find_contradictio
 from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import euler_to_matrix
 from skdgp.io import inspect_log, read_flight
-
-BENCHMARKS = str(Path(__file__).parents[1] / "benchmarks")
-sys.path.insert(0, BENCHMARKS)
-faults = importlib.import_module("faults")
-sys.path.remove(BENCHMARKS)
 
 ELEVONS = ["elevon_left", "elevon_right"]
 FORCES = ["ax", "ay", "az"]
@@ -155,7 +147,7 @@ FAULTS = {
     "elevons exchanged": (mixed(EXCHANGED), "elevon_left elevon_right"),
     "elevator reversed": (mixed(-EXCHANGED), "elevon_left elevon_right"),
     "one elevon reversed": (mixed(np.diag([-1.0, 1.0])), "elevon_left elevon_right"),
-    "gravity removed": (faults.without_gravity, "az"),
+    "gravity removed": (log_errors.without_gravity, "az"),
     "velocity east, north, up": (east_north_up, "v_north v_east v_down"),
     "heading from east": (lambda flight: flight.assign(psi=np.pi / 2 - flight["psi"]), "psi r"),
 }
@@ -180,11 +172,11 @@ def test_a_fault_is_found_in_its_channel(flight, fault):
 def test_a_lag_is_found_beyond_what_corrections_holds_and_gusts_explain(
     flight, name, seconds, explained, channels
 ):
-    found = contradictions(faults.late(flight, seconds, [name]))
+    found = contradictions(log_errors.late(flight, seconds, [name]))
     assert all("lag" in finding.numbers for finding in found)
     assert channels_of(found) <= set(channels.split())
     assert abs(found[0].numbers["lag"]) == pytest.approx(seconds, rel=0.12)
-    assert contradictions(faults.late(flight, explained, [name])) == []
+    assert contradictions(log_errors.late(flight, explained, [name])) == []
 
 
 @pytest.mark.parametrize("degrees", [-15.0, 3.0, 15.0])
@@ -335,9 +327,9 @@ CLEAN = {
     "vibrating and held": lambda flight: held(vibrating(flight), RATES),
     "slow GPS": lambda flight: held(flight, {"v_north v_east v_down north east altitude": 1}),
     "slow servos": lambda flight: held(flight, {"elevon_left elevon_right rudder throttle": 5}),
-    "late GPS": lambda flight: faults.late(flight, 0.2, faults.VELOCITY),
+    "late GPS": lambda flight: log_errors.late(flight, 0.2, log_errors.VELOCITY),
     "no vanes": lambda flight: flight.drop(columns=["alpha", "beta"]),
-    "no vanes, accelerometers ahead": lambda flight: faults.ahead(flight, 1.8).drop(
+    "no vanes, accelerometers ahead": lambda flight: log_errors.ahead(flight, 1.8).drop(
         columns=["alpha", "beta"]
     ),
 }
@@ -351,14 +343,14 @@ def test_good_flights_have_none(flights, logged, name):
 
 @pytest.mark.parametrize("moved", [False, True])
 def test_a_reversed_rudder_is_found_without_vanes(flight, moved):
-    log = faults.ahead(flight, 1.8) if moved else flight
+    log = log_errors.ahead(flight, 1.8) if moved else flight
     found = contradictions(opposite(log.drop(columns=["alpha", "beta"]), "rudder"))
     assert channels_of(found) == {"rudder"}
 
 
 def test_a_known_position_of_the_accelerometers_ends_a_contradiction(flight):
     """Five metres ahead, they contradict the ground velocity."""
-    log = faults.ahead(flight, 5.0)
+    log = log_errors.ahead(flight, 5.0)
     assert contradictions(log)
     placed = log.assign(sensor_position_x=5.0, sensor_position_y=0.0, sensor_position_z=0.0)
     assert contradictions(placed) == []
@@ -406,8 +398,8 @@ def test_one_of_several_flights(flight):
 
 
 @pytest.mark.parametrize("air", ["calm", "light"])
-def test_flights_of_jsbsim_have_none(jsbsim_flight, jsbsim_benchmark, air):
-    table = jsbsim_benchmark.sensed(jsbsim_flight("c172p", air))
+def test_flights_of_jsbsim_have_none(jsbsim_flight, jsbsim_maker, air):
+    table = jsbsim_maker.sensed(jsbsim_flight("c172p", air))
     assert contradictions(table) == []
     assert contradictions(vibrating(table)) == []
 

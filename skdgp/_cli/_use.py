@@ -45,7 +45,7 @@ def read_model(options) -> Bunch:
     """
     model = load_model(options.model)
     check_identified(model.pipeline)
-    if model.pipeline.control_units_:
+    if model.pipeline.control_units:
         warn(
             "Surfaces of this model are in parts of their full throw, -1 to 1, wherever radians "
             "are expected of them: in controls, limits, plans and exports."

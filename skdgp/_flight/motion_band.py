@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.smoothing import motion_band, power_beyond
+from skdgp._flight.smoothing import FittedFilter, motion_band, power_beyond, smooth
 from skdgp._flight.tables import has_values, numeric
 
 
@@ -60,3 +61,12 @@ def vibrates_beyond(table: pd.DataFrame, band: float) -> bool:
     forces = numeric(table, SPECIFIC_FORCE)
     parts = power_beyond(forces, time, band, flight=table.get("flight"))
     return bool(np.sum(parts > 0.5) >= 2)
+
+
+def band_limited(values: Matrix, table: pd.DataFrame, band: float) -> Matrix:
+    """Return columns (n, k) of flights without frequencies beyond a band [Hz]; as they are if it is infinite."""
+    if np.isinf(band):
+        return values
+    time = numeric(table, ["time"])[:, 0]
+    cutoff = FittedFilter.up_to(band, values.shape[1])
+    return smooth(values, time, flight=table.get("flight"), cutoff=cutoff)

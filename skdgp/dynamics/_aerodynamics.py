@@ -23,6 +23,7 @@ from skdgp._compute.typing import Array, Predictor
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._servos import IDEAL, Servos
+from skdgp.dynamics._size_errors import ScaleFactor
 
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
@@ -91,6 +92,9 @@ class Aerodynamics:
         How the model's controls follow from the aircraft's surfaces.
     units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md.
+    errors : mapping of str to ScaleFactor, optional
+        Errors of the log that the model was learned from, which linear models and paths of
+        simulations have too, and of the propeller's thrust.
     servos : Servos, optional
         From the commands of a simulation to the surfaces, which are the regressors; by default ideal.
     learned : Coefficients, optional
@@ -131,6 +135,7 @@ class Aerodynamics:
     chord: float | None = None
     mixing: Mixing | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    errors: Mapping[str, ScaleFactor] = field(default_factory=dict)
     servos: Servos = IDEAL
     learned: Coefficients | None = None
     perturbation: Any = None
@@ -212,6 +217,7 @@ class Aerodynamics:
             slopes=slopes,
             sampler=None,
             drift=None,
+            errors={},
             learned=None,
             perturbation=None,
         )
@@ -333,7 +339,8 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
         limits=limits,
         flown=flown,
         mixing=_mixing_of(by_role.get("controls")),
-        units=facts.get("control_units_", {}),
+        units=facts.get("control_units") or {},
+        errors=facts.get("errors_", {}),
         servos=reduce(Servos.before, servos, IDEAL),
         **lengths,
     )

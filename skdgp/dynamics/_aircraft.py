@@ -147,7 +147,7 @@ class Aircraft:
             stds |= derivatives["std"].to_dict()
         estimated = set()
         for factor in (self.deviations or {}).values():
-            if factor.source != "given" and not factor.of_log:
+            if factor.source != "given":
                 estimated |= factor.powers.keys()
         if "wing_area" in estimated:
             estimated.add("chord")

@@ -17,7 +17,7 @@ from skdgp.dynamics._aerodynamics import Aerodynamics, Coefficients, as_aerodyna
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
-from skdgp.dynamics._size_errors import errors_of_sizes
+from skdgp.dynamics._size_errors import errors_of_log, errors_of_sizes
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import ROTATION_OF, std_of_biases, unsteady_terms
 
@@ -92,9 +92,8 @@ def stability_derivatives(
           block,
         - ``std_method``: difference to the slopes of a polynomial with past regressors as
           instruments, and how far noise of the regressors flattens a slope,
-        - ``std_log``: errors of the log that flights do not show, ``deviations`` of the aircraft of
-          :func:`skdgp.identification.identify`: times of the channels, position of the sensors,
-          scale of the airspeed,
+        - ``std_log``: errors of the log that its flights do not show: times of the channels,
+          position of the sensors, scale of the airspeed,
         - ``std_posterior``: the rest.
 
         A model without a time series has the errors of its means alone as ``std_random``; one
@@ -103,8 +102,9 @@ def stability_derivatives(
         ``std_merged`` is the possible difference of derivatives by alpha_dot and beta_dot alone
         from the merged ones of the model, see the notes; ``merged`` names the larger one.
 
-        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is the effect of their
-        errors on the values, and ``aircraft`` names the largest. These are shared. Neither is part
+        Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is the effect of their errors,
+        and of that of the propeller's thrust, on the values, and ``aircraft`` names the largest. These
+        are shared. Neither is part
         of ``std``: trim, modes and simulations with the same aircraft hardly depend on them.
         Compare derivatives with other sources by all three.
 
@@ -148,7 +148,7 @@ def stability_derivatives(
         columns["perturbation"] = np.broadcast_to(frame.perturbation[:, None], values.shape)
     if n_paths and motion.aerodynamics.is_uncertain:
         columns |= _standard_deviations(motion, now, frame, n_paths, random_state, added_rows)
-    if aircraft.deviations:
+    if aircraft.deviations or motion.aerodynamics.errors:
         columns |= _errors_of_aircraft(motion, now, frame)
     if "std" in columns and "std_log" in columns:
         columns["std"] = np.hypot(columns["std"], columns["std_log"])
@@ -298,13 +298,13 @@ def _std_of_slopes(std: Array, now: Instant, frame: _Frame) -> Array:
 def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str, np.ndarray]:
     """Return the effect of errors of the log and of the aircraft's sizes, and names of the largest of the latter."""
     aircraft = motion.aircraft
-    factors = aircraft.deviations or {}
+    factors = {**(aircraft.deviations or {}), **motion.aerodynamics.errors}
     slopes = motion.aerodynamics.gradient(now.regressors)
     values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
     errors = errors_of_sizes(factors, aircraft.inertia, motion.regressors, values)
     magnitudes = np.abs(frame(errors[..., 0], errors[..., 1:]))
     names = np.array(list(factors), dtype=object)
-    is_of_log = np.array([factor.of_log for factor in factors.values()])
+    is_of_log = np.isin(names, list(errors_of_log(motion.aerodynamics.errors)))
     columns = {}
     if is_of_log.any():
         columns["std_log"] = np.sqrt(np.sum(magnitudes[is_of_log] ** 2, axis=0))

@@ -28,7 +28,7 @@ def drawn_functions(
     """
     model = motion.aerodynamics
     paths = model.sample(n_paths, random_state, rounded=rounded)
-    deviations = errors_of_log(motion.aircraft)
+    deviations = errors_of_log(model.errors)
     if not deviations:
         return paths
     draws = separate_generator(random_state, 6).standard_normal((n_paths, len(deviations)))

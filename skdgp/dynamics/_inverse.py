@@ -108,6 +108,20 @@ def aerodynamic_coefficients(
     {'CX': 0.014, 'CY': 0.0, 'CZ': -0.454, 'Cl': 0.0, 'Cm': 0.0, 'Cn': 0.0}
     """
     flight = _measured(flight, ignore)
+    return coefficients_of_checked(
+        flight, aircraft, cutoff=cutoff, thrust=thrust, external_forces=external_forces
+    )
+
+
+def coefficients_of_checked(
+    flight: pd.DataFrame,
+    aircraft: Aircraft,
+    *,
+    cutoff: float | str | FittedFilter | None = "auto",
+    thrust: str | None = "auto",
+    external_forces: Sequence[str] = (),
+) -> pd.DataFrame:
+    """Return `aerodynamic_coefficients` of a flight without faults, such as `FlightCheck` gives."""
     check_flight(flight, NEEDED)
     measured, rate_derivatives = _smoothed(flight, cutoff)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
@@ -154,16 +168,15 @@ def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
     return mass
 
 
-def coefficient_filter(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> FittedFilter:
-    """Return the smoothing of ``cutoff="auto"`` of flights, as a cutoff for other flights.
+def coefficient_filter(flight: pd.DataFrame) -> FittedFilter:
+    """Return the smoothing of ``cutoff="auto"`` of flights without faults, as a cutoff for other flights.
 
     "auto" leaves as much noise as the motion of each flight asks for. Coefficients that pass
     through the smoothing of the training flights have their noise, which a band of new
     measurements contains.
 
-    Parameters and errors: see `aerodynamic_coefficients`.
+    Errors: see `aerodynamic_coefficients`.
     """
-    flight = _measured(flight, ignore)
     check_flight(flight, NEEDED)
     return _filter_of_vibration(flight) or FittedFilter.of_flights(
         _channels(flight), shrink=SHRINKS, **_clock(flight)

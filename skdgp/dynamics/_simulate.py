@@ -87,7 +87,7 @@ def simulate(
         flights. ``Air(gusts=None)`` is calm.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of the mean, each for a whole
-        flight, with errors of the log that the aircraft has (``deviations``). Their spread is the
+        flight, with the errors of the log that the model was learned from. Their spread is the
         uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.

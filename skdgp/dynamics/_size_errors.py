@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -41,21 +40,17 @@ class ScaleFactor:
         -1 % of ``wing_area`` and, as c = S / b, of -1 % of ``chord``. The product Ixz has no size
         to be relative to: its errors are of sqrt(Ixx Izz).
     source : str
-        Source of the estimate.
+        Source of the estimate; "" of an error of the log that a model was learned from.
     added : mapping of str to float
-        Of an error that adds to coefficients, such as an error of the thrust: the change by an
-        error of 100 %, of coefficients and their slopes by regressors of a model, "CX",
+        Of a learned model, an error that adds to its coefficients, such as an error of the thrust:
+        the change by an error of 100 %, of coefficients and their slopes by regressors, "CX",
         "CX_alpha", ...
-    of_log : bool
-        Whether it is an error of the log that a model was learned from, which linear models and
-        paths of simulations then have.
     """
 
     std: float
     powers: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
     added: Mapping[str, float] = field(default_factory=dict)
-    of_log: bool = False
 
     def __post_init__(self):
         std = check_number("std of a scale factor", self.std, is_open=False)
@@ -68,10 +63,9 @@ def _floats(values: Mapping) -> dict[str, float]:
     return {str(name): float(value) for name, value in values.items()}
 
 
-def errors_of_log(aircraft: Any) -> dict[str, ScaleFactor]:
-    """Return the deviations of an aircraft that are errors of the log that its model was learned from."""
-    deviations = aircraft.deviations or {}
-    return {name: factor for name, factor in deviations.items() if factor.of_log}
+def errors_of_log(errors: Mapping[str, ScaleFactor]) -> dict[str, ScaleFactor]:
+    """Return the errors of a learned model that are those of its log."""
+    return {name: factor for name, factor in errors.items() if not factor.source}
 
 
 def errors_of_sizes(

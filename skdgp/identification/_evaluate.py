@@ -13,11 +13,16 @@ import pandas as pd
 from skdgp._compute.messages import notify
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, TRUTH_SUFFIX
+from skdgp._flight.motion_band import band_limited
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import aerodynamic_coefficients, replay
+from skdgp.dynamics import band_filter, coefficients_of_checked, replay
 from skdgp.identification._learn import LearnedModel
-from skdgp.identification._least_squares import linear_terms, named_regressors
-from skdgp.identification._pipeline import band_limited, cutoff_of, flight_regressors
+from skdgp.identification._least_squares import linear_terms
+from skdgp.identification._pipeline import (
+    band_of,
+    flight_regressors,
+    named_regressors,
+)
 from skdgp.metrics import (
     interval_coverage,
     median_relative_error,
@@ -126,11 +131,12 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     pipeline = model.pipeline
     X, noise_ratio = flight_regressors(pipeline, table)
     corrected = pipeline.corrected(table)
-    measured = aerodynamic_coefficients(
-        corrected, model.aircraft, cutoff=cutoff_of(pipeline.band_), **loads
+    band = band_of(pipeline)
+    measured = coefficients_of_checked(
+        corrected, model.aircraft, cutoff="auto" if np.isinf(band) else band_filter(band), **loads
     )
     # with the noise of the fit, which the bands contain
-    measured_as_in_fit = aerodynamic_coefficients(
+    measured_as_in_fit = coefficients_of_checked(
         corrected, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
     )
     regressor = pipeline[-1]
@@ -152,7 +158,7 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
         prediction_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=X,
-        truth=_truth(corrected, pipeline.band_),
+        truth=_truth(corrected, band),
         baseline=_baseline(model, X),
         replay=replayed,
     )

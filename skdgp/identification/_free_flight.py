@@ -174,17 +174,15 @@ class FreeFlight:
     ) -> pd.DataFrame:
         """Return a simulation of parts of flights with their controls, in their air or drawn gusts."""
         air = self._air(parts)
-        aircraft = self.aircraft
         if gusts is not None:
             air = replace(air, gusts=gusts)
-            aircraft = replace(aircraft, deviations=None)  # paths differ by the gusts alone
         not_inputs = [*STATES, *WIND, "flight", "psi"]
         inputs = [part.flown.drop(columns=not_inputs, errors="ignore") for part in parts]
         starts = pd.DataFrame([part.start for part in parts]).reset_index(drop=True)
         with without_warnings(SimulationWarning):  # an end is an error without bound
             return simulate(
                 model,
-                aircraft,
+                self.aircraft,
                 starts,
                 inputs,
                 dt=self.settings.step,

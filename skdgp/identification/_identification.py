@@ -195,7 +195,7 @@ class Identification:
     @property
     def units(self) -> dict[str, str]:
         """Units of controls that differ from docs/notation.md."""
-        return self.pipeline.control_units_
+        return dict(self.pipeline.control_units or {})
 
     @property
     def facts(self) -> dict[str, str]:

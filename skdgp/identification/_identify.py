@@ -137,7 +137,7 @@ def identify(
         train={name: model.pipeline.corrected(table) for name, table in prepared.train.items()},
         evaluations=evaluations,
         findings=tuple(warned.findings),
-        assumptions=assumptions(model.aircraft, warned.findings),
+        assumptions=assumptions(model.aircraft, model.pipeline.errors_, warned.findings),
     )
 
 

@@ -24,18 +24,13 @@ from skdgp._flight.channels import (
     HIGH_LIFT,
     MIXED,
     THRUST_COLUMNS,
-    VANES,
 )
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
-from skdgp.estimation import without_airspeed_error
-from skdgp.identification._least_squares import fit_least_squares, named_regressors
-from skdgp.identification._log_errors import with_log_errors, with_thrust_errors
+from skdgp.dynamics import Aircraft, coefficients_of_checked
+from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._pipeline import (
     FlightPipeline,
-    LogErrors,
     lag_corrector_of,
     make_identification_pipeline,
     regressor_names,
@@ -44,23 +39,7 @@ from skdgp.identification._prepare import PreparedFlights
 from skdgp.identification._record import FitRecord, TrainingRecord, flown_seconds
 from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
-from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightPathReconstruction
-
-
-@dataclass(frozen=True)
-class RowSettings:
-    """How many rows of the flights a model is learned from by default."""
-
-    #: Of exact inference, which takes a minute
-    exact: int = 755
-    #: Rows a second: errors of smoothed channels last longer (example flights: as good as all rows)
-    rate: float = 10.0
-    #: Most rows, of long flights
-    most: int = 5000
-
-
-ROWS = RowSettings()
 
 
 @dataclass(frozen=True)
@@ -86,7 +65,6 @@ class LearnedModel:
     Attributes
     ----------
     pipeline, aircraft : Pipeline, Aircraft
-        The aircraft with the deviations that the flights leave it.
     fit : FitRecord
     options : dict
         Options of the identification, given or chosen, and ``horizons`` of the evaluation.
@@ -122,27 +100,14 @@ def learn(
     """Return the model of the training flights; parameters: see `identify`."""
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     table = prepared.table
-    pipeline = _pipeline_for(prepared, regressors, regressor, steps)
-    errors = pipeline.errors_of_log(table)
-    _report_errors_of_log(errors)
-    corrected = without_airspeed_error(table, errors.airspeed.removable())
-    Y = aerodynamic_coefficients(
-        corrected, prepared.aircraft, cutoff=errors.cutoff, **prepared.loads
-    )
-    flown = flown_seconds(prepared.train.values())
-    targets = thin_targets(Y, _n_rows(samples, regressor, len(Y), flown))
+    pipeline = _pipeline_for(prepared, regressors, regressor, steps, samples)
+    flights = without_airspeed_error(table, airspeed_scale(table).removable())
+    Y = coefficients_of_checked(flights, prepared.aircraft, **prepared.loads)
+    targets = pipeline.thinned(table, Y)
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     began = time.monotonic()
-    X = pipeline.fit_returning_regressors(
-        table,
-        targets,
-        errors=errors,
-        # of a named set without a thrust, those of throttle and airspeed that explain the coefficients
-        choose_engine=prepared.lacks_thrust and isinstance(regressors, str),
-        coefficient_filter=coefficient_filter(table),
-        control_units=FULL_THROWS if prepared.has_full_throws else {},
-    )
+    pipeline.fit(table, targets)
     seconds = round(time.monotonic() - began, 3)
     training = TrainingRecord(
         samples=_n_observed(targets),
@@ -150,10 +115,10 @@ def learn(
         values=int(targets.notna().to_numpy().sum()),
         seconds=seconds,
         thrust=thrust_sources(prepared.loads["thrust"], prepared.train.values()),
-        least_squares=fit_least_squares(pipeline, X, targets),
+        least_squares=pipeline.least_squares_,
         flights={name: len(part) for name, part in prepared.train.items()},
-        conditions={str(k): float(v) for k, v in corrected.median(numeric_only=True).items()},
-        flown=flown,
+        conditions={str(k): float(v) for k, v in flights.median(numeric_only=True).items()},
+        flown=flown_seconds(prepared.train.values()),
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:
@@ -162,23 +127,9 @@ def learn(
             numbers={"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands},
         )
         report(finding)
-    regressors_of_fit = named_regressors(pipeline, X)
-    aircraft = prepared.aircraft
-    if "propeller" in training.thrust:
-        aircraft = with_thrust_errors(aircraft, corrected, regressors_of_fit)
-    if has_values(corrected, *VANES):  # without them errors of the log are parameters of the filter
-        step = lag_corrector_of(pipeline)
-        aircraft = with_log_errors(
-            aircraft,
-            corrected,
-            regressors_of_fit,
-            training.least_squares,
-            None if step is None else step.lags_,
-            errors.airspeed.left(),
-        )
     return LearnedModel(
         pipeline=pipeline,
-        aircraft=aircraft,
+        aircraft=prepared.aircraft,
         fit=fit,
         options=_options(prepared, pipeline, training.samples, horizons),
     )
@@ -189,48 +140,27 @@ def _n_observed(coefficients: pd.DataFrame) -> int:
     return int(coefficients.notna().any(axis=1).sum())
 
 
-def _report_errors_of_log(errors: LogErrors) -> None:
-    """Report an error of the airspeed that is removed, and vibration."""
-    airspeed = errors.airspeed
-    if airspeed.removable():
-        numbers = {"percent": 100 * airspeed.value, "std_percent": 100 * airspeed.std}
-        report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers))
-    if np.isfinite(errors.band):
-        report(Finding(Code.VIBRATION, numbers={"band": errors.band}))
-
-
-def _n_rows(
-    samples: int | str | None, regressor: DependentGPRegressor, n: int, seconds: float
-) -> int:
-    """Return how many of the n rows of flights of some seconds to learn from."""
-    if samples == "all":
-        return n
-    if samples is not None:
-        return int(samples)
-    if regressor.inference == "exact":
-        return ROWS.exact
-    return min(n, math.ceil(ROWS.rate * seconds), ROWS.most)
-
-
 def _pipeline_for(
     prepared: PreparedFlights,
     regressors: str | Sequence[str],
     regressor: DependentGPRegressor,
     steps: Mapping[str, Any],
+    samples: int | str | None,
 ) -> FlightPipeline:
     """Return the pipeline that learns the coefficients of the flights."""
     columns = {*prepared.table}
     options = dict(steps)
     if not ({*MIXED} <= columns or {*ELEVONS} & columns):
         options.setdefault("mixer", "passthrough")
-    pipeline = make_identification_pipeline(
-        prepared.aircraft, regressors=regressors, regressor=regressor, **options
+    return make_identification_pipeline(
+        prepared.aircraft,
+        regressors=regressors,
+        regressor=regressor,
+        samples=samples,
+        control_units=FULL_THROWS if prepared.has_full_throws else None,
+        **prepared.loads,
+        **options,
     )
-    if isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction):
-        pipeline.set_params(flightpathreconstruction__thrust=prepared.loads["thrust"])
-        if prepared.loads["external_forces"]:  # which the motion of the air does not know
-            pipeline.set_params(flightpathreconstruction__aircraft=None)
-    return pipeline
 
 
 def _options(

@@ -7,22 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 from sklearn.linear_model import LinearRegression
-from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp.identification._pipeline import regressor_names
 
 
-def fit_least_squares(
-    pipeline: Pipeline, regressors: Matrix, Y: pd.DataFrame
-) -> dict[str, dict[str, float]]:
-    """Return intercept and slopes of each coefficient (n, 6) by least squares, where it is observed.
-
-    ``regressors`` (n, d) are inputs of the last step; the slopes are in the units before the scaler
-    of the pipeline.
-    """
-    table = named_regressors(pipeline, regressors)
+def fit_least_squares(table: pd.DataFrame, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Return intercept and slopes of each coefficient (n, 6) by regressors (n, d), where it is observed."""
     fitted: dict[str, dict[str, float]] = {}
     for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
         is_observed = np.isfinite(y)
@@ -36,9 +27,3 @@ def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Mat
     """Return intercepts (6,) and slopes (d, 6) of `fit_least_squares`."""
     table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
     return table.loc["intercept"].to_numpy(), table.drop("intercept").to_numpy()
-
-
-def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
-    """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    columns = pipeline["standardscaler"].inverse_transform(regressors)
-    return pd.DataFrame(columns, columns=regressor_names(pipeline))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -11,10 +11,18 @@ from sklearn.linear_model import LinearRegression
 
 from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, SENSOR_POSITION, SURFACES, VANES
+from skdgp._flight.channels import (
+    COEFFICIENTS,
+    HAT,
+    SENSOR_POSITION,
+    SURFACES,
+    THRUST_COLUMNS,
+    VANES,
+)
 from skdgp._flight.clock import Clock, median_step
 from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, sensor_position
 from skdgp._flight.smoothing import differentiate
+from skdgp._flight.tables import has_values
 from skdgp.dynamics import PRESSURE, Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM, AirSettings
 from skdgp.identification._least_squares import linear_terms
@@ -36,46 +44,49 @@ CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
 
-def with_log_errors(
+def learned_errors(
+    flights: pd.DataFrame,
     aircraft: Aircraft,
-    table: pd.DataFrame,
     regressors: pd.DataFrame,
     least_squares: Mapping[str, Mapping[str, float]],
     lags: pd.DataFrame | None,
     airspeed_std: float,
-) -> Aircraft:
-    """Return the aircraft, with the errors of coefficients by errors of the log.
+) -> dict[str, ScaleFactor]:
+    """Return the errors of coefficients learned from flights, by errors of the log.
 
     Errors are the times of surfaces and vanes, after the removal of ``lags`` (`LagCorrector.lags_`),
-    the position of the inertial sensors, and the airspeed, of relative error ``airspeed_std``.
+    the position of the inertial sensors, and the airspeed, of relative error ``airspeed_std``. Without
+    vanes they are parameters of the filter.
     """
-    added = _by_clocks(table, regressors, least_squares, lags) | _by_position(
-        aircraft, table, regressors
+    if not has_values(flights, *VANES):
+        return {}
+    added = _by_clocks(flights, regressors, least_squares, lags) | _by_position(
+        aircraft, flights, regressors
     )
-    factors = {name: ScaleFactor(1.0, added=effect, of_log=True) for name, effect in added.items()}
+    factors = {name: ScaleFactor(1.0, added=effect) for name, effect in added.items()}
     if airspeed_std:
-        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0}, of_log=True)
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), **factors})
+        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0})
+    return factors
 
 
-def with_thrust_errors(
-    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame
-) -> Aircraft:
-    """Return the aircraft, with the errors of coefficients by the error of its propeller's thrust.
+def thrust_errors(
+    flights: pd.DataFrame, aircraft: Aircraft, regressors: pd.DataFrame
+) -> dict[str, ScaleFactor]:
+    """Return the errors of coefficients learned from flights, by the error of the propeller's thrust.
 
     If the thrust is T (1 + e), coefficients lack e T / (qbar S).
     """
     propeller = aircraft.propeller
-    if propeller is None or not propeller.load_std:
-        return aircraft
-    force, moment = propulsive_loads(table, aircraft)
+    is_unused = not {*THRUST_COLUMNS}.isdisjoint(flights)
+    if is_unused or propeller is None or not propeller.load_std:
+        return {}
+    force, moment = propulsive_loads(flights, aircraft)
     missing = (
         -np.hstack([force, moment / aircraft.moment_lengths])
-        / dynamic_load(table, aircraft)[:, None]
+        / dynamic_load(flights, aircraft)[:, None]
     )
     added = learned_as(missing, regressors)
-    factor = ScaleFactor(propeller.load_std, source="size of the propeller", added=added)
-    return replace(aircraft, deviations={**(aircraft.deviations or {}), "thrust": factor})
+    return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
 
 
 def learned_as(changes: Matrix, regressors: pd.DataFrame) -> dict[str, float]:

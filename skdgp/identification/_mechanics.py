@@ -259,13 +259,15 @@ def _linear(
 
 
 def reconstructed(pipeline: Pipeline | Aerodynamics, table: pd.DataFrame) -> pd.DataFrame:
-    """Return a flight with its logged inputs, and reconstructed states and wind; unchanged without reconstruction.
+    """Return a checked flight with its logged inputs, and reconstructed states and wind.
 
-    The flight is without the error of the airspeed that the pipeline removes.
+    Unchanged without reconstruction.
     """
     if not isinstance(pipeline, Pipeline) or reconstruction_of(pipeline) is None:
         return table
-    n_steps = 1 + list(pipeline.named_steps).index("flightpathreconstruction")
+    names = list(pipeline.named_steps)
+    first = names.index("flightcheck") + 1 if "flightcheck" in names else 0
+    n_steps = 1 + names.index("flightpathreconstruction")
     with without_warnings():  # the evaluation has shown them
-        motion = Pipeline(pipeline.steps[:n_steps]).transform(table)
+        motion = Pipeline(pipeline.steps[first:n_steps]).transform(table)
     return table.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))

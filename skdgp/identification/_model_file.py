@@ -26,7 +26,7 @@ from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
-FORMAT = 8
+FORMAT = 9
 CHECKSUM, END = b', "sha256": "', b'"}\n'
 CHECKSUM_LENGTH = 64
 LONGEST_CLOSING = 2**14

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,27 +13,28 @@ from sklearn import get_config
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.utils.metaestimators import available_if
 from sklearn.utils.validation import check_consistent_length, check_is_fitted
 
-from skdgp._compute.messages import without_warnings
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
-from skdgp._flight.motion_band import vibration_band
-from skdgp._flight.smoothing import FittedFilter, smooth
+from skdgp._flight.smoothing import FittedFilter
+from skdgp._flight.tables import has_values
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, Turbulence, band_filter, check_aircraft
-from skdgp.estimation import (
-    UNKNOWN_SCALE,
-    AirspeedScale,
-    airspeed_scale,
-    without_airspeed_error,
+from skdgp.dynamics import (
+    Aircraft,
+    ScaleFactor,
+    Turbulence,
+    check_aircraft,
+    coefficient_filter,
 )
+from skdgp.estimation import UNKNOWN_SCALE, AirspeedScale, without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
-from skdgp.identification._engine import engine_regressors
+from skdgp.identification._least_squares import fit_least_squares
+from skdgp.identification._log_errors import learned_errors, thrust_errors
 from skdgp.inference import KnownSlopes
 from skdgp.metrics import check_scored
+from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -48,6 +49,21 @@ from skdgp.preprocessing import (
 DIFFERENTIATED = (*VANES, *RATES)
 
 
+@dataclass(frozen=True)
+class RowSettings:
+    """How many rows of the flights a model is learned from by default."""
+
+    #: Of exact inference, which takes a minute
+    exact: int = 755
+    #: Rows a second: errors of smoothed channels last longer (example flights: as good as all rows)
+    rate: float = 10.0
+    #: Most rows, of long flights
+    most: int = 5000
+
+
+ROWS = RowSettings()
+
+
 def make_identification_pipeline(
     aircraft: Aircraft,
     *,
@@ -58,14 +74,18 @@ def make_identification_pipeline(
     regressor: Any = None,
     memory: Any = None,
     lags: str | dict | None = "auto",
+    samples: int | str | None = None,
+    thrust: str | None = "auto",
+    external_forces: Sequence[str] = (),
+    control_units: Mapping[str, str] | None = None,
 ) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
 
     ============================ ======================================================================================
-    ``flightcheck``              faults of the log named and removed, short gaps bridged
+    ``flightcheck``              faults of the log and error of its airspeed removed, short gaps bridged
     ``lagcorrector``             lags of air data, surfaces, attitude and GPS removed, where flights show them
     ``flightpathreconstruction`` airspeed, alpha, beta, rates and attitude that fit each other and all sensors
-    ``flightsmoother``           the rest of the sensor noise removed, rates of change added, without delay
+    ``flightsmoother``           sensor noise and vibration removed, rates of change added, without delay
     ``elevonsplitter``           elevons into elevator and aileron; tables that hold these already pass
     ``ratenondimensionalizer``   p b / 2V, q c / 2V, ... with the aircraft's span and chord
     ``regressorselector``        the columns to learn from
@@ -74,9 +94,9 @@ def make_identification_pipeline(
     ============================ ======================================================================================
 
     The names are the steps', so ``dependentgpregressor__n_latent`` is a parameter for
-    ``GridSearchCV``. Fit it on whole flights at their full rate, and choose the rows to learn from
-    in the targets (:func:`skdgp.model_selection.thin_targets`). In cross-validation hold out
-    flights: ``groups=table["flight"]``. Raises TypeError if ``aircraft`` is not an Aircraft.
+    ``GridSearchCV``. Fit it on whole flights at their full rate: `identify` fits this pipeline, to
+    the coefficients of its flights. In cross-validation hold out flights:
+    ``groups=table["flight"]``. Raises TypeError if ``aircraft`` is not an Aircraft.
 
     Parameters
     ----------
@@ -101,6 +121,14 @@ def make_identification_pipeline(
         each flight once.
     lags : "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.LagCorrector`.
+    samples : int, "all" or None
+        Rows to learn from, spread over the flights: see `FlightPipeline`.
+    thrust, external_forces
+        As for :func:`skdgp.dynamics.aerodynamic_coefficients`, which gave the coefficients. With
+        ``thrust=None`` a named set gets those of throttle and airspeed that explain the
+        coefficients.
+    control_units : mapping of str to str, optional
+        Units of controls that differ from docs/notation.md, such as "full throw".
 
     Returns
     -------
@@ -125,7 +153,12 @@ def make_identification_pipeline(
     """
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
-        reconstruction = FlightPathReconstruction(optional=True, aircraft=aircraft)
+        reconstruction = FlightPathReconstruction(
+            optional=True,
+            # the motion of the air does not know external forces
+            aircraft=None if external_forces else aircraft,
+            thrust=thrust,
+        )
     # all for a named set, so that a search may choose; of a list its own
     derivatives = list(DIFFERENTIATED)
     if not isinstance(regressors, str):
@@ -138,11 +171,18 @@ def make_identification_pipeline(
         FlightSmoother(cutoff=cutoff, derivatives=derivatives),
         ElevonSplitter(),
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
-        RegressorSelector(regressors),
+        RegressorSelector(regressors, engine=thrust is None),
         StandardScaler(),
         DependentGPRegressor() if regressor is None else clone(regressor),
     )
-    pipeline = FlightPipeline(steps.steps, memory=memory)
+    pipeline = FlightPipeline(
+        steps.steps,
+        aircraft=aircraft,
+        samples=samples,
+        thrust=thrust,
+        control_units=control_units,
+        memory=memory,
+    )
     pipeline.set_params(flightpathreconstruction=reconstruction)
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
@@ -158,19 +198,7 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
     as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
-
-    As in the fit, a `FlightPipeline` removes the error of the airspeed from the flight, and
-    frequencies beyond its ``band_`` from the regressors.
     """
-    if isinstance(pipeline, FlightPipeline):
-        flight = pipeline.corrected(flight)
-        regressors, ratio = _regressors_of(pipeline, flight)
-        return band_limited(regressors, flight, pipeline.band_), ratio
-    return _regressors_of(pipeline, flight)
-
-
-def _regressors_of(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
-    """Return the regressors (n, d) by the steps of a pipeline, and the ratio of their variances (n,)."""
     ratio = np.ones(len(flight))
     for _, step in pipeline.steps[:-1]:
         if step in (None, "passthrough"):
@@ -182,18 +210,18 @@ def _regressors_of(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Ve
     return np.asarray(flight), ratio
 
 
-def band_limited(values: Matrix, flights: pd.DataFrame, band: float) -> Matrix:
-    """Return columns (n, k) of flights without frequencies beyond ``band`` [Hz]; as they are if it is infinite."""
-    if np.isinf(band):
-        return values
-    time = flights["time"].to_numpy(float)
-    cutoff = FittedFilter.up_to(band, values.shape[1])
-    return smooth(values, time, flight=flights.get("flight"), cutoff=cutoff)
-
-
 def regressor_names(pipeline: Pipeline) -> list[str]:
     """Return the names of the regressors of the last step."""
     return [str(name) for name in pipeline["regressorselector"].regressors_]
+
+
+def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
+    """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
+    scaler = pipeline.named_steps.get("standardscaler")
+    columns = regressors
+    if isinstance(scaler, StandardScaler):
+        columns = scaler.inverse_transform(regressors)
+    return pd.DataFrame(columns, columns=regressor_names(pipeline))
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
@@ -209,57 +237,64 @@ def lag_corrector_of(pipeline: Pipeline) -> LagCorrector | None:
     return step if isinstance(step, LagCorrector) else None
 
 
-class LogErrors(NamedTuple):
-    """Errors that the flights of a log show, and that are removed from them."""
-
-    airspeed: AirspeedScale = UNKNOWN_SCALE
-    #: Highest frequency [Hz] of regressors, where flights vibrate and have vanes
-    band: float = np.inf
-
-    @property
-    def cutoff(self) -> FittedFilter | str:
-        """Cutoff of the coefficients: "auto", by their spectra, or the filter up to the band."""
-        return cutoff_of(self.band)
+def airspeed_scale_of(pipeline: Pipeline) -> AirspeedScale:
+    """Return the relative error of the airspeed of the flights that a pipeline was fitted to."""
+    step = pipeline.named_steps.get("flightcheck")
+    return step.airspeed_scale_ if isinstance(step, FlightCheck) else UNKNOWN_SCALE
 
 
-def cutoff_of(band: float) -> FittedFilter | str:
-    """Return the cutoff of the coefficients of flights whose regressors end at ``band`` [Hz]."""
-    return "auto" if np.isinf(band) else band_filter(band)
+def band_of(pipeline: Pipeline) -> float:
+    """Return the highest frequency [Hz] of the regressors of a pipeline."""
+    step = pipeline.named_steps.get("flightsmoother")
+    return step.band_ if isinstance(step, FlightSmoother) else np.inf
 
 
 class FlightPipeline(Pipeline):
     """Pipeline from flight tables to coefficients, with standard deviations for the gusts of the flight.
 
-    The same as scikit-learn's ``Pipeline``, except that ``predict(flight, return_std=True)``
-    includes the noise of the regressors, which is larger in rougher air, see
-    :func:`flight_regressors`. Where flights vibrate, or legs of several headings show an error of
-    their airspeed, the fit and predictions remove both from the regressors. So does ``transform`` of the
-    first steps, such as ``pipeline[:-1]``, which gives the regressors of `predict`.
+    As scikit-learn's ``Pipeline``, and
+
+    - ``fit`` learns from some of the rows (``samples``), which keep the clock of the flights;
+    - a :class:`skdgp.DependentGPRegressor` at the end gets ``time`` and ``flight`` of each row, and
+      the slopes that steps before it know: of the motion of the air, without vanes, and zeros of
+      throttle and airspeed that explain nothing. With metadata routing it gets what it requests;
+    - ``predict(flight, return_std=True)`` includes the noise of the regressors, which is larger in
+      rougher air, see :func:`flight_regressors`.
+
+    A ``Pipeline`` of the same steps without these is as good where flights have vanes and little
+    gusts.
 
     Parameters
     ----------
-    steps, transform_input, memory, verbose
+    steps : list of (str, estimator)
+        The first is a :class:`skdgp.preprocessing.FlightCheck`.
+    aircraft : Aircraft, optional
+        For errors of the log and turbulence.
+    samples : int, "all" or None
+        Rows to learn from, spread over those that have a target. None: ten a second, at most 5000,
+        or 755 by exact inference; of another regressor than ``DependentGPRegressor`` all.
+    thrust : str or None, default="auto"
+        As of :func:`make_identification_pipeline`.
+    control_units : mapping of str to str, optional
+        Units of controls that differ from docs/notation.md.
+    transform_input, memory, verbose
         As of scikit-learn's ``Pipeline``.
 
     Attributes
     ----------
-    turbulence_ : Turbulence or None
-        Of the flights of the fit; None where `Turbulence.from_flight` raises an error for their
-        table, which says why.
-    control_units_ : dict of str to str
-        Units of controls that differ from docs/notation.md, such as "full throw"; given by
-        :func:`identify`, empty after another ``fit``.
     seconds_ : float or None
         Duration of the flights of the fit [s], without gaps; None without ``time``.
-    band_ : float
-        Highest frequency [Hz] of the regressors, where the flights of the fit vibrate and have
-        vanes; else infinite.
+    turbulence_ : Turbulence or None
+        Of the flights of the fit, where they show it.
     coefficient_filter_ : FittedFilter or "auto"
-        Smoothing of the coefficients of the fit, with which those of other flights have the same
-        noise; given by :func:`identify`, "auto" after another ``fit``.
-    airspeed_scale_ : float
-        Relative error of the airspeed that is removed from flights; zero where those of the fit
-        do not show one.
+        Smoothing of the coefficients of the fit by `aerodynamic_coefficients`, with which those of
+        other flights have the same noise; "auto" where channels are missing.
+    least_squares_ : dict of str to dict
+        Intercept and slopes of each of the six coefficients by least squares of the same rows, in
+        units; empty of other targets.
+    errors_ : dict of str to ScaleFactor
+        Errors of the log, and of the propeller's thrust, that flights do not show, and their effect
+        on the coefficients.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -267,157 +302,101 @@ class FlightPipeline(Pipeline):
     """
 
     steps: list[tuple[str, Any]]
-    control_units_: Mapping[str, str] = MappingProxyType({})
-    band_: float = np.inf
-    coefficient_filter_: FittedFilter | str = "auto"
-    airspeed_scale_: float = 0.0
     calibration_: RegressionCalibration | None = None
+
+    def __init__(
+        self,
+        steps: list[tuple[str, Any]],
+        *,
+        aircraft: Aircraft | None = None,
+        samples: int | str | None = None,
+        thrust: str | None = "auto",
+        control_units: Mapping[str, str] | None = None,
+        transform_input: Any = None,
+        memory: Any = None,
+        verbose: bool = False,
+    ) -> None:
+        super().__init__(steps, transform_input=transform_input, memory=memory, verbose=verbose)
+        self.aircraft = aircraft
+        self.samples = samples
+        self.thrust = thrust
+        self.control_units = control_units
 
     def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
-        A :class:`skdgp.DependentGPRegressor` at the end also gets ``time`` and ``flight`` of each
-        row, unless metadata routing is enabled: request them there. ``params`` are as of
-        scikit-learn's ``Pipeline``.
+        ``params`` are as of scikit-learn's ``Pipeline``.
         """
+        y = self.thinned(X, y)
+        self.calibration_ = None
+        self.least_squares_: dict[str, dict[str, float]] = {}
+        self.errors_: dict[str, ScaleFactor] = {}
         if get_config()["enable_metadata_routing"]:
-            # scikit-learn's own fit leaves no place for a band
-            self._keep_errors(self.errors_of_log(X)._replace(band=np.inf))
-            self.calibration_ = None
-            self.coefficient_filter_ = "auto"
-            self.control_units_ = {}
-            X = self.corrected(X)
             super().fit(X, y, **params)
-            self._learn_turbulence(X)
-        else:
-            self.fit_returning_regressors(X, y, **params)
-        return self
-
-    def fit_returning_regressors(
-        self,
-        X: pd.DataFrame,
-        y: Any,
-        *,
-        errors: LogErrors | None = None,
-        choose_engine: bool = False,
-        coefficient_filter: FittedFilter | str = "auto",
-        control_units: Mapping[str, str] = MappingProxyType({}),
-        **params: Any,
-    ) -> Matrix:
-        """Fit with ``params`` of the last step, and return the regressors (n, d) that it learned from.
-
-        ``errors`` of the log are by default those that the flights show. ``choose_engine``: of throttle and airspeed
-        the set of regressors gets those of `engine_regressors`. ``coefficient_filter`` is how y was smoothed,
-        "auto" if that is unknown, ``control_units`` are those of controls that differ from docs/notation.md.
-        """
-        self._keep_errors(self.errors_of_log(X) if errors is None else errors)
-        self.coefficient_filter_ = coefficient_filter
-        self.control_units_ = dict(control_units)
+            self._learn_flights(self[:1].transform(X))
+            return self
+        first, others = self[:1], self[1:-1]
+        flights = first.fit_transform(X, y)
+        regressors = np.asarray(others.fit_transform(flights, y))
+        # with a ``memory``, clones of the steps were fitted
+        self.steps[:-1] = [*first.steps, *others.steps]
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
-        X = self.corrected(X)
-        regressors, without_effect = self._fit_transforms(X, y, choose_engine)
-        regressors = band_limited(regressors, X, self.band_)
-        of_air = self._slopes_of_air(regressors, y)
-        slopes = self._known_slopes(of_air, without_effect)
-        last.fit(regressors, y, **slopes | self._clock(X) | parameters)
-        self.calibration_ = None
-        if of_air is not None:
+        known = self._slopes_of_air(regressors, y)
+        last.fit(regressors, y, **self._facts_for_last(X, known) | parameters)
+        if known is not None:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
             self.calibration_ = RegressionCalibration.of_residuals(
-                regressors, residuals, without_effect
+                regressors, residuals, self._without_effect()
             )
-        self._learn_turbulence(X)
-        return regressors
-
-    def errors_of_log(self, X: pd.DataFrame) -> LogErrors:
-        """Return the errors that flights X show, without faults of their sensors.
-
-        They are unknown without a step ``flightcheck``.
-        """
-        if not isinstance(X, pd.DataFrame) or "flightcheck" not in self.named_steps:
-            return LogErrors()
-        with without_warnings():  # the step itself warns
-            checked = FlightCheck().fit_transform(X)
-        return LogErrors(airspeed_scale(checked), vibration_band(checked))
-
-    def _keep_errors(self, errors: LogErrors) -> None:
-        """Keep the errors that predictions remove."""
-        self.airspeed_scale_ = errors.airspeed.removable()
-        self.band_ = errors.band
+        if not isinstance(flights, pd.DataFrame):  # of `set_output`
+            flights = X
+        self._learn_flights(flights)
+        if is_of_coefficients(y):
+            named = named_regressors(self, regressors)
+            self.least_squares_ = fit_least_squares(named, y)
+            self.errors_ = self._errors(flights, named)
+        return self
 
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return flights X without the error of the airspeed."""
-        return without_airspeed_error(X, self.airspeed_scale_)
+        """Return flights X without the error of the airspeed that the flights of the fit showed."""
+        return without_airspeed_error(X, airspeed_scale_of(self).removable())
 
-    def __getitem__(self, ind: Any) -> Any:
-        """Return a step, or a pipeline of the steps of a slice; the first steps keep the errors of the log."""
-        part = super().__getitem__(ind)
-        if isinstance(ind, slice) and part.steps[:1] == self.steps[:1]:
-            part.airspeed_scale_ = self.airspeed_scale_
-            part.band_ = self.band_
-            if len(part) == len(self):
-                part.calibration_ = self.calibration_
-        return part
-
-    def _ends_with_transform(self) -> bool:
-        """Return whether the last step transforms."""
+    def thinned(self, X: pd.DataFrame, y: Any) -> Any:
+        """Return targets y (n, P) of flights X of which as many rows as ``samples`` says are observed."""
+        samples = self.samples
         last = self.steps[-1][1]
-        return last in (None, "passthrough") or hasattr(last, "transform")
+        is_default = samples is None and y is not None
+        if is_default and isinstance(last, DependentGPRegressor):
+            seconds = duration(X)
+            if last.inference == "exact":
+                samples = ROWS.exact
+            elif seconds is not None:
+                samples = min(round(ROWS.rate * seconds), ROWS.most)
+        if y is None or samples in (None, "all"):
+            return y
+        return thin_targets(y, max(1, samples))
 
-    @available_if(_ends_with_transform)
-    def fit_transform(self, X: pd.DataFrame, y: Any = None, **params: Any) -> Any:
-        """Fit all steps to flights, and transform these, without the errors of the log that they show."""
-        self._keep_errors(self.errors_of_log(X))
-        return self._in_band(super().fit_transform(self.corrected(X), y, **params), X)
-
-    @available_if(_ends_with_transform)
-    def transform(self, X: pd.DataFrame, **params: Any) -> Any:
-        """Transform flights by all steps, without the errors of the log that the fit has found."""
-        return self._in_band(super().transform(self.corrected(X), **params), X)
-
-    def _in_band(self, values: Any, X: pd.DataFrame) -> Any:
-        """Return regressors of flights X without frequencies beyond ``band_``, and other columns unchanged."""
-        if np.isinf(self.band_) or "regressorselector" not in self.named_steps:
-            return values
-        limited = band_limited(np.asarray(values), X, self.band_)
-        if isinstance(values, pd.DataFrame):
-            return pd.DataFrame(limited, values.index, values.columns)
-        return limited
-
-    def _fit_transforms(
-        self, X: pd.DataFrame, y: Any, choose_engine: bool
-    ) -> tuple[Matrix, Matrix | None]:
-        """Fit all steps but the last; return the regressors (n, d), and which are of no use to an output (P, d).
-
-        The latter is None without a choice of the regressors of an engine.
-        """
-        place = list(self.named_steps).index("regressorselector")
-        before = Pipeline(self.steps[:place], memory=self.memory)
-        flights = before.fit_transform(X, y)
-        without_effect = None
-        if choose_engine:
-            choice = engine_regressors(self[place], flights, y)
-            self.set_params(regressorselector__regressors=choice.names)
-            without_effect = choice.without_effect
-        behind = Pipeline(self.steps[place:-1], memory=self.memory)
-        regressors = np.asarray(behind.fit_transform(flights, y))
-        # with a ``memory``, clones of the steps were fitted
-        self.steps = [*before.steps, *behind.steps, self.steps[-1]]
-        return regressors, without_effect
-
-    def _known_slopes(
-        self, slopes: KnownSlopes | None, without_effect: Matrix | None
-    ) -> dict[str, KnownSlopes]:
-        """Return the slopes that are known, as a parameter of the last step, if it uses them.
-
-        These are zeros by the choice of the engine's regressors, and those of the motion of the air.
-        """
+    def _facts_for_last(self, X: pd.DataFrame, known: KnownSlopes | None) -> dict[str, Any]:
+        """Return clock and known slopes of flights X as parameters of the last step, if it uses them."""
         if not isinstance(self[-1], DependentGPRegressor):
             return {}
+        facts: dict[str, Any] = {}
+        without_effect = self._without_effect()
         if without_effect is not None and without_effect.any():
-            slopes = KnownSlopes.with_zeros(slopes, without_effect)
-        return {} if slopes is None else {"slopes": slopes}
+            known = KnownSlopes.with_zeros(known, without_effect)
+        if known is not None:
+            facts["slopes"] = known
+        if "time" in X:
+            facts["time"] = X["time"].to_numpy(float)
+            if "flight" in X:
+                facts["flight"] = np.asarray(X["flight"])
+        return facts
+
+    def _without_effect(self) -> Matrix | None:
+        """Return which regressors of an engine are of no use to an output (P, d), None without a choice."""
+        selector = self.named_steps.get("regressorselector")
+        return selector.without_effect_ if isinstance(selector, RegressorSelector) else None
 
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
         """Return the slopes that the motion of the air shows, for a last step that uses them.
@@ -437,27 +416,34 @@ class FlightPipeline(Pipeline):
             return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
         return None
 
-    def _learn_turbulence(self, X):
-        self.seconds_ = None
-        if "time" in X:
-            steps = np.diff(X["time"].to_numpy(float))
-            forward = steps[steps > 0]
-            self.seconds_ = float(len(X) * np.median(forward)) if forward.size else None
-        self.turbulence_ = None
-        rates = self.named_steps.get("ratenondimensionalizer")
-        if rates is not None:
-            with suppress(TypeError, ValueError):  # short flights, or columns that are missing
-                self.turbulence_ = Turbulence.from_flight(X, rates.span)
-
-    def _clock(self, X):
-        """Return ``time`` and ``flight`` of the rows as parameters of the last step, if it uses them."""
-        is_routed = get_config()["enable_metadata_routing"]
-        if is_routed or not isinstance(self[-1], DependentGPRegressor) or "time" not in X:
+    def _errors(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> dict[str, ScaleFactor]:
+        """Return the errors of checked flights that these do not show, for which the aircraft has to be known."""
+        needed = ("time", "airspeed", "density", *RATES)
+        if self.aircraft is None or not has_values(flights, *needed):
             return {}
-        clock = {"time": X["time"].to_numpy(float)}
-        if "flight" in X:
-            clock["flight"] = np.asarray(X["flight"])
-        return clock
+        corrector = lag_corrector_of(self)
+        errors = learned_errors(
+            flights,
+            self.aircraft,
+            regressors,
+            self.least_squares_,
+            None if corrector is None else corrector.lags_,
+            airspeed_scale_of(self).left(),
+        )
+        if self.thrust is not None:
+            errors |= thrust_errors(flights, self.aircraft, regressors)
+        return errors
+
+    def _learn_flights(self, flights: pd.DataFrame) -> None:
+        """Learn duration, turbulence and smoothing of checked flights."""
+        self.seconds_ = duration(flights)
+        self.turbulence_ = None
+        self.coefficient_filter_: FittedFilter | str = "auto"
+        with suppress(KeyError, TypeError, ValueError):  # columns that are missing
+            self.coefficient_filter_ = coefficient_filter(flights)
+        if self.aircraft is not None:
+            with suppress(TypeError, ValueError):  # short flights, or columns that are missing
+                self.turbulence_ = Turbulence.from_flight(flights, self.aircraft.span)
 
     def predict(self, X: pd.DataFrame, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
@@ -498,3 +484,18 @@ class FlightPipeline(Pipeline):
         if self.calibration_ is None:
             return 0.0
         return self.calibration_(regressors, noise_ratio)
+
+
+def duration(flights: Any) -> float | None:
+    """Return the duration of flights without gaps [s], None without ``time``."""
+    if "time" not in flights:
+        return None
+    steps = np.diff(flights["time"].to_numpy(float))
+    forward = steps[steps > 0]
+    return float(len(flights) * np.median(forward)) if forward.size else None
+
+
+def is_of_coefficients(y: Any) -> bool:
+    """Return whether targets are the six coefficients."""
+    names = list(y.columns) if isinstance(y, pd.DataFrame) else None
+    return names == list(COEFFICIENTS)

@@ -40,14 +40,15 @@ from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
     Aircraft,
+    ScaleFactor,
     check_aircraft,
     propeller_speed_of,
     with_sensor_position,
 )
 from skdgp.identification._flights import Flights, items_of, named_flights
-from skdgp.identification._pipeline import FlightPipeline
+from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
-from skdgp.preprocessing import FlightCheck
+from skdgp.preprocessing import clean
 
 Tables = dict[str, pd.DataFrame]
 # columns that the coefficients follow from
@@ -276,7 +277,9 @@ def usable_flights(
     tables = {}
     for name, flight in flights.items():
         check_columns(flight.table, needed)
-        without_faults = FlightCheck().fit_transform(flight.table)
+        without_faults, findings = clean(flight.table)
+        for finding in findings:
+            report(finding, FlightDataWarning)
         _warn_of_positions(name, without_faults, aircraft)
         tables[name] = with_sensor_position(without_faults, aircraft)
     _warn_of_contradictions(tables, aircraft)
@@ -305,7 +308,7 @@ def usable_flights_of_model(
     flights had.
     """
     check_identified(pipeline)
-    regressors = names_of(pipeline["regressorselector"].regressors)
+    regressors = regressor_names(pipeline)
     of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
     columns = regressor_columns([of_fit], regressors)
     return usable_flights(flights, aircraft, regressors, columns)
@@ -398,19 +401,21 @@ def warn_of_engine(flights: Tables, regressors: Sequence[str]) -> None:
         report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}))
 
 
-def assumptions(aircraft: Aircraft, reported: Iterable[Finding] = ()) -> tuple[Finding, ...]:
-    """Return the assumptions of the aircraft, and those among the reported findings.
+def assumptions(
+    aircraft: Aircraft, errors: Mapping[str, ScaleFactor], reported: Iterable[Finding] = ()
+) -> tuple[Finding, ...]:
+    """Return the assumptions of the aircraft and the errors of its model, and those among the reported findings.
 
     Sizes are uncertain by errors of all causes together.
     """
     findings = []
-    factors = aircraft.deviations or {}
+    factors = {**(aircraft.deviations or {}), **errors}
     sizes = _uncertain_sizes(aircraft)
     if sizes:
         findings.append(Finding(Code.SIZES_ESTIMATED, numbers={"sizes": sizes}))
     sources = {}
     for name, factor in factors.items():
-        if not factor.of_log and factor.source != "given":
+        if factor.source not in ("", "given"):
             sources[name] = factor.source
     if sources:
         findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))

@@ -5,15 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import report
-from skdgp._compute.sklearn_compat import Interval, StrOptions
+from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import AIR_DATA, CHANNELS, RATES, SPECIFIC_FORCE, VANES, WRAPPED
+from skdgp._flight.channels import (
+    AIR_DATA,
+    ALL_SURFACES,
+    AUXILIARY,
+    CHANNELS,
+    RATES,
+    SPECIFIC_FORCE,
+    VANES,
+    WRAPPED,
+)
 from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import (
     FlightDataWarning,
@@ -23,9 +32,11 @@ from skdgp._flight.faults import (
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
+from skdgp._flight.motion_band import band_limited, vibration_band
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp._flight.tables import FlightTable, numeric, unwrapped
+from skdgp._flight.tables import FlightTable, by_name, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
+from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrap_near
 
 LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
@@ -92,12 +103,13 @@ def _row(fault: Finding) -> dict[str, Any]:
 
 
 class FlightCheck(TableTransformer):
-    """Remove the faults of a flight log, and interpolate short gaps: the first step of a pipeline.
+    """Remove the faults of a flight log and the error of its airspeed: the first step of a pipeline.
 
     Stuck and impossible values and spikes (:func:`inspect_flight`) become NaN. Gaps up to 0.25 s
     are interpolated linearly, in channels with a value in nearly every row; longer ones
     stay NaN, which :class:`RegressorSelector` refuses. Where rows repeat the last sample of a slower
-    clock, controls become splines between samples. Raises ValueError if ``time`` is missing, or
+    clock, controls become splines between samples. A relative error of the airspeed, which legs of
+    several headings show in ``fit``, is removed. Raises ValueError if ``time`` is missing, or
     does not increase within a flight; if the table has no channel of docs/notation.md; in
     ``transform`` if an airspeed is not positive.
 
@@ -106,11 +118,18 @@ class FlightCheck(TableTransformer):
     ignore : sequence of str, default=()
         Columns to skip.
 
+    Attributes
+    ----------
+    airspeed_scale_ : AirspeedScale
+        Relative error of the airspeed, by the flights of ``fit``.
+
     Warns
     -----
     FlightDataWarning
         In ``transform``, if the log has faults other than gaps in time; one warning of all. If
         channels have slower clocks, which the warning names.
+    FindingWarning
+        In ``fit``, of an error of the airspeed that is removed.
 
     Examples
     --------
@@ -126,42 +145,76 @@ class FlightCheck(TableTransformer):
     def __init__(self, *, ignore: Sequence[str] = ()) -> None:
         self.ignore = ignore
 
+    @fit_context(prefer_skip_nested_validation=True)
+    def fit_transform(self, X: Any, y: Any = None) -> Any:
+        """Fit to the flight table X, and return it transformed; y is ignored."""
+        return self._reported(self._fit_cleaned(self._checked(X)))
+
     def _fit_table(self, table):
-        FlightTable.of(table)
-        self._check_any(table, BRIDGED)
+        self._fit_cleaned(table)
 
     def _transform_table(self, table):
-        flights = FlightTable.of(table)
-        faults = find_faults(flights, self.ignore)
-        # gaps in time are no error
-        findings = [fault.finding for fault in faults if fault.finding.code is not Code.GAP]
-        if findings:
-            numbers = {"faults": findings, "longest_bridge": LONGEST_BRIDGE}
-            finding = Finding(Code.FAULTS_BRIDGED, numbers=numbers)
-            report(finding, FlightDataWarning)
-        measured = replace(flights, table=without_faults(table, faults))
-        check_airspeed(measured.column("airspeed"))
-        controls = find_holds(measured, CONTROL_GROUPS)
-        holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
-        if holds:
-            rates = {", ".join(hold.names): hold.rate for hold in holds}
-            finding = Finding(Code.SLOW_CHANNELS, numbers={"rates": rates})
-            report(finding, FlightDataWarning)
-        bridged = self._bridged(measured)
-        return with_columns(measured.table, bridged | between_samples(measured, controls))
+        return self._reported(clean(table, self.ignore))
 
-    def _bridged(self, flights: FlightTable) -> dict[str, Vector]:
-        """Return the channels that have missing values, with short gaps interpolated."""
-        new = {}
-        for name, values in flights.numeric_channels(BRIDGED).items():
-            if name in self.ignore or not np.isnan(values).any():
-                continue
-            filled = unwrapped(flights.table, [name])[:, 0]
-            for segment in flights.segments:
-                filled[segment] = _interpolated(flights.time[segment], filled[segment])
-            new[name] = filled
-        wrap_near(new, flights.table[present(WRAPPED, new)].ffill().bfill())
-        return new
+    def _fit_cleaned(self, table: pd.DataFrame) -> CleanFlights:
+        """Learn the error of the airspeed of flights, and return these without faults."""
+        FlightTable.of(table)
+        self._check_any(table, BRIDGED)
+        cleaned = clean(table, self.ignore)
+        self.airspeed_scale_ = airspeed_scale(cleaned.table)
+        removed = self.airspeed_scale_.removable()
+        if removed:
+            numbers = {"percent": 100 * removed, "std_percent": 100 * self.airspeed_scale_.std}
+            report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers))
+        return cleaned
+
+    def _reported(self, cleaned: CleanFlights) -> pd.DataFrame:
+        """Return clean flights without the error of the airspeed; report what was found in them."""
+        for finding in cleaned.findings:
+            report(finding, FlightDataWarning)
+        check_airspeed(FlightTable.of(cleaned.table).column("airspeed"))
+        return without_airspeed_error(cleaned.table, self.airspeed_scale_.removable())
+
+
+class CleanFlights(NamedTuple):
+    """Flights without faults, and what was found in them."""
+
+    table: pd.DataFrame
+    findings: list[Finding]
+
+
+def clean(table: pd.DataFrame, ignore: Sequence[str] = ()) -> CleanFlights:
+    """Return flights without faults, short gaps interpolated, and the findings, as of `FlightCheck`."""
+    flights = FlightTable.of(table)
+    faults = find_faults(flights, ignore)
+    # gaps in time are no error
+    faulty = [fault.finding for fault in faults if fault.finding.code is not Code.GAP]
+    measured = replace(flights, table=without_faults(table, faults))
+    controls = find_holds(measured, CONTROL_GROUPS)
+    holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
+    findings = []
+    if faulty:
+        numbers = {"faults": faulty, "longest_bridge": LONGEST_BRIDGE}
+        findings.append(Finding(Code.FAULTS_BRIDGED, numbers=numbers))
+    if holds:
+        rates = {", ".join(hold.names): hold.rate for hold in holds}
+        findings.append(Finding(Code.SLOW_CHANNELS, numbers={"rates": rates}))
+    new = _bridged(measured, ignore) | between_samples(measured, controls)
+    return CleanFlights(with_columns(measured.table, new), findings)
+
+
+def _bridged(flights: FlightTable, ignore: Sequence[str]) -> dict[str, Vector]:
+    """Return the channels that have missing values, with short gaps interpolated."""
+    new = {}
+    for name, values in flights.numeric_channels(BRIDGED).items():
+        if name in ignore or not np.isnan(values).any():
+            continue
+        filled = unwrapped(flights.table, [name])[:, 0]
+        for segment in flights.segments:
+            filled[segment] = _interpolated(flights.time[segment], filled[segment])
+        new[name] = filled
+    wrap_near(new, flights.table[present(WRAPPED, new)].ffill().bfill())
+    return new
 
 
 def _interpolated(time: Vector, values: Vector) -> Vector:
@@ -185,6 +238,7 @@ SMOOTHED = (
     "r_dot",
     *SPECIFIC_FORCE,
 )
+CONTROLS = (*ALL_SURFACES, *AUXILIARY, "throttle", "propeller_speed")
 PARTNERS = ("airspeed", *RATES)  # of alpha and beta
 IN_RADIANS = (*VANES, *RATES)
 
@@ -196,7 +250,9 @@ class FlightSmoother(TableTransformer):
     ``flight`` (optional), at its full rate. With ``cutoff="auto"`` each channel gets the Wiener
     smoother of its own spectrum, H(f) = max(0, 1 - N / P(f)), where N is the white noise at the
     upper end of P. Rates of change are derivatives of the cubic spline through the smoothed
-    channel. Missing values (NaN) stay missing; a slow sensor is filtered at its own rate. Raises
+    channel. Flights that vibrate beyond the motion of the aircraft lose, with "auto" columns and
+    cutoff, all frequencies beyond it, and so do their controls: vibration biases slopes. Missing
+    values (NaN) stay missing; a slow sensor is filtered at its own rate. Raises
     ValueError if ``time`` is missing, does not increase within a flight or is too irregular; if a
     named column is missing or not numeric, or "auto" finds none; if angles or rates are too large for radians.
 
@@ -221,6 +277,14 @@ class FlightSmoother(TableTransformer):
         Columns smoothed and differentiated.
     partners_ : list of str
         Columns that alpha and beta are smoothed with; ``transform`` needs them too.
+    band_ : float
+        Highest frequency [Hz] of channels and controls, where the flights of ``fit`` vibrate; else
+        infinite.
+
+    Warns
+    -----
+    FindingWarning
+        In ``fit``, of vibration.
 
     Examples
     --------
@@ -269,6 +333,10 @@ class FlightSmoother(TableTransformer):
         if self.joint and self.cutoff == "auto":
             self._vanes = present(VANES, {*self.columns_, *self.derivatives_})
         self.partners_ = present(PARTNERS, table) if self._vanes else []
+        is_auto = self.columns == "auto" and self.cutoff == "auto"
+        self.band_ = vibration_band(table) if is_auto else np.inf
+        if np.isfinite(self.band_):
+            report(Finding(Code.VIBRATION, numbers={"band": self.band_}))
 
     def _transform_table(self, table):
         used = [*self.columns_, *self.derivatives_]
@@ -279,7 +347,13 @@ class FlightSmoother(TableTransformer):
         wrap_near(new, table)
         for name, rate in self._apply(differentiate, self.derivatives_, table).items():
             new[f"{name}_dot"] = rate
-        return with_columns(table, new)
+        smoothed = with_columns(table, new)
+        if np.isinf(self.band_):
+            return smoothed
+        names = present((*SMOOTHED, *new, *CONTROLS), smoothed)
+        names = list(dict.fromkeys(names))
+        values = band_limited(numeric(smoothed, names), smoothed, self.band_)
+        return with_columns(smoothed, by_name(names, values))
 
     def _columns_out(self, names):
         return names + [f"{name}_dot" for name in self.derivatives_]

@@ -12,6 +12,7 @@ import pandas as pd
 
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import (
     AUXILIARY,
     CHANNELS,
@@ -31,6 +32,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import numeric
 from skdgp._flight.units import check_airspeed
+from skdgp.preprocessing._engine import engine_regressors
 from skdgp.preprocessing._table import (
     TableTransformer,
     as_pandas,
@@ -241,6 +243,9 @@ class RegressorSelector(TableTransformer):
         Named set, or columns in order.
     extra : sequence of str, default=()
         Columns to add to a named set, such as ``["airspeed"]``.
+    engine : bool, default=False
+        Whether the thrust is part of the targets: of flights with a throttle a named set then gets
+        those of throttle and airspeed that explain targets on rows held out.
 
     Attributes
     ----------
@@ -252,6 +257,8 @@ class RegressorSelector(TableTransformer):
         Range of each regressor over the rows of ``fit`` that have a target.
     ranges_ : dict of str to tuple of float
         Range of each flight channel of the table over these rows.
+    without_effect_ : ndarray of bool (P, d) or None
+        Which of throttle and airspeed each target does not need, by ``engine``.
 
     Warns
     -----
@@ -271,11 +278,19 @@ class RegressorSelector(TableTransformer):
     _parameter_constraints: dict = {
         "regressors": [StrOptions(set(REGRESSOR_SETS)), list, tuple, np.ndarray],
         "extra": [list, tuple, np.ndarray],
+        "engine": ["boolean"],
     }
 
-    def __init__(self, regressors: Any = "quasi-steady", *, extra: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        regressors: Any = "quasi-steady",
+        *,
+        extra: Sequence[str] = (),
+        engine: bool = False,
+    ) -> None:
         self.regressors = regressors
         self.extra = extra
+        self.engine = engine
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
@@ -284,6 +299,7 @@ class RegressorSelector(TableTransformer):
         is_targeted = y is not None and len(y) == len(table)
         if is_targeted:
             targets = np.asarray(y, dtype=float).reshape(len(table), -1)
+            self._choose_engine(table, targets)
             table = table[np.isfinite(targets).any(axis=1)]
         values = numeric(table, self.regressors_)
         values = values[np.isfinite(values).all(axis=1)]
@@ -295,6 +311,16 @@ class RegressorSelector(TableTransformer):
         if is_targeted and len(values):
             self._warn_of_constant(values)
         return self
+
+    def _choose_engine(self, table: pd.DataFrame, targets: Matrix) -> None:
+        """Choose the regressors of an engine whose thrust is part of the targets."""
+        if not (self.engine and isinstance(self.regressors, str) and "throttle" in table):
+            return
+        names = list(dict.fromkeys([*self.regressors_, "airspeed"]))
+        check_columns(table, names)
+        choice = engine_regressors(names, numeric(table, names), targets)
+        self.regressors_ = choice.names
+        self.without_effect_ = choice.without_effect
 
     def _warn_of_constant(self, values):
         """Warn of regressors that vary by less than a billionth of themselves."""
@@ -321,6 +347,7 @@ class RegressorSelector(TableTransformer):
         if truth:
             report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}))
         self.regressors_ = chosen
+        self.without_effect_ = None
 
     def _transform_table(self, table):
         _check_made(table, self.regressors_)

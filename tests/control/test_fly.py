@@ -112,16 +112,16 @@ def test_the_lines_have_what_ardupilot_asks_for(flown, n_pulses):
 
 
 def test_a_path_has_errors_of_the_log(flown, glider):
-    error = ScaleFactor(0.1, added={"CZ": 1.0}, of_log=True)
-    uncertain = replace(glider.aircraft, deviations={"log": error})
+    error = ScaleFactor(0.1, added={"CZ": 1.0})
+    uncertain = replace(glider.model(), errors={"log": error})
     forces = []
 
     def play(autopilot):
         autopilot.send((0,) * 16)
         forces.append(autopilot.send((0,) * 16)["imu"]["accel_body"][2])
 
-    for aircraft in (glider.aircraft, uncertain):
-        flown(play, aircraft=aircraft, path=3)
+    for model in (glider.model(), uncertain):
+        flown(play, model=model, path=3)
     assert abs(forces[1] - forces[0]) > 0.1
 
 

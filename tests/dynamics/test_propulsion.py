@@ -20,7 +20,7 @@ from skdgp.dynamics import (
     propulsive_loads,
     stability_derivatives,
 )
-from skdgp.identification._log_errors import with_thrust_errors
+from skdgp.identification._log_errors import thrust_errors
 
 TRUE = Propeller(
     diameter=0.5,
@@ -257,12 +257,11 @@ def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
         return aircraft, LinearRegression().fit(X.to_numpy(), Y)
 
     (aircraft, fit), (_, other) = learned(1.0), learned(1.01)
-    aircraft = with_thrust_errors(aircraft, table, X)
-    only = {**aircraft.to_dict(), "deviations": {"thrust": aircraft.deviations["thrust"]}}
-    only = Aircraft.from_dict(only)
+    errors = thrust_errors(table, aircraft, X)
+    only = replace(aircraft, deviations=None)
     state = np.array([0, 0, -100, 15, 0, 0.7, 1, 0, 0, 0, 0, 0, 0])
     controls = {"elevator": 0.05, "throttle": 0.6}
-    model = Aerodynamics(fit.predict, REGRESSORS)
+    model = Aerodynamics(fit.predict, REGRESSORS, errors=errors)
     std = stability_derivatives(model, only, state, controls, thrust=None)["std_aircraft"]
     change = 100 * aircraft.propeller.load_std * np.abs(other.coef_ - fit.coef_)
     expected = change[0, 0], change[0, 3], change[4, 3]

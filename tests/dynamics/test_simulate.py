@@ -529,15 +529,12 @@ class TestEnsembles:
         assert not paths(drifting).equals(paths(steady))
         assert not paths(drifting).equals(paths(drifting, random_state=1))
 
-    def test_each_path_has_errors_of_the_log_for_the_whole_flight(self, aircraft, fly, glider):
+    def test_each_path_has_errors_of_the_log_for_the_whole_flight(self, fly, glider):
         """Here of 0.02 and 0.3 elevator in Cm, and -1 alpha in CZ, times 0.1 e: the first row shows e."""
         added = {"Cm": 0.02, "Cm_elevator": 0.3, "CZ_alpha": -1.0}
-        uncertain = replace(
-            aircraft, deviations={"log": ScaleFactor(0.1, added=added, of_log=True)}
-        )
-        model = certain(glider)
+        uncertain = replace(certain(glider), errors={"log": ScaleFactor(0.1, added=added)})
         options = {"duration": 0.5, "n_paths": 200}
-        paths = fly(model, aircraft=uncertain, **options)
+        paths = fly(uncertain, **options)
         starts = paths.groupby("path").first()
         elevator = commands(0.0)["elevator"]
         change = starts["Cm"].to_numpy() - fly(duration=0.1)["Cm"].iloc[0]
@@ -552,17 +549,18 @@ class TestEnsembles:
             level[4] += 0.02 * size
             alone = fly(glider._replace(level=level).model(slopes), duration=0.5)
             assert_allclose(paths.loc[paths["path"] == k, STATES], alone[STATES], atol=1e-8)
-        sizes = replace(aircraft, deviations={"size": ScaleFactor(0.1, added=added)})
-        assert_frame_equal(fly(model, aircraft=sizes, **options), fly(model, **options))
+        assumed = {"thrust": ScaleFactor(0.1, source="size of the propeller", added=added)}
+        of_thrust = replace(certain(glider), errors=assumed)
+        assert_frame_equal(fly(of_thrust, **options), fly(certain(glider), **options))
 
     def test_paths_of_a_wrong_airspeed_have_other_coefficients_and_rates(
         self, aircraft, fly, glider
     ):
         """Coefficients are over the dynamic pressure, and rates over its root."""
-        factor = ScaleFactor(0.02, {"dynamic pressure": 1.0}, of_log=True)
-        uncertain = replace(aircraft, deviations={"airspeed": factor})
+        factor = ScaleFactor(0.02, {"dynamic pressure": 1.0})
+        uncertain = replace(certain(glider), errors={"airspeed": factor})
         options = {"duration": 0.1, "n_paths": 50}
-        found = fly(certain(glider), aircraft=uncertain, **options).groupby("path").first()
+        found = fly(uncertain, **options).groupby("path").first()
         exact = fly(duration=0.1).iloc[0]
         error = found["CX"] / exact["CX"] - 1  # CX does not depend on rates
         assert_allclose(error.std(), 0.02, rtol=0.3)
@@ -570,7 +568,7 @@ class TestEnsembles:
         expected = (1 + error) * (exact["Cm"] - 0.5 * error * by_rate)
         assert_allclose(found["Cm"], expected, rtol=1e-9)
 
-    def test_errors_of_the_log_are_about_the_mean_of_the_rows(self, aircraft, fly, glider):
+    def test_errors_of_the_log_are_about_the_mean_of_the_rows(self, fly, glider):
         """A path of a learned model with errors, less the same path without."""
         rng = default_rng(2)
         rows = pd.DataFrame(rng.normal(0.1, 0.1, (80, 8)), columns=glider.names)
@@ -582,12 +580,10 @@ class TestEnsembles:
             DependentGPRegressor(structure="trend", random_state=0),
         ).fit(rows, C + 0.01 * rng.normal(size=C.shape))
         added = {"CX": 0.1, "Cm_elevator": 0.3}
-        uncertain = replace(
-            aircraft, deviations={"log": ScaleFactor(0.1, added=added, of_log=True)}
-        )
+        uncertain = replace(as_aerodynamics(model), errors={"log": ScaleFactor(0.1, added=added)})
         options = {"duration": 0.1, "n_paths": 5}
         exact = fly(model, **options).groupby("path").first()
-        found = fly(model, aircraft=uncertain, **options).groupby("path").first()
+        found = fly(uncertain, **options).groupby("path").first()
         draws = (found["CX"] - exact["CX"]) / 0.01
         assert np.ptp(draws) > 0.5
         off_mean = commands(0.0)["elevator"] - rows["elevator"].mean()
@@ -600,11 +596,11 @@ class TestEnsembles:
 
 class TestSimulator:
     def test_an_episode_has_errors_of_the_log(self, aircraft, glider):
-        error = ScaleFactor(0.1, added={"CZ": 1.0}, of_log=True)
-        uncertain = replace(aircraft, deviations={"log": error})
+        error = ScaleFactor(0.1, added={"CZ": 1.0})
+        uncertain = replace(certain(glider), errors={"log": error})
         readings = []
-        for flown in (aircraft, uncertain):
-            simulator = Simulator(certain(glider), flown)
+        for model in (certain(glider), uncertain):
+            simulator = Simulator(model, aircraft)
             readings.append(simulator.reset(START, controls=commands(0.0), random_state=1)["az"])
         assert abs(readings[1] - readings[0]) > 0.1
 

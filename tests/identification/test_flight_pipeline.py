@@ -8,10 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.metrics import r2_score
+from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -23,7 +24,7 @@ from skdgp.identification import (
 from skdgp.identification._summary import air_of
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import FlightCheck
+from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightSmoother
 
 QUICK = {"n_latent": 1, "max_iter": 4, "input_noise": "learned", "random_state": 0}
 
@@ -168,6 +169,28 @@ class TestPredict:
 
 
 @pytest.mark.usefixtures("no_mechanics")
+def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
+    """To the bit, also of a clone, of a saved model, and of flights that are held out in turn."""
+    train, aircraft = flights.train, flights.aircraft
+    regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
+    options = {"regressor": regressor, "samples": 200}
+    learn = partial(identify, aircraft=aircraft, test=test_flight, horizons=[1.0], **options)
+    found = learn(train).pipeline
+    Y = aerodynamic_coefficients(train, aircraft)
+    model = make_identification_pipeline(aircraft, **options)
+    saved = pickle.loads(pickle.dumps(found))
+    wanted = found.predict(test_flight, return_std=True)
+    for other in (clone(model).fit(train, Y), clone(found).fit(train, Y), saved):
+        assert_array_equal(other.predict(test_flight, return_std=True), wanted)
+    groups = train["flight"].astype(str)
+    folds = cross_validate(
+        model, train, Y, groups=groups, cv=LeaveOneGroupOut(), return_estimator=True
+    )
+    others = learn(train[groups != groups.min()]).pipeline
+    assert_array_equal(folds["estimator"][0].predict(test_flight), others.predict(test_flight))
+
+
+@pytest.mark.usefixtures("no_mechanics")
 class TestLeastSquares:
     def test_is_that_of_the_same_rows(self, flights):
         """Refitted here by scikit-learn on what the regressor got."""
@@ -219,8 +242,10 @@ def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coeff
         cutoff=None,
         lags=None,
         regressor=DependentGPRegressor(structure="trend", random_state=0),
+        thrust=None,
+        samples="all",
     ).set_params(flightcheck="passthrough", flightsmoother="passthrough")
-    model.fit_returning_regressors(flight, Y, choose_engine=True)
+    model.fit(flight, Y)
     chosen = model["regressorselector"].regressors_
     assert {"throttle", "airspeed"} & {*chosen} == expected
     assert len(chosen) == 8 + len(expected)
@@ -272,7 +297,8 @@ def assert_first_steps_give_the_regressors(pipeline, flight):
 def test_fit_transform_removes_the_errors_that_it_finds(flights):
     too_much = flights.train.assign(airspeed=1.04 * flights.train["airspeed"])
     steps = make_identification_pipeline(flights.aircraft, reconstruction="passthrough", lags=None)
-    fitted = steps[:2].fit_transform(too_much)
+    with pytest.warns(UserWarning, match="airspeed"):
+        fitted = steps[:2].fit_transform(too_much)
     assert fitted["airspeed"].median() == pytest.approx(
         flights.train["airspeed"].median(), rel=0.005
     )
@@ -304,7 +330,8 @@ def test_vibration_does_not_bias_slopes_of_a_pipeline(flights):
     Y = aerodynamic_coefficients(shaken(train), flights.aircraft)
     regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
     pipeline = make_identification_pipeline(flights.aircraft, regressor=regressor)
-    pipeline.fit(shaken(train), thin_targets(Y, 150))
+    with pytest.warns(UserWarning, match="vibrate beyond"):
+        pipeline.fit(shaken(train), thin_targets(Y, 150))
     assert_slopes_of_truth(learned_slopes(pipeline), train)
     assert_first_steps_give_the_regressors(pipeline, shaken(flights.test[:400]))
 
@@ -317,10 +344,11 @@ def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
     pipeline = make_identification_pipeline(
         flights.aircraft, regressor=regressor, reconstruction="passthrough", lags=None
     )
-    pipeline.fit(too_much, Y)
-    assert pipeline.airspeed_scale_ == pytest.approx(0.04, abs=0.005)
+    with pytest.warns(UserWarning, match="airspeed"):
+        pipeline.fit(too_much, Y)
+    assert pipeline["flightcheck"].airspeed_scale_.removable() == pytest.approx(0.04, abs=0.005)
     right = clone(pipeline).fit(flights.train, Y)
-    assert right.airspeed_scale_ == 0.0
+    assert right["flightcheck"].airspeed_scale_.removable() == 0.0
     rate = list(pipeline["regressorselector"].regressors_).index("p_hat")
     deviation, expected = (model["standardscaler"].scale_[rate] for model in (pipeline, right))
     assert deviation == pytest.approx(expected, rel=0.005)
@@ -337,10 +365,11 @@ def test_spikes_are_no_errors_of_the_log(flights):
     spikes = flights.train.copy()
     spikes.loc[spikes.index[::300], ["ax", "ay", "az"]] += 500.0
     spikes.loc[spikes.index[::200], "airspeed"] = 99.0
-    pipeline = FlightPipeline([("flightcheck", FlightCheck())])
-    errors = pipeline.errors_of_log(spikes)
-    assert errors.airspeed.removable() == 0.0
-    assert np.isinf(errors.band)
+    check = FlightCheck()
+    with pytest.warns(FlightDataWarning):
+        checked = check.fit_transform(spikes)
+    assert check.airspeed_scale_.removable() == 0.0
+    assert np.isinf(FlightSmoother().fit(checked).band_)
 
 
 @pytest.mark.usefixtures("no_mechanics")

@@ -15,12 +15,14 @@ from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
     aerodynamic_coefficients,
+    as_aerodynamics,
     stability_derivatives,
 )
+from skdgp.estimation import AirspeedScale
 from skdgp.identification import FlightPipeline
-from skdgp.identification._log_errors import LOG_ERRORS, clock_std, with_log_errors
+from skdgp.identification._log_errors import LOG_ERRORS, clock_std, learned_errors
 from skdgp.identification._mechanics import reconstructed
-from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
+from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -54,9 +56,9 @@ def least_squares_of(X, Y):
     return table.to_dict()
 
 
-def effect(aircraft, name):
+def effect(errors, name):
     """Return what one standard deviation of an error adds to the slopes, (6, regressors)."""
-    added = aircraft.deviations[name].added
+    added = errors[name].added
     columns = [column.removesuffix("_hat") for column in REGRESSORS]
     return np.array([[added[f"{C}_{x}"] for x in columns] for C in COEFFICIENTS])
 
@@ -68,33 +70,33 @@ def effect(aircraft, name):
 def test_late_channels_change_slopes_by_what_is_added(flown, group, channels):
     table, X, slopes = flown
     Y = X.to_numpy() @ slopes
-    aircraft = with_log_errors(AIRCRAFT, table, X, least_squares_of(X, Y), None, 0.0)
+    errors = learned_errors(table, AIRCRAFT, X, least_squares_of(X, Y), None, 0.0)
     late = 1e-4  # s
     later = X.copy()
     for name in channels:
         later[name] = X[name] - late * np.gradient(X[name], STEP, edge_order=2)
     change = LinearRegression().fit(later, Y).coef_ - slopes.T
     std = clock_std(None, group, STEP)
-    expected = effect(aircraft, f"time of {group}") / std * late
+    expected = effect(errors, f"time of {group}") / std * late
     assert_allclose(change, expected, atol=0.03 * np.abs(expected).max())
 
 
 def test_sensors_elsewhere_change_slopes_by_what_is_added(flown):
     table, X, _ = flown
     Y = aerodynamic_coefficients(table, AIRCRAFT, thrust=None, cutoff=None)
-    aircraft = with_log_errors(AIRCRAFT, table, X, least_squares_of(X, Y), None, 0.0)
+    errors = learned_errors(table, AIRCRAFT, X, least_squares_of(X, Y), None, 0.0)
     position = {"sensor_position_x": 0.0, "sensor_position_y": 0.0, "sensor_position_z": 0.03}
     there = aerodynamic_coefficients(table.assign(**position), AIRCRAFT, thrust=None, cutoff=None)
     change = LinearRegression().fit(X, there - Y).coef_
-    got = effect(aircraft, "sensor position z")
+    got = effect(errors, "sensor position z")
     assert_allclose(got, change, atol=0.02 * np.abs(change).max())
 
 
 def test_an_error_of_the_airspeed_counts_twice_in_dynamic_pressure(flown):
     table, X, slopes = flown
     fitted = least_squares_of(X, X.to_numpy() @ slopes)
-    assert "airspeed" not in with_log_errors(AIRCRAFT, table, X, fitted, None, 0.0).deviations
-    factor = with_log_errors(AIRCRAFT, table, X, fitted, None, 0.01).deviations["airspeed"]
+    assert "airspeed" not in learned_errors(table, AIRCRAFT, X, fitted, None, 0.0)
+    factor = learned_errors(table, AIRCRAFT, X, fitted, None, 0.01)["airspeed"]
     assert factor.std == 0.02
     assert factor.powers == {"dynamic pressure": 1.0}
 
@@ -114,13 +116,13 @@ def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
     Y = X.to_numpy() @ slopes + 0.01 * default_rng(1).normal(size=(len(X), 6))
     model = DependentGPRegressor(structure="trend", input_noise=None, random_state=0).fit(X, Y)
     state = np.array([0, 0, -100, 20, 0, 0, 1, 0, 0, 0, 0, 0, 0])
-    factor = ScaleFactor(0.1, {"dynamic pressure": 1.0}, of_log=True)
+    factor = ScaleFactor(0.1, {"dynamic pressure": 1.0})
+    controls = dict.fromkeys(["elevator", "aileron", "rudder"], 0.0)
     tables = []
-    for deviations in (None, {"airspeed": factor}):
-        aircraft = replace(AIRCRAFT, deviations=deviations)
-        controls = dict.fromkeys(["elevator", "aileron", "rudder"], 0.0)
+    for errors in ({}, {"airspeed": factor}):
+        uncertain = replace(as_aerodynamics(model), errors=errors)
         tables.append(
-            stability_derivatives(model, aircraft, state, controls, thrust=None, random_state=0)
+            stability_derivatives(uncertain, AIRCRAFT, state, controls, thrust=None, random_state=0)
         )
     without, table = tables
     # a non-dimensional rate contains the airspeed, too
@@ -133,10 +135,12 @@ def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
 
 def test_a_corrected_flight_is_not_corrected_again(first_minute):
     flight = first_minute().test[:120]
-    pipeline = FlightPipeline([("flightpathreconstruction", FlightPathReconstruction())])
+    check = FlightCheck()
+    steps = [("flightcheck", check), ("flightpathreconstruction", FlightPathReconstruction())]
+    pipeline = FlightPipeline(steps)
     pipeline.fit_transform(flight)
     known = reconstructed(pipeline, flight)["airspeed"]
-    pipeline.airspeed_scale_ = 0.05
+    check.airspeed_scale_ = AirspeedScale(0.05, 0.001)
     assert_allclose(reconstructed(pipeline, flight)["airspeed"], known)
     too_much = flight.assign(airspeed=1.05 * flight["airspeed"])
     assert_allclose(pipeline.transform(too_much)["airspeed"], known)

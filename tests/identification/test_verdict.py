@@ -261,9 +261,9 @@ class TestSimulation:
         assert still["lasts"].min() < 1
         assert still["lasts_without_gusts"].min() >= 1
         # errors of the log are no gusts
-        errors = {"log": ScaleFactor(1.0, added={"CZ": 1.0, "Cm": 0.2}, of_log=True)}
-        uncertain = replace(AIRCRAFT, deviations=errors)
-        of_log = mechanics_of(unknown, model=glider(-1.0), aircraft=uncertain).simulation
+        errors = {"log": ScaleFactor(1.0, added={"CZ": 1.0, "Cm": 0.2})}
+        uncertain = replace(glider(-1.0), errors=errors)
+        of_log = mechanics_of(unknown, model=uncertain).simulation
         assert_frame_equal(of_log, still)
         wrong = errors_of(unknown, elevator=1.0)
         assert wrong["lasts_without_gusts"].min() < 1

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
-from sklearn.base import clone
 from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Matrix
-from skdgp.preprocessing import RegressorSelector
 
 # Regressors of a thrust that nothing gives
 ENGINE_REGRESSORS = ("throttle", "airspeed")
@@ -52,11 +48,7 @@ class EngineRegressors(NamedTuple):
     without_effect: Matrix
 
 
-def engine_regressors(
-    selector: RegressorSelector,
-    table: pd.DataFrame,
-    targets: Any,
-) -> EngineRegressors:
+def engine_regressors(names: list[str], X: Matrix, Y: Matrix) -> EngineRegressors:
     """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
 
     For each coefficient each choice of the two is judged by the errors of a linear model on blocks of
@@ -66,19 +58,15 @@ def engine_regressors(
 
     Parameters
     ----------
-    selector : RegressorSelector
-        Of the set.
-    table : DataFrame
-        Flights before the selection.
-    targets : array-like (n, P)
+    names : list of str
+        The set, with throttle and airspeed.
+    X : ndarray (n, d)
+        Regressors by these names.
+    Y : ndarray (n, P)
         Coefficients, NaN where not to be learned from.
     """
-    everything = clone(selector).set_params(extra=[*selector.extra, "airspeed"])
-    with without_warnings():
-        names = list(everything.fit(table).regressors_)
-    Y = np.asarray(targets, dtype=float)
-    is_learned = np.isfinite(np.column_stack([table[names], Y])).all(axis=1)
-    Y = Y[is_learned]
+    is_learned = np.isfinite(np.column_stack([X, Y])).all(axis=1)
+    X, Y = X[is_learned], Y[is_learned]
     if len(Y) < ENGINE_SETTINGS.n_blocks * len(names):  # too few to judge
         return EngineRegressors(names, np.zeros((Y.shape[1], len(names)), bool))
     fixed = [name for name in names if name not in ENGINE_REGRESSORS]
@@ -88,8 +76,8 @@ def engine_regressors(
         choices += combinations(engine, size)
     errors = []
     for choice in choices:
-        X = table.loc[is_learned, [*fixed, *choice]].to_numpy(float)
-        errors.append(_held_out_errors(X, Y))
+        columns = [names.index(name) for name in (*fixed, *choice)]
+        errors.append(_held_out_errors(X[:, columns], Y))
     needed = []
     for of_output in np.transpose(errors, (2, 0, 1)):
         needed.append(choices[_best_choice(of_output)])

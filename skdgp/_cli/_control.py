@@ -189,6 +189,9 @@ def fly(run: Run) -> None:
     if len(flown.table):
         duration = float(flown.table.groupby("flight")["time"].max().sum())
     lines = [f"{flown.reason}: {duration:.1f} s of flight, {rate:.0f} steps a second were possible"]
+    outside = float((flown.table["beyond"] != "").mean()) if len(flown.table) else 0.0
+    if outside:
+        lines.append(f"{outside:.0%} of the flight is outside of what the model was learned from")
     if run.folder is not None:
         lines.append(wrote(run.write({"flight.csv": csv_writer(flown.table)})))
     numbers = {
@@ -196,6 +199,7 @@ def fly(run: Run) -> None:
         "seconds": duration,
         "steps": flown.steps,
         "steps_per_second": rate,
+        "outside": outside,
         "reason": flown.reason,
     }
     run.print("\n".join(lines), numbers)

@@ -42,6 +42,7 @@ from skdgp.dynamics import (
     LinearModel,
     LocalAir,
     Motion,
+    SimulationWarning,
     StepClock,
     TangentSettings,
     Trim,
@@ -50,6 +51,7 @@ from skdgp.dynamics import (
     channels,
     drawn_functions,
     end_reasons,
+    farthest_beyond,
     gust_stream,
     linearize,
     thrust_control,
@@ -73,6 +75,8 @@ class FlySettings:
     no_pulse: int = 500
     # Time between two rows of the table [s]
     row_step: float = 0.0199
+    # Shortest time between two warnings of a flight outside of what was learned [s]
+    warning_step: float = 1.0
     # Least height [m] of gusts, which vanish at the ground
     gust_height: float = 100.0
     # Silence [s] of an autopilot after which another one may fly
@@ -280,6 +284,9 @@ class ModelInFlight:
         self._gust_stream: Any = None
         self._gusts: Gusts | None = None  # of the present step
         self.ended = ""
+        self.beyond = ""  # the regressor farthest outside of what was learned
+        self._told = ""  # the one of the last warning
+        self._warned = -np.inf  # its time [s]
         self._specific_force = np.array([0.0, 0.0, -self.motion.gravity])
         self._wind: Array | None = None  # of the air at the last stage, north, east, down
 
@@ -305,6 +312,7 @@ class ModelInFlight:
         self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
         self._specific_force = np.divide(self._end.force, self.motion.aircraft.mass)
         self.time += duration
+        self._note_beyond(begin.now.regressors)
         reasons = [REASONS[reason] for reason in end_reasons(begin.state, begin.now)]
         if not np.isfinite(self.state).all() or not np.isfinite(self._specific_force).all():
             reasons.append(REASONS["diverged"])
@@ -312,6 +320,26 @@ class ModelInFlight:
             reasons.append("at the ground")
         if reasons:
             self.ended = f"the flight ended after {self.time:.1f} s: {reasons[0]}"
+
+    def _note_beyond(self, regressors: Vector) -> None:
+        """Note the regressor (d,) farthest outside of what was learned, and warn when it is another one."""
+        farthest = int(farthest_beyond(self.motion, regressors))
+        if not farthest:
+            self.beyond = self._told = ""
+            return
+        self.beyond = self.motion.regressors[farthest - 1]
+        if self.beyond == self._told or self.time - self._warned < self.settings.warning_step:
+            return
+        self._told = self.beyond
+        self._warned = self.time
+        model = self.motion.aerodynamics
+        low, high = model.limits[:, farthest - 1]
+        warn(
+            f"After {self.time:.1f} s the flight is outside of what the model was learned from, in "
+            f"{model.regressors[farthest - 1]} (here {regressors[farthest - 1]:.3g}, learned from {low:.3g} to "
+            f"{high:.3g}): the column beyond says where. A stall that was not flown is not in the model.",
+            SimulationWarning,
+        )
 
     def _next_gusts(self, step: float) -> Gusts | None:
         """Return the gusts of a step, or None in calm air."""
@@ -345,6 +373,7 @@ class ModelInFlight:
         """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
         values = self.channels()
         position = [values["north"], values["east"], values["down"] + self.ground]
+        # SITL's airspeed is the equivalent one
         equivalent = values["airspeed"] * math.sqrt(values["density"] / SEA_LEVEL_DENSITY)
         facts = {
             "timestamp": self.time,
@@ -412,7 +441,8 @@ class Link:
 class Flown(NamedTuple):
     """A flight behind an autopilot."""
 
-    #: A flight table with at most 50 rows a second; each start of the autopilot is a ``flight``
+    #: A flight table with at most 50 rows a second; each start of the autopilot is a ``flight``. ``beyond`` is the
+    #: regressor farthest outside its training range, or ""
     table: pd.DataFrame
     steps: int  #: Packets that were answered by a step
     computing: float  #: Time that the steps took [s]
@@ -452,8 +482,9 @@ def fly(
     steady : Trim
         Its altitude [m] is that of the start.
     full : mapping of str to float
-        Values at full output: deflections [rad] of aileron, elevator and rudder, in the unit of the
-        control; ``thrust`` [N] or ``propeller_speed`` [rad/s] where that sets the thrust.
+        Values with the servos at their ends: deflections [rad] of aileron, elevator and rudder, in the unit of the
+        control; ``thrust`` [N] or ``propeller_speed`` [rad/s] where that sets the thrust. Pulses of elevons and
+        V-tails contain ArduPilot's MIXING_GAIN.
     parameters : mapping of str to float, optional
         ``SERVOn_FUNCTION``, ``_MIN``, ``_TRIM``, ``_MAX``, ``_REVERSED`` of the autopilot, see
         `read_parameters`. By default servos 1 to 4 are aileron, elevator, throttle and rudder, 1100
@@ -495,6 +526,8 @@ def fly(
     -----
     UserWarning
         If other bytes come, or packets of a second autopilot, which are ignored.
+    SimulationWarning
+        When the flight leaves the training ranges, once a second at most.
     """
     check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")
@@ -588,7 +621,8 @@ class _Served:
         if flight.time - self._row_time > flight.settings.row_step:
             self._row_time = flight.time
             name = {"flight": f"start {self.n_starts}"}
-            self.rows.append(name | flight.channels() | commands)
+            beyond = {"beyond": flight.beyond}
+            self.rows.append(name | flight.channels() | commands | beyond)
 
 
 def _serve(

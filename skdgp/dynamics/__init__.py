@@ -108,7 +108,7 @@ from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import PRESSURE as PRESSURE
 from skdgp.dynamics._size_errors import ScaleFactor
-from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
+from skdgp.dynamics._trajectories import SimulationWarning, farthest_beyond, trajectory_bands
 from skdgp.dynamics._transfer import UNUSED as UNUSED
 from skdgp.dynamics._transfer import transfer as transfer
 from skdgp.dynamics._trim import Trim, trim
@@ -138,6 +138,7 @@ __all__ = [
     "dryden_wind",
     "euler_to_matrix",
     "euler_to_quaternion",
+    "farthest_beyond",
     "frequency_response",
     "linearize",
     "ned_to_body",

@@ -16,6 +16,7 @@ from skdgp.dynamics import (
     Aerodynamics,
     ScaleFactor,
     Servos,
+    SimulationWarning,
     Turbulence,
     simulate,
     standard_density,
@@ -123,6 +124,27 @@ def test_a_path_has_errors_of_the_log(flown, glider):
     for model in (glider.model(), uncertain):
         flown(play, model=model, path=3)
     assert abs(forces[1] - forces[0]) > 0.1
+
+
+def test_tells_when_it_leaves_what_was_learned(flown, glider):
+    """Full up elevator for 3 s: alpha was learned up to 0.1 rad, and there is no stall."""
+    limits = np.outer([-5.0, 5.0], np.ones(8))
+    limits[:, 0] = [-0.1, 0.1]
+
+    def play(autopilot):
+        for _ in range(3 * RATE):
+            autopilot.send((1500, 1900, 1500, 1500))
+
+    with pytest.warns(SimulationWarning, match="in alpha .*learned from -0.1 to 0.1") as told:
+        result = flown(play, glider.model(limits=limits), wait=1.0)
+    assert len(told) <= 3
+    alpha = result.table["alpha"]
+    outside = ~alpha.between(-0.104, 0.104)
+    assert 0 < outside.mean() < 1
+    # regressors at the beginning of a step count
+    assert np.mean((result.table["beyond"] == "alpha") == outside) > 0.97
+    first = result.table["time"][outside].iloc[0]
+    assert f"After {first:.1f} s" in str(told[0].message)
 
 
 def test_in_the_air_without_pulses_it_stays_in_trim(flown, steady):

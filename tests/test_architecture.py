@@ -27,16 +27,15 @@ ALLOWED = {
     "kernels": "_compute",
     "inference": "_compute kernels",
     "_regressor": "_compute kernels inference",
-    "_display": "_compute _flight",
     "metrics": "_compute _flight",
     "model_selection": "_compute",
-    "plotting": "_compute _flight _display dynamics inference _regressor",
+    "plotting": "_compute _flight dynamics",
     "identification": "_compute _flight dynamics estimation io preprocessing inference _regressor metrics "
     "model_selection plotting",
-    "report": "_compute _flight _display dynamics identification plotting",
+    "report": "_compute _flight dynamics identification plotting",
     # what is done with a model: export and design could become packages by moving a folder
     "export": "_compute _flight dynamics io kernels inference _regressor",
-    "design": "_compute _flight _display dynamics preprocessing plotting",
+    "design": "_compute _flight dynamics preprocessing plotting",
     "control": "_compute _flight dynamics",
     "_cli": "_compute _flight dynamics io datasets _regressor report identification export design control",
     "__main__": "_cli",
@@ -44,7 +43,7 @@ ALLOWED = {
     "model_selection plotting report identification export design control",
 }
 # Rooms whose files any room above may import; of others it imports what their ``__init__`` shows
-SHARED = {"_compute", "_flight", "_display"}
+SHARED = {"_compute", "_flight"}
 # Imported inside the functions that use them, or not at all.
 EXTRAS = {
     *("matplotlib", "pyarrow", "polars", "dask", "distributed", "control", "pyulog", "pymavlink"),

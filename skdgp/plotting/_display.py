@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, Self
@@ -13,7 +12,7 @@ import pandas as pd
 from skdgp._compute.messages import extra
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Indices, Vector
-from skdgp._display.page import MARGINS, WIDTH, legend_above, picture, text, tidy
+from skdgp.plotting._style import legend_above, tidy
 
 BAND = half_width(0.95)  # in standard deviations
 
@@ -24,7 +23,6 @@ class Display(ABC):
     axes_: np.ndarray
     figure_: Any
     size: tuple[float, float] = (4.6, 1.5)  # of a panel [in]
-    label_place = 0.17  # of the vertical axis' label, from the left edge of a panel of a page [in]
     by_column = False  # whether panels follow each other column by column
 
     @property
@@ -68,61 +66,6 @@ class Display(ABC):
             cell.set_visible(False)
         legend_above(cells[0])
         return self
-
-    def html(self, caption: str, *beneath: Display) -> str:
-        """Return the figure of a page: all panels, and under each the panels of ``beneath`` of its key."""
-        legends: list[str] = []
-        panels = ""
-        for key in self.keys:
-            images = [display._image(key, legends) for display in (self, *beneath)]  # noqa: SLF001 - a display's own
-            panels += f"<div>{''.join(images)}</div>"
-        layout = ""
-        if len(self.keys) == 1:
-            layout = "single"
-        elif self.size[0] < WIDTH:
-            layout = "trio"
-        grid = f'<div class="panels {layout}">{panels}</div>'
-        return f"<figure>{legends[0]}{grid}<figcaption>{caption}</figcaption></figure>"
-
-    def _image(self, key: Any, legends: list[str]) -> str:
-        """Return the picture of a panel, and add its legend."""
-
-        def draw(figure: Any) -> None:
-            ax = figure.subplots()
-            tidy(ax)
-            self.draw(ax, key)
-            inches = ax.get_position().width * figure.get_figwidth()
-            ax.yaxis.set_label_coords((self.label_place - MARGINS[0]) / inches, 0.5)
-            legends.append(_legend(ax))
-
-        return picture(draw, label=self.words(key), size=self.size)
-
-
-def _legend(ax: Any) -> str:
-    """Return the labelled artists of a panel with their colours; nothing where it has a legend itself."""
-    from matplotlib.collections import Collection
-    from matplotlib.colors import to_hex
-
-    if ax.get_legend() is not None:
-        return ""
-    lines = ""
-    artist: Any
-    for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
-        label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
-        kind = ""
-        mark = ""
-        color: Any
-        if isinstance(artist, Collection):
-            kind = "area"
-            color = artist.get_facecolor()[0]
-        else:
-            color = artist.get_color()
-            if artist.get_linestyle() == "None":
-                kind = "mark"
-                mark = "•"
-        style = f"color: {to_hex(color)}"
-        lines += f'<li><i class="{kind}" style="{style}">{mark}</i>{text(label)}</li>'
-    return f'<ul class="key">{lines}</ul>' if lines else ""
 
 
 def segment_starts(time: Vector, window: np.ndarray | None = None, longest: float = 5.0) -> Indices:

@@ -12,9 +12,9 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array
-from skdgp._display.page import PALETTE, ROLES, axis_label, display_unit, draw_curve, symbol
 from skdgp._flight.checks import check_names
 from skdgp.plotting._display import BAND, Display
+from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit, draw_curve, symbol
 
 # Points of a slice, and the quantiles of the regressor between which it lies
 POINTS = 30

@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp._display.page import ROLES, symbol
 from skdgp.plotting._display import BAND, Display
+from skdgp.plotting._style import ROLES, symbol
 
 UNITS = {"gain": "dB", "phase": "deg"}
 #: Least number of excited frequencies of a response that is drawn

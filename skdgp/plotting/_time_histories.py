@@ -10,7 +10,6 @@ import pandas as pd
 from sklearn.utils import check_array, check_consistent_length
 
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
-from skdgp._display.page import PALETTE, ROLES, axis_label, display_unit
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
 from skdgp._flight.checks import check_columns
 from skdgp._flight.tables import interpolated, unwrapped
@@ -22,6 +21,7 @@ from skdgp.plotting._display import (
     line_points,
     segment_starts,
 )
+from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit
 
 LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
 INPUTS = ("throttle", *SURFACES, *ELEVONS)

@@ -17,19 +17,6 @@ import pandas as pd
 from skdgp._compute.files import text_writer
 from skdgp._compute.messages import can_draw, notify
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._display.page import (
-    DASH,
-    THIN,
-    display_unit,
-    lowered,
-    number,
-    percent,
-    render_page,
-    section,
-    table,
-    text,
-    units_shown,
-)
 from skdgp._flight.channels import LATERAL, LONGITUDINAL, MIRRORED
 from skdgp.dynamics import Trim, as_aerodynamics
 from skdgp.identification import (
@@ -41,7 +28,19 @@ from skdgp.identification import (
     Verdict,
     flown_seconds,
 )
-from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay
+from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay, display_unit, units_shown
+from skdgp.report._html import (
+    DASH,
+    THIN,
+    figure,
+    lowered,
+    number,
+    percent,
+    render_page,
+    section,
+    table,
+    text,
+)
 
 NRMSE = "normalized_rmse"
 GROUPS = {"Longitudinal": LONGITUDINAL, "Lateral": LATERAL}
@@ -252,7 +251,7 @@ def _sections(result: Identification, effects: EffectsDisplay | None) -> list[st
     sections.append(_frequency(result.mechanics, draw))
     sections += _flights(result, draw)
     if draw and effects is not None:
-        sections.append(section("Effects", effects.html(EFFECTS)))
+        sections.append(section("Effects", figure(effects, EFFECTS)))
     if draw:
         sections.append(_flown(result))
     done = facts([*result.facts.items(), ("Command", result.command)])
@@ -544,7 +543,7 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
         display = TimeHistoryDisplay.from_trajectories(
             paths, flown, mean=mean, columns=names, ax=False
         )
-        parts.append(display.html(SIMULATED))
+        parts.append(figure(display, SIMULATED))
     return section("Simulation", *parts)
 
 
@@ -593,7 +592,7 @@ def _frequency(mechanics: FlightMechanics, draw: bool) -> str:
         head = ["", "excited<br>[rad/s]", "gain<br>[dB]", "phase<br>[deg]"]
         parts.append(table(head, rows, caption=FREQUENCY_ERRORS, classes="numbers narrow"))
         if draw:
-            parts.append(display.html(FREQUENCY, display.phases()))
+            parts.append(figure(display, FREQUENCY, display.phases()))
     return section("Frequency responses", *parts)
 
 
@@ -639,7 +638,7 @@ def _figures(result: Evaluation) -> str:
     if rows != slice(None):
         caption += f", the {SETTINGS.excerpt:g}{THIN}s in which the estimates move most"
     caption += ", and beneath each measured less estimated, in the 95 % band."
-    body = display.html(caption, display.residuals())
+    body = figure(display, caption, display.residuals())
     if result.replay is None:
         return body
     horizon = number(result.replay["horizon"].iloc[0], "g")
@@ -650,7 +649,7 @@ def _figures(result: Evaluation) -> str:
         f"this is not a simulation."
     )
     states = TimeHistoryDisplay.from_replay(result.replay[rows], result.table[rows], ax=False)
-    return body + states.html(caption)
+    return body + figure(states, caption)
 
 
 def liveliest_rows(time: Vector, values: Matrix, length: float = SETTINGS.excerpt) -> slice:
@@ -682,4 +681,4 @@ def _flown(result: Identification) -> str:
 
 def _inputs(name: str, flight: pd.DataFrame) -> str:
     display = TimeHistoryDisplay.from_inputs(flight, ax=False)
-    return display.html(f"Inputs of {text(name)}.")
+    return figure(display, f"Inputs of {text(name)}.")

@@ -40,7 +40,7 @@ def commit():
     """Return the last commit of the package and of the benchmarks; pages may have later ones."""
 
     def git(*words):
-        command = ("git", "-C", ROOT, *words, "--", "skdgp", "tests/benchmarks")
+        command = ("git", "-C", ROOT, *words, "--", "skdgp", "tests/benchmarks", "tests/flights")
         return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
 
     return git("log", "-1", "--format=%h") + "-dirty" * bool(git("status", "--porcelain"))

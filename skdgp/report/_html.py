@@ -1,4 +1,4 @@
-"""How values look: text, numbers, tables and pictures (SVG) as HTML, colours, symbols and units of all pictures.
+"""Text, numbers, tables and figures (SVG) as HTML.
 
 Text from outside is escaped here.
 """
@@ -6,27 +6,25 @@ Text from outside is escaped here.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from importlib.resources import files
 from io import StringIO
 from string import Template
-from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
 
-from skdgp._compute.typing import Vector
-from skdgp._flight.channels import CHANNELS, COEFFICIENTS
+from skdgp._flight.channels import COEFFICIENTS
+from skdgp.plotting import Display, tidy
 
 THIN = "\u202f"
 DASH = "–"
-STYLE = files("skdgp._display").joinpath("page.css").read_text(encoding="utf-8")
-PAGE = Template(files("skdgp._display").joinpath("page.html").read_text(encoding="utf-8"))
+STYLE = files("skdgp.report").joinpath("page.css").read_text(encoding="utf-8")
+PAGE = Template(files("skdgp.report").joinpath("page.html").read_text(encoding="utf-8"))
 WIDTH = 4.6  # width of a panel [in]: half a desktop page, or a phone with letters still readable
+LABEL_PLACE = 0.17  # of the vertical axis' label, from the left edge of a panel [in]
 MARGINS = (0.67, 0.14, 0.4, 0.16)  # left, right, below and above the axes [in]
 FONTS = "Helvetica, Roboto, 'Liberation Sans', Arial, sans-serif"
 _PICTURE_STYLE: dict[Any, Any] = {
@@ -88,6 +86,63 @@ def render_page(kind: str, title: str, meta: str, body: str, colophon: str) -> s
     )
 
 
+def figure(display: Display, caption: str, *beneath: Display) -> str:
+    """Return the figure of a page: all panels, and under each the panels of ``beneath`` of its key."""
+    legends: list[str] = []
+    panels = ""
+    for key in display.keys:
+        images = [_panel(of_key, key, legends) for of_key in (display, *beneath)]
+        panels += f"<div>{''.join(images)}</div>"
+    layout = ""
+    if len(display.keys) == 1:
+        layout = "single"
+    elif display.size[0] < WIDTH:
+        layout = "trio"
+    grid = f'<div class="panels {layout}">{panels}</div>'
+    return f"<figure>{legends[0]}{grid}<figcaption>{caption}</figcaption></figure>"
+
+
+def _panel(display: Display, key: Any, legends: list[str]) -> str:
+    """Return the picture of a panel, and add its legend."""
+
+    def draw(figure: Any) -> None:
+        ax = figure.subplots()
+        tidy(ax)
+        display.draw(ax, key)
+        inches = ax.get_position().width * figure.get_figwidth()
+        ax.yaxis.set_label_coords((LABEL_PLACE - MARGINS[0]) / inches, 0.5)
+        legends.append(_legend(ax))
+
+    return picture(draw, label=display.words(key), size=display.size)
+
+
+def _legend(ax: Any) -> str:
+    """Return the labelled artists of a panel with their colours; nothing where it has a legend itself."""
+    from matplotlib.collections import Collection
+    from matplotlib.colors import to_hex
+
+    if ax.get_legend() is not None:
+        return ""
+    lines = ""
+    artist: Any
+    for artist, label in zip(*ax.get_legend_handles_labels(), strict=True):
+        label = re.sub(r"(?<!\\)\$(\w)_(\w)\$", r"\1\2", label).replace(r"\$", "$")
+        kind = ""
+        mark = ""
+        color: Any
+        if isinstance(artist, Collection):
+            kind = "area"
+            color = artist.get_facecolor()[0]
+        else:
+            color = artist.get_color()
+            if artist.get_linestyle() == "None":
+                kind = "mark"
+                mark = "•"
+        style = f"color: {to_hex(color)}"
+        lines += f'<li><i class="{kind}" style="{style}">{mark}</i>{text(label)}</li>'
+    return f'<ul class="key">{lines}</ul>' if lines else ""
+
+
 def picture(draw: Callable, *, label: str, size: tuple[float, float]) -> str:
     """Return an image, the SVG drawn by ``draw(figure)``; a reader can save it as a file.
 
@@ -126,115 +181,3 @@ def _shortened(match: re.Match) -> str:
     digits = 1 if len(value) > 1000 else 2
     value = re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.{digits}f}", value)
     return f'{name}="{value if set("CQ") & set(value) else value.replace(" L ", " ")}"'
-
-
-# -- style of all pictures: colours, symbols, units, legends
-# -------------------------------------------------------------------------------------
-
-# Okabe & Ito (2008), Color Universal Design.
-PALETTE = {
-    "blue": "#0072B2", "vermillion": "#D55E00", "green": "#009E73", "purple": "#CC79A7", "sky": "#56B4E9",
-    "orange": "#E69F00", "yellow": "#F0E442", "grey": "#8A8A8A",
-}  # fmt: skip
-ROLES = {
-    "measured": PALETTE["grey"],
-    "mean": PALETTE["blue"],
-    "band": PALETTE["sky"],
-    "truth": PALETTE["vermillion"],
-}
-
-_SYMBOLS = {
-    "CX": "C_X", "CY": "C_Y", "CZ": "C_Z", "Cl": "C_l", "Cm": "C_m",
-    "Cn": "C_n", "alpha": r"\alpha", "beta": r"\beta", "phi": r"\phi", "theta": r"\theta",
-    "psi": r"\psi", "alpha_dot": r"\dot{\alpha}", "beta_dot": r"\dot{\beta}", "p": "p", "q": "q",
-    "r": "r", "u": "u", "v": "v", "w": "w", "p_dot": r"\dot{p}",
-    "q_dot": r"\dot{q}", "r_dot": r"\dot{r}", "p_hat": r"\hat{p}", "q_hat": r"\hat{q}", "r_hat": r"\hat{r}",
-    "ax": "a_x", "ay": "a_y", "az": "a_z", "v_north": "v_N", "v_east": "v_E",
-    "v_down": "v_D", "airspeed": "V", "altitude": "h",
-}  # fmt: skip
-_UNITS: ContextVar[Mapping[str, str]] = ContextVar("_UNITS", default=MappingProxyType({}))
-
-
-@contextmanager
-def units_shown(units: Mapping[str, str]) -> Iterator[None]:
-    """Show columns in these units inside the ``with`` block, such as surfaces in parts of their full throw."""
-    token = _UNITS.set(units)
-    try:
-        yield
-    finally:
-        _UNITS.reset(token)
-
-
-def display_unit(name: str) -> tuple[float, str]:
-    """Return the factor from SI to the displayed unit, and that unit. Only pictures use degrees."""
-    if name in _UNITS.get():
-        return 1.0, _UNITS.get()[name]
-    channel = "phi" if name == "bank" else name
-    unit = CHANNELS[channel].unit if channel in CHANNELS else ""
-    if unit.startswith("rad") and name != "propeller_speed":
-        return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
-    return 1.0, unit
-
-
-def heading(name: str) -> str:
-    """Return a column's name in words, with its unit beneath."""
-    unit = display_unit(name)[1]
-    return text(name.replace("_", " ")) + (f"<br>[{unit}]" if unit else "")
-
-
-def shown(name: str, value: float) -> str:
-    """Return a value of a column in the displayed unit, a dash where there is none."""
-    factor, unit = display_unit(name)
-    return number(factor * value, ".1f" if unit else ".2f") if np.isfinite(value) else DASH
-
-
-def symbol(name: str) -> str:
-    """Return the symbol of a column for a label, or its name in words."""
-    return f"${_SYMBOLS[name]}$" if name in _SYMBOLS else plain(name.replace("_", " "))
-
-
-def plain(name: str) -> str:
-    """Return ``name`` escaped for matplotlib: no mathematics, no hidden label."""
-    return (f" {name}" if name.startswith("_") else name).replace("$", r"\$")
-
-
-def axis_label(name: str) -> str:
-    """Return symbol and unit, such as ``$p$ [deg/s]``."""
-    unit = display_unit(name)[1]
-    return f"{symbol(name)} [{unit}]" if unit else symbol(name)
-
-
-def tidy(ax: Any) -> None:
-    """Remove two spines and draw a faint grid."""
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(True, linewidth=0.4, alpha=0.35)
-    ax.set_axisbelow(True)
-    ax.margins(x=0)
-
-
-def draw_curve(
-    ax: Any,
-    x: Vector,
-    mean: Vector,
-    std: Vector,
-    label: str,
-    color: str = ROLES["mean"],
-    band: str = ROLES["band"],
-) -> None:
-    """Draw a line with its 95 % band."""
-    half = 1.96 * std
-    ax.fill_between(
-        x, mean - half, mean + half, label="95 % band", color=band, alpha=0.35, linewidth=0
-    )
-    ax.plot(x, mean, color=color, label=label)
-
-
-def legend_above(ax: Any) -> None:
-    """Draw the legend above the axes, where it covers no data."""
-    if ax.get_legend_handles_labels()[0] and ax.get_legend() is None:
-        ax.legend(
-            loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, fontsize="small",
-            borderaxespad=0.2, handlelength=1.6, columnspacing=1.4,
-        )  # fmt: skip
-        ax.get_legend().set_in_layout(False)  # it may be wider than its panel
-        ax.set_title(" ")  # room for it

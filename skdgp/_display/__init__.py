@@ -1,1 +1,0 @@
-"""Display: units, colours, pictures, tables and pages, of plots, reports and flight cards alike."""

@@ -154,13 +154,16 @@ def _band_spectra(records: list[Array], step: float) -> tuple[Array, Array, Arra
             f"expected at least {N_WINDOWS * LEAST_WINDOW:g} s, and one of {LEAST_WINDOW:g} s, "
             f"without gaps in these columns."
         )
+    cross_spectra: Any = csd  # of all pairs of channels, by broadcasting
     total: Any = 0.0
     n_windows = 0
     for record in records:
         if record.shape[1] >= n:
             n_of_record = 1 + (record.shape[1] - n) // (n - n // 2)
             # S_ij, the mean of conj(x_i) x_j over windows by Hann that overlap by half
-            frequency, S = csd(record[:, None], record, 1.0 / step, nperseg=n, detrend="linear")
+            frequency, S = cross_spectra(
+                record[:, None], record, 1.0 / step, nperseg=n, detrend="linear"
+            )
             total = total + n_of_record * S
             n_windows += n_of_record
     # two periods of the lowest frequency in a window
@@ -190,17 +193,18 @@ def _responses(S: Array, q: int) -> tuple[Array, Array, Array]:
         of_output = P[:, :q, q].T
         responses.append(-of_output / own[q] * size[:, k] / size[:, :q].T)
         coherences.append(np.abs(of_output) ** 2 / (own[:q] * own[q]))
-    power = 1.0 / np.einsum("nii->in", _inverse(S[:, :q, :q])).real
-    coherence = np.clip(coherences, np.finfo(float).tiny, 1.0)
+    alone = np.einsum("nii->in", _inverse(scaled[:, :q, :q])).real
+    power = size[:, :q].T ** 2 / alone
+    coherence: Any = np.clip(coherences, np.finfo(float).tiny, 1.0)
     return np.array(responses), coherence, np.broadcast_to(power, coherence.shape)
 
 
-def _inverse(S: Array) -> Array:
+def _inverse(S: Array) -> Any:
     """Return the pseudo-inverse of Hermitian matrices."""
     return np.linalg.pinv(S, rcond=RIDGE, hermitian=True)
 
 
-def _decibels(H: Array) -> Array:
+def _decibels(H: Array) -> Any:
     return 20.0 * np.log10(np.maximum(np.abs(H), np.finfo(float).tiny))
 
 
@@ -215,8 +219,8 @@ def _of_model(
     s: Any = 1j * frequency
     late = np.exp(-s[:, None, None] * linear.servo_delays[columns])
 
-    def response(*matrices: Any) -> Array:
-        H = transfer(*matrices, linear.A.index, s)[..., rows, columns] * late
+    def response(A: Any, B: Any, C: Any, D: Any) -> Array:
+        H = transfer(A, B, C, D, linear.A.index, s)[..., rows, columns] * late
         return np.moveaxis(H, -3, -1)
 
     H = response(linear.A, linear.B, linear.C, linear.D)

@@ -311,11 +311,12 @@ class Motion:
         """Return the instant whose implicit regressors are those that follow from it, by iteration."""
         for _ in range(ITERATIONS):
             now = loaded_by(guess)
-            off = ((now.implicit - guess) / (1.0 + np.abs(now.implicit)))[..., self._load_places]
+            result: Any = now.implicit
+            off = ((result - guess) / (1.0 + np.abs(result)))[..., self._load_places]
             settled = np.abs(off).max(axis=-1) < TOLERANCE
             if np.all(settled | ~np.isfinite(off).all(axis=-1)):
                 break
-            guess = now.implicit
+            guess = result
         return now._replace(settled=settled)
 
     def _flow(self, state: Array, air: LocalAir | None) -> Flow:

@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from sklearn.utils import check_random_state
 
-from skdgp._compute.typing import Array, Seed
+from skdgp._compute.typing import Array, Seed, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.checks import check_columns, check_number, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion
@@ -242,7 +242,7 @@ class _Spectra(NamedTuple):
     interval: (
         Array  #: Of the samples, in the air (n,) [m]: the spectrum of white noise of unit variance
     )
-    count: Array  #: Values of the periodograms in a band, (n,)
+    n_values: Vector  #: Values of the periodograms in a band, (n,)
     shortest: float  #: Scale length that they can show [m]
 
 
@@ -274,7 +274,9 @@ def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float
     table = pd.DataFrame(np.concatenate(parts))
     bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
     mean = bands.mean().to_numpy()
-    return _Spectra(mean[:, 0], mean[:, 1:4], mean[:, 4], bands.size().to_numpy(), min(shortest))
+    return _Spectra(
+        mean[:, 0], mean[:, 1:4], mean[:, 4], bands.size().astype(float).to_numpy(), min(shortest)
+    )
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
@@ -322,8 +324,8 @@ def _fitted(spectra: _Spectra, axis: int, is_along: bool) -> tuple[float, float]
         unit = (unit + _unit_spectrum(spectra.wave_number, length, 1 - axis)) / 2
     noises = NOISES if is_along else NOISES[:1]
     S = unit[:, None] + noises[:, None] * spectra.interval  # (lengths, noises, bands)
-    variance = np.maximum(np.average(values / S, axis=-1, weights=spectra.count), CALM)
-    loss = np.sum(spectra.count * np.log(variance[..., None] * S), axis=-1)
+    variance = np.maximum(np.average(values / S, axis=-1, weights=spectra.n_values), CALM)
+    loss = np.sum(spectra.n_values * np.log(variance[..., None] * S), axis=-1)
     loss += 0.5 * (np.log(length / LENGTH) / LENGTH_STD) ** 2
     i, j = np.unravel_index(np.argmin(loss), loss.shape)
     return float(np.sqrt(variance[i, j])), float(length[i, 0])

@@ -90,8 +90,9 @@ class EffectsDisplay(Display):
         """Draw the slice of an output along a regressor."""
         output, name = key
         k = self.outputs.index(output)
-        slices = self.values.columns.get_indexer(self._largest(output))
-        i = self.values.columns.get_loc(name)
+        names = list(self.values)
+        slices = [names.index(other) for other in self._largest(output)]
+        i = names.index(name)
         factor, _ = display_unit(name)
         ax.axvline(factor * self.at[name], color=PALETTE["grey"], linewidth=0.6)
         at = factor * self.values[name].to_numpy()
@@ -140,10 +141,11 @@ class EffectsDisplay(Display):
         point.update(pd.Series(dict(at or {}), dtype=float))
         low, high = X.quantile(RANGE[0]), X.quantile(RANGE[1])
         values = pd.DataFrame(np.linspace(low, high, POINTS), columns=X.columns)
-        slices = [
-            pd.DataFrame([point] * POINTS, values.index).assign(**{name: values[name]})
-            for name in values
-        ]
+        slices = []
+        for name in X.columns:
+            along = pd.DataFrame([point] * POINTS, values.index)
+            along[name] = values[name]
+            slices.append(along)
         points = pd.concat(slices, ignore_index=True)
         # the regressors of a slice are exact
         predicted = estimator.predict(points, return_std=True, include_input_noise=False)

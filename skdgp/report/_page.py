@@ -215,7 +215,7 @@ def _effects(result: Identification) -> EffectsDisplay:
     rows = pd.DataFrame(aerodynamics.learned.training_rows(), columns=aerodynamics.regressors)
     trim = result.mechanics.trim
     steady = {} if trim is None else {"alpha": trim.alpha, "beta": trim.beta, **trim.controls}
-    at = {name: steady[name] for name in rows if name in steady}
+    at = {name: steady[name] for name in aerodynamics.regressors if name in steady}
     return EffectsDisplay.from_estimator(result.pipeline[-2:], rows, at, ax=False)
 
 

@@ -7,7 +7,10 @@ surfaces are related to rates :math:`\omega` and specific force f by local linea
           (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
 within a band of frequencies. The lag maximises the profile likelihood
-:math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` (Jategaonkar 2006, chapter 10).
+:math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` (Jategaonkar 2006, chapter 10). Over a short record a lag looks like a
+sum of rates and forces, as :math:`\dot\alpha = q + (a_z + g_z) / V`. There the vanes are compared with the
+motion of the aircraft alone, the integrals of this rate and of
+:math:`\dot\beta = p \sin\alpha - r \cos\alpha + (a_y + g_y) / V`; gusts are then part of the error.
 
 Surfaces that are early are commands. Then their servos have a first-order lag T,
 :math:`T \dot\delta = c - \delta`, besides a delay.
@@ -15,21 +18,24 @@ Surfaces that are early are commands. Then their servos have a first-order lag T
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
 from scipy import linalg, optimize, signal
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.stats import norm as normal
 from scipy.stats import sem
 from scipy.stats import t as student
 
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.clock import flight_codes, uniform_grid
+from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
@@ -47,6 +53,9 @@ from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import LAG_SETTINGS, LagSettings
 
 INERTIAL = (*SPECIFIC_FORCE, *RATES)
+ATTITUDE = ("phi", "theta")
+# angles of the flow by the motion of the aircraft alone
+MOTION = ("alpha_of_motion", "beta_of_motion")
 ACCELERATIONS = tuple(f"{name}_dot" for name in RATES)
 PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 """Constants of a path by group of channels."""
@@ -84,8 +93,9 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     then.
     """
     segments = _segments_of(at_centre_of_gravity(table), settings)
+    long_segments = [segment for segment in segments if segment.seconds > settings.long]
     servos = UNKNOWN
-    surfaces = _most_likely_lag(segments, ALL_SURFACES, _turning_by_surfaces, settings)
+    surfaces = _most_likely_lag(long_segments, ALL_SURFACES, _turning_by_surfaces, settings)
     servos_and_delay = None
     if removable(surfaces, settings) < 0:
         servos_and_delay = _most_likely_servos(segments, surfaces, settings)
@@ -94,12 +104,16 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
         lag = removable(servos, settings)
         segments = [segment.behind_servos(lag) for segment in segments]
     surface_lag = removable(surfaces, settings)
+
     vanes = _most_likely_lag(
-        segments,
+        long_segments,
         VANES,
         lambda segment, lag: (segment.channels(VANES, lag), segment.predictors(surface_lag)),
         settings,
     )
+    by_motion = _lag_behind_motion(segments, settings)
+    if np.isnan(vanes.std) or by_motion.std < vanes.std:
+        vanes = by_motion
     of_path = dict.fromkeys(PATH_LAGS, UNKNOWN)
     if segments and not missing_channels(table):
         of_path = _lags_of_path(table, settings)
@@ -163,6 +177,8 @@ class _Segment:
         low, high = _band_at(rate_hz, settings)
         channels = _on_clock(time, table, clock)
         speed = _steady_speed(channels, rate_hz, settings)
+        if "airspeed" in channels:
+            channels |= dict(zip(MOTION, _angles_of_motion(channels, speed, clock), strict=True))
         for name in RATES:
             rate = CubicSpline(clock, low_pass(channels[name], rate_hz, 2 * high))
             channels[f"{name}_dot"] = rate(clock, 1) / speed**2
@@ -213,6 +229,20 @@ class _Segment:
         return np.hstack([self.channels(INERTIAL), self.channels(ALL_SURFACES, surface_lag)])
 
 
+def _angles_of_motion(
+    channels: Mapping[str, Vector], speed: Vector | float, clock: Vector
+) -> tuple[Vector, Vector]:
+    """Return alpha and beta (n,) by the motion alone, but for a constant; gravity where the attitude is known."""
+    phi, theta = (channels.get(name, np.zeros(len(clock))) for name in ATTITUDE)
+    alpha = np.mean(channels.get("alpha", 0.0))
+    g_y = STANDARD_GRAVITY * np.cos(theta) * np.sin(phi)
+    g_z = STANDARD_GRAVITY * np.cos(theta) * np.cos(phi)
+    alpha_dot = channels["q"] + (channels["az"] + g_z) / speed
+    beta_dot = channels["p"] * np.sin(alpha) - channels["r"] * np.cos(alpha)
+    beta_dot = beta_dot + (channels["ay"] + g_y) / speed
+    return tuple(cumulative_trapezoid(rate, clock, initial=0.0) for rate in (alpha_dot, beta_dot))
+
+
 def _steady_speed(
     channels: dict[str, Vector], rate_hz: float, settings: LagSettings
 ) -> Vector | float:
@@ -225,7 +255,7 @@ def _steady_speed(
 
 def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vector]:
     """Return the channels of a segment on a uniform clock; of vanes and surfaces those that move."""
-    names = [name for name in (*INERTIAL, "airspeed") if has_values(table, name)]
+    names = [name for name in (*INERTIAL, "airspeed", *ATTITUDE) if has_values(table, name)]
     for name in (*VANES, *ALL_SURFACES):
         if has_values(table, name) and table[name].max() > table[name].min():
             names.append(name)
@@ -298,6 +328,56 @@ def _most_likely_lag(
     quantile = student.isf(probability, len(pieces) - 1) / settings.significance
     std = np.hypot(quantile * sem(pieces), lag - np.mean(pieces))
     return Lag(float(lag), float(std))
+
+
+def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
+    """Return the lag of vanes behind the motion of the aircraft, which explains them but for gusts.
+
+    It is that of the least sum n log RSS of alpha and beta over their motion. With residuals e and
+    slopes g of the fitted response by time, in units of the residuals, its variance is the sum of
+    (g e)^2 over that of g^2 squared, with the autocorrelation time of g e; gusts add an error in proportion to
+    the part of the vanes that is not explained.
+    """
+    pairs = [(segment, *pair) for segment in segments for pair in zip(VANES, MOTION, strict=True)]
+    pairs = [pair for pair in pairs if {*pair[1:]} <= pair[0].splines.keys()]
+    if not pairs:
+        return UNKNOWN
+
+    def fit(segment: _Segment, vane: str, motion: str, lag: float) -> tuple[Vector, Vector]:
+        """Return response and fitted response (n,)."""
+        y = segment.channels([vane], lag)[:, 0]
+        x = segment.channels([motion])[:, 0]
+        return y, x * (x @ y) / (x @ x)
+
+    def loss(lag: float) -> float:
+        total = 0.0
+        for pair in pairs:
+            y, fitted = fit(*pair, lag)
+            total += len(y) * np.log(np.sum((y - fitted) ** 2) / (y @ y))
+        return total
+
+    most = settings.largest_of_vanes
+    steps = np.arange(-settings.largest, most + settings.coarse / 2, settings.coarse)
+    lag = _minimum(steps, np.array([loss(step) for step in steps]))
+    if not steps[0] < lag < steps[-1]:
+        return UNKNOWN
+    variance = 0.0
+    information = 0.0
+    unexplained = 0.0
+    for pair in pairs:
+        y, fitted = fit(*pair, lag)
+        time = pair[0].time
+        e = y - fitted
+        g = np.gradient(fitted, time[1] - time[0])
+        g -= fitted * (fitted @ g) / (fitted @ fitted)
+        scale = np.mean(e**2)
+        products = g * e / scale
+        variance += autocorrelation_time(products) * float(products @ products)
+        information += float(g @ g) / scale
+        unexplained += float(g @ g) / scale * float(e @ e) / float(y @ y)
+    of_residuals = settings.lack_of_motion * np.sqrt(variance) / information
+    of_gusts = settings.error_by_gusts * unexplained / information
+    return Lag(float(lag), float(np.hypot(of_residuals, of_gusts)))
 
 
 def _most_likely_servos(

@@ -65,7 +65,8 @@ class LagCorrector(TableTransformer):
     .. math:: \dot\omega / V^2 \approx B\,[\delta, \omega / V, f / V^2], \quad
               (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
-    all within the band from 0.3 to 4 Hz. The lag maximises the profile likelihood of the residuals
+    all within the band from 0.3 to 4 Hz. Vanes of records from 6 s on are also compared with the motion of the
+    aircraft, :math:`\dot\alpha = q + (a_z + g_z) / V`; the more certain lag counts. The lag maximises the profile likelihood of the residuals
     (Jategaonkar 2006, chapter 10). About eight pieces of the flights, each with its own B, C and
     lag, give its standard error: an error of the linear model moves their lags apart. Lags of
     throttle and propeller speed can be given, not estimated: engines respond slowly. T and the delay

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import welch
 
+from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import LagCorrector
 
@@ -190,8 +191,21 @@ class TestEstimate:
         flights = pd.concat([part.assign(flight=k) for k, part in enumerate(parts)])
         assert found_in(flights.reset_index(drop=True)).applied["surfaces"] == 0
 
+    @pytest.mark.parametrize("lag", [0.0, 0.1, 0.3, 0.5])
+    @pytest.mark.parametrize("begin", [6.0, 30.0])
+    def test_vanes_of_a_record_of_12_s_by_the_motion(self, lag, begin):
+        """alpha follows q + az / V, so a record of few manoeuvres shows its lag, and none where none is."""
+        flight = load_example_flights(duration=60.0, turbulence=0.3).train
+        flight = flight[flight["flight"] == "latlon"].reset_index(drop=True)
+        record = late(flight, air=lag)
+        elapsed = record["time"] - record["time"].iloc[0]
+        lags = found_in(record[(elapsed > begin) & (elapsed < begin + 12.0)].reset_index(drop=True))
+        assert lags.lag["air"] == pytest.approx(lag, abs=0.02)
+        assert lags["std"]["air"] < 0.02
+        assert (lags.applied["air"] == 0.0) == (lag == 0.0)
+
     def test_a_flight_too_short_tells_nothing(self):
-        assert remarks(linear_aircraft(0, seconds=25, air=0.05)) == UNSHOWN
+        assert remarks(linear_aircraft(0, seconds=9, air=0.05)) == UNSHOWN
 
     def test_a_log_slower_than_the_band_tells_nothing(self):
         assert remarks(linear_aircraft(0)[::27]) == UNSHOWN  # 1.5 Hz

@@ -30,6 +30,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.checks import check_number
 from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
+from skdgp._flight.spectra import cross_spectra
 from skdgp._flight.tables import interpolated
 
 
@@ -382,27 +383,14 @@ def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
         return None
     step = median_step(group.time, group.runs)
     half = min(_window_rows(step), longest // 4) // 2
-    size = 2 * half
-    windows = []
-    for run in group.runs:
-        if n_rows(run) >= size:
-            windows.append(_windows(group.columns[run], size))
-    pieces = np.concatenate(windows)
-    taper = signal.windows.hann(size)
-    tapered = signal.detrend(pieces, axis=-1) * taper
-    waves = np.fft.rfft(tapered, axis=-1).transpose(2, 1, 0)
-    # of a periodogram [1/Hz]
-    energy = len(pieces) * np.sum(taper**2)
-    unit = 2 * step / energy
-    power = waves @ waves.conj().swapaxes(1, 2) * unit
-    # there is no wave of negative frequency beside these
-    power[[0, -1]] /= 2
-    largest = np.abs(pieces).max(axis=(0, 2))
+    runs = [group.columns[run].T for run in group.runs]
+    frequency, power, n_windows = cross_spectra(runs, step, 2 * half)
+    largest = np.abs(group.columns[np.r_[tuple(group.runs)]]).max(axis=0)
     return Spectrum(
-        frequency=np.fft.rfftfreq(size, step),
+        frequency=frequency,
         power=power,
         # each sample is in four windows
-        averages=0.375 * len(pieces),
+        averages=0.375 * n_windows,
         rounding=2 * step * (1e-9 * largest) ** 2,
     )
 
@@ -410,13 +398,6 @@ def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
 def _window_rows(step: float) -> int:
     """Return the most rows of a periodogram."""
     return int(max(SMOOTHING.window_seconds / step, SMOOTHING.shortest_window))
-
-
-def _windows(segment: Matrix, size: int) -> Array:
-    """Return half-overlapping windows (s, k, size), counted from either end so that no sample is left over."""
-    views = np.lib.stride_tricks.sliding_window_view(segment, size, axis=0)
-    half = size // 2
-    return np.concatenate([views[::half], views[::-half]])
 
 
 def noise_power(spectrum: Spectrum) -> Vector:

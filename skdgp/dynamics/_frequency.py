@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.signal import csd
 
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
 from skdgp._flight.checks import check_names
 from skdgp._flight.clock import true_runs
+from skdgp._flight.spectra import cross_spectra
 from skdgp._flight.tables import FlightTable, interpolated, unwrapped
 from skdgp.dynamics._linearize import LinearModel
 from skdgp.dynamics._transfer import transfer
@@ -154,28 +154,18 @@ def _band_spectra(records: list[Array], step: float) -> tuple[Array, Array, Arra
             f"expected at least {N_WINDOWS * LEAST_WINDOW:g} s, and one of {LEAST_WINDOW:g} s, "
             f"without gaps in these columns."
         )
-    cross_spectra: Any = csd  # of all pairs of channels, by broadcasting
-    total: Any = 0.0
-    n_windows = 0
-    for record in records:
-        if record.shape[1] >= n:
-            n_of_record = 1 + (record.shape[1] - n) // (n - n // 2)
-            # S_ij, the mean of conj(x_i) x_j over windows by Hann that overlap by half
-            frequency, S = cross_spectra(
-                record[:, None], record, 1.0 / step, nperseg=n, detrend="linear"
-            )
-            total = total + n_of_record * S
-            n_windows += n_of_record
+    frequency, S, n_windows = cross_spectra(records, step, n)
+    S = S.conj()  # S_ij, the mean of conj(x_i) x_j
     # two periods of the lowest frequency in a window
     is_used = (frequency >= 2.0 * frequency[1]) & (frequency <= HIGHEST / step)
     frequency = frequency[is_used]
-    S = np.moveaxis(total / n_windows, -1, 0)[is_used]
+    S = S[is_used]
     first = np.flatnonzero(np.diff(np.floor(PER_DECADE * np.log10(frequency)), prepend=-np.inf))
     n_bins = np.diff([*first, len(frequency)])
     mean_frequency = np.add.reduceat(frequency, first) / n_bins
     mean = np.add.reduceat(S, first) / n_bins[:, None, None]
     # neighbouring bins of Hann's window are correlated by 4 / 9
-    return mean_frequency, mean, n_windows * (n_bins + 1.0) / 2.0
+    return mean_frequency, mean, n_windows / 2.0 * (n_bins + 1.0) / 2.0
 
 
 def _responses(S: Array, q: int) -> tuple[Array, Array, Array]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -274,9 +274,8 @@ def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float
     table = pd.DataFrame(np.concatenate(parts))
     bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
     mean = bands.mean().to_numpy()
-    return _Spectra(
-        mean[:, 0], mean[:, 1:4], mean[:, 4], bands.size().astype(float).to_numpy(), min(shortest)
-    )
+    n_values: Any = bands.size().to_numpy(float)
+    return _Spectra(mean[:, 0], mean[:, 1:4], mean[:, 4], n_values, min(shortest))
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:

@@ -5,11 +5,12 @@ band, and P their inverse,
 
 .. math:: H = S_{xx}^{-1} S_{xy} = -\frac{P_{xy}}{P_{yy}}, \quad
     \gamma_i^2 = \frac{|P_{iy}|^2}{P_{ii} P_{yy}}, \quad
-    \epsilon_i^2 = \frac{1 - \gamma_i^2}{2 \gamma_i^2 (n_d - q + 1)},
+    \epsilon_i^2 = \frac{1 - \gamma_i^2}{2 \gamma_i^2} \Big(\frac{1}{n_d - q + 1} + f\Big),
 
 where :math:`\gamma_i^2` is the partial coherence, without what the other q - 1 inputs explain,
-:math:`n_d` the number of independent averages and :math:`\epsilon` the random error of the gain,
-relative, and of the phase [rad] (Bendat & Piersol 2010, section 9.3).
+:math:`n_d` the number of independent averages and :math:`\epsilon` the error of the gain, relative,
+and of the phase [rad]. Its first part is random (Bendat & Piersol 2010, section 9.3), the second the
+bias by a fraction f of the input that is fed back from the output.
 """
 
 from __future__ import annotations
@@ -41,6 +42,10 @@ HIGHEST = 0.2
 # 2012, sections 8.5 and 9.4)
 COHERENCE = 0.6
 ERROR = 0.2
+# Fraction of the power of an input that an autopilot may feed back from disturbances of the output:
+# their cross spectrum is then at most its root times that of full coherence (guess; open loop, errors
+# are then as large as stated)
+FED_BACK = 0.05
 # Least power of an input that counts, over its largest: below, an autopilot that feeds noise and
 # gusts back may move it (guess)
 POWER = 0.1
@@ -107,7 +112,7 @@ def frequency_response(
     frequency, S, n_averages = _band_spectra(_records(table, [*inputs, *outputs], step), step)
     n_averages = np.maximum(n_averages - len(inputs) + 1, np.finfo(float).tiny)
     H, coherence, power = _responses(S, len(inputs))
-    error = np.sqrt((1.0 - coherence) / (2.0 * coherence * n_averages))
+    error = np.sqrt((1.0 - coherence) / (2.0 * coherence) * (1.0 / n_averages + FED_BACK))
     is_excited = (coherence >= COHERENCE) & (error <= ERROR)
     is_excited &= power >= POWER * power.max(axis=-1, keepdims=True)
     columns = {

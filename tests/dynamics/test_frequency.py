@@ -94,13 +94,16 @@ def test_errors_are_as_large_as_stated(linear):
 
 
 def test_errors_grow_with_what_the_inputs_do_not_explain(linear):
-    """As (1 - c) / 2 c of the coherence c (Bendat & Piersol 2010), alike in gain [dB] and phase [deg]."""
+    """As (1 - c) / 2 c of the coherence c (Bendat & Piersol 2010), alike in gain [dB] and phase [deg].
+
+    A twentieth of the input may be fed back, beside the number of averages.
+    """
     found = frequency_response(flown(linear, 0), ["aileron", "rudder"], ["p", "r", "ay"])
     found = found[(found["coherence"] > 0.05) & (found["coherence"] < 0.9999)]
     error = np.deg2rad(found["phase_std"])
     assert_allclose(found["gain_std"], 20 * error / np.log(10), rtol=1e-9)
     coherence = found["coherence"]
-    n_averages = (1 - coherence) / (2 * coherence * error**2)
+    n_averages = 1 / (error**2 * 2 * coherence / (1 - coherence) - 0.05)
     assert coherence.min() < 0.5
     of_frequency = n_averages.groupby("frequency")
     assert_allclose(of_frequency.transform("min"), n_averages, rtol=1e-6)
@@ -174,6 +177,8 @@ def test_of_the_example_flights():
         gain, phase = errors(sure)
         assert np.sqrt(np.mean(gain**2)) < 1.5
         assert np.sqrt(np.mean(phase**2)) < 5.0
+        scores = np.abs(np.concatenate([gain / sure["gain_std"], phase / sure["phase_std"]]))
+        assert np.mean(scores < 2.0) > 0.6
         assert 10.0 < sure.index.max() < 1.1 * 2 * np.pi * 2.0
 
 

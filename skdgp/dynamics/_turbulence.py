@@ -163,8 +163,10 @@ class Turbulence(NamedTuple):
                 f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
             )
         speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), len(winds)).tolist()
-        spectra = _band_spectra(winds, speeds, span)
         is_along = all("heading" in table for table in winds)
+        if not is_along:
+            winds = [table[["time", *WIND]] for table in winds]
+        spectra = _band_spectra(winds, speeds, span)
         fits = [_fitted(spectra, axis, is_along) for axis in range(3)]
         intensity, length = np.transpose(fits)
         durations = [np.ptp(table["time"]) for table in winds]

@@ -298,10 +298,10 @@ class TestDerivatives:
 class TestPlan:
     WORDS = shlex.split("--airspeed 35 --seconds 10 --axes rudder --altitude 300")
 
-    def test_writes_what_autopilots_fly(self, run, tmp_path, no_pictures):
+    def test_writes_what_autopilots_fly(self, run, tmp_path):
         more = shlex.split("--limits rudder=0.1 --full rudder=0.4 --goal Cn_rudder --growth 2")
         said = run("plan", *self.WORDS, *more)
-        names = {"plan.csv", "plan.lua", "expected.csv", "plan.json"}
+        names = {"plan.csv", "plan.lua", "plan.svg", "expected.csv", "plan.json"}
         assert files(tmp_path / "out") == names
         table = pd.read_csv(tmp_path / "out" / "plan.csv")
         assert table["rudder"].abs().max() <= 0.1

@@ -37,7 +37,6 @@ from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,
     End,
-    Gusts,
     Integrator,
     LinearModel,
     LocalAir,
@@ -282,13 +281,12 @@ class ModelInFlight:
         self._end = End(state)
         self._gust_step = 0.0
         self._gust_stream: Any = None
-        self._gusts: Gusts | None = None  # of the present step
+        self._air = None if self.wind is None else LocalAir(self.wind)  # of the present step
         self.ended = ""
         self.beyond = ""  # the regressor farthest outside of what was learned
         self._told = ""  # the one of the last warning
         self._warned = -np.inf  # its time [s]
         self._specific_force = np.array([0.0, 0.0, -self.motion.gravity])
-        self._wind: Array | None = None  # of the air at the last stage, north, east, down
 
     @property
     def state(self) -> Array:
@@ -303,10 +301,13 @@ class ModelInFlight:
         def held(step: int, stage: int, observe: Callable) -> Mapping[str, float]:
             return commands
 
-        integrator = Integrator(self.motion, held, self._air, clock, tangents=WITHOUT_TANGENTS)
+        def air(stage: int, state: Vector) -> LocalAir | None:
+            return self._air
+
+        integrator = Integrator(self.motion, held, air, clock, tangents=WITHOUT_TANGENTS)
         with np.errstate(all="ignore"):  # what diverges is ended
             for k in range(n_steps):
-                self._gusts = self._next_gusts(clock.dt)
+                self._move_air(clock.dt)
                 begin = integrator.begin(k, self._end)
                 self._end = integrator.step(k, begin)
         self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
@@ -341,29 +342,22 @@ class ModelInFlight:
             SimulationWarning,
         )
 
-    def _next_gusts(self, step: float) -> Gusts | None:
-        """Return the gusts of a step, or None in calm air."""
+    def _move_air(self, step: float) -> None:
+        """Let the gusts of the next step come, which lasts ``step`` [s]."""
         if self.turbulence is None:
-            return None
+            return
         if step != self._gust_step:
             rng = np.random.default_rng(self.random_state)
             size = (self.turbulence.length, self.turbulence.intensity, self.motion.aircraft.span)
             self._gust_step = step
             self._gust_stream = gust_stream(step, self.steady.airspeed, *size, rng)
-        return next(self._gust_stream)
-
-    def _air(self, stage: int, state: Vector) -> LocalAir | None:
-        """Return the air at a state."""
-        local = None if self.wind is None else LocalAir(self.wind)
-        if self._gusts is not None:
-            gust, gust_rate, rotation = self._gusts
-            local = LocalAir(self.wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
-        self._wind = None if local is None else local.velocity(state[ATTITUDE])
-        return local
+        gust, gust_rate, rotation = next(self._gust_stream)
+        self._air = LocalAir(self.wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
 
     def channels(self) -> dict[str, float]:
         """Return the channels of the present state by name, with accelerometers and density."""
-        columns = channels(self.state, self._wind)
+        wind = None if self._air is None else self._air.velocity(self.state[ATTITUDE])
+        columns = channels(self.state, wind)
         values = {name: float(value) for name, value in columns.items()}
         values |= zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True)
         values["density"] = float(standard_density(values["altitude"]))

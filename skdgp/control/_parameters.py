@@ -612,7 +612,7 @@ def _loop(
     if not (feeds_back or ((values["FF"] or values["D_FF"]) and commands)):
         return []
     named = {f"{prefix}_{gain}": values[gain] for gain in GAINS if values[gain]}
-    gains = {gain: unit * values[gain] for gain in GAINS}
+    gains: dict[str, Any] = {gain: unit * values[gain] for gain in GAINS}
     return [
         Loop(name=name, control=control, full=full[control], parameters=named, **gains, **settings)
     ]

@@ -373,6 +373,17 @@ def _record(
 
 def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     """Return which trajectories cannot go on, (...) by reason; only reasons that apply."""
+    motion = np.abs(state[..., 3:])
+    # comparisons with NaN are false
+    if (
+        motion[..., :3].max() < FLIGHT_LIMITS.velocity
+        and motion[..., 7:].max() < FLIGHT_LIMITS.rate
+        and now.airspeed.min() >= FLIGHT_LIMITS.airspeed
+        and np.isfinite(now.derivative).all()
+        and np.isfinite(now.density).all()
+        and np.all(now.settled)
+    ):
+        return {}
     is_finite = np.isfinite(now.derivative).all(axis=-1)
     is_slow = (np.abs(state[..., VELOCITY]) < FLIGHT_LIMITS.velocity).all(axis=-1)
     is_turning_slowly = (np.abs(state[..., RATES]) < FLIGHT_LIMITS.rate).all(axis=-1)

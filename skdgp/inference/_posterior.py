@@ -408,12 +408,12 @@ class Paths:
         return self._squeeze(values)
 
     def _check_points(self, X, ndim):
-        expected_names = None if self.feature_names is None else list(self.feature_names)
         names = getattr(X, "columns", None)
-        if names is not None and expected_names is not None and list(names) != expected_names:
+        expected = self.feature_names
+        if names is not None and expected is not None and list(names) != list(expected):
             raise ValueError(
                 f"Got X with the columns {list(names)}, but expected those of the fit, in their order: "
-                f"{expected_names}."
+                f"{list(expected)}."
             )
         X = np.asarray(X, dtype=float)
         shape = (self.n_paths, "n", self.n_features)[-ndim:]

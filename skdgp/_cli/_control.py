@@ -97,7 +97,7 @@ def _logged(options: Any, model: Any) -> pd.DataFrame:
     """Return the logs, with the controls of the model in place of elevons."""
     named = named_flights(options.flight, **opt.reading(options, model))
     usable = usable_flights_of_model(model.pipeline, named, model.aircraft)
-    flight = model.pipeline.corrected(pd.concat(usable.values()))
+    flight = model.pipeline.corrected(pd.concat([flown.table for flown in usable.values()]))
     mixer = model.pipeline.named_steps.get("elevonsplitter", "passthrough")
     return flight if isinstance(mixer, str) else mixer.transform(flight)
 

@@ -19,7 +19,9 @@ from pathlib import Path
 from typing import Any, TextIO, TypeAlias
 
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
+from skdgp._compute.messages import FindingWarning
 from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
+from skdgp._regressor import FitCode
 
 # Functions of commands, with their options by groups
 Commands: TypeAlias = "dict[Callable, dict[str, dict[str, dict[str, Any]]]]"
@@ -341,6 +343,9 @@ class Console:
 
     def _show_warning(self, message, category, filename, lineno, file=None, line=None):
         """Print a warning the first time; where it arose, if it is not meant for users."""
+        finding = message.finding if isinstance(message, FindingWarning) else None
+        if finding is not None and finding.code is FitCode.CONSTANT_INPUTS:
+            return  # the pipeline names these regressors
         text = " ".join(str(message).split())
         if issubclass(category, RuntimeWarning):
             text += f" ({Path(filename).name}, line {lineno})"

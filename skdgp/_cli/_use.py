@@ -18,6 +18,7 @@ from skdgp._cli._shared import Run, wrote
 from skdgp._compute.files import Writer, csv_writer, text_writer
 from skdgp._compute.messages import can_draw, listening, warn
 from skdgp._flight.excitation import AXES
+from skdgp._flight.tables import FlightTable
 from skdgp.design import Envelope, Plan, PlanSettings, ardupilot_script, surface_mixes
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
@@ -118,11 +119,11 @@ def predict(run: Run) -> None:
 
 
 def _predictions(
-    pipeline: FlightPipeline, flight: pd.DataFrame, include_noise: bool
+    pipeline: FlightPipeline, flight: FlightTable, include_noise: bool
 ) -> pd.DataFrame:
     """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
     mean, std = pipeline.predict(flight, return_std=True, include_noise=include_noise)
-    table = flight[["flight", "time"]].reset_index(drop=True)
+    table = flight.table[["flight", "time"]].reset_index(drop=True)
     names = pipeline[-1].output_names_
     table[names] = mean
     table[[f"{name}_std" for name in names]] = std

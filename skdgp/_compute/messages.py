@@ -7,13 +7,12 @@ import importlib.util
 import inspect
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any, TypeAlias
 
-from skdgp._compute.findings import Finding, Kind, PlainText
+from skdgp._compute.findings import Finding, PlainText
 
 #: Packages that are passed over in the search for the user's line of a warning
 LIBRARIES = frozenset(
@@ -29,43 +28,37 @@ class FindingWarning(UserWarning):
         super().__init__(content.text if isinstance(content, Finding) else content)
 
 
-@dataclass
-class FindingRecord:
-    """Findings of warnings, each once; findings of the ignored codes and category are neither shown nor kept."""
-
-    findings: list[Finding] = field(default_factory=list)
-    ignored_codes: set[Kind] = field(default_factory=set)
-    ignored_category: type[Warning] | None = None
-
-    def ignore(self, *codes: Kind) -> None:
-        """Ignore findings of these codes until the end of the block."""
-        self.ignored_codes.update(codes)
-
-    def ignores(self, finding: Finding, category: type[Warning]) -> bool:
-        """Return whether a finding is ignored; record it if it is not."""
-        if finding.code in self.ignored_codes:
-            return True
-        if self.ignored_category is not None and issubclass(category, self.ignored_category):
-            return True
-        if finding not in self.findings:
-            self.findings.append(finding)
-        return False
-
-
-_active: ContextVar[tuple[FindingRecord, ...]] = ContextVar("skdgp_findings", default=())
+_record: ContextVar[list[Finding] | None] = ContextVar("skdgp_findings", default=None)
 
 
 def report(finding: Finding, category: type[FindingWarning] = FindingWarning) -> None:
-    """Warn of a finding, unless a block around it ignores it; the outer blocks may record it."""
-    if not _is_ignored(finding, category):
-        warnings.warn(category(finding), stacklevel=_level_of_user())
+    """Warn of a finding; a block around it may record it."""
+    _keep(finding)
+    warnings.warn(category(finding), stacklevel=_level_of_user())
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn by a text, which is recorded as a finding of the code ``MESSAGE``."""
-    finding = Finding(PlainText.MESSAGE, numbers={"text": " ".join(message.split())})
-    if not _is_ignored(finding, category):
-        warnings.warn(message, category, stacklevel=_level_of_user())
+    _keep(Finding(PlainText.MESSAGE, numbers={"text": " ".join(message.split())}))
+    warnings.warn(message, category, stacklevel=_level_of_user())
+
+
+def _keep(finding: Finding) -> None:
+    """Add a finding to the record, if there is one, once."""
+    record = _record.get()
+    if record is not None and finding not in record:
+        record.append(finding)
+
+
+@contextmanager
+def recorded_findings() -> Iterator[list[Finding]]:
+    """Record the findings of the package's warnings inside the ``with`` block; they are shown all the same."""
+    record: list[Finding] = []
+    token = _record.set(record)
+    try:
+        yield record
+    finally:
+        _record.reset(token)
 
 
 def _level_of_user() -> int:
@@ -81,30 +74,6 @@ def _level_of_user() -> int:
 def _package_of(frame: FrameType) -> str:
     """Return the first part of the name of a frame's module."""
     return str(frame.f_globals.get("__name__", "")).partition(".")[0]
-
-
-def _is_ignored(finding: Finding, category: type[Warning]) -> bool:
-    """Return whether a block ignores a finding; the blocks inside that one record it."""
-    return any(record.ignores(finding, category) for record in reversed(_active.get()))
-
-
-@contextmanager
-def _within(record: FindingRecord) -> Iterator[FindingRecord]:
-    token = _active.set((*_active.get(), record))
-    try:
-        yield record
-    finally:
-        _active.reset(token)
-
-
-def recorded_warnings() -> AbstractContextManager[FindingRecord]:
-    """Record the findings of the package's warnings inside the ``with`` block; they are shown all the same."""
-    return _within(FindingRecord())
-
-
-def without_warnings(category: type[Warning] = Warning) -> AbstractContextManager[FindingRecord]:
-    """Ignore the package's warnings of a category inside the ``with`` block, in this thread alone."""
-    return _within(FindingRecord(ignored_category=category))
 
 
 Listener: TypeAlias = Callable[[str, int, float], Any]

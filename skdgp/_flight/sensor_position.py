@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import RATE_DERIVATIVES, RATES, SENSOR_POSITION, SPECIFIC_FORCE
 from skdgp._flight.clock import Clock
@@ -52,11 +51,10 @@ def rotation(table: pd.DataFrame) -> tuple[Matrix, Matrix]:
     time = table["time"].to_numpy(float)
     flight = table.get("flight")
     measured = numeric(table, RATES)
-    with without_warnings():  # of short segments, which are not smoothed
-        rates = smooth(measured, time, flight=flight, shrink=False)
-        if {*RATE_DERIVATIVES} <= {*table.columns}:
-            return numeric(table, RATE_DERIVATIVES), rates
-        return differentiate(measured, time, flight=flight, shrink=False), rates
+    rates = smooth(measured, time, flight=flight, shrink=False, is_quiet=True)
+    if {*RATE_DERIVATIVES} <= {*table.columns}:
+        return numeric(table, RATE_DERIVATIVES), rates
+    return differentiate(measured, time, flight=flight, shrink=False, is_quiet=True), rates
 
 
 def sensor_acceleration(table: pd.DataFrame) -> Matrix:

@@ -153,6 +153,7 @@ def smooth(
     joint: bool = False,
     shrink: bool | Sequence[bool] = True,
     derivative: bool = False,
+    is_quiet: bool = False,
 ) -> np.ndarray:
     """Return channels (n,) or (n, k) without sensor noise and without delay, segment by segment.
 
@@ -162,8 +163,8 @@ def smooth(
 
     ``cutoff`` is the corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2
     there); "auto", the Wiener smoother of the channel's spectrum over its flight, which needs a
-    segment of 128 samples, else it warns and leaves the channel as it is; a `FittedFilter`; or None,
-    no smoothing.
+    segment of 128 samples, else it leaves the channel as it is and, unless ``is_quiet``, warns; a
+    `FittedFilter`; or None, no smoothing.
     With ``joint``, "auto" estimates each channel from all channels sampled at the same rows,
     through their cross-spectra: for few channels that move together, such as alpha and q. Without
     ``shrink``, of all channels or one for each, the gain of a channel alone is one up to the last
@@ -185,6 +186,8 @@ def smooth(
         for run in group.runs:
             place = np.ix_(group.rows[run], group.channels)
             out[place] = _filtered(group.columns[run], group.time[run], filter_of_group, derivative)
+    if is_quiet:
+        return out.reshape(np.shape(values))
     if derivative and any(min(group.lengths) == 1 for group in groups):
         warn(NO_RATE)
     if cutoff == "auto" and any(max(group.lengths) < SMOOTHING.least_samples for group in groups):

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.findings import Finding
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import WRAPPED
 from skdgp._flight.checks import check_columns, check_table
@@ -24,10 +25,13 @@ class FlightTable:
         SI units and radians; the names, units and axes of its channels are `CHANNELS`.
     clock : Clock
         Time and flight of each row, and the segments without gaps.
+    findings : tuple of Finding or None
+        What was found in flights whose faults are removed; None of others.
     """
 
     table: pd.DataFrame
     clock: Clock
+    findings: tuple[Finding, ...] | None = None
 
     @classmethod
     def of(cls, table: object, needed: Iterable[str] = (), *, what: str = "flight") -> FlightTable:
@@ -59,12 +63,21 @@ class FlightTable:
 
     def part(self, rows: Indices) -> FlightTable:
         """Return the flights of some rows, in their order."""
-        return FlightTable(self.table.iloc[rows], self.clock.part(rows))
+        return FlightTable(self.table.iloc[rows], self.clock.part(rows), self.findings)
+
+    @classmethod
+    def together(cls, flights: Iterable[FlightTable]) -> FlightTable:
+        """Return several flights in one table."""
+        flights = list(flights)
+        joined = cls.of(pd.concat([flight.table for flight in flights], ignore_index=True))
+        if any(flight.findings is None for flight in flights):
+            return joined
+        return replace(joined, findings=())
 
     def named(self, name: str) -> FlightTable:
         """Return a single flight by another name, its rows counted from 0."""
         table = self.table.reset_index(drop=True).assign(flight=name)
-        return FlightTable(table, Clock.of(self.time, table["flight"]))
+        return FlightTable(table, Clock.of(self.time, table["flight"]), self.findings)
 
     def column(self, name: str) -> Vector:
         """Return a column as floats, NaN where it is absent."""

@@ -18,6 +18,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     WRAPPED,
 )
+from skdgp._flight.checks import check_columns
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density, wrapped
 from skdgp._flight.tables import FlightTable, has_values
@@ -160,18 +161,26 @@ def _turn_in_a_second(flights: FlightTable, rate: str) -> Vector:
     return _over_a_second(flights, angle)
 
 
-def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
+def check_flight(
+    flight: pd.DataFrame | FlightTable, needed: Iterable[str], *, in_radians: bool = True
+) -> FlightTable:
     """Return the flights of a table that has the ``needed`` columns in SI units.
+
+    Flights without faults were checked before. Surfaces that are not ``in_radians`` are parts of
+    their full throw.
 
     Raises ValueError if a column is missing or not numeric, time does not increase within a flight
     or has no usual step, airspeed or density is not positive, or values are impossible in SI units. Warns of
     values that are probably of another unit or sign.
     """
-    flights = FlightTable.of(flight, needed)
+    if isinstance(flight, FlightTable) and flight.findings is not None:
+        check_columns(flight.table, needed)
+        return flight
+    flights = flight if isinstance(flight, FlightTable) else FlightTable.of(flight, needed)
     # raises where time has no usual step
     _ = flights.segments
     _check_airspeed(flights)
-    check_units(flights)
+    check_units(flights, in_radians=in_radians)
     if _quantile(flights.column("density"), 0.0) <= 0:
         raise ValueError(_density_message(flights))
     _check_roll_rate(flights)
@@ -179,10 +188,10 @@ def check_flight(flight: pd.DataFrame, needed: Iterable[str]) -> FlightTable:
     return flights
 
 
-def check_units(flights: FlightTable) -> None:
+def check_units(flights: FlightTable, *, in_radians: bool = True) -> None:
     """Raise ValueError if the numbers of flights are in degrees, per cent, g, g/cm^3 or milliseconds.
 
-    A hundredth of the values may be faults. Warn of surfaces that are probably commands.
+    A hundredth of the values may be faults. Warn of surfaces ``in_radians`` that are probably commands.
     """
     _check_angles(flights)
     _check_density(flights)
@@ -207,7 +216,8 @@ def check_units(flights: FlightTable) -> None:
             f"milliseconds or microseconds. Divide time by 1e3 or 1e6, or say the unit in the "
             f"header, as in 'time [ms]'."
         )
-    _warn_of_commands(flights)
+    if in_radians:
+        _warn_of_commands(flights)
 
 
 def _check_angles(flights: FlightTable) -> None:

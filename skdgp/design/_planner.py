@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ import pandas as pd
 from sklearn.base import BaseEstimator
 
 from skdgp._compute.files import plain
-from skdgp._compute.messages import notify, warn, without_warnings
+from skdgp._compute.messages import notify, warn
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
@@ -221,7 +222,8 @@ def plan(
     pause = max(settings.response, quarter)
     time = seconds - settings.response
     rehearsal = Rehearsal(model, aircraft, trim, amplitudes, envelope, thrust, settings)
-    with one_blas_thread(), without_warnings(SimulationWarning):
+    with one_blas_thread(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", SimulationWarning)
         notify("planning: library", 0, 0.0)
         modes = linearize(model, aircraft, trim, thrust=thrust).modes()
         bands = input_bands(modes, amplitudes, settings.band)

@@ -66,7 +66,6 @@ from skdgp.dynamics._integrate import (
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._inverse import band_filter as band_filter
 from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
-from skdgp.dynamics._inverse import coefficients_of_checked as coefficients_of_checked
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion

@@ -16,6 +16,7 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
 )
+from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import (
     POSSIBLE,
     FlightDataWarning,
@@ -43,7 +44,7 @@ SHRINKS = [name == "airspeed" for name in SMOOTHED]
 
 
 def aerodynamic_coefficients(
-    flight: pd.DataFrame,
+    flight: pd.DataFrame | FlightTable,
     aircraft: Aircraft,
     *,
     cutoff: float | str | FittedFilter | None = "auto",
@@ -107,22 +108,7 @@ def aerodynamic_coefficients(
     >>> aerodynamic_coefficients(flight, glider, cutoff=None, thrust=None).round(3).iloc[0].to_dict()
     {'CX': 0.014, 'CY': 0.0, 'CZ': -0.454, 'Cl': 0.0, 'Cm': 0.0, 'Cn': 0.0}
     """
-    flight = _measured(flight, ignore)
-    return coefficients_of_checked(
-        flight, aircraft, cutoff=cutoff, thrust=thrust, external_forces=external_forces
-    )
-
-
-def coefficients_of_checked(
-    flight: pd.DataFrame,
-    aircraft: Aircraft,
-    *,
-    cutoff: float | str | FittedFilter | None = "auto",
-    thrust: str | None = "auto",
-    external_forces: Sequence[str] = (),
-) -> pd.DataFrame:
-    """Return `aerodynamic_coefficients` of a flight without faults, such as `FlightCheck` gives."""
-    check_flight(flight, NEEDED)
+    flight = check_flight(_measured(flight, ignore), NEEDED).table
     measured, rate_derivatives = _smoothed(flight, cutoff)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
@@ -143,8 +129,12 @@ def coefficients_of_checked(
     return pd.DataFrame(values, columns=list(COEFFICIENTS), index=flight.index)
 
 
-def _measured(flight: pd.DataFrame, ignore: Iterable[str]) -> pd.DataFrame:
-    """Return the flight with NaN where a needed channel was not measured, and warn."""
+def _measured(
+    flight: pd.DataFrame | FlightTable, ignore: Iterable[str]
+) -> pd.DataFrame | FlightTable:
+    """Return the flight with NaN where a needed channel was not measured, and warn; one without faults as it is."""
+    if isinstance(flight, FlightTable):
+        return flight
     flights = FlightTable.of(flight, NEEDED)
     ignored = {*ignore, *(name for name in POSSIBLE if name not in NEEDED)}
     faults = [fault for fault in find_faults(flights, ignored) if not fault.is_measured]
@@ -175,9 +165,9 @@ def coefficient_filter(flight: pd.DataFrame) -> FittedFilter:
     through the smoothing of the training flights have their noise, which a band of new
     measurements contains.
 
-    Errors: see `aerodynamic_coefficients`.
+    Raises ValueError if a column is missing.
     """
-    check_flight(flight, NEEDED)
+    check_columns(flight, NEEDED)
     return _filter_of_vibration(flight) or FittedFilter.of_flights(
         _channels(flight), shrink=SHRINKS, **_clock(flight)
     )

@@ -76,6 +76,7 @@ def replay(
     if not horizon > 0:
         raise ValueError(f"Got horizon={horizon!r}, but expected seconds > 0.")
     flights = check_flight(flight, ["airspeed", "density", *COMPARED_STATES])
+    flight = flights.table
     time = flights.time
     measured = table_states(flight)
     _check_coefficients(coefficients, len(flight))

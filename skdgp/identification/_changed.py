@@ -192,12 +192,12 @@ def changed(model: Bunch, flights: Any, *, settings: ChangeSettings = SETTINGS) 
     """
     options = options_of(model)
     named = named_flights(flights, servos=options.get("servos"))
-    tables = usable_flights_of_model(model.pipeline, named, model.aircraft)
+    usable = usable_flights_of_model(model.pipeline, named, model.aircraft)
     predicted = {}
-    for name, table in tables.items():
-        X, noise_ratio = flight_regressors(model.pipeline, table)
+    for name, flight in usable.items():
+        X, noise_ratio = flight_regressors(model.pipeline, flight)
         mean = model.pipeline.mean_of_rows(X, noise_ratio)
-        predicted[name] = PredictedFlight(model.pipeline.corrected(table), X, mean)
+        predicted[name] = PredictedFlight(model.pipeline.corrected(flight.table), X, mean)
     return changes_in_flights(model.pipeline, predicted, model.aircraft, options, settings)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,16 +12,23 @@ import pandas as pd
 
 from skdgp._compute.messages import notify
 from skdgp._compute.typing import Indices, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, TRUTH_SUFFIX
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    COEFFICIENTS,
+    EARTH_VELOCITY,
+    EULER,
+    TRUTH_SUFFIX,
+)
 from skdgp._flight.motion_band import band_limited
+from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import band_filter, coefficients_of_checked, replay
+from skdgp.dynamics import aerodynamic_coefficients, band_filter, replay
 from skdgp.identification._learn import LearnedModel
 from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._pipeline import (
     band_of,
-    flight_regressors,
     named_regressors,
+    transformed,
 )
 from skdgp.metrics import (
     interval_coverage,
@@ -43,6 +50,8 @@ class Evaluation:
         What to call it, and the time of the samples [s].
     table : DataFrame
         The flight table, for the inputs and the path.
+    states : DataFrame
+        The same with states and wind of the reconstructed path, where the flight was reconstructed.
     measured, mean, std : (n, 6)
         Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
         noise.
@@ -64,6 +73,7 @@ class Evaluation:
     name: str
     time: Vector
     table: pd.DataFrame
+    states: pd.DataFrame
     measured: Matrix
     mean: Matrix
     std: Matrix
@@ -124,20 +134,24 @@ def _scores(
     return table
 
 
-def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
-    """Predict a flight and replay it."""
+def evaluate(name: str, flight: FlightTable, model: LearnedModel) -> Evaluation:
+    """Predict a checked flight and replay it."""
     notify(f"evaluating {name}")
     loads = {key: model.options[key] for key in ("thrust", "external_forces")}
     pipeline = model.pipeline
-    X, noise_ratio = flight_regressors(pipeline, table)
-    corrected = pipeline.corrected(table)
+    X, noise_ratio, motion = transformed(pipeline, flight)
+    corrected = pipeline.corrected(flight.table)
+    checked = replace(flight, table=corrected)
+    states = corrected
+    if motion is not None:  # beside the logged inputs
+        states = corrected.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))
     band = band_of(pipeline)
-    measured = coefficients_of_checked(
-        corrected, model.aircraft, cutoff="auto" if np.isinf(band) else band_filter(band), **loads
+    measured = aerodynamic_coefficients(
+        checked, model.aircraft, cutoff="auto" if np.isinf(band) else band_filter(band), **loads
     )
     # with the noise of the fit, which the bands contain
-    measured_as_in_fit = coefficients_of_checked(
-        corrected, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
+    measured_as_in_fit = aerodynamic_coefficients(
+        checked, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
     )
     regressor = pipeline[-1]
     mean = pipeline.mean_of_rows(X, noise_ratio)
@@ -146,11 +160,12 @@ def evaluate(name: str, table: pd.DataFrame, model: LearnedModel) -> Evaluation:
     replayed = None
     if {*EULER, *EARTH_VELOCITY} <= {*corrected.columns}:  # from which the integration starts
         horizon = min(model.options["horizons"])
-        replayed = replay(corrected, model.aircraft, mean, horizon=horizon, **loads)
+        replayed = replay(checked, model.aircraft, mean, horizon=horizon, **loads)
     return Evaluation(
         name=name,
         time=corrected["time"].to_numpy(float),
         table=corrected,
+        states=states,
         measured=measured.to_numpy(),
         measured_as_in_fit=measured_as_in_fit.to_numpy(),
         mean=mean,

@@ -77,6 +77,11 @@ def named_flights(
     return by_name
 
 
+def tables_of(flights: Flights) -> dict[str, pd.DataFrame]:
+    """Return the tables of flights by name."""
+    return {name: flight.table for name, flight in flights.items()}
+
+
 def _check_surfaces(path: str | os.PathLike, table: pd.DataFrame, servos: Any) -> None:
     """Raise ValueError if a table has surfaces in radians and those of logs are in parts of their full throw."""
     surfaces = [name for name in DEFLECTED if name in table]

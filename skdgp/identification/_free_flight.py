@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,7 +11,6 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import RATES, WIND
 from skdgp._flight.clock import n_rows
@@ -179,7 +179,9 @@ class FreeFlight:
         not_inputs = [*STATES, *WIND, "flight", "psi"]
         inputs = [part.flown.drop(columns=not_inputs, errors="ignore") for part in parts]
         starts = pd.DataFrame([part.start for part in parts]).reset_index(drop=True)
-        with without_warnings(SimulationWarning):  # an end is an error without bound
+        with warnings.catch_warnings():
+            # an end is an error without bound
+            warnings.simplefilter("ignore", SimulationWarning)
             return simulate(
                 model,
                 self.aircraft,

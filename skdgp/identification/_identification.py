@@ -109,7 +109,7 @@ class Identification:
             self.pipeline,
             self.aircraft,
             list(self.train.values()),
-            [flight.table for flight in self.evaluations],
+            self.evaluations,
             self.options,
             self.fit.training,
         )

@@ -8,13 +8,13 @@ from typing import Any
 
 from sklearn.utils import Bunch
 
-from skdgp._compute.messages import notify, recorded_warnings, report
+from skdgp._compute.messages import notify, recorded_findings, report
 from skdgp._flight.findings import Code, Finding
-from skdgp._regressor import DependentGPRegressor
+from skdgp._regressor import DependentGPRegressor, FitCode
 from skdgp.dynamics import Aircraft
 from skdgp.identification._changed import PredictedFlight, changes_in_flights
 from skdgp.identification._evaluate import evaluate
-from skdgp.identification._flights import named_flights
+from skdgp.identification._flights import named_flights, tables_of
 from skdgp.identification._identification import Identification
 from skdgp.identification._learn import LearnedModel, checked_regressor, fit_record, learn
 from skdgp.identification._model_file import options_of
@@ -113,12 +113,11 @@ def identify(
     (400, 6)
     """
     regressor = checked_regressor(regressor)
-    with recorded_warnings() as warned:
+    with recorded_findings() as findings:
         notify("reading")
         prepared = prepare(
             flights, test, aircraft, regressors=regressors, reading=reading or {}, **loads
         )
-        warned.ignore(*prepared.ignored)
         model = learn(
             prepared,
             regressors=regressors,
@@ -127,17 +126,20 @@ def identify(
             samples=samples,
             horizons=horizons,
         )
-        evaluations = [evaluate(name, table, model) for name, table in prepared.test.items()]
+        evaluations = [evaluate(name, flight, model) for name, flight in prepared.test.items()]
     return Identification(
         title=f"{model.aircraft.name}: aerodynamic coefficients",
         aircraft=model.aircraft,
         pipeline=model.pipeline,
         options=model.options,
         fit=model.fit,
-        train={name: model.pipeline.corrected(table) for name, table in prepared.train.items()},
+        train={
+            name: model.pipeline.corrected(table)
+            for name, table in tables_of(prepared.train).items()
+        },
         evaluations=evaluations,
-        findings=tuple(warned.findings),
-        assumptions=assumptions(model.aircraft, model.pipeline.errors_, warned.findings),
+        findings=_named_once(findings),
+        assumptions=assumptions(model.aircraft, model.pipeline.errors_, findings),
     )
 
 
@@ -175,14 +177,12 @@ def validate(
     options["horizons"] = list(horizons)
     reading = dict(reading or {})
     reading["servos"] = reading.get("servos") or options.get("servos")
-    with recorded_warnings() as warned:
+    with recorded_findings() as findings:
         notify("reading")
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         named = named_flights(flights, **reading)
-        tables = usable_flights_of_model(model.pipeline, named, aircraft)
-        # the steps meet the same faults again
-        warned.ignore(Code.FAULTS_BRIDGED, Code.FAULTS_EXCLUDED)
-        for name in tables.keys() & set(model.get("flights", [])):
+        usable = usable_flights_of_model(model.pipeline, named, aircraft)
+        for name in usable.keys() & set(model.get("flights", [])):
             report(Finding(Code.ALREADY_LEARNED, flight=name))
         training = TrainingRecord.from_dict(model.get("fit", {}))
         learned = LearnedModel(
@@ -191,7 +191,7 @@ def validate(
             fit=fit_record(model.pipeline, training),
             options=options,
         )
-        evaluations = [evaluate(name, table, learned) for name, table in tables.items()]
+        evaluations = [evaluate(name, flight, learned) for name, flight in usable.items()]
         predicted = {
             flight.name: PredictedFlight(flight.table, flight.regressors, flight.mean)
             for flight in evaluations
@@ -206,5 +206,10 @@ def validate(
         train={},
         evaluations=evaluations,
         changes=changes,
-        findings=tuple(warned.findings),
+        findings=_named_once(findings),
     )
+
+
+def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return findings without the numbers of constant regressors, which the pipeline names."""
+    return tuple(found for found in findings if found.code is not FitCode.CONSTANT_INPUTS)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,8 +27,9 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, coefficients_of_checked
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.estimation import airspeed_scale, without_airspeed_error
+from skdgp.identification._flights import tables_of
 from skdgp.identification._pipeline import (
     FlightPipeline,
     lag_corrector_of,
@@ -99,26 +100,28 @@ def learn(
 ) -> LearnedModel:
     """Return the model of the training flights; parameters: see `identify`."""
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-    table = prepared.table
+    train = tables_of(prepared.train)
     pipeline = _pipeline_for(prepared, regressors, regressor, steps, samples)
-    flights = without_airspeed_error(table, airspeed_scale(table).removable())
-    Y = coefficients_of_checked(flights, prepared.aircraft, **prepared.loads)
-    targets = pipeline.thinned(table, Y)
+    table = prepared.flights.table
+    table = without_airspeed_error(table, airspeed_scale(table).removable())
+    flights = replace(prepared.flights, table=table)
+    Y = aerodynamic_coefficients(flights, prepared.aircraft, **prepared.loads)
+    targets = pipeline.thinned(prepared.flights, Y)
 
     notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
     began = time.monotonic()
-    pipeline.fit(table, targets)
+    pipeline.fit(prepared.flights, targets)
     seconds = round(time.monotonic() - began, 3)
     training = TrainingRecord(
         samples=_n_observed(targets),
         samples_available=_n_observed(Y),
         values=int(targets.notna().to_numpy().sum()),
         seconds=seconds,
-        thrust=thrust_sources(prepared.loads["thrust"], prepared.train.values()),
+        thrust=thrust_sources(prepared.loads["thrust"], train.values()),
         least_squares=pipeline.least_squares_,
-        flights={name: len(part) for name, part in prepared.train.items()},
-        conditions={str(k): float(v) for k, v in flights.median(numeric_only=True).items()},
-        flown=flown_seconds(prepared.train.values()),
+        flights={name: len(part) for name, part in train.items()},
+        conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
+        flown=flown_seconds(train.values()),
     )
     fit = fit_record(pipeline, training)
     if fit.lags_corrected:
@@ -148,7 +151,7 @@ def _pipeline_for(
     samples: int | str | None,
 ) -> FlightPipeline:
     """Return the pipeline that learns the coefficients of the flights."""
-    columns = {*prepared.table}
+    columns = {*prepared.flights.table}
     options = dict(steps)
     if not ({*MIXED} <= columns or {*ELEVONS} & columns):
         options.setdefault("mixer", "passthrough")

@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.messages import without_warnings
-from skdgp._flight.channels import ALL_SURFACES, ELEVONS, RATES
+from skdgp._flight.channels import ELEVONS, RATES
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import (
     ATTITUDE,
@@ -29,9 +28,9 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
+from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._free_flight import FreeFlight
 from skdgp.identification._least_squares import linear_terms
-from skdgp.identification._pipeline import reconstruction_of
 from skdgp.identification._record import TrainingRecord
 from skdgp.plotting import FrequencyDisplay
 from skdgp.preprocessing import ElevonSplitter
@@ -126,7 +125,7 @@ def flight_mechanics(
     pipeline: Pipeline | Aerodynamics,
     aircraft: Aircraft,
     train: Sequence[pd.DataFrame],
-    test: Sequence[pd.DataFrame],
+    test: Sequence[Evaluation],
     options: Mapping[str, Any],
     training: TrainingRecord | None = None,
 ) -> FlightMechanics:
@@ -135,12 +134,13 @@ def flight_mechanics(
     Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of
     the flights.
     """
+    tables = [flight.table for flight in test]
     # a model that existed before is judged where it was learned
     known = training.conditions if training is not None and not train else {}
     if known:
         flown = pd.Series(known, dtype=float)
     else:
-        flown = pd.concat(train or test).median(numeric_only=True)
+        flown = pd.concat(train or tables).median(numeric_only=True)
     least_squares = None if training is None else training.least_squares
     airspeed = float(flown["airspeed"])
     thrust = options["thrust"]
@@ -160,24 +160,23 @@ def flight_mechanics(
     try:
         linear = _derivatives(pipeline, point, conditions, least_squares)
         if steady is not None:
-            linear |= _small_motion(pipeline, point, conditions, test)
+            linear |= _small_motion(pipeline, point, conditions, tables)
     except ValueError as error:
         linear = {}
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
-    simulations = _simulations(pipeline, aircraft, test, options)
+    simulations = _simulations(pipeline, aircraft, [flight.states for flight in test], options)
     return FlightMechanics(trim=steady, notes=tuple(notes), **linear, **simulations)
 
 
 def _simulations(
     pipeline: Pipeline | Aerodynamics,
     aircraft: Aircraft,
-    test: Sequence[pd.DataFrame],
+    states: Sequence[pd.DataFrame],
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return errors of simulations of test flights and one of these, or why there is none."""
     try:
-        flown_states = [reconstructed(pipeline, table) for table in test]
-        free = FreeFlight(pipeline, aircraft, flown_states, options)
+        free = FreeFlight(pipeline, aircraft, states, options)
         return {"simulation": free.errors(), "simulated": free.example()}
     except ValueError as error:
         finding = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
@@ -256,18 +255,3 @@ def _linear(
         lambda X: intercepts + X @ slopes,
         lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
     )
-
-
-def reconstructed(pipeline: Pipeline | Aerodynamics, table: pd.DataFrame) -> pd.DataFrame:
-    """Return a checked flight with its logged inputs, and reconstructed states and wind.
-
-    Unchanged without reconstruction.
-    """
-    if not isinstance(pipeline, Pipeline) or reconstruction_of(pipeline) is None:
-        return table
-    names = list(pipeline.named_steps)
-    first = names.index("flightcheck") + 1 if "flightcheck" in names else 0
-    n_steps = 1 + names.index("flightpathreconstruction")
-    with without_warnings():  # the evaluation has shown them
-        motion = Pipeline(pipeline.steps[first:n_steps]).transform(table)
-    return table.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))

@@ -19,7 +19,7 @@ from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.smoothing import FittedFilter
-from skdgp._flight.tables import has_values
+from skdgp._flight.tables import FlightTable, has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     Aircraft,
@@ -187,7 +187,7 @@ def make_identification_pipeline(
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix, Vector]:
+def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector]:
     r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than in the fit.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
@@ -199,15 +199,26 @@ def flight_regressors(pipeline: Pipeline, flight: pd.DataFrame) -> tuple[Matrix,
 
     as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
     """
-    ratio = np.ones(len(flight))
+    regressors, ratio, _ = transformed(pipeline, flight)
+    return regressors, ratio
+
+
+def transformed(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector, pd.DataFrame | None]:
+    """Return both of `flight_regressors`, and the flight as it was reconstructed, None without reconstruction."""
+    ratio = None
+    motion = None
     for _, step in pipeline.steps[:-1]:
         if step in (None, "passthrough"):
             continue
         flight = step.transform(flight)
-        if isinstance(step, FlightPathReconstruction) and step.used_ and "gust" in flight:
+        if not isinstance(step, FlightPathReconstruction) or not step.used_:
+            continue
+        motion = flight
+        if "gust" in flight:
             variance = flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2
             ratio = variance / (step.gust_std_**2 + SENSOR_GUST**2)
-    return np.asarray(flight), ratio
+    regressors = np.asarray(flight)
+    return regressors, np.ones(len(regressors)) if ratio is None else ratio, motion
 
 
 def regressor_names(pipeline: Pipeline) -> list[str]:
@@ -322,12 +333,13 @@ class FlightPipeline(Pipeline):
         self.thrust = thrust
         self.control_units = control_units
 
-    def fit(self, X: pd.DataFrame, y: Any = None, **params: Any) -> FlightPipeline:
+    def fit(self, X: Any, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
         ``params`` are as of scikit-learn's ``Pipeline``.
         """
         y = self.thinned(X, y)
+        table = X.table if isinstance(X, FlightTable) else X
         self.calibration_ = None
         self.least_squares_: dict[str, dict[str, float]] = {}
         self.errors_: dict[str, ScaleFactor] = {}
@@ -343,14 +355,14 @@ class FlightPipeline(Pipeline):
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         known = self._slopes_of_air(regressors, y)
-        last.fit(regressors, y, **self._facts_for_last(X, known) | parameters)
+        last.fit(regressors, y, **self._facts_for_last(table, known) | parameters)
         if known is not None:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
             self.calibration_ = RegressionCalibration.of_residuals(
                 regressors, residuals, self._without_effect()
             )
         if not isinstance(flights, pd.DataFrame):  # of `set_output`
-            flights = X
+            flights = table
         self._learn_flights(flights)
         if is_of_coefficients(y):
             named = named_regressors(self, regressors)
@@ -362,13 +374,13 @@ class FlightPipeline(Pipeline):
         """Return flights X without the error of the airspeed that the flights of the fit showed."""
         return without_airspeed_error(X, airspeed_scale_of(self).removable())
 
-    def thinned(self, X: pd.DataFrame, y: Any) -> Any:
+    def thinned(self, X: Any, y: Any) -> Any:
         """Return targets y (n, P) of flights X of which as many rows as ``samples`` says are observed."""
         samples = self.samples
         last = self.steps[-1][1]
         is_default = samples is None and y is not None
         if is_default and isinstance(last, DependentGPRegressor):
-            seconds = duration(X)
+            seconds = duration(X.table if isinstance(X, FlightTable) else X)
             if last.inference == "exact":
                 samples = ROWS.exact
             elif seconds is not None:
@@ -445,7 +457,7 @@ class FlightPipeline(Pipeline):
             with suppress(TypeError, ValueError):  # short flights, or columns that are missing
                 self.turbulence_ = Turbulence.from_flight(flights, self.aircraft.span)
 
-    def predict(self, X: pd.DataFrame, **params: Any) -> Any:
+    def predict(self, X: Any, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
 
         ``params`` are for ``predict`` of the last step. ``return_std=True`` returns the

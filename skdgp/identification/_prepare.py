@@ -1,6 +1,6 @@
 """First stage of an identification: checked training and test flights, and assumptions.
 
-Flights are `FlightTable` here; behind this stage they are tables of their usable rows.
+Flights are checked here, once; behind this stage they are without faults and have their usable rows.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,8 @@ from skdgp._flight.findings import Code, Finding, with_codes
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.sensor_position import sensor_position
 from skdgp._flight.tables import FlightTable, numeric
-from skdgp._regressor import DependentGPRegressor, FitCode
+from skdgp._flight.units import check_flight
+from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     MOMENTS,
     QUANTITIES,
@@ -45,25 +45,16 @@ from skdgp.dynamics import (
     propeller_speed_of,
     with_sensor_position,
 )
-from skdgp.identification._flights import Flights, items_of, named_flights
+from skdgp.identification._flights import Flights, items_of, named_flights, tables_of
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 from skdgp.preprocessing import clean
 
-Tables = dict[str, pd.DataFrame]
 # columns that the coefficients follow from
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
 ENGINE_COLUMNS = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 # elevons may stand for elevator and aileron, and the other way round
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
-
-# findings of this stage that later steps repeat: faults, and constant regressors, which they number
-REPEATED = (
-    Code.FAULTS_BRIDGED,
-    Code.FAULTS_EXCLUDED,
-    FitCode.CONSTANT_INPUTS,
-    Code.SLOW_CHANNELS,
-)
 
 # steps that an evaluation of a model reads
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
@@ -80,38 +71,28 @@ class PreparedFlights:
 
     Attributes
     ----------
-    train, test : dict of str to DataFrame
+    train, test : dict of str to FlightTable
         Usable rows of the flights to learn from, and to be tested on, with the airspeed as logged.
+    flights : FlightTable
+        The training flights in one table.
     aircraft : Aircraft
     servos : object
         What gave the surfaces.
     loads : dict
         ``thrust`` and ``external_forces`` of the inverse dynamics.
-    lacks_thrust : bool
-        Whether the thrust is part of the coefficients, as nothing gives it.
     """
 
-    train: Tables
-    test: Tables
+    train: Flights
+    test: Flights
+    flights: FlightTable
     aircraft: Aircraft
     servos: Any
     loads: dict[str, Any]
-    lacks_thrust: bool
 
     @property
     def has_full_throws(self) -> bool:
         """Whether surfaces are in parts of their full throw."""
         return reversed_of(self.servos) is not None
-
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        """The training flights in one table."""
-        return pd.concat(self.train.values(), ignore_index=True)
-
-    @property
-    def ignored(self) -> tuple[Code, ...]:
-        """Findings of later steps that are left out: those of `REPEATED`, and large angles of full throws."""
-        return (*REPEATED, Code.LARGE_SURFACES) if self.has_full_throws else REPEATED
 
 
 def prepare(
@@ -142,22 +123,23 @@ def prepare(
             report(Finding(Code.TESTED_ON_TRAINING, flight=name))
     columns = regressor_columns([flight.table for flight in train.values()], names)
     aircraft = _with_position_of(aircraft, train)
-    usable_train = usable_flights(train, aircraft, names, columns)
-    usable_test = usable_flights(test_flights, aircraft, names, columns)
-    lacks_thrust = thrust == "auto" and _lacks_thrust(usable_train.values(), aircraft)
-    if lacks_thrust:
+    in_radians = reversed_of(servos) is None
+    usable_train = usable_flights(train, aircraft, names, columns, in_radians=in_radians)
+    usable_test = usable_flights(test_flights, aircraft, names, columns, in_radians=in_radians)
+    together = FlightTable.together(usable_train.values())
+    if thrust == "auto" and _lacks_thrust(usable_train, aircraft):
         thrust = None
-        if any((table["throttle"] > 0).any() for table in usable_train.values()):
+        if (together.table["throttle"] > 0).any():
             report(Finding(Code.THRUST_IN_COEFFICIENTS))
     if thrust is None:
-        warn_of_engine(usable_train, names)
+        warn_of_engine(together.table, names)
     prepared = PreparedFlights(
         train=usable_train,
         test=usable_test,
+        flights=together,
         aircraft=aircraft,
         servos=servos,
         loads={"thrust": thrust, "external_forces": list(external_forces)},
-        lacks_thrust=lacks_thrust,
     )
     if prepared.has_full_throws:
         report(Finding(Code.FULL_THROWS))
@@ -264,8 +246,10 @@ def usable_flights(
     aircraft: Aircraft | None,
     regressors: Sequence[str],
     columns: Sequence[str],
-) -> Tables:
-    """Return the tables of flights without faults, and only rows that a model can learn from or predict.
+    *,
+    in_radians: bool,
+) -> Flights:
+    """Return flights without faults, and only rows that a model can learn from or predict.
 
     They have the position of the inertial sensors, where flights or aircraft state it.
 
@@ -274,22 +258,23 @@ def usable_flights(
     its rows is left.
     """
     needed = [name for name in columns if name not in INTERCHANGEABLE]
-    tables = {}
+    checked = {}
     for name, flight in flights.items():
         check_columns(flight.table, needed)
-        without_faults, findings = clean(flight.table)
-        for finding in findings:
+        cleaned = clean(flight)
+        check_flight(cleaned.table, (), in_radians=in_radians)
+        for finding in cleaned.findings or ():
             report(finding, FlightDataWarning)
-        _warn_of_positions(name, without_faults, aircraft)
-        tables[name] = with_sensor_position(without_faults, aircraft)
-    _warn_of_contradictions(tables, aircraft)
-    return {name: _complete_rows(name, table, regressors) for name, table in tables.items()}
+        _warn_of_positions(name, cleaned.table, aircraft)
+        checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
+    _warn_of_contradictions(checked, aircraft)
+    return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
 
 
-def _warn_of_contradictions(tables: Tables, aircraft: Aircraft | None) -> None:
+def _warn_of_contradictions(flights: Flights, aircraft: Aircraft | None) -> None:
     """Warn of channels, and of sizes of the aircraft, that contradict others by physics, in all flights together."""
-    together = FlightTable.of(pd.concat(tables.values(), ignore_index=True))
-    only = next(iter(tables)) if len(tables) == 1 else None
+    together = FlightTable.together(flights.values())
+    only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
         finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning)
@@ -300,7 +285,7 @@ def _warn_of_contradictions(tables: Tables, aircraft: Aircraft | None) -> None:
 
 def usable_flights_of_model(
     pipeline: Pipeline, flights: Flights, aircraft: Aircraft | None = None
-) -> Tables:
+) -> Flights:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
     Flights that do not state the position of their inertial sensors get the aircraft's. Raises
@@ -311,7 +296,8 @@ def usable_flights_of_model(
     regressors = regressor_names(pipeline)
     of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
     columns = regressor_columns([of_fit], regressors)
-    return usable_flights(flights, aircraft, regressors, columns)
+    in_radians = not pipeline.control_units
+    return usable_flights(flights, aircraft, regressors, columns, in_radians=in_radians)
 
 
 def check_identified(pipeline: Pipeline) -> None:
@@ -353,13 +339,14 @@ def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft | No
         report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers))
 
 
-def _complete_rows(flight: str, table: pd.DataFrame, regressors: Sequence[str]) -> pd.DataFrame:
+def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str]) -> FlightTable:
     """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
+    table = flights.table
     columns = regressor_columns([table], regressors)
     missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), table.index, columns)
-    complete = table[~missing.any(axis=1)]
+    complete = np.flatnonzero(~missing.any(axis=1))
     counts = {name: n for name, n in missing.sum().to_dict().items() if n}
-    if complete.empty:
+    if not complete.size:
         raise ValueError(
             f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by "
             f"rows: {counts}): bring slow sensors to the clock of the others, drop columns that "
@@ -369,7 +356,7 @@ def _complete_rows(flight: str, table: pd.DataFrame, regressors: Sequence[str]) 
         n_left_out = len(table) - len(complete)
         numbers = {"left_out": n_left_out, "rows": len(table), "missing": counts}
         report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers))
-    segments = FlightTable.of(complete).segments
+    segments = flights.part(complete).segments
     rows = [np.arange(run.start, run.stop) for run in segments if n_rows(run) > 1]
     if not rows:
         raise ValueError(
@@ -380,12 +367,12 @@ def _complete_rows(flight: str, table: pd.DataFrame, regressors: Sequence[str]) 
     n_alone = len(complete) - len(continuous)
     if n_alone:
         report(Finding(Code.LONE_ROWS, flight=flight, numbers={"rows": n_alone}))
-    return complete.iloc[continuous].reset_index(drop=True)
+    return flights.part(complete[continuous]).named(flight)
 
 
-def _lacks_thrust(tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
+def _lacks_thrust(flights: Flights, aircraft: Aircraft) -> bool:
     """Return whether all flights have a throttle, and nothing gives the thrust that it sets."""
-    for table in tables:
+    for table in tables_of(flights).values():
         has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
         has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
         if has_thrust or has_propeller or "throttle" not in table:
@@ -393,9 +380,8 @@ def _lacks_thrust(tables: Iterable[pd.DataFrame], aircraft: Aircraft) -> bool:
     return True
 
 
-def warn_of_engine(flights: Tables, regressors: Sequence[str]) -> None:
+def warn_of_engine(table: pd.DataFrame, regressors: Sequence[str]) -> None:
     """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
-    table = pd.concat(flights.values(), ignore_index=True)
     varied = [name for name in ENGINE_COLUMNS if name in table and table[name].nunique() > 1]
     if varied and not {*varied} & {*regressors}:
         report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}))

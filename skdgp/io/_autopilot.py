@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import without_warnings
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.channels import (
     CHANNELS,
@@ -434,8 +433,8 @@ def with_specific_force(
     velocity = table[list(EARTH_VELOCITY)]
     try:
         # rows that stand alone have no rate of change
-        with without_warnings():
-            change = differentiate(velocity, table["time"], cutoff=TABLE.velocity_cutoff * rate)
+        cutoff = TABLE.velocity_cutoff * rate
+        change = differentiate(velocity, table["time"], cutoff=cutoff, is_quiet=True)
     # the clock of the log is not sound, which coefficients refuse themselves
     except ValueError:
         return table, origin

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import plain
-from skdgp._compute.messages import recorded_warnings, warn
+from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
@@ -24,7 +24,7 @@ from skdgp._flight.checks import (
 )
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
-from skdgp._flight.findings import Code, texts_of
+from skdgp._flight.findings import texts_of
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
@@ -144,10 +144,9 @@ def read_flight(
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(read_log(path), servos=servos, airborne=airborne)
     name = name_of(path) if flight is None else flight
-    with recorded_warnings() as record:
-        if reversed_of(servos) is not None:  # parts of the full throw are no angles
-            record.ignore(Code.LARGE_SURFACES)
-        table = _as_flight(flight_table(flown, name, airborne=airborne))
+    # parts of the full throw are no angles
+    in_radians = reversed_of(servos) is None
+    table = _as_flight(flight_table(flown, name, airborne=airborne), in_radians=in_radians)
     table.attrs["sources"] = {
         column: origin.words for column, origin in flown.origin.items() if column in table
     }
@@ -192,7 +191,7 @@ def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
     return table.rename(columns=rename)
 
 
-def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
+def _as_flight(table: pd.DataFrame, *, in_radians: bool = True) -> pd.DataFrame:
     """Return a raw table in the order and types of a flight table."""
     table = table.reset_index(drop=True)
     unknown = unknown_columns(table)
@@ -212,7 +211,7 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
         if is_missing.any():
             row = int(np.argmax(is_missing))
             raise FlightReadError(f"Got no time at row {row}, but expected it in every row [s].")
-        check_units(FlightTable.of(table))
+        check_units(FlightTable.of(table), in_radians=in_radians)
     except ValueError as error:
         raise FlightReadError(*error.args) from error
     channels = [name for name in table.columns if name not in ("time", "flight")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -148,48 +148,47 @@ class FlightCheck(TableTransformer):
     @fit_context(prefer_skip_nested_validation=True)
     def fit_transform(self, X: Any, y: Any = None) -> Any:
         """Fit to the flight table X, and return it transformed; y is ignored."""
-        return self._reported(self._fit_cleaned(self._checked(X)))
+        flights = self._checked(X)
+        self._fit_table(flights)
+        return self._transform_table(self._reported(flights, X))
 
-    def _fit_table(self, table):
-        self._fit_cleaned(table)
-
-    def _transform_table(self, table):
-        return self._reported(clean(table, self.ignore))
-
-    def _fit_cleaned(self, table: pd.DataFrame) -> CleanFlights:
-        """Learn the error of the airspeed of flights, and return these without faults."""
-        FlightTable.of(table)
+    def _checked(self, X):
+        table = super()._checked(X)
         self._check_any(table, BRIDGED)
-        cleaned = clean(table, self.ignore)
-        self.airspeed_scale_ = airspeed_scale(cleaned.table)
+        return self._clean(X, table)
+
+    def _as_table(self, X):
+        return self._reported(self._clean(X, super()._as_table(X)), X)
+
+    def _clean(self, X: Any, table: pd.DataFrame) -> FlightTable:
+        """Return the flights X without faults, which those that are clean have lost before."""
+        is_clean = isinstance(X, FlightTable) and X.findings is not None
+        return X if is_clean else clean(FlightTable.of(table), self.ignore)
+
+    def _reported(self, flights: FlightTable, X: Any) -> FlightTable:
+        """Report what was found in the flights X, unless it was known before; return them clean."""
+        for finding in flights.findings or () if flights is not X else ():
+            report(finding, FlightDataWarning)
+        return flights
+
+    def _fit_table(self, flights):
+        self.airspeed_scale_ = airspeed_scale(flights.table)
         removed = self.airspeed_scale_.removable()
         if removed:
             numbers = {"percent": 100 * removed, "std_percent": 100 * self.airspeed_scale_.std}
             report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers))
-        return cleaned
 
-    def _reported(self, cleaned: CleanFlights) -> pd.DataFrame:
-        """Return clean flights without the error of the airspeed; report what was found in them."""
-        for finding in cleaned.findings:
-            report(finding, FlightDataWarning)
-        check_airspeed(FlightTable.of(cleaned.table).column("airspeed"))
-        return without_airspeed_error(cleaned.table, self.airspeed_scale_.removable())
+    def _transform_table(self, flights):
+        check_airspeed(flights.column("airspeed"))
+        return without_airspeed_error(flights.table, self.airspeed_scale_.removable())
 
 
-class CleanFlights(NamedTuple):
-    """Flights without faults, and what was found in them."""
-
-    table: pd.DataFrame
-    findings: list[Finding]
-
-
-def clean(table: pd.DataFrame, ignore: Sequence[str] = ()) -> CleanFlights:
-    """Return flights without faults, short gaps interpolated, and the findings, as of `FlightCheck`."""
-    flights = FlightTable.of(table)
+def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
+    """Return flights without faults and with short gaps interpolated, and what was found, as of `FlightCheck`."""
     faults = find_faults(flights, ignore)
     # gaps in time are no error
     faulty = [fault.finding for fault in faults if fault.finding.code is not Code.GAP]
-    measured = replace(flights, table=without_faults(table, faults))
+    measured = replace(flights, table=without_faults(flights.table, faults))
     controls = find_holds(measured, CONTROL_GROUPS)
     holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
     findings = []
@@ -200,7 +199,8 @@ def clean(table: pd.DataFrame, ignore: Sequence[str] = ()) -> CleanFlights:
         rates = {", ".join(hold.names): hold.rate for hold in holds}
         findings.append(Finding(Code.SLOW_CHANNELS, numbers={"rates": rates}))
     new = _bridged(measured, ignore) | between_samples(measured, controls)
-    return CleanFlights(with_columns(measured.table, new), findings)
+    table = with_columns(measured.table, new)
+    return replace(flights, table=table, findings=tuple(findings))
 
 
 def _bridged(flights: FlightTable, ignore: Sequence[str]) -> dict[str, Vector]:

@@ -52,7 +52,6 @@ from skdgp.estimation import (
 from skdgp.preprocessing._cleaning import FlightSmoother
 from skdgp.preprocessing._table import (
     TableTransformer,
-    as_pandas,
     with_columns,
     with_names,
     wrap_near,
@@ -224,7 +223,7 @@ class FlightPathReconstruction(TableTransformer):
         fraction of its standard deviation.
         """
         motion = self._fit_returning_motion(self._checked(X))
-        table = self._as_table(as_pandas(X))
+        table = self._as_table(X)
         is_final = motion is not None and motion.converged and motion.is_complete
         return self._transformed(table, motion if is_final else None)
 

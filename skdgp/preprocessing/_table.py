@@ -15,6 +15,7 @@ from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import WRAPPED
 from skdgp._flight.checks import check_table
+from skdgp._flight.tables import FlightTable
 
 
 class TableTransformer(TransformerMixin, BaseEstimator, ABC):
@@ -43,7 +44,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
     def transform(self, X: Any) -> Any:
         """Return the transformed flight table X, with its index."""
         check_is_fitted(self)
-        return self._transform_table(self._as_table(as_pandas(X)))
+        return self._transform_table(self._as_table(X))
 
     def get_feature_names_out(self, input_features: Any = None) -> np.ndarray:
         """Return the column names of the transformed table; ``input_features`` must equal ``feature_names_in_``."""
@@ -64,6 +65,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
         return names
 
     def _as_table(self, X: Any) -> pd.DataFrame:
+        X = as_pandas(X)
         if isinstance(X, pd.DataFrame):
             return check_table(X)
         array = validate_data(self, X, reset=False, ensure_all_finite=False)
@@ -87,7 +89,9 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
 
 
 def as_pandas(X: Any) -> Any:
-    """Return a polars table, as ``set_output`` makes them, as a DataFrame; other input as it is."""
+    """Return checked flights, and a polars table of ``set_output``, as a DataFrame; other input as it is."""
+    if isinstance(X, FlightTable):
+        return X.table
     if type(X).__module__.partition(".")[0] != "polars":
         return X
     return pd.DataFrame({name: X[name].to_numpy() for name in X.columns})

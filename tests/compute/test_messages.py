@@ -13,10 +13,9 @@ from skdgp import DependentGPRegressor, listening
 from skdgp._compute.findings import texts_of
 from skdgp._compute.messages import (
     FindingWarning,
-    recorded_warnings,
+    recorded_findings,
     report,
     warn,
-    without_warnings,
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import FitCode
@@ -28,11 +27,14 @@ class Late(UserWarning):
 
 
 def test_recorded_warnings_are_shown_and_kept_once():
-    with recorded_warnings() as outer, recorded_warnings() as inner:
+    with recorded_findings() as findings:
         for _ in range(2):
             with pytest.warns(Late, match="^a  gap$"):
                 warn("a  gap", Late)
-    assert texts_of(inner.findings) == texts_of(outer.findings) == ("a gap.",)
+        with pytest.warns(FindingWarning, match="Give the column elevator"):
+            report(Finding(Code.NO_ELEVATOR))
+    assert texts_of(findings[:1]) == ("a gap.",)
+    assert findings[1:] == [Finding(Code.NO_ELEVATOR)]
 
 
 def test_parts_of_a_text_whose_values_are_unknown_are_left_out():
@@ -63,20 +65,6 @@ def test_a_saved_finding_has_its_kind():
     assert pickle.loads(pickle.dumps(finding)) == finding
 
 
-def test_ignored_warnings_are_neither_shown_nor_recorded():
-    with recorded_warnings() as outer, without_warnings(Late):
-        warn("late", Late)
-        with pytest.warns(UserWarning, match="other"):
-            warn("other")
-    assert texts_of(outer.findings) == ("other.",)
-    with recorded_warnings() as record:
-        record.ignore(Code.FULL_THROWS)
-        report(Finding(Code.FULL_THROWS))
-        with pytest.warns(FindingWarning, match="Give the column elevator") as shown:
-            report(Finding(Code.NO_ELEVATOR))
-    assert record.findings == [shown[0].message.finding] == [Finding(Code.NO_ELEVATOR)]
-
-
 @pytest.mark.parametrize("code", [*Code, *FitCode])
 def test_a_statement_is_a_clause_and_its_advice_whole_sentences(code):
     assert not code.statement.endswith(".")
@@ -101,7 +89,7 @@ def test_a_warning_shows_the_line_of_the_user(use):
     assert {warning.filename for warning in shown} == {__file__}
 
 
-def test_another_thread_is_not_silenced():
+def test_another_thread_is_not_recorded():
     raised = []
 
     def warning():
@@ -110,12 +98,12 @@ def test_another_thread_is_not_silenced():
         except Late as error:
             raised.append(str(error))
 
-    with without_warnings(), recorded_warnings() as record:
+    with recorded_findings() as findings:
         thread = threading.Thread(target=warning)
         thread.start()
         thread.join()
     assert raised == ["from another thread"]
-    assert record.findings == []
+    assert findings == []
 
 
 def fit():

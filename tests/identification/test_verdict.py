@@ -112,6 +112,7 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
         std=np.sqrt(prediction_std**2 - 0.01**2),  # of the function; the noise is small
         prediction_std=prediction_std,
         table=pd.DataFrame({"time": time, "alpha": 0.0, "beta": 0.0}),
+        states=pd.DataFrame({"time": time}),
         rows=np.arange(n),
         regressors=measured,
     )
@@ -181,7 +182,7 @@ def use(found, purpose):
 
 def mechanics_of(*tables, train=None, **options):
     """Return the mechanics of a model that flies like these tables, or not."""
-    tested = [replace(evaluation(n=2), table=table) for table in tables]
+    tested = [replace(evaluation(n=2), table=table, states=table) for table in tables]
     fit = replace(FIT, training=None)
     return identification(
         [train if train is not None else tables[0]], tested, fit=fit, **options

@@ -104,6 +104,7 @@ def result(n=800, **changes):
         "regressors": mean,
         "truth": mean + 0.01 * rng.normal(size=(n, 6)),
         "table": flight,
+        "states": flight,
         "replay": flight[["time", "v_east", "p", "r"]].assign(horizon=2.0, window=window),
     }
     return Evaluation(**given | changes)

@@ -8,7 +8,7 @@ In order: records of the flights with their paths (``_air_records.py``), search 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -65,7 +65,7 @@ from skdgp.estimation._air_parameters import (
     derivatives_of,
     is_coupling,
 )
-from skdgp.estimation._air_records import Record, n_samples, quietest_noise, records_of, shortened
+from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import (
     FORCE_READINGS,
@@ -118,9 +118,6 @@ class AirMotion:
         Root mean square of the sensors' constants over their prior standard deviations, or of the
         errors of their position if that is larger, at least one. ``std`` is widened by it: effects
         that the model lacks shift these constants (Birge 1932).
-    is_complete : bool
-        Whether ``air`` is of all records of the flights, none of which was shortened or too short
-        to learn from.
     vibrates : bool
         Whether an oscillation shakes accelerometers and gyros of a flight. What they share then counts as
         noise, and ``std`` is larger by half.
@@ -137,7 +134,6 @@ class AirMotion:
     converged: bool
     seconds: float
     misfit: float = 1.0
-    is_complete: bool = False
     vibrates: bool = False
     mean_thrust: float = 0.0
 
@@ -340,8 +336,7 @@ def estimate_air_motion(
         noises,
         settings,
     )
-    motion = _searched(start, settings, len(table))
-    return replace(motion, is_complete=n_samples(records) == n_samples(every))
+    return _searched(start, settings, len(table))
 
 
 def _searched(start: Callable[[], AirFit], settings: AirSettings, n_rows: int) -> AirMotion:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import report
-from skdgp._compute.sklearn_compat import Interval, fit_context
+from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Indices, Vector
 from skdgp._flight.channels import (
     AIR_DATA,
@@ -214,24 +214,7 @@ class FlightPathReconstruction(TableTransformer):
         """Why ``transform`` reconstructs flights, or not, in words."""
         return self.finding_.clause
 
-    @fit_context(prefer_skip_nested_validation=True)
-    def fit_transform(self, X: Any, y: Any = None) -> Any:
-        """Fit to the flight table X, and return it transformed; y is ignored.
-
-        A motion of the air that converged on all rows is the result for these flights.
-        ``transform`` would estimate it again, with the aircraft held, and differ by a small
-        fraction of its standard deviation.
-        """
-        motion = self._fit_returning_motion(self._checked(X))
-        table = self._as_table(X)
-        is_final = motion is not None and motion.converged and motion.is_complete
-        return self._transformed(table, motion if is_final else None)
-
     def _fit_table(self, table):
-        self._fit_returning_motion(table)
-
-    def _fit_returning_motion(self, table: pd.DataFrame) -> AirMotion | None:
-        """Set the fitted attributes; return the motion of the air, if it can be estimated."""
         table = with_sensor_position(table, self.aircraft)
         self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table) if self.optional else []
@@ -241,13 +224,13 @@ class FlightPathReconstruction(TableTransformer):
         self.doubt_: Finding | None = None
         self.converged_: dict[Any, bool] = {}
         if self.missing_:
-            return None
+            return
         self._check(table)
         has_vanes = has_values(table, *AIR_DATA)
-        motion = None if has_vanes else self._fit_air_motion(table)
-        if motion is None:
+        if not has_vanes:
+            self._fit_air_motion(table)
+        if self.air_motion_ is None:
             self._fit_path(table, has_vanes)
-        return motion
 
     def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
         """Set the fitted attributes by the paths of the flights."""
@@ -268,15 +251,15 @@ class FlightPathReconstruction(TableTransformer):
         if self.used_:
             self._warn_of_diverged(parts)
 
-    def _fit_air_motion(self, table: pd.DataFrame) -> AirMotion | None:
-        """Set the fitted attributes by the motion of the air, and return it, if it can be estimated."""
+    def _fit_air_motion(self, table: pd.DataFrame) -> None:
+        """Set the fitted attributes by the motion of the air, if it can be estimated."""
         if self.aircraft is None:
             cause = Finding(Code.NO_AIRCRAFT)
             self.doubt_ = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
-            return None
+            return
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
-            return None
+            return
         if motion.converged:
             _tell_of_aircraft(motion)
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
@@ -286,7 +269,6 @@ class FlightPathReconstruction(TableTransformer):
         changes = [motion.gust_change(number) for number in range(len(names))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
-        return motion
 
     def _estimated_motion(
         self, table: pd.DataFrame, known: AirMotion | None = None
@@ -316,10 +298,6 @@ class FlightPathReconstruction(TableTransformer):
         return motion, doubt
 
     def _transform_table(self, table):
-        return self._transformed(table, None)
-
-    def _transformed(self, table: pd.DataFrame, motion: AirMotion | None) -> pd.DataFrame:
-        """Return the transformed table, by the motion of its air where this is known."""
         table = with_sensor_position(table, self.aircraft)
         if not self.used_:
             return at_centre_of_gravity(table)
@@ -328,7 +306,8 @@ class FlightPathReconstruction(TableTransformer):
             report(finding, FlightDataWarning)
             return FlightSmoother().fit_transform(at_centre_of_gravity(table))
         self._check(table)
-        if motion is None and self.air_motion_ is not None:
+        motion = None
+        if self.air_motion_ is not None:
             motion, _ = self._estimated_motion(table, self.air_motion_)
         if motion is None:
             new = self._columns_by_path(table)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property, partial, reduce
+from functools import cached_property, partial
 from itertools import takewhile
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -273,10 +273,11 @@ class PosteriorRegressor(Protocol):
 
 
 @runtime_checkable
-class CommandedSurfaces(Protocol):
-    """A step that knows how surfaces follow their logged commands."""
+class Described(Protocol):
+    """A fitted step or pipeline that describes what a simulation needs of it."""
 
-    servos_: Servos
+    def in_simulation(self) -> Mapping[str, Any]:
+        """Return parameters of `Aerodynamics` that it knows."""
 
 
 def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
@@ -290,15 +291,11 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
 
     Notes
     -----
-    A transformer declares by its class attribute ``in_simulation`` its role in a simulation, which
-    has exact states and no neighbours in time:
-
-    - "regressors": chooses them; has ``regressors_``, perhaps ``data_min_`` and ``data_max_`` (d,),
-      and ``ranges_`` of channels by name. The last counts.
-    - "rates": gives the lengths of non-dimensional rates; has ``span`` and ``chord``.
-    - "controls": makes controls of surfaces; has ``surfaces``, ``controls`` and ``mixing_``.
-    - "measurements": treats measurements, and is left out. So is a step without the attribute. Its
-      ``servos_`` (`Servos`), if any, is how surfaces follow the logged commands.
+    A simulation has exact states and no neighbours in time. A transformer says by its method
+    ``in_simulation()`` which parameters of `Aerodynamics` it knows: the choice of the regressors
+    ``regressors``, ``limits`` and ``flown`` (the last choice counts), others ``span`` and ``chord``
+    of non-dimensional rates, ``mixing`` of surfaces to controls, or ``servos`` between commands and
+    surfaces. One that treats measurements knows none, or lacks the method, and is left out.
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by
     ``transform``. The regressor at the end may have a posterior, as ``DependentGPRegressor`` has:
@@ -324,26 +321,17 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     check_is_fitted(model)
     before, behind = steps_by_choice(model)
     _check_unscaled(before)
-    by_role = {_role(step): step for step in before}
-    choice = by_role.get("regressors", behind[0])
-    regressors, limits, flown = _chosen_regressors(choice, type(model).__name__)
-    rates = by_role.get("rates")
-    lengths = {} if rates is None else {"span": rates.span, "chord": rates.chord}
-    servos = [step.servos_ for step in (*before, *behind) if isinstance(step, CommandedSurfaces)]
-    facts = vars(unwrap(model))
-    coefficients = Coefficients(behind, len(regressors), facts.get("seconds_"))
-    aerodynamics = Aerodynamics(
-        coefficients.mean,
-        regressors,
-        turbulence=facts.get("turbulence_"),
-        limits=limits,
-        flown=flown,
-        mixing=_mixing_of(by_role.get("controls")),
-        units=facts.get("control_units") or {},
-        errors=facts.get("errors_", {}),
-        servos=reduce(Servos.before, servos, IDEAL),
-        **lengths,
-    )
+    known: dict[str, Any] = {"servos": IDEAL}
+    for step in before:
+        described = _described(step)
+        servos = known["servos"].before(described.get("servos", IDEAL))
+        known |= described | {"servos": servos}
+    if "regressors" not in known:
+        known["regressors"] = _names_of_table(behind[0], type(model).__name__)
+    known |= _described(unwrap(model))
+    seconds = known.pop("seconds", None)
+    coefficients = Coefficients(behind, len(known["regressors"]), seconds)
+    aerodynamics = Aerodynamics(coefficients.mean, **known)
     if coefficients.others or not isinstance(coefficients.regressor, PosteriorRegressor):
         return aerodynamics
     function, slopes = coefficients.mean_function()
@@ -358,20 +346,20 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     )
 
 
-def _chosen_regressors(
-    step: Any, model: str
-) -> tuple[list[str], Array | None, dict[str, tuple[float, float]]]:
-    """Return names, limits and flown ranges of the regressors that a step chooses, or of its table."""
-    learned = vars(step)
-    names = learned.get("regressors_", learned.get("feature_names_in_"))
+def _described(step: Any) -> dict[str, Any]:
+    """Return what a fitted step or pipeline knows for a simulation."""
+    return dict(step.in_simulation()) if isinstance(step, Described) else {}
+
+
+def _names_of_table(estimator: Any, model: str) -> list[str]:
+    """Return the names of the columns that an estimator learned from."""
+    names = vars(estimator).get("feature_names_in_")
     if names is None:
         raise ValueError(
             f"Got a {model} whose regressors have no names: put RegressorSelector([...]) into the "
             "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
         )
-    low = learned.get("data_min_")
-    limits = None if low is None else np.array([low, learned["data_max_"]])
-    return list(names), limits, dict(learned.get("ranges_", {}))
+    return list(names)
 
 
 def _check_unscaled(steps: list) -> None:
@@ -382,14 +370,6 @@ def _check_unscaled(steps: list) -> None:
             f"Got {scalers} before the choice of regressors, but expected flight channels in their units "
             "there, as a simulation gives them: put it behind RegressorSelector."
         )
-
-
-def _mixing_of(splitter: Any) -> Mixing | None:
-    """Return the mixing of a step that makes controls of surfaces."""
-    if splitter is None:
-        return None
-    controls = tuple(splitter.controls)
-    return Mixing(tuple(splitter.surfaces), controls, np.array(splitter.mixing_))
 
 
 class Coefficients:
@@ -559,17 +539,12 @@ def _steps_of(model: BaseEstimator) -> list:
     return [model]
 
 
-def _role(step: Any) -> str:
-    """Return the role that a step of a pipeline declares for simulations, of any package."""
-    return getattr(step, "in_simulation", "measurements")
-
-
 def steps_by_choice(model: BaseEstimator) -> tuple[list, list]:
     """Return the fitted steps up to the choice of regressors, and behind it; without a choice all are behind."""
     steps = _steps_of(model)
     n_before = 0
     for number, step in enumerate(steps, start=1):
-        if _role(step) == "regressors":
+        if "regressors" in _described(step):
             n_before = number
     return steps[:n_before], steps[n_before:]
 

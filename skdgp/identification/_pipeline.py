@@ -457,6 +457,15 @@ class FlightPipeline(Pipeline):
             with suppress(TypeError, ValueError):  # short flights, or columns that are missing
                 self.turbulence_ = Turbulence.from_flight(flights, self.aircraft.span)
 
+    def in_simulation(self) -> dict[str, Any]:
+        """Return what the flights of the fit show for a simulation."""
+        return {
+            "turbulence": self.turbulence_,
+            "seconds": self.seconds_,
+            "errors": self.errors_,
+            "units": self.control_units or {},
+        }
+
     def predict(self, X: Any, **params: Any) -> Any:
         """Predict the coefficients (n, P) of one or more flights at their full rate.
 

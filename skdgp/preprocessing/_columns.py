@@ -32,6 +32,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import numeric
 from skdgp._flight.units import check_airspeed
+from skdgp.dynamics import Mixing
 from skdgp.preprocessing._engine import engine_regressors
 from skdgp.preprocessing._table import (
     TableTransformer,
@@ -94,7 +95,6 @@ class ElevonSplitter(TableTransformer):
     ... )
     """
 
-    in_simulation = "controls"
     _parameter_constraints: dict = {
         "surfaces": [list, tuple],
         "controls": [list, tuple],
@@ -135,6 +135,10 @@ class ElevonSplitter(TableTransformer):
 
     def _columns_out(self, names):
         return with_names(names, self.controls) if {*self.surfaces} <= {*names} else names
+
+    def in_simulation(self) -> dict[str, Any]:
+        """Return how controls follow from surfaces."""
+        return {"mixing": Mixing(tuple(self.surfaces), tuple(self.controls), self.mixing_)}
 
     def _controls_of(self, table):
         """Return controls by name; none where the table has them but not the surfaces."""
@@ -182,7 +186,6 @@ class RateNondimensionalizer(TableTransformer):
     1      20.0  0.5  0.0350
     """
 
-    in_simulation = "rates"
     _parameter_constraints: dict = {
         "span": [Interval(Real, 0, None, closed="neither")],
         "chord": [Interval(Real, 0, None, closed="neither")],
@@ -203,6 +206,10 @@ class RateNondimensionalizer(TableTransformer):
 
     def _columns_out(self, names):
         return with_names(names, [name + HAT for name in self.rates_])
+
+    def in_simulation(self) -> dict[str, Any]:
+        """Return the lengths of non-dimensional rates."""
+        return {"span": self.span, "chord": self.chord}
 
     def _non_dimensional(self, table):
         check_columns(table, ["airspeed", *self.rates_])
@@ -274,7 +281,6 @@ class RegressorSelector(TableTransformer):
     0    0.1       0.0
     """
 
-    in_simulation = "regressors"
     _parameter_constraints: dict = {
         "regressors": [StrOptions(set(REGRESSOR_SETS)), list, tuple, np.ndarray],
         "extra": [list, tuple, np.ndarray],
@@ -368,6 +374,11 @@ class RegressorSelector(TableTransformer):
 
     def _columns_out(self, names):
         return self.regressors_
+
+    def in_simulation(self) -> dict[str, Any]:
+        """Return the regressors, their limits, and the flown ranges of other channels."""
+        limits = None if self.data_min_ is None else np.array([self.data_min_, self.data_max_])
+        return {"regressors": self.regressors_, "limits": limits, "flown": self.ranges_}
 
     def _from_set(self, table):
         """Return the regressors of the named set, without the controls that the aircraft does not have."""

@@ -187,6 +187,10 @@ class FlightPathReconstruction(TableTransformer):
         self.thrust = thrust
         self.settings = settings
 
+    def in_simulation(self) -> dict[str, Any]:
+        """Return the servos."""
+        return {"servos": self.servos_}
+
     @property
     def servos_(self) -> Servos:
         """Servos between the commands and the surfaces, ideal where their lag is not estimated."""

@@ -113,6 +113,10 @@ class LagCorrector(TableTransformer):
         self.lags = lags
         self.aircraft = aircraft
 
+    def in_simulation(self) -> dict[str, Any]:
+        """Return the servos."""
+        return {"servos": self.servos_}
+
     @property
     def servos_(self) -> Servos:
         """Servos between the logged commands and the surfaces, ideal where surfaces are logged."""

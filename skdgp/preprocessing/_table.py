@@ -27,8 +27,6 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
     reads an array by the order of the columns of ``fit``.
     """
 
-    in_simulation = "measurements"  # see skdgp.dynamics.as_aerodynamics
-
     @fit_context(prefer_skip_nested_validation=True)
     def fit(self, X: Any, y: Any = None) -> Self:
         """Check the columns of the flight table X, and learn from them; y is ignored."""
@@ -51,6 +49,10 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
         check_is_fitted(self)
         names = check_feature_names_in(self, input_features)
         return np.asarray(self._columns_out(list(names)), dtype=object)
+
+    def in_simulation(self) -> dict[str, Any]:
+        """Return the parameters of `skdgp.dynamics.Aerodynamics` that it knows; none if it treats measurements."""
+        return {}
 
     @abstractmethod
     def _fit_table(self, table: pd.DataFrame) -> None:

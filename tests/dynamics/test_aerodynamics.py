@@ -164,13 +164,12 @@ def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targe
     class Choice(TransformerMixin, BaseEstimator):
         """Chooses regressors as RegressorSelector does."""
 
-        in_simulation = "regressors"
+        def in_simulation(self):
+            limits = [[0.0, 0.0], [1.0, 1.0]]
+            return {"regressors": self.regressors_, "limits": limits, "flown": {"phi": (-0.5, 0.4)}}
 
         def fit(self, X, y=None):
             self.regressors_ = ["alpha", "beta"]
-            self.data_min_ = np.zeros(2)
-            self.data_max_ = np.ones(2)
-            self.ranges_ = {"phi": (-0.5, 0.4)}
             return self
 
         def transform(self, X):

@@ -34,6 +34,7 @@ from skdgp.dynamics._drawn import drawn_functions as drawn_functions
 from skdgp.dynamics._dryden import Gusts as Gusts
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import gust_stream as gust_stream
+from skdgp.dynamics._dryden import rolling_gust as rolling_gust
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
 from skdgp.dynamics._frequency import frequency_response

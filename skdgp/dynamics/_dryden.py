@@ -58,6 +58,21 @@ def dryden_system(
     return A, B, np.vstack([velocity, velocity @ A, rates])
 
 
+def rolling_gust(airspeed: float, span: float, intensity: Any, length: Any) -> tuple[Array, float]:
+    r"""Return the standard deviation [rad/s] and the correlation time [s] of the rate of roll p of the air.
+
+    A first-order process, by H_p of `dryden_system`, of vertical gusts of an intensity [m/s] and a length [m],
+
+    .. math::
+        \sigma_p^2 = \frac{\pi^2 \sigma_w^2}{10\, b L_w} \left(\frac{\pi L_w}{4 b}\right)^{1/3}, \quad
+        T_p = \frac{4 b}{\pi V}.
+    """
+    area = span * np.asarray(length)
+    wide = (np.pi * np.asarray(length) / (4 * span)) ** (1 / 3)
+    std = np.pi * np.asarray(intensity) * np.sqrt(wide / (10 * area))
+    return std, 4 * span / (np.pi * airspeed)
+
+
 def _second_order(T: float, sigma: float, lag: float) -> Array:
     """Return A of the states x, x' and gust: T^2 x'' + 2 T x' + x = n, gust sigma sqrt(T) (x + sqrt(3) T x')."""
     gain = sigma * np.sqrt(T) / lag

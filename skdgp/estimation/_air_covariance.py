@@ -109,6 +109,20 @@ def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> 
     return widen(covariance, sandwich(sums.information, scatter))
 
 
+def add_delay_error(covariance: Matrix, information: Matrix, place: int, std: float) -> Matrix:
+    r"""Return the covariance with the error of a delay of the servos, a parameter that keeps its value.
+
+    It moves the others by :math:`-A^{-1} a` times as much (Schmidt 1966), with their information A and the column
+    a of the delay.
+    """
+    others = np.arange(len(information)) != place
+    by_delay = np.ones(len(information))
+    within = information[np.ix_(others, others)]
+    by_delay[others] = -np.linalg.solve(within, information[others, place])
+    total: Matrix = covariance + std**2 * np.outer(by_delay, by_delay)
+    return total
+
+
 def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
     """Return the covariance of a search that did not converge: wider, by its last passes too, or the prior's.
 

@@ -103,7 +103,7 @@ class AirFit:
         self.aircraft = aircraft
         self.layout = layout
         self.parameters = parameters
-        self.noise_search = NoiseSearch(noises, settings)
+        self.noise_search = NoiseSearch(noises, aircraft.span, settings)
         self.settings = settings
         self.is_known = parameters.n_held > 0
         self.regression = SteadyRegression(aircraft, layout, parameters, settings)

@@ -1,8 +1,9 @@
 r"""Linearization of a record of the filter-error method, at filtered states and parameters.
 
-States (11): gusts north, east, down in a slow and a fast part :math:`g_1, g_2` [m/s]; errors of path
-and attitude e that add to the air velocity, body axes y and z [m/s]; rates :math:`\omega` [rad/s]. With
-the velocity v of the centre of gravity over the ground (body axes) as recorded, attitude R (NED to body),
+States (12): gusts north, east, down in a slow and a fast part :math:`g_1, g_2` [m/s]; errors of path
+and attitude e that add to the air velocity, body axes y and z [m/s]; rate of roll of the
+air :math:`p_g` and rates of the aircraft :math:`\omega` [rad/s]. Coefficients feel :math:`p - p_g`, no sensor
+does. With the velocity v of the centre of gravity over the ground (body axes) as recorded, attitude R (NED to body),
 steady wind w and error r of the position of the sensors,
 
 .. math:: v_a = v - R (w + g_1 + g_2) - e - \omega \times r,
@@ -11,8 +12,8 @@ which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the 
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
 the past alone (innovation), and with the recorded path (residual).
 
-Variables of the model are the motion M, which is air velocity and rates, and errors of the coefficients C. A
-coefficient is the sum of its derivatives times terms, such as alpha. By the chain rule a value h(M, C) has the
+Variables of the model are the motion M, which is air velocity and rates, errors of the coefficients C and :math:`p_g`.
+A coefficient is the sum of its derivatives times terms, such as alpha. By the chain rule a value h(M, C) has the
 slopes
 
 .. math:: \frac{d h}{d z} = \frac{\partial h}{\partial M} \frac{d M}{d z} +
@@ -39,6 +40,7 @@ from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, cross_matrix
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_model import (
+    AIR_ROLL,
     AIR_VELOCITY,
     BODY_RATES,
     COEFFICIENT_ERRORS,
@@ -72,14 +74,15 @@ from skdgp.estimation._sensors import (
 from skdgp.estimation._servos import servo_output, servo_slopes
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
-N_STATES = 11
+N_STATES = 12
 SLOW_GUST = slice(0, 3)
 FAST_GUST = slice(3, 6)
 PATH_ERROR_Y = 6
 PATH_ERROR_Z = 7
-RATE_STATES = slice(8, 11)
-"""Places of the states: two parts of the gust, errors of the path, rates."""
-COEFFICIENT_CONSTANTS = ("servo_lag", "thrust_scale", "slipstream")
+AIR_ROLL_STATE = 8
+RATE_STATES = slice(9, 12)
+"""Places of the states: two parts of the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
+COEFFICIENT_CONSTANTS = ("servo_lag", "servo_delay", "thrust_scale", "slipstream")
 """Constants that change the coefficients."""
 LEARNED_BIASES = {
     name: BIASED[name] for name in [*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS] if name in BIASED
@@ -162,10 +165,11 @@ class Layout(NamedTuple):
         return slice(N_STATES + self.n_derivatives, N_STATES + len(self.names))
 
     def motion_slopes(self, attitude: Array, rates: Matrix, air_by_state: Array) -> Array:
-        """Return d variables of the model / d states and constants, (n, 12, N + c), at given coefficients."""
+        """Return d variables of the model / d states and constants, (n, 13, N + c), at given coefficients."""
         slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + self.n_constants))
         slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
         slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
+        slopes[:, AIR_ROLL, AIR_ROLL_STATE] = 1.0
         by_constants = slopes[..., N_STATES:]
         by_constants[:, AIR_VELOCITY, self.place_of_constants(*WINDS)] = -attitude
         by_constants[:, AIR_VELOCITY, self.place_of_constants(*ARM)] = -cross_matrix(rates)
@@ -174,7 +178,7 @@ class Layout(NamedTuple):
     def through_coefficients(self, by_variables: Array, slopes: CoefficientSlopes) -> Array:
         """Return the term d h / d C d C / d z of the chain rule, (n, m, N + q).
 
-        From d h / d variables, (n, m, 12). States do not change the coefficients at a given motion.
+        From d h / d variables, (n, m, 13). States do not change the coefficients at a given motion.
         """
         by_coefficients = by_variables[..., COEFFICIENT_ERRORS]
         values = np.zeros((*by_variables.shape[:2], N_STATES + self.n_slopes))
@@ -192,7 +196,7 @@ class Layout(NamedTuple):
     def chained(
         self, by_variables: Array, motion_slopes: Array, coefficient_slopes: CoefficientSlopes
     ) -> Array:
-        """Return d h / d z (n, m, N + q) by both terms of the chain rule, from d h / d variables (n, m, 12)."""
+        """Return d h / d z (n, m, N + q) by both terms of the chain rule, from d h / d variables (n, m, 13)."""
         values = self.through_coefficients(by_variables, coefficient_slopes)
         through_motion = by_variables @ motion_slopes
         values[..., :N_STATES] += through_motion[..., :N_STATES]
@@ -205,7 +209,7 @@ class CoefficientSlopes(NamedTuple):
 
     terms: Matrix  # (n, f) d C_i / d C_ij
     instrument_terms: Matrix  # (n, f) the same of instruments
-    by_constants: Array  # (n, 6, 3) by `COEFFICIENT_CONSTANTS`
+    by_constants: Array  # (n, 6, 4) by `COEFFICIENT_CONSTANTS`
 
 
 def motion_model(
@@ -237,7 +241,7 @@ class _Readings(NamedTuple):
     """Readings of the m sensors that are sampled, after each step, and their partial derivatives."""
 
     values: Matrix  # (n - 1, m)
-    by_variables: Array  # (n - 1, m, 12) of the model
+    by_variables: Array  # (n - 1, m, 13) of the model
     by_constants: Array  # (n - 1, m, c) by biases, scale and position of the sensors
 
 
@@ -265,7 +269,7 @@ class Expansion:
         self.settings = settings
         self.model = motion_model(record, layout, aircraft, value)
         logged = record.inputs
-        surfaces, by_lag = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
+        surfaces, by_servos = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
         thrust = logged.thrust * (1 + value["thrust_scale"])
         self.inputs = Inputs(surfaces, thrust, logged.density)
         self.end_inputs = self.inputs.part(slice(1, None))
@@ -273,27 +277,29 @@ class Expansion:
         tau = self.model.relative_thrust(np.linalg.norm(self.air, axis=1), self.inputs)
         self.surface_effect = self.model.slipstream.effect(tau)  # (n, k)
         self.constant_slopes = self.model.constant_slopes(
-            self.air, self.inputs, by_lag, logged.thrust
+            self.air, self.inputs, by_servos, logged.thrust
         )
         # gusts and errors of the path decay, and the air velocity with them
         self.remaining = np.exp(-record.time_step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
-        # motion over each step: variables (n - 1, 12) before and after, d end / d start (n - 1, 6, 12)
-        self.start = _variables(self.air, states[:, RATE_STATES])[:-1]
+        # motion over each step: variables (n - 1, 13) before and after, d end / d start (n - 1, 6, 13)
+        self.start = _variables(self.air, states)[:-1]
         self.end, self.by_start = self._moved()
         # of the m sensors that have any sample, after each step
         self.measured = record.measured[1:, record.sampled]
         self.is_sampled = np.isfinite(self.measured)
 
     def _moved(self) -> tuple[Matrix, Array]:
-        """Return the variables (n - 1, 12) after the step from each sample, and d end / d start (n - 1, 6, 12)."""
+        """Return the variables (n - 1, 13) after the step from each sample, and d end / d start (n - 1, 6, 13)."""
         drift = matrix_vector(self.drift_by_state, self.states[:-1])
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
         time_step = self.record.time_step
         end, slopes = differentiated(
             lambda start: self.model.step(start, gravity, drift, self.inputs, time_step), self.start
         )
-        return _variables(end[:, AIR_VELOCITY], end[:, BODY_RATES]), slopes
+        after = self.states[:-1] * self.remaining
+        after[:, RATE_STATES] = end[:, BODY_RATES]
+        return _variables(end[:, AIR_VELOCITY], after), slopes
 
     def linearization(self) -> Linearization:
         """Return the linear filter about the states and parameters."""
@@ -355,8 +361,8 @@ class Expansion:
     def _step_slopes(self, instrument_terms: Matrix) -> Array:
         """Return d motion after the step / d z, (n - 1, 6, N + q)."""
         # terms within a step are the mean of the terms at its ends
-        terms = self.model.terms(self.start, self.inputs.part(slice(-1)))
-        end_terms = self.model.terms(self.end, self.end_inputs)
+        terms = self.model.terms(self.start, self.inputs.part(slice(-1)), self.start[:, AIR_ROLL])
+        end_terms = self._end_terms(self.end)
         coefficients = CoefficientSlopes(
             terms=0.5 * (terms + end_terms),
             instrument_terms=means_of_neighbours(instrument_terms),
@@ -389,6 +395,8 @@ class Expansion:
         through_coefficients = self.layout.through_coefficients(readings.by_variables, coefficients)
         through_motion = readings.by_variables[..., MOTION] @ step_slopes
         slopes = through_coefficients + through_motion  # d h / d C d C / d z + d h / d M d M / d z
+        by_air_roll = readings.by_variables[..., AIR_ROLL]
+        slopes[..., AIR_ROLL_STATE] += by_air_roll * self.remaining[:, [AIR_ROLL_STATE]]
         by_state, by_parameters = self._by_state_and_parameters(slopes, readings)
         motion_by_state = self._end_motion_slopes(self.end)[..., :N_STATES]
         return PastPrediction(
@@ -401,7 +409,7 @@ class Expansion:
     def _path_prediction(self, predicted: Matrix, instrument_terms: Matrix) -> PathPrediction:
         """Return the prediction of the readings at the recorded path, with the predicted gusts and rates."""
         change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
-        variables = _variables(self.air[1:] + change, self.end[:, BODY_RATES])
+        variables = _variables(self.air[1:] + change, predicted)
         readings = self._readings(variables)
         slopes = self.layout.chained(
             readings.by_variables,
@@ -412,7 +420,7 @@ class Expansion:
         return PathPrediction(self._errors(readings.values), by_state, by_parameters)
 
     def _readings(self, end: Matrix) -> _Readings:
-        """Return the readings at variables (n - 1, 12) after each step."""
+        """Return the readings at variables (n - 1, 13) after each step."""
         errors = SensorErrors.of(self.value)
         truth, slopes = differentiated(lambda s: self.model.sensors(s, self.end_inputs), end)
         sampled = self.record.sampled
@@ -432,15 +440,20 @@ class Expansion:
         )
 
     def _end_motion_slopes(self, end: Matrix) -> Array:
-        """Return d variables / d states and constants of the same sample, (n - 1, 12, N + c)."""
+        """Return d variables / d states and constants of the same sample, (n - 1, 13, N + c)."""
         return self.layout.motion_slopes(
             self.record.attitude[1:], end[:, BODY_RATES], self.air_by_state[1:]
         )
 
     def _end_coefficient_slopes(self, end: Matrix, instrument_terms: Matrix) -> CoefficientSlopes:
-        """Return the slopes of the coefficients at variables (n - 1, 12) after each step."""
-        terms = self.model.terms(end, self.end_inputs)
-        return CoefficientSlopes(terms, instrument_terms[1:], self.constant_slopes[1:])
+        """Return the slopes of the coefficients at variables (n - 1, 13) after each step."""
+        return CoefficientSlopes(
+            self._end_terms(end), instrument_terms[1:], self.constant_slopes[1:]
+        )
+
+    def _end_terms(self, end: Matrix) -> Matrix:
+        """Return the terms (n - 1, f) of the coefficients at variables (n - 1, 13) after each step."""
+        return self.model.terms(end, self.end_inputs, end[:, AIR_ROLL])
 
     def _by_state_and_parameters(self, slopes: Array, readings: _Readings) -> tuple[Array, Array]:
         """Return slopes of readings by the states, and by parameters with the constants of the sensors."""
@@ -490,9 +503,11 @@ def _motion(A: Array, push: Matrix) -> Matrix:
     return x
 
 
-def _variables(air: Matrix, rates: Matrix) -> Matrix:
-    """Return the variables of the model (n, 12), without errors of the coefficients."""
-    return np.concatenate([air, rates, np.zeros((len(air), 6))], axis=1)
+def _variables(air: Matrix, states: Matrix) -> Matrix:
+    """Return the variables of the model (n, 13) at states (n, N), without errors of the coefficients."""
+    without_errors = np.zeros((len(air), 6))
+    rates = states[:, RATE_STATES]
+    return np.concatenate([air, rates, without_errors, states[:, [AIR_ROLL_STATE]]], axis=1)
 
 
 def means_of_neighbours(values: Array) -> Array:

@@ -10,13 +10,14 @@ with specific force f and moment M of coefficients that are linear in their deri
 :math:`\gamma` (Stevens, Lewis & Johnson 2016, section 1.7). A sensor at r from the centre of
 gravity reads :math:`f + \dot\omega \times r + \omega \times (\omega \times r)`.
 
-Variables of the derivatives are air velocity, rates, and errors of the six coefficients, 12 numbers.
+Variables of the derivatives are air velocity, rates, errors of the six coefficients, and the rate of
+roll of the air, 13 numbers. Coefficients depend on the rate of roll relative to the air.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,12 +33,14 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation._air_parameters import STATE_TERMS
 
-N_VARIABLES = 12
+N_VARIABLES = 13
 AIR_VELOCITY = slice(0, 3)
 BODY_RATES = slice(3, 6)
 COEFFICIENT_ERRORS = slice(6, 12)
+AIR_ROLL = 12
 MOTION = slice(0, 6)
-"""Places among the variables: of air velocity, rates, errors of the coefficients, and the motion, the first two."""
+"""Places among the variables: air velocity, rates, errors of the coefficients, rate of roll of the air; the first two
+are the motion."""
 
 
 class Inputs(NamedTuple):
@@ -122,21 +125,26 @@ class AirMotionModel:
         """Derivatives of the coefficients by thrust over dynamic pressure and wing area, (6,)."""
         return self.derivatives[:, STATE_TERMS.index("thrust")]
 
-    def terms(self, state: Array, inputs: Inputs) -> Array:
-        """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more)."""
-        airspeed, alpha, beta = air_data(state[..., AIR_VELOCITY])
+    def terms(self, motion: Array, inputs: Inputs, air_roll: Any = 0.0) -> Array:
+        """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more).
+
+        The air rolls at the rate ``air_roll`` (...) [rad/s].
+        """
+        airspeed, alpha, beta = air_data(motion[..., AIR_VELOCITY])
         half_lengths = 0.5 * self.aircraft.moment_lengths
         tau = self.relative_thrust(airspeed, inputs)
         # in the order of `STATE_TERMS`
         angles = np.stack([np.ones_like(alpha), alpha, alpha**2, beta], axis=-1)
-        rates = state[..., BODY_RATES] * half_lengths / airspeed[..., None]
+        rates = motion[..., BODY_RATES].copy()
+        rates[..., 0] -= air_roll
+        rates *= half_lengths / airspeed[..., None]
         surfaces = inputs.surfaces * self.slipstream.effect(tau)
         return np.concatenate([angles, rates, tau[..., None], surfaces], axis=-1)
 
     def accelerations(self, state: Array, inputs: Inputs) -> Array:
-        """Return specific force and angular acceleration (..., 6) at variables (..., 12)."""
+        """Return specific force and angular acceleration (..., 6) at variables (..., 13)."""
         rates = state[..., BODY_RATES]
-        terms = self.terms(state, inputs)
+        terms = self.terms(state, inputs, state[..., AIR_ROLL])
         coefficients = terms @ self.derivatives.T + state[..., COEFFICIENT_ERRORS]
         airspeed = np.linalg.norm(state[..., AIR_VELOCITY], axis=-1)
         force, moment = aerodynamic_loads(coefficients, airspeed, inputs.density, self.aircraft)
@@ -164,14 +172,14 @@ class AirMotionModel:
     def step(
         self, start: Array, gravity: Matrix, drift: Matrix, inputs: Inputs, time_step: Vector
     ) -> Array:
-        """Return air velocity and rates (..., n - 1, 6) one ``time_step`` [s] after ``start`` (..., n - 1, 12).
+        """Return air velocity and rates (..., n - 1, 6) one ``time_step`` [s] after ``start`` (..., n - 1, 13).
 
         The method of Runge & Kutta. ``drift`` (n - 1, 3) is the acceleration of the air seen from
         the aircraft, ``gravity`` (n - 1, 3) that in body axes at the start.
         """
 
         def change(fraction: float, state: Array) -> Array:
-            """Return the change of variables and gravity (..., n - 1, 15) in a step at its rate of change."""
+            """Return the change of variables and gravity (..., n - 1, 16) in a step at its rate of change."""
             rates = state[..., BODY_RATES]
             down = state[..., N_VARIABLES:]
             loads = self.accelerations(state[..., :N_VARIABLES], inputs.between(fraction))
@@ -188,7 +196,7 @@ class AirMotionModel:
         return rk4_step(change, 0.0, state, 1.0)[..., :6]
 
     def sensors(self, state: Array, inputs: Inputs) -> Array:
-        """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at variables (..., n, 12)."""
+        """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at variables (..., n, 13)."""
         rates = state[..., BODY_RATES]
         loads = self.accelerations(state, inputs)
         turning = acceleration_by_rotation(loads[..., 3:], rates, self.arm)
@@ -202,11 +210,11 @@ class AirMotionModel:
         return cross_matrix(spin) + turn @ turn
 
     def constant_slopes(
-        self, air: Matrix, inputs: Inputs, by_lag: Matrix, logged_thrust: Matrix
+        self, air: Matrix, inputs: Inputs, by_servos: Sequence[Matrix], logged_thrust: Matrix
     ) -> Array:
-        """Return d coefficients / d (servo_lag, thrust_scale, slipstream), (n, 6, 3).
+        """Return d coefficients / d (servo_lag, servo_delay, thrust_scale, slipstream), (n, 6, 4).
 
-        ``by_lag`` (n, k) are slopes of the surfaces, ``logged_thrust`` (n, 6) is without the scale.
+        ``by_servos`` (n, k) are slopes of the surfaces by the first two, ``logged_thrust`` (n, 6) is without the scale.
         """
         tau = self.relative_thrust(np.linalg.norm(air, axis=1), inputs)
         logged = logged_thrust / self.load_units(air, inputs)
@@ -214,9 +222,10 @@ class AirMotionModel:
         # the thrust is a load, a term of the coefficients, and the cause of the slipstream
         by_scale = inputs.surfaces * self.slipstream.slope * logged_tau
         of_scale = logged + logged_tau * self.by_thrust + by_scale @ self.by_surfaces.T
-        by_lag = by_lag * self.slipstream.effect(tau)
+        effect = self.slipstream.effect(tau)
+        of_servos = [(by_servo * effect) @ self.by_surfaces.T for by_servo in by_servos]
         by_factor = inputs.surfaces * self.slipstream.by_factor(tau)
-        slopes = [by_lag @ self.by_surfaces.T, of_scale, by_factor @ self.by_surfaces.T]
+        slopes = [*of_servos, of_scale, by_factor @ self.by_surfaces.T]
         return np.stack(slopes, axis=-1)
 
     def relative_thrust(self, airspeed: Array, inputs: Inputs) -> Array:
@@ -226,7 +235,7 @@ class AirMotionModel:
 
 
 def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:
-    """Return a function (..., n, 12) -> (..., n, k) at states (n, 12), and its derivatives (n, k, 12)."""
+    """Return a function (..., n, 13) -> (..., n, k) at states (n, 13), and its derivatives (n, k, 13)."""
     moves = np.full(N_VARIABLES, 1e-6)
     # velocities move by the airspeed times as much
     moves[AIR_VELOCITY] *= np.sqrt(np.mean(state[:, AIR_VELOCITY] ** 2) * 3)

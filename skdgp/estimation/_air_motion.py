@@ -43,6 +43,7 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation._air_covariance import (
     add_attenuation,
+    add_delay_error,
     error_fractions,
     estimate_covariance,
     misfit_of_sensors,
@@ -250,7 +251,9 @@ def estimate_air_motion(
     r"""Estimate derivatives, gusts, wind and lag of the servos from flights with or without vanes.
 
     The filter-error method (Maine & Iliff 1981; Jategaonkar 2015, chapter 5). Coefficients are
-    linear in derivatives :math:`\theta`; gusts are Gauss-Markov processes. With innovations
+    linear in derivatives :math:`\theta`; gusts are Gauss-Markov processes. The air also rolls, as the spectra of
+    MIL-F-8785C have it for its vertical gusts and the span (`rolling_gust`); coefficients depend on the rate of
+    roll relative to the air, which no sensor shows. With innovations
     :math:`e_k` of an extended Kalman filter, of covariance :math:`S_k`, and
     :math:`D_k = \partial e_k / \partial \theta` at given gains, the derivatives solve
 
@@ -270,7 +273,8 @@ def estimate_air_motion(
     larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
     samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
     Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
-    added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle.
+    added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle. A delay of the
+    servos of 0 ± 5 ms beside their lag moves all parameters.
     Where surfaces hardly move a term, so that errors of path and sensors make most of its motion,
     ``std`` approaches ``prior_std``.
 
@@ -505,14 +509,13 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
     if not fit.is_known:
         misfit = misfit_of_sensors(fit)
         covariance = widened(covariance, fit, fitted, misfit)
+        place = names.index("servo_delay")
+        covariance = add_delay_error(covariance, sums.information, place, fit.settings.delay_error)
     # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)
     if not fit.is_known:
         covariance = add_attenuation(covariance, fit.x, prior_std, error_fractions(fit, fitted))
     std = np.sqrt(np.diag(covariance))
-    if not fit.is_known:
-        # a bias, of commands that hold within a step, and so no part of the covariance
-        std[names.index("servo_lag")] += fit.settings.lag_error * fit.records[0].median_step
     columns = {"value": fit.x, "std": std, "prior_std": prior_std}
     estimates = pd.DataFrame(columns, index=names)
     return AirMotion(

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.linalg import matrix_vector
-from skdgp._compute.typing import Mask, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.estimation._air_parameters import PATH_ERRORS, GustProcesses, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Innovations, Linearization, Noise, innovations
@@ -31,7 +31,8 @@ class NoiseSearch:
     ``noises`` have the prior medians, and the standard deviations of the logarithms.
     """
 
-    def __init__(self, noises: Parameters, settings: AirSettings) -> None:
+    def __init__(self, noises: Parameters, span: float, settings: AirSettings) -> None:
+        self.span = span
         self.prior = noises._replace(mean=np.log(noises.mean))
         self.settings = settings
         self.psi = self.prior.mean.copy()
@@ -47,7 +48,7 @@ class NoiseSearch:
         """Return the noises of a record, one set, or at other logarithms (s, p)."""
         psi = self.psi[None] if psi is None else psi
         value = self.prior.values(np.exp(psi), record.flight)
-        return air_noise(value, record.sampled, self.settings)
+        return air_noise(value, record, self.span, self.settings)
 
     def move(self, records: list[Record], linears: list[Linearization]) -> float:
         """Move the noises by a step of Fisher scoring; return its squared length in standard deviations.
@@ -91,14 +92,20 @@ class NoiseSearch:
         return step
 
 
-def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) -> Noise:
-    """Return the noises at parameters by name, each (s,), of the sensors that are ``sampled`` (9,)."""
+def air_noise(
+    value: Mapping[str, Any], record: Record, span: float, settings: AirSettings
+) -> Noise:
+    """Return the noises of a record at parameters by name, each (s,).
+
+    The rate of roll of the air has the spectrum that belongs to the slow part of its vertical gusts.
+    """
     gusts = GustProcesses.of(value)
+    roll_std, roll_time = gusts.rolling(record.airspeed, span)
     path_std = stacked(value, *PATH_ERRORS)
     path_time = np.full_like(path_std, settings.path_time)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")
-    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std], axis=-1)
-    time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time], axis=-1)
+    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std, roll_std], axis=-1)
+    time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time, roll_time], axis=-1)
     start_rates = np.full_like(drive, settings.start_rate_variance)
     inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")
     air = stacked(value, "airspeed", "vane", "vane")
@@ -107,7 +114,7 @@ def air_noise(value: Mapping[str, Any], sampled: Mask, settings: AirSettings) ->
         density=np.concatenate([2 * std**2 / time, drive**2], axis=-1),  # of Gauss-Markov processes
         decay=np.concatenate([1 / time, np.zeros_like(drive)], axis=-1),
         surface=value["surface"] ** 2,
-        sensor=sensors[..., sampled] ** 2,
+        sensor=sensors[..., record.sampled] ** 2,
         start=np.concatenate([std**2, start_rates], axis=-1),
     )
 

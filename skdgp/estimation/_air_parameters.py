@@ -13,6 +13,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SURFACES
+from skdgp.dynamics import rolling_gust
 from skdgp.estimation._sensors import AIR_NOISE, AIR_SENSOR_ERRORS, RATE_BIASES, WIND_STD, Prior
 
 STATE_TERMS = ("0", "alpha", "alpha2", "beta", "p", "q", "r", "thrust")
@@ -48,6 +49,7 @@ PITOT = ("airspeed_scale", "wind_north", "wind_east")
 ARM = ("arm_x", "arm_y", "arm_z")
 AIRCRAFT_CONSTANTS: Prior = {
     "servo_lag": (0.03, 0.05),  # [s]
+    "servo_delay": (0.0, 1e-6),  # zero: its error counts by `add_delay_error` [s]
     "thrust_scale": (0.0, 0.1),
     "slipstream": (0.0, 3.0),  # wing area over the propeller's disk of a tail behind it
     **AIR_SENSOR_ERRORS,
@@ -171,6 +173,15 @@ class GustProcesses(NamedTuple):
         fast_std = slow_std * stacked(value, "fast_h", "fast_h", "fast_v")
         fast_time = slow_time * stacked(value, "faster_h", "faster_h", "faster_v")
         return cls(slow_std, slow_time, fast_std, fast_time)
+
+    def rolling(self, airspeed: float, span: float) -> tuple[Array, Array]:
+        """Return standard deviation [rad/s] and correlation time [s] of the rate of roll of the air, (..., 1).
+
+        Of the slow vertical gusts, see `rolling_gust`.
+        """
+        length = airspeed * self.slow_time[..., 2]
+        std, time = rolling_gust(airspeed, span, self.slow_std[..., 2], length)
+        return std[..., None], np.full((*std.shape, 1), time)
 
 
 def stacked(value: Mapping[str, Any], *names: str) -> Array:

@@ -21,6 +21,7 @@ from skdgp._flight.tables import interpolate_missing, numeric
 from skdgp.estimation._air_model import Inputs
 from skdgp.estimation._path import estimate_path
 from skdgp.estimation._sensors import (
+    AIRSPEED,
     GUSTS,
     INERTIAL_BIASES,
     INERTIAL_READINGS,
@@ -115,6 +116,14 @@ class Record(NamedTuple):
     def rates(self) -> Matrix:
         """Measured rates (n, 3) [rad/s]."""
         return self.measured[:, RATE_READINGS]
+
+    @property
+    def airspeed(self) -> float:
+        """Mean airspeed [m/s], over the ground where it is not measured."""
+        measured = self.measured[:, AIRSPEED]
+        if np.isfinite(measured).any():
+            return float(np.nanmean(measured))
+        return float(np.linalg.norm(self.velocity, axis=1).mean())
 
     @property
     def seconds(self) -> float:

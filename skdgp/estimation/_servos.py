@@ -22,12 +22,13 @@ def servo_output(commands: Matrix, lag: float, step: float) -> Matrix:
     return lfilter(numerator, denominator, commands - commands[0], axis=0) + commands[0]
 
 
-def servo_slopes(commands: Matrix, lag: float, step: float) -> tuple[Matrix, Matrix]:
-    """Return the outputs (n, k) of servos, and their derivatives by the lag."""
+def servo_slopes(commands: Matrix, lag: float, step: float) -> tuple[Matrix, tuple[Matrix, Matrix]]:
+    """Return the outputs (n, k) of servos, and their derivatives by the lag and by a delay."""
     lag = max(lag, SERVOS.least_lag)
     output = servo_output(commands, lag, step)
     later = servo_output(commands, lag + SERVOS.lag_difference, step)
-    return output, (later - output) / SERVOS.lag_difference
+    by_lag = (later - output) / SERVOS.lag_difference
+    return output, (by_lag, -np.gradient(output, step, axis=0))
 
 
 def delayed_surfaces(time: Vector, commands: Matrix, lag: float, flight: Any = None) -> Matrix:

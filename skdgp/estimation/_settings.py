@@ -222,8 +222,8 @@ class AirSettings:
 
     # length of the sums of scores whose covariance is taken [s]
     block: float = 2.0
-    # standard deviation of a lag by the motion of a surface between samples, in steps
-    lag_error: float = 0.1
+    # standard deviation of the delay of the servos [s]: those of `estimate_lags` are 3 to 5 ms
+    delay_error: float = 0.005
     # correlation of errors of surfaces between samples with the motion by the surfaces; trials on two
     # aircraft with surfaces at 10 Hz, 0.05 in one
     surface_correlation: float = 0.03

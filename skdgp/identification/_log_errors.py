@@ -24,7 +24,7 @@ from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, se
 from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import has_values
 from skdgp.dynamics import PRESSURE, Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
-from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM, AirSettings
+from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
 from skdgp.identification._least_squares import linear_terms
 
 
@@ -34,7 +34,7 @@ class LogErrorSettings:
 
     # of the time of a channel against the inertial sensors, by its motion between samples, in steps
     # of the log
-    clock_steps: float = AirSettings.lag_error
+    clock_steps: float = 0.1
     # prior of this time [s]; guess
     clock: float = 0.01
 

@@ -6,6 +6,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid, quad
+from scipy.linalg import expm, solve_continuous_lyapunov
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
@@ -23,7 +24,7 @@ from skdgp.dynamics import (
     dryden_wind,
     simulate,
 )
-from skdgp.dynamics._dryden import dryden_system
+from skdgp.dynamics._dryden import dryden_system, rolling_gust
 from skdgp.dynamics._path_air import drift_in, without_rotation
 from skdgp.identification import make_identification_pipeline
 
@@ -317,6 +318,16 @@ def transfer(name, omega):
 
 # Output and noise of each gust in the linear system
 ROWS = {"u": (0, 0), "v": (1, 1), "w": (2, 2), "p": (6, 3), "q": (7, 2), "r": (8, 1)}
+
+
+def test_rolling_gust_is_the_one_of_the_linear_system():
+    A, B, C = dryden_system(AIRSPEED, LENGTH, INTENSITY, WING)
+    roll = C[6]
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)
+    std, time = rolling_gust(AIRSPEED, WING, INTENSITY[2], LENGTH[2])
+    assert std == pytest.approx(np.sqrt(roll @ covariance @ roll))
+    later = roll @ expm(0.3 * A) @ covariance @ roll
+    assert later == pytest.approx(std**2 * np.exp(-0.3 / time))
 
 
 @pytest.mark.parametrize("name", ROWS)

@@ -15,6 +15,7 @@ from skdgp.dynamics import Aircraft, euler_to_matrix
 from skdgp.estimation import AirSettings
 from skdgp.estimation._air_covariance import (
     add_attenuation,
+    add_delay_error,
     add_model_error,
     add_scale_error,
     correlated_scatter,
@@ -25,12 +26,13 @@ from skdgp.estimation._air_covariance import (
     widen,
     without_estimate,
 )
-from skdgp.estimation._air_linearization import N_STATES, Expansion, Layout
+from skdgp.estimation._air_linearization import N_STATES, Expansion, Layout, motion_model
 from skdgp.estimation._air_model import Inputs, Slipstream
 from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
     DERIVATIVES,
     FLIGHT_CONSTANTS,
+    STATE_TERMS,
     TERMS,
     derivatives_of,
 )
@@ -47,7 +49,7 @@ from skdgp.estimation._kalman import (
     innovations,
     smoothed,
 )
-from skdgp.estimation._servos import servo_output
+from skdgp.estimation._servos import servo_output, servo_slopes
 
 SURFACES = ["elevator", "aileron", "rudder"]
 AIRCRAFT = Aircraft(
@@ -146,7 +148,11 @@ def moved(name, move):
     return linearized(record, layout, value, states)
 
 
-@pytest.mark.parametrize("name", flight_of_sines()[1].names)
+# the delay of the servos is no parameter of the predictions
+PREDICTED_BY = [name for name in flight_of_sines()[1].names if name != "servo_delay"]
+
+
+@pytest.mark.parametrize("name", PREDICTED_BY)
 def test_slopes_by_parameters_are_those_of_the_predictions(name):
     here, step = moved(name, 0.0), 1e-5
     later, before = moved(name, step), moved(name, -step)
@@ -237,6 +243,48 @@ def test_lag_of_a_ramp_is_the_lag():
     ramp = np.arange(200.0)[:, None]
     assert_allclose(servo_output(ramp, 0.1, 0.02)[100:], ramp[100:] - 5.0, atol=1e-6)
     assert_allclose(servo_output(ramp, 0.0, 0.02), ramp, atol=0.01)
+
+
+def test_slope_by_a_delay_is_that_of_later_commands():
+    time = 0.02 * np.arange(300.0)[:, None]
+    delay = 0.003
+    commands, late, early = (np.sin(2 * (time - shift)) for shift in (0.0, delay, -delay))
+    _, (_, by_delay) = servo_slopes(commands, 0.05, 0.02)
+    change = servo_output(late, 0.05, 0.02) - servo_output(early, 0.05, 0.02)
+    assert_allclose(by_delay[50:-1], (change / (2 * delay))[50:-1], atol=0.005)
+
+
+def test_error_of_a_delay_moves_the_other_parameters_as_least_squares_does():
+    """Of y = X a + d s with a wrong d, the estimates of a move by the regression of s on X."""
+    rng = default_rng(0)
+    X, s = rng.normal(size=(50, 3)), rng.normal(size=50)
+    columns = np.column_stack([X[:, :1], s, X[:, 1:]])
+    covariance = add_delay_error(np.zeros((4, 4)), columns.T @ columns, 1, 0.1)
+    moved = -np.linalg.lstsq(X, s, rcond=None)[0]
+    expected = 0.1 * np.array([moved[0], 1.0, *moved[1:]])
+    assert_allclose(covariance, np.outer(expected, expected), atol=1e-12)
+
+
+def test_roll_of_the_air_is_no_roll_of_the_aircraft():
+    """The moment is that of the rate relative to the air; gyros and gyroscopic moments are not."""
+    record, layout, value, _ = flight_of_sines()
+    model = motion_model(record, layout, AIRCRAFT, value)
+    rng = default_rng(1)
+    still = np.concatenate([[17.0, 1.0, 1.5], rng.normal(0, 0.3, 3), np.zeros(7)])[None]
+    rolling = still.copy()
+    rolling[:, -1] = 0.2
+    inputs = record.inputs.part(slice(1))
+    change = model.accelerations(rolling, inputs) - model.accelerations(still, inputs)
+    terms = model.terms(still, inputs)
+    by_roll = np.zeros(terms.shape[1])
+    by_roll[STATE_TERMS.index("p")] = -0.2 * AIRCRAFT.span / (2 * np.linalg.norm(still[0, :3]))
+    errors = still.copy()
+    errors[:, 6:12] = model.derivatives @ by_roll
+    expected = model.accelerations(errors, inputs) - model.accelerations(still, inputs)
+    assert np.abs(expected).max() > 0.1
+    assert_allclose(change, expected, atol=1e-12)
+    readings = [model.sensors(variables, inputs)[0, 3:6] for variables in (still, rolling)]
+    assert_allclose(*readings)
 
 
 def test_slope_by_a_lag_of_zero_is_that_above_it():

@@ -144,7 +144,7 @@ def margins(
     excitation = None if flight is None else _Excitation.of(linear, loops, flight, settings)
     rows = []
     for k, loop in enumerate(loops):
-        loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable)
+        loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable[:, k])
         excited = None if excitation is None else excitation.of_quantities(loop, loop_margins)
         rows += _rows(loop, loop_margins, excited, settings)
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
@@ -294,7 +294,7 @@ class _GainSearch(NamedTuple):
             return False
         risen = [*loops]
         risen[k] = loops[k].scaled(_factor(decibels))
-        unstable = self.stability.unstable(self.linear, risen)[1:]
+        unstable = self.stability.unstable(self.linear, risen)[1:, k]
         return bool(np.mean(is_good & ~unstable) >= self.probability)
 
 
@@ -407,7 +407,8 @@ class _Stability(NamedTuple):
     of the mean and of the paths.
 
     Of the aircraft without loops ``roots`` (1 + n_paths, m) are the modes, those on the right of the curve are
-    ``growing``, and loops do not move the ``unmoved`` ones. Names of modes are those of the mean's nearest one.
+    ``growing``, and each loop does not move the ``unmoved`` (1 + n_paths, n_loops, m) of these. Names of modes are
+    those of the mean's nearest one.
     """
 
     s: Vector
@@ -430,20 +431,33 @@ class _Stability(NamedTuple):
         aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
         roots, shares = _modes_moved(linear, loops)
         growing = roots.real > settings.growth / (1.0 + (roots.imag / settings.slow) ** 2)
-        unmoved = growing & (shares < settings.least_share).all(axis=1)
+        unmoved = growing[:, None] & (shares < settings.least_share)
         modes = linear.modes()["eigenvalue"]
         return cls(s, aircraft, _responses(linear, loops, s), roots, growing, unmoved, modes)
 
     def unstable(self, linear, loops) -> Mask:
-        """Return whether the mean and each path are unstable by modes that loops move, (1 + n_paths,)."""
-        angle = np.unwrap(np.angle(self._determinants(linear, loops)), axis=-1)
-        n_unstable = np.round((angle[:, 0] - angle[:, -1]) / np.pi)
-        return n_unstable > self.unmoved.sum(axis=-1)
+        """Return whether the mean and each path are unstable by modes that each loop moves, (1 + n_paths, n_loops).
 
-    def _determinants(self, linear, loops) -> Array:
-        """Return the products of both determinants, (1 + n_paths, n)."""
-        K = _gains(linear, loops, self.s)
-        return self.aircraft * np.linalg.det(np.eye(len(loops)) - K @ self.responses)
+        Where all loops together are unstable, a loop with :math:`|L_i - M_{ii}| < |1 + M_{ii}|` on the curve is
+        judged alone: the others do not change how many roots it moves across (Rouche).
+        """
+        M = -_gains(linear, loops, self.s) @ self.responses
+        closed = np.linalg.det(np.eye(len(loops)) + M)
+        unmoved = self.unmoved.sum(axis=-1)
+        together = self._n_right(closed) > self.unmoved.all(axis=1).sum(axis=-1)
+        unstable = []
+        for k in range(len(loops)):
+            others = [i for i in range(len(loops)) if i != k]
+            without = np.linalg.det(np.eye(len(others)) + M[..., others, :][..., others])
+            alone = 1.0 + M[..., k, k]
+            is_coupled = np.abs(closed / (without * alone) - 1.0).max(axis=-1) >= 1.0
+            unstable.append(together & (is_coupled | (self._n_right(alone) > unmoved[:, k])))
+        return np.transpose(unstable)
+
+    def _n_right(self, factor: Array) -> Array:
+        """Return the number of roots on the right of the curve, of the aircraft times a ``factor`` (1 + n_paths, n)."""
+        angle = np.unwrap(np.angle(self.aircraft * factor), axis=-1)
+        return np.round((angle[:, 0] - angle[:, -1]) / np.pi)
 
     def causes(self, linear, loops) -> dict[str, float]:
         """Return the modes by which the closed loops are unstable, and the fractions of the paths, or of the mean.
@@ -451,15 +465,18 @@ class _Stability(NamedTuple):
         A mode that the aircraft has without loops is named; another one has the frequency of the least determinant.
         """
         unstable = self.unstable(linear, loops)
-        slowest = np.abs(self._determinants(linear, loops)).argmin(axis=-1)
+        closed = np.eye(len(loops)) - _gains(linear, loops, self.s) @ self.responses
+        slowest = np.abs(self.aircraft * np.linalg.det(closed)).argmin(axis=-1)
         n_paths = len(unstable) - 1
         causes: dict[str, float] = {}
-        for k in np.flatnonzero(unstable):
-            own = self.roots[k][self.growing[k] & ~self.unmoved[k]]
-            names = {self._name(root) for root in own}
-            frequency = self.s.imag[slowest[k]]
-            for name in names or {f"oscillation of {frequency:.1g} rad/s"}:
-                counts = k > 0 or not n_paths
+        for path in np.flatnonzero(unstable.any(axis=-1)):
+            names = set()
+            for k in np.flatnonzero(unstable[path]):
+                own = self.roots[path][self.growing[path] & ~self.unmoved[path, k]]
+                oscillation = f"oscillation of {self.s.imag[slowest[path]]:.1g} rad/s"
+                names |= {self._name(root) for root in own} or {oscillation}
+            for name in names:
+                counts = path > 0 or not n_paths
                 causes[name] = causes.get(name, 0.0) + counts / max(n_paths, 1)
         return causes
 
@@ -470,13 +487,14 @@ class _Stability(NamedTuple):
 
     def warn_of_unmoved(self) -> None:
         """Warn of unstable modes of the aircraft that no loop moves."""
-        if not self.unmoved.any():
+        unmoved = self.unmoved.all(axis=1)
+        if not unmoved.any():
             return
-        names = sorted({self._name(root) for root in self.roots[self.unmoved]})
-        fastest = self.roots.real[self.unmoved].max()
+        names = sorted({self._name(root) for root in self.roots[unmoved]})
+        fastest = self.roots.real[unmoved].max()
         where = "in the mean"
-        if len(self.unmoved) > 1:
-            where = f"in {self.unmoved[1:].any(axis=-1).mean():.0%} of the paths"
+        if len(unmoved) > 1:
+            where = f"in {unmoved[1:].any(axis=-1).mean():.0%} of the paths"
         warn(
             f"Modes of the aircraft are unstable {where}, {' and '.join(names)} (growth up to {fastest:.2g} 1/s), and "
             "none of these loops moves them: margins leave them out. Close the loop that does."

@@ -105,6 +105,22 @@ def test_a_spiral_does_not_count_where_the_roll_loop_is_open(with_spiral):
     assert suggest_gains(with_spiral, pitch)[0].P > 0.0
 
 
+def test_an_unstable_roll_loop_is_not_the_pitch_loops(with_spiral):
+    """The elevator does not move the spiral, which a weak roll loop leaves unstable."""
+    loops = autopilot_loops(PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}, FULL)
+    loops = [loop for loop in loops if loop.name != "yaw"]
+    table = margins(with_spiral, loops)
+    assert table["value"]["roll"]["gain"] == -np.inf
+    assert np.isfinite(table["value"]["pitch"]).all()
+    # nor are too high gains of pitch the roll loop's
+    roll = autopilot_loops(PX4 | {"FW_RR_P": 0.5}, {"aileron": FULL["aileron"]})
+    table = margins(with_spiral, [*roll, loops[1].scaled(30.0)])
+    assert np.isfinite(table["value"]["roll"]).all()
+    assert table["value"]["pitch"]["gain"] == -np.inf
+    (cause,) = table.attrs["unstable"]
+    assert cause.startswith("oscillation of")
+
+
 def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_named(with_spiral):
     weak = UNFILTERED | {"FW_RR_P": 1e-4}
     table = margins(with_spiral, autopilot_loops(weak, {"aileron": FULL["aileron"]}))

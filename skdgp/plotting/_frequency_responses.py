@@ -85,38 +85,22 @@ class FrequencyDisplay(Display):
         """Draw the measured response with its 95 % errors, and the model's with its band."""
         name = self.quantity
         table: Any = self.responses.loc[key]
-        frequency = table.index.to_numpy(float)
-        model = table[f"model_{name}"].to_numpy(float)
-        measured = table[name].to_numpy(float)
+        model = table[f"model_{name}"]
+        shown = model
+        measured = table[name]
         if name == "phase":
-            model = np.rad2deg(np.unwrap(np.deg2rad(model)))
-            measured = model + _wrapped(measured - model)
+            shown = pd.Series(np.unwrap(model, period=360.0), table.index)
+            measured = shown + _wrapped(measured - shown)
         if f"model_{name}_lower" in table:
-            moved = model - table[f"model_{name}"].to_numpy(float)
-            lower = table[f"model_{name}_lower"] + moved
-            upper = table[f"model_{name}_upper"] + moved
+            edges = [table[f"model_{name}_{edge}"] + shown - model for edge in ("lower", "upper")]
             style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0}
-            ax.fill_between(frequency, lower, upper, label="95 % band", **style)
-        ax.plot(frequency, model, color=ROLES["mean"], linewidth=0.9, label="model")
-        is_excited = table["excited"].to_numpy(bool)
-        half = BAND * table[f"{name}_std"].to_numpy(float)
-        ax.errorbar(
-            frequency[is_excited],
-            measured[is_excited],
-            half[is_excited],
-            fmt="none",
-            ecolor=ROLES["measured"],
-            elinewidth=0.9,
-        )
-        ax.plot(
-            frequency[is_excited],
-            measured[is_excited],
-            color=ROLES["measured"],
-            linestyle="None",
-            marker="o",
-            markersize=2.5,
-            label="flight",
-        )
+            ax.fill_between(table.index, *edges, label="95 % band", **style)
+        ax.plot(shown, color=ROLES["mean"], linewidth=0.9, label="model")
+        flown = measured[table["excited"].astype(bool)]
+        half = BAND * table.loc[flown.index, f"{name}_std"]
+        style = {"color": ROLES["measured"], "linestyle": "None"}
+        ax.errorbar(flown.index, flown, half, elinewidth=0.9, **style)
+        ax.plot(flown, marker="o", markersize=2.5, label="flight", **style)
         ax.set_xscale("log")
         ax.tick_params(which="minor", labelbottom=False)
         label = f"{symbol(key[0])} by {key[1]} [{UNITS[name]}]"

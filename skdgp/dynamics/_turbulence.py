@@ -16,7 +16,7 @@ from skdgp._flight.checks import check_columns, check_number, check_table
 from skdgp._flight.frames import air_velocity, body_to_ned, euler_to_quaternion
 from skdgp._flight.tables import FlightTable, interpolated, numeric
 from skdgp._flight.units import check_radians
-from skdgp.dynamics._dryden import dryden_gusts
+from skdgp.dynamics._dryden import dryden_gusts, rolling_gust
 
 FEET = 0.3048
 CEILING = 1000 * FEET  # Height [m] at which the low-altitude model ends
@@ -171,6 +171,21 @@ class Turbulence(NamedTuple):
         intensity, length = np.transpose(fits)
         durations = [np.ptp(table["time"]) for table in winds]
         return cls(intensity, length, float(np.average(speeds, weights=durations)))
+
+    def rates(self, airspeed: float, span: float) -> Array:
+        r"""Return the standard deviations (3,) of the rates p, q, r of the air [rad/s].
+
+        p is that of `rolling_gust`; of gusts that are much longer than the span b, H_q and H_r have
+
+        .. math:: \sigma_q^2 = \frac{3 \pi \sigma_w^2}{8\, b L_w}, \quad
+                  \sigma_r^2 = \frac{\pi \sigma_v^2}{2\, b L_v}.
+        """
+        _, sigma_v, sigma_w = self.intensity
+        _, length_v, length_w = self.length
+        p, _ = rolling_gust(airspeed, span, sigma_w, length_w)
+        q = sigma_w * np.sqrt(3 * np.pi / (8 * span * length_w))
+        r = sigma_v * np.sqrt(np.pi / (2 * span * length_v))
+        return np.array([p, q, r])
 
     def scaled(self, factor: float) -> Turbulence:
         """Return turbulence of the same lengths with ``factor`` times the intensity."""

@@ -354,16 +354,17 @@ class FlightPipeline(Pipeline):
         self.steps[:-1] = [*first.steps, *others.steps]
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
-        known = self._slopes_of_air(regressors, y)
+        if not isinstance(flights, pd.DataFrame):  # of `set_output`
+            flights = table
+        self._learn_flights(flights)
+        of_air = self._slopes_of_air(regressors, y)
+        known = self._errors_by_gusts(regressors, y) if of_air is None else of_air
         last.fit(regressors, y, **self._facts_for_last(table, known) | parameters)
-        if known is not None:
+        if of_air is not None:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
             self.calibration_ = RegressionCalibration.of_residuals(
                 regressors, residuals, self._without_effect()
             )
-        if not isinstance(flights, pd.DataFrame):  # of `set_output`
-            flights = table
-        self._learn_flights(flights)
         if is_of_coefficients(y):
             named = named_regressors(self, regressors)
             self.least_squares_ = fit_least_squares(named, y)
@@ -420,13 +421,31 @@ class FlightPipeline(Pipeline):
             return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
         names = outputs, self.named_steps["regressorselector"].regressors_
-        scaler = self.named_steps.get("standardscaler")
-        scale = scaler.scale_ if isinstance(scaler, StandardScaler) else np.ones(X.shape[1])
+        scale = self._scale(X.shape[1])
         if reconstruction.air_motion_ is not None:
             return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
         if reconstruction.doubt_ is not None:
             return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
         return None
+
+    def _errors_by_gusts(self, X: Matrix, y: Any) -> KnownSlopes | None:
+        """Return the errors of slopes by the rates of the air, whose size follows from the gusts of the flights.
+
+        None without vanes, or for a last step that does not use them.
+        """
+        turbulence, aircraft = self.turbulence_, self.aircraft
+        if turbulence is None or not isinstance(self[-1], DependentGPRegressor):
+            return None
+        airspeed = turbulence.airspeed
+        std = turbulence.rates(airspeed, aircraft.span) * aircraft.moment_lengths / (2 * airspeed)
+        of_rates = dict(zip((f"{name}{HAT}" for name in RATES), std, strict=True))
+        of_regressors = np.array([of_rates.get(name, 0.0) for name in regressor_names(self)])
+        return KnownSlopes.unknown(X, np.asarray(y), of_regressors / self._scale(X.shape[1]))
+
+    def _scale(self, d: int) -> Vector:
+        """Return the units (d,) of the scaled regressors."""
+        scaler = self.named_steps.get("standardscaler")
+        return scaler.scale_ if isinstance(scaler, StandardScaler) else np.ones(d)
 
     def _errors(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> dict[str, ScaleFactor]:
         """Return the errors of checked flights that these do not show, for which the aircraft has to be known."""

@@ -20,7 +20,8 @@ class KnownSlopes(NamedTuple):
     """
 
     value: Matrix  # (P, d)
-    errors: Array  # (P, d, k), sums of the last axis times independent standard normal numbers
+    # (P, d, k), sums of the last axis times independent standard normal numbers; of learned slopes beside other errors
+    errors: Array
 
     @classmethod
     def of_samples(cls, X: Matrix, Y: Matrix, deviations: Matrix) -> KnownSlopes:
@@ -41,13 +42,39 @@ class KnownSlopes(NamedTuple):
         return cls(value, errors)
 
     @classmethod
+    def unknown(cls, X: Matrix, Y: Matrix, std: Matrix, most: float = 0.5) -> KnownSlopes:
+        r"""Return slopes that are learned, with the errors by noise of the regressors of a known ``std`` (d,).
+
+        Noise of variance :math:`s_k^2` of a regressor flattens its slope and moves those of correlated ones. With
+        the covariance C of the regressors and slopes :math:`b_k` of least squares, they are off by
+
+        .. math:: \frac{f_k}{1 - f_k} \frac{C^{-1} e_k}{e_k^T C^{-1} e_k} b_k, \quad
+                  f_k = s_k^2\, e_k^T C^{-1} e_k
+
+        (Fuller 1987, section 1.1). f is at most ``most``: an error is then the slope. Rows with missing values are
+        left out.
+        """
+        P, d = Y.shape[1], X.shape[1]
+        errors = np.zeros((P, d, d))
+        complete = np.isfinite(X).all(axis=1)
+        for y, of_output in zip(np.asarray(Y, dtype=float).T, errors, strict=True):
+            rows = np.isfinite(y) & complete
+            slopes = least_squares(X[rows] - X[rows].mean(axis=0), y[rows] - y[rows].mean())
+            inverse = np.linalg.pinv(np.atleast_2d(np.cov(X[rows].T)), hermitian=True)
+            size = np.maximum(np.diag(inverse), np.finfo(float).tiny)
+            fraction = np.minimum(std**2 * size, most)
+            of_output[:] = inverse / size * (fraction / (1.0 - fraction) * slopes)
+        return cls(np.full((P, d), np.nan), errors)
+
+    @classmethod
     def with_zeros(cls, slopes: KnownSlopes | None, is_zero: Matrix) -> KnownSlopes:
         """Return slopes, if any, of which those in ``is_zero`` (P, d) are zero where they are not known."""
         if slopes is None:
             nothing = np.zeros((*is_zero.shape, 1))
             slopes = cls(np.full(is_zero.shape, np.nan), nothing)
-        value = np.where(is_zero & np.isnan(slopes.value), 0.0, slopes.value)
-        return slopes._replace(value=value)
+        learned = is_zero & np.isnan(slopes.value)
+        value = np.where(learned, 0.0, slopes.value)
+        return cls(value, np.where(learned[..., None], 0.0, slopes.errors))
 
     @property
     def known(self) -> Array:
@@ -70,11 +97,15 @@ class KnownSlopes(NamedTuple):
         return Y
 
     def replaced(self, errors: FunctionErrors) -> FunctionErrors:
-        """Return the errors of a function whose known slopes have the errors of their source."""
+        """Return the errors of a function whose known slopes have the errors of their source.
+
+        Those of learned slopes are biases beside the others.
+        """
         P, d, k = self.errors.shape
         slope_errors = np.zeros((k, d + 1, P))
         slope_errors[:, 1:] = np.transpose(self.errors, (2, 1, 0))
         unknown = np.ones((d + 1, P))
         unknown[1:] = np.logical_not(self.known[..., 0]).T
-        random = np.concatenate([errors.random * unknown, slope_errors])
-        return errors._replace(random=random, method=errors.method * unknown)
+        random = np.concatenate([errors.random * unknown, slope_errors * (1.0 - unknown)])
+        method = np.concatenate([errors.method * unknown, slope_errors * unknown])
+        return errors._replace(random=random, method=method)

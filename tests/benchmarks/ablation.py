@@ -206,7 +206,11 @@ def fitted(variant, flights, seed):
     options = {"random_state": seed, **variant.regressor}
     if variant.kernel is not None:
         options["kernel"] = kernel_of(flights.X.shape[1], **variant.kernel)
-    return DependentGPRegressor(**options).fit(flights.X, Y, **flights.clock)
+    facts = dict(flights.clock)
+    by_gusts = flights.pipeline._errors_by_gusts(flights.X, Y)
+    if by_gusts is not None:
+        facts["slopes"] = by_gusts
+    return DependentGPRegressor(**options).fit(flights.X, Y, **facts)
 
 
 def with_errors(model, **changed):
@@ -240,7 +244,8 @@ def without_errors(model):
         "block errors": ("random", slice(P, None)),
         "gusts": ("method", slice(0, 1)),
         "attenuation": ("method", slice(1, 1 + d)),
-        "nonlinear errors": ("method", slice(1 + d, None)),
+        "nonlinear errors": ("method", slice(1 + d, 2 + d)),
+        "rates of the air": ("method", slice(2 + d, None)),
     }
     for source, (kind, place) in sources.items():
         terms = getattr(errors, kind).copy()

@@ -327,6 +327,11 @@ def test_rolling_gust_is_the_one_of_the_linear_system():
     std, time = rolling_gust(AIRSPEED, WING, INTENSITY[2], LENGTH[2])
     assert std == pytest.approx(np.sqrt(roll @ covariance @ roll))
     later = roll @ expm(0.3 * A) @ covariance @ roll
+    longer = 100 * LENGTH
+    A, B, C = dryden_system(AIRSPEED, longer, INTENSITY, WING)
+    rates = C[6:] @ solve_continuous_lyapunov(A, -B @ B.T) @ C[6:].T
+    found = Turbulence(INTENSITY, longer).rates(AIRSPEED, WING)
+    assert_allclose(found, np.sqrt(np.diag(rates)), rtol=0.02)
     assert later == pytest.approx(std**2 * np.exp(-0.3 / time))
 
 

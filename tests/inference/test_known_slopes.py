@@ -85,3 +85,29 @@ def test_slopes_of_samples_leave_missing_values_out():
     assert_allclose(known.value, np.where(np.isnan(deviations), np.nan, slopes))
     std = np.sqrt((known.errors**2).sum(axis=-1))
     assert_allclose(std, np.nan_to_num(deviations))
+
+
+def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes():
+    """Noise with the given variance flattens the slope of its regressor and moves those of correlated ones."""
+    rng = default_rng(0)
+    n, std = 200_000, 0.5
+    exact = rng.normal(size=(n, 2)) @ [[1.0, 0.8], [0.0, 0.6]]
+    Y = exact @ [[-0.4, 1.0], [0.2, 0.0]]
+    X = exact + rng.normal(size=(n, 2)) * [std, 0.0]
+    found = LinearRegression().fit(X, Y).coef_
+    learned = KnownSlopes.unknown(X, Y, np.array([std, 0.0]))
+    assert np.isnan(learned.value).all()
+    assert_allclose(found + learned.errors.sum(axis=-1), [[-0.4, 0.2], [1.0, 0.0]], atol=0.01)
+    large = KnownSlopes.unknown(X, Y, np.array([10.0, 0.0]))
+    assert_allclose(large.errors[:, 0, 0], found[:, 0])
+
+
+def test_errors_of_learned_slopes_stand_beside_the_others():
+    X, Y = samples()
+    model = DependentGPRegressor(structure="trend")
+    time = np.arange(float(len(X)))
+    before = model.fit(X, Y, time=time).function_errors()
+    added = KnownSlopes.unknown(X, Y, np.array([0.1, 0.0, 0.0]))
+    after = model.fit(X, Y, time=time, slopes=added).function_errors()
+    more = np.concatenate([before.slopes()[1], added.errors], axis=-1)
+    assert_allclose(np.sum(after.slopes()[1] ** 2, axis=-1), np.sum(more**2, axis=-1), rtol=1e-6)

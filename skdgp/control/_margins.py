@@ -487,7 +487,7 @@ class _Stability(NamedTuple):
 
     def warn_of_unmoved(self) -> None:
         """Warn of unstable modes of the aircraft that no loop moves."""
-        unmoved = self.unmoved.all(axis=1)
+        unmoved = np.asarray(self.unmoved.all(axis=1))
         if not unmoved.any():
             return
         names = sorted({self._name(root) for root in self.roots[unmoved]})

@@ -119,8 +119,8 @@ class GaussianBasis:
         for w, places in zip(weights, columns, strict=True):
             weighted = values[..., places] * w[:, None]
             # one product of matrices, as many small ones take longer
-            sums = weighted.reshape(-1, w.shape[1]) @ self._matrix[:, places].T
-            sums = sums.reshape(*weighted.shape[:2], -1)
+            sums = weighted.reshape(len(weighted) * n, w.shape[1]) @ self._matrix[:, places].T
+            sums = sums.reshape(*weighted.shape[:2], 2 * d + 1)
             slopes.append(sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle))
         return np.stack(slopes, axis=2)
 

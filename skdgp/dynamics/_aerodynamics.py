@@ -295,7 +295,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     ``in_simulation()`` which parameters of `Aerodynamics` it knows: the choice of the regressors
     ``regressors``, ``limits`` and ``flown`` (the last choice counts), others ``span`` and ``chord``
     of non-dimensional rates, ``mixing`` of surfaces to controls, or ``servos`` between commands and
-    surfaces. One that treats measurements knows none, or lacks the method, and is left out.
+    surfaces, of which the first count. One that treats measurements knows none, or lacks the method, and is left out.
 
     These stand before the choice of regressors or are it. A step behind it works row by row, by
     ``transform``. The regressor at the end may have a posterior, as ``DependentGPRegressor`` has:
@@ -324,7 +324,7 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
     known: dict[str, Any] = {"servos": IDEAL}
     for step in before:
         described = _described(step)
-        servos = known["servos"].before(described.get("servos", IDEAL))
+        servos = known["servos"].completed(described.get("servos", IDEAL))
         known |= described | {"servos": servos}
     if "regressors" not in known:
         known["regressors"] = _names_of_table(behind[0], type(model).__name__)

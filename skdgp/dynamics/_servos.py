@@ -78,11 +78,11 @@ class Servos:
             text += f", at most {self.rate_limit:.2g} rad/s"
         return text
 
-    def before(self, others: Servos) -> Servos:
-        """Return one record for these servos whose deflections are the commands of ``others``."""
+    def completed(self, others: Servos) -> Servos:
+        """Return these servos with what only ``others`` have, such as a lag."""
         return Servos(
-            self.lag + others.lag,
-            self.delay + others.delay,
+            self.lag or others.lag,
+            self.delay or others.delay,
             min(self.rate_limit, others.rate_limit),
         )
 

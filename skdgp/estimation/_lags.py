@@ -66,6 +66,7 @@ class Lag(NamedTuple):
 
     value: float
     std: float
+    removal: float | None = None  #: What to remove [s]; None: the lag, where it is significant
 
     def is_significant(self, settings: LagSettings) -> bool:
         """Return whether the lag exceeds ``settings.significance`` standard deviations."""
@@ -77,6 +78,8 @@ UNKNOWN = Lag(0.0, np.nan)
 
 def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
     """Return the lag to remove [s], zero where it is not significant or too small to change a model."""
+    if lag.removal is not None:
+        return lag.removal
     is_large = abs(lag.value) >= settings.least_lag
     return lag.value if lag.is_significant(settings) and is_large else 0.0
 
@@ -87,10 +90,9 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     Lags of surfaces, servos and air data maximise the profile likelihood
     :math:`-\frac{1}{2} \sum n \log \mathrm{RSS}` of local linear models (Jategaonkar 2006, chapter
     10); that of servos is the time constant of a first-order lag, of surfaces that are early, and
-    that of surfaces is then what else they are early by. Lags of attitude and GPS are constants of
-    the path over the ground. A lag of std NaN is unknown. So is that of servos without vanes, which
-    is a parameter of `estimate_air_motion`; only a delay of a step of the log or more is that of surfaces
-    then.
+    that of surfaces is then the delay that they are early by. Lags of attitude and GPS are constants of
+    the path over the ground. A lag of std NaN is unknown. Without vanes the lag of servos is not
+    removed, as it is a parameter of `estimate_air_motion`, and a delay only from a step of the log on.
     """
     segments = _segments_of(at_centre_of_gravity(table), settings)
     long_segments = [segment for segment in segments if segment.seconds > settings.long]
@@ -118,12 +120,22 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     if segments and not missing_channels(table):
         of_path = _lags_of_path(table, settings)
         if not has_values(table, *VANES):
-            servos = UNKNOWN
-            # commands that hold between samples are half a step late, which the lag of servos takes in
-            shortest = max(segment.log_step for segment in segments)
-            is_delay = servos_and_delay is not None and abs(surfaces.value) >= shortest
-            surfaces = surfaces if is_delay else UNKNOWN
+            log_step = max(segment.log_step for segment in segments)
+            servos, surfaces = _left_to_filter(servos_and_delay, log_step)
     return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
+
+
+def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -> tuple[Lag, Lag]:
+    """Return the lags of servos and of their commands, with what is removed before `estimate_air_motion`.
+
+    Its lag of servos takes in the half step by which commands are late that hold between samples.
+    """
+    if servos_and_delay is None:
+        return UNKNOWN, UNKNOWN
+    servos, commands = servos_and_delay
+    delay = commands.removal or 0.0
+    removed = delay if abs(delay) >= log_step else 0.0
+    return servos._replace(removal=0.0), commands._replace(removal=removed)
 
 
 def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
@@ -387,8 +399,8 @@ def _most_likely_servos(
 
     They maximise the likelihood of the part of the responses that earlier commands explain
     (instrumental variables: Söderström & Stoica 1989, section 8.1), as noise of the rates would make
-    the lag of servos smaller. Without evidence of a delay the lag of servos stands alone. Both get
-    the standard deviation of ``surfaces``, the lag without servos.
+    the lag of servos smaller. Without evidence of a delay the lag without one is removed: slow inputs
+    tell it better than either. Both get the standard deviation of ``surfaces``, the lag without servos.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
     instruments = [segment.earlier_surfaces(settings) for segment in segments]
@@ -402,35 +414,42 @@ def _most_likely_servos(
         bounds=(0.0, largest),
         options={"xatol": settings.precision},
     )
-    early = surfaces.value
-    corners = [(-early, 0.0), (0.0, early), (-early, early)]
+    # the loss has several minima: lag and delay replace each other
+    early = abs(surfaces.value)
+    scan = [np.linspace(0.0, end * early, n) for end, n in settings.servo_scan]
+    pairs = np.stack(np.meshgrid(*scan, indexing="ij"), axis=-1).reshape(-1, 2)
+    first = pairs[np.argmin([loss(pair) for pair in pairs])]
     both = optimize.minimize(
         loss,
-        corners[0],
+        first,
         method="Nelder-Mead",
-        bounds=[(0.0, largest), (-largest, 0.0)],
-        options={"initial_simplex": corners, "xatol": settings.precision, "fatol": np.inf},
+        bounds=[(0.0, largest)] * 2,
+        options={
+            "initial_simplex": first + 0.5 * settings.fine * np.array([[0, 0], [1, 0], [0, 1]]),
+            "xatol": settings.precision,
+            "fatol": np.inf,
+        },
     )
-    servo_lag, command_lag = both.x.tolist()
-    delay = Lag(command_lag, surfaces.std)
-    if not removable(delay, settings) or alone.fun - both.fun < settings.delay_evidence:
-        servo_lag = float(alone.x)
-        delay = Lag(0.0, surfaces.std)
-    servos = Lag(servo_lag, surfaces.std)
-    is_significant = removable(servos, settings) or removable(delay, settings)
-    is_at_bound = servo_lag + settings.precision >= largest
-    return (servos, delay) if is_significant and not is_at_bound else None
+    servo_lag, delay = both.x.tolist()
+    std = surfaces.std
+    removed, removed_delay = servo_lag, removable(Lag(delay, std), settings)
+    if not removed_delay or alone.fun - both.fun < settings.delay_evidence:
+        removed, removed_delay = float(alone.x), 0.0
+    is_significant = removable(Lag(removed, std), settings) or removed_delay
+    if not is_significant or removed + settings.precision >= largest:
+        return None
+    return Lag(servo_lag, std, removed), Lag(-delay, std, -removed_delay)
 
 
 def _servo_loss(
     segments: list[_Segment], instruments: list[Matrix], lags: Vector, settings: LagSettings
 ) -> float:
-    """Return n log RSS of the responses projected on instruments, at the lags of servos and of commands."""
-    servo_lag, command_lag = lags
+    """Return n log RSS of the responses projected on instruments, at lag and delay of the servos."""
+    servo_lag, delay = lags
     total = 0.0
     for segment, Q in zip(segments, instruments, strict=True):
         late = segment.behind_servos(servo_lag)
-        response, predictors = _turning_by_surfaces(late, command_lag)
+        response, predictors = _turning_by_surfaces(late, -delay)
         total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
     return total
 

@@ -101,9 +101,11 @@ class LagSettings:
     memory: float = 1.5
     # step of the surfaces within it [s]; half a period of the upper end of the band
     memory_step: float = 0.125
-    # least gain in twice the log likelihood by a delay of servos: delays of 30 to 60 ms gain 260 to 440,
-    # vibration 18 at most; trials on four aircraft
+    # least gain in twice the log likelihood by a delay of servos that is removed: delays of 30 to 60 ms gain
+    # 260 to 440, vibration 18 at most; trials on four aircraft
     delay_evidence: float = 40.0
+    # first scan over lag and delay of servos: ends over the lag without servos, and numbers of values
+    servo_scan: tuple[tuple[float, int], ...] = ((3.5, 15), (1.5, 7))
     # predictors nearer than this to a combination of others are left out, relative
     rank_tolerance: float = 1e-6
     # samples in a period of the upper end of the band

@@ -56,7 +56,8 @@ class LagCorrector(TableTransformer):
 
     Surfaces that are early are commands. They become the deflections :math:`\delta` of servos with
     a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay. Without vanes
-    only the delay is removed, and :class:`FlightPathReconstruction` estimates T.
+    only a delay of a step of the log or more is removed, as the rest is part of the lag that
+    :class:`FlightPathReconstruction` removes.
 
     Attitude and GPS follow from gyros and accelerometers by kinematics, as in
     :class:`FlightPathReconstruction`. Surfaces and vanes are related to them by a local linear
@@ -86,10 +87,13 @@ class LagCorrector(TableTransformer):
 
     Attributes
     ----------
+    servos_ : Servos
+        Lag and delay of the servos, for simulations and margins, also where they are not removed.
     lags_ : DataFrame
         By group or column: ``lag`` and ``std`` [s], ``applied`` (the removed lag [s]) and
         ``remark``. A lag below 3 standard deviations (a third of Student's quantile of equal
-        probability for few pieces) or below 10 ms is not removed.
+        probability for few pieces) or below 10 ms is not removed; of lag and delay of servos the sum
+        counts.
 
     Examples
     --------
@@ -120,9 +124,9 @@ class LagCorrector(TableTransformer):
     @property
     def servos_(self) -> Servos:
         """Servos between the logged commands and the surfaces, ideal where surfaces are logged."""
-        applied = self.lags_["applied"]
-        early = -float(applied.get("surfaces", 0.0))
-        return Servos(lag=float(applied.get("servos", 0.0)), delay=max(0.0, early))
+        lag = float(self.lags_["lag"].get("servos", 0.0))
+        early = -float(self.lags_["lag" if lag else "applied"].get("surfaces", 0.0))
+        return Servos(lag=lag, delay=max(0.0, early))
 
     def _fit_table(self, table):
         check_columns(table, ["time"])
@@ -199,6 +203,8 @@ def _applied(lag: Lag) -> tuple[float, float, float, str]:
     applied = removable(lag)
     if applied:
         remark = "removed"
+    elif lag.removal is not None and np.isfinite(lag.std):
+        remark = "left to the reconstruction"
     elif lag.is_significant(LagSettings()):
         remark = "negligible"
     else:

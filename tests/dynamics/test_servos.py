@@ -125,5 +125,6 @@ def test_a_linear_model_has_the_phase_of_the_delay_at_every_frequency(glider, le
     assert_allclose(responses[0]["model_gain"], responses[1]["model_gain"], atol=1e-9)
 
 
-def test_two_servos_in_series_are_one_record():
-    assert Servos(0.04, 0.0, 5.0).before(Servos(0.0, 0.03)) == Servos(0.04, 0.03, 5.0)
+def test_what_one_step_knows_completes_another():
+    assert Servos(delay=0.03).completed(Servos(0.04)) == Servos(0.04, 0.03)
+    assert Servos(0.02, 0.03).completed(Servos(0.04)) == Servos(0.02, 0.03)

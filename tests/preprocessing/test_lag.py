@@ -113,7 +113,7 @@ class TestEstimate:
             errors.append((found["lag"] - 0.06) / found["std"])
         assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.7
 
-    @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03)])
+    @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03), (0.05, 0.02)])
     def test_commands_are_told_from_deflections_by_lag_and_delay(self, servos, delay):
         truth = linear_aircraft(2, width=2)
         table = linear_aircraft(2, servos=servos, surfaces=-delay, width=2)
@@ -141,9 +141,13 @@ class TestEstimate:
             deflection = CubicSpline(time, flight[name])
             later = np.minimum(time + delay, time[-1])
             flight[name] = deflection(later) + servos * deflection(later, 1)
-        applied = lags_of(flight).applied
+        corrector = LagCorrector().fit(flight)
+        applied = corrector.lags_.applied
         assert applied["surfaces"] == pytest.approx(-removed, abs=0.01)
         assert applied["servos"] == 0.0
+        # slow inputs tell the sum
+        found = corrector.servos_
+        assert found.lag + found.delay == pytest.approx(servos + delay, abs=0.02)
 
     def test_attitude_and_gps_are_found_by_kinematics(self, latlon):
         spoilt = late(latlon[:2400], attitude=0.06, gps=-0.05)

@@ -64,6 +64,11 @@ class Code(Kind):
         "[{y} is {lag:.2g} ± {std:.2g} s late against {x}][: {causes: or }?]"
         " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)"
     )
+    TURNED_TOGETHER = (
+        "[flight {flight}: ]{channels: and } have the other sign together[, as in axes {axes}]",
+        "Body axes are forward, right, down: change the sign of each.[{from_east:The heading counts from north "
+        "to the right: write pi/2 - psi.}]",
+    )
     LARGE_SURFACES = (
         "got surfaces in rad up to {largest:.2f}, more than most servos reach",
         "If these are commands from -1 to 1, multiply each by its largest deflection [rad].",

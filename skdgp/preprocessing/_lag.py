@@ -67,9 +67,9 @@ class LagCorrector(TableTransformer):
               (\alpha, \beta) \approx C\,[f / V^2, \omega / V, \delta],
 
     all within the band from 0.3 to 4 Hz. Vanes of records from 6 s on are also compared with the motion of the
-    aircraft, :math:`\dot\alpha = q + (a_z + g_z) / V`; the more certain lag counts. The lag maximises the profile likelihood of the residuals
-    (Jategaonkar 2006, chapter 10). About eight pieces of the flights, each with its own B, C and
-    lag, give its standard error: an error of the linear model moves their lags apart. Lags of
+    aircraft, :math:`\dot\alpha = q + (a_z + g_z) / V`; the more certain lag counts. The lag maximises
+    the profile likelihood of the residuals (Jategaonkar 2006, chapter 10). About eight pieces of the flights,
+    each with its own B, C and lag, give its standard error: an error of the linear model moves them apart. Lags of
     throttle and propeller speed can be given, not estimated: engines respond slowly. T and the delay
     of servos are those of the largest likelihood of what the commands of the last 1.5 s explain
     (instrumental variables), which noise and gusts do not move. Raises

@@ -6,7 +6,7 @@ A slope contradicts a relation if it is outside of the admissible interval by 5 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +46,8 @@ class Relation:
     y: str
     x: str
     regression: Callable[[Signals], Regression]
+    #: Vanes that are used where the flights have them
+    beside: tuple[str, ...] = ()
     #: Lags that are tried [s]
     lags: tuple[float, ...] = (0.0,)
     #: Usual causes of a contradiction
@@ -107,6 +109,39 @@ class Contradiction:
         return Finding(Code.CONTRADICTION, self.flight, numbers=numbers)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Mistake:
+    """A mistake of several channels at once, which hide each other."""
+
+    #: Channels that have the other sign
+    channels: tuple[str, ...]
+    #: Axes in which they have it, empty of a pair
+    axes: str = ""
+    #: Whether the heading counts from east
+    from_east: bool = False
+    #: None for all flights together
+    flight: Any = None
+
+    def undone(self, signals: Signals) -> Signals:
+        """Return the signals without the mistake."""
+        channels = dict(signals.channels)
+        for name in channels.keys() & {*self.channels}:
+            channels[name] = -channels[name]
+        if self.from_east and "psi" in channels:
+            channels["psi"] = np.pi / 2 + channels["psi"]
+        return replace(signals, channels=channels)
+
+    def of(self, signals: Signals) -> Mistake:
+        """Return the mistake of the channels that the signals have."""
+        return replace(self, channels=tuple(n for n in self.channels if n in signals.channels))
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the channels."""
+        numbers = {"channels": list(self.channels), "axes": self.axes, "from_east": self.from_east}
+        return Finding(Code.TURNED_TOGETHER, self.flight, numbers=numbers)
+
+
 class Confirmation(NamedTuple):
     """Channels that an equality confirms."""
 
@@ -122,8 +157,11 @@ class Equality:
     noise: float
     #: Whether x is of accelerometers, whose noise has no bound: engines shake them
     vibrates: bool = False
-    #: Whether x holds gusts, which y follows
-    gusts_lead: bool = False
+    #: Admissible slopes
+    admissible: Interval = EQUAL
+    #: Longest lag that is no contradiction [s], and the least t of one
+    usual_lag: float = PHYSICS.usual_lag
+    least_t: float = PHYSICS.least_t
 
     def judge(self, signals: Signals) -> Contradiction | Confirmation | None:
         """Return what flights say of the relation, None if they decide nothing."""
@@ -142,29 +180,24 @@ class Equality:
 
     def _late(self, slopes: dict[float, Slope]) -> Contradiction | None:
         """Return the contradiction of a best lag that is longer than usual, if it is."""
-        usual_lag = PHYSICS.usual_lag
-        least_t = PHYSICS.least_t
-        if self.gusts_lead:
-            usual_lag = PHYSICS.usual_airspeed_lag
-            least_t = PHYSICS.least_airspeed_t
         best_lag, best = max(slopes.items(), key=lambda item: item[1].explained)
-        if abs(best_lag) <= usual_lag:
+        if abs(best_lag) <= self.usual_lag:
             return None
         explained = 0.0  # at the best of the usual lags
         for lag, slope in slopes.items():
-            if abs(lag) <= usual_lag:
+            if abs(lag) <= self.usual_lag:
                 explained = max(explained, slope.explained)
         # likelihood ratio: t^2 = n log of the ratio of unexplained variances
         ratio = (1 + best.explained) / (1 + explained)
         t = float(np.sqrt(best.n_effective * np.log(ratio)))
-        if t < least_t:
+        if t < self.least_t:
             return None
         # a uniform distribution between the lags that are tried, where they are farthest apart
         std = float(np.diff(sorted(slopes)).max(initial=0.0) / np.sqrt(12))
         return Contradiction(
             relation=self.relation,
             channels=self.relation.channels,
-            admissible=EQUAL,
+            admissible=self.admissible,
             slope=best,
             t=t,
             lag=(best_lag, std),
@@ -173,14 +206,14 @@ class Equality:
     def _of_wrong_scale(self, slope: Slope, size: float, signals: Signals) -> Contradiction | None:
         """Return the contradiction of a slope at lag zero, for x of root mean square ``size``, if it is one."""
         # the error of x attenuates the slope (Fuller 1987, section 1.1)
-        least = EQUAL.least * (1 - (self.noise / size) ** 2)
-        t = slope.t(least, EQUAL.most)
+        least = self.admissible.least * (1 - (self.noise / size) ** 2)
+        t = slope.t(least, self.admissible.most)
         if abs(t) < PHYSICS.least_t:
             return None
         is_attenuated = self.vibrates and 0 < slope.value < least
         if is_attenuated and self._is_reverse_equal(signals):
             return None
-        return _of_slope(self.relation, EQUAL, slope, t)
+        return _of_slope(self.relation, self.admissible, slope, t)
 
     def _is_reverse_equal(self, signals: Signals) -> bool:
         """Return whether x over y has an admissible slope: equal signals, of which x alone is noisy.

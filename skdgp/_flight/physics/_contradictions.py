@@ -10,16 +10,31 @@ import numpy as np
 
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import dead_channels
-from skdgp._flight.physics._checks import Confirmation, Contradiction, Exchange, Sign
-from skdgp._flight.physics._list import CHANNELS, EARTH_AXES, EQUALITIES, EXCHANGES, HEADING, SIGNS
+from skdgp._flight.physics._checks import (
+    Confirmation,
+    Contradiction,
+    Exchange,
+    Mistake,
+    Sign,
+)
+from skdgp._flight.physics._list import (
+    CHANNELS,
+    EARTH_AXES,
+    EQUALITIES,
+    EXCHANGES,
+    HEADING,
+    MISTAKES,
+    SIGNS,
+    TURNING,
+)
 from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 
 
-def find_contradictions(flights: FlightTable) -> list[Contradiction]:
-    """Return the relations that flights contradict.
+def find_contradictions(flights: FlightTable) -> list[Contradiction | Mistake]:
+    """Return the relations that flights contradict, or the mistake of several channels that explains them.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
     The specific force is that at the centre of gravity, where the position of the sensors is known.
@@ -37,9 +52,23 @@ def find_contradictions(flights: FlightTable) -> list[Contradiction]:
     return contradictions
 
 
-def _contradictions_of(flights: FlightTable) -> list[Contradiction]:
-    """Return the contradictions of all rows together."""
+def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
+    """Return the contradictions of all rows together, or the mistake without which there is none."""
     signals = signals_of(flights, CHANNELS)
+    causes = _causes_in(signals)
+    accused = {name for cause in causes for name in cause.channels}
+    is_turned = any(cause.relation is TURNING for cause in causes)
+    if is_turned or len(accused) >= PHYSICS.several:
+        for mistake in MISTAKES:
+            if not _causes_in(mistake.undone(signals)):
+                return [mistake.of(signals)]
+    if {*ELEVONS} <= {*flights.table.columns}:
+        return [_of_elevons(contradiction) for contradiction in causes]
+    return [*causes]
+
+
+def _causes_in(signals: Signals) -> list[Contradiction]:
+    """Return the contradictions of signals that follow from no other."""
     judgements = [check.judge(signals) for check in EQUALITIES]
     unequal = [item for item in judgements if isinstance(item, Contradiction)]
     confirmed: set[str] = set()
@@ -54,10 +83,7 @@ def _contradictions_of(flights: FlightTable) -> list[Contradiction]:
         *_contradicted(EXCHANGES, signals),
         *_contradicted([HEADING], signals),
     ]
-    causes = _causes(contradictions, confirmed)
-    if {*ELEVONS} <= {*flights.table.columns}:
-        return [_of_elevons(contradiction) for contradiction in causes]
-    return causes
+    return _causes(contradictions, confirmed)
 
 
 def _contradicted(checks: Iterable[Sign | Exchange], signals: Signals) -> list[Contradiction]:
@@ -82,8 +108,9 @@ def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Co
     accused: set[str] = set()
     causes = []
     for contradiction in contradictions:
-        suspects = _suspects(contradiction, confirmed, counts)
-        uses_accused = not accused.isdisjoint(contradiction.relation.uses)
+        suspects = _suspects(contradiction, confirmed - accused, counts)
+        relation = contradiction.relation
+        uses_accused = not accused.isdisjoint((*relation.uses, *relation.beside))
         if not uses_accused and not accused.issuperset(suspects):
             accused.update(suspects)
             causes.append(replace(contradiction, channels=suspects))

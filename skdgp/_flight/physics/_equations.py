@@ -44,6 +44,21 @@ def yaw(flight: Signals) -> Regression:
     return _integrated(flight, flight["psi"], by_yaw, by_pitch)
 
 
+def turning(flight: Signals) -> Regression:
+    """Return the terms of q = psi_dot sin phi cos theta + theta_dot cos phi: positive in turns to either side.
+
+    Products with a change over a window take the mean over it.
+    """
+    window = flight.step * flight.window_rows(PHYSICS.kinematic_window)
+    phi = flight["phi"]
+    of_turn = flight.integral(np.sin(phi) * np.cos(flight["theta"])) / window
+    of_pitch = flight.integral(np.cos(phi)) / window
+    x = flight.change(flight["psi"]) * of_turn
+    return Regression.with_intercept(
+        flight.integral(flight["q"]), x, flight.change(flight["theta"]) * of_pitch
+    )
+
+
 def position(flight: Signals, name: str, velocity: str) -> Regression:
     """Return the change of a coordinate and the integral of its velocity."""
     sign = -1.0 if name == "altitude" else 1.0
@@ -100,6 +115,32 @@ def _velocity_terms(flight: Signals, axis: int) -> tuple[Vector, list[Vector]]:
     ground = np.sum(direction * flight.vector(EARTH_VELOCITY), axis=1)
     north, east, _ = direction.T
     return ground, [north, east]
+
+
+# -- angles of the flow by the motion: alpha_dot = q + (az + g_z) / V, beta_dot = p alpha - r + (ay + g_y) / V
+
+
+def alpha_by_motion(flight: Signals) -> Regression:
+    """Return the change of alpha and the integral of the motion."""
+    return _integrated(flight, flight["alpha"], flight["q"] + _falling(flight))
+
+
+def beta_by_motion(flight: Signals) -> Regression:
+    """Return the change of beta and the integral of the motion."""
+    sliding = flight["ay"] + STANDARD_GRAVITY * np.cos(flight["theta"]) * np.sin(flight["phi"])
+    turning = flight["p"] * np.nanmean(flight["alpha"]) - flight["r"]
+    return _integrated(flight, flight["beta"], turning + sliding / flight["airspeed"])
+
+
+def fall_through_the_air(flight: Signals) -> Regression:
+    """Return the change of alpha and the integral of (az + g_z) / V, whose slope is the scale of V."""
+    return _integrated(flight, flight["alpha"], _falling(flight), flight["q"])
+
+
+def _falling(flight: Signals) -> Vector:
+    """Return (az + g_z) / V."""
+    down = np.cos(flight["theta"]) * np.cos(flight["phi"])
+    return (flight["az"] + STANDARD_GRAVITY * down) / flight["airspeed"]
 
 
 # -- forces: v_dot = R f + g

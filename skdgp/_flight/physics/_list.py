@@ -24,11 +24,12 @@ from skdgp._flight.physics._checks import (
     Equality,
     Exchange,
     Interval,
+    Mistake,
     Relation,
     Sign,
 )
 from skdgp._flight.physics._regression import Regression
-from skdgp._flight.physics._settings import LAGS
+from skdgp._flight.physics._settings import LAGS, PHYSICS
 from skdgp._flight.physics._signals import COMMANDED, Signals
 
 FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
@@ -74,6 +75,38 @@ def _equality_of_level_force(channels: tuple[str, ...], axis: int) -> Equality:
 ROLL = _relation_of_integral("phi", "p", equations.roll, ("q", "r", "theta"))
 PITCH = _relation_of_integral("theta", "q", equations.pitch, ("r", "phi"))
 YAW = _relation_of_integral("psi", "r", equations.yaw, ("q", "phi", "theta"))
+TURNING = Relation(
+    channels=("q",),
+    uses=("phi", "theta", "psi"),
+    y="the integral of q",
+    x="the change of psi sin phi cos theta",
+    regression=equations.turning,
+)
+FLOW = ("q", "az", "airspeed", "phi", "theta")
+ALPHA = Relation(
+    channels=("alpha",),
+    uses=FLOW,
+    y="the change of alpha",
+    x="the integral of q + (az + g) / V",
+    regression=equations.alpha_by_motion,
+    lags=LAGS.vane,
+)
+BETA = Relation(
+    channels=("beta",),
+    uses=("r", "p", "alpha", "ay", "airspeed", "phi", "theta"),
+    y="the change of beta",
+    x="the integral of p alpha - r + (ay + g) / V",
+    regression=equations.beta_by_motion,
+    lags=LAGS.vane,
+)
+FALL = Relation(
+    channels=("airspeed",),
+    uses=("alpha", *FLOW),
+    y="the change of alpha",
+    x="the integral of (az + g) / V",
+    regression=equations.fall_through_the_air,
+    causes=("another unit of airspeed",),
+)
 NORTH = _relation_of_position("north", "v_north")
 EAST = _relation_of_position("east", "v_east")
 DOWN = _relation_of_position("down", "v_down")
@@ -104,16 +137,36 @@ GRAVITY = Relation(
     regression=equations.gravity,
 )
 
+
+def _equality_of_vane(relation: Relation) -> Equality:
+    """Return the check of a vane by the motion of the aircraft, which gusts attenuate."""
+    return Equality(
+        relation=relation,
+        noise=0.008,
+        admissible=GUSTY,
+        usual_lag=PHYSICS.usual_vane_lag,
+        least_t=PHYSICS.least_vane_t,
+    )
+
+
 # noise: angles [rad], positions [m], velocities [m/s]
 EQUALITIES = (
     Equality(relation=ROLL, noise=0.008),
     Equality(relation=PITCH, noise=0.008),
     Equality(relation=YAW, noise=0.008),
+    Equality(relation=TURNING, noise=0.008),
     Equality(relation=NORTH, noise=0.3),
     Equality(relation=EAST, noise=0.3),
     Equality(relation=DOWN, noise=0.3),
     Equality(relation=ALTITUDE, noise=0.3),
-    Equality(relation=AIRSPEED, noise=3.0, gusts_lead=True),
+    Equality(
+        relation=AIRSPEED,
+        noise=3.0,
+        usual_lag=PHYSICS.usual_airspeed_lag,
+        least_t=PHYSICS.least_airspeed_t,
+    ),
+    _equality_of_vane(ALPHA),
+    _equality_of_vane(BETA),
     Equality(relation=GRAVITY, noise=0.5),
     _equality_of_level_force(("theta", "psi", "v_north", "v_east", "ax", "az"), axis=0),
     _equality_of_level_force(("phi", "psi", "v_north", "v_east", "ay", "az"), axis=1),
@@ -158,6 +211,7 @@ def _relation_of_response(name: str, effects: tuple[str, ...]) -> Relation:
         y=f"the change of {name}" if name in RATES else name,
         x=x,
         regression=partial(equations.response, name=name, effects=effects),
+        beside=tuple(effect for effect in effects[1:] if effect in VANES),
         lags=LAGS.surface if x in ALL_SURFACES else (0.0,),
     )
 
@@ -182,6 +236,7 @@ THRUST = Relation(
 SIGNS = (
     _sign_of_vane("beta", "the lateral ground velocity less a wind"),
     _sign_of_vane("alpha", "the normal ground velocity less a wind"),
+    Sign(relation=FALL, admissible=GUSTY, noise=0.003),
     _sign_of_accelerometer("ax", axis=0),
     _sign_of_accelerometer("ay", axis=1),
     Sign(relation=LIFT, admissible=NEGATIVE, angle="alpha"),
@@ -268,6 +323,22 @@ EXCHANGES = (
         _alternative_by_other_axis("az", "beta", "alpha", ("q", "elevator"), "ay"),
         _alternative_by_other_axis("ay", "alpha", "beta", LATERAL_EFFECTS, "az"),
     ),
+)
+
+
+# -- mistakes of several channels at once
+
+BODY_TURNED = ("q", "r", "ay", "az")
+NAVIGATION_TURNED = ("v_east", "v_down", "east", "down")
+LEFT_UP = "forward, left, up (ROS)"
+MISTAKES = (
+    Mistake(channels=("q", "theta")),
+    Mistake(channels=("p", "phi")),
+    Mistake(channels=("r", "psi")),
+    Mistake(channels=BODY_TURNED, axes=LEFT_UP),
+    Mistake(channels=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP),
+    Mistake(channels=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP, from_east=True),
+    Mistake(channels=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
 RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS, HEADING)]

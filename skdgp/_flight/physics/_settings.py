@@ -47,6 +47,11 @@ class PhysicsSettings:
     # to 10
     usual_airspeed_lag: float = 1.0
     least_airspeed_t: float = 4.0
+    # the same of vanes against the motion: gusts lead it (54 simulated flights)
+    usual_vane_lag: float = 0.15
+    least_vane_t: float = 10.0
+    # channels that are accused before a mistake of several at once is looked for
+    several: int = 3
     # least correlation at a lag that is a contradiction, whatever the slope (guess)
     lagged_correlation: float = 0.5
 
@@ -65,6 +70,8 @@ class Lags:
     kinematic: tuple[float, ...] = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
     # further ones of the airspeed, which gusts reach before the aircraft follows
     airspeed: tuple[float, ...] = (-1.4, 1.4, -1.8, 1.8, -2.2, 2.2, -2.6, 2.6, -3.0, 3.0)
+    # of vanes
+    vane: tuple[float, ...] = (0.0, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
     # of surfaces, whose servos are late
     surface: tuple[float, ...] = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
 

@@ -93,8 +93,11 @@ def _contradicted(checks: Iterable[Sign | Exchange], signals: Signals) -> list[C
 
 
 def _clearest_first(contradictions: list[Contradiction]) -> list[Contradiction]:
-    """Return contradictions in the order of their correlations."""
-    return sorted(contradictions, key=lambda item: abs(item.slope.correlation), reverse=True)
+    """Return contradictions in the order of their correlations, that of turns last: a single channel explains it."""
+    return sorted(
+        contradictions,
+        key=lambda item: (item.relation is TURNING, -abs(item.slope.correlation)),
+    )
 
 
 def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:

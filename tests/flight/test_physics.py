@@ -107,7 +107,7 @@ SCALED = [
     ({"phi": DEGREES}, "phi", DEGREES),
     ({"psi": DEGREES}, "psi", None),
     ({"phi theta psi": DEGREES}, "phi p", DEGREES),
-    ({"p q r": DEGREES}, "p q", None),
+    ({"p q r": DEGREES}, "p theta q", None),
     ({"ax ay az": 1 / GRAVITY}, "az", 1 / GRAVITY),
     ({"airspeed": 1 / 0.514444}, "airspeed", 0.514444),
     ({"altitude": 1 / 0.3048}, "altitude", 1 / 0.3048),

@@ -139,6 +139,14 @@ class Code(Kind):
         "got {path}, written with {differences}: its predictions may differ",
         "Compare a few, fit it again, or install those versions.",
     )
+    FLIGHT_TWICE = "flight {flight!r} has the rows of flight {other!r}, and is left out"
+    COPY_LEFT_OUT = (
+        "test flight {flight!r} has the rows of training flight {other!r}, and is left out"
+    )
+    TESTED_ON_COPY = (
+        "test flight {flight!r} has the rows of training flight {other!r}",
+        "Its errors say nothing about other flights: test on another one.",
+    )
     TESTED_ON_TRAINING = (
         "flight {flight!r} is both learned from and tested on",
         "Its errors say nothing about other flights.",

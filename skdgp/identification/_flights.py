@@ -6,14 +6,18 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
+from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import check_table
 from skdgp._flight.tables import FlightTable
 from skdgp.io import FlightReadError, is_log, read_flight, reversed_of
 
 Flights = dict[str, FlightTable]
+# fraction of equal rows above which a flight is a copy, and decimals to which they are equal
+COPIED = 0.5
+ROUNDED = 4
 DEFLECTED = (*ALL_SURFACES, *HIGH_LIFT)
 
 
@@ -80,6 +84,28 @@ def named_flights(
 def tables_of(flights: Flights) -> dict[str, pd.DataFrame]:
     """Return the tables of flights by name."""
     return {name: flight.table for name, flight in flights.items()}
+
+
+def copies(flights: Flights, others: Flights) -> dict[str, str]:
+    """Return by name the flights that are another one's copy: most of their rows are rows of it, at whatever time.
+
+    Where both are the same flights, each pair is told once.
+    """
+    rows = {name: _motion(flight) for name, flight in {**flights, **others}.items()}
+    found: dict[str, str] = {}
+    for name in flights:
+        for other in others:
+            is_pair = name != other and found.get(other) != name
+            if is_pair and len(rows[name] & rows[other]) > COPIED * len(rows[name]):
+                found[name] = other
+    return found
+
+
+def _motion(flight: FlightTable) -> set[tuple[float, ...]]:
+    """Return the different rows of rates and specific force, rounded below their noise."""
+    values = np.column_stack([flight.column(name) for name in (*RATES, *SPECIFIC_FORCE)])
+    measured = values[np.isfinite(values).all(axis=1)]
+    return {tuple(row) for row in np.round(measured, ROUNDED).tolist()}
 
 
 def _check_surfaces(path: str | os.PathLike, table: pd.DataFrame, servos: Any) -> None:

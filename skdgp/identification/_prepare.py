@@ -45,7 +45,7 @@ from skdgp.dynamics import (
     propeller_speed_of,
     with_sensor_position,
 )
-from skdgp.identification._flights import Flights, items_of, named_flights, tables_of
+from skdgp.identification._flights import Flights, copies, items_of, named_flights, tables_of
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
 from skdgp.preprocessing import clean
@@ -115,12 +115,21 @@ def prepare(
     options = {**reading, "servos": servos}
     train = named_flights(flights, needed=MEASURED, **options)
     check_controls(train, names)
+    for name, other in copies(train, train).items():
+        report(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
+        train.pop(name)
     if test is None:
         train, test_flights = without_last(train)
     else:
         test_flights = named_flights(test, default="test flight", needed=MEASURED, **options)
         for name in train.keys() & test_flights.keys():
             report(Finding(Code.TESTED_ON_TRAINING, flight=name))
+        copied = copies(test_flights, train)
+        code = Code.COPY_LEFT_OUT if len(copied) < len(test_flights) else Code.TESTED_ON_COPY
+        for name, other in copied.items():
+            report(Finding(code, flight=name, numbers={"other": other}))
+        if code is Code.COPY_LEFT_OUT:
+            test_flights = {n: f for n, f in test_flights.items() if n not in copied}
     columns = regressor_columns([flight.table for flight in train.values()], names)
     aircraft = _with_position_of(aircraft, train)
     in_radians = reversed_of(servos) is None

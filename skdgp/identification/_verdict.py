@@ -55,7 +55,8 @@ DOUBTS = (Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED)
 # "yes" needs a finding too; without any the judgement is "unknown".
 LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
     "predict coefficients": (
-        ("unknown", (Code.TOO_LITTLE_FLOWN,)),
+        ("no", (Code.SIZES_QUESTIONED,)),
+        ("unknown", (Code.TOO_LITTLE_FLOWN, Code.TESTED_ON_COPY)),
         ("no", (Code.DIVERGING,)),
         ("unknown", (Code.NOTHING_JUDGED,)),
         ("no", (Code.ALL_ERRORS_TOO_LARGE, *FAILURES)),
@@ -63,13 +64,15 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("yes", (Code.ERRORS_SMALL,)),
     ),
     "simulate": (
-        ("no", (Code.ACCELERATIONS_AS_REGRESSORS,)),
-        ("unknown", (Code.TOO_LITTLE_FLOWN, Code.NOT_SIMULATED, Code.GUSTS_HIDE_ERRORS)),
+        ("no", (Code.ACCELERATIONS_AS_REGRESSORS, Code.SIZES_QUESTIONED)),
+        ("unknown", (Code.TOO_LITTLE_FLOWN, Code.TESTED_ON_COPY)),
+        ("unknown", (Code.NOT_SIMULATED, Code.GUSTS_HIDE_ERRORS)),
         ("no", (Code.FOLLOWS_TOO_SHORTLY, *FAILURES)),
         ("partly", (Code.FOLLOWS_SHORTLY, *DOUBTS)),
         ("yes", (Code.FOLLOWS,)),
     ),
     "design a controller": (
+        ("no", (Code.SIZES_QUESTIONED,)),
         ("unknown", (Code.TOO_LITTLE_FLOWN,)),
         ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN, Code.IMPLAUSIBLE_SIZES)),
         ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES, Code.CONTROLS_MISSING)),

@@ -73,6 +73,10 @@ class Code(Kind):
         "got surfaces in rad up to {largest:.2f}, more than most servos reach",
         "If these are commands from -1 to 1, multiply each by its largest deflection [rad].",
     )
+    ON_GROUND = (
+        "of {flight!r} {percent:.0f} % of the rows stand on the ground, and are left out",
+        "read_flight(path, airborne=False) keeps them.",
+    )
     LONE_ROWS = "flight {flight!r}: {rows} rows that stand alone between gaps are left out"
     NO_ELEVATOR = (
         "got flights without an elevator",

@@ -21,6 +21,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.checks import check_columns
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density, wrapped
+from skdgp._flight.ground import flying_airspeed, on_ground
 from skdgp._flight.tables import FlightTable, has_values
 
 # largest angles [rad], and rates [rad/s], eight turns a second; noise may carry an angle beyond
@@ -273,7 +274,7 @@ def check_airspeed(airspeed: Vector) -> None:
 def _check_airspeed(flights: FlightTable) -> None:
     airspeed = flights.column("airspeed")
     check_airspeed(airspeed)
-    middle = _quantile(airspeed, 0.5)
+    middle = flying_airspeed(airspeed)
     is_slow = airspeed < 0.2 * middle
     if is_slow.any():
         warn(
@@ -282,7 +283,8 @@ def _check_airspeed(flights: FlightTable) -> None:
             f"the part on the ground still in the flight? Cut it, e.g. "
             f"flight[flight.airspeed > 5]."
         )
-    ratio = middle / _quantile(_size(flights, EARTH_VELOCITY), 0.5)
+    ground_speed = _size(flights, EARTH_VELOCITY)
+    ratio = middle / _quantile(ground_speed[~on_ground(flights)], 0.5)
     if ratio < 0.5 or ratio > 1.8:
         warn(
             f"The median airspeed is {ratio:.2f} times the median ground speed, but both should "

@@ -11,6 +11,7 @@ import pandas as pd
 
 from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import check_table
+from skdgp._flight.ground import without_ground
 from skdgp._flight.tables import FlightTable
 from skdgp.io import FlightReadError, is_log, read_flight, reversed_of
 
@@ -63,6 +64,8 @@ def named_flights(
             place = item
             table = read_flight(item, rename=rename)
             _check_surfaces(item, table, reading.get("servos"))
+        if not is_log(item):
+            table = without_ground(check_table(table, what=what), key or f"{default} {number}")
         parts = split_flights(table, f"{default} {number}", needed, what=what)
         if key and len(parts) != 1:
             raise ValueError(

@@ -77,7 +77,7 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN, Code.IMPLAUSIBLE_SIZES)),
         ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES, Code.CONTROLS_MISSING)),
         ("no", (Code.CONTROLS_TOO_UNCERTAIN, Code.BANDS_DO_NOT_HOLD, Code.TRIM_BEYOND)),
-        ("partly", (Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
+        ("partly", (Code.TESTED_ON_COPY, Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
         ("partly", (Code.ACCELERATIONS_AS_REGRESSORS,)),
         ("yes", (Code.CONTROLS_KNOWN,)),
     ),

@@ -25,6 +25,7 @@ from skdgp._flight.checks import (
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
 from skdgp._flight.findings import texts_of
+from skdgp._flight.ground import without_ground
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
@@ -90,7 +91,7 @@ def read_flight(
     airborne : bool or float, default=True
         Keep only the flight: an airspeed above 0.7 times the slowest set on the autopilot (8
         m/s if none is) and not landed by the autopilot's own account, or above this number [m/s],
-        whatever it reports. False keeps all.
+        whatever it reports; of tables, where the airspeed carries it. False keeps all.
     rename : mapping of str to str, optional
         Names of a flight table for columns of a table, ``{"de": "elevator"}``; a unit in the header
         stays with its column.
@@ -132,13 +133,14 @@ def read_flight(
                     "with tables: its columns follow from its messages."
                 )
             return _from_autopilot(path, flight, servos, airborne)
-        is_given = {"servos": servos is not None, "airborne": airborne is not True}
+        is_given = {"servos": servos is not None, "airborne": not isinstance(airborne, bool)}
         refused = [name for name, given in is_given.items() if given]
         if refused:
             raise FlightReadError(
                 f"Got {refused} for a table, but expected these only with logs of autopilots."
             )
-        return _from_table(path, flight, dict(rename or {}))
+        table = _from_table(path, flight, dict(rename or {}))
+        return without_ground(table, path.name) if airborne else table
 
 
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:

@@ -11,6 +11,7 @@ from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, by_elevons
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import euler_to_matrix
+from skdgp._flight.ground import flying_airspeed
 from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.tables import FlightTable
 
@@ -162,5 +163,5 @@ def _in_flight(channels: dict[str, Vector]) -> dict[str, Vector]:
     if "airspeed" not in channels:
         return channels
     airspeed = channels["airspeed"]
-    on_ground = airspeed < PHYSICS.flying * np.nanmedian(airspeed)
+    on_ground = airspeed < PHYSICS.flying * flying_airspeed(airspeed)
     return {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}

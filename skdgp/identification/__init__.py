@@ -1,19 +1,11 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
-from skdgp.identification._changed import (
-    Changes,
-    ChangeSettings,
-    FlightResiduals,
-    changed,
-    changes_of,
-)
-from skdgp.identification._changed import PredictedFlight as PredictedFlight
-from skdgp.identification._changed import changes_in_flights as changes_in_flights
+from skdgp.identification._changed import Changes, FlightResiduals, changes_of
 from skdgp.identification._evaluate import Evaluation as Evaluation
 from skdgp.identification._evaluate import scores as scores
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification
-from skdgp.identification._identify import identify, validate
+from skdgp.identification._identify import changed, identify, validate
 from skdgp.identification._mechanics import FlightMechanics as FlightMechanics
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
@@ -31,7 +23,6 @@ from skdgp.identification._verdict import Verdict
 
 __all__ = [
     "THRESHOLDS",
-    "ChangeSettings",
     "Changes",
     "FlightPipeline",
     "FlightResiduals",

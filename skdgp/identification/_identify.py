@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from sklearn.utils import Bunch
 
@@ -12,7 +12,7 @@ from skdgp._compute.messages import notify, recorded_findings, report
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import DependentGPRegressor, FitCode
 from skdgp.dynamics import Aircraft
-from skdgp.identification._changed import PredictedFlight, changes_in_flights
+from skdgp.identification._changed import Changes, changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import named_flights, tables_of
 from skdgp.identification._identification import Identification
@@ -171,7 +171,7 @@ def validate(
     Returns
     -------
     Identification
-        Without training flights; with the changes of the aircraft, see `changed`.
+        Without training flights; with the changes of the aircraft, see `changes_of`.
     """
     options = options_of(model) | loads
     options["horizons"] = list(horizons)
@@ -192,11 +192,7 @@ def validate(
             options=options,
         )
         evaluations = [evaluate(name, flight, learned) for name, flight in usable.items()]
-        predicted = {
-            flight.name: PredictedFlight(flight.table, flight.regressors, flight.mean)
-            for flight in evaluations
-        }
-        changes = changes_in_flights(model.pipeline, predicted, aircraft, options)
+        changes = changes_in_flights(model.pipeline, evaluations, aircraft, options)
     return Identification(
         title=f"{learned.aircraft.name}: a model on other flights",
         aircraft=learned.aircraft,
@@ -213,3 +209,11 @@ def validate(
 def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings without the numbers of constant regressors, which the pipeline names."""
     return tuple(found for found in findings if found.code is not FitCode.CONSTANT_INPUTS)
+
+
+def changed(model: Bunch, flights: Any) -> Changes:
+    """Return whether the aircraft of a model has changed in flights that the model did not learn from.
+
+    The changes of `validate`, by `changes_of`; parameters and errors as there.
+    """
+    return cast("Changes", validate(model, flights).changes)

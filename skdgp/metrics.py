@@ -22,7 +22,6 @@ from skdgp._compute.messages import warn
 from skdgp._compute.sklearn_compat import accepts, safe_indexing, unwrap
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import ArrayLike, Mask, Matrix, Vector
-from skdgp._flight.checks import check_choice
 
 __all__ = [
     "SCORERS", "interval_coverage", "median_relative_error", "negative_log_predictive_density",
@@ -182,7 +181,10 @@ def _by_output(statistic: Callable, values: Matrix) -> Vector:
 
 
 def _aggregate(values: Vector, multioutput: str) -> Score:
-    check_choice("multioutput", str(multioutput), ("raw_values", "uniform_average"))
+    if str(multioutput) not in ("raw_values", "uniform_average"):
+        raise ValueError(
+            f"Got multioutput={multioutput!r}, but expected 'raw_values' or 'uniform_average'."
+        )
     if multioutput == "raw_values":
         return values
     scored = values[~np.isnan(values)]

@@ -14,34 +14,43 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "skdgp"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# Every file or folder of the package is a room, and these are the rooms that it may import. Neither
-# half, learning (kernels, inference, _regressor) or aircraft (_flight to datasets), knows the other.
-ALLOWED = {
+# Every file or folder of the package is a room, and these are the rooms that it may import, in three layers
+GENERAL_REGRESSOR = {
     "_compute": "",
+    "kernels": "_compute",
+    "inference": "_compute kernels",
+    "_regressor": "_compute kernels inference",
+    "metrics": "_compute",
+    "model_selection": "_compute",
+}
+FLIGHTS = {
     "_flight": "_compute",
     "dynamics": "_compute _flight",
     "estimation": "_compute _flight dynamics",
     "io": "_compute _flight dynamics",
     "preprocessing": "_compute _flight dynamics estimation",
     "datasets": "_compute _flight dynamics",
-    "kernels": "_compute",
-    "inference": "_compute kernels",
-    "_regressor": "_compute kernels inference",
-    "metrics": "_compute _flight",
-    "model_selection": "_compute",
-    "plotting": "_compute _flight dynamics",
     "identification": "_compute _flight dynamics estimation io preprocessing inference _regressor metrics "
-    "model_selection plotting",
+    "model_selection",
+}
+AFTER_THE_MODEL = {
+    "plotting": "_compute _flight dynamics",
     "report": "_compute _flight dynamics identification plotting",
-    # what is done with a model: export and design could become packages by moving a folder
-    "export": "_compute _flight dynamics io kernels inference _regressor",
     "design": "_compute _flight dynamics preprocessing plotting",
     "control": "_compute _flight dynamics",
+    "export": "_compute _flight dynamics io kernels inference _regressor",
     "_cli": "_compute _flight dynamics io datasets _regressor report identification export design control",
+}
+ROOT_MODULES = {
     "__main__": "_cli",
     "__init__": "_compute dynamics estimation io preprocessing datasets kernels inference _regressor metrics "
     "model_selection plotting report identification export design control",
 }
+LAYERS = (GENERAL_REGRESSOR, FLIGHTS, AFTER_THE_MODEL, ROOT_MODULES)
+ALLOWED = {room: below for layer in LAYERS for room, below in layer.items()}
+# The arrays of a posterior, which exports write
+INSIDE_THE_REGRESSOR = {"kernels", "inference"}
+READ_ARRAYS = {"inference", "_regressor", "identification", "export", "__init__"}
 # Rooms whose files any room above may import; of others it imports what their ``__init__`` shows
 SHARED = {"_compute", "_flight"}
 # Imported inside the functions that use them, or not at all.
@@ -117,6 +126,19 @@ def test_rooms_import_those_below_alone():
     graph = {own: below.split() for own, below in ALLOWED.items()}
     assert list(TopologicalSorter(graph).static_order())
     assert not offenders(others)
+
+
+def test_rooms_import_their_layer_and_those_below():
+    below = set()
+    for layer in LAYERS:
+        below |= layer.keys()
+        assert set(" ".join(layer.values()).split()) <= below
+
+
+def test_the_regressor_is_used_by_its_public_names():
+    """But for the arrays of its posterior."""
+    inside = {room for room, below in ALLOWED.items() if INSIDE_THE_REGRESSOR & {*below.split()}}
+    assert inside <= READ_ARRAYS
 
 
 def is_private(name):

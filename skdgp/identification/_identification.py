@@ -31,7 +31,7 @@ from skdgp.identification._summary import (
     air_of,
     assumption_lines,
     facts_of_fit,
-    fit_lines,
+    fit_text,
     group_means,
     sampling_of,
     score_lines,
@@ -156,7 +156,7 @@ class Identification:
 
     def summary(self) -> str:
         """Return the text of the command line: scores of all test flights together, and a line or table of each."""
-        lines = fit_lines(self.aircraft, self.fit)
+        lines = [f"{self.aircraft.name}: {fit_text(self.fit)}"]
         lines += ["", *score_lines(self.evaluations)]
         if self.fit.reconstruction is not None:
             lines.append(f"{self.fit.reconstruction.clause}")

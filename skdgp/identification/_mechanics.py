@@ -32,10 +32,10 @@ from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._free_flight import FreeFlight
 from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._record import TrainingRecord
-from skdgp.plotting import FrequencyDisplay
 from skdgp.preprocessing import ElevonSplitter
 
 # Rate that a surface excites most
+FEWEST_FREQUENCIES = 3  # excited ones of a response that is shown
 RATE_OF = {"elevator": "q", "aileron": "p", "rudder": "r"}
 
 
@@ -66,7 +66,7 @@ class FlightMechanics:
         ``horizon`` [s].
     simulated : tuple of DataFrame, optional
         Paths of a simulated part of a test flight, their mean, and the flight.
-    frequency : FrequencyDisplay, optional
+    frequency : DataFrame, optional
         Responses of rates to surfaces in the test flights, beside the model's.
     notes : tuple of Finding
         Why trim, modes or derivatives are missing.
@@ -82,7 +82,7 @@ class FlightMechanics:
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
     simulated: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame] | None = None
-    frequency: FrequencyDisplay | None = None
+    frequency: pd.DataFrame | None = None
     notes: tuple[Finding, ...] = ()
     simulation_note: Finding | None = None
     frequency_note: Finding | None = None
@@ -92,6 +92,22 @@ class FlightMechanics:
         """Kind of each mode: its name without the number, which several of one kind have."""
         names = pd.Index([]) if self.modes is None else self.modes.index
         return names.astype(str).str.replace(r" \d+$", "", regex=True)
+
+    @property
+    def frequency_errors(self) -> pd.DataFrame | None:
+        """The excited band [rad/s] of each response and the model's rms errors of gain [dB] and phase [deg] there."""
+        if self.frequency is None:
+            return None
+        excited = self.frequency[self.frequency["excited"].astype(bool)].reset_index("frequency")
+        names = [f"{output} by {surface}" for output, surface in excited.index]
+        phase = excited["model_phase"] - excited["phase"]
+        squares = {
+            "gain": (excited["model_gain"] - excited["gain"]) ** 2,
+            "phase": ((phase + 180) % 360 - 180) ** 2,
+        }
+        errors = np.sqrt(pd.DataFrame(squares).groupby(names, sort=False).mean())
+        band = excited["frequency"].groupby(names, sort=False).agg(lowest="min", highest="max")
+        return pd.concat([band, errors], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units and radians."""
@@ -113,7 +129,7 @@ class FlightMechanics:
             "least_squares": self.least_squares,
             "modes": modes,
             "simulation": self.simulation,
-            "frequency": None if self.frequency is None else self.frequency.errors(),
+            "frequency": self.frequency_errors,
         }
         for name, table in tables.items():
             if table is not None:
@@ -240,10 +256,10 @@ def _frequency_responses(linear: LinearModel, test: Sequence[pd.DataFrame]) -> d
         finding = Finding(Code.NO_FREQUENCY_RESPONSES, numbers={"error": str(error)})
         return {"frequency_note": finding}
     is_own = [RATE_OF[name] == output for output, name, _ in responses.index]
-    display = FrequencyDisplay(responses=responses[is_own])
-    if not display.keys:
-        return {"frequency_note": Finding(Code.NOT_EXCITED)}
-    return {"frequency": display}
+    own = responses[is_own]
+    n_excited = own.groupby(level=["output", "input"], sort=False)["excited"].transform("sum")
+    shown = own[n_excited >= FEWEST_FREQUENCIES]
+    return {"frequency_note": Finding(Code.NOT_EXCITED)} if shown.empty else {"frequency": shown}
 
 
 def _linear(

@@ -13,7 +13,6 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.files import software_versions
 from skdgp._flight.channels import COEFFICIENTS, LATERAL, LONGITUDINAL
 from skdgp._flight.frames import wind_origin
-from skdgp._flight.sensor_position import sensor_position
 from skdgp.dynamics import Aircraft
 from skdgp.identification._evaluate import Evaluation, scores
 from skdgp.identification._learn import thrust_sources
@@ -48,20 +47,17 @@ def sampling_of(table: pd.DataFrame) -> dict[str, float]:
     }
 
 
-def fit_lines(aircraft: Aircraft, fit: FitRecord) -> list[str]:
+def fit_text(fit: FitRecord) -> str:
     """Return duration, samples and likelihood of the fit, and whether it converged."""
-    likelihood = f"log likelihood {fit.log_marginal_likelihood:.1f}"
+    text = f"log likelihood {fit.log_marginal_likelihood:.1f}"
     training = fit.training
-    lines = [f"{aircraft.name}: {likelihood}"]
     if training is not None:
         state = "interrupted" if fit.interrupted else "fitted"
-        lines = [
-            f"{aircraft.name}: {state} in {training.seconds:.1f} s on {training.samples} of "
-            f"{training.samples_available} samples, {likelihood}"
-        ]
+        samples = f"{training.samples} of {training.samples_available} samples"
+        text = f"{state} in {training.seconds:.1f} s on {samples}, {text}"
     if not fit.converged:
-        lines.append(f"not converged after {fit.iterations} iterations: raise max_iter")
-    return lines
+        text += f"; not converged after {fit.iterations} iterations: raise max_iter"
+    return text
 
 
 def score_lines(tested: Sequence[Evaluation]) -> list[str]:
@@ -92,26 +88,13 @@ def _score_text(against: Mapping[str, pd.DataFrame], names: list[str]) -> str:
 
 
 def verdict_lines(verdict: Verdict) -> list[str]:
-    """Return error, comparison with least squares, uses and the first warnings."""
-    error = "no error to judge"
-    if np.isfinite(verdict.error):
-        error = f"error {verdict.error:.3f} of the spread{_of_judged(verdict)}"
-    lines = [f"{error}, {100 * verdict.coverage:.1f} % in 95 % bands"]
-    compared = verdict.compared()
-    if compared:
-        lines.append(compared)
+    """Return error and coverage, uses and the first warnings."""
+    lines = [verdict.compared()]
     for use in verdict.uses:
         lines.append(f"{use.purpose + ':':<22}{use.judgement}, {use.reason}")
     for number, warning in enumerate(verdict.warnings[:MOST_WARNINGS], start=1):
         lines.append(f"warning {number}: {warning}")
     return lines
-
-
-def _of_judged(verdict: Verdict) -> str:
-    """Return the coefficients that the error is of, empty if of all."""
-    if not verdict.unvarying:
-        return ""
-    return " of " + " ".join(name for name in COEFFICIENTS if name not in verdict.unvarying)
 
 
 def assumption_lines(assumed: Iterable[str]) -> list[str]:
@@ -132,58 +115,22 @@ def facts_of_fit(
 ) -> dict[str, str]:
     """Return the facts of a fit as text; empty where a fact does not apply."""
     regressor = pipeline[-1]
-    facts = {
-        "Aircraft": _sizes(aircraft),
-        "Inertial sensors": _sensor_positions(train),
+    sources = thrust_sources(options["thrust"], [*train.values(), *tested.values()])
+    lags = [f"{name} {lag['applied']:.3g} s" for name, lag in fit.lags.items() if lag["applied"]]
+    return {
+        "Aircraft": f"{aircraft.name}, {aircraft.mass:g} kg, wing area {aircraft.wing_area:.4g} m², "
+        f"span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m",
         "Learned from": _durations(train),
         "Tested on": _durations(tested),
         "Regressors": ", ".join(fit.regressors),
-        "Structure": f"{regressor.structure}, trend {regressor.trend or 'none'}",
-        "Inference": fit.inference,
-        "Log likelihood": f"{fit.log_marginal_likelihood:,.1f}",
-        "Iterations": f"{fit.iterations}",
+        "Structure": f"{regressor.structure}, trend {regressor.trend or 'none'}, {fit.inference}",
+        "Fit": fit_text(fit),
+        "Thrust": " or ".join(THRUSTS[name] for name in sources),
+        "Flight paths": "" if fit.reconstruction is None else fit.reconstruction.clause,
+        "Lags": ", ".join(lags) or "none to correct",
+        "Other loads": ", ".join(options["external_forces"]),
+        "Versions": ", ".join(f"{name} {n}" for name, n in software_versions().items()),
     }
-    if not fit.converged:
-        facts["Iterations"] += " (not converged: raise max_iter)"
-    if fit.training is not None:
-        facts["Samples"] = f"{fit.training.samples:,} of {fit.training.samples_available:,}"
-        facts["Time of the fit"] = f"{fit.training.seconds:.1f} s"
-    sources = thrust_sources(options["thrust"], [*train.values(), *tested.values()])
-    facts["Thrust"] = " or ".join([THRUSTS[name] for name in sources])
-    if fit.reconstruction is not None:
-        facts["Flight paths"] = fit.reconstruction.clause
-    facts["Lags"] = _lags(fit)
-    facts["Other loads"] = ", ".join(options["external_forces"])
-    if fit.interrupted:
-        facts["Fit"] = "interrupted; this is the best model until then"
-    facts["Versions"] = ", ".join(f"{name} {n}" for name, n in software_versions().items())
-    return facts
-
-
-def _sizes(aircraft: Aircraft) -> str:
-    return (
-        f"{aircraft.name}, {aircraft.mass:g} kg, wing area {aircraft.wing_area:.4g} m², "
-        f"span {aircraft.span:.4g} m, chord {aircraft.chord:.4g} m"
-    )
-
-
-def _sensor_positions(train: Mapping[str, pd.DataFrame]) -> str:
-    """Return the positions of the inertial sensors of flights, empty where they are unknown."""
-    positions = []
-    for table in train.values():
-        position = sensor_position(table).mean(axis=0)
-        if np.isfinite(position).all():
-            x, y, z = position
-            positions.append(f"({x:.3g}, {y:.3g}, {z:.3g}) m from the centre of gravity")
-    return " or ".join(dict.fromkeys(positions))
-
-
-def _lags(fit: FitRecord) -> str:
-    late = []
-    for name, lag in fit.lags.items():
-        if lag["applied"]:
-            late.append(f"{name} {lag['applied']:.3g} s")
-    return ", ".join(late) or "none to correct"
 
 
 def _durations(flights: Mapping[str, pd.DataFrame]) -> str:

@@ -156,18 +156,16 @@ class Verdict:
         """The findings as sentences."""
         return texts_of(self.findings)
 
-    def against_least_squares(self) -> dict[str, list[str]]:
-        """Return the coefficients that the model predicts "better", "equal" and "worse" than least squares."""
-        return _against_least_squares(self.varying)
-
     def compared(self) -> str:
-        """Return a sentence on least squares, empty where it is not known."""
-        if self.least_squares_error is None or not np.isfinite(self.error):
-            return ""
-        compared = self.against_least_squares()
-        parts = [f"{kind} in {' '.join(names)}" for kind, names in compared.items() if names]
-        errors = f"an error of {self.least_squares_error:.3f}, the model {self.error:.3f}"
-        return f"Least squares on the same rows has {errors}: the model is {', '.join(parts)}."
+        """Return a sentence on error, coverage, and the error of least squares on the same rows."""
+        text = f"error {self.error:.3f} of the spread, {100 * self.coverage:.1f} % in 95 % bands"
+        if self.unvarying:
+            text += f" (errors without {' '.join(self.unvarying)})"
+        if self.least_squares_error is None:
+            return text
+        return (
+            f"{text}; least squares on the same rows has an error of {self.least_squares_error:.3f}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
@@ -178,7 +176,6 @@ class Verdict:
             "uses": [use.to_dict() for use in self.uses],
             "warnings": self.warnings,
             "least_squares_error": self.least_squares_error,
-            **self.against_least_squares(),
             "thresholds": THRESHOLDS._asdict(),
         }
 
@@ -249,9 +246,7 @@ def _learned(train: list[pd.DataFrame], tested: list[pd.DataFrame], fit: FitReco
 
 def _extent(tables: list[pd.DataFrame]) -> str:
     """Return duration and number of flights as text."""
-    seconds = flown_seconds(tables)
-    time = f"{seconds / 60:.1f} minutes" if seconds >= 60 else f"{seconds:.3g} s"
-    return f"{time} of {len(tables)} flight{'' if len(tables) == 1 else 's'}"
+    return f"{flown_seconds(tables):.3g} s of {len(tables)} flight(s)"
 
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
@@ -446,20 +441,6 @@ def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
     return _if_any(Code.IMPLAUSIBLE_SIZES, values=large.to_dict())
 
 
-def _against_least_squares(table: pd.DataFrame) -> dict[str, list[str]]:
-    """Return the coefficients whose error is smaller, equal, and larger, than by least squares on the same rows."""
-    if LINEAR_NRMSE not in table:
-        return {"better": [], "equal": [], "worse": []}
-    ratio = table[NRMSE] / table[LINEAR_NRMSE]
-    better = ratio < 1 - THRESHOLDS.tie
-    worse = ratio > 1 + THRESHOLDS.tie
-    return {
-        "better": list(table.index[better]),
-        "equal": list(table.index[~(better | worse)]),
-        "worse": list(table.index[worse]),
-    }
-
-
 def _against_simpler_models(
     varying: pd.DataFrame, evaluations: Sequence[Evaluation]
 ) -> list[Finding]:
@@ -472,9 +453,11 @@ def _against_simpler_models(
     findings = _if_any(Code.CONSTANT_BETTER_IN_FLIGHTS, flights=diverging, **numbers)
     means = varying.mean()
     limit = (1 + THRESHOLDS.tie) * means.get(LINEAR_NRMSE, np.inf)
-    worse = _against_least_squares(varying)["worse"]
-    is_mostly_worse = bool(worse) and len(worse) >= len(varying) / 2
-    if is_mostly_worse or means[NRMSE] > limit:
+    worse = []
+    if LINEAR_NRMSE in varying:
+        is_worse = varying[NRMSE] > (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
+        worse = list(varying.index[is_worse])
+    if (worse and len(worse) >= len(varying) / 2) or means[NRMSE] > limit:
         numbers = {"worse": len(worse), "coefficients": len(varying)}
         findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers={"names": worse, **numbers}))
     return findings

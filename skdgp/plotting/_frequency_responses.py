@@ -65,22 +65,6 @@ class FrequencyDisplay(Display):
         """Return the display of the phases."""
         return replace(self, quantity="phase")
 
-    def errors(self) -> pd.DataFrame:
-        """Return for each response the excited band [rad/s] and the model's rms errors of gain [dB] and phase [deg]."""
-        rows = {}
-        for output, name in self.keys:
-            of_pair: Any = self.responses.loc[(output, name)]
-            excited = of_pair[of_pair["excited"].astype(bool)]
-            gain = excited["model_gain"] - excited["gain"]
-            phase = _wrapped(excited["model_phase"] - excited["phase"])
-            rows[f"{output} by {name}"] = {
-                "lowest": float(excited.index.min()),
-                "highest": float(excited.index.max()),
-                "gain": float(np.sqrt(np.mean(gain**2))),
-                "phase": float(np.sqrt(np.mean(phase**2))),
-            }
-        return pd.DataFrame.from_dict(rows, orient="index")
-
     def draw(self, ax: Any, key: tuple[str, str]) -> None:
         """Draw the measured response with its 95 % errors, and the model's with its band."""
         name = self.quantity

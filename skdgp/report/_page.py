@@ -26,11 +26,15 @@ from skdgp.identification import (
     FlightMechanics,
     Identification,
     Verdict,
-    flown_seconds,
 )
-from skdgp.plotting import EffectsDisplay, TimeHistoryDisplay, display_unit, units_shown
+from skdgp.plotting import (
+    EffectsDisplay,
+    FrequencyDisplay,
+    TimeHistoryDisplay,
+    display_unit,
+    units_shown,
+)
 from skdgp.report._html import (
-    DASH,
     THIN,
     figure,
     lowered,
@@ -72,6 +76,7 @@ def derivative(coefficient: str, name: str) -> str:
 
 
 _thousandths = partial(number, form=".3f")
+_three_digits = partial(number, form=".3g")
 
 
 class Column(NamedTuple):
@@ -89,9 +94,39 @@ SCORES = {
 }
 
 
+# Columns of simulations and of frequency responses
+SIMULATION = {
+    "spread": Column("spread in<br>the flights", _three_digits),
+    "limit": Column("limit", _three_digits),
+    "error": Column("error at<br>the end", _three_digits),
+    "lasts": Column("follows<br>for [s]", _three_digits),
+    "horizon": Column("of [s]", _three_digits),
+    "lasts_without_gusts": Column("less gusts<br>for [s]", _three_digits),
+    "gusts": Column("gusts<br>[m/s]", _three_digits),
+}
+RESPONSES = {
+    "lowest": Column("excited<br>from [rad/s]", _three_digits),
+    "highest": Column("to [rad/s]", _three_digits),
+    "gain": Column("gain<br>[dB]", _three_digits),
+    "phase": Column("phase<br>[deg]", _three_digits),
+}
+
+
 def _cells(row: pd.Series, columns: Mapping[str, Column]) -> list[str]:
     """Return the values of a row in the columns that it has."""
     return [column.show(row[name]) for name, column in columns.items() if name in row]
+
+
+def frame_table(
+    frame: pd.DataFrame,
+    columns: Mapping[str, Column],
+    caption: str,
+    classes: str = "numbers narrow",
+) -> str:
+    """Return a table of the columns that a frame has, whose index is ready HTML."""
+    rows = [[str(name), *_cells(row, columns)] for name, row in frame.iterrows()]
+    head = ["", *(column.heading for name, column in columns.items() if name in frame)]
+    return table(head, rows, caption=caption, classes=classes)
 
 
 def error_table(scores: pd.DataFrame, *, against: str) -> str:
@@ -175,16 +210,6 @@ HOW_TO_READ = (
 SIGN = '<div class="sign"><p>Prepared</p><p>Checked</p><p>Approved</p></div>'
 NO_FIGURES = 'No figures: they need matplotlib, pip install "skdgp[plot]".'
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
-# Regressors that move with an input: what to excite where a derivative is weak
-EXCITED = {
-    "elevator": ("alpha", "alpha_dot", "q", "q_hat", "elevator"),
-    "aileron": ("p", "p_hat", "aileron"),
-    "rudder": ("beta", "beta_dot", "r", "r_hat", "rudder"),
-    "throttle": ("throttle",),
-}
-# Kinds of modes that a 3-2-1-1 of an input excites
-LATERAL_MODES = ("Dutch roll", "roll", "roll-spiral")
-MODES = {"elevator": ("short period",), "aileron": LATERAL_MODES, "rudder": LATERAL_MODES}
 
 
 @dataclass(frozen=True)
@@ -192,7 +217,6 @@ class PageSettings:
     """Sizes of the parts of a report, by what a reader takes in (guesses)."""
 
     warnings: int = 3  # in the verdict; others stand below it
-    named: int = 4  # weak derivatives that are named for each input
     flights: int = 3  # with figures; of more only the one that is predicted worst has them
     excerpt: float = 15.0  # length of the close look at a flight [s]
     # standard deviation over the size of a derivative above which it has no row
@@ -239,7 +263,6 @@ def _sections(result: Identification, effects: EffectsDisplay | None) -> list[st
     further = _list(result.verdict.warnings[SETTINGS.warnings :], "ul", "alerts")
     sections = [
         _verdict(result),
-        _next_flight(result),
         _changes(result.changes),
         section("Further warnings", further),
         section("What was assumed", _list(result.assumed)),
@@ -302,7 +325,7 @@ def _verdict(result: Identification) -> str:
         f"<p>{text(verdict.learned)} {air}</p>",
         _error_and_coverage(verdict),
         table(head, uses, caption="What the model is good for.", classes="words"),
-        f"<p>{text(verdict.compared())}</p>",
+        f"<p>{text(verdict.compared())}.</p>",
         alerts,
         _errors_by_flight(result.evaluations) if len(result.evaluations) > 1 else "",
     )
@@ -322,14 +345,13 @@ def _error_and_coverage(verdict: Verdict) -> str:
 
 
 def _errors_by_flight(flights: Sequence[Evaluation]) -> str:
-    rows = []
+    rows = {}
     for flight in flights:
-        means = flight.scores["measured"].mean().reindex([*SCORES])
-        length = number(np.ptp(flight.time), ".3g")
-        rows.append([text(flight.name), length, *_cells(means, SCORES)])
-    head = ["", "length<br>[s]", *(column.heading for column in SCORES.values())]
+        means = flight.scores["measured"].mean().to_dict()
+        rows[text(flight.name)] = {"length": np.ptp(flight.time), **means}
+    columns = {"length": Column("length<br>[s]", _three_digits), **SCORES}
     caption = "Test flights, against measured values: means of the six coefficients."
-    return table(head, rows, caption=caption, classes="numbers")
+    return frame_table(pd.DataFrame.from_dict(rows, orient="index"), columns, caption, "numbers")
 
 
 def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
@@ -340,60 +362,6 @@ def _of_plane(derivatives: pd.DataFrame, plane: str) -> pd.DataFrame:
     return derivatives[is_of_it & moves_in_it].sort_values(
         "coefficient", key=lambda c: c.map(names.index), kind="stable"
     )
-
-
-def _next_flight(result: Identification) -> str:
-    """Return the weak derivatives by the manoeuvre that excites them, weakest first."""
-    mechanics = result.mechanics
-    if "std" not in mechanics.derivatives:
-        return ""
-    weak = _weak(mechanics.derivatives)
-    rows = []
-    for axis, regressors in EXCITED.items():
-        excited = weak[weak["regressor"].isin(regressors)]
-        if len(excited):
-            named = _weak_names(excited.head(SETTINGS.named))
-            rows.append([axis + _manoeuvre(axis, mechanics), named, str(len(excited))])
-    if not rows:
-        return section("What to fly next", _note("Every derivative is known to half its size."))
-    flown = flown_seconds(result.train.values())
-    reach = f" ({number(3 * flown, '.0f')}{THIN}s)" if flown else ""
-    caption = (
-        "Inputs to excite, and the derivatives that they determine whose 95 % bands are wider than half "
-        "their values, widest first. Errors from noise are halved by three times as many seconds "
-        f"again{reach} of flight as before, and by fewer with such inputs: <code>skdgp plan</code> "
-        "on the model proposes manoeuvres, their seconds and the errors that they leave."
-    )
-    head = ["excite", "weak derivatives", "in all"]
-    return section("What to fly next", table(head, rows, caption=caption, classes="words"))
-
-
-def _weak(derivatives: pd.DataFrame) -> pd.DataFrame:
-    """Return the derivatives whose bands are wide, widest first, with ``half`` the width over the value."""
-    derivatives = pd.concat([_of_plane(derivatives, plane) for plane in GROUPED])
-    half = 1.96 * derivatives["std"] / derivatives["value"].abs()
-    is_weak = half.between(THRESHOLDS.band, 1.96 * SETTINGS.known, inclusive="neither")
-    return derivatives.assign(half=half)[is_weak].sort_values("half", ascending=False)
-
-
-def _weak_names(derivatives: pd.DataFrame) -> str:
-    """Return derivatives with half the widths of their bands."""
-    names = []
-    for _, row in derivatives.iterrows():
-        name = derivative(row["coefficient"], row["regressor"])
-        names.append(f"{name} ±{THIN}{percent(row['half'], '.0f')}{THIN}%")
-    return ", ".join(names)
-
-
-def _manoeuvre(axis: str, mechanics: FlightMechanics) -> str:
-    """Return the unit of the 3-2-1-1 that excites the modes of an input; empty where they are unknown."""
-    if axis not in MODES or mechanics.modes is None:
-        return ""
-    excited = mechanics.modes[mechanics.mode_kinds.isin(MODES[axis])]
-    if excited.empty:
-        return ""
-    unit = number(0.5 * np.pi / excited["frequency"].min(), ".2g")
-    return f":<br>3-2-1-1 with a unit of {unit}{THIN}s"
 
 
 def _list(lines: Iterable[str], kind: str = "ul", classes: str = "") -> str:
@@ -438,23 +406,13 @@ def _slopes(derivatives: pd.DataFrame) -> str:
 
 def _trim(trim: Trim) -> str:
     """Return state and controls of a steady flight."""
-    values = {
-        "airspeed": trim.airspeed,
-        "altitude": trim.altitude,
-        "density": trim.density,
-        "alpha": trim.alpha,
-        "theta": trim.theta,
-        "phi": trim.phi,
-    }
-    if "climb" not in trim.solved:  # without a thrust it is the model's glide
-        values["climb"] = trim.climb
-    if trim.altitude == 0.0:  # the flights have none
-        del values["altitude"]
     shown = []
-    for name, value in (values | trim.controls).items():
+    for name in ("airspeed", "altitude", "density", "alpha", "theta", "phi", "climb"):
         factor, unit = display_unit("theta" if name == "climb" else name)
-        form = ".2f" if unit == "deg" else ".3g"
-        shown.append((name, f"{number(factor * value, form)} {unit}"))
+        shown.append((name, f"{number(factor * getattr(trim, name), '.4g')} {unit}"))
+    for name, value in trim.controls.items():
+        factor, unit = display_unit(name)
+        shown.append((name, f"{number(factor * value, '.4g')} {unit}"))
     return facts(shown)
 
 
@@ -511,23 +469,25 @@ def _with_std(value: float, std: float | None) -> str:
 
 
 def _modes(modes: pd.DataFrame) -> str:
-    rows = []
+    rows = {}
     for name, row in modes.drop(columns="eigenvalue").iterrows():
-        damping = DASH
-        if abs(row["damping"]) != 1:
-            damping = _with_std(row["damping"], row.get("damping_std"))
         time = number(row["time_constant"], ".3g")
         limits = row.get("time_constant_lower", 1.0) * row.get("time_constant_upper", 1.0)
-        if not 0 < limits < np.inf:
-            time = f'<span class="off">▼ {time}</span>'
-        frequency = _with_std(row["frequency"], row.get("frequency_std"))
-        rows.append([text(name), frequency, damping, time])
+        rows[text(name)] = {
+            "frequency": _with_std(row["frequency"], row.get("frequency_std")),
+            "damping": _with_std(row["damping"], row.get("damping_std")),
+            "time": time if 0 < limits < np.inf else f'<span class="off">▼ {time}</span>',
+        }
     caption = (
         "Modes: values ± standard deviations. The time constant is negative where a mode diverges. "
         "▼: its 95 % band holds decay and growth."
     )
-    head = ["", "frequency<br>[rad/s]", "damping<br>ratio", "time constant<br>[s]"]
-    return table(head, rows, caption=caption, classes="numbers narrow")
+    columns = {
+        "frequency": Column("frequency<br>[rad/s]", str),
+        "damping": Column("damping<br>ratio", str),
+        "time": Column("time constant<br>[s]", str),
+    }
+    return frame_table(pd.DataFrame.from_dict(rows, orient="index"), columns, caption)
 
 
 def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
@@ -549,32 +509,23 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
 
 def _simulation_errors(errors: pd.DataFrame) -> str:
     """Return the table of the errors of each state, and how long they stay below their limits."""
-    head = ["", "unit", "spread in<br>the flights", "limit", "error at<br>the end"]
-    head.append("follows<br>for [s]")
     caption = (
         "Simulation of the test flights with the recorded controls, started again from measured "
         "states, in the estimated wind and gusts, else in still air: root mean square error at "
-        "the end, and how long it stays below the limit."
+        "the end, and how long it stays below the limit. Less gusts: without the part of the error that "
+        "gusts explain, which are not estimated."
     )
-    is_gusty = "gusts" in errors and errors["gusts"].max() > 0
-    if is_gusty:
-        head.append("less gusts<br>for [s]")
-        gusts = number(errors["gusts"].max(), ".2g")
-        caption += (
-            f" Less gusts: without the part of the error that gusts of {gusts}{THIN}m/s explain, "
-            "which are not estimated."
-        )
-    rows = []
-    for name, row in errors.iterrows():
-        factor, unit = display_unit(str(name))
-        cells = [number(factor * row[column], ".3g") for column in ("spread", "limit", "error")]
-        lasts = number(row["lasts"], ".2g")
-        is_whole = row["lasts"] >= row["horizon"]
-        cells.append(f"all {lasts}" if is_whole else f'<span class="off">{lasts}</span>')
-        if is_gusty:
-            cells.append(number(row["lasts_without_gusts"], ".2g"))
-        rows.append([state(str(name)), unit, *cells])
-    return table(head, rows, caption=caption, classes="numbers narrow")
+    units = pd.DataFrame(
+        [display_unit(str(name)) for name in errors.index], columns=["factor", "unit"]
+    )
+    shown = errors.set_axis(
+        errors.index.map(lambda name: state(str(name))) + " [" + units["unit"] + "]"
+    )
+    sizes = ["spread", "limit", "error"]
+    shown[sizes] = shown[sizes].mul(units["factor"].to_numpy(), axis=0)
+    if shown["gusts"].max() == 0:
+        shown = shown.drop(columns=["gusts", "lasts_without_gusts"])
+    return frame_table(shown, SIMULATION, caption)
 
 
 def _frequency(mechanics: FlightMechanics, draw: bool) -> str:
@@ -582,17 +533,12 @@ def _frequency(mechanics: FlightMechanics, draw: bool) -> str:
     parts = []
     if mechanics.frequency_note is not None:
         parts.append(_note(text(mechanics.frequency_note.text)))
-    display = mechanics.frequency
-    if display is not None:
-        rows = []
-        for name, row in display.errors().iterrows():
-            band = f"{number(row['lowest'], '.3g')} to {number(row['highest'], '.3g')}"
-            errors = [number(row["gain"], ".2g"), number(row["phase"], ".2g")]
-            rows.append([text(name), band, *errors])
-        head = ["", "excited<br>[rad/s]", "gain<br>[dB]", "phase<br>[deg]"]
-        parts.append(table(head, rows, caption=FREQUENCY_ERRORS, classes="numbers narrow"))
-        if draw:
-            parts.append(figure(display, FREQUENCY, display.phases()))
+    errors = mechanics.frequency_errors
+    if errors is not None:
+        parts.append(frame_table(errors.rename(text), RESPONSES, FREQUENCY_ERRORS))
+    if draw and mechanics.frequency is not None:
+        display = FrequencyDisplay(responses=mechanics.frequency)
+        parts.append(figure(display, FREQUENCY, display.phases()))
     return section("Frequency responses", *parts)
 
 
@@ -657,16 +603,14 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = SETTINGS.excerp
 
     Motion is the sum of squared steps, each column in units of its standard deviation.
     """
-    if np.any(np.diff(time) <= 0) or time[-1] - time[0] < 1.5 * length:
+    n = max(1, int(length / np.median(np.diff(time))))
+    if len(time) < 1.5 * n:
         return slice(None)
     spread = np.nanstd(values, axis=0)
-    spread[~(spread > 0)] = 1.0
-    steps = np.diff(values, axis=0, prepend=values[:1]) / spread
+    steps = np.diff(values[:, spread > 0] / spread[spread > 0], axis=0)
     moved = np.cumsum(np.nansum(steps**2, axis=1))
-    begin = np.flatnonzero(time <= time[-1] - length)
-    end = np.searchsorted(time, time[begin] + length, side="right")
-    liveliest = int(np.argmax(moved[end - 1] - moved[begin]))
-    return slice(int(begin[liveliest]), int(end[liveliest]))
+    begin = int(np.argmax(moved[n - 1 :] - moved[: len(moved) - n + 1]))
+    return slice(begin, begin + n)
 
 
 def _flown(result: Identification) -> str:

@@ -29,7 +29,6 @@ from skdgp.dynamics import (
     trajectory_bands,
     trim,
 )
-from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter
 
 FULL = {"aileron": 0.42, "elevator": 0.42}
@@ -98,9 +97,9 @@ def main(arguments=None):
     flights = load_example_flights()
     aircraft = flights.aircraft
     Y = aerodynamic_coefficients(flights.train, aircraft)
-    model = make_identification_pipeline(aircraft)
+    model = make_identification_pipeline(aircraft, samples=options.samples or "all")
     model.set_params(dependentgpregressor__random_state=0)
-    model.fit(flights.train, Y if options.samples is None else thin_targets(Y, options.samples))
+    model.fit(flights.train, Y)
 
     steady = trim(model, aircraft, AIRSPEED, altitude=ALTITUDE)
     linear = linearize(model, aircraft, steady, n_paths=options.paths, delay=DELAY)

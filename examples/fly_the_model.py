@@ -24,7 +24,6 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.model_selection import thin_targets
 from skdgp.plotting import TimeHistoryDisplay
 
 START, SECONDS = 24.0, 10.0
@@ -46,9 +45,9 @@ def main(arguments=None):
     flights = load_example_flights()
     train, test, aircraft = flights.train, flights.test, flights.aircraft
     Y = aerodynamic_coefficients(train, aircraft)
-    model = make_identification_pipeline(aircraft)
+    model = make_identification_pipeline(aircraft, samples=options.samples or "all")
     model.set_params(dependentgpregressor__random_state=0)
-    model.fit(train, Y if options.samples is None else thin_targets(Y, options.samples))
+    model.fit(train, Y)
 
     # The true flight from START on; of a real flight, what FlightPathReconstruction returns.
     part = test[(test["time"] >= START) & (test["time"] <= START + SECONDS)]

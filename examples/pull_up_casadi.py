@@ -22,7 +22,6 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Air, aerodynamic_coefficients, simulate, standard_density, trim
 from skdgp.export import casadi_function, portable_model
-from skdgp.model_selection import thin_targets
 
 GRAVITY = 9.80665
 TIME = np.linspace(0.0, 3.0, 31)
@@ -116,9 +115,9 @@ def main(paths=200, samples=150, output="pull_up.png"):
     flights = load_example_flights()
     aircraft = flights.aircraft
     regressor = DependentGPRegressor(inference="sparse", n_inducing=30, n_latent=1, max_iter=20)
-    pipeline = make_identification_pipeline(aircraft, regressor=regressor)
+    pipeline = make_identification_pipeline(aircraft, regressor=regressor, samples=samples)
     Y = aerodynamic_coefficients(flights.train, aircraft)
-    pipeline.fit(flights.train, thin_targets(Y, samples))
+    pipeline.fit(flights.train, Y)
     density = float(standard_density(300.0))
     steady = trim(pipeline, aircraft, 35.0, altitude=300.0, air=Air(density=density))
     model = portable_model(pipeline, aircraft)

@@ -283,7 +283,8 @@ class FlightPipeline(Pipeline):
         For errors of the log and turbulence.
     samples : int, "all" or None
         Rows to learn from, spread over those that have a target. None: ten a second, at most 5000,
-        or 755 by exact inference; of another regressor than ``DependentGPRegressor`` all.
+        or 755 by exact inference; of another regressor than ``DependentGPRegressor`` all. "all":
+        those that the targets choose, as by `thin_targets`.
     thrust : str or None, default="auto"
         As of :func:`make_identification_pipeline`.
     control_units : mapping of str to str, optional
@@ -478,10 +479,11 @@ class FlightPipeline(Pipeline):
 
     def in_simulation(self) -> dict[str, Any]:
         """Return what the flights of the fit show for a simulation."""
+        learned = vars(self)  # a slice has learned nothing itself
         return {
-            "turbulence": self.turbulence_,
-            "seconds": self.seconds_,
-            "errors": self.errors_,
+            "turbulence": learned.get("turbulence_"),
+            "seconds": learned.get("seconds_"),
+            "errors": learned.get("errors_", {}),
             "units": self.control_units or {},
         }
 

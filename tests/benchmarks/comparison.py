@@ -102,7 +102,7 @@ def toy(n=300):
 
 def pipeline(task, seed):
     """Return moments of the test flight by the default pipeline."""
-    model = make_identification_pipeline(task.aircraft)
+    model = make_identification_pipeline(task.aircraft, samples="all")
     seeds = {name: seed for name in model.get_params() if name.endswith("random_state")}
     model.set_params(**seeds).fit(task.train, task.targets)
     X, ratio = flight_regressors(model, task.test)

@@ -59,6 +59,8 @@ class RowSettings:
     rate: float = 10.0
     #: Most rows, of long flights
     most: int = 5000
+    #: Targets of a smaller fraction of the rows were chosen before; faults leave more
+    chosen: float = 0.5
 
 
 ROWS = RowSettings()
@@ -283,8 +285,8 @@ class FlightPipeline(Pipeline):
         For errors of the log and turbulence.
     samples : int, "all" or None
         Rows to learn from, spread over those that have a target. None: ten a second, at most 5000,
-        or 755 by exact inference; of another regressor than ``DependentGPRegressor`` all. "all":
-        those that the targets choose, as by `thin_targets`.
+        or 755 by exact inference; all of another regressor than ``DependentGPRegressor``, and of
+        targets that `thin_targets` has chosen, which are observed in less than half of the rows.
     thrust : str or None, default="auto"
         As of :func:`make_identification_pipeline`.
     control_units : mapping of str to str, optional
@@ -379,17 +381,20 @@ class FlightPipeline(Pipeline):
     def thinned(self, X: Any, y: Any) -> Any:
         """Return targets y (n, P) of flights X of which as many rows as ``samples`` says are observed."""
         samples = self.samples
+        if samples is None and y is not None:
+            samples = self._usual_samples(X, y)
+        return y if y is None or samples in (None, "all") else thin_targets(y, samples)
+
+    def _usual_samples(self, X: Any, y: Any) -> int | None:
+        """Return how many rows to learn from by default; None for all that have a target."""
         last = self.steps[-1][1]
-        is_default = samples is None and y is not None
-        if is_default and isinstance(last, DependentGPRegressor):
-            seconds = duration(X.table if isinstance(X, FlightTable) else X)
-            if last.inference == "exact":
-                samples = ROWS.exact
-            elif seconds is not None:
-                samples = min(round(ROWS.rate * seconds), ROWS.most)
-        if y is None or samples in (None, "all"):
-            return y
-        return thin_targets(y, max(1, samples))
+        observed = np.isfinite(np.asarray(y, dtype=float)).reshape(len(y), -1).any(axis=1)
+        if not isinstance(last, DependentGPRegressor) or observed.mean() < ROWS.chosen:
+            return None
+        if last.inference == "exact":
+            return ROWS.exact
+        seconds = duration(X.table if isinstance(X, FlightTable) else X)
+        return None if seconds is None else max(1, min(round(ROWS.rate * seconds), ROWS.most))
 
     def _facts_for_last(self, X: pd.DataFrame, known: KnownSlopes | None) -> dict[str, Any]:
         """Return clock and known slopes of flights X as parameters of the last step, if it uses them."""

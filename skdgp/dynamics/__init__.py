@@ -108,7 +108,8 @@ from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import PRESSURE as PRESSURE
 from skdgp.dynamics._size_errors import ScaleFactor
-from skdgp.dynamics._trajectories import SimulationWarning, farthest_beyond, trajectory_bands
+from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
+from skdgp.dynamics._trajectories import farthest_beyond as farthest_beyond
 from skdgp.dynamics._transfer import UNUSED as UNUSED
 from skdgp.dynamics._transfer import transfer as transfer
 from skdgp.dynamics._trim import Trim, trim

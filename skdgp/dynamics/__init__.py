@@ -139,7 +139,6 @@ __all__ = [
     "dryden_wind",
     "euler_to_matrix",
     "euler_to_quaternion",
-    "farthest_beyond",
     "frequency_response",
     "linearize",
     "ned_to_body",

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, TextIO, TypeAlias
 
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
-from skdgp._compute.messages import FindingWarning
+from skdgp._compute.messages import FindingWarning, Progress
 from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
 from skdgp._regressor import FitCode
 
@@ -235,6 +235,7 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
 
 
 CLEAR = "\r\x1b[K"
+BAR = 10  # characters
 LINE_SECONDS = 5.0  # between two lines of progress without a terminal
 STAGES = {"fit": "all outputs", "members": "components of the average"}
 
@@ -257,6 +258,9 @@ class Console:
         self._shown = -period
         self._printed = self._began  # time of the last line without a terminal
         self._stage = ""
+        self._steps = ""
+        self._steps_began = self._began
+        self._last_step = (0, 0)
         self._done = threading.Event()
 
     def __enter__(self) -> Console:
@@ -292,6 +296,7 @@ class Console:
         """Show the stage that begins."""
         self._began = time.monotonic()
         self._stage = text
+        self._steps = ""
         self._show(text)
 
     def end_stage(self) -> None:
@@ -305,12 +310,17 @@ class Console:
             now = time.monotonic()
             last = self._shown if self._shows_progress else self._printed
             if self._stage and now - max(last, self._began) >= self.silence:
-                self._show(f"{self._stage} · {now - self._began:.0f} s")
+                self._show(f"{self._stage}{self._steps} · {now - self._began:.0f} s")
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
         """Show the stage of an identification; the listener of ``skdgp.listening``."""
-        if n_evaluations == 0:
+        if isinstance(stage, Progress):
+            self._count_steps(stage)
+        elif n_evaluations == 0:
             self.stage(stage)
+        else:
+            self._steps = ""
+        if n_evaluations == 0:
             return
         self._stage = f"fit · {STAGES.get(stage, stage)}"
         if time.monotonic() - self._shown >= self.period:
@@ -318,7 +328,22 @@ class Console:
                 f" · log likelihood {log_likelihood:.1f}" if math.isfinite(log_likelihood) else ""
             )
             seconds = f"{time.monotonic() - self._began:.0f} s"
-            self._show(f"{self._stage} · {n_evaluations} evaluations{value} · {seconds}")
+            evaluations = f"{n_evaluations} evaluations{value}"
+            self._show(f"{self._stage}{self._steps} · {evaluations} · {seconds}")
+
+    def _count_steps(self, progress: Progress) -> None:
+        """Keep the bar of a stage with a number of steps, and the time that is left at the rate of those done."""
+        now = time.monotonic()
+        done = progress.done
+        if (done, progress.total) < self._last_step or self._steps == "":
+            self._steps_began = now
+        self._last_step = done, progress.total
+        filled = round(BAR * done / progress.total)
+        bar = "#" * filled + "-" * (BAR - filled)
+        self._steps = f" · {progress} [{bar}] {done} of {progress.total}"
+        if done:
+            left = (now - self._steps_began) * (progress.total - done) / done
+            self._steps += f", < {left:.0f} s left"
 
     def _show(self, line):
         """Show a line in place of the last one; without a terminal print one at most every five seconds."""

@@ -120,6 +120,20 @@ def keeps_best() -> bool:
     return _keeps_best.get()
 
 
+class Progress(str):
+    """A stage of which ``done`` of ``total`` steps are done; a search may converge before."""
+
+    __slots__ = ("done", "total")
+    done: int
+    total: int
+
+    def __new__(cls, stage: str, done: int, total: int) -> Progress:
+        progress = super().__new__(cls, stage)
+        progress.done = done
+        progress.total = total
+        return progress
+
+
 def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("nan")) -> None:
     """Call the listener, if there is one; of a stage that has no evaluations, with 0 and NaN."""
     listener = _listener.get()

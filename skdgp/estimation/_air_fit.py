@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skdgp._compute.linalg import keep_freed_memory, matrix_vector
+from skdgp._compute.messages import Progress, notify
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import RATE_STATES, Expansion, Layout
@@ -147,6 +148,7 @@ class AirFit:
         likelihood = -np.inf
         best = self._point(likelihood)
         for number in range(settings.max_passes):
+            notify(Progress("estimating the air", number, settings.max_passes))
             sums, fitted = self._pass(by_instruments=number >= n_before)
             likelihood = sum(item.log_likelihood for item in fitted)
             if likelihood > best.likelihood:

@@ -23,6 +23,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, keep_freed_memory, output_scale
+from skdgp._compute.messages import Progress
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._likelihood import (
@@ -378,7 +379,8 @@ class _JointSearch(NamedTuple):
         settings = self.options.settings
         loading = self.known.loading
         fits = []
-        for i, seed in enumerate(self.random_state.randint(2**31 - 1, size=self.Y.shape[1])):
+        n_outputs = self.Y.shape[1]
+        for i, seed in enumerate(self.random_state.randint(2**31 - 1, size=n_outputs)):
             observed = np.flatnonzero(np.isfinite(self.Y[:, i]))
             rows = stratified(observed, settings.single_values, np.random.RandomState(seed))
             column = slice(i, i + 1)
@@ -388,7 +390,7 @@ class _JointSearch(NamedTuple):
                 Data.from_table(self.X[rows], self.Y[rows, column], of_output),
                 self.noise[column],
                 self.bounds[column],
-                f"output {i + 1}",
+                Progress(f"output {i + 1}", i, n_outputs),
                 self.stop,
                 settings,
             )

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import report
+from skdgp._compute.messages import Progress, notify, report
 from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Indices, Vector
 from skdgp._flight.channels import (
@@ -367,14 +367,18 @@ class FlightPathReconstruction(TableTransformer):
         self, table: pd.DataFrame, noise: dict[str, float], learn: Mapping[str, float]
     ) -> list[FlightPart]:
         """Return the path of every flight, of each part of a long one."""
-        parts = []
+        places = []
         for name, rows, flight_sensors in flights_of(table):
             for part, inner in overlapping_parts(len(rows), self.max_rows):
-                sensors = flight_sensors.part(part.start, part.stop)
-                estimate = estimate_path(sensors, noise | GUSTS, learn=learn)
-                estimate = estimate._replace(path=estimate.path.part(inner.start, inner.stop))
-                inner_sensors = sensors.part(inner.start, inner.stop)
-                parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
+                places.append((name, rows, flight_sensors, part, inner))
+        parts = []
+        for number, (name, rows, flight_sensors, part, inner) in enumerate(places):
+            notify(Progress("reconstructing paths", number, len(places)))
+            sensors = flight_sensors.part(part.start, part.stop)
+            estimate = estimate_path(sensors, noise | GUSTS, learn=learn)
+            estimate = estimate._replace(path=estimate.path.part(inner.start, inner.stop))
+            inner_sensors = sensors.part(inner.start, inner.stop)
+            parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
         return parts
 
     def _warn_of_diverged(self, parts: Sequence[FlightPart]) -> None:

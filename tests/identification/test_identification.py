@@ -221,6 +221,7 @@ class TestIdentify:
             "reading",
             "coefficients",
             "transforming",
+            "reconstructing paths",
             "fit",
             "members",
             "evaluating latlon",

@@ -42,7 +42,7 @@ RATE_OF = {"elevator": "q", "aileron": "p", "rudder": "r"}
 # Facts of a trim and columns of derivatives in metrics.json
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
 DERIVATIVE = (
-    *("value", "std", "lower", "upper"),
+    *("value", "std", "lower", "upper", "perturbation", "per"),
     *("std_random", "std_method", "std_log", "std_posterior"),
     *("std_merged", "std_aircraft", "aircraft"),
 )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -104,6 +103,11 @@ SIMULATION = {
     "lasts_without_gusts": Column("less gusts<br>for [s]", _three_digits),
     "gusts": Column("gusts<br>[m/s]", _three_digits),
 }
+DERIVATIVES = {
+    "model": Column("model", str),
+    "least_squares": Column("least squares", _three_digits),
+    "of_aircraft": Column("± of<br>aircraft", _three_digits),
+}
 RESPONSES = {
     "lowest": Column("excited<br>from [rad/s]", _three_digits),
     "highest": Column("to [rad/s]", _three_digits),
@@ -174,6 +178,10 @@ _THRESHOLDS = (
     f"derivatives by the controls and the frequencies of the fast modes, and bands that hold at "
     f"least {100 * THRESHOLDS.held:.0f} % of the measured values of each coefficient."
 )
+SLOPES = (
+    "Derivatives are slopes of the best linear approximation over a normal perturbation of each "
+    "regressor, with the standard deviation flown around the trims; see metrics.json for its size."
+)
 OF_AIRCRAFT = (
     "± of aircraft: the effect of errors of its sizes, which all derivatives of a moment or force "
     "share; it does not matter for simulations with this aircraft."
@@ -212,18 +220,11 @@ NO_FIGURES = 'No figures: they need matplotlib, pip install "skdgp[plot]".'
 GROUPED = {"Longitudinal": ("CL", "CD", "Cm"), "Lateral": ("CY", "Cl", "Cn")}
 
 
-@dataclass(frozen=True)
-class PageSettings:
-    """Sizes of the parts of a report, by what a reader takes in (guesses)."""
-
-    warnings: int = 3  # in the verdict; others stand below it
-    flights: int = 3  # with figures; of more only the one that is predicted worst has them
-    excerpt: float = 15.0  # length of the close look at a flight [s]
-    # standard deviation over the size of a derivative above which it has no row
-    known: float = 2.0
-
-
-SETTINGS = PageSettings()
+# What a reader takes in (guesses): warnings in the verdict, others stand below it; flights with
+# figures, of more only the one that is predicted worst has them; length of the look at a flight [s]
+SHOWN_WARNINGS = 3
+SHOWN_FLIGHTS = 3
+EXCERPT = 15.0
 
 
 def save_report(result: Identification, path: str | os.PathLike) -> Path:
@@ -260,7 +261,7 @@ def render_report(result: Identification, effects: EffectsDisplay | None = None)
 def _sections(result: Identification, effects: EffectsDisplay | None) -> list[str]:
     """Return all sections in their order; those without content are empty."""
     draw = can_draw()
-    further = _list(result.verdict.warnings[SETTINGS.warnings :], "ul", "alerts")
+    further = _list(result.verdict.warnings[SHOWN_WARNINGS:], "ul", "alerts")
     sections = [
         _verdict(result),
         _changes(result.changes),
@@ -319,7 +320,7 @@ def _verdict(result: Identification) -> str:
     head = ["good enough to", "", "because"]
     alerts = _note("No warning arose.")
     if verdict.findings:
-        alerts = _list(verdict.warnings[: SETTINGS.warnings], "ol", "alerts")
+        alerts = _list(verdict.warnings[:SHOWN_WARNINGS], "ol", "alerts")
     return section(
         "Verdict",
         f"<p>{text(verdict.learned)} {air}</p>",
@@ -377,31 +378,13 @@ def _mechanics(mechanics: FlightMechanics) -> str:
         parts.append(_trim(mechanics.trim))
     if len(mechanics.derivatives):
         tables = [_derivatives(mechanics, plane) for plane in GROUPED]
-        parts.append(_slopes(mechanics.derivatives))
+        parts.append(_note(SLOPES))
         parts.append(f'<div class="pair">{"".join(tables)}</div>')
     if "std_aircraft" in mechanics.derivatives:
         parts.append(_note(OF_AIRCRAFT))
     if mechanics.modes is not None:
         parts.append(_modes(mechanics.modes))
     return section("Trim, derivatives and modes", *parts)
-
-
-def _slopes(derivatives: pd.DataFrame) -> str:
-    """Return what the derivatives are slopes of: over which perturbation, or at the point."""
-    if "perturbation" not in derivatives:
-        return _note("Derivatives are local slopes.")
-    of_regressors = derivatives[derivatives["regressor"] != ""].drop_duplicates("regressor")
-    sizes = []
-    for _, row in of_regressors.iterrows():
-        sizes.append(
-            f"{row['regressor']} {number(row['perturbation'], '.2g')} {row['per']}".strip()
-        )
-    return _note(
-        "Derivatives are slopes of the best linear approximation over a normal perturbation of "
-        "each regressor, with the standard deviation flown around the trims: "
-        + text(", ".join(sizes))
-        + "."
-    )
 
 
 def _trim(trim: Trim) -> str:
@@ -417,31 +400,15 @@ def _trim(trim: Trim) -> str:
 
 
 def _derivatives(mechanics: FlightMechanics, plane: str) -> str:
-    """Return the derivatives of one plane; those with too large standard deviations are named beneath."""
+    """Return the derivatives of one plane."""
     derivatives = _of_plane(mechanics.derivatives, plane)
     names = [derivative(*row) for row in derivatives[["coefficient", "regressor"]].to_numpy()]
-    shown = pd.DataFrame({"": names}, index=derivatives.index)
-    shown["model"] = [_value(row) for _, row in derivatives.iterrows()]
+    shown = pd.DataFrame({"model": [_value(row) for _, row in derivatives.iterrows()]}, index=names)
     if mechanics.least_squares is not None:
         linear = mechanics.least_squares["value"].reindex(derivatives.index)
-        shown["least squares"] = linear.map(partial(number, form=".3g"))
+        shown["least_squares"] = linear.to_numpy()
     if "std_aircraft" in derivatives:
-        of_aircraft = derivatives["std_aircraft"]
-        shown["± of<br>aircraft"] = of_aircraft.map(partial(number, form=".2g"))
-    is_known = pd.Series(True, index=derivatives.index)
-    if "std" in derivatives:
-        is_known = derivatives["std"] <= SETTINGS.known * derivatives["value"].abs()
-    caption = _derivatives_caption(derivatives, plane)
-    numbers = ""
-    if is_known.any():
-        rows = shown[is_known].to_numpy().tolist()
-        numbers = table([*shown], rows, caption=caption, classes="numbers named")
-    unknown = ", ".join(shown.loc[~is_known, ""])
-    note = _note(f"Not determined by these flights: {unknown}." if unknown else "")
-    return f"<div>{numbers}{note}</div>"
-
-
-def _derivatives_caption(derivatives: pd.DataFrame, plane: str) -> str:
+        shown["of_aircraft"] = derivatives["std_aircraft"].to_numpy()
     caption = (
         f"{plane} derivatives, by angles [rad] and by pb/2V, qc/2V, rb/2V: values ± standard "
         "deviations. ▼: the 95 % band holds both signs."
@@ -450,7 +417,7 @@ def _derivatives_caption(derivatives: pd.DataFrame, plane: str) -> str:
         caption += " Derivatives by q and r include the effect of alpha_dot and beta_dot."
     if "per" in derivatives and derivatives["per"].eq("full throw").any():
         caption += " Those by surfaces are by their full throw."
-    return caption
+    return f"<div>{frame_table(shown, DERIVATIVES, caption, 'numbers named')}</div>"
 
 
 def _value(row: pd.Series) -> str:
@@ -549,7 +516,7 @@ def _flights(result: Identification, draw: bool) -> list[str]:
     parts = []
     for flight, error in zip(flights, errors, strict=True):
         body = _errors(flight)
-        if draw and (len(errors) <= SETTINGS.flights or not error < max(errors)):
+        if draw and (len(errors) <= SHOWN_FLIGHTS or not error < max(errors)):
             body += _figures(flight)
         parts.append(section(f"Test flight {text(flight.name)}", body, classes="flight"))
     return parts
@@ -582,7 +549,7 @@ def _figures(result: Evaluation) -> str:
     )
     caption = f"Coefficients of {text(result.name)}"
     if rows != slice(None):
-        caption += f", the {SETTINGS.excerpt:g}{THIN}s in which the estimates move most"
+        caption += f", the {EXCERPT:g}{THIN}s in which the estimates move most"
     caption += ", and beneath each measured less estimated, in the 95 % band."
     body = figure(display, caption, display.residuals())
     if result.replay is None:
@@ -598,7 +565,7 @@ def _figures(result: Evaluation) -> str:
     return body + figure(states, caption)
 
 
-def liveliest_rows(time: Vector, values: Matrix, length: float = SETTINGS.excerpt) -> slice:
+def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> slice:
     """Return the rows of the ``length`` seconds with the most motion of ``values``; all rows of a short record.
 
     Motion is the sum of squared steps, each column in units of its standard deviation.

@@ -16,14 +16,14 @@ from sklearn.utils import Bunch
 from skdgp._cli import _shared as opt
 from skdgp._cli._shared import Run, wrote
 from skdgp._compute.files import Writer, csv_writer, text_writer
-from skdgp._compute.messages import can_draw, listening, warn
+from skdgp._compute.messages import can_draw, listening, report, warn
 from skdgp._flight.excitation import AXES
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
 from skdgp.design import Envelope, Plan, PlanSettings, ardupilot_script, surface_mixes
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
     Aircraft,
-    Trim,
     linearize,
     stability_derivatives,
     trim,
@@ -146,7 +146,9 @@ def derivatives(run: Run) -> None:
     model, thrust = read_model_to_fly(options)
     run.console.stage("trimming")
     trims = trimmed(model, sorted(set(options.airspeed)), options.altitude, thrust)
-    _warn_beyond(trims)
+    beyond = sorted({name for point in trims for name in point.beyond})
+    if beyond:
+        report(Finding(Code.TRIM_BEYOND, numbers={"names": beyond}))
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
     table: Any = stability_derivatives(model.pipeline, model.aircraft, trims, **spread)
@@ -177,16 +179,6 @@ def trimmed(model: Bunch, airspeed: Any, altitude: float, thrust: str | None) ->
     return trim(
         model.pipeline, model.aircraft, airspeed, altitude=altitude, climb=climb, thrust=thrust
     )
-
-
-def _warn_beyond(trims: list[Trim]) -> None:
-    """Warn of trims whose regressors are outside the range of the training data."""
-    beyond = []
-    for point in trims:
-        for name, (value, low, high) in point.beyond.items():
-            beyond.append(f"{point.airspeed:g} m/s: {name} {value:.3g} ({low:.3g} to {high:.3g})")
-    if beyond:
-        warn(f"Trims are beyond the training data: {', '.join(beyond)}.")
 
 
 def _derivatives_text(mechanics: FlightMechanics) -> str:

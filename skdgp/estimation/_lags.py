@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -67,6 +68,7 @@ class Lag(NamedTuple):
     value: float
     std: float
     removal: float | None = None  #: What to remove [s]; None: the lag, where it is significant
+    rate_limit: float = np.inf  #: Of servos, in the unit of the surfaces per second
 
     def is_significant(self, settings: LagSettings) -> bool:
         """Return whether the lag exceeds ``settings.significance`` standard deviations."""
@@ -180,6 +182,8 @@ class _Segment:
     splines: dict[str, CubicSpline]
     time: Vector  # (n,) without the ends of the segment [s]
     log_step: float  # step of the log [s]
+    surfaces: dict[str, Vector]  # at the times of the splines, outside of the band too
+    band: Matrix  # second-order sections of the filter of the band
 
     @classmethod
     def of(cls, time: Vector, table: pd.DataFrame, settings: LagSettings) -> _Segment:
@@ -198,22 +202,39 @@ class _Segment:
         for name in SPECIFIC_FORCE:
             channels[name] /= speed**2
         sections = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
+        surfaces = {name: channels[name] for name in ALL_SURFACES if name in channels}
         splines = {}
         for name, values in channels.items():
             splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
         step = 1 / min(rate_hz, settings.oversampling * high)
         inner = np.arange(clock[0] + settings.edge, clock[-1] - settings.edge, step)
-        return cls(splines, inner, 1 / rate_hz)
+        return cls(splines, inner, 1 / rate_hz, surfaces, sections)
 
-    def behind_servos(self, lag: float) -> _Segment:
+    def behind_servos(self, lag: float, rate_limit: float = np.inf) -> _Segment:
         """Return the segment with the deflections of servos of a first-order lag [s], in place of their commands."""
         splines = dict(self.splines)
-        for name in self.present(ALL_SURFACES):
-            clock = splines[name].x
-            commands = splines[name](clock)[:, None]
+        names = self.present(ALL_SURFACES)
+        clock = splines[names[0]].x
+        if np.isfinite(rate_limit):
+            # the limit holds for the whole motion, not for the band
+            limited = servo_output(self._commands(names), lag, self.log_step, rate_limit)
+            deflections = signal.sosfiltfilt(self.band, limited, axis=0)
+        else:
+            commands = np.column_stack([splines[name](clock) for name in names])
             deflections = servo_output(commands, lag, clock[1] - clock[0])
-            splines[name] = CubicSpline(clock, deflections[:, 0])
+        for name, values in zip(names, deflections.T, strict=True):
+            splines[name] = CubicSpline(clock, values)
         return replace(self, splines=splines)
+
+    def _commands(self, names: Sequence[str]) -> Matrix:
+        """Return surfaces (n, k) with all their frequencies."""
+        return np.column_stack([self.surfaces[name] for name in names])
+
+    def largest_rate(self, lag: float) -> float:
+        """Return the largest rate of the surfaces behind servos of a first-order lag [s]."""
+        commands = self._commands(self.present(ALL_SURFACES))
+        deflections = servo_output(commands, lag, self.log_step)
+        return float(np.abs(np.diff(deflections, axis=0)).max() / self.log_step)
 
     def earlier_surfaces(self, settings: LagSettings) -> Matrix:
         """Return an orthonormal basis (n, k) of the surfaces of the last seconds."""
@@ -438,17 +459,44 @@ def _most_likely_servos(
     is_significant = removable(Lag(removed, std), settings) or removed_delay
     if not is_significant or removed + settings.precision >= largest:
         return None
+    limited = _limited_servos(segments, instruments, both.x, settings)
+    if limited is not None:
+        servo_lag, rate_limit = limited
+        return Lag(servo_lag, std, servo_lag, rate_limit), Lag(-delay, std, -delay)
     return Lag(servo_lag, std, removed), Lag(-delay, std, -removed_delay)
 
 
-def _servo_loss(
+def _limited_servos(
     segments: list[_Segment], instruments: list[Matrix], lags: Vector, settings: LagSettings
+) -> tuple[float, float] | None:
+    """Return the most likely lag and rate limit of servos, by the lag and delay without one; None without evidence.
+
+    A servo that reaches its limit seems to lag the more the larger its steps are.
+    """
+    lag, delay = lags
+    best = (lag, np.inf)
+    unlimited = least = _servo_loss(segments, instruments, lags, settings)
+    for fraction, relative in product(settings.limited_lags, settings.limits):
+        pair = np.array([fraction * lag, delay])
+        limit = relative * max(segment.largest_rate(pair[0]) for segment in segments)
+        loss = _servo_loss(segments, instruments, pair, settings, limit)
+        if loss < least:
+            best, least = (float(pair[0]), limit), loss
+    return best if unlimited - least >= settings.delay_evidence else None
+
+
+def _servo_loss(
+    segments: list[_Segment],
+    instruments: list[Matrix],
+    lags: Vector,
+    settings: LagSettings,
+    rate_limit: float = np.inf,
 ) -> float:
-    """Return n log RSS of the responses projected on instruments, at lag and delay of the servos."""
+    """Return n log RSS of the responses projected on instruments, at lag, delay and rate limit of the servos."""
     servo_lag, delay = lags
     total = 0.0
     for segment, Q in zip(segments, instruments, strict=True):
-        late = segment.behind_servos(servo_lag)
+        late = segment.behind_servos(servo_lag, rate_limit)
         response, predictors = _turning_by_surfaces(late, -delay)
         total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
     return total

@@ -13,13 +13,30 @@ from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._settings import SERVOS
 
 
-def servo_output(commands: Matrix, lag: float, step: float) -> Matrix:
-    """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples."""
+def servo_output(commands: Matrix, lag: float, step: float, rate_limit: float = np.inf) -> Matrix:
+    """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples.
+
+    A limit of their rate [1/s] holds for the mean rate of each step.
+    """
     r = max(lag, SERVOS.least_lag) / step
     a = np.exp(-1 / r)
+    if np.isfinite(rate_limit):
+        return _limited_output(commands, r, a, rate_limit * step)
     numerator = [1 - (1 - a) * r, (1 - a) * r - a]
     denominator = [1, -a]
     return lfilter(numerator, denominator, commands - commands[0], axis=0) + commands[0]
+
+
+def _limited_output(commands: Matrix, r: float, a: float, reach: float) -> Matrix:
+    """Return the outputs of servos that move at most by ``reach`` in a step; r is the lag in steps, a = exp(-1 / r)."""
+    output = np.empty_like(commands)
+    output[0] = delta = commands[0]
+    for k, change in enumerate(np.diff(commands, axis=0)):
+        behind = r * change
+        wanted = commands[k + 1] - behind + a * (delta - commands[k] + behind)
+        delta = delta + np.minimum(np.maximum(wanted - delta, -reach), reach)
+        output[k + 1] = delta
+    return output
 
 
 def servo_slopes(commands: Matrix, lag: float, step: float) -> tuple[Matrix, tuple[Matrix, Matrix]]:
@@ -31,7 +48,9 @@ def servo_slopes(commands: Matrix, lag: float, step: float) -> tuple[Matrix, tup
     return output, (by_lag, -np.gradient(output, step, axis=0))
 
 
-def delayed_surfaces(time: Vector, commands: Matrix, lag: float, flight: Any = None) -> Matrix:
+def delayed_surfaces(
+    time: Vector, commands: Matrix, lag: float, flight: Any = None, rate_limit: float = np.inf
+) -> Matrix:
     r"""Return the deflections (n, k) of servos with a first-order lag.
 
     They solve :math:`T \dot\delta = c - \delta` within each gap-free segment, in which the servos begin
@@ -47,6 +66,8 @@ def delayed_surfaces(time: Vector, commands: Matrix, lag: float, flight: Any = N
         T [s].
     flight : array-like (n,), optional
         Identifiers of flights.
+    rate_limit : float, default=inf
+        Largest rate of the deflections, in their unit per second.
 
     Returns
     -------
@@ -65,5 +86,5 @@ def delayed_surfaces(time: Vector, commands: Matrix, lag: float, flight: Any = N
     for run in Clock.of(time, flight).segments:
         # a single sample is at rest, whatever the step
         step = median_step(time, [run]) if n_rows(run) > 1 else 1.0
-        out[run] = servo_output(commands[run], lag, step)
+        out[run] = servo_output(commands[run], lag, step, rate_limit)
     return out

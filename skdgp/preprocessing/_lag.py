@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._compute.sklearn_compat import StrOptions
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
@@ -88,7 +89,8 @@ class LagCorrector(TableTransformer):
     Attributes
     ----------
     servos_ : Servos
-        Lag and delay of the servos, for simulations and margins, also where they are not removed.
+        Lag, delay and, where the flights reach it, limit of the rate of the servos, for simulations and
+        margins, also where they are not removed. A limit is warned of.
     lags_ : DataFrame
         By group or column: ``lag`` and ``std`` [s], ``applied`` (the removed lag [s]) and
         ``remark``. A lag below 3 standard deviations (a third of Student's quantile of equal
@@ -126,14 +128,21 @@ class LagCorrector(TableTransformer):
         """Servos between the logged commands and the surfaces, ideal where surfaces are logged."""
         lag = float(self.lags_["lag"].get("servos", 0.0))
         early = -float(self.lags_["lag" if lag else "applied"].get("surfaces", 0.0))
-        return Servos(lag=lag, delay=max(0.0, early))
+        return Servos(lag=lag, delay=max(0.0, early), rate_limit=self.rate_limit_)
 
     def _fit_table(self, table):
         check_columns(table, ["time"])
+        self.rate_limit_ = np.inf
         if isinstance(self.lags, str):
             self._check_any(table, _columns_of(GROUPS))
             lags = estimate_lags(with_sensor_position(table, self.aircraft))
             rows = {group: _applied(lag) for group, lag in lags.items()}
+            self.rate_limit_ = lags["servos"].rate_limit
+            if np.isfinite(self.rate_limit_):
+                warn(
+                    f"The servos reach a limit of their rate, {self.rate_limit_:.2g} rad/s, in these flights: larger "
+                    "motions of the surfaces have less margin than linear models say."
+                )
         else:
             rows = self._given(table)
         columns = ["lag", "std", "applied", "remark"]
@@ -176,16 +185,19 @@ class LagCorrector(TableTransformer):
                 repeats = name not in KINEMATIC
                 new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
         if lags.get("servos"):
-            new |= _deflections(with_columns(table, new), time, lags["servos"])
+            moved = with_columns(table, new)
+            new |= _deflections(moved, time, lags["servos"], self.rate_limit_)
         wrap_near(new, table)
         return with_columns(table, new)
 
 
-def _deflections(table: pd.DataFrame, time: Vector, lag: float) -> dict[str, Vector]:
+def _deflections(
+    table: pd.DataFrame, time: Vector, lag: float, rate_limit: float
+) -> dict[str, Vector]:
     """Return the deflections of servos of a first-order lag by their commands, NaN where there is none."""
     surfaces = present(ALL_SURFACES, table)
     commands = numeric(table, surfaces)
-    late = delayed_surfaces(time, commands, lag, table.get("flight"))
+    late = delayed_surfaces(time, commands, lag, table.get("flight"), rate_limit)
     late[np.isnan(commands)] = np.nan
     return by_name(surfaces, late)
 

@@ -296,3 +296,41 @@ class TestTransform:
     def test_lags_that_cannot_be(self, lags, words):
         with pytest.raises(ValueError, match=words):
             LagCorrector(lags).fit(linear_aircraft(0, seconds=2))
+
+
+@pytest.mark.parametrize("rate_limit", [1.0, 2.0, 20.0])
+def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limit):
+    """Turns w' = -a w + b d, behind servos of 40 ms that move steps of many sizes at up to some 5 rad/s."""
+    rng = default_rng(0)
+    step = 0.004
+    n = 40000
+    commands = np.empty((n, 2))
+    for j in range(2):
+        k = 0
+        while k < n:
+            held = int(rng.uniform(0.15, 0.8) / step)
+            commands[k : k + held, j] = 0.08 * rng.normal()
+            k += held
+    turn = np.zeros((n, 2))
+    delta = np.zeros((n, 2))
+    for k in range(n - 1):
+        rate = np.clip((commands[k] - delta[k]) / 0.04, -rate_limit, rate_limit)
+        delta[k + 1] = delta[k] + step * rate
+        turn[k + 1] = turn[k] + step * (
+            -np.array([10.0, 6.0]) * turn[k] + np.array([100.0, 60.0]) * delta[k]
+        )
+    rows = slice(None, None, 5)
+    table = pd.DataFrame(commands[rows], columns=["aileron", "elevator"])
+    table["time"] = step * np.arange(n)[rows]
+    for name in ("ax", "ay", "az", "p", "q", "r"):
+        table[name] = rng.normal(0, 0.005, len(table))
+    table[["p", "q"]] += turn[rows]
+    if rate_limit == 20.0:
+        assert LagCorrector().fit(table).servos_.rate_limit == np.inf
+        return
+    with pytest.warns(UserWarning, match="reach a limit of their rate"):
+        corrector = LagCorrector().fit(table)
+    assert corrector.servos_.rate_limit == pytest.approx(rate_limit, rel=0.3)
+    found = corrector.transform(table)["aileron"]
+    truth = delta[rows, 0]
+    assert np.std(found - truth) < 0.4 * np.std(table["aileron"] - truth)

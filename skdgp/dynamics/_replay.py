@@ -14,6 +14,7 @@ from skdgp._compute.typing import Array, Indices
 from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._integrate import channels
@@ -30,7 +31,7 @@ COMPARED_STATES = [*EARTH_VELOCITY, *EULER, *RATES]
 
 
 def replay(
-    flight: pd.DataFrame,
+    flight: pd.DataFrame | FlightTable,
     aircraft: Aircraft,
     coefficients: ArrayLike,
     *,

@@ -32,15 +32,15 @@ from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._flights import tables_of
 from skdgp.identification._pipeline import (
     FlightPipeline,
-    lag_corrector_of,
     make_identification_pipeline,
     regressor_names,
+    step_of,
 )
 from skdgp.identification._prepare import PreparedFlights
 from skdgp.identification._record import FitRecord, TrainingRecord, flown_seconds
 from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
-from skdgp.preprocessing import FlightPathReconstruction
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,8 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     not_converged: list[str] = []
     gusts_unknown = None
     reconstruction = None
-    step = pipeline["flightpathreconstruction"]
-    if isinstance(step, FlightPathReconstruction):
+    step = step_of(pipeline, FlightPathReconstruction)
+    if step is not None:
         if step.used_:
             converged = step.converged_.items()
             not_converged = [str(name) for name, has_converged in converged if not has_converged]
@@ -250,7 +250,7 @@ def _input_noise_std(pipeline: Pipeline, names: Sequence[str]) -> dict[str, floa
 
 def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
     """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
-    step = lag_corrector_of(pipeline)
+    step = step_of(pipeline, LagCorrector)
     if step is None:
         return {}
     table = step.lags_.astype(object).where(step.lags_.notna(), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pandas as pd
@@ -28,7 +28,7 @@ from skdgp.dynamics import (
     check_aircraft,
     coefficient_filter,
 )
-from skdgp.estimation import UNKNOWN_SCALE, AirspeedScale, without_airspeed_error
+from skdgp.estimation import without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._least_squares import fit_least_squares
 from skdgp.identification._log_errors import learned_errors, thrust_errors
@@ -47,6 +47,7 @@ from skdgp.preprocessing import (
 )
 
 DIFFERENTIATED = (*VANES, *RATES)
+Step = TypeVar("Step")
 
 
 @dataclass(frozen=True)
@@ -228,38 +229,28 @@ def regressor_names(pipeline: Pipeline) -> list[str]:
     return [str(name) for name in pipeline["regressorselector"].regressors_]
 
 
+def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
+    """Return the step of a kind, None without one."""
+    return next((step for _, step in pipeline.steps if isinstance(step, kind)), None)
+
+
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    scaler = pipeline.named_steps.get("standardscaler")
-    columns = regressors
-    if isinstance(scaler, StandardScaler):
-        columns = scaler.inverse_transform(regressors)
+    scaler = step_of(pipeline, StandardScaler)
+    columns = regressors if scaler is None else scaler.inverse_transform(regressors)
     return pd.DataFrame(columns, columns=regressor_names(pipeline))
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
     """Return the step that reconstructs flights; None where flights pass it unchanged."""
-    step = pipeline.named_steps.get("flightpathreconstruction")
-    is_used = isinstance(step, FlightPathReconstruction) and step.used_
-    return step if is_used else None
-
-
-def lag_corrector_of(pipeline: Pipeline) -> LagCorrector | None:
-    """Return the step that removes lags; None without one."""
-    step = pipeline.named_steps.get("lagcorrector")
-    return step if isinstance(step, LagCorrector) else None
-
-
-def airspeed_scale_of(pipeline: Pipeline) -> AirspeedScale:
-    """Return the relative error of the airspeed of the flights that a pipeline was fitted to."""
-    step = pipeline.named_steps.get("flightcheck")
-    return step.airspeed_scale_ if isinstance(step, FlightCheck) else UNKNOWN_SCALE
+    step = step_of(pipeline, FlightPathReconstruction)
+    return step if step is not None and step.used_ else None
 
 
 def band_of(pipeline: Pipeline) -> float:
     """Return the highest frequency [Hz] of the regressors of a pipeline."""
-    step = pipeline.named_steps.get("flightsmoother")
-    return step.band_ if isinstance(step, FlightSmoother) else np.inf
+    step = step_of(pipeline, FlightSmoother)
+    return np.inf if step is None else step.band_
 
 
 class FlightPipeline(Pipeline):
@@ -354,7 +345,7 @@ class FlightPipeline(Pipeline):
         flights = first.fit_transform(X, y)
         regressors = np.asarray(others.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
-        self.steps[:-1] = [*first.steps, *others.steps]
+        self.steps = [*first.steps, *others.steps, self.steps[-1]]
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
         if not isinstance(flights, pd.DataFrame):  # of `set_output`
@@ -376,14 +367,15 @@ class FlightPipeline(Pipeline):
 
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
         """Return flights X without the error of the airspeed that the flights of the fit showed."""
-        return without_airspeed_error(X, airspeed_scale_of(self).removable())
+        check = step_of(self, FlightCheck)
+        return X if check is None else without_airspeed_error(X, check.airspeed_scale_.removable())
 
     def thinned(self, X: Any, y: Any) -> Any:
         """Return targets y (n, P) of flights X of which as many rows as ``samples`` says are observed."""
         samples = self.samples
         if samples is None and y is not None:
             samples = self._usual_samples(X, y)
-        return y if y is None or samples in (None, "all") else thin_targets(y, samples)
+        return y if y is None or samples in (None, "all") else thin_targets(y, cast("int", samples))
 
     def _usual_samples(self, X: Any, y: Any) -> int | None:
         """Return how many rows to learn from by default; None for all that have a target."""
@@ -414,8 +406,8 @@ class FlightPipeline(Pipeline):
 
     def _without_effect(self) -> Matrix | None:
         """Return which regressors of an engine are of no use to an output (P, d), None without a choice."""
-        selector = self.named_steps.get("regressorselector")
-        return selector.without_effect_ if isinstance(selector, RegressorSelector) else None
+        selector = step_of(self, RegressorSelector)
+        return None if selector is None else selector.without_effect_
 
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
         """Return the slopes that the motion of the air shows, for a last step that uses them.
@@ -440,9 +432,10 @@ class FlightPipeline(Pipeline):
         None without vanes, or for a last step that does not use them.
         """
         turbulence, aircraft = self.turbulence_, self.aircraft
-        if turbulence is None or not isinstance(self[-1], DependentGPRegressor):
+        is_used = isinstance(self[-1], DependentGPRegressor)
+        if turbulence is None or aircraft is None or not is_used:
             return None
-        airspeed = turbulence.airspeed
+        airspeed: Any = turbulence.airspeed  # of flights it is known
         std = turbulence.rates(airspeed, aircraft.span) * aircraft.moment_lengths / (2 * airspeed)
         of_rates = dict(zip((f"{name}{HAT}" for name in RATES), std, strict=True))
         of_regressors = np.array([of_rates.get(name, 0.0) for name in regressor_names(self)])
@@ -450,22 +443,23 @@ class FlightPipeline(Pipeline):
 
     def _scale(self, d: int) -> Vector:
         """Return the units (d,) of the scaled regressors."""
-        scaler = self.named_steps.get("standardscaler")
-        return scaler.scale_ if isinstance(scaler, StandardScaler) else np.ones(d)
+        scaler = step_of(self, StandardScaler)
+        return np.ones(d) if scaler is None else scaler.scale_
 
     def _errors(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> dict[str, ScaleFactor]:
         """Return the errors of checked flights that these do not show, for which the aircraft has to be known."""
         needed = ("time", "airspeed", "density", *RATES)
         if self.aircraft is None or not has_values(flights, *needed):
             return {}
-        corrector = lag_corrector_of(self)
+        corrector = step_of(self, LagCorrector)
+        check = step_of(self, FlightCheck)
         errors = learned_errors(
             flights,
             self.aircraft,
             regressors,
             self.least_squares_,
             None if corrector is None else corrector.lags_,
-            airspeed_scale_of(self).left(),
+            0.0 if check is None else check.airspeed_scale_.left(),
         )
         if self.thrust is not None:
             errors |= thrust_errors(flights, self.aircraft, regressors)

@@ -287,6 +287,9 @@ class RegressorSelector(TableTransformer):
         "engine": ["boolean"],
     }
 
+    regressors_: list[str]
+    without_effect_: Matrix | None
+
     def __init__(
         self,
         regressors: Any = "quasi-steady",

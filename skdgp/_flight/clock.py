@@ -29,6 +29,9 @@ class ClockSettings:
 
 
 CLOCK = ClockSettings()
+# Steps that tell rounded times from a jittered clock, and the least resolution, over the step, that disturbs rates
+FEWEST_ROUNDED = 50
+COARSE = 0.05
 
 
 @dataclass(frozen=True)
@@ -179,6 +182,26 @@ def true_runs(mask: Mask) -> list[slice]:
     edges = np.flatnonzero(np.diff(padded))
     pairs = edges.reshape(-1, 2).tolist()
     return [slice(first, last) for first, last in pairs]
+
+
+def unrounded(time: Vector) -> tuple[Vector, float]:
+    """Return the times of a run on a uniform clock if they are rounded from one, and the resolution, 0 if they are not.
+
+    Rounded steps have two sizes, one resolution apart, and no time is off the clock by more than half of it.
+    """
+    steps = np.diff(time)
+    if len(steps) < FEWEST_ROUNDED:
+        return time, 0.0
+    sizes = np.unique(np.round(steps, 6))
+    resolution = float(np.ptp(sizes))
+    between = (sizes > sizes[0] + 0.1 * resolution) & (sizes < sizes[-1] - 0.1 * resolution)
+    if resolution < COARSE * np.median(steps) or between.any():
+        return time, 0.0
+    index = np.arange(len(time))
+    line = np.polynomial.Polynomial.fit(index, time, 1)(index)
+    if np.abs(time - line).max() > 0.6 * resolution:
+        return time, 0.0
+    return line, resolution
 
 
 def uniform_grid(time: Vector) -> tuple[Vector, bool]:

@@ -31,6 +31,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.clock import CLOCK, n_rows, true_runs
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.frames import wrapped
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
 
@@ -101,6 +102,12 @@ class FaultSettings:
     marks_ratio: float = 5.0
     # A leap to it is so many times the change from before it to after it, or the edge of a dead band.
     mark_leap: float = 3.0
+    # An angle jumps by more than this beyond what the gyros turn [rad], within steps shorter than this [s]; more
+    # often than this a channel of another unit does, which other checks name. Steeper than this [rad] no angle tells.
+    jump: float = 0.15
+    soon: float = 0.11
+    most_jumps: int = 10
+    steep: float = 1.2
     # A sample is missing where the next comes later than so many usual spacings.
     missing: float = 1.5
 
@@ -181,6 +188,24 @@ def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[_Rows]:
         faults, channels[name] = _faults_of_channel(name, values, step)
         yield from faults
     yield from _dead(channels)
+    yield from _jumps(channels, steps)
+
+
+def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[_Rows]:
+    """Yield the steps in which an angle of the attitude changes by far more than the gyros turn."""
+    if not {*RATES} <= channels.keys():
+        return
+    rates = np.max([np.abs(channels[name]) for name in RATES], axis=0)
+    turned = np.fmax(rates[1:], rates[:-1]) * steps
+    for name in {*EULER} & channels.keys():
+        change = np.abs(wrapped(np.diff(channels[name])))
+        # near the vertical roll and heading change by more than the rates
+        is_jump = change > FAULTS.jump + FAULTS.missing * turned
+        if "theta" in channels:
+            is_jump &= np.abs(channels["theta"][1:]) < FAULTS.steep
+        rows = 1 + np.flatnonzero(is_jump & (steps < FAULTS.soon))
+        if 0 < rows.size <= FAULTS.most_jumps:
+            yield _Rows(name, Code.JUMP, rows, {"size": float(change[rows - 1].max())})
 
 
 def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[_Rows], Vector]:

@@ -46,6 +46,11 @@ class Code(Kind):
         + PLACE
         + ": a dead sensor, or none: drop the column unless the flight was simulated so"
     )
+    JUMP = (
+        "[flight {flight}: ]{channel} jumps by up to {size:.2g} rad within a step, which the gyros do not show"
+        + PLACE
+        + ": a reset of the attitude, or another estimator; leave out the rows around it"
+    )
     # all faults of a log, by their treatment
     FAULTS_BRIDGED = (
         "faults in the log: {faults:grouped}",
@@ -72,6 +77,16 @@ class Code(Kind):
     LARGE_SURFACES = (
         "got surfaces in rad up to {largest:.2f}, more than most servos reach",
         "If these are commands from -1 to 1, multiply each by its largest deflection [rad].",
+    )
+    SLOW_LOG = (
+        "flights have only {rate:.2g} rows a second",
+        "The fast modes and lags of surfaces need 20 or more, so derivatives of the rates are not known from them: "
+        "read the log on board in place of telemetry.",
+    )
+    TIMES_RESTORED = (
+        "times of flight {flight!r} are rounded to about {resolution:.2g} s",
+        "They are put on the uniform clock that they were rounded from.",
+        NOTE,
     )
     ON_GROUND = (
         "of {flight!r} {percent:.0f} % of the rows stand on the ground, and are left out",
@@ -170,7 +185,8 @@ class Code(Kind):
     )
     AIR_NOT_CONVERGED = (
         "the estimate of the motion of the air did not converge",
-        "Give longer flights with inputs of every surface, and look at the signs and units of their sensors.",
+        "Give longer flights with inputs of every surface. If inspect names no channel, look at vibration of the "
+        "accelerometers, and whether velocity and attitude are of one estimator.",
     )
     AIR_NOT_ESTIMATED = "{error}"
     COUPLINGS_FOUND = (
@@ -201,7 +217,8 @@ class Code(Kind):
     NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
     PATHS_NOT_CONVERGED = (
         "the paths of these flights did not converge: {flights:short}",
-        "Wrong signs, units or clocks of their sensors may be the cause.",
+        "Wrong signs, units or clocks of their sensors may be the cause; if inspect names no channel, vibration, "
+        "resets of the attitude, or a velocity of another source.",
         DOUBT,
     )
     PATHS_RECONSTRUCTED = (

@@ -254,7 +254,7 @@ def _warn_of_commands(flights: FlightTable) -> None:
         angles = np.abs(flights.column(name))
         top = _quantile(angles, 0.99)
         if top > UNITS.largest_deflection or (angles == 1).sum() > 1:
-            large[name] = top
+            large[name] = float(np.nanmax(angles))
     if large:
         report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}))
 

@@ -59,6 +59,8 @@ INTERCHANGEABLE = (*MIXED, *ELEVONS)
 # steps that an evaluation of a model reads
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 
+SLOWEST = 8.0  # rows a second that show the fast modes; a guess
+
 POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
 
 # findings that are assumptions
@@ -115,6 +117,11 @@ def prepare(
     options = {**reading, "servos": servos}
     train = named_flights(flights, needed=MEASURED, **options)
     check_controls(train, names)
+    for flight in train.values():
+        rate = 1 / float(np.median(np.diff(flight.time))) if len(flight.time) > 1 else np.inf
+        if rate < SLOWEST:
+            report(Finding(Code.SLOW_LOG, numbers={"rate": rate}))
+            break
     for name, other in copies(train, train).items():
         report(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
         train.pop(name)

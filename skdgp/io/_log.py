@@ -589,6 +589,11 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
 
 def lacking_servos(log: Log) -> str:
     """Return the message that nothing in a log tells which outputs move surfaces."""
+    if not log.has_wings:
+        return (
+            f"Got a log of a {log.vehicle}, but expected a fixed wing: if it has wings, correct the vehicle "
+            "type on the autopilot."
+        )
     logged = [name for name in log.outputs if name in log.topics]
     outputs = "" if logged else f"some of {list(log.outputs)} and "
     return (

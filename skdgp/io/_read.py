@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import plain
-from skdgp._compute.messages import warn
+from skdgp._compute.messages import report, warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.checks import (
     check_table,
@@ -22,9 +22,9 @@ from skdgp._flight.checks import (
     unknown_columns,
     unknown_columns_message,
 )
-from skdgp._flight.clock import flight_codes
+from skdgp._flight.clock import flight_codes, unrounded
 from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
-from skdgp._flight.findings import texts_of
+from skdgp._flight.findings import Code, Finding, texts_of
 from skdgp._flight.ground import without_ground
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
@@ -139,7 +139,7 @@ def read_flight(
             raise FlightReadError(
                 f"Got {refused} for a table, but expected these only with logs of autopilots."
             )
-        table = _from_table(path, flight, dict(rename or {}))
+        table = _unrounded(_from_table(path, flight, dict(rename or {})))
         return without_ground(table, path.name) if airborne else table
 
 
@@ -173,6 +173,26 @@ def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.Da
     if flight is not None or "flight" not in table:
         table["flight"] = path.stem if flight is None else flight
     return _as_flight(table)
+
+
+def _unrounded(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table with the times that were rounded on their uniform clock, which a note says."""
+    clock = FlightTable.of(table).clock
+    times = clock.time.copy()
+    for flight, rows in clock.rows.items():
+        steps = np.diff(times[rows])
+        gaps = 1 + np.flatnonzero(steps > 3 * np.median(steps)) if len(steps) else []
+        coarsest = 0.0
+        for part in np.split(rows, gaps):
+            times[part], resolution = unrounded(times[part])
+            coarsest = max(coarsest, resolution)
+        if coarsest:
+            numbers = {"resolution": coarsest}
+            report(Finding(Code.TIMES_RESTORED, flight=flight, numbers=numbers))
+    attrs = table.attrs
+    table = table.assign(time=times)
+    table.attrs = attrs
+    return table
 
 
 def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:

@@ -57,6 +57,7 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     ``impossible`` a value that no aircraft has, in at most 5 % of the samples: more are of another unit
     ``spike``      up to three samples that jump away from their neighbours, or to zero again and again
     ``constant``   a sensor that never changes while similar ones do
+    ``jump``       an angle of the attitude changes within a step by 0.15 rad more than the gyros turn
     ============== ===========================================================================================
 
     Raises ValueError if ``time`` is missing, not finite or not in order.

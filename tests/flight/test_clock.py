@@ -6,7 +6,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp._flight.clock import uniform_grid
+from skdgp._flight.clock import uniform_grid, unrounded
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.estimation import flights_of
 from skdgp.identification import named_flights
@@ -133,3 +133,20 @@ def test_the_grid_of_uneven_samples_is_uniform():
     grid, is_off = uniform_grid(np.delete(even, 13))
     assert is_off
     assert_allclose(grid, even)
+
+
+@pytest.mark.parametrize("rate", [30.0, 40.0, 60.0, 128.0])
+@pytest.mark.parametrize("resolution", [0.01, 2.0**-8])
+def test_rounded_times_are_put_on_their_clock(rate, resolution):
+    """As of 10 ms, or of seconds of the day as float32, where the step is no multiple of it."""
+    time = np.arange(0.0, 30.0, 1 / rate)
+    rounded = resolution * np.round(time / resolution)
+    restored, told = unrounded(rounded)
+    is_multiple = np.ptp(np.diff(rounded)) < 1e-9
+    assert (told == 0.0) == is_multiple
+    assert np.abs(restored - time).max() < 0.1 * resolution or is_multiple
+
+
+def test_a_jittered_clock_stays_as_it_is():
+    time = np.arange(0.0, 30.0, 0.025) + default_rng(0).uniform(0, 0.01, 1200)
+    assert unrounded(time)[1] == 0.0

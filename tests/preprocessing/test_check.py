@@ -298,3 +298,26 @@ class TestDownstream:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             RegressorSelector(["alpha", "rudder"]).fit(table)  # without targets nothing is learned
+
+
+def attitude_of(table):
+    """Return a flight with the attitude that its gyros give, wings about level."""
+    angles = {}
+    for name, rate in {"phi": "p", "theta": "q", "psi": "r"}.items():
+        angles[name] = STEP * np.cumsum(table[rate] - table[rate].mean())
+    return table.assign(**angles)
+
+
+def test_an_attitude_that_jumps_without_the_gyros_is_told():
+    """An estimator was reset; the values after it are measured all the same."""
+    table = attitude_of(log())
+    assert ["theta", "jump"] not in faults(table)
+    table.loc[1200:, "theta"] += 0.41
+    assert ["theta", "jump"] in faults(table)
+    assert_frame_equal(checked(table, "theta jumps by up to 0.4")[["theta"]], table[["theta"]])
+
+
+def test_a_turn_to_the_other_side_of_south_is_no_jump():
+    table = attitude_of(log())
+    heading = table["psi"] + np.linspace(0, 20, len(table))
+    assert ["psi", "jump"] not in faults(table.assign(psi=np.angle(np.exp(1j * heading))))

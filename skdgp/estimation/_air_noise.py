@@ -97,14 +97,17 @@ def air_noise(
 ) -> Noise:
     """Return the noises of a record at parameters by name, each (s,).
 
-    The rate of roll of the air has the spectrum that belongs to the slow part of its vertical gusts.
+    The rate of roll of the air has the spectrum that belongs to the slow part of its vertical gusts, with an
+    intensity near that one.
     """
     gusts = GustProcesses.of(value)
     roll_std, roll_time = gusts.rolling(record.airspeed, span)
     path_std = stacked(value, *PATH_ERRORS)
     path_time = np.full_like(path_std, settings.path_time)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")
-    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std, roll_std], axis=-1)
+    std = np.concatenate(
+        [gusts.slow_std, gusts.fast_std, path_std, value["rolling"][..., None] * roll_std], axis=-1
+    )
     time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time, roll_time], axis=-1)
     start_rates = np.full_like(drive, settings.start_rate_variance)
     inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")

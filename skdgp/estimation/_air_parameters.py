@@ -71,6 +71,7 @@ AIRCRAFT_NOISES: Prior = {
     "fast_v": (0.1, 0.5),
     "faster_h": (0.2, 0.5),  # its correlation time, relative to the slow one
     "faster_v": (0.2, 0.5),
+    "rolling": (1.0, 1.0),  # intensity of the roll of the air, relative to the one by its spectrum
     "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
     "drive_q": (0.02, 1.0),
     "drive_r": (0.02, 1.0),

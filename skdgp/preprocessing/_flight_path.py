@@ -117,10 +117,10 @@ class FlightPathReconstruction(TableTransformer):
 
     Attributes
     ----------
-    used_, reason_ : bool, str
-        Whether ``transform`` reconstructs flights, or passes them unchanged, and why.
+    used_ : bool
+        Whether ``transform`` reconstructs flights, or passes them unchanged.
     finding_ : Finding
-        The same as a finding.
+        Why; ``finding_.clause`` says it in words.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged.
     contradictions_ : list of SensorContradiction
@@ -212,11 +212,6 @@ class FlightPathReconstruction(TableTransformer):
             "air": "" if self.air_motion_ is None else self.air_motion_.summary,
         }
         return Finding(code, numbers=numbers)
-
-    @property
-    def reason_(self) -> str:
-        """Why ``transform`` reconstructs flights, or not, in words."""
-        return self.finding_.clause
 
     def _fit_table(self, table):
         table = with_sensor_position(table, self.aircraft)

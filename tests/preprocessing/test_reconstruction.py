@@ -333,7 +333,7 @@ class TestInconsistent:
         assert not reconstruction.used_
         found = {found.sensor: found.is_smoothed for found in reconstruction.contradictions_}
         assert found[sensor] == is_smoothed
-        assert sensor in reconstruction.reason_
+        assert sensor in reconstruction.finding_.clause
         assert_frame_equal(reconstruction.transform(table), table)
         assert "gust" not in reconstruction.get_feature_names_out()
         path = path_of(table)

@@ -346,6 +346,13 @@ RATIOS = {
     "function, gusts": "function, light|function, moderate|function, flown",
     "logged": "logged",
 }
+# Columns of the table of effects: coverage
+COVERAGE = {
+    "95 %, calm": "function, calm; 95 %",
+    "95 %, gusts": "function, gusts; 95 %",
+    "50 %, calm": "function, calm; 50 %",
+    "derivatives": "derivatives; 95 %",
+}
 
 
 def flat(runs):
@@ -391,16 +398,14 @@ def of_effects(table):
         row = {"variant": variant, "fits": len(part)}
         for column in RATIOS:
             ratio = np.log(part[f"{column}; NRMSE"] / base[f"{column}; NRMSE"]).dropna()
-            row[f"{column}; NRMSE"] = spread(np.exp(ratio.mean()), ratio)
+            row[column] = spread(np.exp(ratio.mean()), ratio)
             if column == "function, calm":
                 row["seeds"] = ratio.groupby(["case", "air"]).std().mean()
-            change = (part[f"{column}; NLPD"] - base[f"{column}; NLPD"]).dropna()
-            row[f"{column}; NLPD"] = spread(change.mean(), change)
-            for level in ("95 %", "50 %"):
-                row[f"{column}; {level}"] = (
-                    part[f"{column}; {level}"] - base[f"{column}; {level}"]
-                ).mean()
-        row["derivatives; 95 %"] = (part["derivatives; 95 %"] - base["derivatives; 95 %"]).mean()
+        likelihood = "function, gusts; NLPD"
+        change = (part[likelihood] - base[likelihood]).dropna()
+        row["NLPD, gusts"] = spread(change.mean(), change)
+        for shown, column in COVERAGE.items():
+            row[shown] = f"{(part[column] - base[column]).mean():+.1f}"
         row["CPU"] = (part["CPU"] / base["CPU"]).mean()
         rows.append(row)
     return rows

@@ -81,6 +81,7 @@ def main(words=None):
         "pairs": [options.repository, options.data],
         "little_told": [options.data],
         "freeflight_air": [],
+        "ablation": [options.data],
         "small_uav": ["--every", 6],
         "derivatives": [],
         "bands": [],

@@ -55,7 +55,6 @@ from skdgp.io._resets import RESETS
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import HEADER, read_ulog
-from skdgp.io._ulog_csv import is_ulog_csv, name_of_log, read_ulog_csv
 
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
@@ -162,7 +161,7 @@ def is_log(path: object) -> bool:
     """Return whether this is the path of a log of an autopilot."""
     if not isinstance(path, str | os.PathLike):
         return False
-    return Path(path).suffix.lower() in AUTOPILOTS or is_ulog_csv(Path(path))
+    return Path(path).suffix.lower() in AUTOPILOTS
 
 
 def read_log(path: Path) -> Log:
@@ -174,19 +173,12 @@ def read_log(path: Path) -> Log:
 
 def _reader(path: Path) -> Callable[[Path], Log]:
     """Return the reader of a log of an autopilot."""
-    if is_ulog_csv(path):
-        return read_ulog_csv
     with path.open("rb") as file:
         first = file.read(max(map(len, BEGINNINGS)))
     for beginning, read in BEGINNINGS.items():
         if first.startswith(beginning):
             return read
     return AUTOPILOTS[path.suffix.lower()]
-
-
-def name_of(path: Path) -> str:
-    """Return the name of the flights of a log."""
-    return name_of_log(path) if is_ulog_csv(path) else path.stem
 
 
 def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> FlightLog:

@@ -30,7 +30,7 @@ from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
 from skdgp.dynamics import Aircraft
-from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, name_of, on_one_clock, read_log
+from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
 from skdgp.io._log import FULL_THROW, Topic, full_throws, reversed_of
 from skdgp.io._tables import (
     FlightReadError,
@@ -79,8 +79,7 @@ def read_flight(
     ----------
     path : str or path
         ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.ulg`` (PX4) and ``.tlog``
-        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` and ``.log`` (ArduPilot), or a
-        folder of ulog2csv (PX4).
+        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` and ``.log`` (ArduPilot).
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
@@ -145,7 +144,7 @@ def read_flight(
 
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(read_log(path), servos=servos, airborne=airborne)
-    name = name_of(path) if flight is None else flight
+    name = path.stem if flight is None else flight
     # parts of the full throw are no angles
     in_radians = reversed_of(servos) is None
     table = _as_flight(flight_table(flown, name, airborne=airborne), in_radians=in_radians)
@@ -160,8 +159,7 @@ def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) 
 def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.DataFrame:
     if path.is_dir():
         raise FlightReadError(
-            "Got a folder without tables of ulog2csv, such as vehicle_attitude_0.csv, but expected "
-            "these or a file: give the file of one flight."
+            "Got a folder, but expected a file: give that of one flight, of PX4 the .ulg itself."
         )
     kind = path.suffix.lower()
     if kind not in TABLES:
@@ -408,7 +406,7 @@ def inspect_log(
                 lacking = [str(error)]
         flown = on_one_clock(log, servos=servos, airborne=airborne)
     try:
-        table = flight_table(flown, name_of(path), airborne=airborne)
+        table = flight_table(flown, path.stem, airborne=airborne)
         faults = _faults(table, aircraft)
     except FlightReadError as error:
         table = flown.longest.table[:0].assign(flight="")

@@ -143,9 +143,10 @@ class Aircraft:
                 of_area = abs(flown[name]) * self._relative_std("wing_area")
                 stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
         if derivatives is not None and len(derivatives):
-            sizes |= derivatives["value"].to_dict()
-            stds |= derivatives["std"].to_dict()
-        estimated = set()
+            names = [str(name) for name in derivatives.index]
+            sizes |= dict(zip(names, derivatives["value"].tolist(), strict=True))
+            stds |= dict(zip(names, derivatives["std"].tolist(), strict=True))
+        estimated: set[str] = set()
         for factor in (self.deviations or {}).values():
             if factor.source != "given":
                 estimated |= factor.powers.keys()

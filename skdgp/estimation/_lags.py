@@ -273,7 +273,9 @@ def _angles_of_motion(
     alpha_dot = channels["q"] + (channels["az"] + g_z) / speed
     beta_dot = channels["p"] * np.sin(alpha) - channels["r"] * np.cos(alpha)
     beta_dot = beta_dot + (channels["ay"] + g_y) / speed
-    return tuple(cumulative_trapezoid(rate, clock, initial=0.0) for rate in (alpha_dot, beta_dot))
+    alpha_of_motion = cumulative_trapezoid(np.asarray(alpha_dot), clock, initial=0)
+    beta_of_motion = cumulative_trapezoid(np.asarray(beta_dot), clock, initial=0)
+    return np.asarray(alpha_of_motion), np.asarray(beta_of_motion)
 
 
 def _steady_speed(
@@ -386,12 +388,12 @@ def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
         total = 0.0
         for pair in pairs:
             y, fitted = fit(*pair, lag)
-            total += len(y) * np.log(np.sum((y - fitted) ** 2) / (y @ y))
+            total += len(y) * float(np.log(np.sum((y - fitted) ** 2) / (y @ y)))
         return total
 
     most = settings.largest_of_vanes
     steps = np.arange(-settings.largest, most + settings.coarse / 2, settings.coarse)
-    lag = _minimum(steps, np.array([loss(step) for step in steps]))
+    lag = float(_minimum(steps, np.array([loss(step) for step in steps])))
     if not steps[0] < lag < steps[-1]:
         return UNKNOWN
     variance = 0.0
@@ -403,7 +405,7 @@ def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
         e = y - fitted
         g = np.gradient(fitted, time[1] - time[0])
         g -= fitted * (fitted @ g) / (fitted @ fitted)
-        scale = np.mean(e**2)
+        scale = float(np.mean(e**2))
         products = g * e / scale
         variance += autocorrelation_time(products) * float(products @ products)
         information += float(g @ g) / scale

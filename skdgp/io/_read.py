@@ -179,7 +179,8 @@ def _unrounded(table: pd.DataFrame) -> pd.DataFrame:
     times = clock.time.copy()
     for flight, rows in clock.rows.items():
         steps = np.diff(times[rows])
-        gaps = 1 + np.flatnonzero(steps > 3 * np.median(steps)) if len(steps) else []
+        usual = np.median(steps) if len(steps) else np.inf
+        gaps = 1 + np.flatnonzero(steps > 3 * usual)
         coarsest = 0.0
         for part in np.split(rows, gaps):
             times[part], resolution = unrounded(times[part])

@@ -30,12 +30,11 @@ from skdgp.inference import training_inputs
 
 WHOLE = "whole"
 LEVEL = 0.05  # p-value below which the summary says that the aircraft has changed
-FEWEST_SECONDS = (
-    5.0  # shortest flight [s]: of unchanged aircraft 12 % raise an alarm in 4 s, 5 % in 6 s
-)
-WINDOW_TIMES = (
-    4.0  # lag at which autocovariances end, in autocorrelation times of the residuals (guess)
-)
+FEWEST_SECONDS = 5.0  # shortest flight [s] (guess)
+# Lag at which autocovariances end, in autocorrelation times of the residuals, and at most in parts of
+# the flight (guesses)
+WINDOW_TIMES = 6.0
+LONGEST_LAG = 0.25
 SPARE_SAMPLES = 12  # independent samples that a flight has at least more than weights (guess)
 MOST_ROWS = 100  # at which the covariance of the function is evaluated
 # Standard deviations of constant errors that differ from flight to flight, of accelerometers [m/s^2],
@@ -160,8 +159,9 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, FlightResiduals]) -> Ch
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
-    up to the lag L, four autocorrelation times (Priestley 1981, table 6.2). Where :math:`\nu` is below k, or
-    the flight has few independent samples or lasts less than 5 s, it is too short.
+    up to the lag L, six autocorrelation times but at most a quarter of the flight (Priestley 1981,
+    table 6.2, at frequency zero). Where :math:`\nu` is below k, or the flight has few independent
+    samples or lasts less than 5 s, it is too short.
     The p-values of the coefficients are combined into the whole by Simes' test, which
     allows for positive dependence (Simes 1986).
 
@@ -225,7 +225,7 @@ def flight_weights(X: Matrix, residual: Vector) -> FlightWeights:
     lasting = max(min(autocorrelation_time(residual), autocorrelation_time(e)), 2.0)
     if n < (k + SPARE_SAMPLES) * lasting:
         return FlightWeights(weights, np.full((k, k), np.nan), 0.0)
-    longest = WINDOW_TIMES * lasting
+    longest = min(WINDOW_TIMES * lasting, LONGEST_LAG * n)
     autocovariance = correlate(e, e, method="fft")[n - 1 :] / (n - k * lasting)
     window = np.maximum(1 - np.arange(n) / longest, 0.0)
     covariance = G @ Q.T @ matmul_toeplitz(autocovariance * window, Q) @ G

@@ -106,7 +106,7 @@ class FlightMechanics:
             "phase": ((phase + 180) % 360 - 180) ** 2,
         }
         errors = np.sqrt(pd.DataFrame(squares).groupby(names, sort=False).mean())
-        band = excited["frequency"].groupby(names, sort=False).agg(lowest="min", highest="max")
+        band: Any = excited["frequency"].groupby(names, sort=False).agg(lowest="min", highest="max")
         return pd.concat([band, errors], axis=1)
 
     def to_dict(self) -> dict[str, Any]:

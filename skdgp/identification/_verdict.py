@@ -395,7 +395,7 @@ def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str,
     largest = {}
     parts = [part for part in PARTS if part.label in derivatives]
     for name in derivatives.index.intersection(pd.Index(names)):
-        squares = [float(derivatives.at[name, part.label]) ** 2 for part in parts]
+        squares = [derivatives[part.label].loc[name] ** 2 for part in parts]
         if squares and max(squares) > 0.5 * sum(squares):
             largest[name] = parts[int(np.argmax(squares))]
     return largest

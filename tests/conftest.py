@@ -26,7 +26,7 @@ from skdgp import DependentGPRegressor, datasets, design
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.identification import FlightMechanics, Identification
-from skdgp.inference import SearchSettings
+from skdgp.inference import BlockSettings, SearchSettings
 
 # Of processes that tests start, as _threads below for this one
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -230,11 +230,9 @@ def cut_short():
 
     @contextmanager
     def cut_short(**others):
-        search = SearchSettings(
-            values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
-        )
-        settings = {"search": search, "time_series_search": search} | others
-        short = replace(DependentGPRegressor.settings, **settings)
+        blocks = BlockSettings(values=300, most=1)
+        search = SearchSettings(blocks=blocks, widths=(1.0,), noises=(1.0,), exact_iterations=2)
+        short = replace(DependentGPRegressor.settings, search=search, **others)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(DependentGPRegressor, "settings", short)
             yield
@@ -255,9 +253,9 @@ def hasty_fits(monkeypatch, cut_short):
 
     For pages and commands that only use what was learned.
     """
-    for name, value in {"n_inducing": 24, "structure": "joint"}.items():
+    for name, value in {"n_inducing": 24, "structure": "joint", "max_iter": 2}.items():
         monkeypatch.setitem(DependentGPRegressor.__init__.__kwdefaults__, name, value)
-    with cut_short(time_series_iterations=2, iterations=2):
+    with cut_short():
         yield
 
 

@@ -37,7 +37,7 @@ def script(monkeypatch):
         ("bands", []),
         ("dependence", []),
         ("comparison", [".", "--methods", "least squares", "skdgp pipeline"]),
-        ("published", [".", "--methods", "skdgp, `impute`"]),
+        ("published", [".", "--methods", "skdgp, `predict`"]),
     ],
 )
 def test_writes_its_tables_and_says_on_which_machine(script, name, methods, tmp_path):

@@ -9,7 +9,7 @@ from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.inference import SearchSettings
+from skdgp.inference import BlockSettings, SearchSettings
 from skdgp.io import read_flight
 from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -49,10 +49,8 @@ def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     model = make_identification_pipeline(aircraft).set_params(dependentgpregressor__random_state=0)
     transform = model[:-1]
     regressor = model[-1]
-    search = SearchSettings(
-        values=(300, 300), width_factors=(1.0,), trial_iterations=2, single_iterations=2
-    )
-    regressor.settings = replace(regressor.settings, time_series_search=search)
+    search = SearchSettings(blocks=BlockSettings(values=300, most=1), widths=(1.0,), noises=(1.0,))
+    regressor.settings = replace(regressor.settings, search=search)
     X = np.asarray(transform.fit_transform(train))
     asked = np.asarray(transform.transform(test))[::10]
     truth = test[[f"{name}_true" for name in targets]].to_numpy()[::10]

@@ -50,7 +50,7 @@ OTHERS = [
     DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
     DependentGPRegressor(TIED, max_iter=2, trend="constant"),
     DependentGPRegressor(max_iter=5, n_latent=1, structure="joint", trend="constant"),
-    DependentGPRegressor(optimizer=None, n_latent=0, structure="additive", trend=None),
+    DependentGPRegressor(optimizer=None, n_latent=0, structure="joint", trend=None),
     DependentGPRegressor(max_iter=1, n_latent=0, input_noise="learned"),
 ]
 SLOW_OTHERS = [pytest.param(estimator, marks=pytest.mark.slow) for estimator in OTHERS]
@@ -85,7 +85,7 @@ class TestScikitLearnContract:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of so few iterations, and what they leave unexplained
             model.fit(*data)
-        assert 1 <= model.n_iter_ <= 3 == model.max_iter_
+        assert 1 <= model.n_iter_ <= 3 + 3  # with exact regressors, then noisy ones
 
     def test_no_estimator_of_the_package_goes_unchecked(self):
         """Who is found here is held to check_estimator here or in tests/preprocessing.
@@ -216,19 +216,18 @@ def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_log_is_sparse_earlier_and_searched_shorter():
+def test_a_log_is_sparse_earlier():
     X = default_rng(0).normal(size=(1200, 1))
     Y = np.sin(X)
     options = {"optimizer": None, "n_inducing": 10, "structure": "joint"}
     for n, clock, expected in (
-        (1200, None, ("exact", 75)),
-        (1200, 0.1, ("sparse", 60)),
-        (400, 0.1, ("exact", 60)),
+        (1200, None, "exact"),
+        (1200, 0.1, "sparse"),
+        (400, 0.1, "exact"),
     ):
         time = None if clock is None else clock * np.arange(n)
         model = DependentGPRegressor(**options).fit(X[:n], Y[:n], time=time)
-        assert (model.inference_, model.max_iter_) == expected
-    assert DependentGPRegressor(optimizer=None, max_iter=7).fit(X[:20], Y[:20]).max_iter_ == 7
+        assert model.inference_ == expected
 
 
 @pytest.mark.slow
@@ -240,7 +239,7 @@ def test_rounding_of_the_regressors_decides_nothing():
     a, b, c, *_ = X.T
     Y = np.column_stack([np.sin(a) + b, a * c]) + rng.normal(0, 0.1, (120, 2))
     model = DependentGPRegressor(
-        structure="additive", n_latent=1, input_noise="learned", random_state=0
+        structure="joint", n_latent=1, input_noise="learned", random_state=0
     )
     mean, std = model.fit(X, Y).predict(X, return_std=True)
     moved = model.fit(X + 1e-12 * rng.normal(size=X.shape), Y).predict(X)
@@ -252,7 +251,7 @@ def test_a_fit_stopped_far_from_an_optimum_says_so():
     X = np.linspace(0, 6, 60)[:, None]
     with pytest.warns(
         ConvergenceWarning,
-        match=r"stopped at max_iter=1 before.*rise by \S+ nats. Raise max_iter\.$",
+        match=r"stopped at max_iter=1 before it converged. Raise max_iter\.$",
     ):
         model = DependentGPRegressor(max_iter=1, random_state=0).fit(X, np.sin(3 * X[:, 0]))
     assert not model.converged_

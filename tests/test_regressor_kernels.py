@@ -169,8 +169,8 @@ class TestBounds:
                 r"of the kernel: amplitude\[0, 0\] = -?20 \((lower|upper) bound -?20\)\. Widen",
             ),
             (
-                LinearTrend(parameter_bounds={"slope_scale": (0.01, 0.02)}),
-                r"slope_scale\[0, 0\] = 0.02 \(upper bound 0.02\)",
+                LinearTrend(parameter_bounds={"slope_scale": (9.0, 90.0)}),
+                r"slope_scale\[0, 0\] = 9 \(lower bound 9\)",
             ),
             (
                 Coregionalized(RBF(0.3, (0.1, 0.5))),
@@ -321,8 +321,9 @@ def test_registered_paths_are_in_the_units_of_the_outputs(inference):
 
 
 @pytest.mark.filterwarnings("ignore:Got hyperparameters that end at a bound")
-def test_restarts_leave_an_optimum_that_explains_all_as_noise():
-    """From far too long length scales, the nearest optimum of this likelihood is white noise."""
+@pytest.mark.parametrize("n_restarts", [0, 2])
+def test_a_start_that_is_far_too_long_is_left(n_restarts):
+    """Near it the likelihood has another optimum: white noise."""
     X = np.linspace(0, 10, 80)[:, None]
     y = np.sin(3 * X[:, 0]) + 0.1 * default_rng(0).normal(size=80)
     kernel = ConvolvedGaussian(
@@ -332,8 +333,5 @@ def test_restarts_leave_an_optimum_that_explains_all_as_noise():
         parameter_bounds={"length_scale": (0.05, 100.0)},
     )
     options = {"structure": "joint", "trend": "constant", "random_state": 0}
-    trapped = DependentGPRegressor(kernel, **options).fit(X, y)
-    free = DependentGPRegressor(kernel, n_restarts_optimizer=4, **options).fit(X, y)
-    assert trapped.noise_variance_ > 0.3
-    assert 0.005 < free.noise_variance_ < 0.02
-    assert free.log_marginal_likelihood_value_ > trapped.log_marginal_likelihood_value_ + 50
+    model = DependentGPRegressor(kernel, n_restarts_optimizer=n_restarts, **options).fit(X, y)
+    assert 0.005 < model.noise_variance_[0] < 0.02

@@ -51,7 +51,7 @@ def test_shapes_and_the_ways_to_ask_agree(model):
 
 @pytest.mark.parametrize(
     ("structure", "inference"),
-    [("average", "sparse"), ("joint", "exact"), ("joint", "sparse"), ("additive", "exact")],
+    [("average", "sparse"), ("joint", "exact"), ("joint", "sparse")],
 )
 def test_rounded_paths_are_the_same_functions_to_single_precision(structure, inference):
     paths = fitted(inference, structure=structure).sample_paths(5, random_state=1)

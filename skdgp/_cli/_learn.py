@@ -294,11 +294,10 @@ LEARNING: dict[str, dict[str, Any]] = {
         "help": "noise of the regressors (default: learned)",
     },
     "--structure": {
-        "choices": ["average", "joint", "additive", "trend"],
+        "choices": ["average", "joint", "trend"],
         "default": "average",
         "help": (
-            "trend: the trend alone; joint: with processes; additive: also with "
-            "functions of one regressor each; average: their mean, weighted by how they "
+            "trend: the trend alone; joint: with processes; average: their mean, weighted by how they "
             "predict of blocks of the training flights that are held out in turn "
             "(default: average)"
         ),

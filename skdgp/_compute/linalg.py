@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Sequence, Sized
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh, lapack
-from scipy.linalg.blas import dtrmm, dtrsm, dtrsv, strmm
+from scipy.linalg.blas import dtrsm, dtrsv
 from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 
@@ -123,59 +122,9 @@ def cholesky_solve(L: Matrix, b: Array) -> Array:
     return lapack.dpotrs(L, b, lower=1)[0]
 
 
-@dataclass(frozen=True)
-class TriangleSettings:
-    """How a triangular matrix is inverted."""
-
-    #: Largest side of a block that LAPACK inverts: of larger ones products of halves take less time
-    side: int = 64
-    #: Largest side of a matrix for which this gains a tenth of the time, for a copy of a part of it
-    largest: int = 1200
-
-
-TRIANGLES = TriangleSettings()
-
-
 def cholesky_inverse(L: Matrix) -> Matrix:
-    """Return K^-1 in the lower triangle of ``L``, of double or single precision, which it overwrites."""
-    if len(L) > TRIANGLES.largest:
-        potri = lapack.spotri if L.dtype == np.float32 else lapack.dpotri
-        return potri(L, lower=1, overwrite_c=1)[0]
-    _invert_triangle(L)
-    lauum = lapack.slauum if L.dtype == np.float32 else lapack.dlauum
-    return lauum(L, lower=1, overwrite_c=1)[0]
-
-
-def _invert_triangle(L, settings=TRIANGLES):
-    """Invert a lower triangular matrix in its memory, by halves: [A 0; B C]^-1 = [A^-1 0; -C^-1 B A^-1 C^-1]."""
-    single = L.dtype == np.float32
-    if len(L) <= settings.side:
-        trtri = lapack.strtri if single else lapack.dtrtri
-        L[:] = trtri(L, lower=1)[0]
-        return
-    half = len(L) // 2
-    A, B, C = L[:half, :half], L[half:, :half], L[half:, half:]
-    _invert_triangle(A, settings)
-    _invert_triangle(C, settings)
-    trmm = strmm if single else dtrmm
-    BA = trmm(-1.0, A, B, side=1, lower=1)
-    B[:] = trmm(1.0, C, BA, lower=1, overwrite_b=1)
-
-
-def in_single_precision(M: Matrix) -> Matrix:
-    """Return a square matrix in Fortran order in single precision, in its own memory, which it overwrites."""
-    n = len(M)
-    single = M.T.reshape(-1).view(np.float32)[: n * n].reshape(n, n)
-    for k in range(n):  # column by column, as each ends before the next one begins
-        single[k] = M.T[k]
-    transposed: Any = single.T
-    return transposed
-
-
-def condition_of_factor(L: Matrix) -> float:
-    """Return the ratio of the largest to the smallest diagonal element of a Cholesky factor, at most its condition."""
-    diagonal = np.einsum("ii->i", L)
-    return float(diagonal.max() / diagonal.min())
+    """Return K^-1 in the lower triangle of its factor ``L``, which it overwrites."""
+    return lapack.dpotri(L, lower=1, overwrite_c=1)[0]
 
 
 def triangular_solve(L: Matrix, B: Array, *, transposed: bool = False) -> Array:

@@ -83,8 +83,7 @@ class FitCode(Kind):
         "They count as independent, so the uncertainty is too small: drop repeated rows.",
     )
     SEARCH_STOPPED = (
-        "the fit stopped at max_iter={max_iter} before it converged: in as many iterations again the log "
-        "likelihood is expected to rise by {remaining:,.0f} nats",
+        "the fit stopped at max_iter={max_iter} before it converged",
         "Raise max_iter[, or scale the regressors {unscaled!r} (StandardScaler)].",
     )
 
@@ -171,7 +170,7 @@ def check_clock(time: Any, flight: Any, n_samples: int) -> np.ndarray | None:
     time = check_array(time, dtype=np.float64, ensure_2d=False, input_name="time")
     codes = np.zeros(n_samples)
     if flight is not None:
-        codes = pd.factorize(np.asarray(flight))[0].astype(float)
+        codes = pd.factorize(np.asarray(flight), sort=True)[0].astype(float)
     for name, values in (("time", time), ("flight", codes)):
         if values.shape != (n_samples,):
             raise ValueError(
@@ -362,7 +361,6 @@ def warn_of_search(
         )
         numbers = {
             "max_iter": max(max_iter, best.n_iter),
-            "remaining": best.remaining,
             "unscaled": unscaled,
         }
         report(Finding(FitCode.SEARCH_STOPPED, numbers=numbers), SearchWarning)
@@ -384,6 +382,23 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
     if reached:
         finding = Finding(FitCode.BOUNDS_REACHED, numbers={"reached": reached})
         report(finding, SearchWarning)
+
+
+def check_start(kernel: MultiOutputKernel) -> None:
+    """Raise a ValueError if values that were given to a kernel lie outside of their bounds."""
+    for term in kernel.summands():
+        for f in term.free_parameters() if term.has_values() else ():
+            if not f.n_elements:
+                continue
+            values = f.elements(term.values()[f.name])
+            low, high = f.pairs().T
+            outside = (values < (1 - 1e-9) * low - 1e-12) | (values > (1 + 1e-9) * high + 1e-12)
+            if outside.any():
+                k = int(np.flatnonzero(outside)[0])
+                raise ValueError(
+                    f"Got {f.name}={values[k]:.4g} with the bounds ({low[k]:.4g}, {high[k]:.4g}), but expected a "
+                    "starting value inside its bounds."
+                )
 
 
 def _at_bounds(kernel):

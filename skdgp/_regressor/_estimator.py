@@ -16,7 +16,6 @@ from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp._regressor import _checks
-from skdgp._regressor._impute import imputed
 from skdgp._regressor._recipe import Recipe, RegressorSettings, likeliest_mean, weights_of
 from skdgp.inference import (
     ExactPosterior,
@@ -60,30 +59,30 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     deviation O(N^2). To learn from a part of a long time series, set the other targets to NaN
     (``skdgp.model_selection.thin_targets``).
 
-    "Time series" below means rows in recording order, fitted with ``time``.
+    "Time series" below means rows that are fitted with ``time``; ``fit`` brings them in the order of
+    flight and time.
 
     Parameters
     ----------
     kernel : MultiOutputKernel, scikit-learn kernel or None
         Covariance of the processes, with values and bounds in the units of the outputs. Missing
-        values are estimated from the data. None: for a time series ``ConvolvedGaussian(n_latent)``
-        with ``parameter_bounds={"length_scale": "spacing"}``. For other data and
-        ``structure="average"``, this kernel without these bounds, independent outputs, and length
-        scales that the outputs share are compared, each also with shifts where separate fits of
+        values are estimated from the data. None: for a time series ``ConvolvedGaussian(n_latent,
+        covariance_type="tied")`` with ``parameter_bounds={"length_scale": "spacing"}``. For other
+        data and ``structure="average"``, independent outputs, length scales that the outputs share,
+        and ``ConvolvedGaussian(n_latent)`` are compared, each also with shifts where separate fits of
         the outputs show them; their mixture has Akaike weights (docs/theory.md, structures). A
-        kernel of scikit-learn is wrapped in ``Coregionalized``.
+        kernel of scikit-learn is wrapped in ``Coregionalized``; with ``optimizer=None`` it is the
+        covariance of each output, as it stands.
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. Not
         together with ``kernel``, which has its own. None: two, or without ``time`` and with missing
         targets half as many as outputs, two to four.
-    structure : {"average", "joint", "additive", "trend"}
-        "joint": a trend and the dependent processes. "additive": also a process of each regressor
-        alone for each output (main effects). "trend": the trend alone, with its weights integrated
-        out. "average": the mixture of posteriors of all terms ("additive" for up to 5000 samples of
-        a time series, else "joint"), of the trend and main effects, and of the trend, at the same
-        hyperparameters. Weights for each output (``weights_``) come from blocks of rows that are
-        held out in turn (docs/theory.md). A model without a linear trend, or whose hyperparameters are
-        not learned, has one member. With more regressors than rows "average" is "trend".
+    structure : {"average", "joint", "trend"}
+        "joint": a trend and the dependent processes. "trend": the trend alone, with its weights
+        integrated out. "average": the mixture of both posteriors, at the same hyperparameters.
+        Weights for each output (``weights_``) come from blocks of rows that are held out in turn
+        (docs/theory.md). A model without a linear trend, or whose hyperparameters are not learned,
+        has one member. With more regressors than rows "average" is "trend".
     trend : {"linear", "constant"} or None
         "constant" subtracts the mean of each output, as in the paper. "linear" adds a linear
         function of the regressors with weights that are integrated out, unless ``kernel`` contains
@@ -93,14 +92,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     inference : {"auto", "exact", "sparse"}
         "exact" computes the posterior from every observed value. "sparse" computes it from all
         values through inducing variables, in linear time and constant memory; it estimates the
-        correlation of neighbouring errors, so rows must be in order. Both learn hyperparameters
-        from at most 1800 values of a time series, and else from two or three batches of 1000 values,
-        whose likelihoods add up. "auto" is "exact" up to 1000 observed values of a time series, and
-        "sparse" for more. Without ``time`` it is "exact" up to 6000, but above 1500 "sparse" where
-        the inducing inputs leave at most 0.003 of the noise variance unexplained (Burt, Rasmussen &
-        van der Wilk 2020), so that errors are within 1 % of exact ones. Of N > 6000 it is "sparse"
-        where up to four times as many inducing inputs leave at most 0.003 (N / 6000)^2, or 0.3,
-        else "exact" on 6000 of the values. The result is in ``inference_``.
+        correlation of neighbouring errors of a time series. Both learn hyperparameters from at most
+        three blocks of 1000 values, whose likelihoods add up. "auto" is "exact" up to 1000 observed
+        values of a time series, and "sparse" for more. Without ``time`` it is "exact" up to 6000,
+        but above 1500 "sparse" where the inducing inputs leave at most 0.003 of the noise variance
+        unexplained (Burt, Rasmussen & van der Wilk 2020), so that errors are within 1 % of exact
+        ones. Of N > 6000 it is "sparse" where up to four times as many inducing inputs leave at most
+        0.003 (N / 6000)^2, or 0.3, else "exact" on 6000 of the values. The result is in
+        ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference; "auto" may take more.
     input_noise : {"auto", "learned"}, array (d,) or None
@@ -121,16 +120,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         None keeps the values of the kernel, and estimates noise that is not given. The posterior
         uses all values.
     n_restarts_optimizer : int
-        Joint searches from other random starts, of which the likeliest counts. Each takes as long
-        as the first. As in scikit-learn they change nothing without an ``optimizer``.
-    max_iter : int or None
-        Largest number of iterations of a joint search, half with widths that outputs share.
-        The preceding fits of single outputs use at most twice as many each. None: 60 for a time
-        series, and up to 60 more while the error of held-out blocks falls; else 100, and
-        more while the error of held-out values falls, or for effects of single regressors that it
-        missed.
+        Searches of each kernel from random starts within its bounds, of which the likeliest counts.
+        Each takes as long as the first. As in scikit-learn they change nothing without an
+        ``optimizer``.
+    max_iter : int
+        Largest number of steps from each starting point, each with one evaluation.
     random_state : int, RandomState or None
-        Seed of the starting values.
+        Seed of restarts, and of the centres of inducing variables.
 
     Attributes
     ----------
@@ -163,17 +159,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         paths and slopes all come from it.
     weights_ : dict of str to ndarray (P,)
         Weight of each kind of component of the average for each output: "joint", with all terms,
-        "additive", with main effects, and "trend".
-    n_iter_, max_iter_ : int
-        Iterations of the joint search, without the fits of single outputs, and their largest
-        number, unless it goes on. ``n_iter_`` is at least 1, also of a search that starts at its
-        optimum, and of ``optimizer=None``.
+        and "trend".
+    n_iter_ : int
+        Steps of the joint search, without the fits of single outputs. At least 1, also of a search
+        that starts at its optimum, and of ``optimizer=None``.
     interrupted_ : bool
         Whether the search was interrupted inside ``listening(..., keep_best=True)``.
     converged_ : bool
-        Whether the search stopped because the likelihood no longer rose, or would rise by less than
-        0.05 nats for each value in as many further iterations, or the error of values, or blocks of
-        a time series, that are held out would fall by less than 2 %. If not, ``fit`` warns.
+        Whether the search ended at a stationary point of the likelihood of all values that it learned
+        from, with slopes of at most 0.001 nats by each hyperparameter in its own unit, or at bounds.
+        If not, ``fit`` warns.
     center_, scale_ : ndarray (P,)
         The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str
@@ -198,7 +193,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     _parameter_constraints = {
         "kernel": [Kernel, None],
         "n_latent": [Interval(Integral, 0, None, closed="left"), None],
-        "structure": [StrOptions({"average", "joint", "additive", "trend"})],
+        "structure": [StrOptions({"average", "joint", "trend"})],
         "trend": [StrOptions({"linear", "constant"}), None],
         "inference": [StrOptions({"auto", "exact", "sparse"})],
         "n_inducing": [Interval(Integral, 1, None, closed="left")],
@@ -207,7 +202,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         "noise_variance_bounds": ["array-like", None],
         "optimizer": [StrOptions({"fmin_l_bfgs_b"}), None],
         "n_restarts_optimizer": [Interval(Integral, 0, None, closed="left")],
-        "max_iter": [Interval(Integral, 1, None, closed="left"), None],
+        "max_iter": [Interval(Integral, 1, None, closed="left")],
         "random_state": ["random_state"],
     }
 
@@ -228,7 +223,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         noise_variance_bounds: Any = None,
         optimizer: Any = "fmin_l_bfgs_b",
         n_restarts_optimizer: int = 0,
-        max_iter: int | None = None,
+        max_iter: int = 300,
         random_state: Seed = None,
     ) -> None:
         self.kernel = kernel
@@ -271,9 +266,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         y : array, Series or DataFrame (n,) or (n, P)
             Targets; NaN where an output was not observed.
         time : array (n,) or None
-            Time of each sample [s], of rows in recording order. None: rows in any order, with
-            independent errors. Use it if errors of neighbouring samples are correlated, as in a
-            flight: without it bands are too narrow.
+            Time of each sample [s], of rows in any order. None: independent errors. Use it if errors
+            of neighbouring samples are correlated, as in a flight: without it bands are too narrow.
 
             With it, noise of the regressors is learned (``input_noise``), and blocks of the average
             are contiguous (``structure``); without it they are random. The residuals show
@@ -317,7 +311,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If there are fewer than 10 independent rows for each regressor: bands are too narrow
             then.
         ConvergenceWarning
-            If the search for hyperparameters stopped at ``max_iter_`` before it converged, or was
+            If the search for hyperparameters stopped at ``max_iter`` before it converged, or was
             interrupted and the best ones so far are kept.
         """
         before = dict(vars(self))
@@ -353,7 +347,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "standard deviation of each regressor, such as "
                 "input_noise=np.sqrt(np.diag(model.input_covariance_))."
             )
-        used = np.isfinite(Y).any(axis=1)
+        used = np.flatnonzero(np.isfinite(Y).any(axis=1))
+        if clock is not None:  # errors of neighbours in time are correlated
+            used = used[np.lexsort(clock[used].T)]
         X = X[used]
         Y = Y[used]
         clock = None if clock is None else clock[used]
@@ -389,7 +385,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Z = self._normalised(X, Y, slopes, noise.weights)
         known_noise = noise.in_units(self.scale_)
         kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
-        self.max_iter_ = recipe.most_iterations
         fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
         self._warn_of_fit(fit, X, Z)
@@ -422,7 +417,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _warn_of_fit(self, fit, X, Z):
         """Warn of a search that did not converge, of values at their bounds, and of few rows."""
-        _checks.warn_of_search(fit.learned, self.max_iter_, X, self._regressor_names())
+        _checks.warn_of_search(fit.learned, self.max_iter, X, self._regressor_names())
         if self.kernel is not None and self.optimizer is not None:
             _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
         if not fit.learned.interrupted:
@@ -445,8 +440,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if known.bounds is not None:
             least = np.maximum(least, known.bounds[:, 0])
         white = np.where(known.is_learned, np.maximum(noise - misfit, least), noise)
-        if known.loading is not None:
-            white = white + np.mean(np.einsum("npp->np", known.loading) ** 2, axis=0)
+        loading = fit.learned.loading
+        if loading is not None:
+            white = white + np.mean(np.einsum("npp->np", loading) ** 2, axis=0)
         self._misfit = found
         self.misfit_variance_ = misfit * self.scale_**2
         self.noise_variance_ = white * self.scale_**2
@@ -540,65 +536,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             cov[np.diag_indices_from(cov)] += np.repeat(noise, n)
         scale = np.repeat(self.scale_, n)
         return cov * np.multiply.outer(scale, scale)
-
-    def impute(self, X: Matrix, Y: Any, return_std: bool = False) -> Any:
-        r"""Replace missing targets, from the regressors and the other outputs of the same row.
-
-        ``predict`` gives the function of the regressors. A measurement whose row has other outputs
-        is better known than that, since outputs share what changes from row to row. Given these,
-        output p is
-
-        .. math:: y_p = c + f(x) + \sum_q (a_q \bar y_q + b_q (y_q - \bar y_q)) + g(y_{-p}) + w
-
-        with a rough process f (Matern 1/2), the outputs :math:`y_q` that are known in most rows
-        without p, their means :math:`\bar y_q` over rows with near regressors, normal weights a and b of
-        one scale, a smooth process g and white noise w; all but the scales, lengths and noise are
-        integrated out. Weights of means and deviations differ, since outputs that drift together
-        need not move together. Three bandwidths of the means, 0.02, 0.05 and 0.1 standard
-        deviations of the regressors, are averaged. A positive output is replaced by its logarithm
-        where this is closer to a normal distribution.
-
-        Parameters
-        ----------
-        X : array or DataFrame (n, d)
-            Regressors of all rows to learn from and to complete: rows of the fit, and new rows.
-        Y : array or DataFrame (n, P)
-            Targets; NaN where an output was not observed.
-        return_std : bool
-            Also return standard deviations of the replaced measurements, zero where observed.
-
-        Returns
-        -------
-        Y : ndarray (n, P)
-            Of an output with logarithms, replaced values are medians. Rows without any of the other
-            outputs have the mean of ``predict``, and its standard deviation with noise.
-        std : ndarray (n, P)
-            With ``return_std``.
-
-        Raises
-        ------
-        ValueError
-            If X is not finite, or Y does not have a row for each of X and the outputs of the fit.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from skdgp import DependentGPRegressor
-        >>> rng = np.random.default_rng(0)
-        >>> x, Y = np.arange(40.0)[:, None], np.repeat(rng.normal(size=(40, 1)), 2, axis=1)
-        >>> truth, Y[10:20, 1] = Y[10:20, 1].copy(), np.nan
-        >>> filled = DependentGPRegressor(max_iter=5, random_state=0).fit(x, Y).impute(x, Y)
-        >>> bool(np.allclose(filled[10:20, 1], truth, atol=0.01))
-        True
-        """
-        X = self._check_regressors(X)
-        mean, std = self.predict(X, return_std=True, include_noise=True)
-        mean = mean.reshape(len(X), -1)
-        std = std.reshape(len(X), -1)
-        value, deviation = imputed(X, self._check_targets(Y, mean.shape), mean, std)
-        if not return_std:
-            return self._squeeze(value)
-        return self._squeeze(value), self._squeeze(deviation)
 
     def predict_gradient(self, X: Matrix, spread: Any = None) -> Array:
         r"""Return the slopes of the mean at X (n, d), d mean / d regressor.

@@ -14,21 +14,20 @@ from sklearn.utils import check_random_state
 from skdgp._compute.typing import Matrix, Seed, Vector
 from skdgp._regressor import _checks
 from skdgp.inference import (
-    TIME_SERIES,
+    BlockSettings,
     Data,
     Fit,
     KnownNoise,
     Posterior,
     SearchOptions,
     SearchSettings,
-    as_exact,
     average,
+    blocks_of_rows,
     check_inducing,
     fit_exact,
     fit_sparse,
     mixture_of,
     search,
-    stratified,
     structure_weights,
 )
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, as_multi_output
@@ -40,14 +39,6 @@ class RegressorSettings:
 
     #: Fewest and most shared latents; more take more time
     n_latent: tuple[int, int] = (2, 4)
-    #: Iterations for a time series
-    time_series_iterations: int = 60
-    #: How often a search goes on while the errors of held-out values fall, of a time series by half as
-    #: many iterations: of a solar aircraft's flight they fell by 4 % in 30 further iterations, and by
-    #: 1 % in 30 more; of other data also with effects that it missed
-    further: int = 2
-    #: Iterations for other data
-    iterations: int = 75
     #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
     #: The same of a time series
@@ -63,10 +54,8 @@ class RegressorSettings:
     times_inducing: tuple[int, ...] = (1, 2, 4)
     #: Least variance of the white noise, over the noise that the search found
     least_white: float = 0.01
-    #: Of each search
+    #: Of the search
     search: SearchSettings = field(default_factory=SearchSettings)
-    #: The same of a time series
-    time_series_search: SearchSettings = TIME_SERIES
 
 
 @dataclass(frozen=True)
@@ -86,7 +75,7 @@ class Recipe:
     input_noise: Any
     optimizer: str | None
     n_restarts_optimizer: int
-    max_iter: int | None
+    max_iter: int
     random_state: Seed
     time_series: bool
     settings: RegressorSettings = field(default_factory=RegressorSettings)
@@ -99,11 +88,6 @@ class Recipe:
             raise ValueError(
                 f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
                 "kernel=None and trend='linear', or structure='joint' for a given kernel."
-            )
-        if self.structure == "additive" and self.kernel is not None:
-            raise ValueError(
-                f"Got structure='additive' with kernel={self.kernel!r}, but expected kernel=None. "
-                "Use structure='joint', and add ConvolvedGaussian(0, regressors=[k]) to the kernel."
             )
         if self.n_latent is not None and self.kernel is not None:
             raise ValueError(
@@ -118,29 +102,31 @@ class Recipe:
         # one centre for all searches and components
         trend = LinearTrend(center=X.mean(axis=0)) if self.trend == "linear" else None
         if self.kernel is not None:
-            multi_output = as_multi_output(clone(self.kernel))
+            n_fixed = Z.shape[1] if self.optimizer is None else None
+            multi_output = as_multi_output(clone(self.kernel), n_fixed)
+            _checks.check_start(multi_output)
             has_trend = any(term.n_processes == 0 for term in multi_output.summands())
             return [multi_output if trend is None or has_trend else trend + multi_output]
         averaged = self.structure == "average" and trend is not None
         if trend is not None and (self.structure == "trend" or (averaged and d > n)):
             return [trend]  # with fewer rows than regressors a process would have no weight
-        kernels = self._processes(X, Z, averaged)
+        kernels = self._processes(X, Z)
         return [kernel if trend is None else trend + kernel for kernel in kernels]
 
-    def _processes(self, X, Z, averaged):
-        """Return the joint processes of each structure, with the processes of each regressor alone."""
-        d = X.shape[1]
+    def _processes(self, X, Z):
+        """Return the processes of each structure that is compared, simple ones first.
+
+        Independent outputs, outputs that share length scales, and all length scales. Of a time series
+        one: outputs that share length scales, beside a process of each alone.
+        """
         n_latent = self._number_of_latents(Z)
-        bounds = {"length_scale": "spacing"} if self.time_series else None
-        kernel: MultiOutputKernel
-        kernel = ConvolvedGaussian(n_latent, parameter_bounds=bounds)
-        averages_effects = self.time_series and averaged and d > 1
-        if self.structure == "additive" or averages_effects:
-            for k in range(d):
-                kernel = ConvolvedGaussian(0, regressors=[k], parameter_bounds=bounds) + kernel
-        if self.time_series or not self._averages or n_latent == 0:
-            return [kernel]
+        if self.time_series:
+            bounds = {"length_scale": "spacing"}
+            return [ConvolvedGaussian(n_latent, covariance_type="tied", parameter_bounds=bounds)]
         independent = ConvolvedGaussian(0)
+        kernel = ConvolvedGaussian(n_latent)
+        if not self._averages or n_latent == 0:
+            return [kernel]
         if Z.shape[1] == 1:
             return [independent, kernel]
         tied = ConvolvedGaussian(n_latent, private_latents=False, covariance_type="tied")
@@ -169,14 +155,6 @@ class Recipe:
         most = settings.exact_time_series_values if self.time_series else settings.exact_values
         return "exact" if n_values <= most else "sparse"
 
-    @property
-    def most_iterations(self) -> int:
-        """The largest number of iterations of a joint search."""
-        if self.max_iter is not None:
-            return self.max_iter
-        settings = self.settings
-        return settings.time_series_iterations if self.time_series else settings.iterations
-
     def learns_input_noise(self, known: KnownNoise) -> bool:
         """Return whether the fit has noise of the regressors."""
         if known.loading is not None:
@@ -200,19 +178,21 @@ class Recipe:
         seeds = random_state.randint(2**31 - 1, size=2)
         request = SearchOptions(
             optimizer=self.optimizer,
-            max_iter=self.most_iterations,
+            max_iter=self.max_iter,
             random_state=check_random_state(seeds[0]),
             input_noise=self.learns_input_noise(known),
             n_restarts=self.n_restarts_optimizer,
             shifts=len(kernels) > 1,
             time_series=self.time_series,
-            further=settings.further if self.max_iter is None else 0,
-            settings=settings.time_series_search if self.time_series else settings.search,
+            settings=settings.search,
         )
         is_exact = self.inference_of(data.n_values) == "exact"
         if not is_exact:
             check_inducing(kernels[-1], X, Z, self.n_inducing)
-        found = search(kernels, X, Z, request, exact=is_exact, known=known)
+        found = search(kernels, X, Z, request, known=known)
+        if known.loading is None and found[0].loading is not None:  # of outliers
+            known = known._replace(loading=found[0].loading)
+            data = Data.from_table(X, Z, known.loading)
         weights = structure_weights([learned.score() for learned in found])
         likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
         fits = []
@@ -224,7 +204,7 @@ class Recipe:
             else:
                 fit, samples = self._of_many(found[k], samples, rng)
             if self._averages and not fit.learned.interrupted:
-                fit = self._average(fit, samples, random_state)
+                fit = self._average(fit, samples)
             fits.append(fit)
             if fit.learned.interrupted:
                 return fits[0].cut_short()
@@ -237,15 +217,7 @@ class Recipe:
             fit = self._sparse(learned, samples, self.n_inducing, rng)
             if fit.posterior.neglected_variance <= self.settings.least_neglected:
                 return fit
-        return fit_exact(
-            learned.kernel,
-            samples.X,
-            samples.Z,
-            known=samples.known,
-            data=samples.data,
-            learned=learned,
-            optimizer=self.optimizer,
-        )
+        return fit_exact(learned, samples.data)
 
     def _of_many(self, learned, samples, rng):
         """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""
@@ -269,11 +241,10 @@ class Recipe:
         _checks.warn_of_approximation(neglected, n_inducing, n_exact)
         if not is_auto:
             return fit, samples
-        n_rows = settings.exact_values * len(samples.X) // samples.data.n_values
-        rows = stratified(np.arange(len(samples.X)), n_rows, rng)
+        of_exact = BlockSettings(values=settings.exact_values, most=1)
+        (rows,) = blocks_of_rows(samples.X, samples.Z, of_exact)
         few = samples.of_rows(rows)
-        learned = fit.learned
-        return as_exact(learned, few.X, few.Z, learned.noisy(few.data), few.known), few
+        return fit_exact(fit.learned, few.data), few
 
     def _can_neglect(self, learned):
         """Return whether the variance that inducing variables neglect is known, and decides."""
@@ -282,21 +253,19 @@ class Recipe:
     def _sparse(self, learned, samples, n_inducing, rng):
         """Return the fit with so many inducing inputs."""
         return fit_sparse(
-            learned.kernel,
+            learned,
             samples.X,
             samples.Z,
             n_inducing=n_inducing,
             ordered=self.time_series,
             known=samples.known,
             data=samples.data,
-            learned=learned,
             random_state=rng,
         )
 
-    def _average(self, fit, samples, random_state):
+    def _average(self, fit, samples):
         """Return the average of the terms of the kernel of a fit."""
-        order = None if self.time_series else random_state
-        return average(fit, samples.X, samples.Z, order, samples.known)
+        return average(fit, samples.X, samples.Z, self.time_series, samples.known)
 
 
 class _Samples(NamedTuple):
@@ -317,19 +286,9 @@ def weights_of(posterior: Posterior) -> dict[str, Vector]:
     """Return the weight (P,) of each kind of component of a posterior, by its name."""
     weights: dict[str, Vector] = {}
     for member, weight in zip(posterior.members, posterior.mixture, strict=True):
-        name = _name(member.kernel)
+        name = "joint" if member.kernel.n_processes else "trend"
         weights[name] = weights.get(name, 0.0) + weight
     return weights
-
-
-def _name(kernel):
-    """Return the structure of a component of an average."""
-    terms = [term for term in kernel.summands() if not isinstance(term, LinearTrend)]
-    if not terms:
-        return "trend"
-    if kernel.n_features == 1 or any(len(term.term_regressors()[0]) > 1 for term in terms):
-        return "joint"
-    return "additive"
 
 
 def likeliest_mean(posterior: Posterior, X: Matrix) -> Matrix:

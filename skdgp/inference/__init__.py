@@ -23,6 +23,9 @@ from skdgp.inference._average import AveragePosterior, training_inputs
 from skdgp.inference._average import AverageSettings as AverageSettings
 from skdgp.inference._average import held_out as held_out
 from skdgp.inference._average import stacked as stacked
+from skdgp.inference._blocks import BlockSettings as BlockSettings
+from skdgp.inference._blocks import blocks_of_rows
+from skdgp.inference._blocks import leaves as leaves
 from skdgp.inference._drift import residual_drift
 from skdgp.inference._errors import (
     FunctionErrors,
@@ -31,20 +34,18 @@ from skdgp.inference._errors import (
     mean_errors,
 )
 from skdgp.inference._errors import bias_ratio as bias_ratio
-from skdgp.inference._fit import Fit, as_exact, average, fit_exact, fit_sparse, mixture_of
+from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, mixture_of
 from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._further_rows import ExpectedErrors, expected_errors
 from skdgp.inference._known_slopes import KnownSlopes
-from skdgp.inference._likelihood import Data, held_out_error, log_likelihood
+from skdgp.inference._likelihood import Data, Likelihood, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
 from skdgp.inference._misfit import Misfit as Misfit
 from skdgp.inference._misfit import misfit_of as misfit_of
 from skdgp.inference._misfit import misfit_variance
-from skdgp.inference._missed import Effect, missed_effects
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._noise import input_noise_information as input_noise_information
 from skdgp.inference._objective import Objective as Objective
-from skdgp.inference._optimizer import OptimizerSettings as OptimizerSettings
 from skdgp.inference._optimizer import Optimum, maximize
 from skdgp.inference._posterior import (
     ExactPosterior,
@@ -56,20 +57,11 @@ from skdgp.inference._posterior import (
     PosteriorSettings as PosteriorSettings,
 )
 from skdgp.inference._posterior import check_spread as check_spread
-from skdgp.inference._search import TIME_SERIES as TIME_SERIES
 from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings
 from skdgp.inference._search import search as search
-from skdgp.inference._search import some_rows as some_rows
-from skdgp.inference._search import stratified
 from skdgp.inference._sparse import ShareSettings as ShareSettings
 from skdgp.inference._sparse import SparsePosterior
-from skdgp.inference._starts import (
-    coarse as coarse,
-)
-from skdgp.inference._starts import (
-    from_coarse as from_coarse,
-)
 from skdgp.inference._starts import (
     narrowed as narrowed,
 )
@@ -80,40 +72,35 @@ from skdgp.inference._starts import (
     starting_kernel as starting_kernel,
 )
 from skdgp.inference._structures import structure_weights as structure_weights
-from skdgp.inference._unbiased import unbiased_factor
 
 __all__ = [
     "AveragePosterior",
     "Data",
-    "Effect",
     "ExactPosterior",
     "ExpectedErrors",
     "Fit",
     "FunctionErrors",
     "KnownNoise",
     "KnownSlopes",
+    "Likelihood",
     "Optimum",
     "Paths",
     "Posterior",
     "PosteriorWithErrors",
     "SinglePosterior",
     "SparsePosterior",
-    "as_exact",
     "autocorrelation_time",
     "average",
+    "blocks_of_rows",
     "expected_errors",
     "fit_exact",
     "fit_sparse",
     "function_errors",
-    "held_out_error",
     "log_likelihood",
     "maximize",
     "mean_errors",
     "misfit_variance",
-    "missed_effects",
     "mixture_of",
     "residual_drift",
-    "stratified",
     "training_inputs",
-    "unbiased_factor",
 ]

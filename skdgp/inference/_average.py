@@ -22,7 +22,8 @@ from scipy.special import softmax
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp.inference._blocks import leaves
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle
@@ -79,22 +80,14 @@ def _broadcast(mixture: Matrix, means: Array) -> Array:
 
 
 def parts_of(kernel: MultiOutputKernel) -> list[tuple[int, ...]]:
-    """Return the numbers of the terms in each component of a kernel's average.
+    """Return the numbers of the terms in each component of a kernel's average: all terms, and the trend alone.
 
-    The first component has all terms, the last one the trend alone; between them is the sum without
-    processes of several regressors. A kernel without a trend has one component.
+    A kernel without a trend, or without processes, has one component.
     """
-    trend, single = [], []
     terms = kernel.summands()
-    for k, term in enumerate(terms):
-        if term.n_processes == 0:
-            trend.append(k)
-        elif len(term.term_regressors()[0]) == 1:
-            single.append(k)
+    trend = tuple(k for k, term in enumerate(terms) if term.n_processes == 0)
     members = [tuple(range(len(terms)))]
-    if trend:
-        members += [tuple(sorted(trend + single)), tuple(trend)]
-    return list(dict.fromkeys(members))
+    return list(dict.fromkeys([*members, trend] if trend else members))
 
 
 def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
@@ -196,19 +189,19 @@ def held_out_weights(
     X: Matrix,
     Y: Matrix,
     loading: Array | None,
-    random_state: Any = None,
+    ordered: bool = False,
 ) -> Matrix:
     """Return the weights (K, P) of posteriors with these noises (P,) from their predictions of held-out blocks.
 
-    ``random_state`` chooses the rows of a block; without it they are contiguous, as in a time
-    series.
+    Blocks of rows that are ``ordered`` in time are contiguous, others are spread everywhere.
     """
     step = max(-(-len(X) // SETTINGS.rows), -(-members[0].size // SETTINGS.values))
     n = len(X[::step])
-    order = np.arange(n) if random_state is None else random_state.permutation(n)
+    n_blocks = min(SETTINGS.n_blocks, n)
+    block = np.arange(n) * n_blocks // n if ordered else leaves(X[::step], 1) % n_blocks
     predictions = []
     for member, noise in zip(members, noises, strict=True):
-        predictions.append(held_out(member, noise, X, Y, step, loading, order))
+        predictions.append(held_out(member, noise, X, Y, step, loading, block))
     means, variances = np.array(predictions).swapaxes(0, 1)
     cost = SETTINGS.nats * np.sum(~constant_columns(X))
     weights = np.empty((len(members), Y.shape[1]))
@@ -254,12 +247,12 @@ def held_out(
     Y: Matrix,
     step: int = 1,
     loading: Array | None = None,
-    order: Any = None,
+    block: Indices | None = None,
 ) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of every ``step``-th row, predicted from the other blocks, (n, P) each.
 
     Hyperparameters are the posterior's; ``loading`` is the effect of the noise of the regressors
-    at X, if they have any, ``order`` (n,) the place of each row, for the cut into blocks.
+    at X, if they have any, ``block`` (n,) the number of each row's block, by default contiguous ones.
     Where outputs are observed together, whole rows are left out. A value that is missing while
     others are there is learned from these, so where an output has gaps, blocks are left out of one
     output at a time.
@@ -271,10 +264,11 @@ def held_out(
     if loading is not None:
         loading = loading[::step]
         inflated = loading * np.sqrt(inflation)[:, None]
-    order = np.arange(len(Y)) if order is None else order
+    if block is None:
+        block = np.arange(len(Y)) * min(SETTINGS.n_blocks, len(Y)) // len(Y)
     mean = np.full(Y.shape, np.nan)
     variance = np.full(Y.shape, np.nan)
-    folds = list(_folds(Y, order))
+    folds = list(_folds(Y, block))
     data = Data.from_table(X, Y, inflated)
     parts = []
     for left_out in folds:
@@ -292,10 +286,9 @@ def held_out(
     return mean, variance
 
 
-def _folds(Y, order):
-    """Yield masks of the values that are held out together, (n, P), in blocks of neighbours in ``order`` (n,)."""
-    n, P = Y.shape
-    block = order * min(SETTINGS.n_blocks, n) // n
+def _folds(Y, block):
+    """Yield masks of the values that are held out together, (n, P), from the ``block`` (n,) of each row."""
+    P = Y.shape[1]
     observed = np.isfinite(Y)
     complete = SETTINGS.complete * observed.any(axis=1).mean()
     has_gaps = P > 1 and (observed.mean(axis=0) < complete).any()

@@ -14,12 +14,12 @@ from skdgp._compute.messages import keeps_best
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Seed
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
+from skdgp.inference._blocks import blocks_of_rows
 from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import UNKNOWN, KnownNoise
 from skdgp.inference._posterior import ExactPosterior, Posterior, SinglePosterior
-from skdgp.inference._search import Hyperparameters, SearchOptions, best_noise, search
+from skdgp.inference._search import Hyperparameters, with_best_noise
 from skdgp.inference._sparse import SparsePosterior
-from skdgp.inference._unbiased import unbiased, unbiased_factor
 from skdgp.kernels import Features, MultiOutputKernel, PathBundle, inducing_features
 
 
@@ -55,89 +55,23 @@ class Fit(NamedTuple):
         return self._replace(learned=self.learned._replace(interrupted=True))
 
 
-def fit_exact(
-    kernel: MultiOutputKernel,
-    X: Matrix,
-    Y: Matrix,
-    *,
-    optimizer: str | None,
-    known: KnownNoise = UNKNOWN,
-    data: Data | None = None,
-    learned: Hyperparameters | None = None,
-    **options: Any,
-) -> Fit:
-    """Return the exact posterior at the best hyperparameters from one starting point.
+def fit_exact(learned: Hyperparameters, data: Data) -> Fit:
+    """Return the exact posterior of observed values at hyperparameters that a search has found.
 
-    Parameters
-    ----------
-    kernel : MultiOutputKernel
-        Missing values are estimated from the data.
-    X : ndarray (n, d)
-    Y : ndarray (n, P)
-        NaN where an output was not observed.
-    optimizer : "fmin_l_bfgs_b" or None
-        As for ``SearchOptions``.
-    known : KnownNoise
-        Known part of the noise.
-    data : Data or None
-        Values of X and Y with the known noise, which fits of the same table share.
-    learned : Hyperparameters or None
-        Result of the search. None: it is done here.
-    **options
-        Of the search, see ``SearchOptions``.
-
-    Returns
-    -------
-    Fit
-        The posterior, its hyperparameters and the history of the search.
-    """
-    if learned is None:
-        request = SearchOptions(optimizer=optimizer, **options)
-        learned = search([kernel], X, Y, request, exact=True, known=known)[0]
-    if data is None:
-        data = Data.from_table(X, Y, known.loading)
-    posterior = _exact_posterior(learned, data)
-    if optimizer is not None:
-        learned = unbiased(learned, posterior, Y, known)
-    if learned.is_unbiased:
-        posterior = _exact_posterior(learned, data)
-    return Fit(posterior, learned)
-
-
-def _exact_posterior(learned, data):
-    """Return the posterior of values of exact regressors, with the noise of the regressors."""
-    return ExactPosterior(learned.kernel, learned.noise, learned.noisy(data))
-
-
-def as_exact(learned: Hyperparameters, X: Matrix, Y: Matrix, data: Data, known: KnownNoise) -> Fit:
-    """Return the exact posterior of these samples at a kernel that was learned, with its own noise.
-
-    Parameters
-    ----------
-    learned : Hyperparameters
-    X : ndarray (n, d)
-    Y : ndarray (n, P)
-    data : Data
-        Of these samples.
-    known : KnownNoise
-
-    Returns
-    -------
-    Fit
+    ``data`` are with exact regressors, and known noise; noise of the regressors that was learned is
+    added. The few weights of a trend are all that there is to know of it, so it has the sparse form,
+    which is then exact, and small.
     """
     kernel = learned.kernel
-    learned = best_noise(learned, X, Y, data, known)
-    if learned.is_unbiased:
-        learned = learned._replace(noise=unbiased_factor(kernel, Y) * learned.noise)
     if kernel.n_processes:
-        return Fit(ExactPosterior(kernel, learned.noise, data), learned)
-    # the few weights of a trend are all that there is to know, so this is exact, and small
-    features = inducing_features(kernel, X[:1])
+        return Fit(ExactPosterior(kernel, learned.noise, learned.noisy(data)), learned)
+    data = learned.noisy(data)
+    features = inducing_features(kernel, data.X[0][:1])
     return Fit(SparsePosterior(kernel, features, learned.noise, data), learned)
 
 
 def fit_sparse(
-    kernel: MultiOutputKernel,
+    learned: Hyperparameters,
     X: Matrix,
     Y: Matrix,
     *,
@@ -146,15 +80,15 @@ def fit_sparse(
     ordered: bool = False,
     known: KnownNoise = UNKNOWN,
     data: Data | None = None,
-    learned: Hyperparameters | None = None,
-    **options: Any,
 ) -> Fit:
-    """Return the sparse posterior of all samples, with hyperparameters learned from a subset.
+    """Return the sparse posterior of all samples at hyperparameters that a search has found.
 
     Parameters
     ----------
-    kernel, X, Y
-        As for ``fit_exact``.
+    learned : Hyperparameters
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
     n_inducing : int
         Inducing inputs of each latent process: the centres of k-means.
     random_state : int, RandomState or None
@@ -162,32 +96,22 @@ def fit_sparse(
         Whether the rows are a time series, whose neighbours have correlated errors.
     known : KnownNoise
     data : Data or None
-        As for ``fit_exact``.
-    learned : Hyperparameters or None
-        As for ``fit_exact``.
-    **options
-        As for ``fit_exact``.
+        Values of X and Y with the known noise, which fits of the same table share.
 
     Returns
     -------
     Fit
-        The posterior, its hyperparameters and the history of the search.
 
     Raises
     ------
     ValueError
         When matrices of the size of all inducing variables do not fit into memory.
     """
-    random_state = check_random_state(random_state)
-    check_inducing(kernel, X, Y, n_inducing)
-    if learned is None:
-        request = SearchOptions(random_state=random_state, **options)
-        learned = search([kernel], X, Y, request, known=known)[0]
-    centres = inducing_centres(learned.kernel, X, n_inducing, random_state)
+    check_inducing(learned.kernel, X, Y, n_inducing)
+    centres = inducing_centres(learned.kernel, X, n_inducing, check_random_state(random_state))
     features = inducing_features(learned.kernel, centres)
     data = Data.from_table(X, Y, known.loading) if data is None else data
-    fit = SparseFit(features, data, X, Y, ordered, known)
-    return fit.at(learned)
+    return SparseFit(features, data, X, Y, ordered, known).at(learned)
 
 
 @dataclass(frozen=True)
@@ -256,7 +180,7 @@ class SparseFit:
     @property
     def _bounds(self):
         """Bounds of the noise, (P, 2)."""
-        return self.known.start(self.Y, output_scale(self.Y))[1]
+        return self.known.start(self.Y, output_scale(self.Y), self.X.shape[1])[1]
 
     def _white(self, noise, loading):
         """Return the noise of the outputs without the noise that regressors propagate."""
@@ -314,7 +238,7 @@ def inducing_centres(
 
 
 def average(
-    fit: Fit, X: Matrix, Y: Matrix, random_state: Any = None, known: KnownNoise = UNKNOWN
+    fit: Fit, X: Matrix, Y: Matrix, ordered: bool = False, known: KnownNoise = UNKNOWN
 ) -> Fit:
     """Return the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
@@ -328,8 +252,8 @@ def average(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
-    random_state : RandomState or None
-        Of the rows that are held out together. None: blocks of a time series.
+    ordered : bool
+        Whether the rows are a time series.
     known : KnownNoise
 
     Returns
@@ -341,17 +265,16 @@ def average(
     if len(parts) == 1:
         return fit
     try:
-        return _average(fit, X, Y, random_state, known, parts)
+        return _average(fit, X, Y, ordered, known, parts)
     except KeyboardInterrupt:
         if not keeps_best():
             raise
         return fit.cut_short()
 
 
-def _average(fit, X, Y, random_state, known, parts):
+def _average(fit, X, Y, ordered, known, parts):
     std = fit.learned.input_std
     loading = known.loading if std is None else fit.posterior.gradient(X) * std
-    ordered = random_state is None
     fits = [fit]
     for part in parts[1:]:
         fits.append(_of_part(fit, X, Y, loading, ordered, part, known))
@@ -359,7 +282,7 @@ def _average(fit, X, Y, random_state, known, parts):
         return fit.cut_short()
     members = [component.posterior.members[0] for component in fits]
     noises = [component.learned.noise for component in fits]
-    weights = held_out_weights(members, noises, X, Y, loading, random_state)
+    weights = held_out_weights(members, noises, X, Y, loading, ordered)
     noise = np.sum(weights * noises, axis=0)
     return Fit(AveragePosterior(members, weights), fit.learned._replace(noise=noise))
 
@@ -398,7 +321,11 @@ def _of_part(whole, X, Y, loading, ordered, part, known) -> Fit:
     """
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part))
     if isinstance(whole.posterior, ExactPosterior):
-        return as_exact(learned, X, Y, whole.posterior.data, known)
+        data = whole.posterior.data
+        blocks = blocks_of_rows(X, Y, time_series=ordered)
+        learned = with_best_noise(learned, data, blocks, X, Y, known)
+        posterior = fit_exact(learned._replace(input_std=None), data).posterior
+        return Fit(posterior, learned)
     features = of_terms(whole.posterior.features, part)
     data = whole.posterior.data._replace(sample_noise=None)
     if known.loading is not None:

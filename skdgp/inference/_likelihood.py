@@ -17,21 +17,19 @@ from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg.blas import dsymv, dsyr, ssyr
+from scipy.linalg.blas import dsyr
 from scipy.sparse.csgraph import connected_components
 
 from skdgp._compute.linalg import (
     cholesky_inverse,
     cholesky_solve,
-    condition_of_factor,
     consecutive,
-    in_single_precision,
     jittered_cholesky,
     log_determinant,
     triangular_solve,
 )
 from skdgp._compute.parallel import thread_map, threads_for
-from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp.kernels import InputPair, MultiOutputKernel, PathBundle
 
 
@@ -204,21 +202,9 @@ class Data(NamedTuple):
             return self
         return self._replace(sample_noise=SampleNoise(noise.sample, noise.loading))
 
-    def every(self, step: int) -> Data:
-        """Return every ``step``-th value of each output."""
-        return self._of_rows([slice(None, None, step)] * len(self.y))
-
-    def batches(self, n: int) -> list[Data]:
-        """Return the values of every ``n``-th sample, beginning with each of the first ``n`` samples."""
-        if n == 1:
-            return [self]
-        return [self.chosen_in_turn(is_batch) for is_batch in np.eye(n, dtype=bool)]
-
-    def chosen_in_turn(self, is_chosen: Mask) -> Data:
-        """Return the values of each sample k for which ``is_chosen[k % n]`` of n flags is true."""
-        samples = np.unique(np.concatenate(self.sample))
-        places = [samples.searchsorted(rows) % len(is_chosen) for rows in self.sample]
-        return self._of_rows([np.flatnonzero(is_chosen[place]) for place in places])
+    def of_samples(self, samples: Indices) -> Data:
+        """Return the values of some rows of the table, in ascending order."""
+        return self._of_rows([np.isin(rows, samples) for rows in self.sample])
 
     def of_outputs(self, outputs: Sequence[int]) -> Data:
         """Return the values of some outputs; the others have none."""
@@ -292,19 +278,6 @@ def _pairs(kernel, data, side, diagonal):
     return [(a, b) for a, b in pairs if kernel.couples(a.output, b.output)]
 
 
-@dataclass(frozen=True)
-class SinglePrecision:
-    """When the inverse in a gradient is of single precision, which takes half the time."""
-
-    #: Fewest values: for fewer the inverse is a small part of the time
-    values: int = 800
-    #: Largest ratio of the diagonal of the Cholesky factor: errors of the inverse are some 6e-8 times it
-    condition: float = 1e3
-
-
-SINGLE_PRECISION = SinglePrecision()
-
-
 def covariance(
     kernel: MultiOutputKernel, noise: Vector, data: Data, tiles: TileSettings = TILES
 ) -> np.ndarray:
@@ -324,6 +297,15 @@ def covariance(
     return upper.T
 
 
+class Likelihood(NamedTuple):
+    """The log marginal likelihood at some hyperparameters z = [theta, log noise]."""
+
+    value: float
+    gradient: Vector
+    #: Average information (n, n), see `log_likelihood`
+    information: Matrix
+
+
 def log_likelihood(
     kernel: MultiOutputKernel,
     noise: Vector,
@@ -331,9 +313,18 @@ def log_likelihood(
     eval_gradient: bool = False,
     tiles: TileSettings = TILES,
 ) -> Any:
-    """Return the log marginal likelihood (equation 20) and its gradient by [theta, log noise].
+    r"""Return the log marginal likelihood (equation 20), or its `Likelihood` with derivatives by [theta, log noise].
 
-    With W = alpha alpha^T - K^-1 the gradient is 1/2 sum(W * dK/dtheta), computed tile by tile.
+    With :math:`\alpha = K^{-1} y` and :math:`W = \alpha \alpha^T - K^{-1}` the gradient is
+    :math:`\frac{1}{2} \mathrm{tr}(W\, \partial K / \partial z_k)`, computed tile by tile. The average
+    information
+
+    .. math:: \mathcal{I}_{kl} = \frac{1}{2} \alpha^T \frac{\partial K}{\partial z_k} K^{-1}
+              \frac{\partial K}{\partial z_l} \alpha
+
+    is the mean of the observed and the expected information where K is linear in z (Gilmour,
+    Thompson & Cullis 1995, "Average information REML"): the curvature of the likelihood, for the
+    price of a product of the derivatives with one vector.
 
     Parameters
     ----------
@@ -344,78 +335,55 @@ def log_likelihood(
     data : Data
         Observed values of each output.
     eval_gradient : bool
-        Whether to return the gradient too.
+        Whether to return the derivatives too.
     tiles : TileSettings
 
     Returns
     -------
-    value : float
-        The log marginal likelihood.
-    gradient : ndarray (n_theta + P,)
-        Only with ``eval_gradient``.
+    float or Likelihood
+        The latter with ``eval_gradient``.
     """
     with threads_for(data.n_values):
         y = np.concatenate(data.y)
         if not eval_gradient:
             return _value(jittered_cholesky(lambda: covariance(kernel, noise, data, tiles)), y)
         pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
-        inputs = [_inputs(data, a, b) for a, b in pairs]
-        blocks, gradient = kernel.blocks_with_gradient(inputs)
-        L = jittered_cholesky(lambda: _assembled(pairs, blocks, noise, data))
+        evaluated = kernel.evaluate([_inputs(data, a, b) for a, b in pairs])
+        L = jittered_cholesky(lambda: _assembled(pairs, evaluated.blocks, noise, data))
         value = _value(L, y)
-        minus_W = _minus_W(L, y)
-        by_theta = gradient([_weights(minus_W, a, b) for a, b in pairs])
+        alpha = cholesky_solve(L, y)
+        products = np.zeros((len(y), kernel.n_dims + len(noise)), order="F")
+        _add_products(products[:, : kernel.n_dims], pairs, evaluated, alpha)
+        _add_noise_products(products[:, kernel.n_dims :], noise, data, alpha)
+        half = triangular_solve(L, products)
+        minus_W = _minus_W(L, alpha)
+        by_theta = evaluated.gradient([_weights(minus_W, a, b) for a, b in pairs])
         by_noise = noise_gradient(minus_W, noise, data)
-        return value, -np.concatenate([by_theta, by_noise])
+        gradient = -np.concatenate([by_theta, by_noise])
+        return Likelihood(value, gradient, 0.5 * half.T @ half)
 
 
-def held_out_error(
-    kernel: MultiOutputKernel, noise: Vector, data: Data, n_blocks: int | None = None
-) -> float:
-    r"""Return the root mean square error of predictions of values from all others, over their output's spread.
-
-    The errors of a block B of values are :math:`([K^{-1}]_{BB})^{-1} [K^{-1} y]_B` (Rasmussen &
-    Williams 2006, equation 5.12, of one value).
-
-    Parameters
-    ----------
-    kernel : MultiOutputKernel
-    noise : ndarray (P,)
-        Variances of the outputs' noise.
-    data : Data
-    n_blocks : int, optional
-        Blocks of rows that are held out in turn; by default each value alone. In a time series,
-        values are predicted well by their neighbours, whatever the kernel.
-
-    Returns
-    -------
-    float
-    """
-    y = np.concatenate(data.y)
-    with threads_for(data.n_values):
-        L = jittered_cholesky(lambda: covariance(kernel, noise, data))
-        inverse = cholesky_inverse(L)
-        alpha = dsymv(1.0, inverse, y, lower=1)
-    if n_blocks is None:
-        errors = alpha / np.diag(inverse)
-    else:
-        rows = np.concatenate(data.sample)
-        blocks = rows * n_blocks // (rows.max() + 1)
-        errors = np.empty_like(y)
-        for block in np.unique(blocks):
-            held_out = np.flatnonzero(blocks == block)
-            errors[held_out] = _errors_of_block(inverse, alpha, held_out)
-    spread = np.concatenate([np.full(len(part), np.std(part)) for part in data.y])
-    is_varied = spread > 0
-    relative = errors[is_varied] / spread[is_varied]
-    return float(np.sqrt(np.mean(relative**2))) if len(relative) else 0.0
+def _add_products(products, pairs, evaluated, alpha):
+    """Add dK / dtheta alpha, (N, n_theta), from tiles on and above the diagonal."""
+    for k, (a, b) in enumerate(pairs):
+        products[a.stacked] += evaluated.products(k, alpha[b.stacked])
+        if a is not b:
+            products[b.stacked] += evaluated.transposed_products(k, alpha[a.stacked])
 
 
-def _errors_of_block(inverse, alpha, held_out):
-    """Return the errors of some values, (n,), all held out, by the lower triangle of the inverse."""
-    block = np.ix_(held_out, held_out)
-    factor = jittered_cholesky(lambda: np.asfortranarray(inverse[block]))
-    return cholesky_solve(factor, alpha[held_out])
+def _add_noise_products(products, noise, data, alpha):
+    """Add dK / d log noise alpha, (N, n_noise)."""
+    white, scale = _white_and_scale(noise, data)
+    for i, rows in enumerate(consecutive(data.y)):
+        products[rows, i] += white[i] * alpha[rows]
+    if len(noise) == len(white):
+        return
+    of_regressors = products[:, len(white) :]
+    for i, j, rows, columns, first, second in noise_pairs(data.sample_noise):
+        propagated = scale * first * second
+        of_regressors[rows] += propagated * alpha[columns, None]
+        if i != j:
+            of_regressors[columns] += propagated * alpha[rows, None]
 
 
 def _value(L, y):
@@ -424,17 +392,9 @@ def _value(L, y):
     return -0.5 * (white @ white + log_determinant(L) + len(y) * np.log(2 * np.pi))
 
 
-def _minus_W(L, y):
-    """Return K^-1 - alpha alpha^T; only its upper triangle is computed, over L.
-
-    Of many values in single precision, of which gradients keep three digits or more.
-    """
-    alpha = cholesky_solve(L, y)
-    if len(y) >= SINGLE_PRECISION.values and condition_of_factor(L) <= SINGLE_PRECISION.condition:
-        inverse = cholesky_inverse(in_single_precision(L))
-        return ssyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
-    inverse = cholesky_inverse(L)
-    return dsyr(-1.0, alpha, a=inverse, lower=1, overwrite_a=1).T
+def _minus_W(L, alpha):
+    """Return K^-1 - alpha alpha^T; only its upper triangle is computed, over L."""
+    return dsyr(-1.0, alpha, a=cholesky_inverse(L), lower=1, overwrite_a=1).T
 
 
 def _inputs(data, a, b):

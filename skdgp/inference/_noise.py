@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp.inference._likelihood import Data
+from skdgp.inference._likelihood import SampleNoise
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,9 @@ class NoiseSettings:
 
     #: Bounds of the noise variance, over the variance of the output
     bounds: tuple[float, float] = (1e-6, 1e2)
+    #: The lower bound of a single row. It falls to the above for twice as many rows as a plane has
+    #: weights, whose few residuals do not show the noise (benchmark ``bands``)
+    few_rows: float = 0.3
     #: Starting noise variance, over the variance of the residual of the trend
     start: float = 0.2
     #: Bounds of the noise variance of a regressor, over the variance of the regressor
@@ -74,6 +78,15 @@ class KnownNoise(NamedTuple):
         """Return the same of some samples."""
         return self._replace(loading=None if self.loading is None else self.loading[rows])
 
+    def of_output(self, i: int) -> KnownNoise:
+        """Return the same of output i."""
+        column = slice(i, i + 1)
+        return KnownNoise(
+            None if self.variance is None else self.variance[column],
+            None if self.bounds is None else self.bounds[column],
+            None if self.loading is None else self.loading[:, column],
+        )
+
     def in_units(self, scale: Vector) -> KnownNoise:
         """Return the same of outputs over ``scale`` (P,)."""
         return KnownNoise(
@@ -84,16 +97,23 @@ class KnownNoise(NamedTuple):
         )
 
     def start(
-        self, residual: Matrix, scale: Vector, settings: NoiseSettings = SETTINGS
+        self,
+        residual: Matrix,
+        scale: Vector,
+        n_regressors: int,
+        settings: NoiseSettings = SETTINGS,
     ) -> tuple[Vector, Matrix]:
         """Return the starting noise variances (P,) and their bounds (P, 2).
 
         Without known ones: a fifth of the variance of the ``residual`` (n, P), and bounds relative
-        to the ``scale`` (P,) of the outputs.
+        to the ``scale`` (P,) of the outputs, the lower one larger for few rows.
         """
         bounds = self.bounds
         if bounds is None:
+            n_rows = np.isfinite(residual).sum(axis=0)
+            few = settings.few_rows * (1.0 - (n_rows - 1) / (2.0 * (n_regressors + 1)))
             bounds = np.multiply.outer(scale**2, settings.bounds)
+            bounds[:, 0] = np.maximum(bounds[:, 0], few * scale**2)
         variance = self.variance
         if variance is None:
             variance = settings.start * np.nanvar(residual, axis=0)
@@ -105,7 +125,7 @@ UNKNOWN = KnownNoise()
 
 def initial_input_noise(
     noise: Vector,
-    data: Data,
+    loadings: Sequence[SampleNoise],
     scale: Vector,
     known: KnownNoise,
 ) -> tuple[Vector, Matrix]:
@@ -113,15 +133,15 @@ def initial_input_noise(
 
     Known standard deviations, over the ``scale`` (d,) of the regressors, keep their values. At the
     start of others, half of each output's noise comes from the regressors, with equal factors s.
-    ``data`` has the loadings of errors of the size of ``scale``.
+    The ``loadings`` of blocks of samples are of errors of the size of ``scale``.
     """
     least, most = SETTINGS.input_bounds
     if known.input_std is not None:
         fixed = np.maximum((known.input_std / scale) ** 2, least)
         return np.concatenate([noise, fixed]), np.column_stack([fixed, fixed])
     fractions = []
-    propagating: Any = data.sample_noise
-    for variance, G in zip(noise, propagating.loading, strict=True):
+    for i, variance in enumerate(noise):
+        G = np.concatenate([of_block.loading[i] for of_block in loadings])
         if len(G):
             propagated = np.mean(np.sum(G**2, axis=1))
             fractions.append(variance / max(propagated, 1e-12))

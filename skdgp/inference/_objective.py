@@ -2,93 +2,90 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from threading import Event
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import hadamard
 
-from skdgp._compute.linalg import constant_columns
 from skdgp._compute.parallel import threads_for
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.inference._likelihood import Data, coupled_outputs, log_likelihood
-from skdgp.inference._optimizer import OptimizerSettings, Optimum, maximize
+from skdgp.inference._likelihood import Data, Likelihood, coupled_outputs, log_likelihood
+from skdgp.inference._optimizer import Optimum, maximize
 from skdgp.kernels import MultiOutputKernel
 
-
-@dataclass(frozen=True)
-class ScaleSettings:
-    """How the scale of hyperparameters is estimated."""
-
-    #: Most values that show it, in 7 halves: as much time as two evaluations of 1800 values
-    values: int = 400
-    #: Groups of samples that form half-samples, a power of two
-    groups: int = 8
-
-
-SCALE = ScaleSettings()
+#: Smallest amplitude of a normalised output that is told apart from zero
+LEAST_AMPLITUDE = 1e-6
 
 
 class Objective:
-    """The function [theta, log noise] -> log likelihood, and its gradient.
+    """The function [theta, log noise] -> `Likelihood`, the sum over blocks of independent samples.
 
-    ``n_noise`` is the length of the noise vector. This is the sum of the likelihoods of
-    ``n_batches`` of the samples, as if these were independent, and of groups of dependent outputs:
-    where nothing couples outputs, P^2 times faster.
-    With ``common`` false it neglects the correlation of outputs by errors of the regressors: widths
-    and amplitudes hardly change, but the variances of the regressors' noise must then be learned
-    again.
+    ``n_noise`` is the length of the noise vector. Each block is split into groups of dependent
+    outputs: where nothing couples outputs, it is P^2 times faster.
     """
 
-    def __init__(
-        self,
-        kernel: MultiOutputKernel,
-        data: Data,
-        n_noise: int,
-        common: bool = True,
-        n_batches: int = 1,
-    ) -> None:
+    def __init__(self, kernel: MultiOutputKernel, blocks: Sequence[Data], n_noise: int) -> None:
         self.kernel = kernel
         self.n_noise = n_noise
-        self.common = common
-        self.data = data = data.with_loadings()
-        groups = coupled_outputs(kernel, data, common)
-        batches = data.batches(n_batches)
-        self.parts = [batch.of_outputs(outputs) for batch in batches for outputs in groups]
+        self.unit, self.is_signed = _units(kernel, n_noise)
+        self.parts = []
+        for block in blocks:
+            data = block.with_loadings()
+            self.parts += [data.of_outputs(outputs) for outputs in coupled_outputs(kernel, data)]
 
     def at(self, theta: Vector) -> tuple[MultiOutputKernel, Vector]:
         """Return the kernel and the noise of [theta, log noise]."""
         theta, log_noise = np.split(theta, [-self.n_noise])
         return self.kernel.clone_with_theta(theta), np.exp(log_noise)
 
-    def scale(self, theta: Vector, settings: ScaleSettings = SCALE) -> Vector:
-        r"""Return the lengths (n,) over which the likelihood changes by about one at [theta, log noise].
-
-        These are :math:`(1 + F)^{-1/2}` with the Fisher information F of each hyperparameter, the
-        variance of the gradient. Half-samples show it: balanced ones of g groups (McCarthy 1969),
-        whose gradients have a quarter of this variance. A hyperparameter without information may
-        change by a factor of e.
-        """
-        data = self.data.every(-(-self.data.n_values // settings.values))
-        gradients = []
-        for half in hadamard(settings.groups)[1:] > 0:
-            objective = Objective(self.kernel, data.chosen_in_turn(half), self.n_noise, self.common)
-            try:
-                gradients.append(objective(theta)[1])
-            except np.linalg.LinAlgError:
-                return np.ones(len(theta))
-        information = 4 * np.var(gradients, axis=0) * self.data.n_values / data.n_values
-        return 1.0 / np.sqrt(1.0 + information)
-
-    def __call__(self, theta: Vector) -> tuple[float, Vector]:
+    def value(self, theta: Vector) -> float:
+        """Return the log likelihood, minus infinity where the covariance is not positive definite."""
         kernel, noise = self.at(theta)
-        value, gradient = 0.0, np.zeros(len(theta))
+        try:
+            return sum(log_likelihood(kernel, noise, part) for part in self.parts)
+        except np.linalg.LinAlgError:
+            return -np.inf
+
+    def __call__(self, theta: Vector) -> Likelihood:
+        kernel, noise = self.at(theta)
+        value, gradient, information = 0.0, np.zeros(len(theta)), np.zeros((len(theta),) * 2)
         for part in self.parts:
-            of_part, slope = log_likelihood(kernel, noise, part, eval_gradient=True)
-            value += of_part
-            gradient += slope
-        return value, gradient
+            of_part = log_likelihood(kernel, noise, part, eval_gradient=True)
+            value += of_part.value
+            gradient += of_part.gradient
+            information += of_part.information
+        # K is quadratic in a signed amplitude w, which changes the curvature by -g / w where w falls
+        falls = self.is_signed & (theta * gradient < 0) & (np.abs(theta) > LEAST_AMPLITUDE)
+        information[falls, falls] -= gradient[falls] / theta[falls]
+        return Likelihood(value, gradient, information)
+
+    def in_units(self, z: Vector) -> Likelihood:
+        """Return the likelihood and its derivatives by z, theta over its unit."""
+        value, gradient, information = self(z * self.unit)
+        return Likelihood(
+            value, gradient * self.unit, information * np.multiply.outer(self.unit, self.unit)
+        )
+
+
+def _units(kernel, n_noise):
+    """Return the unit of each hyperparameter, and whether it is a signed amplitude.
+
+    Logarithms, and amplitudes of normalised outputs, have the unit one, shifts half of their length scale.
+    """
+    units, is_signed = [], []
+    for term in kernel.summands():
+        for f in term.free_parameters():
+            is_shift = f.name == "shift"
+            is_signed.append(np.full(f.n_elements, not f.log and not is_shift))
+            if is_shift and f.n_elements:
+                units.append(0.5 * f.elements(term.value("length_scale")))
+            else:
+                units.append(np.ones(f.n_elements))
+    return (
+        np.concatenate([*units, np.ones(n_noise)]),
+        np.concatenate([*is_signed, np.zeros(n_noise, dtype=bool)]),
+    )
 
 
 class Point(NamedTuple):
@@ -106,38 +103,29 @@ def climb(
     kernel: MultiOutputKernel,
     noise: Vector,
     noise_bounds: Matrix,
-    data: Data,
+    blocks: Sequence[Data],
     max_iter: int,
     stop: Event,
     *,
-    optimizer: OptimizerSettings,
-    common: bool = True,
     noise_alone: bool = False,
-    n_batches: int = 1,
     stage: str = "fit",
 ) -> Point:
     """Return the best kernel and noise found from these, which the kernel keeps if ``noise_alone``.
 
-    The likelihoods of ``n_batches`` of the samples add up.
+    The likelihoods of the blocks add up.
     """
-    objective = Objective(kernel, data, len(noise), common, n_batches)
+    objective = Objective(kernel, blocks, len(noise))
     bounds = np.concatenate([kernel.bounds, np.log(noise_bounds)])
     if noise_alone:
         bounds[: kernel.n_dims] = kernel.theta[:, None]
     start = np.concatenate([kernel.theta, np.log(noise)])
-    # With more regressors than outputs most hyperparameters are widths, whose information differs
-    # most. Elsewhere searches in units of the information end at lower maxima (published sets, yacht).
-    n_regressors = np.sum(~constant_columns(np.concatenate(data.X)))
-    has_many_widths = 1 < kernel.n_outputs < n_regressors
-    with threads_for(data.n_values):
+    with threads_for(max(block.n_values for block in blocks)):
         end = maximize(
-            objective,
-            start,
-            bounds,
+            objective.in_units,
+            start / objective.unit,
+            bounds / objective.unit[:, None],
             stop,
             max_iter=max_iter,
             stage=stage,
-            scale=objective.scale if has_many_widths else None,
-            settings=optimizer,
         )
-    return Point(*objective.at(end.theta), end)
+    return Point(*objective.at(end.theta * objective.unit), end)

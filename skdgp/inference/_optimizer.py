@@ -1,130 +1,88 @@
-"""The maximisation of a likelihood from one starting point, by L-BFGS-B."""
+r"""The maximisation of a likelihood from one starting point: a quasi-Newton method with average information.
+
+The curvature of the likelihood is the average information A (``log_likelihood``) plus a correction S,
+which the gradients of two points show (Dennis, Gay & Welsch 1981, "An adaptive nonlinear
+least-squares algorithm", with A in place of their Gauss-Newton matrix). With the gradient g a step s
+is
+
+.. math:: (A + S + \lambda\, (\mathrm{diag}(A) + 1))\, s = g
+
+for the hyperparameters that are not at a bound which g points out of. The damping lambda falls after
+steps that raise the likelihood as predicted, and rises after others (Nocedal & Wright 2006,
+algorithm 4.1).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import LbfgsInvHessProduct, minimize
+from scipy.linalg import cho_factor, cho_solve
 
 from skdgp._compute.messages import keeps_best, notify
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Mask, Matrix, Vector
+from skdgp.inference._likelihood import Likelihood
 
 
 @dataclass(frozen=True)
 class OptimizerSettings:
-    """When a maximisation ends, and where it evaluates."""
+    """When a maximisation has converged, and how steps are damped."""
 
-    #: Rise of the value in one iteration, as a fraction of the value, below which it is the last
-    tolerance: float = 1e-5
-    #: Slope below which the maximum is reached [nats]
-    gradient: float = 1e-4
-    #: Spacing of the points that are evaluated, from the lower bounds on, over the width of the
-    #: bounds, so that rounding does not choose the optimum; zero: any points
-    grid: float = 0.0
-    #: Largest width of bounds that counts for the grid
-    widest: float = 16.0
-    #: Last evaluations, whose rise is extrapolated
-    recent: int = 10
-    #: Pairs of steps and changes of the gradient that L-BFGS keeps
-    corrections: int = 20
-    #: Whether parameters may be searched in units of their information at the start: the same maximum
-    #: after half to a third of the evaluations, of several outputs with more regressors
-    by_information: bool = True
+    #: Slope by every hyperparameter, in its own unit, below which the point is stationary [nats]
+    gradient: float = 1e-3
+    #: First and largest damping, beyond which rounding hides every rise
+    damping: tuple[float, float] = (0.1, 1e6)
+    #: Longest step of a hyperparameter: a factor of e^2 of a width
+    longest: float = 2.0
+    #: Fractions of the predicted rise: above which a step is taken, below which the damping rises,
+    #: and above which it falls
+    accepted: float = 1e-4
+    poor: float = 0.25
+    good: float = 0.75
 
 
-STOPPED = 99  # status of SciPy's minimisers after StopIteration in the callback
+SETTINGS = OptimizerSettings()
 
 
 class Optimum(NamedTuple):
-    """The result of a maximisation."""
+    """The result of a maximisation; ``converged`` is whether it is a stationary point, up to rounding, or at bounds."""
 
-    theta: np.ndarray
+    theta: Vector
     value: float
     n_iter: int
-    remaining: float  # expected rise of the likelihood in as many iterations again [nats]
-    converged: bool  # stopped because the likelihood no longer rose
-    earlier: np.ndarray | None = None  # best point some evaluations before the end
-    n_since: int = 0  # number of evaluations since then
-
-
-class _Loss:
-    """The negative log likelihood for a minimiser; it keeps the best point and reports progress."""
-
-    def __init__(self, objective: Callable, theta: Vector, stage: str, stop: Event) -> None:
-        self.objective = objective
-        self.stage = stage
-        self.stop = stop
-        self.theta = np.array(theta)
-        self.value = -np.inf
-        self.latest = -np.inf
-        self.best_values: list[float] = []  # after each evaluation
-        self.best_points: list[Vector] = []
-
-    def __call__(self, theta):
-        if self.stop.is_set():
-            raise KeyboardInterrupt
-        try:
-            value, gradient = self.objective(theta)
-        except np.linalg.LinAlgError:
-            value, gradient = -np.inf, np.zeros_like(theta)
-        if not (np.isfinite(value) and np.isfinite(gradient).all()):
-            # A large finite value, so that the line search turns back.
-            value = -1e6
-            if np.isfinite(self.value):
-                value -= 2 * abs(self.value)
-            gradient = np.zeros_like(theta)
-        elif value > self.value:
-            self.theta = np.array(theta)
-            self.value = value
-        self.latest = value
-        self.best_values.append(self.value)
-        self.best_points.append(self.theta)
-        notify(self.stage, len(self.best_values), self.value)
-        return -value, -gradient
-
-    def rise_per_evaluation(self, n_recent: int) -> float:
-        """Return the mean rise of the best value in the last evaluations, infinite if there is only one."""
-        recent = [value for value in self.best_values[-n_recent:] if np.isfinite(value)]
-        if len(recent) < 2:
-            return np.inf
-        return (recent[-1] - recent[0]) / (len(recent) - 1)
+    converged: bool
 
 
 def maximize(
-    objective: Callable,
+    objective: Callable[[Vector], Likelihood],
     theta: Vector,
     bounds: Matrix,
     stop: Event,
     *,
-    max_iter: int = 100,
+    max_iter: int,
     stage: str = "fit",
-    scale: Callable[[Vector], Vector] | None = None,
-    settings: OptimizerSettings | None = None,
+    settings: OptimizerSettings = SETTINGS,
 ) -> Optimum:
-    """Return the best point of a search that starts at ``theta``.
+    """Return the end of a search that starts at ``theta``.
 
     Parameters
     ----------
     objective : callable
-        theta (n,) -> value and gradient (n,).
+        theta (n,) -> `Likelihood`, or LinAlgError where it is not defined.
     theta : ndarray (n,)
-        Starting point.
+        Starting point; values outside the bounds move to them.
     bounds : ndarray (n, 2)
     stop : threading.Event
-        Stops the search before the next evaluation when it is set. Ctrl-C sets it inside
+        Ends the search before the next evaluation when it is set. Ctrl-C sets it inside
         ``listening(..., keep_best=True)``.
     max_iter : int
-        Zero: the starting point is evaluated.
+        Largest number of steps, each with one evaluation.
     stage : str
         Name of the stage for progress listeners.
-    scale : callable or None
-        theta (n,) -> lengths (n,) over which the value changes by about one. L-BFGS searches in units of
-        those at the start, so that its first guess of the curvature is about right. None: ones.
-    settings : OptimizerSettings or None
+    settings : OptimizerSettings
 
     Returns
     -------
@@ -135,97 +93,106 @@ def maximize(
     ------
     KeyboardInterrupt
         After Ctrl-C, unless the best so far is kept.
+    numpy.linalg.LinAlgError
+        If the likelihood is not defined at the start.
     """
-    settings = settings or OptimizerSettings()
-    step = settings.grid * np.minimum(np.ptp(bounds, axis=1), settings.widest)
-    step[step == 0.0] = 1.0
-
-    def rounded(theta):
-        if settings.grid:
-            n_steps = np.round((theta - bounds[:, 0]) / step)
-            theta = bounds[:, 0] + step * n_steps
-        return np.clip(theta, *bounds.T)
-
-    start = rounded(theta)
-    loss = _Loss(objective, start, stage, stop)
-    end = _End(0, np.inf, False)
+    theta = np.clip(theta, *bounds.T)
+    point = objective(theta)
+    correction = np.zeros_like(point.information)
+    damping, most = settings.damping
+    n_iter = 0
     try:
-        unit = np.ones(len(start))
-        if scale is not None and settings.by_information and max_iter:
-            unit = scale(start)
-        end = _minimized(loss, start, bounds, unit, rounded, max_iter, settings)
+        while not _is_stationary(theta, point, bounds, settings):
+            curvature = point.information + correction
+            if damping > most:
+                step = _step(theta, point, curvature, bounds, settings.damping[0], settings.longest)
+                is_flat = 0.5 * step @ point.gradient < settings.gradient
+                return Optimum(theta, point.value, n_iter, bool(is_flat))
+            if n_iter == max_iter or stop.is_set():
+                return Optimum(theta, point.value, n_iter, False)
+            n_iter += 1
+            end = theta + _step(theta, point, curvature, bounds, damping, settings.longest)
+            end = np.clip(end, *bounds.T)
+            step = end - theta
+            predicted = step @ point.gradient - 0.5 * step @ curvature @ step
+            other = _evaluated(objective, end) if predicted > 0 else None
+            if other is None:
+                damping *= 4.0
+                continue
+            rise = other.value - point.value
+            is_taken = rise > settings.accepted * predicted
+            information = other.information if is_taken else point.information
+            change = point.gradient - other.gradient
+            correction = _corrected(correction, information, step, change)
+            if rise < settings.poor * predicted:
+                damping *= 4.0
+            elif rise > settings.good * predicted:
+                damping /= 3.0
+            if is_taken:
+                theta, point = end, other
+            notify(stage, n_iter, point.value)
     except KeyboardInterrupt:
         if not keeps_best():
             raise
         stop.set()
-    n_since = min(settings.recent, len(loss.best_points)) - 1
-    earlier = loss.best_points[-1 - n_since] if n_since > 0 else None
-    return Optimum(loss.theta, loss.value, *end, earlier, max(n_since, 0))
+        return Optimum(theta, point.value, n_iter, False)
+    return Optimum(theta, point.value, n_iter, True)
 
 
-class _End(NamedTuple):
-    """How a minimisation ended, see `Optimum`."""
-
-    n_iter: int
-    remaining: float
-    converged: bool
-
-
-def _minimized(loss, theta, bounds, unit, rounded, max_iter, settings):
-    """Return how the minimisation of a loss from ``theta``, in ``unit`` (n,) of each parameter, ended."""
-    first_value, first_gradient = loss(theta)
-    if max_iter == 0:  # SciPy would make one
-        return _End(0, np.inf, False)
-    before = loss.latest
-    # so that the first step has length one
-    nats = float(np.linalg.norm(unit * first_gradient)) or 1.0
-
-    def scaled_loss(z):
-        other = rounded(unit * z)
-        if np.array_equal(other, theta):
-            return first_value / nats, unit * first_gradient / nats
-        value, gradient = loss(other)
-        return value / nats, unit * gradient / nats
-
-    def end_of_iteration(z):
-        nonlocal before
-        rise = loss.latest - before
-        size = max(1.0, abs(loss.latest), abs(before))
-        before = loss.latest
-        if rise <= settings.tolerance * size:
-            raise StopIteration
-
-    scaled_bounds = bounds / unit[:, None]
-    end = minimize(
-        scaled_loss,
-        theta / unit,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=scaled_bounds,
-        callback=end_of_iteration,
-        options={
-            "maxiter": max_iter,
-            "maxfun": 2 * max_iter + 10,
-            "maxcor": settings.corrections,
-            "ftol": 0.0,
-            "gtol": settings.gradient / nats,
-        },
-    )
-    if end.success or end.status == STOPPED:
-        return _End(end.nit, 0.0, True)
-    extrapolated = max(max_iter, 1) * loss.rise_per_evaluation(settings.recent)
-    return _End(end.nit, min(_newton_rise(end, nats, scaled_bounds), extrapolated), False)
+def _free(theta: Vector, gradient: Vector, bounds: Matrix) -> Mask:
+    """Return the mask of the hyperparameters that are not at a bound which the gradient points out of."""
+    below = (theta <= bounds[:, 0]) & (gradient <= 0)
+    above = (theta >= bounds[:, 1]) & (gradient >= 0)
+    return ~(below | above)
 
 
-def _newton_rise(end: Any, unit: float, bounds: Matrix) -> float:
-    """Return g^T H^-1 g / 2 with the gradient g inside the bounds and the H of L-BFGS, half the Newton decrement.
+def _is_stationary(theta, point, bounds, settings):
+    free = _free(theta, point.gradient, bounds)
+    return bool(np.all(np.abs(point.gradient[free]) <= settings.gradient))
 
-    ``end`` is of a loss in units of ``unit`` nats. Where L-BFGS has seen no curvature, H is one
-    nat.
+
+def _step(theta, point, curvature, bounds, damping, longest):
+    """Return the damped step of the free hyperparameters, zero for the others.
+
+    Where the curvature is not positive definite the damping is larger.
     """
-    downhill = -unit * end.jac
-    below = (end.x <= bounds[:, 0]) & (downhill < 0)
-    above = (end.x >= bounds[:, 1]) & (downhill > 0)
-    free = np.where(below | above, 0.0, downhill)
-    inverse = LbfgsInvHessProduct(end.hess_inv.sk, unit * end.hess_inv.yk)
-    return float(0.5 * free @ inverse(free))
+    free = _free(theta, point.gradient, bounds)
+    of_free = curvature[np.ix_(free, free)]
+    unit = np.diag(np.diag(point.information)[free] + 1.0)
+    while True:
+        try:
+            factor = cho_factor(of_free + damping * unit)
+            break
+        except np.linalg.LinAlgError:
+            damping = max(4.0 * damping, 1e-6)
+    step = np.zeros(len(theta))
+    step[free] = cho_solve(factor, point.gradient[free])
+    return step * min(1.0, longest / np.abs(step).max())
+
+
+def _corrected(S, A, step, change):
+    """Return the correction with which A + S maps a step to the change of the gradient along it.
+
+    Sizing and update of Dennis, Gay & Welsch (1981, equations 2.6 and 2.9).
+    """
+    slope = change @ step
+    if slope <= 1e-8 * np.linalg.norm(change) * np.linalg.norm(step):
+        return S  # the likelihood is not concave along the step
+    missing = change - A @ step
+    along = step @ S @ step
+    if along != 0.0:
+        S = min(1.0, abs(step @ missing / along)) * S
+    missing = missing - S @ step
+    cross = np.multiply.outer(missing, change) / slope
+    square = (missing @ step) / slope**2 * np.multiply.outer(change, change)
+    return S + cross + cross.T - square
+
+
+def _evaluated(objective, theta):
+    """Return the likelihood, None where it is not defined."""
+    try:
+        point = objective(theta)
+    except np.linalg.LinAlgError:
+        return None
+    is_finite = np.isfinite(point.value) and np.isfinite(point.gradient).all()
+    return point if is_finite else None

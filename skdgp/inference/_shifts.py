@@ -15,6 +15,7 @@ import numpy as np
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._blocks import spread_rows
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import ExactPosterior, SinglePosterior
 from skdgp.kernels import MultiOutputKernel
@@ -51,8 +52,10 @@ def found_shifts(
     noise: Vector,
     X: Matrix,
     Y: Matrix,
-) -> Matrix | None:
+) -> tuple[Matrix, Matrix] | None:
     """Return the shift (P, d) of each output relative to the first one, or None where no shift correlates more.
+
+    Beside it are the outputs without their shifts at X, (n, P), as far as separate fits know them.
 
     Parameters
     ----------
@@ -68,7 +71,7 @@ def found_shifts(
     for i, single in enumerate(singles):
         functions.append(_process(single, noise[i : i + 1], X, Y[:, i]))
     P, d = len(functions), X.shape[1]
-    points = X[:: -(-len(X) // SETTINGS.rows)]
+    points = X[spread_rows(X, SETTINGS.rows)]
     lags = np.linspace(-SETTINGS.largest, SETTINGS.largest, SETTINGS.n_lags)
     gain = np.zeros((P, P))
     shift = np.zeros((P, P, d))
@@ -83,7 +86,12 @@ def found_shifts(
         shift[better, k] = best[better]
     reference = int(gain.sum(axis=1).argmax())
     relative = shift[reference] - shift[reference, 0]
-    return relative if relative.any() else None
+    if not relative.any():
+        return None
+    aligned = [
+        f.predict(X + of_output)[:, 0] for f, of_output in zip(functions, relative, strict=True)
+    ]
+    return relative, np.column_stack(aligned)
 
 
 def _gains(functions, points, k, lags) -> tuple[Matrix, Matrix]:
@@ -115,7 +123,7 @@ def _gains(functions, points, k, lags) -> tuple[Matrix, Matrix]:
 def _process(kernel, noise, X, y) -> SinglePosterior:
     """Return the posterior of the process of all regressors, the last term of a kernel of one output."""
     observed = np.flatnonzero(np.isfinite(y))
-    rows = observed[:: -(-len(observed) // SETTINGS.values)]
+    rows = observed[spread_rows(X[observed], SETTINGS.values)]
     posterior = ExactPosterior(kernel, noise, Data.from_table(X[rows], y[rows, None]))
     processes = [term for term in kernel.summands() if term.n_processes]
     return posterior.term(processes[-1])

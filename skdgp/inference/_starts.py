@@ -15,8 +15,7 @@ import numpy as np
 from sklearn.base import clone
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Array, Matrix, Seed
-from skdgp.inference._missed import Effect
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum, tied
 
 
@@ -33,8 +32,6 @@ class StartSettings:
     widest: float = 10.0
     #: Private amplitudes beside the filters of a simpler kernel, over their starting values
     private_beside: float = 0.1
-    #: Amplitude below which a latent has no effect on an output, over the total
-    least_amplitude: float = 0.01
 
 
 SETTINGS = StartSettings()
@@ -44,7 +41,6 @@ def starting_kernel(
     kernel: MultiOutputKernel,
     X: Matrix,
     Y: Matrix,
-    random_state: Seed,
     singles: Sequence[MultiOutputKernel] | None = None,
 ) -> MultiOutputKernel:
     """Return the kernel with missing values from the data, or from fits of each output alone.
@@ -56,7 +52,6 @@ def starting_kernel(
     X : ndarray (n, d)
     Y : ndarray (n, P)
         NaN where an output was not observed.
-    random_state : int, RandomState or None
     singles : sequence of MultiOutputKernel or None
         Fits of ``single_output(kernel)``.
 
@@ -64,7 +59,7 @@ def starting_kernel(
     -------
     MultiOutputKernel
     """
-    start = kernel.initialize(X, Y, random_state)
+    start = kernel.initialize(X, Y, np.random.RandomState(0))
     if singles is None:
         return _of_terms(_from_data, kernel, start)
     return _of_terms(partial(_from_singles, X), kernel, start, *singles)
@@ -77,34 +72,9 @@ def single_output(kernel: MultiOutputKernel) -> MultiOutputKernel | None:
     return _of_terms(_single_output, kernel)
 
 
-def coarse(kernel: MultiOutputKernel) -> MultiOutputKernel:
-    """Return a kernel without values and with fewer hyperparameters, to be fitted first, or the kernel itself."""
-    return _of_terms(_coarse, kernel)
-
-
-def from_coarse(
-    kernel: MultiOutputKernel, start: MultiOutputKernel, fitted: MultiOutputKernel
-) -> MultiOutputKernel:
-    """Return a start with missing values from the fit of the coarse kernel."""
-    return _of_terms(_from_coarse, kernel, start, fitted)
-
-
 def from_simpler(start: MultiOutputKernel, fitted: MultiOutputKernel) -> MultiOutputKernel:
     """Return a start with small private latents beside the shared ones of a fitted kernel, which has no others."""
     return _of_terms(_from_simpler, start, fitted)
-
-
-def with_effects(
-    kernel: MultiOutputKernel,
-    fitted: MultiOutputKernel,
-    effects: Sequence[Effect],
-    X: Matrix,
-) -> MultiOutputKernel:
-    """Return a fitted kernel with these effects in latents without effect, or itself if it has none.
-
-    ``kernel`` is without values. Samples X (n, d) show the scales of the regressors.
-    """
-    return _of_terms(partial(_with_effects, effects, X), kernel, fitted)
 
 
 def narrowed(
@@ -112,6 +82,22 @@ def narrowed(
 ) -> MultiOutputKernel:
     """Return a start whose estimated widths are multiplied by a factor."""
     return _of_terms(partial(_narrowed, factor), kernel, start)
+
+
+def redrawn(
+    start: MultiOutputKernel, noise_bounds: Matrix, random_state: np.random.RandomState
+) -> tuple[MultiOutputKernel, Vector]:
+    """Return a kernel and noise (P,) drawn within their bounds, as scikit-learn's restarts.
+
+    Logarithms are uniform. Signed values, whose bounds are wide, are normal with their starting
+    size.
+    """
+    theta = start.theta
+    is_log = np.concatenate([np.full(f.n_elements, f.log) for f in start.free_parameters()])
+    uniform = random_state.uniform(*start.bounds.T)
+    normal = np.clip(theta * random_state.standard_normal(len(theta)), *start.bounds.T)
+    noise = np.exp(random_state.uniform(*np.log(noise_bounds).T))
+    return start.clone_with_theta(np.where(is_log, uniform, normal)), noise
 
 
 # -- terms of a sum
@@ -141,15 +127,6 @@ def _single_output(term):
     return ConvolvedGaussian(0, regressors=term.regressors, parameter_bounds=bounds)
 
 
-def _coarse(term):
-    if not isinstance(term, ConvolvedGaussian) or term.length_scale is not None:
-        return term
-    if not term.bounds_from_data("length_scale"):
-        return term
-    bounds = {**(term.parameter_bounds or {}), "shift": "fixed"}
-    return clone(term).set_params(covariance_type="tied", parameter_bounds=bounds)
-
-
 def _from_data(term, start):
     """Return the start of a term, of smaller amplitudes and widths if it has few regressors."""
     if not isinstance(term, ConvolvedGaussian) or term.regressors is None:
@@ -172,17 +149,6 @@ def _narrowed(factor, term, start):
     return _with_missing(term, start, {"length_scale": lengths})
 
 
-def _from_coarse(term, start, fitted):
-    if isinstance(term, ConvolvedGaussian):
-        names = ("amplitude", "length_scale")
-    elif isinstance(term, LinearTrend):
-        names = ("intercept_scale", "slope_scale")
-    else:
-        return start
-    values = fitted.values()
-    return _with_missing(term, start, {name: values[name] for name in names})
-
-
 def _from_simpler(term, fitted):
     if isinstance(term, LinearTrend):
         values = fitted.values()
@@ -194,28 +160,6 @@ def _from_simpler(term, fitted):
     lengths = term.filters.length_scale
     lengths[:n] = fitted.filters.length_scale
     return clone(term).set_params(amplitude=amplitude, length_scale=lengths)
-
-
-def _with_effects(effects, X, term, fitted):
-    if not isinstance(term, ConvolvedGaussian) or term.regressors is not None:
-        return fitted
-    if term.amplitude is not None or term.length_scale is not None:
-        return fitted
-    amplitude = fitted.filters.amplitude
-    lengths = fitted.filters.length_scale
-    (index,) = (each.index for each in fitted.free_parameters() if each.name == "amplitude")
-    may_feed = np.broadcast_to(index >= 0, amplitude.shape)
-    total = np.sqrt(np.sum(amplitude**2, axis=0))
-    for effect in effects:
-        acts = np.abs(amplitude) > SETTINGS.least_amplitude * total
-        unused = np.flatnonzero(may_feed[:, effect.output] & ~acts.any(axis=1))
-        if not len(unused):
-            continue
-        latent = unused[-1]  # a private one is the last
-        amplitude[latent, effect.output] = np.sqrt(effect.variance)
-        lengths[latent] = SETTINGS.widest * column_scale(X)
-        lengths[latent, :, effect.regressor] = effect.width
-    return clone(fitted).set_params(amplitude=amplitude, length_scale=lengths)
 
 
 def _from_singles(X, term, start, *singles):

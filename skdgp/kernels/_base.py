@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from inspect import signature
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
@@ -89,6 +89,30 @@ class InputPair(NamedTuple):
     Xj: Matrix
 
 
+class EvaluatedBlocks(Protocol):
+    """Covariances of pairs of inputs, and their derivatives by theta.
+
+    Attributes
+    ----------
+    blocks : list of ndarray (n_i, n_j)
+        Covariances of each pair.
+    """
+
+    blocks: list[Matrix]
+
+    def gradient(self, weights: Sequence[Matrix]) -> Vector:
+        """Return the sum over the pairs of sum(W * dK_ij / dtheta), (n_theta,), for their weights W (n_i, n_j)."""
+        ...
+
+    def products(self, k: int, beta: Vector) -> Matrix:
+        """Return dK_ij / dtheta beta of pair k, (n_i, n_theta), for beta (n_j,)."""
+        ...
+
+    def transposed_products(self, k: int, beta: Vector) -> Matrix:
+        """Return dK_ij^T / dtheta beta of pair k, (n_j, n_theta), for beta (n_i,)."""
+        ...
+
+
 class MultiOutputKernel(Kernel):
     """Covariance between the outputs of a vector-valued process, as a scikit-learn ``Kernel``.
 
@@ -143,21 +167,13 @@ class MultiOutputKernel(Kernel):
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
 
-    def blocks_with_gradient(
-        self, pairs: Sequence[InputPair]
-    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
-        """Return ``block`` of each pair, and the function from their weights W to the sum of ``block_gradient``.
+    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
+        """Return ``block`` of each pair, and their derivatives by theta.
 
-        For kernels that save time by computing these together.
+        The default is of ``block`` and ``block_gradient``. For kernels that save time by computing
+        these together.
         """
-
-        def gradient(weights: Sequence[Matrix]) -> Vector:
-            total = np.zeros(self.n_dims)
-            for pair, W in zip(pairs, weights, strict=True):
-                total += self.block_gradient(*pair, W)
-            return total
-
-        return thread_map(lambda pair: self.block(*pair), pairs), gradient
+        return _EvaluatedOneByOne(self, pairs)
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
@@ -461,26 +477,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
         first = self.k1.block_gradient(i, j, Xi, Xj, W)
         return np.concatenate([first, self.k2.block_gradient(i, j, Xi, Xj, W)])
 
-    def blocks_with_gradient(
-        self, pairs: Sequence[InputPair]
-    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
-        total: list[Any] = [None] * len(pairs)
-        gradients = []
-        for kernel in (self.k1, self.k2):
-            coupled = [k for k, pair in enumerate(pairs) if kernel.couples(pair.i, pair.j)]
-            blocks, gradient = kernel.blocks_with_gradient([pairs[k] for k in coupled])
-            gradients.append((coupled, gradient))
-            for k, block in zip(coupled, blocks, strict=True):
-                if total[k] is None:
-                    total[k] = block
-                else:
-                    total[k] += block
-
-        def by_theta(weights: Sequence[Matrix]) -> Vector:
-            parts = [gradient([weights[k] for k in coupled]) for coupled, gradient in gradients]
-            return np.concatenate(parts)
-
-        return total, by_theta
+    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
+        return _EvaluatedSum(self, pairs)
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
@@ -520,6 +518,79 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))
+
+
+class _EvaluatedOneByOne:
+    """`EvaluatedBlocks` of any kernel."""
+
+    def __init__(self, kernel: MultiOutputKernel, pairs: Sequence[InputPair]) -> None:
+        self.kernel = kernel
+        self.pairs = pairs
+        self.blocks = thread_map(lambda pair: kernel.block(*pair), pairs)
+
+    def gradient(self, weights: Sequence[Matrix]) -> Vector:
+        total = np.zeros(self.kernel.n_dims)
+        for pair, W in zip(self.pairs, weights, strict=True):
+            total += self.kernel.block_gradient(*pair, W)
+        return total
+
+    def products(self, k: int, beta: Vector) -> Matrix:
+        i, j, Xi, Xj = self.pairs[k]
+        rows = [self.kernel.block_gradient(i, j, x[None], Xj, beta[None]) for x in Xi]
+        return np.reshape(rows, (len(Xi), self.kernel.n_dims))
+
+    def transposed_products(self, k: int, beta: Vector) -> Matrix:
+        i, j, Xi, Xj = self.pairs[k]
+        rows = [self.kernel.block_gradient(i, j, Xi, x[None], beta[:, None]) for x in Xj]
+        return np.reshape(rows, (len(Xj), self.kernel.n_dims))
+
+
+class _EvaluatedSum:
+    """`EvaluatedBlocks` of a sum: of each term, at the pairs that it couples."""
+
+    def __init__(self, kernel: Sum, pairs: Sequence[InputPair]) -> None:
+        self.pairs = pairs
+        self.terms = []
+        total: list[Any] = [None] * len(pairs)
+        for term in (kernel.k1, kernel.k2):
+            coupled = [k for k, pair in enumerate(pairs) if term.couples(pair.i, pair.j)]
+            evaluated = term.evaluate([pairs[k] for k in coupled])
+            self.terms.append(
+                (term.n_dims, {k: place for place, k in enumerate(coupled)}, evaluated)
+            )
+            for k, block in zip(coupled, evaluated.blocks, strict=True):
+                if total[k] is None:
+                    total[k] = block
+                else:
+                    total[k] += block
+            evaluated.blocks = []  # they are in the sum
+        self.blocks = total
+
+    def gradient(self, weights: Sequence[Matrix]) -> Vector:
+        parts = []
+        for _, places, evaluated in self.terms:
+            parts.append(evaluated.gradient([weights[k] for k in places]))
+        return np.concatenate(parts)
+
+    def products(self, k: int, beta: Vector) -> Matrix:
+        n = len(self.pairs[k].Xi)
+        return self._side_by_side(k, n, lambda evaluated, place: evaluated.products(place, beta))
+
+    def transposed_products(self, k: int, beta: Vector) -> Matrix:
+        n = len(self.pairs[k].Xj)
+        return self._side_by_side(
+            k, n, lambda evaluated, place: evaluated.transposed_products(place, beta)
+        )
+
+    def _side_by_side(self, k, n, of_term):
+        """Return the columns of each term, zeros of one that does not couple the pair."""
+        parts = []
+        for n_dims, places, evaluated in self.terms:
+            if k in places:
+                parts.append(of_term(evaluated, places[k]))
+            else:
+                parts.append(np.zeros((n, n_dims)))
+        return np.hstack(parts)
 
 
 def _with_first(kernel, theta):

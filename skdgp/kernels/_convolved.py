@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from skdgp._compute.linalg import column_scale, constant_columns, output_scale
 from skdgp._compute.parallel import thread_map
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import (
+    EvaluatedBlocks,
     FreeParameter,
     InputPair,
     MultiOutputKernel,
@@ -375,40 +376,80 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.pair(i, j).derivative(Xi, Xj)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        _, gradient = self.blocks_with_gradient([InputPair(i, j, Xi, Xj)])
-        return gradient([W])
+        return self.evaluate([InputPair(i, j, Xi, Xj)]).gradient([W])
 
-    def blocks_with_gradient(
-        self, pairs: Sequence[InputPair]
-    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
-        # exponents of regressors without effect would cost most of the time of one-dimensional kernels
-        full = self.filters
-        acting = np.flatnonzero(~self.without_effect(full.length_scale.shape[-1]))
-        filters = full.of_regressors(acting)
-        of_outputs = {(pair.i, pair.j): filters.pair(pair.i, pair.j) for pair in pairs}
-        covariances = [of_outputs[pair.i, pair.j] for pair in pairs]
-
-        def with_moments(k):
-            return covariances[k].with_moments(pairs[k].Xi[:, acting], pairs[k].Xj[:, acting])
-
-        blocks = thread_map(with_moments, range(len(pairs)))
-
-        def gradient(weights: Sequence[Matrix]) -> Vector:
-            moments = thread_map(lambda k: blocks[k][1](weights[k]), range(len(pairs)))
-            slopes = filters.zeros()
-            for pair, covariance, sums in zip(pairs, covariances, moments, strict=True):
-                slopes.add(pair.i, pair.j, covariance.gradient(sums))
-            by_value = full.zeros()
-            by_value.amplitude[:] = slopes.amplitude
-            by_value.length_scale[..., acting] = slopes.length_scale
-            by_value.shift[..., acting] = slopes.shift
-            return self.theta_gradient(by_value._asdict())
-
-        return [K for K, _ in blocks], gradient
+    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
+        return _EvaluatedFilters(self, pairs)
 
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
+
+
+class _EvaluatedFilters:
+    """`EvaluatedBlocks` of a `ConvolvedGaussian`."""
+
+    def __init__(self, kernel: ConvolvedGaussian, pairs: Sequence[InputPair]) -> None:
+        self.kernel = kernel
+        self.pairs = pairs
+        # exponents of regressors without effect would cost most of the time of one-dimensional kernels
+        self.full = kernel.filters
+        n_features = self.full.length_scale.shape[-1]
+        self.acting = np.flatnonzero(~kernel.without_effect(n_features))
+        self.filters = self.full.of_regressors(self.acting)
+        of_outputs = {(pair.i, pair.j): self.filters.pair(pair.i, pair.j) for pair in pairs}
+
+        def evaluated(pair):
+            Xi, Xj = pair.Xi[:, self.acting], pair.Xj[:, self.acting]
+            return of_outputs[pair.i, pair.j].evaluated(Xi, Xj)
+
+        self.evaluated = thread_map(evaluated, pairs)
+        self.blocks = [each.covariance for each in self.evaluated]
+
+    def gradient(self, weights: Sequence[Matrix]) -> Vector:
+        def of_pair(k):
+            return self.evaluated[k].gradient(weights[k])
+
+        slopes = self.filters.zeros()
+        for pair, of_one in zip(
+            self.pairs, thread_map(of_pair, range(len(self.pairs))), strict=True
+        ):
+            slopes.add(pair.i, pair.j, of_one)
+        by_value = self.full.zeros()
+        by_value.amplitude[:] = slopes.amplitude
+        by_value.length_scale[..., self.acting] = slopes.length_scale
+        by_value.shift[..., self.acting] = slopes.shift
+        return self.kernel.theta_gradient(by_value._asdict())
+
+    def products(self, k: int, beta: Vector) -> Matrix:
+        return self._columns(k, self.evaluated[k].products(beta))
+
+    def transposed_products(self, k: int, beta: Vector) -> Matrix:
+        return self._columns(k, self.evaluated[k].transposed_products(beta))
+
+    def _columns(self, k, slopes):
+        """Return derivatives by the values of two outputs as derivatives by theta, (n, n_theta)."""
+        i, j = self.pairs[k].i, self.pairs[k].j
+        latents = self.filters.latents(i, j)
+        amplitude, length_scale, shift = self.kernel.free_parameters()
+        n = slopes.by_amplitude.shape[1]
+        columns: list[Matrix] = []
+        for parameter, parts in (
+            (amplitude, [(i, slopes.by_amplitude[0]), (j, slopes.by_amplitude[1])]),
+            (length_scale, [(i, slopes.by_width[0]), (j, slopes.by_width[1])]),
+            (shift, [(i, slopes.by_shift), (j, -slopes.by_shift)]),
+        ):
+            of_parameter = np.zeros((n, parameter.n_elements))
+            if parameter.n_elements:
+                for output, part in parts:
+                    numbers = parameter.index[latents, output]
+                    if parameter is not amplitude:
+                        numbers = numbers[:, self.acting]
+                    free = numbers >= 0
+                    # each number stands once: those of tied length scales are of different latents
+                    of_parameter[:, numbers[free]] += part[:, free]
+            columns.append(of_parameter)
+        return np.hstack(columns)
 
 
 def is_spacing(bounds: Any) -> bool:

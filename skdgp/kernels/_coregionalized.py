@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,9 @@ from sklearn.gaussian_process.kernels import Sum as SklearnSum
 
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import (
+    EvaluatedBlocks,
     FreeParameter,
+    InputPair,
     MultiOutputKernel,
     Sum,
     as_shape,
@@ -225,23 +227,13 @@ class Coregionalized(MultiOutputKernel):
         return self.B[i, i] * self.kernel.diag(Xi)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        w = self.weights
-        k, slopes = self._inner_gradient(Xi, Xj)
-        by_B = np.sum(W * k)
-        by_amplitude = np.zeros_like(w)
-        by_amplitude[:, i] += w[:, j] * by_B
-        by_amplitude[:, j] += w[:, i] * by_B
-        by_theta = self.B[i, j] * np.einsum("ab,abt->t", W, slopes)
-        gradients = {"amplitude": by_amplitude}
-        start = 0
-        for h in self.kernel.hyperparameters:
-            if not h.fixed:
-                gradients[PREFIX + h.name] = by_theta[start : start + h.n_elements]
-                start += h.n_elements
-        return self.theta_gradient(gradients)
+        return self.evaluate([InputPair(i, j, Xi, Xj)]).gradient([W])
 
-    def _inner_gradient(self, Xi, Xj):
-        """Return k(Xi, Xj) and its derivatives by theta, which scikit-learn has for equal inputs alone."""
+    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
+        return _EvaluatedCoregionalized(self, pairs)
+
+    def inner_gradient(self, Xi: Matrix, Xj: Matrix) -> tuple[Matrix, Array]:
+        """Return k(Xi, Xj) and its derivatives by its theta, which scikit-learn has for equal inputs alone."""
         if Xi is Xj:
             return self.kernel(Xi, eval_gradient=True)
         k, slopes = self.kernel(np.vstack([Xi, Xj]), eval_gradient=True)
@@ -253,22 +245,73 @@ class Coregionalized(MultiOutputKernel):
         return self.kernel.is_stationary()
 
 
-def as_multi_output(kernel: Kernel) -> MultiOutputKernel:
+class _EvaluatedCoregionalized:
+    """`EvaluatedBlocks` of a `Coregionalized`."""
+
+    def __init__(self, kernel: Coregionalized, pairs: Sequence[InputPair]) -> None:
+        self.kernel = kernel
+        self.pairs = pairs
+        self.inner = [kernel.inner_gradient(pair.Xi, pair.Xj) for pair in pairs]
+        self.blocks = []
+        for pair, (k, _) in zip(pairs, self.inner, strict=True):
+            self.blocks.append(kernel.B[pair.i, pair.j] * k)
+
+    def gradient(self, weights: Sequence[Matrix]) -> Vector:
+        total = np.zeros(self.kernel.n_dims)
+        for pair, (k, slopes), W in zip(self.pairs, self.inner, weights, strict=True):
+            by_theta = np.einsum("ab,abt->t", W, slopes)
+            total += self._by_theta(pair, np.array([np.sum(W * k)]), by_theta[None])[0]
+        return total
+
+    def products(self, k: int, beta: Vector) -> Matrix:
+        values, slopes = self.inner[k]
+        of_slopes = np.einsum("abt,b->at", slopes, beta)
+        return self._by_theta(self.pairs[k], values @ beta, of_slopes)
+
+    def transposed_products(self, k: int, beta: Vector) -> Matrix:
+        values, slopes = self.inner[k]
+        of_slopes = np.einsum("abt,a->bt", slopes, beta)
+        return self._by_theta(self.pairs[k], beta @ values, of_slopes)
+
+    def _by_theta(self, pair, by_B, by_inner):
+        """Return derivatives by theta (n, n_theta) from sums of k (n,), and of its derivatives (n, t)."""
+        i, j = pair.i, pair.j
+        w = self.kernel.weights
+        amplitude, *_ = self.kernel.free_parameters()
+        by_amplitude = np.zeros((len(by_B), *w.shape))
+        by_amplitude[:, :, i] += np.multiply.outer(by_B, w[:, j])
+        by_amplitude[:, :, j] += np.multiply.outer(by_B, w[:, i])
+        columns = np.zeros((len(by_B), amplitude.n_elements))
+        if amplitude.n_elements:
+            free = amplitude.index >= 0
+            columns[:, amplitude.index[free]] = by_amplitude[:, free]
+        return np.hstack([columns, self.kernel.B[i, j] * by_inner])
+
+
+def as_multi_output(kernel: Kernel, n_fixed: int | None = None) -> MultiOutputKernel:
     """Return a kernel of scikit-learn, or a sum of such and of multi-output kernels, as a multi-output kernel.
 
-    Raises TypeError for products and powers of multi-output kernels, and for white noise.
+    With ``n_fixed`` it is the covariance of so many independent outputs, as it stands; otherwise the
+    amplitudes of the outputs are left to be estimated. Raises TypeError for products and powers of
+    multi-output kernels, and for white noise.
     """
+    if isinstance(kernel, Sum):
+        return Sum(as_multi_output(kernel.k1, n_fixed), as_multi_output(kernel.k2, n_fixed))
     if isinstance(kernel, MultiOutputKernel):
         return kernel
     if any(isinstance(part, MultiOutputKernel) for part in _parts(kernel)):
         if isinstance(kernel, SklearnSum):
-            return Sum(as_multi_output(kernel.k1), as_multi_output(kernel.k2))
+            return Sum(as_multi_output(kernel.k1, n_fixed), as_multi_output(kernel.k2, n_fixed))
         raise TypeError(
             f"Got {kernel!r}, a product or power of a multi-output kernel, but such kernels can only be added. "
             "Multiply scikit-learn's kernels inside Coregionalized."
         )
     check_kernel(kernel)
-    return Coregionalized(kernel)
+    if n_fixed is None:
+        return Coregionalized(kernel)
+    return Coregionalized(
+        kernel, 0, amplitude=np.eye(n_fixed), parameter_bounds={"amplitude": "fixed"}
+    )
 
 
 def check_kernel(kernel: Any) -> None:

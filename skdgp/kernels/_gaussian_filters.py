@@ -22,7 +22,7 @@ slopes and sample paths alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -147,7 +147,7 @@ class GaussianBasis:
 
 
 class Moments(NamedTuple):
-    """Sums over rows x of weights G: of G, (m,), of G (x - z) and of G (x - z)^2, (m, d)."""
+    """Sums of weights G: of G, (..., m), of G (x - z) and of G (x - z)^2, (..., m, d)."""
 
     zeroth: Vector
     first: Matrix
@@ -166,8 +166,8 @@ class Moments(NamedTuple):
 class PairSlopes(NamedTuple):
     """Derivatives by the parameters of two outputs.
 
-    By the amplitudes (2, m), by the logarithms of the length scales (2, m, d), and by mu_i - mu_j
-    (m, d).
+    By the amplitudes (2, ..., m), by the logarithms of the length scales (2, ..., m, d), and by
+    mu_i - mu_j (..., m, d).
     """
 
     by_amplitude: Matrix
@@ -236,33 +236,73 @@ class FilterPair:
 
     # -- derivatives by the parameters
 
-    def with_moments(self, Xi: Matrix, Xj: Matrix) -> tuple[Matrix, Callable[[Matrix], Moments]]:
-        """Return equation 16 at all pairs of rows, and the function from weights (n_i, n_j) to moments.
+    def evaluated(self, Xi: Matrix, Xj: Matrix) -> EvaluatedPair:
+        """Return equation 16 at all pairs of rows, for derivatives by the parameters."""
+        return EvaluatedPair(self, Xi, Xj)
 
-        The moments are of the weights times the exponential of each latent.
-        """
-        m = len(self.gain)
-        shape = len(Xi), m, len(Xj)
-        basis = self.basis(Xj)
-        exponentials = basis.exponentials(Xi).reshape(shape)
-
-        def moments(W: Matrix) -> Moments:
-            G = exponentials * W[:, None]
-            return basis.moments(Xi, G.reshape(len(Xi), m * len(Xj))).of_latents(m)
-
-        return np.einsum("m,nmk->nk", self.gain, exponentials), moments
-
-    def gradient(self, moments: Moments) -> PairSlopes:
-        """Return the derivatives of sum(W * cov_ij) by the parameters of both outputs, from the moments of W."""
-        by_w = self.c * moments.zeroth * self.w[::-1]
+    def slopes(self, moments: Moments) -> PairSlopes:
+        """Return the derivatives of sum(G * cov_ij) by the parameters of both outputs, from the moments of G."""
+        scaled = self.c * moments.zeroth
+        by_w = np.stack([scaled * self.w[1], scaled * self.w[0]])
         gain = self.gain[:, None]
         li, lj = self.widths
         # of -delta^2 / (l_i^2 + l_j^2), and of the factor sqrt(2 l_i l_j / (l_i^2 + l_j^2))
         by_exponent = 2 * gain * moments.second / self.squares**2
-        by_factor = 0.5 * gain * moments.zeroth[:, None] * (lj**2 - li**2) / self.squares
+        by_factor = 0.5 * gain * moments.zeroth[..., None] * (lj**2 - li**2) / self.squares
         by_li = by_exponent * li**2 + by_factor
         by_lj = by_exponent * lj**2 - by_factor
         return PairSlopes(by_w, np.stack([by_li, by_lj]), self.Sigma * gain * moments.first)
+
+
+class EvaluatedPair:
+    """Equation 16 at pairs of rows Xi (n_i, d) and Xj (n_j, d), with the exponential of each latent."""
+
+    def __init__(self, pair: FilterPair, Xi: Matrix, Xj: Matrix) -> None:
+        self.pair = pair
+        self.Xi = Xi
+        self.Xj = Xj
+        self.basis = pair.basis(Xj)
+        self.exponentials = self.basis.exponentials(Xi).reshape(len(Xi), len(pair.gain), len(Xj))
+
+    @property
+    def covariance(self) -> Matrix:
+        """Equation 16, (n_i, n_j)."""
+        return np.einsum("m,nmk->nk", self.pair.gain, self.exponentials)
+
+    def gradient(self, W: Matrix) -> PairSlopes:
+        """Return the derivatives of sum(W * cov_ij)."""
+        G = self.exponentials * W[:, None]
+        m = len(self.pair.gain)
+        moments = self.basis.moments(self.Xi, G.reshape(len(G), -1)).of_latents(m)
+        return self.pair.slopes(moments)
+
+    def products(self, beta: Vector) -> PairSlopes:
+        """Return the derivatives of cov_ij beta, beta (n_j,): arrays (..., n_i, m) and (..., n_i, m, d)."""
+        x = (self.Xi - self.basis.middle)[:, None] - self.pair.mu
+        z = self.Xj - self.basis.middle
+        sums = self.exponentials @ _weighted_powers(z, beta)
+        return self.pair.slopes(_moments_about(x, sums, 1.0))
+
+    def transposed_products(self, beta: Vector) -> PairSlopes:
+        """Return the derivatives of cov_ij^T beta, beta (n_i,): arrays (..., n_j, m) and (..., n_j, m, d)."""
+        x = self.Xi - self.basis.middle
+        z = (self.Xj - self.basis.middle)[:, None] + self.pair.mu
+        sums = self.exponentials.transpose(2, 1, 0) @ _weighted_powers(x, beta)
+        return self.pair.slopes(_moments_about(z, sums, -1.0))
+
+
+def _weighted_powers(x, weights):
+    """Return weights times (1, x, x^2), (n, 2 d + 1)."""
+    return weights[:, None] * np.hstack([np.ones((len(x), 1)), x, x * x])
+
+
+def _moments_about(x, sums, sign):
+    """Return moments of ``sign`` (x - z) from sums (..., 2 d + 1) over z of weights times (1, z, z^2)."""
+    d = x.shape[-1]
+    zeroth = sums[..., :1]
+    of_z = sums[..., 1 : d + 1]
+    second = sums[..., d + 1 :] + x * (x * zeroth - 2.0 * of_z)
+    return Moments(zeroth[..., 0], sign * (x * zeroth - of_z), second)
 
 
 def strips(n_rows: int, n_columns: int) -> Iterator[slice]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from sklearn.linear_model import BayesianRidge
 from skdgp._compute.linalg import column_scale, constant_columns, least_squares
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.kernels._base import (
+    EvaluatedBlocks,
     FreeParameter,
     InputPair,
     MultiOutputKernel,
@@ -214,30 +215,10 @@ class LinearTrend(MultiOutputKernel):
         return (self.basis(i, Xi) ** 2).sum(axis=1)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        _, gradient = self.blocks_with_gradient([InputPair(i, j, Xi, Xj)])
-        return gradient([W])
+        return self.evaluate([InputPair(i, j, Xi, Xj)]).gradient([W])
 
-    def blocks_with_gradient(
-        self, pairs: Sequence[InputPair]
-    ) -> tuple[list[Matrix], Callable[[Sequence[Matrix]], Vector]]:
-        values = self.values()
-        factors = []
-        for pair in pairs:
-            factors.append((_basis(values, pair.i, pair.Xi), _basis(values, pair.j, pair.Xj)))
-        blocks = []
-        for pair, (first, second) in zip(pairs, factors, strict=True):
-            blocks.append((first @ second.T) * (pair.i == pair.j))
-
-        def gradient(weights: Sequence[Matrix]) -> Vector:
-            by_log = np.zeros((self.n_outputs, 1 + self.n_features))
-            for pair, (first, second), W in zip(pairs, factors, weights, strict=True):
-                if pair.i == pair.j:
-                    by_log[pair.i] += 2 * np.einsum("ak,ak->k", first, W @ second)
-            return self.theta_gradient(
-                {"intercept_scale": by_log[:, 0], "slope_scale": by_log[:, 1:]}
-            )
-
-        return blocks, gradient
+    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
+        return _EvaluatedTrend(self, pairs)
 
     def free_parameters(self) -> list[FreeParameter]:
         bounds = complete_bounds(self.parameter_bounds, DEFAULT_BOUNDS)
@@ -247,6 +228,53 @@ class LinearTrend(MultiOutputKernel):
             index = np.arange(values[name].size).reshape(values[name].shape)
             parameters.append(FreeParameter(name, index, True, bounds[name]))
         return parameters
+
+
+class _EvaluatedTrend:
+    """`EvaluatedBlocks` of a `LinearTrend`; the derivative by log tau_k is 2 phi_k phi_k^T of basis function k."""
+
+    def __init__(self, kernel: LinearTrend, pairs: Sequence[InputPair]) -> None:
+        self.kernel = kernel
+        self.pairs = pairs
+        values = kernel.values()
+        self.bases = []
+        self.blocks = []
+        for pair in pairs:
+            first, second = (_basis(values, pair.i, pair.Xi), _basis(values, pair.j, pair.Xj))
+            self.bases.append((first, second))
+            self.blocks.append((first @ second.T) * (pair.i == pair.j))
+
+    def gradient(self, weights: Sequence[Matrix]) -> Vector:
+        by_log = np.zeros((self.kernel.n_outputs, 1 + self.kernel.n_features))
+        for pair, (first, second), W in zip(self.pairs, self.bases, weights, strict=True):
+            if pair.i == pair.j:
+                by_log[pair.i] += 2 * np.einsum("ak,ak->k", first, W @ second)
+        return self.kernel.theta_gradient(
+            {"intercept_scale": by_log[:, 0], "slope_scale": by_log[:, 1:]}
+        )
+
+    def products(self, k: int, beta: Vector) -> Matrix:
+        first, second = self.bases[k]
+        return self._columns(k, 2 * first * (second.T @ beta))
+
+    def transposed_products(self, k: int, beta: Vector) -> Matrix:
+        first, second = self.bases[k]
+        return self._columns(k, 2 * second * (first.T @ beta))
+
+    def _columns(self, k, by_log):
+        """Return derivatives by the scales of an output (n, d + 1) as derivatives by theta, (n, n_theta)."""
+        i = self.pairs[k].i
+        intercept, slope = self.kernel.free_parameters()
+        columns = []
+        for parameter, numbers, part in (
+            (intercept, intercept.index[i : i + 1], by_log[:, :1]),
+            (slope, slope.index[i], by_log[:, 1:]),
+        ):
+            of_parameter = np.zeros((len(by_log), parameter.n_elements))
+            if parameter.n_elements:
+                of_parameter[:, numbers] = part
+            columns.append(of_parameter)
+        return np.hstack(columns)
 
 
 def _basis(values, i, X):

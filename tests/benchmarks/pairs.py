@@ -108,7 +108,6 @@ LONGITUDINAL = ["CX", "CZ", "Cm"]
 KINDS = {
     "average": "average",
     "joint": "all terms",
-    "additive": "trend and main effects",
     "trend": "trend",
 }
 

@@ -7,7 +7,7 @@ which are known in these rows. Methods "on the other outputs" take as inputs tho
 most rows of the gap; their few missing values are replaced by the mean. GPAR has the settings of its
 authors' examples (https://github.com/wesselb/gpar), with the case's gaps as they are.
 SMSE of an output is the mean squared error of its hidden values over their mean squared distance
-from a mean, see ``Case``. `impute` has five seeds, other methods one. FOLDER holds:
+from a mean, see ``Case``. `predict` has two seeds, other methods one. FOLDER holds:
 
 - ``fx2007-processed.csv``, ``bra.mat``, ``cam.mat``, ``chi.mat`` and ``sot.mat``, from ``data/fx``
   and ``data/weather`` of https://github.com/trungngv/cogp;
@@ -148,11 +148,6 @@ PUBLISHED = {
 }
 
 
-def imputed(case, seed):
-    model = DependentGPRegressor(random_state=seed).fit(case.X, case.Y)
-    return model.impute(case.X, case.Y, return_std=True)
-
-
 def predicted(case, seed):
     model = DependentGPRegressor(random_state=seed).fit(case.X, case.Y)
     return model.predict(case.X, return_std=True, include_noise=True)
@@ -242,11 +237,10 @@ def lcm(case, seed):
     return scaler.inverse_transform(mean), std * scaler.scale_
 
 
-IMPUTE = "skdgp, `impute`"
+PREDICT = "skdgp, `predict`"
 ALONE = "scikit-learn's process, each output alone"
 METHODS = {
-    IMPUTE: imputed,
-    "skdgp, `predict`": predicted,
+    PREDICT: predicted,
     "skdgp on regressors and other outputs": partial(
         by_output, make=regressor_of, include_noise=True
     ),
@@ -260,7 +254,7 @@ METHODS = {
     "the same, one width": partial(by_output, make=partial(process_of, one_width=True)),
     ALONE: partial(by_output, make=process_of, others=False),
 }
-SEEDS = {IMPUTE: range(5)}
+SEEDS = {PREDICT: range(2)}
 
 
 def scored(case, method, seed):
@@ -316,7 +310,7 @@ def main(words=None):
     for name, load in ({"toy": partial(friedman, n=60)} if options.smoke else CASES).items():
         case = load(options.data)._replace(name=name)
         everything = len(case.tested) == case.Y.shape[1]
-        methods = [m for m in options.methods if not everything or m in (IMPUTE, ALONE)]
+        methods = [m for m in options.methods if not everything or m in (PREDICT, ALONE)]
         for method in methods:
             for seed in [0] if everything or options.smoke else SEEDS.get(method, [0]):
                 key = {"case": name, "method": method, "seed": seed}

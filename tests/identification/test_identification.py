@@ -181,7 +181,7 @@ class TestIdentify:
     def test_says_the_weights_of_the_average(self, averaged):
         result = averaged[0]
         weights = result.metrics["fit"]["weights"]
-        assert list(weights) == ["joint", "additive", "trend"]
+        assert list(weights) == ["joint", "trend"]
         for name in COEFFICIENTS:
             assert sum(of[name] for of in weights.values()) == pytest.approx(1.0)
 

@@ -18,7 +18,6 @@ SWITCHES = {
     "joint": {"structure": "joint"},
     "joint, sparse": {"structure": "joint", "inference": "sparse", "n_inducing": 20},
     "sparse in time": {"inference": "sparse", "n_inducing": 20, "time": True},
-    "additive": {"structure": "additive"},
     "trend in time": {"structure": "trend", "time": True},
     "no trend": {"structure": "joint", "trend": None},
 }

@@ -5,7 +5,7 @@ import pytest
 from numpy.random import default_rng
 from scipy.signal import lfilter
 
-from skdgp.inference import SearchSettings, autocorrelation_time, fit_sparse
+from skdgp.inference import SearchOptions, autocorrelation_time, fit_sparse, search
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -29,17 +29,9 @@ NOISE = 0.3 * lfilter(
 
 
 def fitted(X, Y):
-    return fit_sparse(
-        ConvolvedGaussian(0),
-        X,
-        Y,
-        n_inducing=15,
-        optimizer="fmin_l_bfgs_b",
-        max_iter=15,
-        random_state=0,
-        ordered=True,
-        settings=SearchSettings(values=(600, 600), single_values=300),
-    )
+    options = SearchOptions("fmin_l_bfgs_b", max_iter=30, random_state=0, time_series=True)
+    (learned,) = search([ConvolvedGaussian(0)], X, Y, options)
+    return fit_sparse(learned, X, Y, n_inducing=15, random_state=0, ordered=True)
 
 
 class TestSparseFit:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.inference import coarse, from_coarse, narrowed, single_output, starting_kernel
+from skdgp.inference import narrowed, single_output, starting_kernel
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 KERNELS = {
@@ -19,7 +19,7 @@ KERNELS = {
 
 def singles_of(kernel, X, Y):
     alone = single_output(kernel)
-    return [starting_kernel(alone, X, Y[:, [i]], 0) for i in range(Y.shape[1])]
+    return [starting_kernel(alone, X, Y[:, [i]]) for i in range(Y.shape[1])]
 
 
 @pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
@@ -28,7 +28,7 @@ def test_what_outputs_found_alone_is_adopted(kernel, uneven):
     X, Y = uneven
     singles = singles_of(kernel, X, Y)
     assert [single.n_outputs for single in singles] == [1, 1, 1]
-    start = starting_kernel(kernel, X, Y, 0, singles)
+    start = starting_kernel(kernel, X, Y, singles)
     assert start.n_dims == kernel.initialize(X, Y, 0).n_dims
     for i, single in enumerate(singles):
         assert_allclose(start.block_diag(i, X), single.block_diag(0, X), rtol=1e-6)
@@ -41,22 +41,13 @@ def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, un
     kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
     scale = X.std(axis=0)
     wide = [single.set_params(length_scale=500.0 * scale) for single in singles_of(kernel, X, Y)]
-    start = starting_kernel(kernel, X, Y, 0, wide)
+    start = starting_kernel(kernel, X, Y, wide)
     assert_allclose(np.max(start.length_scale / scale), widest)
 
 
 def test_a_narrowed_start_has_narrower_widths_of_regressors_with_an_effect(uneven):
     X, Y = uneven
     kernel = LinearTrend() + ConvolvedGaussian(1, regressors=[0, 2])
-    start = starting_kernel(kernel, X, Y, 0)
+    start = starting_kernel(kernel, X, Y)
     ratio = narrowed(kernel, start, 0.1).k2.length_scale / start.k2.length_scale
     assert_allclose(ratio, np.broadcast_to([0.1, 1.0, 0.1], ratio.shape))
-
-
-def test_the_coarse_kernel_shares_widths_and_hands_on_its_values(uneven):
-    X, Y = uneven
-    kernel = LinearTrend() + ConvolvedGaussian(2)
-    fitted = starting_kernel(coarse(kernel), X, Y, 1)
-    start = from_coarse(kernel, starting_kernel(kernel, X, Y, 0), fitted)
-    assert fitted.n_dims < start.n_dims
-    assert_allclose(start(X[:5]), fitted(X[:5]))

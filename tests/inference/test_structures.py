@@ -111,7 +111,7 @@ def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains():
     latent = np.column_stack([np.sin(2 * x), np.cos(3 * x)])
     Y = latent @ rng.normal(size=(2, 5)) + 0.05 * rng.normal(size=(100, 5))
     tied = ConvolvedGaussian(2, private_latents=False, covariance_type="tied")
-    options = SearchOptions(optimizer="fmin_l_bfgs_b", max_iter=20, random_state=0)
+    options = SearchOptions(optimizer="fmin_l_bfgs_b", max_iter=60, random_state=0)
     simple, rich = search([tied, ConvolvedGaussian(2)], x[:, None], Y, options)
     assert rich.log_likelihood > simple.log_likelihood - 1.0
 

@@ -330,12 +330,32 @@ class TestUse:
             if kernel.couples(i, j):
                 pairs.append(InputPair(i, j, X[i], X[j]))
         weights = [default_rng(3).normal(size=(len(pair.Xi), len(pair.Xj))) for pair in pairs]
-        blocks, gradient = kernel.blocks_with_gradient(pairs)
+        evaluated = kernel.evaluate(pairs)
         by_block = np.zeros(kernel.n_dims)
-        for pair, block, W in zip(pairs, blocks, weights, strict=True):
+        for pair, block, W in zip(pairs, evaluated.blocks, weights, strict=True):
             equal(block, kernel.block(*pair))
             by_block += kernel.block_gradient(*pair, W)
-        equal(gradient(weights), by_block, atol=1e-9)
+        equal(evaluated.gradient(weights), by_block, atol=1e-9)
+
+    def test_products_with_a_vector_are_those_of_the_derivatives(self, kernel):
+        """Row a of dK / dtheta beta is the gradient of row a of K beta, and likewise of the transpose."""
+        X = inputs(kernel)
+        pairs = []
+        for i, j in np.ndindex(len(X), len(X)):
+            if kernel.couples(i, j):
+                pairs.append(InputPair(i, j, X[i], X[j]))
+        evaluated = kernel.evaluate(pairs)
+        for k, (i, j, Xi, Xj) in enumerate(pairs):
+            beta = default_rng(5).normal(size=len(Xj))
+            rows = [kernel.block_gradient(i, j, x[None], Xj, beta[None]) for x in Xi]
+            equal(evaluated.products(k, beta), np.reshape(rows, (len(Xi), -1)), atol=1e-9)
+            beta = default_rng(6).normal(size=len(Xi))
+            columns = [kernel.block_gradient(i, j, Xi, x[None], beta[:, None]) for x in Xj]
+            equal(
+                evaluated.transposed_products(k, beta),
+                np.reshape(columns, (len(Xj), -1)),
+                atol=1e-9,
+            )
 
     @pytest.mark.parametrize("name", FEW)
     def test_paths_of_the_prior_have_its_covariance_however_few_their_waves(self, kernel):

@@ -1,0 +1,92 @@
+"""The rows that a search learns from, in blocks whose likelihoods add up.
+
+The time of a likelihood grows with the third power of its values, so many values are split into
+blocks, as if these were independent (a composite likelihood: Varin, Reid & Firth 2011). A block
+holds groups of neighbours, the leaves of a k-d tree, from everywhere: its values are as dense as the
+data within a leaf, and show short scales, and as wide apart as the data between leaves, and show long ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skdgp._compute.linalg import column_scale
+from skdgp._compute.typing import Indices, Matrix
+
+
+@dataclass(frozen=True)
+class BlockSettings:
+    """How many values a search learns from."""
+
+    #: Most values of a block, and most blocks: the time of a fit grows with values^3 and blocks
+    values: int = 1000
+    most: int = 3
+    #: Most rows of a leaf (trials with 64 and 200 were alike)
+    leaf_rows: int = 64
+
+
+SETTINGS = BlockSettings()
+
+
+def blocks_of_rows(
+    X: Matrix, Y: Matrix, settings: BlockSettings = SETTINGS, time_series: bool = False
+) -> list[Indices]:
+    """Return the rows of each block.
+
+    The leaves are dealt to as many parts as the values fill blocks, of which at most
+    ``settings.most`` are learned from. A leaf of a time series is one row, as errors of neighbours
+    are correlated.
+
+    Parameters
+    ----------
+    X : ndarray (n, d)
+    Y : ndarray (n, P)
+        NaN where an output was not observed.
+    settings : BlockSettings
+    time_series : bool
+        Whether the rows are in the order of recording.
+
+    Returns
+    -------
+    list of ndarray of int
+        In ascending order.
+    """
+    n_parts = -(-int(np.isfinite(Y).sum()) // settings.values)
+    leaf = np.arange(len(X)) if time_series else leaves(X, settings.leaf_rows, n_parts)
+    n_blocks = min(n_parts, settings.most)
+    chosen = np.arange(n_blocks) * n_parts // n_blocks
+    return [np.flatnonzero(leaf % n_parts == part) for part in chosen]
+
+
+def leaves(X: Matrix, most: int, n_parts: int = 1) -> Indices:
+    """Return the number of the leaf of each row (n,), of a k-d tree with at most so many rows in a leaf.
+
+    There are at least 8 leaves for each of ``n_parts``. Each step halves a leaf along the regressor
+    in which it is widest. The order of the rows does not matter.
+    """
+    leaf = np.empty(len(X), dtype=int)
+    for number, part in enumerate(_parts(X, max(1, min(most, len(X) // (8 * n_parts))))):
+        leaf[part] = number
+    return leaf
+
+
+def spread_rows(X: Matrix, most: int) -> Indices:
+    """Return at most so many rows, in ascending order, of which each is the middle one of a leaf."""
+    parts = _parts(X, max(1, -(-2 * len(X) // most) if len(X) > most else 1))
+    return np.sort([part[len(part) // 2] for part in parts])
+
+
+def _parts(X, most):
+    """Return the rows of each leaf, in the order of the tree."""
+    scaled = X / column_scale(X)
+    parts = [np.arange(len(X))]
+    while max(map(len, parts)) > most:
+        halves = []
+        for part in parts:
+            widest = int(np.ptp(scaled[part], axis=0).argmax())
+            order = np.lexsort((*scaled[part].T, scaled[part, widest]))
+            halves += np.array_split(part[order], 2)
+        parts = [half for half in halves if len(half)]
+    return parts

@@ -385,10 +385,10 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
 
 
 def check_start(kernel: MultiOutputKernel) -> None:
-    """Raise a ValueError if values that were given to a kernel lie outside of their bounds."""
+    """Raise a ValueError if values that were given to a kernel lie outside of bounds that were given."""
     for term in kernel.summands():
         for f in term.free_parameters() if term.has_values() else ():
-            if not f.n_elements:
+            if not f.n_elements or term.bounds_from_data(f.name):
                 continue
             values = f.elements(term.values()[f.name])
             low, high = f.pairs().T

@@ -41,7 +41,7 @@ def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
     learned = case.pipeline[-1]
     posterior = learned.posterior_
     assert isinstance(posterior.members[0], SparsePosterior)
-    assert posterior.mixture.shape == (3, 6)
+    assert posterior.mixture.shape == (2, 6)
     assert posterior.mixture.sum(axis=0) == pytest.approx(np.ones(6))
     assert np.abs(posterior.errors.weights).max() > 0.001
     assert (learned.misfit_variance_ > 0).all()

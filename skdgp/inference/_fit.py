@@ -154,13 +154,15 @@ class SparseFit:
         """
         posterior = SparsePosterior(learned.kernel, self.features, learned.noise, self.data)
         inflation = np.ones(self.Y.shape[1])
-        if not self.known.is_fixed:
+        # with noise that differs between values the search has learned the white noise
+        is_known = self.known.is_fixed or self.known.loading is not None
+        if not is_known:
             posterior = self._with_best_noise(posterior, inflation)
         if self.ordered:
             residual = self.Y - posterior.predict(self.X)
             times = [autocorrelation_time(e[np.isfinite(e)]) for e in residual.T]
             inflation = np.array(times)
-            if self.known.is_fixed:
+            if is_known:
                 posterior = self._inflated(posterior, inflation)
             else:
                 posterior = self._with_best_noise(posterior, inflation)
@@ -320,15 +322,15 @@ def _of_part(whole, X, Y, loading, ordered, part, known) -> Fit:
     Noise of the regressors propagates by ``loading`` of the whole.
     """
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part))
-    if isinstance(whole.posterior, ExactPosterior):
-        data = whole.posterior.data
+    data = whole.posterior.data
+    is_exact = isinstance(whole.posterior, ExactPosterior)
+    if is_exact or known.loading is not None:
         blocks = blocks_of_rows(X, Y, time_series=ordered)
         learned = with_best_noise(learned, data, blocks, X, Y, known)
+    if is_exact:
         posterior = fit_exact(learned._replace(input_std=None), data).posterior
         return Fit(posterior, learned)
     features = of_terms(whole.posterior.features, part)
-    data = whole.posterior.data._replace(sample_noise=None)
-    if known.loading is not None:
-        data = Data.from_table(X, Y, known.loading)
+    data = Data.from_table(X, Y, known.loading)
     fit = SparseFit(features, data, X, Y, ordered, known)
     return fit.at(learned, whole.posterior.mean_function, loading)

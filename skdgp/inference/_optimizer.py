@@ -33,8 +33,8 @@ class OptimizerSettings:
 
     #: Slope by every hyperparameter, in its own unit, below which the point is stationary [nats]
     gradient: float = 1e-3
-    #: First and largest damping, beyond which rounding hides every rise
-    damping: tuple[float, float] = (0.1, 1e6)
+    #: First, least and largest damping, beyond which rounding hides every rise
+    damping: tuple[float, float, float] = (0.1, 1e-6, 1e6)
     #: Longest step of a hyperparameter: a factor of e^2 of a width
     longest: float = 2.0
     #: Fractions of the predicted rise: above which a step is taken, below which the damping rises,
@@ -99,7 +99,7 @@ def maximize(
     theta = np.clip(theta, *bounds.T)
     point = objective(theta)
     correction = np.zeros_like(point.information)
-    damping, most = settings.damping
+    damping, least, most = settings.damping
     n_iter = 0
     try:
         while not _is_stationary(theta, point, bounds, settings):
@@ -127,7 +127,7 @@ def maximize(
             if rise < settings.poor * predicted:
                 damping *= 4.0
             elif rise > settings.good * predicted:
-                damping /= 3.0
+                damping = max(least, damping / 3.0)
             if is_taken:
                 theta, point = end, other
             notify(stage, n_iter, point.value)
@@ -167,7 +167,7 @@ def _step(theta, point, curvature, bounds, damping, longest):
             damping = max(4.0 * damping, 1e-6)
     step = np.zeros(len(theta))
     step[free] = cho_solve(factor, point.gradient[free])
-    return step * min(1.0, longest / np.abs(step).max())
+    return np.clip(step, -longest, longest)  # where the likelihood is flat steps are long
 
 
 def _corrected(S, A, step, change):

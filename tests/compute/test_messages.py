@@ -57,7 +57,7 @@ def test_the_advice_of_a_cause_follows_the_statement():
     assert finding.clause.endswith(f": {Code.AIR_NOT_CONVERGED.statement}")
     assert finding.text.startswith("Gusts without vanes are not known: ")
     assert " converge. Give " in finding.text
-    assert finding.text.endswith(" sensors. alpha and beta lack them.")
+    assert finding.text.endswith(". alpha and beta lack them.")
 
 
 def test_a_saved_finding_has_its_kind():

@@ -193,13 +193,6 @@ def responses(phase=-40.0):
 
 
 class TestFrequencyResponses:
-    @pytest.mark.parametrize("phase", [-40.0, 175.0])
-    def test_errors_are_of_the_excited_frequencies_and_phases_turn(self, phase):
-        errors = FrequencyDisplay(responses=responses(phase)).errors()
-        assert list(errors.index) == ["p by aileron"]
-        found = errors[["gain", "phase", "lowest"]].iloc[0]
-        assert found.tolist() == pytest.approx([1.0, 10.0, 1.0])
-
     @pytest.mark.parametrize(("phases", "expected"), [(False, 3.0), (True, -40.0)])
     def test_the_flight_is_drawn_where_it_is_excited(self, phases, expected):
         display = FrequencyDisplay(responses=responses())

@@ -44,6 +44,7 @@ from skdgp.inference._structures import (
     contains,
     has_shared_latents,
     n_mattering,
+    price_of,
     with_shifts,
 )
 from skdgp.kernels import MultiOutputKernel
@@ -106,7 +107,7 @@ class Hyperparameters(NamedTuple):
     ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
     noise, None for exact regressors, ``loading`` (n, P, P), or None, is a root of the noise covariance
     of each sample beside the white noise, known or of outliers. ``log_likelihood`` is of the values
-    of the search, ``price`` one for each hyperparameter that matters, and the price of shifts.
+    of the search, ``price`` the price of the hyperparameters that matter, and of shifts.
     """
 
     kernel: MultiOutputKernel
@@ -354,8 +355,7 @@ class _Search:
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)
         n_values = sum(block.n_values for block in self.blocks)
-        price = min(n_mattering(best.kernel, self.X), 0.5 * n_values)
-        return best._replace(price=price)
+        return best._replace(price=price_of(n_mattering(best.kernel, self.X), n_values))
 
     def _likelihood(self, start):
         kernel, noise = start

@@ -1,8 +1,8 @@
 """Structures of kernels that a search compares: what each one costs, and its weight.
 
 A kernel that contains another one as a special case always has the larger likelihood. So each pays
-one nat for each hyperparameter that matters (Akaike 1974), and the weights of structures are the
-exponentials of what remains (Burnham & Anderson 2002, section 2.9).
+for the hyperparameters that matter (Akaike 1974, of few values Hurvich & Tsai 1989), and the weights
+of structures are the exponentials of what remains (Burnham & Anderson 2002, section 2.9).
 """
 
 from __future__ import annotations
@@ -104,6 +104,15 @@ def _n_mattering(term, scale, settings):
             free = free & (limits[..., 0] < limits[..., 1])
         n += len(np.unique(numbers[free]))
     return n
+
+
+def price_of(n_hyperparameters: int, n_values: int) -> float:
+    """Return what a likelihood of n values pays for p hyperparameters, p n / (n - p - 1) nats (Hurvich & Tsai 1989).
+
+    At most half as many count as there are values.
+    """
+    p = min(n_hyperparameters, 0.5 * n_values - 1.0)
+    return p * n_values / (n_values - p - 1.0)
 
 
 def structure_weights(scores: Sequence[float], settings: StructureSettings = SETTINGS) -> Vector:

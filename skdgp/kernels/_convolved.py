@@ -52,7 +52,7 @@ class StartSettings:
     largest_amplitude: float = 30.0
     #: Smallest amplitude of a private latent beside shared ones where targets are missing: without
     #: it a few rows where outputs overlap may make one output certain from another (trials)
-    least_private: float = 0.1
+    least_private: float = 0.2
     #: Smallest and largest width
     width_bounds: tuple[float, float] = (0.05, 1e3)
     #: Starting widths of the first and of the last shared latent, for one regressor

@@ -117,10 +117,11 @@ def test_a_position_that_all_flights_state_is_the_models():
     """A flight that states none is then read with it, and one that states another is told."""
     position = {"sensor_position_x": 0.3, "sensor_position_y": 0.0, "sensor_position_z": 0.1}
     stated = table().assign(**position)
-    other = table(500).iloc[100:].assign(**position)
+    unstated, other = (table().assign(q=factor * stated["q"]) for factor in (1.1, 1.2))
+    other = other.assign(**position)
     result = quietly({"first": stated, "second": other}, aircraft=UNKNOWN)
     assert_allclose(result.aircraft.sensor_position, (0.3, 0.0, 0.1))
-    only_one = quietly({"first": stated, "second": table(600).iloc[200:], "third": other}, aircraft=UNKNOWN)
+    only_one = quietly({"first": stated, "second": unstated, "third": other}, aircraft=UNKNOWN)
     assert only_one.aircraft.sensor_position is None
     assert Code.SENSOR_POSITIONS_DIFFER in [finding.code for finding in only_one.findings]
 

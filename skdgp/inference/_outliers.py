@@ -29,7 +29,8 @@ class OutlierSettings:
 
     #: Neighbours whose median is compared with a value, before any fit
     neighbours: int = 8
-    #: Distance from this median, in standard deviations by the median absolute one, of an outlier
+    #: Distance from this median, in standard deviations by the median absolute one, of an outlier, and
+    #: least ratio of the two standard deviations: near kinks and jumps errors are up to five times as large
     distance: float = 6.0
     #: Rise of the log likelihood of the errors above which they are not normal [nats]: of normal errors
     #: one set in some thousand
@@ -72,6 +73,8 @@ def contaminated_variances(squares: Vector, settings: OutlierSettings = SETTINGS
         fraction = np.clip(outlying.mean(), 1e-9, 0.5)
         small = np.average(squares, weights=1.0 - outlying + 1e-12)
         large = max(np.average(squares, weights=outlying + 1e-300), small)
+    if large < settings.distance**2 * small:
+        return None  # errors where the function is rough
     of_normal = norm.logpdf(error, scale=np.sqrt(squares.mean()))
     if likelihood.sum() <= of_normal.sum() + settings.least_rise:
         return None

@@ -456,7 +456,7 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
 @pytest.mark.slow
 def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none(monkeypatch):
     """The answer is the pass of the largest likelihood, which has not converged."""
-    flight = flown("calm", 12.0)
+    flight = flown("calm", 20.0)
     assert flight.estimate().converged
     passes = []
     filter_records = AirFit.filter_records

@@ -19,7 +19,7 @@ class NoiseSettings:
     #: Bounds of the noise variance, over the variance of the output
     bounds: tuple[float, float] = (1e-6, 1e2)
     #: The lower bound of a single row. It falls to the above for twice as many rows as a plane has
-    #: weights, whose few residuals do not show the noise (benchmark ``bands``)
+    #: weights, whose few residuals do not show the noise (guess; three rows of a plane)
     few_rows: float = 0.3
     #: Starting noise variance, over the variance of the residual of the trend
     start: float = 0.2

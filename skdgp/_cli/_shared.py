@@ -340,7 +340,8 @@ class Console:
         self._last_step = done, progress.total
         filled = round(BAR * done / progress.total)
         bar = "#" * filled + "-" * (BAR - filled)
-        self._steps = f" · {progress} [{bar}] {done} of {progress.total}"
+        name = "" if progress in STAGES else f"{progress} "
+        self._steps = f" · {name}[{bar}] {done} of {progress.total}"
         if done:
             left = (now - self._steps_began) * (progress.total - done) / done
             self._steps += f", < {left:.0f} s left"

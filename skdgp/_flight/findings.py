@@ -67,7 +67,8 @@ class Code(Kind):
         "[flight {flight}: ]{channels: or } is probably wrong: "
         "[the slope of {y} over {x} is {slope:.3g} ± {std:.2g}, but expected {expected}]"
         "[{y} is {lag:.2g} ± {std:.2g} s late against {x}][: {causes: or }?]"
-        " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)"
+        " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)",
+        "[{is_turned:A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas.}]",
     )
     TURNED_TOGETHER = (
         "[flight {flight}: ]{channels: and } have the other sign together[, as in axes {axes}]",
@@ -185,8 +186,9 @@ class Code(Kind):
     )
     AIR_NOT_CONVERGED = (
         "the estimate of the motion of the air did not converge",
-        "Give longer flights with inputs of every surface. If inspect names no channel, look at vibration of the "
-        "accelerometers, and whether velocity and attitude are of one estimator.",
+        "[Channels contradict each other: {contradictions}.]"
+        "[{agrees:The channels agree by physics. Give longer flights with inputs of every surface, and look at "
+        "vibration of the accelerometers, and whether velocity and attitude are of one estimator.}]",
     )
     AIR_NOT_ESTIMATED = "{error}"
     COUPLINGS_FOUND = (
@@ -217,8 +219,9 @@ class Code(Kind):
     NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
     PATHS_NOT_CONVERGED = (
         "the paths of these flights did not converge: {flights:short}",
-        "Wrong signs, units or clocks of their sensors may be the cause; if inspect names no channel, vibration, "
-        "resets of the attitude, or a velocity of another source.",
+        "[Channels contradict each other: {contradictions}.]"
+        "[{agrees:The channels agree by physics. Look at vibration, resets of the attitude, or a velocity of another "
+        "source.}]",
         DOUBT,
     )
     PATHS_RECONSTRUCTED = (

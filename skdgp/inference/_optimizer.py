@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from skdgp._compute.messages import keeps_best, notify
+from skdgp._compute.messages import Progress, keeps_best, notify
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp.inference._likelihood import Likelihood
 
@@ -130,13 +130,18 @@ def maximize(
                 damping = max(least, damping / 3.0)
             if is_taken:
                 theta, point = end, other
-            notify(stage, n_iter, point.value)
+            notify(_counted(stage, n_iter, max_iter), n_iter, point.value)
     except KeyboardInterrupt:
         if not keeps_best():
             raise
         stop.set()
         return Optimum(theta, point.value, n_iter, False)
     return Optimum(theta, point.value, n_iter, True)
+
+
+def _counted(stage: str, n_iter: int, max_iter: int) -> str:
+    """Return a stage with its number of steps, unless it is a step of a longer one."""
+    return stage if isinstance(stage, Progress) else Progress(stage, n_iter, max_iter)
 
 
 def _free(theta: Vector, gradient: Vector, bounds: Matrix) -> Mask:

@@ -52,6 +52,8 @@ class Relation:
     lags: tuple[float, ...] = (0.0,)
     #: Usual causes of a contradiction
     causes: tuple[str, ...] = ()
+    #: Unit of the slope
+    unit: str = ""
 
     @property
     def needs(self) -> set[str]:
@@ -94,17 +96,20 @@ class Contradiction:
         quantity, (value, std) = "slope", self.slope[:2]
         if self.lag is not None:
             quantity, (value, std) = "lag", self.lag
+        unit = self.relation.unit
+        sign = np.sign(self.admissible.least + self.admissible.most)
         numbers = {
             "channels": list(self.channels),
             "y": self.relation.y,
             "x": self.relation.x,
-            "expected": self.admissible.text,
+            "expected": f"{self.admissible.text} [{unit}]" if unit else self.admissible.text,
             quantity: value,
             "std": std,
             "t": self.t,
             "correlation": self.slope.correlation,
             "effective_samples": self.slope.n_effective,
             "causes": list(self.relation.causes),
+            "is_turned": bool(self.lag is None and sign * value < 0),
         }
         return Finding(Code.CONTRADICTION, self.flight, numbers=numbers)
 

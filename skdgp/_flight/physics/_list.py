@@ -213,6 +213,7 @@ def _relation_of_response(name: str, effects: tuple[str, ...]) -> Relation:
         regression=partial(equations.response, name=name, effects=effects),
         beside=tuple(effect for effect in effects[1:] if effect in VANES),
         lags=LAGS.surface if x in ALL_SURFACES else (0.0,),
+        unit="1/m^2" if name in RATES else "1/m",
     )
 
 
@@ -231,6 +232,7 @@ THRUST = Relation(
     y="ax",
     x="throttle",
     regression=equations.thrust,
+    unit="m/s^2",
 )
 
 SIGNS = (

@@ -44,6 +44,8 @@ THRUST_MOMENTS = ("thrust_l", "thrust_m", "thrust_n")
 SURFACES = (*MIXED, "rudder")
 ALL_SURFACES = (*SURFACES, *ELEVONS)
 HIGH_LIFT = ("flap", "spoiler")
+# Column of flights whose surfaces are in parts of their full throw
+FULL_THROW = "full_throw"
 # Further controls, zero in normal flight
 AUXILIARY = (*HIGH_LIFT, "differential_throttle")
 
@@ -78,6 +80,10 @@ UNITS_AND_MEANINGS = {
     "sensor_position_x": ("m", "position of the inertial sensors from the CG, forward"),
     "sensor_position_y": ("m", "position of the inertial sensors from the CG, right"),
     "sensor_position_z": ("m", "position of the inertial sensors from the CG, down"),
+    "sensor_tilt": (
+        "rad",
+        "roll and pitch of the inertial sensors against the attitude's axes, standard deviation",
+    ),
     "u": ("m/s", "ground-relative velocity, forward"),
     "v": ("m/s", "ground-relative velocity, right"),
     "w": ("m/s", "ground-relative velocity, down (body axis)"),
@@ -102,6 +108,7 @@ UNITS_AND_MEANINGS = {
     "mass": ("kg", "mass of the aircraft, where it falls in flight"),
     "flap": ("rad", "flaps, > 0 trailing edge down"),
     "spoiler": ("rad", "spoilers, > 0 up"),
+    "full_throw": ("", "1: surfaces are in parts of their full throw, -1 to 1, in place of rad"),
     "thrust": ("N", "propulsive force along the thrust line"),
     "thrust_x": ("N", "propulsive force, forward"),
     "thrust_y": ("N", "propulsive force, right"),

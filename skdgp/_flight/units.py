@@ -13,6 +13,7 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     EARTH_VELOCITY,
+    FULL_THROW,
     HIGH_LIFT,
     RATES,
     SPECIFIC_FORCE,
@@ -162,13 +163,10 @@ def _turn_in_a_second(flights: FlightTable, rate: str) -> Vector:
     return _over_a_second(flights, angle)
 
 
-def check_flight(
-    flight: pd.DataFrame | FlightTable, needed: Iterable[str], *, in_radians: bool = True
-) -> FlightTable:
+def check_flight(flight: pd.DataFrame | FlightTable, needed: Iterable[str]) -> FlightTable:
     """Return the flights of a table that has the ``needed`` columns in SI units.
 
-    Flights without faults were checked before. Surfaces that are not ``in_radians`` are parts of
-    their full throw.
+    Flights without faults were checked before.
 
     Raises ValueError if a column is missing or not numeric, time does not increase within a flight
     or has no usual step, airspeed or density is not positive, or values are impossible in SI units. Warns of
@@ -181,7 +179,7 @@ def check_flight(
     # raises where time has no usual step
     _ = flights.segments
     _check_airspeed(flights)
-    check_units(flights, in_radians=in_radians)
+    check_units(flights)
     if _quantile(flights.column("density"), 0.0) <= 0:
         raise ValueError(_density_message(flights))
     _check_roll_rate(flights)
@@ -189,10 +187,10 @@ def check_flight(
     return flights
 
 
-def check_units(flights: FlightTable, *, in_radians: bool = True) -> None:
+def check_units(flights: FlightTable) -> None:
     """Raise ValueError if the numbers of flights are in degrees, per cent, g, g/cm^3 or milliseconds.
 
-    A hundredth of the values may be faults. Warn of surfaces ``in_radians`` that are probably commands.
+    A hundredth of the values may be faults. Warn of surfaces in radians that are probably commands.
     """
     _check_angles(flights)
     _check_density(flights)
@@ -217,7 +215,7 @@ def check_units(flights: FlightTable, *, in_radians: bool = True) -> None:
             f"milliseconds or microseconds. Divide time by 1e3 or 1e6, or say the unit in the "
             f"header, as in 'time [ms]'."
         )
-    if in_radians:
+    if FULL_THROW not in flights.table:
         _warn_of_commands(flights)
 
 

@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.checks import check_table
+from skdgp._flight.frames import wrapped
 from skdgp._flight.ground import without_ground
-from skdgp._flight.tables import FlightTable
-from skdgp.io import FlightReadError, is_log, read_flight, reversed_of
+from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
+from skdgp.io import FlightReadError, is_log, read_flight
 
 Flights = dict[str, FlightTable]
 # fraction of equal rows above which a flight is a copy, and decimals to which they are equal
 COPIED = 0.5
 ROUNDED = 4
-DEFLECTED = (*ALL_SURFACES, *HIGH_LIFT)
+# median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
+SAME_ATTITUDE = 0.05
 
 
 def named_flights(
@@ -63,7 +65,6 @@ def named_flights(
         elif isinstance(item, str | os.PathLike):
             place = item
             table = read_flight(item, rename=rename)
-            _check_surfaces(item, table, reading.get("servos"))
         if not is_log(item):
             table = without_ground(check_table(table, what=what), key or f"{default} {number}")
         parts = split_flights(table, f"{default} {number}", needed, what=what)
@@ -94,14 +95,31 @@ def copies(flights: Flights, others: Flights) -> dict[str, str]:
 
     Where both are the same flights, each pair is told once.
     """
-    rows = {name: _motion(flight) for name, flight in {**flights, **others}.items()}
+    every = {**flights, **others}
+    rows = {name: _motion(flight) for name, flight in every.items()}
     found: dict[str, str] = {}
     for name in flights:
         for other in others:
             is_pair = name != other and found.get(other) != name
-            if is_pair and len(rows[name] & rows[other]) > COPIED * len(rows[name]):
+            if not is_pair:
+                continue
+            has_its_rows = len(rows[name] & rows[other]) > COPIED * len(rows[name])
+            if has_its_rows or _has_its_attitude(every[name], every[other]):
                 found[name] = other
     return found
+
+
+def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
+    """Return whether two flights have the same attitude at the same times, as a log and its telemetry have."""
+    if not has_values(flight.table, *EULER) or not has_values(other.table, *EULER):
+        return False
+    is_inside = (flight.time >= other.time[0]) & (flight.time <= other.time[-1])
+    if is_inside.sum() <= COPIED * len(is_inside):
+        return False
+    angles = unwrapped(other.table, EULER)
+    there = interpolated(flight.time[is_inside], other.time, angles, beyond=np.nan)
+    apart = wrapped(unwrapped(flight.table, EULER)[is_inside] - there)
+    return bool(np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE)
 
 
 def _motion(flight: FlightTable) -> set[tuple[float, ...]]:
@@ -109,16 +127,6 @@ def _motion(flight: FlightTable) -> set[tuple[float, ...]]:
     values = np.column_stack([flight.column(name) for name in (*RATES, *SPECIFIC_FORCE)])
     measured = values[np.isfinite(values).all(axis=1)]
     return {tuple(row) for row in np.round(measured, ROUNDED).tolist()}
-
-
-def _check_surfaces(path: str | os.PathLike, table: pd.DataFrame, servos: Any) -> None:
-    """Raise ValueError if a table has surfaces in radians and those of logs are in parts of their full throw."""
-    surfaces = [name for name in DEFLECTED if name in table]
-    if surfaces and reversed_of(servos) is not None:
-        raise ValueError(
-            f"Got the table {path} with {' '.join(surfaces)} in rad for surfaces in parts of their full "
-            "throw, but expected one unit: give the log itself, or learn the model with a servo file."
-        )
 
 
 def items_of(flights: Any) -> list:

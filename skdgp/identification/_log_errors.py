@@ -15,6 +15,7 @@ from skdgp._flight.channels import (
     COEFFICIENTS,
     HAT,
     SENSOR_POSITION,
+    SPECIFIC_FORCE,
     SURFACES,
     THRUST_COLUMNS,
     VANES,
@@ -87,6 +88,26 @@ def thrust_errors(
     )
     added = learned_as(missing, regressors)
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
+
+
+def tilt_errors(
+    flights: pd.DataFrame, aircraft: Aircraft, regressors: pd.DataFrame
+) -> dict[str, ScaleFactor]:
+    """Return the errors of coefficients by inertial sensors whose angles to the attitude's axes are unknown.
+
+    A rotation by a small vector e adds e x f to the specific force f.
+    """
+    if not has_values(flights, "sensor_tilt", *SPECIFIC_FORCE):
+        return {}
+    std = np.nanmax(flights["sensor_tilt"])
+    forces = flights[[*SPECIFIC_FORCE]].to_numpy(float)
+    load = dynamic_load(flights, aircraft)[:, None]
+    errors = {}
+    for name, axis in (("roll", np.eye(3)[0]), ("pitch", np.eye(3)[1])):
+        force = aircraft.mass * std * np.cross(axis, forces) / load
+        added = learned_as(np.hstack([force, np.zeros_like(force)]), regressors)
+        errors[f"{name} of the inertial sensors"] = ScaleFactor(1.0, added=added)
+    return errors
 
 
 def learned_as(changes: Matrix, regressors: pd.DataFrame) -> dict[str, float]:

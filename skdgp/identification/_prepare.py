@@ -20,6 +20,7 @@ from skdgp._flight.channels import (
     CHANNELS,
     ELEVONS,
     HAT,
+    HIGH_LIFT,
     MIXED,
     RATES,
     REGRESSOR_SETS,
@@ -27,6 +28,7 @@ from skdgp._flight.channels import (
     SURFACES,
     THRUST_COLUMNS,
 )
+from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.checks import check_columns, suggestions
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
@@ -116,6 +118,8 @@ def prepare(
     servos = servos_for(reading.get("servos"), flights, test, regressors=names)
     options = {**reading, "servos": servos}
     train = named_flights(flights, needed=MEASURED, **options)
+    if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
+        servos = FULL_THROW
     check_controls(train, names)
     for flight in train.values():
         rate = 1 / float(np.median(np.diff(flight.time))) if len(flight.time) > 1 else np.inf
@@ -278,13 +282,26 @@ def usable_flights(
     for name, flight in flights.items():
         check_columns(flight.table, needed)
         cleaned = clean(flight)
-        check_flight(cleaned.table, (), in_radians=in_radians)
+        check_flight(cleaned.table, ())
+        _check_surfaces(name, cleaned.table, in_radians)
         for finding in cleaned.findings or ():
             report(finding, FlightDataWarning)
         _warn_of_positions(name, cleaned.table, aircraft)
         checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
     _warn_of_contradictions(checked, aircraft)
     return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
+
+
+def _check_surfaces(name: str, table: pd.DataFrame, in_radians: bool) -> None:
+    """Raise ValueError if surfaces of a flight are in radians, and others in parts of their full throw."""
+    surfaces = [surface for surface in (*ALL_SURFACES, *HIGH_LIFT) if surface in table]
+    units = ["rad", "parts of their full throw"]
+    if surfaces and in_radians == (IN_FULL_THROWS in table):
+        raise ValueError(
+            f"Got flight {name!r} with {' '.join(surfaces)} in {units[in_radians]}, but others in "
+            f"{units[not in_radians]}: expected one unit. Give logs with a servo file, or all in parts "
+            f"of the full throw with a column {IN_FULL_THROWS} of 1."
+        )
 
 
 def _warn_of_contradictions(flights: Flights, aircraft: Aircraft | None) -> None:

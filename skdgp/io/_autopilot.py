@@ -374,13 +374,16 @@ def _on_clock(
 def with_stated_position(
     table: pd.DataFrame, origin: dict[str, Origin], sources: list[Source], log: Log
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
-    """Return the table with the position of its accelerometers, where the parameters of the log state it."""
+    """Return the table with the position of its accelerometers, if the log states it, and an unknown tilt."""
     for source in sources:
         stated = log.sensor_positions.get(source.instance)
         if source.columns == SPECIFIC_FORCE and stated is not None:
             columns = dict(zip(SENSOR_POSITION, stated.position, strict=True))
             table = _in_order(table.assign(**columns))
             origin = origin | dict.fromkeys(SENSOR_POSITION, Origin(stated.words, np.nan))
+        if source.columns == SPECIFIC_FORCE and log.sensor_tilt:
+            table = _in_order(table.assign(sensor_tilt=log.sensor_tilt))
+            origin = origin | {"sensor_tilt": Origin("not stated by the log", np.nan)}
     return table, origin
 
 

@@ -278,6 +278,8 @@ class Log:
         Outputs that need no angles: the throttle of the left less the right engine.
     sensor_positions : dict of int to StatedPosition
         Of the inertial sensors, by the number of their instance, where the parameters state it.
+    sensor_tilt : float
+        Standard deviation of their roll and pitch against the attitude [rad]; zero where it is known.
     """
 
     kind: str
@@ -295,6 +297,7 @@ class Log:
     lifting: States = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
     sensor_positions: Mapping[int, StatedPosition] = field(default_factory=dict)
+    sensor_tilt: float = 0.0
 
     @property
     def has_wings(self) -> bool:

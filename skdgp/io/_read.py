@@ -16,6 +16,7 @@ import pandas as pd
 from skdgp._compute.files import plain
 from skdgp._compute.messages import report, warn
 from skdgp._flight.channels import CHANNELS
+from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.checks import (
     check_table,
     suggestions,
@@ -145,9 +146,10 @@ def read_flight(
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(read_log(path), servos=servos, airborne=airborne)
     name = path.stem if flight is None else flight
-    # parts of the full throw are no angles
-    in_radians = reversed_of(servos) is None
-    table = _as_flight(flight_table(flown, name, airborne=airborne), in_radians=in_radians)
+    table = flight_table(flown, name, airborne=airborne)
+    if reversed_of(servos) is not None:
+        table[IN_FULL_THROWS] = 1.0
+    table = _as_flight(table)
     table.attrs["sources"] = {
         column: origin.words for column, origin in flown.origin.items() if column in table
     }
@@ -212,7 +214,7 @@ def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
     return table.rename(columns=rename)
 
 
-def _as_flight(table: pd.DataFrame, *, in_radians: bool = True) -> pd.DataFrame:
+def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
     """Return a raw table in the order and types of a flight table."""
     table = table.reset_index(drop=True)
     unknown = unknown_columns(table)
@@ -232,7 +234,7 @@ def _as_flight(table: pd.DataFrame, *, in_radians: bool = True) -> pd.DataFrame:
         if is_missing.any():
             row = int(np.argmax(is_missing))
             raise FlightReadError(f"Got no time at row {row}, but expected it in every row [s].")
-        check_units(FlightTable.of(table), in_radians=in_radians)
+        check_units(FlightTable.of(table))
     except ValueError as error:
         raise FlightReadError(*error.args) from error
     channels = [name for name in table.columns if name not in ("time", "flight")]

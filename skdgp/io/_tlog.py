@@ -71,6 +71,8 @@ OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}
 PX4 = 12
 # bit of FLIGHT_OPTIONS by which the telemetry of ArduPlane has the pitch of the vehicle
 KEEPS_PITCH_TRIM = 1 << 8
+# standard deviation of an AHRS_TRIM that is not known [rad], of at most 0.17; a guess
+TILT_STD = 0.03
 UNKNOWN_TRIM = (
     "the parameters AHRS_TRIM_X and _Y are not in the telemetry: accelerometers that are turned against the "
     "attitude by 0.05 rad change CX by 0.05 CL (fetch the parameters while the ground station records)"
@@ -201,6 +203,7 @@ def read_tlog(path: Path) -> Log:
         lifting=lifting,
         commands=outputs.commands,
         sensor_positions=stated_positions(parameters, positions, sits_on_tail),
+        sensor_tilt=TILT_STD if of_trim else 0.0,
     )
 
 

@@ -1,8 +1,10 @@
 """A flight that is given twice teaches nothing the second time, and tells nothing as a test."""
 
+import numpy as np
 import pytest
 
 from skdgp._compute.messages import FindingWarning
+from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
 from skdgp.datasets import load_example_flights
 from skdgp.identification._flights import copies, named_flights
 from skdgp.identification._prepare import prepare
@@ -29,6 +31,15 @@ def test_other_flights_are_no_copies():
 def test_a_part_at_another_time_is_a_copy(rows):
     part = LATER.iloc[rows].reset_index(drop=True)
     assert copies(named_flights({"again": part}), named_flights(TRAIN)) == {"again": "latlon"}
+
+
+def test_telemetry_of_a_flight_is_a_copy():
+    """Its samples are others, at a fifth of the rate, with noise of their own; the clock is the vehicle's."""
+    slow = TRAIN["latlon"].iloc[3:900:5].reset_index(drop=True)
+    noise = np.random.default_rng(0).normal(0.0, 0.01, (len(slow), 9))
+    slow[[*RATES, *SPECIFIC_FORCE, *EULER]] += noise
+    telemetry = named_flights({"telemetry": slow})
+    assert copies(telemetry, named_flights(TRAIN)) == {"telemetry": "latlon"}
 
 
 def test_a_training_flight_that_comes_twice_counts_once():

@@ -8,6 +8,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor
@@ -20,7 +21,7 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation import AirspeedScale
 from skdgp.identification import FlightPipeline
-from skdgp.identification._log_errors import LOG_ERRORS, clock_std, learned_errors
+from skdgp.identification._log_errors import LOG_ERRORS, clock_std, learned_errors, tilt_errors
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
@@ -60,6 +61,21 @@ def effect(errors, name):
     added = errors[name].added
     columns = [column.removesuffix("_hat") for column in REGRESSORS]
     return np.array([[added[f"{C}_{x}"] for x in columns] for C in COEFFICIENTS])
+
+
+def test_tilted_sensors_change_forces_by_what_is_added(flown):
+    """Sensors whose nose is 0.03 rad low read less of gravity forward; a log that states the tilt adds nothing."""
+    table, X, _ = flown
+    assert not tilt_errors(table, AIRCRAFT, X)
+    errors = tilt_errors(table.assign(sensor_tilt=0.03), AIRCRAFT, X)
+    turned = Rotation.from_euler("y", 0.03).apply(table[["ax", "ay", "az"]])
+    tilted = table.assign(**dict(zip(["ax", "ay", "az"], turned.T, strict=True)))
+    forces = [
+        aerodynamic_coefficients(t, AIRCRAFT, thrust=None)[["CX", "CY", "CZ"]]
+        for t in (tilted, table)
+    ]
+    change = LinearRegression().fit(X, forces[0] - forces[1]).coef_
+    assert_allclose(effect(errors, "pitch of the inertial sensors")[:3], change, atol=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -127,9 +127,6 @@ class TestCommand:
         words = "Got logs of autopilots without servos beside tables"
         with pytest.raises(ValueError, match=words):
             identify([whole, table], Aircraft.estimate(3.0, 1.8))
-        table.write_text("time,rudder\n0,0\n0.1,0\n")
-        with pytest.raises(ValueError, match="rudder in rad for surfaces in parts of their full"):
-            named_flights(table, servos="full throw")
 
     def test_which_logs_name_their_servos(self, whole, ardupilot, tmp_path):
         (tmp_path / "log.bin").write_bytes(ardupilot)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.io import FlightReadError, read_servos
+from skdgp.io import FlightReadError, read_flight, read_servos
 
 ENDS = {"channel": "RCOU.C2", "points": [[1100, -0.4], [1500, 0.0], [1900, 0.4]]}
 
@@ -125,11 +125,14 @@ class TestFullThrow:
         table = read(log, servos="full throw", airborne=False)
         assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
-    def test_full_throws_are_no_large_angles(self, read, dataflash):
+    def test_full_throws_are_no_large_angles(self, read, dataflash, tmp_path):
+        """Nor are they in radians after they were saved."""
         t = np.arange(0, 10, 0.05)
         log = dataflash(SERVO1_FUNCTION=4.0).topic("RCOU", t, C1=("H", np.where(t < 5, 1900, 1500)))
         table = read(log, servos="full throw", airborne=False)
         assert table.aileron.max() == 1.0
+        table.to_csv(tmp_path / "saved.csv", index=False)
+        assert (read_flight(tmp_path / "saved.csv")["full_throw"] == 1).all()
         with pytest.warns(UserWarning, match="commands from -1 to 1"):
             read(log, servos={"aileron": "60 deg"}, airborne=False)
 

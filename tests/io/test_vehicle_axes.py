@@ -93,10 +93,11 @@ def test_telemetry_has_the_pitch_of_the_vehicle_again(read, mavlink_parameters, 
 
 
 def test_telemetry_without_the_trim_says_so(told, mavlink_parameters):
-    told(
+    table = told(
         "AHRS_TRIM_X and _Y are not in the telemetry",
         mavlink_parameters({}, without=b"AHRS_TRIM_X"),
     )
+    assert (table["sensor_tilt"] == 0.03).all()
 
 
 @pytest.mark.parametrize(

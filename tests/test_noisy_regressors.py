@@ -13,7 +13,7 @@ from skdgp.identification import flight_regressors
 SIGMA = 0.08  # of the regressor
 
 
-def waves(n=300, sigma=SIGMA, seed=0):
+def waves(n=200, sigma=SIGMA, seed=0):
     """Two functions of x, of which a noisy x is seen."""
     rng = default_rng(seed)
     x = rng.uniform(-2, 2, (n, 1))
@@ -23,7 +23,7 @@ def waves(n=300, sigma=SIGMA, seed=0):
 
 def fitted(input_noise):
     X, Y, *_ = waves()
-    options = {"structure": "joint", "n_latent": 1, "max_iter": 40, "random_state": 0}
+    options = {"structure": "joint", "n_latent": 1, "max_iter": 25, "random_state": 0}
     return DependentGPRegressor(input_noise=input_noise, **options).fit(X, Y)
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
-from skdgp.datasets import load_example_flights
 
 COLUMNS = [
     "time",
@@ -29,9 +28,9 @@ BODY = ["q", "r", "ay", "az"]
 
 
 @pytest.fixture(scope="module")
-def flight():
+def flight(first_minute):
     """Return a flight with turns and inputs of every surface, as it was measured."""
-    train = load_example_flights(duration=120.0).train
+    train = first_minute().train
     flown = train[train["flight"] == "latlon"].reset_index(drop=True)
     return flown[[*COLUMNS, *GPS, *SURFACES]]
 

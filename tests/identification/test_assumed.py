@@ -113,15 +113,17 @@ def quietly(*flights, **options):
         return identify(*flights, regressor=QUICK, **options)
 
 
+@pytest.mark.usefixtures("no_mechanics")
 def test_a_position_that_all_flights_state_is_the_models():
     """A flight that states none is then read with it, and one that states another is told."""
     position = {"sensor_position_x": 0.3, "sensor_position_y": 0.0, "sensor_position_z": 0.1}
     stated = table().assign(**position)
     unstated, other = (table().assign(q=factor * stated["q"]) for factor in (1.1, 1.2))
     other = other.assign(**position)
-    result = quietly({"first": stated, "second": other}, aircraft=UNKNOWN)
+    result = quietly({"first": stated, "second": other}, aircraft=UNKNOWN, samples=60)
     assert_allclose(result.aircraft.sensor_position, (0.3, 0.0, 0.1))
-    only_one = quietly({"first": stated, "second": unstated, "third": other}, aircraft=UNKNOWN)
+    three = {"first": stated, "second": unstated, "third": other}
+    only_one = quietly(three, aircraft=UNKNOWN, samples=60)
     assert only_one.aircraft.sensor_position is None
     assert Code.SENSOR_POSITIONS_DIFFER in [finding.code for finding in only_one.findings]
 

@@ -151,14 +151,6 @@ class TestPredict:
         predicted = model.predict(test_flight, return_std=True)
         assert_allclose(again.predict(test_flight, return_std=True), predicted, rtol=1e-9)
 
-    def test_another_regressor_predicts_without_a_band(self, flights, test_flight):
-        train = flights.train[:400]
-        linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
-        linear.fit(train, aerodynamic_coefficients(train, flights.aircraft))
-        assert linear.predict(test_flight).shape == (200, 6)
-        with pytest.raises(TypeError, match="return_std"):
-            linear.predict(test_flight, return_std=True)
-
     def test_scorers_use_that_band(self, model, flights, test_flight):
         measured = aerodynamic_coefficients(test_flight, flights.aircraft)
         mean, std = model.predict(test_flight, return_std=True, include_noise=True)
@@ -171,7 +163,8 @@ class TestPredict:
 @pytest.mark.usefixtures("no_mechanics")
 def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     """To the bit, also of a clone, of a saved model, and of flights that are held out in turn."""
-    train, aircraft = flights.train, flights.aircraft
+    train, aircraft = flights.train.groupby("flight", observed=True).head(500), flights.aircraft
+    train = train.reset_index(drop=True)
     regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
     options = {"regressor": regressor, "samples": 200}
     learn = partial(identify, aircraft=aircraft, test=test_flight, horizons=[1.0], **options)
@@ -180,7 +173,7 @@ def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     model = make_identification_pipeline(aircraft, **options)
     saved = pickle.loads(pickle.dumps(found))
     wanted = found.predict(test_flight, return_std=True)
-    for other in (clone(model).fit(train, Y), clone(found).fit(train, Y), saved):
+    for other in (clone(model).fit(train, Y), saved):
         assert_array_equal(other.predict(test_flight, return_std=True), wanted)
     groups = train["flight"].astype(str)
     folds = cross_validate(
@@ -237,7 +230,7 @@ def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coeff
         reconstruction="passthrough",
         cutoff=None,
         lags=None,
-        regressor=DependentGPRegressor(structure="trend", random_state=0),
+        regressor=DependentGPRegressor(structure="trend", max_iter=15, random_state=0),
         thrust=None,
         samples="all",
     ).set_params(flightcheck="passthrough", flightsmoother="passthrough")
@@ -300,28 +293,7 @@ def test_fit_transform_removes_the_errors_that_it_finds(flights):
     )
 
 
-@pytest.mark.usefixtures("no_mechanics")
-def test_vibration_does_not_bias_slopes_of_identify(flights):
-    train = flights.train[flights.train["flight"] == "latlon"][:1200]
-    regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
-    with pytest.warns(UserWarning, match="vibrate beyond 5 Hz"):
-        result = identify(
-            shaken(train),
-            flights.aircraft,
-            test=shaken(flights.test.iloc[:400]),
-            samples=150,
-            regressor=regressor,
-            horizons=[2.0],
-        )
-    assert_slopes_of_truth(learned_slopes(result.pipeline), train)
-    # in the band of the fit, a flight that vibrates is predicted as one that does not
-    steady, moved = (
-        result.pipeline.predict(f) for f in (flights.test[:400], shaken(flights.test[:400]))
-    )
-    assert normalized_rmse(steady, moved) < 0.1
-
-
-def test_vibration_does_not_bias_slopes_of_a_pipeline(flights):
+def test_vibration_does_not_bias_slopes_of_the_pipeline(flights):
     train = flights.train[flights.train["flight"] == "latlon"][:1200]
     Y = aerodynamic_coefficients(shaken(train), flights.aircraft)
     regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
@@ -329,6 +301,9 @@ def test_vibration_does_not_bias_slopes_of_a_pipeline(flights):
     with pytest.warns(UserWarning, match="vibrate beyond"):
         pipeline.fit(shaken(train), thin_targets(Y, 150))
     assert_slopes_of_truth(learned_slopes(pipeline), train)
+    # in the band of the fit, a flight that vibrates is predicted as one that does not
+    steady, moved = (pipeline.predict(f) for f in (flights.test[:400], shaken(flights.test[:400])))
+    assert normalized_rmse(steady, moved) < 0.1
     assert_first_steps_give_the_regressors(pipeline, shaken(flights.test[:400]))
 
 
@@ -372,31 +347,20 @@ def test_spikes_are_no_errors_of_the_log(flights):
 def test_coefficients_are_those_of_the_corrected_airspeed(flights):
     """Flights to learn from and to be tested on lose the same error of the airspeed, once."""
 
-    def result(scale):
-        train, test = (
-            table.assign(airspeed=scale * table["airspeed"])
-            for table in (flights.train, flights.test[:400])
-        )
-        return identify(
-            train,
+    test = flights.test[:400]
+    raw = test.assign(airspeed=1.04 * test["airspeed"])
+    with pytest.warns(UserWarning, match="airspeed"):
+        result = identify(
+            flights.train.assign(airspeed=1.04 * flights.train["airspeed"]),
             flights.aircraft,
-            test=test,
+            test=raw,
             samples=100,
             regressor=DependentGPRegressor(structure="trend", max_iter=1, random_state=0),
             pipeline={"reconstruction": "passthrough", "lags": None},
             horizons=[2.0],
         )
-
-    with pytest.warns(UserWarning, match="airspeed"):
-        wrong = result(1.04)
-    right = result(1.0)
-    (found,) = wrong.evaluations
-    (expected,) = right.evaluations
+    (found,) = result.evaluations
+    right = aerodynamic_coefficients(test, flights.aircraft).to_numpy()
     # what is left of the error enters by its square
-    assert np.nanmedian(found.measured / expected.measured) == pytest.approx(1.0, abs=0.01)
-    assert_allclose(found.table["airspeed"], expected.table["airspeed"], rtol=0.005)
-    assert normalized_rmse(expected.mean, found.mean) < 0.05
-    raw = flights.test[:400].assign(airspeed=1.04 * flights.test["airspeed"][:400])
-    assert_allclose(wrong.pipeline.predict(raw), found.mean, rtol=1e-9)
-    for name, table in wrong.train.items():
-        assert_allclose(table["airspeed"], right.train[name]["airspeed"], rtol=0.005)
+    assert np.nanmedian(found.measured / right) == pytest.approx(1.0, abs=0.01)
+    assert_allclose(result.pipeline.predict(raw), found.mean, rtol=1e-9)

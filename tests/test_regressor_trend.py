@@ -31,11 +31,11 @@ class TestStructure:
 def bayesian_line(X, y, at, noise, slope_std):
     """Return mean and standard deviation of a line at points (Rasmussen & Williams 2006, equation 2.9).
 
-    The intercept has no prior.
+    The prior of the intercept has the standard deviation of y.
     """
     centre = X.mean(axis=0)
     A, B = (np.column_stack([np.ones(len(x)), x - centre]) for x in (X, at))
-    prior = np.diag(np.append(0.0, 1 / slope_std**2))
+    prior = np.diag(1 / np.append(y.std(), slope_std) ** 2)
     covariance = np.linalg.inv(prior + A.T @ A / noise)
     mean = y.mean() + B @ covariance @ A.T @ (y - y.mean()) / noise
     return mean, np.sqrt(np.einsum("ij,jk,ik->i", B, covariance, B))
@@ -71,7 +71,7 @@ def test_bands_by_place_are_those_of_bayesian_linear_regression(n, d):
     mean, std = bayesian_line(X, y, at, model.noise_variance_[0], slopes)
     found, deviation = model.predict(at, return_std=True)
     assert_allclose(found, mean, atol=1e-6 * y.std())
-    assert_allclose(deviation, std, rtol=0.01)  # the intercept has a small prior deviation beside
+    assert_allclose(deviation, std, rtol=1e-6)
 
 
 def test_bands_hold_where_only_another_output_was_observed():

@@ -28,8 +28,8 @@ from skdgp.inference import (
     check_spread,
     expected_errors,
     function_errors,
-    mean_errors,
     misfit_of,
+    no_errors,
     residual_drift,
 )
 from skdgp.kernels import as_multi_output, has_prior_paths
@@ -454,16 +454,13 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if time_series:
             misfit = self.misfit_variance_ / self.scale_**2
             errors = function_errors(posterior, misfit, learned.input_std, flight)
+        elif self._slopes is not None:
+            errors = no_errors(posterior.data)
         else:
-            errors = mean_errors(posterior)
-        centred = self.trend is not None
-        if not centred:
-            errors = errors.without_means(len(self.scale_))
+            return posterior
         if self._slopes is not None:
             errors = self._slopes.replaced(errors)
-        if time_series or centred or self._slopes is not None:
-            return PosteriorWithErrors(posterior, errors)
-        return posterior
+        return PosteriorWithErrors(posterior, errors)
 
     # -- predictions: y = center_ + scale_ z for the normalised outputs z
     # ------------------------------------
@@ -567,8 +564,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def function_errors(self) -> FunctionErrors | None:
         """Return the errors of the function that the posterior alone does not hold, part of every prediction.
 
-        In units of the outputs. See :func:`skdgp.inference.function_errors`; without ``time``
-        :func:`skdgp.inference.mean_errors`, or None for outputs that were not centred.
+        In units of the outputs. See :func:`skdgp.inference.function_errors`; None without ``time``
+        and known slopes.
 
         Examples
         --------

@@ -96,8 +96,8 @@ def stability_derivatives(
           position of the sensors, scale of the airspeed,
         - ``std_posterior``: the rest.
 
-        A model without a time series has the errors of its means alone as ``std_random``; one
-        without a posterior of skdgp has no parts.
+        Without a time series ``std_posterior`` is all; a model without a posterior of skdgp has no
+        parts.
 
         ``std_merged`` is the possible difference of derivatives by alpha_dot and beta_dot alone
         from the merged ones of the model, see the notes; ``merged`` names the larger one.

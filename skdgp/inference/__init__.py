@@ -31,9 +31,9 @@ from skdgp.inference._errors import (
     FunctionErrors,
     PosteriorWithErrors,
     function_errors,
-    mean_errors,
 )
 from skdgp.inference._errors import bias_ratio as bias_ratio
+from skdgp.inference._errors import no_errors as no_errors
 from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, mixture_of
 from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._further_rows import ExpectedErrors, expected_errors
@@ -98,7 +98,6 @@ __all__ = [
     "function_errors",
     "log_likelihood",
     "maximize",
-    "mean_errors",
     "misfit_variance",
     "mixture_of",
     "residual_drift",

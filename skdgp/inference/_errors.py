@@ -26,6 +26,7 @@ from skdgp._compute.linalg import column_scale, consecutive
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
+from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, PosteriorSettings, SinglePosterior
 from skdgp.kernels import (
     LinearPaths,
@@ -54,9 +55,6 @@ class ErrorSettings:
     delays: tuple[int, ...] = (2, 4, 6)
     #: F statistic of the first stage below which instruments are weak (Staiger & Stock 1997)
     least_f: float = 10.0
-    #: Standard deviation of the nonlinear part of a function over that of the residuals, below which
-    #: the function counts as linear
-    least_nonlinear: float = 0.01
     #: Fraction of the largest eigenvalue below which instruments count as equal
     singular: float = 1e-10
 
@@ -138,10 +136,6 @@ class FunctionErrors(NamedTuple):
         of_unit = (1.0 + 2.0 * ratio**2) ** -0.75 / self.length_scale
         return np.sqrt(self.discrepancy)[:, None] * of_unit
 
-    def without_means(self, n_outputs: int) -> FunctionErrors:
-        """Return the errors of outputs that were not centred, without the first terms (``mean_errors``)."""
-        return self._replace(random=self.random[n_outputs:])
-
     def in_units(self, shift: Vector, scale: Vector, output_scale: Vector) -> FunctionErrors:
         """Return the errors of outputs times ``output_scale``, as a function of shift + scale x."""
         factor = np.concatenate([[1.0], 1.0 / scale])[:, None] * output_scale
@@ -217,6 +211,13 @@ class PosteriorWithErrors(Posterior):
         return self.posterior.paths(n_paths, rng) + self.errors.paths(n_paths, rng)
 
 
+def no_errors(data: Data) -> FunctionErrors:
+    """Return errors of a function that are zero."""
+    P, centre = len(data.y), max(data.X, key=len).mean(axis=0)
+    nothing = np.zeros((0, len(centre) + 1, P))
+    return FunctionErrors(nothing, nothing, centre, np.zeros(P), np.ones_like(centre))
+
+
 # equations of a hundred terms: on two threads they take several times as long on a busy machine
 @one_blas_thread()
 def function_errors(
@@ -233,20 +234,15 @@ def function_errors(
     - random: over blocks b of consecutive samples, :math:`w_b = G Q_b^T r_b`, whatever the
       correlation within a block and between outputs (Liang & Zeger 1986), as far as their variance
       exceeds the white noise that the posterior holds;
-    - ``mean_errors``;
     - gusts that move the aircraft bias slopes. Instruments, which are earlier regressors, find
       k slopes d of the residuals, with standard deviations s; weak ones find none. With
       :math:`\chi^2 = \sum d^2 / s^2`, which is k by chance, these count as
       :math:`d \sqrt{1 - k / \chi^2}`;
     - noise of the regressors with the covariance :math:`S = \mathrm{diag}(s_k^2)` flattens slopes J
       of regressors with the covariance C by :math:`C^{-1} S J` (Fuller 1987, section 1.1). It
-      counts by one number for each regressor;
-    - gusts bias slopes in calm parts of a flight, not in manoeuvres, and so make a function
-      nonlinear. The nonlinear part is the mean less its best linear approximation. The fraction of
-      it that counts is the one that instruments find to be false, beyond chance; where they are
-      weak, all of it. No more counts than the standard deviation of the residuals.
+      counts by one number for each regressor.
 
-    With too few samples only the discrepancy and ``mean_errors`` are returned.
+    With too few samples only the discrepancy is returned.
 
     Parameters
     ----------
@@ -269,31 +265,25 @@ def function_errors(
     longest = max(data.X, key=len)
     centre = longest.mean(axis=0)
     scale = column_scale(longest)
-    errors = mean_errors(posterior)._replace(
-        centre=centre, discrepancy=np.asarray(discrepancy, dtype=float), length_scale=scale
+    errors = no_errors(data)._replace(
+        discrepancy=np.asarray(discrepancy, dtype=float), length_scale=scale
     )
     if min(map(len, data.y)) < settings.fewest * (len(centre) + 1):
         return errors
 
     series = _output_series(posterior, flight, centre, scale, settings)
     slopes = posterior.gradient(centre[None])[0]
-    over_spread = posterior.gradient(centre[None], scale)[0] * scale
     unit = np.append(1.0, scale)[:, None]  # of the weights of Q
     correlated = correlated_errors(series, mean_noise(posterior), settings) / unit
     gusts = gust_errors(series, settings) / unit
     flattened = attenuation(data.X, input_std, slopes, settings)
-    nonlinear = nonlinear_errors(series, over_spread, settings) / unit
-    return errors._replace(
-        random=np.concatenate([errors.random, correlated]),
-        method=np.concatenate([gusts, flattened, nonlinear]),
-    )
+    return errors._replace(random=correlated, method=np.concatenate([gusts, flattened]))
 
 
 class OutputSeries(NamedTuple):
     """The observed values of one output, n rows in the order of recording."""
 
     Q: Matrix  #: Terms of a line, (1, (x - c) / scale), (n, d + 1)
-    mean: Vector  #: Of the posterior, (n,)
     residual: Vector  #: Observed value less the mean, (n,)
     records: list[Indices]  #: Rows of each flight
     blocks: list[Indices]  #: Rows of each block
@@ -314,11 +304,11 @@ def _output_series(
     residuals = list(map(np.subtract, data.y, means))
     parts = blocks(records, max(map(autocorrelation_time, residuals)), settings)
     series = []
-    for x, y, residual, sample in zip(data.X, data.y, residuals, samples, strict=True):
+    for x, residual, sample in zip(data.X, residuals, samples, strict=True):
         Q = linear_basis((x - centre) / scale)
         of_records = [_places(sample, rows) for rows in records]
         of_blocks = [_places(sample, rows) for rows in parts]
-        series.append(OutputSeries(Q, y - residual, residual, of_records, of_blocks))
+        series.append(OutputSeries(Q, residual, of_records, of_blocks))
     return series
 
 
@@ -337,17 +327,6 @@ def correlated_errors(
 def gust_errors(series: Sequence[OutputSeries], settings: ErrorSettings) -> Array:
     """Return the slopes that instruments find in the residuals, beyond chance, (1, d + 1, P)."""
     biases = [_gust_bias(output, settings) for output in series]
-    return np.stack(biases, axis=-1)[None]
-
-
-def nonlinear_errors(
-    series: Sequence[OutputSeries], slopes: Matrix, settings: ErrorSettings
-) -> Array:
-    """Return the errors of slopes by a nonlinear part that gusts may have made, (1, d + 1, P).
-
-    ``slopes`` (P, d) are the mean's over one standard deviation of the regressors.
-    """
-    biases = [_nonlinear_bias(*pair, settings) for pair in zip(series, slopes, strict=True)]
     return np.stack(biases, axis=-1)[None]
 
 
@@ -376,28 +355,6 @@ def _gust_bias(output: OutputSeries, settings: ErrorSettings) -> Vector:
     beyond_chance = np.maximum(chi_squared - is_determined.sum(), 0.0)
     fraction = beyond_chance / chi_squared if chi_squared > 0 else 0.0
     return change * np.sqrt(fraction) * is_determined
-
-
-def _nonlinear_bias(output: OutputSeries, slopes: Vector, settings: ErrorSettings) -> Vector:
-    """Return the errors of slopes at the centre by the nonlinear part of the mean, (m,); the constant has none.
-
-    The nonlinear part is the mean less its best linear approximation in the terms Q (n, m).
-    """
-    Q, mean, residual, records, _ = output
-    line = np.linalg.lstsq(Q, mean, rcond=None)[0]
-    nonlinear = mean - Q @ line
-    size = float(nonlinear.std())
-    bias = np.zeros(Q.shape[1])
-    if size <= settings.least_nonlinear * residual.std():
-        return bias
-    terms = np.column_stack([Q, nonlinear / size])
-    change, scatter, is_determined = instrumental_weights(terms, residual, records, settings)
-    fraction = min(1.0, float(residual.std()) / size)
-    if is_determined[-1]:
-        beyond_chance = change[-1] ** 2 - np.sum(scatter[:, -1] ** 2)
-        fraction = min(fraction, float(np.sqrt(max(beyond_chance, 0.0))) / size)
-    bias[1:] = fraction * (slopes - line[1:])
-    return bias
 
 
 def _records(sample: Sequence[Indices], flight: Vector | None) -> list[Indices]:
@@ -581,33 +538,3 @@ def mean_noise(posterior: Posterior) -> Vector:
         of_values = variance + np.sum(loading**2, axis=1)
         means.append(1 / np.mean(1 / of_values))
     return np.array(means)
-
-
-def mean_errors(posterior: Posterior) -> FunctionErrors:
-    r"""Return the errors of a function by the means of the outputs, which were subtracted before the fit.
-
-    The mean of n values with noise of variance s^2 has the variance :math:`v = s^2 / n`, with noise
-    that differs between values :math:`v = 1 / \sum_a s_a^{-2}`. For a linear function of centred
-    regressors this is the uncertainty of an intercept without a prior. A posterior whose intercept
-    has the prior variance :math:`\tau^2` holds :math:`\tau^2 v / (\tau^2 + v)`, and the rest is
-    added.
-    """
-    data = posterior.data
-    centre = max(data.X, key=len).mean(axis=0)
-    variance = mean_noise(posterior) / [len(y) for y in data.y]
-    prior = _intercept_variance(posterior.kernel, centre)
-    remaining = variance**2 / (prior + variance)
-    P, d = len(data.y), len(centre)
-    random = np.zeros((P, d + 1, P))
-    random[:, 0] = np.diag(np.sqrt(remaining))
-    return FunctionErrors(random, np.zeros((0, d + 1, P)), centre, np.zeros(P), np.ones(d))
-
-
-def _intercept_variance(kernel: MultiOutputKernel, centre: Vector) -> Vector:
-    """Return the prior variance of the constant terms of a kernel, (P,)."""
-    variance = np.zeros(kernel.n_outputs)
-    for term in kernel.summands():
-        if () in term.term_regressors():
-            constant = term.term(())
-            variance += [constant.block_diag(i, centre[None])[0] for i in range(len(variance))]
-    return variance

@@ -16,8 +16,8 @@ from skdgp.inference._errors import (
     PosteriorWithErrors,
     bias_ratio,
     linear_basis,
-    mean_errors,
     mean_noise,
+    no_errors,
 )
 from skdgp.inference._misfit import Misfit
 from skdgp.inference._posterior import Posterior
@@ -69,7 +69,7 @@ def expected_errors(
     -------
     ExpectedErrors
     """
-    errors = mean_errors(posterior)
+    errors = no_errors(posterior.data)
     if isinstance(posterior, PosteriorWithErrors):
         errors = posterior.errors
         posterior = posterior.posterior

@@ -26,14 +26,11 @@ from skdgp.kernels._base import (
 
 @dataclass(frozen=True)
 class TrendSettings:
-    """Bounds of the prior standard deviations that are estimated from data.
+    """Bounds of the prior standard deviations of slopes that are estimated from data.
 
-    Intercepts are over the standard deviation of their output, slopes in standard deviations of the
-    output for one of the regressor.
+    Slopes are in standard deviations of the output for one of the regressor.
     """
 
-    #: Bounds of intercepts
-    intercept_bounds: tuple[float, float] = (1e-3, 1e2)
     #: Bounds of slopes by many regressors (trials)
     slope_bounds: tuple[float, float] = (0.05, 1e2)
     #: The lower bound of slopes is this number over n for few rows n: a smaller one makes slopes
@@ -70,7 +67,8 @@ class LinearTrend(MultiOutputKernel):
     Parameters
     ----------
     intercept_scale : array (P,) or None
-        Prior standard deviation of the intercept, in the unit of the output. None: from the data.
+        Prior standard deviation of the intercept, in the unit of the output. None: the output's
+        standard deviation, which keeps its value.
     slope_scale : array (P, d) or None
         Prior standard deviation of the slopes, unit of the output per unit of the regressor. None:
         from the data; with more regressors than rows one for all slopes of an output, in standard
@@ -155,7 +153,7 @@ class LinearTrend(MultiOutputKernel):
         n_rows = np.isfinite(Y).sum(axis=0).max()
         least = settings.least_slope(n_rows, d)
         bounds: dict[str, Any] = {
-            "intercept_scale": np.multiply.outer(y_scale, settings.intercept_bounds),
+            "intercept_scale": "fixed",  # learned from centred outputs it would vanish
             "slope_scale": np.multiply.outer(unit, (least, settings.slope_bounds[1])),
         }
         values = {

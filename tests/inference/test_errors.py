@@ -7,13 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import (
-    Data,
-    ExactPosterior,
     FunctionErrors,
     function_errors,
-    mean_errors,
 )
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 N_DRAWN = 700
 # Relative error of a standard deviation of so many draws, five of its own
@@ -62,28 +58,13 @@ def test_deviations_covariances_and_samples_are_of_one_distribution(
 
 
 def test_at_the_centre_the_function_is_known_as_the_mean(series):
-    """Of n values with noise of variance s^2: s^2 / n, of which the intercept's prior holds a part."""
+    """Of n values with noise of variance s^2: s^2 / n, for an intercept with the prior of one standard deviation."""
     X, Y, _ = series
     Y = X[:, :2] + default_rng(4).normal(size=(len(X), 2))
     model = DependentGPRegressor(structure="trend").fit(X, Y)
     std = model.predict(X.mean(axis=0, keepdims=True), return_std=True)[1]
-    assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=1e-6)
-    errors = model.function_errors()
-    assert not errors.slopes()[0].any()
-    uncentred = DependentGPRegressor(ConvolvedGaussian(1), trend=None, max_iter=2)
-    assert uncentred.fit(X, Y).function_errors() is None
-
-
-def test_the_mean_of_values_of_different_noise_is_known_by_their_precision():
-    """1 / v = sum of 1 / s_a^2; a prior of variance t^2 holds t^2 v / (t^2 + v) of it, and the rest is added."""
-    rng = default_rng(0)
-    X, loading = rng.normal(size=(40, 1)), rng.normal(size=(40, 1, 1))
-    trend = LinearTrend([0.3], [[1.0]], [0.0])
-    data = Data.from_table(X, rng.normal(size=(40, 1)), loading)
-    errors = mean_errors(ExactPosterior(trend, np.array([0.2]), data))
-    v = 1 / np.sum(1 / (0.2 + loading**2))
-    held = 0.3**2 * v / (0.3**2 + v)
-    assert_allclose(errors.variance(np.zeros((1, 1))), [[v - held]])
+    assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=0.01)
+    assert model.function_errors() is None
 
 
 def test_discrepancy_is_in_the_units_of_the_outputs(series):
@@ -101,9 +82,7 @@ def test_too_few_samples_show_the_discrepancy_alone(series):
     model = DependentGPRegressor(structure="trend").fit(X[:20], Y[:20], time=time[:20])
     errors = model.function_errors()
     assert not errors.slopes()[0].any()
-    of_mean = errors.variance(X[:2]) - model.misfit_variance_
-    assert (of_mean > 0).all()
-    assert_allclose(of_mean[0], of_mean[1])
+    assert_allclose(errors.variance(X[:2]), [model.misfit_variance_] * 2)
 
 
 def line_of(x, Y, noise_variance=1.0, **options):
@@ -177,30 +156,6 @@ def test_errors_by_method_hold_what_gusts_take_from_the_damping(wandering, memor
     by_method = np.abs(errors.slopes()[1][0, 0, 0]) * model.scale_[0]
     assert missing > 0.1
     assert 0.4 * missing < by_method < 1.5 * missing
-
-
-def slope_error(y, x):
-    """Return how far the model's slope over the spread of x lies from -1, and its errors by method."""
-    model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=30, structure="joint")
-    model.fit(x[:, None], y[:, None], time=np.arange(len(x)) * 1.0)
-    slope = model.predict_gradient([[0.0]], spread=[x.std()])[0, 0, 0]
-    by_method = model.function_errors().slopes()[1][0, 0] * model.scale_[0]
-    return slope + 1, np.sqrt(np.sum(by_method**2))
-
-
-def test_errors_by_method_hold_a_nonlinearity_by_gusts_and_no_true_one(wandering):
-    """A gust moves the aircraft in calm parts of a flight, manoeuvres do elsewhere."""
-    rng = default_rng(8)
-    gust, stick = wandering(rng, 600, 2), wandering(rng, 600, 30)
-    flown = np.arange(600) % 200 < 100
-    x = 0.5 * gust + 2.0 * stick * flown
-    off, by_method = slope_error(-x + gust, x)
-    assert off > 0.1
-    assert 0.3 * off < by_method < 3 * off
-
-    x = 2.0 * stick
-    _, by_method = slope_error(np.sin(x) + 0.05 * gust, x)
-    assert by_method < 0.05
 
 
 def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():

@@ -32,7 +32,7 @@ KINDS = {
     "additive": JOINT | {"kernel": LinearTrend() + ALONE, "trend": None},
     "trend": {"structure": "trend"},
     "constant": JOINT | {"trend": "constant"},
-    "noisy": JOINT | {"input_noise": "learned"},
+    "noisy": JOINT | {"input_noise": [0.05] * 6},
     "sparse": SPARSE | AVERAGE,
     "sparse-joint": SPARSE | JOINT,
     "sparse-constant": SPARSE | JOINT | {"trend": "constant"},

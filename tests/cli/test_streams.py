@@ -2,16 +2,11 @@
 
 import io
 import os
-import re
 import sys
-import threading
 from contextlib import redirect_stderr, redirect_stdout
 
 import pandas as pd
 import pytest
-
-from skdgp._cli import Console
-from skdgp._compute.messages import Progress
 
 FULL = "/dev/full"
 needs_full = pytest.mark.skipif(not os.path.exists(FULL), reason=f"there is no {FULL} here")
@@ -72,54 +67,3 @@ def test_a_warning_that_nobody_sees_ends_nothing(predict, written, tmp_path):
     with open(FULL, "w") as full, redirect_stderr(full):
         assert predict(str(holes)) == 0
     assert len(pd.read_csv(written)) == len(table) - 10
-
-
-class Watched(io.StringIO):
-    """A stream that tells when a stage was written with its seconds."""
-
-    def __init__(self, is_terminal):
-        super().__init__()
-        self.is_terminal = is_terminal
-        self.has_seconds = threading.Event()
-
-    def isatty(self):
-        return self.is_terminal
-
-    def write(self, text):
-        if " · " in text:
-            self.has_seconds.set()
-        return super().write(text)
-
-
-@pytest.mark.parametrize("is_terminal", [True, False])
-def test_a_stage_that_lasts_is_shown_with_its_seconds(is_terminal):
-    """The waits end with the event, so their limits, in seconds, only count where the test fails."""
-    stream = Watched(is_terminal)
-    before = {*threading.enumerate()}
-    with Console(stream, silence=0.01) as console:
-        (thread,) = {*threading.enumerate()} - before
-        console.stage("flight 'a'")
-        assert stream.has_seconds.wait(30.0)
-    thread.join(30.0)
-    assert not thread.is_alive()
-    assert re.search(r"flight 'a' · \d+ s", stream.getvalue())
-    assert thread.daemon  # a command that fails does not wait for it
-
-
-@pytest.mark.parametrize("is_terminal", [True, False])
-def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left(is_terminal):
-    stream = Watched(is_terminal)
-    with Console(stream, silence=0.01) as console:
-        console.progress("transforming", 0, float("nan"))
-        for done in range(4):
-            stream.has_seconds.clear()
-            console.progress(Progress("estimating the air", done, 8), 0, float("nan"))
-        assert stream.has_seconds.wait(30.0)
-        assert stream.has_seconds.wait(30.0)
-    pattern = r"transforming · estimating the air \[####-{6}\] 3 of 8, < \d+ s left"
-    assert re.search(pattern, stream.getvalue())
-
-
-def test_a_stage_with_steps_is_its_name():
-    """Listeners compare stages with words."""
-    assert Progress("output 1", 0, 6) == "output 1"

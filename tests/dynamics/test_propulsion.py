@@ -8,19 +8,15 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.linear_model import LinearRegression
 
 from skdgp.dynamics import (
-    Aerodynamics,
     Aircraft,
     Propeller,
     ThrustLine,
     aerodynamic_coefficients,
     propeller_loads,
     propulsive_loads,
-    stability_derivatives,
 )
-from skdgp.identification._log_errors import thrust_errors
 
 TRUE = Propeller(
     diameter=0.5,
@@ -238,32 +234,3 @@ def test_the_throttle_gives_the_thrust_where_the_motor_is_known(flown):
     thrust = told.propeller.thrust(speed, table["airspeed"], 1.2)
     drag = aerodynamic_coefficients(table, told, cutoff=None)["CX"]
     assert np.allclose(drag, -thrust / (0.6 * table["airspeed"] ** 2 * told.wing_area))
-
-
-def test_its_deviation_is_what_another_thrust_makes_of_a_linear_model(flown):
-    """Identify with the thrust of a propeller that pulls 1 % more: the derivatives change by what ``added`` says."""
-    table, X = flown
-
-    def learned(factor):
-        """Return the aircraft, and the intercepts and slopes of its coefficients."""
-        propeller = Propeller.from_size(**SIZE, **MOTOR)
-        loads = ("thrust_coefficients", "torque_coefficients")
-        more = {name: tuple(factor * np.array(getattr(propeller, name))) for name in loads}
-        line = {"position": [0, 0, -0.1]}
-        aircraft = Aircraft.estimate(
-            2.0, 1.5, propeller=replace(propeller, **more), thrust_line=line
-        )
-        Y = aerodynamic_coefficients(table, aircraft, cutoff=None).to_numpy()
-        return aircraft, LinearRegression().fit(X.to_numpy(), Y)
-
-    (aircraft, fit), (_, other) = learned(1.0), learned(1.01)
-    errors = thrust_errors(table, aircraft, X)
-    only = replace(aircraft, deviations=None)
-    state = np.array([0, 0, -100, 15, 0, 0.7, 1, 0, 0, 0, 0, 0, 0])
-    controls = {"elevator": 0.05, "throttle": 0.6}
-    model = Aerodynamics(fit.predict, REGRESSORS, errors=errors)
-    std = stability_derivatives(model, only, state, controls, thrust=None)["std_aircraft"]
-    change = 100 * aircraft.propeller.load_std * np.abs(other.coef_ - fit.coef_)
-    expected = change[0, 0], change[0, 3], change[4, 3]
-    assert_allclose(std[["CX_alpha", "CX_throttle", "Cm_throttle"]], expected, rtol=1e-6)
-    assert std["CZ_alpha"] == 0

@@ -18,7 +18,6 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp._flight.findings import Code
 from skdgp.dynamics import Aircraft, Servos, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
-from skdgp.estimation._air_fit import AirFit
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
 
@@ -451,28 +450,6 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
     flown = flown_derivatives(model, flight, 0.03)
     for name, std in (("CZ_alpha", 1.5), ("Cm_q", 10.0), ("Cm_elevator", 1.0)):
         assert flown.loc[name, "std"] > 0.95 * std
-
-
-@pytest.mark.slow
-def test_a_solution_far_below_the_likelihood_of_an_earlier_pass_is_none(monkeypatch):
-    """The answer is the pass of the largest likelihood, which has not converged."""
-    flight = flown("calm", 20.0)
-    assert flight.estimate().converged
-    passes = []
-    filter_records = AirFit.filter_records
-
-    def recorded(fit, *options, **named):
-        at = fit.x.copy()
-        sums, fitted = filter_records(fit, *options, **named)
-        passes.append((sum(item.log_likelihood for item in fitted), at))
-        return sums, fitted
-
-    monkeypatch.setattr(AirFit, "filter_records", recorded)
-    none = flight.estimate(settings=AirSettings(lost_likelihood=-np.inf, attempts=(0,)))
-    assert not none.converged
-    likelihood, best = max(passes[:-2], key=lambda each: each[0])
-    assert_allclose(none.derivatives["value"], best[: len(none.derivatives)])
-    assert passes[-1][0] == pytest.approx(likelihood, rel=1e-3)
 
 
 def test_a_record_without_airspeed_does_not_spoil_the_mean_thrust():

@@ -437,3 +437,50 @@ def test_signals_without_noise_that_determine_no_slope_at_some_lags():
     table = table.assign(psi=turn * time, airspeed=20 + np.sin(0.3 * time), **rates)
     assert contradictions(table) == []
     assert "p" in channels_of(contradictions(scaled(table, {"p q r": DEGREES})))
+
+
+GPS = ["v_north", "v_east", "v_down"]
+VANES = ["alpha", "beta"]
+BODY = ["q", "r", "ay", "az"]
+
+
+def channels_of_each(flight):
+    """Return the channels of each contradiction."""
+    return [{*finding.numbers["channels"]} for finding in contradictions(flight)]
+
+
+@pytest.fixture
+def ordinary(flight):
+    """Return a flight of elevator and aileron, without position."""
+    mixed = flight[ELEVONS].to_numpy() @ np.array([[0.5, 0.5], [0.5, -0.5]])
+    table = flight.assign(elevator=mixed[:, 0], aileron=mixed[:, 1])
+    return table.drop(columns=[*ELEVONS, "north", "east", "altitude"])
+
+
+@pytest.mark.parametrize("pair", [{"q", "theta"}, {"p", "phi"}, {"r", "psi"}])
+@pytest.mark.parametrize("without", [[], VANES])
+def test_a_rate_and_its_angle_turned_together(ordinary, pair, without):
+    """They agree with each other, but in turns q = psi_dot sin phi cos theta is positive on either side."""
+    turned = opposite(ordinary.drop(columns=without), " ".join(pair))
+    assert channels_of_each(turned) == [pair]
+
+
+@pytest.mark.parametrize("names", [BODY, [*BODY, "theta", "psi", "v_east", "v_down"]])
+def test_axes_forward_left_up_are_one_mistake(ordinary, names):
+    turned = opposite(ordinary.drop(columns=VANES), " ".join(names))
+    assert channels_of_each(turned) == [{*names}]
+
+
+@pytest.mark.parametrize("rows", [4, 20])
+def test_late_vanes_are_named_and_no_surface(ordinary, rows):
+    """Of 0.1 s at most LagCorrector corrects in silence."""
+    late = ordinary[VANES].shift(rows)
+    table = ordinary.assign(**late).iloc[rows:].reset_index(drop=True)
+    vanes = {*VANES} if rows > 4 else set()
+    assert channels_of(contradictions(table.drop(columns=GPS))) == vanes
+
+
+def test_the_scale_of_the_airspeed_without_gps(ordinary):
+    """alpha follows q + az / V."""
+    wrong = scaled(ordinary.drop(columns=GPS), {"airspeed": 3.6})
+    assert channels_of_each(wrong) == [{"airspeed"}]

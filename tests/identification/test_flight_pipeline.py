@@ -1,7 +1,6 @@
 """Bands of the flight's own air, by scikit-learn's own calls; least squares beside the model."""
 
 import pickle
-import re
 from functools import partial
 
 import numpy as np
@@ -21,7 +20,6 @@ from skdgp.identification import (
     flight_regressors,
     identify,
 )
-from skdgp.identification._summary import air_of
 from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightSmoother
@@ -121,18 +119,6 @@ class TestPredict:
         train = flights.train.groupby("flight", observed=True).head(600)
         durations = train.groupby("flight", observed=True)["time"].agg(np.ptp)
         assert model.seconds_ == pytest.approx(durations.sum(), rel=0.01)
-
-    def test_says_where_the_wind_comes_from(self, model):
-        """A direction of wind is where it comes from, clockwise from north."""
-        constants = model["flightpathreconstruction"].calibration_
-        winds = constants.pivot_table("estimate", "flight", "constant", sort=False)
-        said = re.findall(r"steady wind (.+?) m/s from (\d+) deg", air_of(model))
-        for (speed, degrees), (north, east) in zip(
-            said, winds[["wind_north", "wind_east"]].to_numpy(), strict=True
-        ):
-            way = np.deg2rad(float(degrees))
-            blown = -float(speed) * np.array([np.cos(way), np.sin(way)])
-            assert_allclose(blown, [north, east], atol=0.1)
 
     def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
         noise = default_rng(0).normal(0.0, 0.3, 200)

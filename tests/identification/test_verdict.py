@@ -9,7 +9,6 @@ from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
 from scipy.signal import lfilter
 
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import (
     Aerodynamics,
@@ -133,6 +132,7 @@ NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
 NO_DERIVATIVES = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
 NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
 ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 PREDICT = "predict coefficients"

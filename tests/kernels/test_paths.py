@@ -10,8 +10,6 @@ from skdgp.kernels import (
     inducing_features,
     prior_paths,
 )
-from skdgp.kernels._gaussian_filters import GaussianBasis
-from skdgp.kernels._paths import BasisPaths
 
 
 def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():
@@ -64,27 +62,3 @@ def test_inducing_inputs_far_from_each_other_lose_no_digits():
     features, X = inducing_features(kernel, Z), Z + 0.3
     expected = np.hstack([features.Kfu(i, X) for i in range(kernel.n_outputs)])
     assert_allclose(features.basis()[0](X), expected, rtol=1e-6, atol=1e-9)
-
-
-def test_sums_of_gaussian_functions_at_one_point_of_each_path():
-    """As of the formula, also of an output without functions; slopes are central differences."""
-    rng = default_rng(3)
-    gain, precision, centres = (
-        rng.normal(size=5),
-        rng.uniform(0.5, 2.0, (5, 2)),
-        rng.normal(size=(5, 2)),
-    )
-    weights = [rng.normal(size=(3, 4)), np.empty((3, 0)), rng.normal(size=(3, 1))]
-    columns = [slice(0, 4), slice(4, 4), slice(4, 5)]
-    paths = BasisPaths(GaussianBasis(gain, precision, centres), weights, columns)
-    X = rng.normal(size=(3, 1, 2))
-
-    def values(X):
-        functions = gain * np.exp(-0.5 * np.sum(precision * (X - centres) ** 2, axis=-1))
-        sums = [np.sum(w * functions[:, c], axis=1) for w, c in zip(weights, columns, strict=True)]
-        return np.stack(sums, axis=-1)[:, None]
-
-    assert_allclose(paths.each(X), values(X), atol=1e-12)
-    for k, step in enumerate(1e-5 * np.eye(2)):
-        difference = (values(X + step) - values(X - step)) / 2e-5
-        assert_allclose(paths.gradient(X)[..., k], difference, atol=1e-8)

@@ -40,7 +40,12 @@ SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, 
 # noise and motion never let them stand still
 SENSORS = {"airspeed"}.union(*SIBLINGS)
 # channels that move only if those of a group do
-WITNESSES = {("airspeed",): (*SPECIFIC_FORCE, *EARTH_VELOCITY), RATES: EULER, EULER: RATES}
+WITNESSES = {
+    ("airspeed",): (*SPECIFIC_FORCE, *EARTH_VELOCITY),
+    ("elevator",): ("aileron", "q"),
+    RATES: EULER,
+    EULER: RATES,
+}
 
 
 def _within(size: float, *names: str) -> dict[str, tuple[float, float]]:
@@ -270,7 +275,7 @@ def _dead(channels: dict[str, Vector]) -> Iterator[_Rows]:
         sampled = values[np.isfinite(values)]
         if len(sampled) >= FAULTS.enough:
             ranges[name] = np.ptp(sampled)
-    for names in (("airspeed",), *SIBLINGS):
+    for names in (("airspeed",), ("elevator",), *SIBLINGS):
         moving = [name for name in names if ranges.get(name, 0) > 0]
         if not moving:
             moving = [name for name in WITNESSES.get(names, ()) if ranges.get(name, 0) > 0]

@@ -101,6 +101,7 @@ SCALED = [
     ({"v_down": -1, "altitude": np.nan}, "v_down", -1),
     ({"v_north": -1}, "north v_north", -1),
     ({"ax": -1}, "ax", None),
+    ({"thrust_x": -1}, "thrust_x ax", None),
     ({"psi": -1}, "psi r", None),
     ({"elevon_left elevon_right": -1}, "elevon_left elevon_right", None),
     ({"alpha": DEGREES}, "alpha", None),

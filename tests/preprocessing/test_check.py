@@ -178,6 +178,7 @@ def test_a_dead_sensor_among_living_ones():
 
 def test_dead_sensors_by_what_cannot_move_without_them():
     assert faults(log().assign(airspeed=25.0)) == [["airspeed", "constant"]]
+    assert faults(log().assign(elevator=0.0)) == [["elevator", "constant"]]
     turns = {"phi": np.sin(log().time), "theta": 0.0, "psi": 0.0}
     dead = log().assign(p=0.01, q=0.01, r=0.01)
     assert faults(dead) == []

@@ -233,11 +233,11 @@ def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression
     return Regression(y, x, others)
 
 
-def thrust(flight: Signals) -> Regression:
-    """Return the terms of ax = thrust - parasitic and induced drag."""
+def thrust(flight: Signals, name: str) -> Regression:
+    """Return the terms of ax = thrust - parasitic and induced drag, the thrust by a channel."""
     squared = flight["airspeed"] ** 2
     az = flight["az"]
     drags = [squared, az, az**2 / squared]
     y = flight.integral(flight["ax"])
-    x = flight.integral(flight["throttle"])
+    x = flight.integral(flight[name])
     return Regression.with_intercept(y, x, *map(flight.integral, drags))

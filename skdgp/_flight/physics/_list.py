@@ -226,14 +226,20 @@ def _sign_of_effect(name: str, effects: tuple[str, ...], admissible: Interval) -
 LIFT = _relation_of_response("az", ("alpha", "q", "elevator"))
 SIDEFORCE = _relation_of_response("ay", ("beta", *LATERAL_EFFECTS))
 WEATHERCOCK = _sign_of_effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
-THRUST = Relation(
-    channels=("throttle", "ax"),
-    uses=("airspeed", "az"),
-    y="ax",
-    x="throttle",
-    regression=equations.thrust,
-    unit="m/s^2",
-)
+
+
+def _sign_of_drive(name: str, noise: float, unit: str) -> Sign:
+    """Return the check of what drives the aircraft forward."""
+    relation = Relation(
+        channels=(name, "ax"),
+        uses=("airspeed", "az"),
+        y="ax",
+        x=name,
+        regression=partial(equations.thrust, name=name),
+        unit=unit,
+    )
+    return Sign(relation=relation, admissible=POSITIVE, noise=noise)
+
 
 SIGNS = (
     _sign_of_vane("beta", "the lateral ground velocity less a wind"),
@@ -251,7 +257,9 @@ SIGNS = (
     _sign_of_effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
     _sign_of_effect("q", ("elevator", "alpha", "q"), NEGATIVE),
     _sign_of_effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
-    Sign(relation=THRUST, admissible=POSITIVE, noise=0.01),
+    _sign_of_drive("throttle", 0.01, "m/s^2"),
+    _sign_of_drive("thrust", 0.0, "1/kg"),
+    _sign_of_drive("thrust_x", 0.0, "1/kg"),
 )
 
 HEADING = Sign(relation=COURSE, admissible=AHEAD, noise=3.0)

@@ -105,22 +105,6 @@ def test_a_spiral_does_not_count_where_the_roll_loop_is_open(with_spiral):
     assert suggest_gains(with_spiral, pitch)[0].P > 0.0
 
 
-def test_an_unstable_roll_loop_is_not_the_pitch_loops(with_spiral):
-    """The elevator does not move the spiral, which a weak roll loop leaves unstable."""
-    loops = autopilot_loops(PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}, FULL)
-    loops = [loop for loop in loops if loop.name != "yaw"]
-    table = margins(with_spiral, loops)
-    assert table["value"]["roll"]["gain"] == -np.inf
-    assert np.isfinite(table["value"]["pitch"]).all()
-    # nor are too high gains of pitch the roll loop's
-    roll = autopilot_loops(PX4 | {"FW_RR_P": 0.5}, {"aileron": FULL["aileron"]})
-    table = margins(with_spiral, [*roll, loops[1].scaled(30.0)])
-    assert np.isfinite(table["value"]["roll"]).all()
-    assert table["value"]["pitch"]["gain"] == -np.inf
-    (cause,) = table.attrs["unstable"]
-    assert cause.startswith("oscillation of")
-
-
 def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_named(with_spiral):
     weak = UNFILTERED | {"FW_RR_P": 1e-4}
     table = margins(with_spiral, autopilot_loops(weak, {"aileron": FULL["aileron"]}))
@@ -162,12 +146,6 @@ def test_the_derivative_of_px4_has_a_filter_of_first_order():
     assert_allclose(roll.feedback(s, 20.0, 1.225)["p"], expected)
 
 
-def test_px4_without_airspeed_does_not_scale_its_gains():
-    for parameters in ({"FW_ARSP_MODE": 1.0}, {"FW_USE_AIRSPD": 0.0}):
-        (roll,) = autopilot_loops(PX4 | parameters, {"aileron": 0.4})
-        assert_allclose(roll.feedback(np.array([1e9j]), 30.0, 1.0)["p"], -0.4 * PX4["FW_RR_P"])
-
-
 @pytest.mark.parametrize(
     ("gains", "limits", "trim"),
     [
@@ -207,26 +185,6 @@ def test_the_feed_forward_of_ardupilot_falls_with_the_air(name):
     )
 
 
-def test_a_feed_forward_alone_closes_the_loop_of_the_attitude():
-    gains = UNFILTERED | {"FW_RR_P": 0.0, "FW_RR_FF": 0.3, "FW_R_TC": 0.5}
-    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
-    laws = roll.feedback(np.array([2j]), 20.0, 1.225)
-    assert_allclose(laws["phi"], -0.4 * 0.3 / 0.5)
-
-
-def test_parameters_that_do_not_count_are_no_errors():
-    """The trim's airspeed of gains that are not scaled, the yaw controller of a rudder that is left out."""
-    autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4})
-    autopilot_loops({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"aileron": 0.4})
-    yaw = UNFILTERED | {"FW_RR_P": 0.0, "FW_YR_FF": 0.3}
-    assert autopilot_loops(yaw, {"rudder": 0.3})[0].name == "yaw"
-
-
-def test_a_control_without_gains_is_named():
-    with pytest.warns(UserWarning, match="no gains other than zero for rudder"):
-        autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1}, {"aileron": 0.4, "rudder": 0.3})
-
-
 @pytest.mark.parametrize("number", range(3))
 def test_at_the_gain_margin_an_oscillation_of_the_closed_loops_lasts(linear, number):
     """The other loops stay closed: i w I - A - B K exp(-i w T) is singular at a frequency."""
@@ -256,15 +214,6 @@ def test_at_the_gain_margin_an_oscillation_of_the_closed_loops_lasts(linear, num
     assert margins(linear, [unstable, *others])["value"][unstable.name]["gain"] == -np.inf
 
 
-def test_paths_have_intervals_and_probabilities(linear):
-    loops = autopilot_loops(PX4, FULL)
-    found = margins(linear, loops)
-    assert (found["lower"] <= found["value"])["roll"].all()
-    assert (found["value"] <= found["upper"])["roll"].all()
-    assert found["probability"].drop("crossover", level="quantity").between(0, 1).all()
-    assert found["excited"].isna().all()
-
-
 def test_suggested_gains_are_the_largest_that_have_the_margins(linear):
     probability = 0.95
     loops = autopilot_loops(PX4, FULL)
@@ -289,14 +238,6 @@ def test_suggested_gains_are_the_largest_that_have_the_margins(linear):
     assert probability > share(larger, 1)
     for k in range(3):
         assert share(chosen, k) >= probability
-
-
-def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
-    """However many rounds the search takes; these could be raised much farther."""
-    (pitch,) = autopilot_loops(PX4, {"elevator": FULL["elevator"]})
-    weak = pitch.scaled(1e-3)
-    (chosen,) = suggest_gains(linear, [weak])
-    assert_allclose(chosen.P / weak.P, 10 ** (26 / 20))
 
 
 def linear_of_path(linear, number):
@@ -384,14 +325,6 @@ def test_double_notches_and_harmonics_of_ardupilot_are_notches_at_their_frequenc
     assert len({notch.quality for notch in loop.gyro_notches}) == 1
 
 
-def test_a_notch_that_follows_the_engine_is_taken_at_its_lowest_frequency_and_named():
-    follows = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 40.0, "INS_HNTCH_BW": 20.0}
-    follows |= {"INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_FM_RAT": 0.7}
-    with pytest.warns(UserWarning, match="INS_HNTCH_MODE 1"):
-        (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | follows, {"aileron": 0.4})
-    assert_allclose([notch.frequency for notch in loop.gyro_notches], [28.0, 56.0])
-
-
 def test_the_derivative_of_the_target_feeds_forward():
     """AC_PID: DFF is the derivative of the filtered target times D_FF, of rates scaled by the airspeed, squared."""
     gains = {"RLL_RATE_P": 0.1, "RLL2SRV_TCONST": 0.5, "SCALING_SPEED": 15.0}
@@ -402,24 +335,6 @@ def test_the_derivative_of_the_target_feeds_forward():
     unit = np.rad2deg(1.0) / 45.0
     expected = -0.4 * unit * (15.0 / 20.0) ** 2 * 0.02 * s / (1 + s / (2 * np.pi * 3.0)) / 0.5
     assert_allclose(added, expected)
-
-
-@pytest.mark.parametrize(
-    ("extra", "names"),
-    [
-        ({"RLL_RATE_PDMX": 0.1, "RLL_RATE_SMAX": 150.0}, "RLL_RATE_PDMX 0.1, RLL_RATE_SMAX 150"),
-        ({"RLL_RATE_NEW": 0.1}, "RLL_RATE_NEW 0.1"),
-    ],
-)
-def test_parameters_of_the_loops_that_are_not_known_are_named(extra, names):
-    given = {"RLL_RATE_P": 0.1, "PTCH_RATE_SMAX": 150.0, "RLL_RATE_IMAX": 0.5} | extra
-    with pytest.warns(UserWarning, match=f"margins do not contain what they do: {names}\\."):
-        autopilot_loops(given, {"aileron": 0.4})
-
-
-def test_an_integrator_without_room_is_none():
-    gains = UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_IMAX": 0.0}
-    assert autopilot_loops(gains, {"aileron": 0.4})[0].I == 0.0
 
 
 ELEVONS = {"SERVO1_FUNCTION": 77, "SERVO2_FUNCTION": 78}
@@ -443,13 +358,6 @@ def test_mixed_servos_move_by_the_mixing_gain(servos, full):
     loops = autopilot_loops(gains | servos, FULL)
     assert_allclose([loop.full for loop in loops], full)
     assert_allclose(loops[0].rudder, 0.5 * full[2])
-
-
-def test_gains_that_a_file_lacks_are_the_firmwares_defaults():
-    with pytest.warns(UserWarning, match="lack .*FW_RR_I 0.1.* defaults of PX4"):
-        (roll,) = autopilot_loops({"FW_RR_P": 0.2}, {"aileron": 0.4})
-    assert (roll.P, roll.I, roll.FF, roll.time_constant) == (0.2, 0.1, 0.5, 0.4)
-    assert roll.parameters == {"FW_RR_P": 0.2, "FW_RR_I": 0.1, "FW_RR_FF": 0.5}
 
 
 FILES = {
@@ -502,32 +410,6 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
 def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
     with pytest.raises(ValueError, match=words):
         autopilot_loops(parameters, full)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("the gains are fine\n", "without parameters"),
-        ("FW_RR_P 0.05\nFW_RR_P 0.06\n", "FW_RR_P twice"),
-        ("1\t1\tFW_RR_P\t0.05\t9\n2\t1\tFW_RR_I\t0.1\t9\n", "vehicles 1, 2"),
-        ("@include plane.parm\nRLL_RATE_P 0.1\n", "in one file"),
-    ],
-)
-def test_files_that_are_not_of_one_vehicle_are_refused(text, words, tmp_path):
-    path = tmp_path / "plane.parm"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=words):
-        read_parameters(path)
-
-
-@pytest.mark.parametrize("value", ["abc", "nan", "0.3.4", "0,3"])
-def test_a_gain_that_is_no_number_is_refused(value, tmp_path):
-    path = tmp_path / "plane.params"
-    path.write_text(f"RLL_RATE_P 0.1\nRLL_RATE_FF {value}\n")
-    with pytest.raises(
-        ValueError, match=r"Got the line 'RLL_RATE_FF .*a decimal point behind RLL_RATE_FF"
-    ):
-        read_parameters(path)
 
 
 def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):

@@ -6,9 +6,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.frozen import FrozenEstimator
-from sklearn.linear_model import LinearRegression, Ridge
-from sklearn.model_selection import GridSearchCV
+from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import (
     FunctionTransformer,
@@ -105,13 +103,6 @@ def test_knows_what_was_flown_and_the_lengths_and_the_mixing_of_the_pipeline(fit
     assert aerodynamics.mixing.surfaces == ("elevon_left", "elevon_right")
 
 
-def test_limits_are_of_the_rows_that_were_learned_from(flight, targets):
-    learned = targets.copy()
-    learned.iloc[60:] = np.nan
-    model = pipeline(DependentGPRegressor(n_latent=0, optimizer=None)).fit(flight, learned)
-    assert_limits(as_aerodynamics(model), model[:3].transform(flight)[:60])
-
-
 @pytest.mark.parametrize("behind", ["gaussian process", *BEHIND])
 def test_slopes_are_those_of_its_values(behind, fitted, flight, targets, X):
     model = fitted
@@ -147,17 +138,6 @@ def test_sampled_functions_have_the_posterior_moments_in_the_units_of_the_flight
     difference = (drawn(points + moved) - drawn(points - moved)) / 6e-4
     slopes = drawn.gradient(points)[..., 0]
     assert_allclose(slopes, difference, atol=1e-3 * np.abs(difference).max())
-
-
-def test_a_model_in_a_search_or_frozen_is_the_model_inside(flight, targets, fitted, X):
-    expected = as_aerodynamics(fitted)(X)
-    search = GridSearchCV(pipeline(StandardScaler(), Ridge()), {"ridge__alpha": [1.0]}, cv=3).fit(
-        flight, targets
-    )
-    assert_allclose(as_aerodynamics(search)(X), as_aerodynamics(search.best_estimator_)(X))
-    flown = as_aerodynamics(FrozenEstimator(fitted))
-    assert flown.regressors == tuple(REGRESSORS)
-    assert_allclose(flown(X), expected)
 
 
 def test_a_transformer_declares_what_becomes_of_it_in_a_simulation(flight, targets):

@@ -229,12 +229,6 @@ def test_what_has_no_derivatives(state, model, change, controls, match):
         stability_derivatives(model, BRUMBY, **{"point": state, "controls": controls} | change)
 
 
-def test_a_model_without_controls_needs_none(state):
-    model = Aerodynamics(lambda X: np.tile(X, 6), ["alpha"])
-    table = stability_derivatives(model, BRUMBY, state, {}, thrust=None)
-    assert table.loc["CY_alpha", "value"] == pytest.approx(1.0)
-
-
 LINEAR_NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]
 SLOPES = np.zeros((6, 7))
 SLOPES[0, [0, 5]] = 0.4, 0.02

@@ -60,10 +60,3 @@ def test_air_data_round_trip():
         air_data(air_velocity(airspeed, alpha, beta)), (airspeed, alpha, beta), strict=True
     ):
         assert_allclose(got, expected, atol=1e-12)
-
-
-def test_wind_from_the_right_is_positive_sideslip_and_from_below_positive_alpha():
-    _, alpha, beta = air_data([20.0, 1.0, 2.0])
-    assert alpha > 0
-    assert beta > 0
-    assert_allclose(beta, np.arcsin(1.0 / np.sqrt(405.0)))

@@ -62,16 +62,6 @@ def test_sensors_half_a_metre_ahead_give_the_same_coefficients(
     assert relative(got, true_coefficients).max() < 3e-3
 
 
-def test_a_position_in_the_flight_counts_in_place_of_the_aircrafts(
-    simulated, aircraft, true_coefficients
-):
-    arm = (0.5, 0.1, -0.2)
-    flight = sensed_at(simulated, arm).assign(**dict(zip(POSITION, arm, strict=True)))
-    wrong = replace(aircraft, sensor_position=(-0.3, 0.0, 0.0))
-    got = aerodynamic_coefficients(flight, wrong, cutoff=None)
-    assert_allclose(got, true_coefficients, atol=1e-12)
-
-
 def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     simulated, aircraft, true_coefficients
 ):
@@ -122,15 +112,6 @@ def test_smoothing_does_not_shrink_a_signal_that_hardly_exceeds_its_noise():
     assert np.mean(slopes) == pytest.approx(1.0, abs=0.05)
 
 
-def test_no_draw_of_the_noise_hides_that_it_is_noise():
-    """Of 30 s: white noise beyond the motion, which ends at 1 of 25 Hz, is removed."""
-    noise = 2.0 * 0.1 / FORCE
-    for seed in range(14, 24):
-        flight, true = surge(default_rng(seed), 0.3, 1500)
-        CX = aerodynamic_coefficients(flight, GLIDER, thrust=None)["CX"]
-        assert np.std(CX - true) < 0.4 * noise
-
-
 def test_flights_by_the_smoothing_of_a_flight_have_its_noise():
     """By their own spectra, a calm and a lively flight have noise of different size."""
     calm, of_calm = surge(default_rng(0), 0.3, 6000, highest=0.5)
@@ -177,25 +158,6 @@ def test_external_loads_are_taken_away(simulated, aircraft, true_coefficients):
         pulled, aircraft, cutoff=None, external_forces=["tether", "rope"]
     )
     assert_allclose(got, true_coefficients, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("names", "words"),
-    [(["rope"], "lacks the columns 'rope_x'"), ("rope", "expected a sequence of names")],
-)
-def test_external_loads_that_are_none_are_told(simulated, aircraft, names, words):
-    with pytest.raises(ValueError, match=words):
-        aerodynamic_coefficients(simulated, aircraft, external_forces=names)
-
-
-def test_flights_do_not_see_each_other(simulated, aircraft):
-    flight = simulated.drop(columns=DERIVATIVES)
-    both = pd.concat(
-        [flight.assign(flight="a"), flight.assign(flight="b", p=-flight["p"])], ignore_index=True
-    )
-    alone = aerodynamic_coefficients(flight, aircraft)
-    together = aerodynamic_coefficients(both, aircraft)
-    assert_allclose(together.iloc[: len(flight)], alone, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["airspeed", "density", "ay", "q", "q_dot", "thrust_x"])

@@ -4,24 +4,20 @@ import sys
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
-from scipy.signal import lsim
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
-    Mixing,
     Motion,
     ScaleFactor,
     Servos,
     euler_to_quaternion,
     linearize,
     quaternion_to_euler,
-    simulate,
     trim,
 )
 
@@ -204,52 +200,6 @@ class TestServos:
             assert_allclose(matrix["thrust"], at_once.loc[matrix.index, "thrust"])
         columns = ["eigenvalue", "frequency", "damping", "time_constant"]
         assert_frame_equal(late.modes()[columns], linear.modes()[columns])
-
-    @pytest.mark.parametrize("surface", SURFACES)
-    def test_response_to_a_doublet_is_that_of_the_simulation(self, late, level, glider, surface):
-        """The difference is of second order in the doublet: halved, it is a quarter."""
-        time = np.arange(0.0, 3.01, 0.01)
-        doublet = np.interp(time, [0.2, 0.21, 0.5, 0.51, 0.8, 0.81], [0, 1, 1, -1, -1, 0])
-        names = ["p", "q", "r", "phi", "theta", "alpha", "beta", "ax", "ay", "az"]
-
-        def errors(size):
-            """Return the largest differences, and the largest deviations from trim."""
-            commands = pd.DataFrame({"time": time, **level.controls})
-            commands[surface] += size * doublet
-            model = glider.model(servos=Servos(lag=LAG))
-            flown = simulate(model, glider.aircraft, level, commands, 0.01, air=AIR)
-            response = pd.DataFrame(lsim(system, size * doublet, time)[1], columns=[*late.C.index])
-            position = flown[surface] - level.controls[surface]
-            assert_allclose(position, response[f"{surface}_position"], rtol=0, atol=1e-9)
-            expected = response[names] - response[names].iloc[0]
-            found = flown[names] - flown[names].iloc[0]
-            return found.sub(expected).abs().max(), expected.abs().max()
-
-        system = late.A, late.B[[surface]], late.C, late.D[[surface]]
-        error, size = errors(0.01)
-        moved = size > 1e-9
-        assert moved.sum() >= 4
-        assert (error[moved] < 0.01 * size[moved]).all()
-        smaller, _ = errors(0.005)
-        assert smaller.max() < 0.3 * error.max()
-
-    def test_elevons_move_the_mixed_controls_with_the_same_lag(self, level, glider):
-        """Controls are linear in the surfaces, which all have the same servos."""
-        elevons = ("elevon_left", "elevon_right")
-        mixing = Mixing(elevons, ("elevator", "aileron"), np.array([[0.5, 0.5], [-0.5, 0.5]]))
-        model = glider.model(servos=Servos(lag=LAG), mixing=mixing)
-        late = linearize(model, glider.aircraft, level, air=AIR)
-        assert [*late.A][-3:] == POSITIONS
-        time = np.arange(0.0, 1.01, 0.01)
-        step = 0.002 * np.minimum(time / 0.01, 1.0)
-        commands = pd.DataFrame({"time": time, **level.controls})
-        commands["elevon_left"] = commands["elevator"] - step
-        commands["elevon_right"] = commands["elevator"] + step
-        commands = commands.drop(columns=["elevator", "aileron"])
-        flown = simulate(model, glider.aircraft, level, commands, 0.01, air=AIR)
-        C, D = late.C.loc[["p"]], late.D.loc[["p"], ["aileron"]]
-        p = lsim((late.A, late.B[["aileron"]], C, D), step, time)[1]
-        assert_allclose(flown["p"], p, atol=1e-3 * np.abs(p).max())
 
 
 def test_python_control_gets_the_transfer_functions_with_their_names(linear):

@@ -86,15 +86,6 @@ def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
     assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
 
 
-def test_an_aircraft_without_lateral_derivatives_has_four_roots_of_zero():
-    """Repeated roots with orthogonal left and right vectors have names too."""
-    A = block_diag(LONGITUDINAL, LATERAL * [[0, 0, 1, 1], [0] * 4, [0] * 4, [0, 1, 0, 0]])
-    table = mode_table(A, ALONG + ACROSS)
-    names = ["short period", "phugoid", "Dutch roll 1", "Dutch roll 2", "roll", "spiral"]
-    assert list(table.index) == names
-    assert_allclose(table["frequency"].iloc[2:], [0.0] * 4, atol=1e-9)
-
-
 class TestSpreadOfModes:
     def test_is_that_of_the_frequency_and_the_damping(self):
         rng = default_rng(0)
@@ -109,13 +100,6 @@ class TestSpreadOfModes:
         ends = np.quantile(1 / (zeta * omega), [0.025, 0.975])
         assert_allclose(row[["time_constant_lower", "time_constant_upper"]], ends, rtol=1e-2)
 
-    def test_modes_of_equal_paths_have_none(self):
-        """Whatever the order in which the eigenvalues of a path are found."""
-        rng = default_rng(1)
-        turns = [np.linalg.qr(rng.normal(size=(8, 8)))[0] for _ in range(3)]
-        table = mode_table(BOTH, ALONG + ACROSS, np.array([T @ BOTH @ T.T for T in turns]))
-        assert_allclose(table[["frequency_std", "damping_std"]], 0.0, atol=1e-6)
-
     def test_paths_in_which_a_pair_splits_stay_with_it(self):
         """s^2 + 2 zeta omega s + omega^2 is one mode on either side of critical damping."""
         zeta = np.array([0.9, 0.95, 1.05, 1.1])
@@ -123,12 +107,3 @@ class TestSpreadOfModes:
         row = mode_table(np.array([[0, 1], [-4, -3.9]]), ["x", "v"], paths).loc["mode"]
         assert_allclose(row["frequency_std"], 0.0, atol=1e-7)
         assert_allclose(row["damping_std"], zeta.std(ddof=1))
-
-    def test_a_spiral_that_may_diverge_has_no_longest_time_constant(self):
-        paths = np.linspace(-0.02, 0.01, 40)[:, None, None] * np.ones((1, 1, 1))
-        row = mode_table(np.array([[-0.005]]), ["x"], paths).loc["mode"]
-        assert_allclose(row["time_constant"], 200.0)
-        assert np.isinf(row["time_constant_upper"])
-        assert 0 < row["time_constant_lower"] < 60
-        row = mode_table(np.array([[0.005]]), ["x"], paths + 0.03).loc["mode"]
-        assert row["time_constant_lower"] == -np.inf  # none decays

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import (
     Aircraft,
@@ -62,11 +62,6 @@ def test_thrust_is_the_advance_ratio_formula():
     assert_allclose(TRUE.advance_ratio(omega, airspeed), j)
 
 
-def test_a_propeller_at_rest_is_drag_and_finite():
-    assert_allclose(TRUE.thrust(0.0, 20.0), 1.225 * 0.5**2 * -0.09 * 400)
-    assert TRUE.thrust(0.0, 0.0) == 0.0
-
-
 def test_torque_turns_the_aircraft_against_the_propeller():
     clockwise = Propeller(0.5, (0.1,), (0.01,), rotation=1)
     assert clockwise.torque(300.0, 0.0) < 0, (
@@ -100,12 +95,6 @@ def test_propeller_thrust_of_a_flight(aircraft):
     assert_allclose(propeller_loads(powered, *state), (force, moment))
 
 
-def test_columns_win_over_the_propeller(aircraft):
-    powered = replace(aircraft, propeller=TRUE)
-    table = flight(propeller_speed=500.0, thrust_x=5.0)
-    assert propulsive_loads(table, powered)[0][0, 0] == 5.0
-
-
 def test_beyond_the_bench_is_warned_of(aircraft):
     propeller = Propeller(0.5, (0.1, -0.05), max_advance_ratio=0.2)
     with pytest.warns(
@@ -132,11 +121,6 @@ def test_beyond_the_bench_is_warned_of(aircraft):
 def test_what_is_no_propulsion(aircraft, ask, words):
     with pytest.raises(ValueError, match=words):
         ask(aircraft)
-
-
-def test_a_glider_has_no_thrust(aircraft):
-    loads = propulsive_loads(flight(thrust_x=5.0), aircraft, None)
-    assert_array_equal(loads, np.zeros((2, 2, 3)))
 
 
 SIZE = {"diameter": 0.254, "pitch": 0.127}
@@ -171,30 +155,6 @@ def test_propellers_of_the_wind_tunnel(pitch, ratio, thrust):
     propeller = Propeller.from_size(0.254, pitch * 0.0254)
     usual = propeller.thrust(2 * np.pi, ratio * 0.254, density=1 / 0.254**4)
     assert_allclose(thrust, usual, rtol=2 * propeller.load_std)
-
-
-def test_a_motor_gives_the_speed_and_more_deviation():
-    propeller = Propeller.from_size(**SIZE, **MOTOR)
-    assert_allclose(propeller.speed_at(1.0), 0.75 * 94.2 * 11.1)
-    assert propeller.load_std > 1.5 * Propeller.from_size(**SIZE).load_std
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"pitch": 0.0},
-        {"motor_constant": 94.0},
-        {"voltage": 11.0},
-    ],
-)
-def test_sizes_that_are_none(bad):
-    with pytest.raises(ValueError, match="expected a number > 0"):
-        Propeller.from_size(**SIZE | bad)
-
-
-def test_sizes_beyond_the_tunnel_are_said():
-    with pytest.warns(UserWarning, match="diameter 1.5, but its thrust is estimated from others"):
-        Propeller.from_size(1.5, 0.9)
 
 
 def test_an_aircraft_file_has_diameter_and_pitch():

@@ -30,11 +30,6 @@ def test_the_error_is_of_the_loads_interpolation_only(
     )
 
 
-def test_wrong_gravity_falls_as_gravity_does(simulated, aircraft, true_coefficients, gravity):
-    flown = replay(simulated, aircraft, true_coefficients, horizon=1.0, gravity=gravity + 0.1)
-    assert_allclose(flown["v_down"] - simulated["v_down"], 0.1 * flown["elapsed"], atol=2e-3)
-
-
 def test_restarts_stand_every_horizon_and_rows_show_the_end(simulated, aircraft, true_coefficients):
     wrong = true_coefficients + np.array([0.01, 0, 0, 0, 0, 0])
     flown = replay(simulated, aircraft, wrong, horizon=1.0)
@@ -44,12 +39,6 @@ def test_restarts_stand_every_horizon_and_rows_show_the_end(simulated, aircraft,
     )
     error = np.abs(flown["v_north"] - simulated["v_north"])
     assert error.iloc[100] > 50 * error.iloc[101]
-
-
-def test_a_horizon_shorter_than_a_step_is_a_step(simulated, aircraft, true_coefficients):
-    flown = replay(simulated[:20], aircraft, true_coefficients[:20], horizon=1e-3)
-    steps = np.diff(simulated["time"][:20], prepend=simulated["time"].iloc[0])
-    assert_allclose(flown["elapsed"], steps)
 
 
 def test_flights_gaps_and_nan_coefficients_end_windows(simulated, aircraft, true_coefficients):
@@ -74,19 +63,6 @@ def test_heading_keeps_the_turn_of_the_log(simulated, aircraft, true_coefficient
     )
     flown = replay(flight, aircraft, true_coefficients)
     assert_allclose(flown["psi"], flight["psi"], atol=0.01)
-
-
-@pytest.mark.parametrize("dtype", [float, np.float32])
-def test_windows_start_at_complete_states_and_last_as_long_as_they_can(
-    simulated, aircraft, true_coefficients, dtype
-):
-    """Rounded clocks give full windows; without a state to restart from, a window ends with the horizon."""
-    flight = simulated.assign(time=simulated["time"].astype(dtype).astype(float))
-    flight.loc[~flight.index.isin([20, 70, 110, 130]), "p"] = np.nan
-    flown = replay(flight, aircraft, true_coefficients, horizon=0.6)
-    spans = [(part.index[0], part.index[-1]) for _, part in flown.groupby("window")]
-    assert spans == [(0, 599), (20, 70), (71, 130), (131, 190)]
-    assert_allclose(flown["elapsed"].max(), 0.6, atol=1e-6)
 
 
 @pytest.mark.parametrize(

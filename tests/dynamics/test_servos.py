@@ -60,21 +60,6 @@ def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, de
     assert_allclose(table["aileron"], followed(held, time, 0.04, delay), atol=2e-4)
 
 
-@pytest.mark.parametrize("delay", [0.01, 0.02, 0.05])
-def test_a_delay_alone_shifts_a_flight_of_commands(glider, level, delay):
-    """The flight of the commands that were given earlier by the delay, the first of them before the start."""
-    time = 0.02 * np.arange(101)
-    table = pd.DataFrame({"time": time, **level.controls})
-    table["rudder"] += 0.05 * np.sin(4.0 * time) * (time > 0.1)
-    finer = 0.01 * np.arange(201)
-    shifted = pd.DataFrame({"time": finer, **level.controls})
-    shifted["rudder"] = np.interp(finer - delay, time, table["rudder"])
-    late = flown(glider, level, Servos(delay=delay), table)
-    expected = flown(glider, level, Servos(), shifted)
-    assert_allclose(late[STATES], expected[STATES], atol=1e-10)
-    assert_allclose(late["rudder"], expected["rudder"], atol=1e-12)
-
-
 @pytest.mark.parametrize("lag", [0.0, 0.04])
 def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, lag):
     def law(t, state):
@@ -123,8 +108,3 @@ def test_a_linear_model_has_the_phase_of_the_delay_at_every_frequency(glider, le
         assert_allclose((of_output["aileron"] - expected + 180) % 360, 180.0, atol=1e-6)
         assert_allclose((of_output["thrust"] + 180) % 360, 180.0, atol=1e-6)
     assert_allclose(responses[0]["model_gain"], responses[1]["model_gain"], atol=1e-9)
-
-
-def test_what_one_step_knows_completes_another():
-    assert Servos(delay=0.03).completed(Servos(0.04)) == Servos(0.04, 0.03)
-    assert Servos(0.02, 0.03).completed(Servos(0.04)) == Servos(0.02, 0.03)

@@ -1,7 +1,5 @@
 """Trims: known answers, steadiness when flown, and clear words where there is none."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,7 +10,6 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Motion,
-    Propeller,
     body_to_ned,
     quaternion_to_euler,
     trim,
@@ -129,29 +126,6 @@ class TestShape:
         assert list(found.beyond) == ["elevator"]
         assert_allclose(found.beyond["elevator"], (found.controls["elevator"], 0.05, 0.2))
 
-    def test_a_rudder_that_never_moved_is_none(self, glider, of_columns):
-        """Logs of flying wings have the column, with one value. Without a rudder sideslip balances."""
-        limits = np.outer([-0.2, 0.2], np.ones(8))
-        limits[:, 7] = 0.01
-        without_rudder = glider.slopes * (np.arange(8) < 7)
-        model = glider.model(without_rudder, limits=limits)
-        without = of_columns(glider.names[:-1])
-        found, other = (
-            trim(each, glider.aircraft, 20.0, bank=0.4, **AIR) for each in (model, without)
-        )
-        assert "beta" in other.solved
-        assert abs(other.beta) > 1e-3
-        assert found.controls["rudder"] == 0.01
-        assert_allclose((found.beta, found.phi), (other.beta, other.phi))
-        moved = trim(model, glider.aircraft, 20.0, bank=0.4, fixed={"rudder": 0.02}, **AIR)
-        assert moved.controls["rudder"] == 0.02
-
-    def test_without_lateral_controls_a_symmetric_aircraft_flies_straight(self, glider, of_columns):
-        model = of_columns(glider.names[:-2])
-        assert_allclose(trim(model, glider.aircraft, 20.0, **AIR).beta, 0.0, atol=1e-9)
-        with pytest.raises(ValueError, match=r"no trim of .*phi 0\.4"):
-            trim(model, glider.aircraft, 20.0, bank=0.4, **AIR)
-
     def test_a_throttle_that_sets_no_thrust_stays_in_the_middle_of_what_was_flown(
         self, glider, of_columns
     ):
@@ -166,14 +140,6 @@ class TestShape:
         )
         with pytest.raises(ValueError, match=r"lacks values of \['throttle'\], .*give fixed="):
             trim(of_columns(names), glider.aircraft, 20.0, **AIR)
-
-    def test_a_propeller_without_range_trims_by_its_speed(self, glider, textbook):
-        propeller = Propeller(0.5, (0.1, -0.05, -0.08))
-        propelled = replace(glider.aircraft, propeller=propeller)
-        found = trim(textbook, propelled, 20.0, **AIR)
-        thrust = propeller.thrust(found.controls["propeller_speed"], 20.0, DENSITY)
-        expected = trim(textbook, glider.aircraft, 20.0, **AIR).controls["thrust"]
-        assert_allclose(float(thrust), expected)
 
     def test_elevons_are_controls_as_others_are(self, glider, textbook):
         mix = np.array([[0.5, 0.5], [0.5, -0.5]])  # elevator and aileron of left and right
@@ -195,12 +161,6 @@ class TestShape:
         found = trim(model, glider.aircraft, 20.0, **AIR)
         now = Motion(model, glider.aircraft, **AIR).at(found.state, found.controls)
         assert_allclose(now.regressors[8], -GRAVITY * np.cos(found.theta), rtol=1e-6)
-
-
-@pytest.mark.parametrize("airspeed", [np.nan, [20.0, 0.0]])
-def test_airspeeds_are_positive(airspeed):
-    with pytest.raises(ValueError, match="expected one or more numbers > 0"):
-        trim(BRUMBYS, BRUMBY, airspeed)
 
 
 @pytest.mark.parametrize(

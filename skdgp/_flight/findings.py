@@ -264,10 +264,6 @@ class Code(Kind):
         "",
         NOTE,
     )
-    CONSTANT_BETTER_IN_FLIGHTS = (
-        "in {worse} of {tested} test flights a constant predicts better (error above 1): "
-        "{flights:short}"
-    )
     DIVERGING = "the error is {error:.3g} of the spread, so a constant predicts better", "", NOTE
     ERRORS_SMALL = "errors are {smallest:.2f} to {largest:.2f} of the spread", "", NOTE
     ERRORS_TOO_LARGE = (
@@ -321,10 +317,6 @@ class Code(Kind):
         NOTE,
     )
     TRIM_BEYOND = "the trim is outside the flown range in {names}", "", NOTE
-    IMPLAUSIBLE_SIZES = (
-        "no aircraft has such effects: {values:+.2g}",
-        "Look at the place and the signs of the accelerometers, and at gusts without vanes.",
-    )
     SIGNS_UNKNOWN = (
         "the signs of these derivatives are not known, as their 95 % bands hold zero: {values:+.2g}[, by {causes}]",
         "Fly larger inputs of every surface.",
@@ -359,9 +351,4 @@ class Code(Kind):
         "",
         NOTE,
     )
-    NOT_EXCITED = (
-        "no response of a rate to a surface is shown: at hardly a frequency does it stand out of the noise "
-        "of the test flights",
-    )
     NOT_SIMULATED = "{error}", "", NOTE
-    NO_FREQUENCY_RESPONSES = "no frequency responses are shown: {error}"

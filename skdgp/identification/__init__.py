@@ -2,6 +2,7 @@
 
 from skdgp.identification._changed import Changes, FlightResiduals, changes_of
 from skdgp.identification._evaluate import Evaluation as Evaluation
+from skdgp.identification._evaluate import score_table as score_table
 from skdgp.identification._evaluate import scores as scores
 from skdgp.identification._flights import named_flights
 from skdgp.identification._identification import Identification

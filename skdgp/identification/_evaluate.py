@@ -134,6 +134,25 @@ def _scores(
     return table
 
 
+def score_table(flights: Sequence[Evaluation]) -> pd.DataFrame:
+    """Return the scores of flights as they are shown, in percent where it is said, and their means.
+
+    The truth of a simulation contains gusts that no band knows: of it there are errors only.
+    """
+    against = scores(flights)
+    columns = {
+        "rel. error [%]": 100 * against["measured"]["median_relative_error"],
+        "NRMSE": against["measured"]["normalized_rmse"],
+        "in 95 % band [%]": 100 * against["measured"]["interval_coverage"],
+    }
+    if "truth" in against:
+        columns["rel. error of truth [%]"] = 100 * against["truth"]["median_relative_error"]
+        columns["NRMSE of truth"] = against["truth"]["normalized_rmse"]
+    table = pd.DataFrame(columns)
+    table.loc["mean"] = table.mean()
+    return table
+
+
 def evaluate(name: str, flight: FlightTable, model: LearnedModel) -> Evaluation:
     """Predict a checked flight and replay it."""
     notify(f"evaluating {name}")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property, partial
 from pathlib import Path
+from textwrap import fill
 
+import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
@@ -20,26 +22,17 @@ from skdgp._compute.files import (
     text_writer,
     write_together,
 )
-from skdgp._flight.findings import Code, Finding, with_codes
+from skdgp._flight.findings import Finding
 from skdgp.dynamics import Aircraft
 from skdgp.identification._changed import Changes
-from skdgp.identification._evaluate import Evaluation, scores
+from skdgp.identification._evaluate import Evaluation, score_table, scores
 from skdgp.identification._mechanics import FlightMechanics, flight_mechanics
 from skdgp.identification._model_file import save_model
 from skdgp.identification._record import FitRecord
-from skdgp.identification._summary import (
-    air_of,
-    assumption_lines,
-    facts_of_fit,
-    fit_text,
-    group_means,
-    sampling_of,
-    score_lines,
-    verdict_lines,
-)
 from skdgp.identification._verdict import Verdict, judge
 
-FORMAT = 2  # of the metrics
+FORMAT = 3  # of the metrics
+MOST_WARNINGS = 3  # in the summary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,12 +86,6 @@ class Identification:
         """The assumptions as sentences."""
         return [finding.text for finding in self.assumptions]
 
-    @property
-    def held_out(self) -> str | None:
-        """The part held out because no test flight was named; None if one was."""
-        held_out = with_codes(self.findings, Code.HELD_OUT_FLIGHT, Code.HELD_OUT_QUARTER)
-        return held_out[0].clause if held_out else None
-
     @cached_property
     def mechanics(self) -> FlightMechanics:
         """Trim, derivatives and modes at the median flight condition, and how long a simulation follows flights.
@@ -129,8 +116,8 @@ class Identification:
         """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
         tests = {}
         for flight in self.evaluations:
-            sampling = sampling_of(flight.table) | {"samples_with_std": len(flight.rows)}
-            tests[flight.name] = sampling | _score_metrics(flight.scores)
+            sampling = _sampling_of(flight.table) | {"samples_with_std": len(flight.rows)}
+            tests[flight.name] = sampling | _score_metrics([flight])
         metrics = {
             "format": FORMAT,
             "created": self.created,
@@ -138,32 +125,44 @@ class Identification:
             "versions": software_versions(),
             "aircraft": self.aircraft.to_dict(),
             "options": self.options,
-            "held_out": self.held_out,
             "fit": self.fit.to_dict(),
-            "train": {name: sampling_of(table) for name, table in self.train.items()},
+            "train": {name: _sampling_of(table) for name, table in self.train.items()},
             "test": tests,
-            "test_together": _score_metrics(scores(self.evaluations)),
+            "test_together": _score_metrics(self.evaluations),
             "verdict": self.verdict.to_dict(),
             "flight_mechanics": self.mechanics.to_dict(),
+            "findings": [finding.to_dict() for finding in self.findings],
+            "messages": self.messages,
+            "assumed": self.assumed,
         }
         if self.changes is not None:
             metrics["changed"] = self.changes.to_dict()
-        metrics["messages"] = self.messages
-        metrics["findings"] = [finding.to_dict() for finding in self.findings]
-        if self.assumptions:
-            metrics["assumed"] = self.assumed
         return plain(metrics)
 
     def summary(self) -> str:
-        """Return the text of the command line: scores of all test flights together, and a line or table of each."""
-        lines = [f"{self.aircraft.name}: {fit_text(self.fit)}"]
-        lines += ["", *score_lines(self.evaluations)]
+        """Return the text of the command line: scores of all test flights together and of each, and the verdict."""
+        together = f"{len(self.evaluations)} test flight(s) together"
+        tables = {together: score_table(self.evaluations)}
+        if len(self.evaluations) > 1:
+            for flight in self.evaluations:
+                tables[f"flight {flight.name}"] = score_table([flight]).tail(1)
+        lines = [f"{self.aircraft.name}: {self.fit.summary}"]
+        for title, table in tables.items():
+            form = {name: ("{:.1f}" if "%" in name else "{:.3f}").format for name in table}
+            lines += ["", title, table.to_string(formatters=form)]
+        lines.append("")
         if self.fit.reconstruction is not None:
-            lines.append(f"{self.fit.reconstruction.clause}")
+            lines.append(self.fit.reconstruction.clause)
         if self.changes is not None:
             lines += self.changes.summary()
-        lines += ["", *verdict_lines(self.verdict)]
-        lines += assumption_lines(self.assumed)
+        lines += ["", self.verdict.compared()]
+        for use in self.verdict.uses:
+            lines.append(f"{use.purpose + ':':<22}{use.judgement}, {use.reason}")
+        lines += [f"warning: {warning}" for warning in self.verdict.warnings[:MOST_WARNINGS]]
+        if self.assumptions:
+            lines += ["", "assumed, as nothing was told:"]
+        for assumption in self.assumed:
+            lines.append(fill(assumption, 110, initial_indent="  - ", subsequent_indent="    "))
         return "\n".join(lines)
 
     def save(self, path: str | os.PathLike, **further: Writer) -> Path:
@@ -188,29 +187,39 @@ class Identification:
         return path
 
     @property
-    def air(self) -> str:
-        """Gusts and steady wind of the training flights; empty where they are not known."""
-        return air_of(self.pipeline)
-
-    @property
     def units(self) -> dict[str, str]:
         """Units of controls that differ from docs/notation.md."""
         return dict(self.pipeline.control_units or {})
 
     @property
     def facts(self) -> dict[str, str]:
-        """Facts of the fit as text; empty where a fact does not apply."""
-        tested = {flight.name: flight.table for flight in self.evaluations}
-        return facts_of_fit(
-            self.aircraft, self.pipeline, self.fit, self.options, self.train, tested
-        )
+        """What was done, as text."""
+        paths = self.fit.reconstruction
+        return {
+            "aircraft": repr(self.aircraft),
+            "regressors": ", ".join(self.fit.regressors),
+            "flight paths": "" if paths is None else paths.clause,
+            "fit": self.fit.summary,
+            "options": ", ".join(f"{name} {value}" for name, value in self.options.items()),
+            "versions": ", ".join(f"{name} {n}" for name, n in software_versions().items()),
+        }
 
 
-def _score_metrics(tables: Mapping[str, pd.DataFrame]) -> dict:
-    """Return the scores of each coefficient, and the means of groups."""
-    coefficients = {}
-    means = {}
-    for against, table in tables.items():
-        coefficients[against] = table.to_dict("index")
-        means[against] = group_means(table).to_dict("index")
-    return {"coefficients": coefficients, "means": means}
+def _sampling_of(table: pd.DataFrame) -> dict[str, float]:
+    """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
+    time = table["time"].to_numpy(float)
+    step = np.median(np.diff(time)) if len(time) > 1 else np.nan
+    return {
+        "samples": len(table),
+        "duration": float(np.ptp(time)),
+        "sample_rate": float(1 / step),
+    }
+
+
+def _score_metrics(flights: Sequence[Evaluation]) -> dict:
+    """Return the scores of each coefficient, and their means."""
+    tables = scores(flights)
+    return {
+        "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
+        "means": {against: table.mean().to_dict() for against, table in tables.items()},
+    }

@@ -5,9 +5,8 @@ Equations of "the paper" are those of Hemakumara & Sukkarieh (2011).
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +22,6 @@ from skdgp._flight.channels import (
     ELEVONS,
     HIGH_LIFT,
     MIXED,
-    THRUST_COLUMNS,
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import DependentGPRegressor
@@ -38,22 +36,8 @@ from skdgp.identification._pipeline import (
 )
 from skdgp.identification._prepare import PreparedFlights
 from skdgp.identification._record import FitRecord, TrainingRecord, flown_seconds
-from skdgp.inference import input_noise_information, training_inputs
 from skdgp.io import FULL_THROW
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
-
-
-@dataclass(frozen=True)
-class InputNoiseSettings:
-    """When the data determine the noise of a regressor."""
-
-    #: Least information on the logarithm of the variance, whose standard deviation is then one
-    least_information: float = 1.0
-    #: Most rows at which slopes are evaluated, for speed
-    most_rows: int = 500
-
-
-INPUT_NOISE = InputNoiseSettings()
 
 #: Units of the controls of a log without their scale
 FULL_THROWS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
@@ -115,9 +99,7 @@ def learn(
     training = TrainingRecord(
         samples=_n_observed(targets),
         samples_available=_n_observed(Y),
-        values=int(targets.notna().to_numpy().sum()),
         seconds=seconds,
-        thrust=thrust_sources(prepared.loads["thrust"], train.values()),
         least_squares=pipeline.least_squares_,
         flights={name: len(part) for name, part in train.items()},
         conditions={str(k): float(v) for k, v in table.median(numeric_only=True).items()},
@@ -196,7 +178,6 @@ def _options(
 def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> FitRecord:
     """Return what a fitted pipeline shows of its fit."""
     regressor = pipeline[-1]
-    names = regressor_names(pipeline)
     not_converged: list[str] = []
     gusts_unknown = None
     reconstruction = None
@@ -210,42 +191,18 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
     return FitRecord(
         inference=regressor.inference_,
         weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
-        regressors=names,
+        regressors=regressor_names(pipeline),
         log_marginal_likelihood=float(regressor.log_marginal_likelihood_value_),
         iterations=int(regressor.n_iter_),
         converged=bool(regressor.converged_),
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
-        input_noise_std=_input_noise_std(pipeline, names),
         paths_not_converged=not_converged,
         gusts_unknown=gusts_unknown,
         reconstruction=reconstruction,
         lags=lags_of(pipeline),
         training=training,
     )
-
-
-def _input_noise_std(pipeline: Pipeline, names: Sequence[str]) -> dict[str, float | None]:
-    """Return the standard deviations of the regressors' noise, None where the data do not determine them.
-
-    Zero of exact regressors, and a given value, are no estimates and remain.
-    """
-    regressor = pipeline[-1]
-    input_std = np.sqrt(np.diag(regressor.input_covariance_))
-    values = input_std * pipeline["standardscaler"].scale_
-    noise_std: dict[str, float | None] = dict(zip(names, values.tolist(), strict=True))
-    is_learned = isinstance(regressor.input_noise, str)
-    if not is_learned or not input_std.any():
-        return noise_std
-    X = training_inputs(regressor.posterior_)
-    step = math.ceil(len(X) / INPUT_NOISE.most_rows)
-    slopes = regressor.predict_gradient(X[::step])
-    noise = regressor.noise_variance_ + regressor.misfit_variance_
-    information = step * input_noise_information(slopes, noise, input_std)
-    for name, of_regressor in zip(names, information, strict=True):
-        if of_regressor < INPUT_NOISE.least_information:
-            noise_std[name] = None
-    return noise_std
 
 
 def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
@@ -255,16 +212,6 @@ def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
         return {}
     table = step.lags_.astype(object).where(step.lags_.notna(), None)
     return {str(group): dict(row) for group, row in table.iterrows()}
-
-
-def thrust_sources(thrust: str | None, tables: Iterable[pd.DataFrame]) -> list[str]:
-    """Return where the thrust of flights is from: "columns", "propeller" or "none"."""
-    if thrust is None:
-        return ["none"]
-    sources = set()
-    for table in tables:
-        sources.add("propeller" if {*THRUST_COLUMNS}.isdisjoint(table) else "columns")
-    return sorted(sources)
 
 
 def _by_coefficient(values: Vector) -> dict[str, float]:

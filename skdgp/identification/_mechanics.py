@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._flight.channels import ELEVONS, RATES
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import (
     ATTITUDE,
@@ -18,12 +17,10 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
-    LinearModel,
     Trim,
     air_velocity,
     as_aerodynamics,
     euler_to_quaternion,
-    frequency_response,
     linearize,
     stability_derivatives,
     trim,
@@ -32,12 +29,6 @@ from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._free_flight import FreeFlight
 from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._record import TrainingRecord
-from skdgp.preprocessing import ElevonSplitter
-
-# Rate that a surface excites most
-FEWEST_FREQUENCIES = 3  # excited ones of a response that is shown
-RATE_OF = {"elevator": "q", "aileron": "p", "rudder": "r"}
-
 
 # Facts of a trim and columns of derivatives in metrics.json
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
@@ -66,14 +57,10 @@ class FlightMechanics:
         ``horizon`` [s].
     simulated : tuple of DataFrame, optional
         Paths of a simulated part of a test flight, their mean, and the flight.
-    frequency : DataFrame, optional
-        Responses of rates to surfaces in the test flights, beside the model's.
     notes : tuple of Finding
         Why trim, modes or derivatives are missing.
     simulation_note : Finding, optional
         Why the simulation is missing.
-    frequency_note : Finding, optional
-        Why frequency responses are missing.
     """
 
     trim: Trim | None = None
@@ -82,32 +69,14 @@ class FlightMechanics:
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
     simulated: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame] | None = None
-    frequency: pd.DataFrame | None = None
     notes: tuple[Finding, ...] = ()
     simulation_note: Finding | None = None
-    frequency_note: Finding | None = None
 
     @property
     def mode_kinds(self) -> pd.Index:
         """Kind of each mode: its name without the number, which several of one kind have."""
         names = pd.Index([]) if self.modes is None else self.modes.index
         return names.astype(str).str.replace(r" \d+$", "", regex=True)
-
-    @property
-    def frequency_errors(self) -> pd.DataFrame | None:
-        """The excited band [rad/s] of each response and the model's rms errors of gain [dB] and phase [deg] there."""
-        if self.frequency is None:
-            return None
-        excited = self.frequency[self.frequency["excited"].astype(bool)].reset_index("frequency")
-        names = [f"{output} by {surface}" for output, surface in excited.index]
-        phase = excited["model_phase"] - excited["phase"]
-        squares = {
-            "gain": (excited["model_gain"] - excited["gain"]) ** 2,
-            "phase": ((phase + 180) % 360 - 180) ** 2,
-        }
-        errors = np.sqrt(pd.DataFrame(squares).groupby(names, sort=False).mean())
-        band: Any = excited["frequency"].groupby(names, sort=False).agg(lowest="min", highest="max")
-        return pd.concat([band, errors], axis=1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units and radians."""
@@ -129,7 +98,6 @@ class FlightMechanics:
             "least_squares": self.least_squares,
             "modes": modes,
             "simulation": self.simulation,
-            "frequency": self.frequency_errors,
         }
         for name, table in tables.items():
             if table is not None:
@@ -176,7 +144,7 @@ def flight_mechanics(
     try:
         linear = _derivatives(pipeline, point, conditions, least_squares)
         if steady is not None:
-            linear |= _small_motion(pipeline, point, conditions, tables)
+            linear["modes"] = _modes(pipeline, point, conditions)
     except ValueError as error:
         linear = {}
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
@@ -226,40 +194,13 @@ def _derivatives(
     return results
 
 
-def _small_motion(
-    pipeline: Pipeline | Aerodynamics,
-    trimmed: Point,
-    conditions: Mapping[str, Any],
-    test: Sequence[pd.DataFrame],
-) -> dict[str, Any]:
-    """Return modes and frequency responses about a trim."""
+def _modes(
+    pipeline: Pipeline | Aerodynamics, trimmed: Point, conditions: Mapping[str, Any]
+) -> pd.DataFrame:
+    """Return the modes about a trim."""
     # 200 functions give the standard deviations with a relative error of 1 / sqrt(2 n), 5 %
     n_paths = 200 if as_aerodynamics(pipeline).is_uncertain else 0
-    linear = linearize(pipeline, *trimmed, n_paths=n_paths, **conditions)
-    return {"modes": linear.modes(), **_frequency_responses(linear, test)}
-
-
-def _frequency_responses(linear: LinearModel, test: Sequence[pd.DataFrame]) -> dict[str, Any]:
-    """Return responses of rates to the surfaces that move in the test flights, or why there are none."""
-    flights = [table.assign(flight=k) for k, table in enumerate(test)]
-    flown = pd.concat(flights, ignore_index=True)
-    if {*ELEVONS} <= {*flown} and "elevator" not in flown:
-        flown = ElevonSplitter().fit_transform(flown)
-    moved = flown.nunique() > 1
-    surfaces = [name for name in RATE_OF if name in linear.B.columns and moved.get(name, False)]
-    rates = [name for name in RATES if moved.get(name, False)]
-    if not surfaces or not rates:
-        return {"frequency_note": Finding(Code.NOT_EXCITED)}
-    try:
-        responses = frequency_response(flown, surfaces, rates, linear=linear)
-    except ValueError as error:
-        finding = Finding(Code.NO_FREQUENCY_RESPONSES, numbers={"error": str(error)})
-        return {"frequency_note": finding}
-    is_own = [RATE_OF[name] == output for output, name, _ in responses.index]
-    own = responses[is_own]
-    n_excited = own.groupby(level=["output", "input"], sort=False)["excited"].transform("sum")
-    shown = own[n_excited >= FEWEST_FREQUENCIES]
-    return {"frequency_note": Finding(Code.NOT_EXCITED)} if shown.empty else {"frequency": shown}
+    return linearize(pipeline, *trimmed, n_paths=n_paths, **conditions).modes()
 
 
 def _linear(

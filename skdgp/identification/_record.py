@@ -23,12 +23,10 @@ class TrainingRecord:
 
     Parameters
     ----------
-    samples, samples_available, values : int
-        Rows learned from, rows with a coefficient, and coefficients learned from.
+    samples, samples_available : int
+        Rows learned from, and rows with a coefficient.
     seconds : float
         Duration of the fit.
-    thrust : sequence of str
-        Sources of the thrust: "columns", "propeller" or "none".
     least_squares : mapping of str to mapping of str to float
         By coefficient ``intercept`` and slopes of the linear model of the same rows.
     flights : mapping of str to int
@@ -42,9 +40,7 @@ class TrainingRecord:
 
     samples: int
     samples_available: int
-    values: int
     seconds: float
-    thrust: Sequence[str]
     least_squares: Mapping[str, Mapping[str, float]]
     flights: Mapping[str, int]
     conditions: Mapping[str, float] = field(default_factory=dict)
@@ -77,9 +73,8 @@ class FitRecord:
         Of the search.
     converged, interrupted : bool
         Whether the search converged, or was ended by Ctrl-C.
-    noise_std, input_noise_std : mapping of str to float
-        Standard deviations of the noise of coefficients and of regressors, None where the data do
-        not determine it: no coefficient depends much on the regressor, or its noise is small.
+    noise_std : mapping of str to float
+        Standard deviations of the noise of coefficients.
     paths_not_converged : sequence of str
         Training flights whose reconstruction did not converge.
     gusts_unknown : Finding, optional
@@ -100,12 +95,24 @@ class FitRecord:
     converged: bool
     interrupted: bool
     noise_std: Mapping[str, float]
-    input_noise_std: Mapping[str, float | None]
     paths_not_converged: Sequence[str]
     gusts_unknown: Finding | None
     reconstruction: Finding | None
     lags: Mapping[str, Mapping[str, Any]]
     training: TrainingRecord | None = None
+
+    @property
+    def summary(self) -> str:
+        """Duration, samples and likelihood of the fit, and whether it converged."""
+        text = f"log likelihood {self.log_marginal_likelihood:.1f}"
+        training = self.training
+        if training is not None:
+            state = "interrupted" if self.interrupted else "fitted"
+            samples = f"{training.samples} of {training.samples_available} samples"
+            text = f"{state} in {training.seconds:.1f} s on {samples}, {text}"
+        if not self.converged:
+            text += f"; not converged after {self.iterations} iterations: raise max_iter"
+        return text
 
     @property
     def paths_reconstructed(self) -> bool:

@@ -27,10 +27,6 @@ USUAL_SIGNS = {
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
 CONTROL_DERIVATIVES = ("Cm_elevator", "Cl_aileron", "Cn_rudder")
-# The rudder's side force is opposite to its yawing moment, as it acts behind the centre of gravity
-OPPOSITE = ("CY_rudder", "Cn_rudder")
-# Largest effects on drag by non-dimensional rates: textbooks neglect them (guess)
-LARGEST_DRAG_SLOPES = {"CD_q": 5.0, "CD_p": 5.0, "CD_r": 5.0}
 # Vanes without which a coefficient is predicted from angles that its own accelerometer gave
 VANES_OF = {"CZ": "alpha", "CY": "beta"}
 # Kinds of modes that a controller of attitude works in
@@ -74,7 +70,7 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
     "design a controller": (
         ("no", (Code.SIZES_QUESTIONED,)),
         ("unknown", (Code.TOO_LITTLE_FLOWN,)),
-        ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN, Code.IMPLAUSIBLE_SIZES)),
+        ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN)),
         ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES, Code.CONTROLS_MISSING)),
         ("no", (Code.CONTROLS_TOO_UNCERTAIN, Code.BANDS_DO_NOT_HOLD, Code.TRIM_BEYOND)),
         ("partly", (Code.TESTED_ON_COPY, Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
@@ -198,8 +194,7 @@ def judge(
     every = [
         *_doubts(fit, findings),
         *_sign_findings(mechanics.derivatives),
-        *_implausible_sizes(mechanics.derivatives),
-        *_against_simpler_models(varying, evaluations),
+        *_against_least_squares(varying),
         *_band_findings(table),
         *_if_any(Code.NOT_VARYING, names=unvarying),
         *([] if fit.converged else [Finding(Code.FIT_NOT_CONVERGED)]),
@@ -404,18 +399,13 @@ def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str,
 def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
     """Return the findings of derivatives whose sign is, or may be, other than on a conventional stable aircraft.
 
-    Wrong is a sign that the 95 % band excludes; the others are not known. The side force of the
-    rudder is small on some aircraft, so that its unknown sign is no fault.
+    Wrong is a sign that the 95 % band excludes; the others are not known.
     """
     if derivatives.empty:
         return []
     signed = derivatives["value"].reindex([*USUAL_SIGNS]) * pd.Series(USUAL_SIGNS)
     wrong = derivatives["value"].reindex(signed.index[signed < 0])
     is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
-    if _is_rudder_ahead(derivatives):
-        side_force = OPPOSITE[0]
-        wrong[side_force] = derivatives.at[side_force, "value"]
-        is_known[side_force] = True
     unknown = wrong[~is_known]
     causes = _largest_parts(derivatives, unknown.index)
     return [
@@ -424,33 +414,8 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
     ]
 
 
-def _is_rudder_ahead(derivatives: pd.DataFrame) -> bool:
-    """Return whether side force and yawing moment of the rudder surely have the same sign."""
-    of_rudder = derivatives.reindex([*OPPOSITE])
-    ratio = of_rudder["value"] / (half_width(0.95) * of_rudder["std"])
-    return bool((ratio > 1).all() or (ratio < -1).all())
-
-
-def _implausible_sizes(derivatives: pd.DataFrame) -> list[Finding]:
-    """Return the finding of derivatives that are surely larger than on any aircraft, if any."""
-    if derivatives.empty:
-        return []
-    values = derivatives.loc[derivatives.index.isin(LARGEST_DRAG_SLOPES), ["value", "std"]]
-    least = values["value"].abs() - half_width(0.95) * values["std"]
-    large = values.loc[least > pd.Series(LARGEST_DRAG_SLOPES).reindex(values.index), "value"]
-    return _if_any(Code.IMPLAUSIBLE_SIZES, values=large.to_dict())
-
-
-def _against_simpler_models(
-    varying: pd.DataFrame, evaluations: Sequence[Evaluation]
-) -> list[Finding]:
-    """Return the warnings that a constant, or least squares, predicts better."""
-    diverging = []
-    for flight in evaluations:
-        if flight.scores["measured"].loc[varying.index, NRMSE].mean() > 1:
-            diverging.append(flight.name)
-    numbers = {"worse": len(diverging), "tested": len(evaluations)}
-    findings = _if_any(Code.CONSTANT_BETTER_IN_FLIGHTS, flights=diverging, **numbers)
+def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
+    """Return the warning that least squares predicts better, if it does."""
     means = varying.mean()
     limit = (1 + THRESHOLDS.tie) * means.get(LINEAR_NRMSE, np.inf)
     worse = []
@@ -458,9 +423,9 @@ def _against_simpler_models(
         is_worse = varying[NRMSE] > (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
         worse = list(varying.index[is_worse])
     if (worse and len(worse) >= len(varying) / 2) or means[NRMSE] > limit:
-        numbers = {"worse": len(worse), "coefficients": len(varying)}
-        findings.append(Finding(Code.LEAST_SQUARES_BETTER, numbers={"names": worse, **numbers}))
-    return findings
+        numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
+        return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]
+    return []
 
 
 def _band_findings(table: pd.DataFrame) -> list[Finding]:

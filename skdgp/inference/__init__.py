@@ -44,7 +44,6 @@ from skdgp.inference._misfit import Misfit as Misfit
 from skdgp.inference._misfit import misfit_of as misfit_of
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise
-from skdgp.inference._noise import input_noise_information as input_noise_information
 from skdgp.inference._objective import Objective as Objective
 from skdgp.inference._optimizer import Optimum, maximize
 from skdgp.inference._posterior import (

@@ -149,22 +149,3 @@ def initial_input_noise(
     start = np.full(len(scale), np.clip(factor, 10 * least, most / 10))
     noise = (1 - SETTINGS.input_fraction) * noise
     return np.concatenate([noise, start]), np.tile(SETTINGS.input_bounds, (len(scale), 1))
-
-
-def input_noise_information(slopes: Array, noise: Vector, input_std: Vector) -> Vector:
-    r"""Return the information of samples on the logarithm of each regressor's noise variance, (d,).
-
-    With slopes J (n, P, d), the ``noise`` variances (P,) of the outputs and the standard deviations
-    s (d,) of the regressors' noise, a value has the variance
-    :math:`v_{ai} = \sigma_i^2 + \sum_k J_{aik}^2 s_k^2`, and
-
-    .. math:: I_k = \frac{1}{2} \sum_{a,i} \left(\frac{J_{aik}^2 s_k^2}{v_{ai}}\right)^2,
-
-    the Fisher information of independent normal errors. Its inverse is the least variance of an
-    estimate of the logarithm: with less than one, the variance is known to no factor of e.
-    """
-    propagated = (slopes * input_std) ** 2
-    variance = noise + propagated.sum(axis=2)
-    fractions = propagated / variance[..., None]
-    information: Vector = 0.5 * np.sum(fractions**2, axis=(0, 1))
-    return information

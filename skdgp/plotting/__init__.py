@@ -16,7 +16,6 @@ from skdgp.plotting._display import Display as Display
 from skdgp.plotting._effects import EffectsDisplay
 from skdgp.plotting._frequency_responses import FrequencyDisplay
 from skdgp.plotting._style import display_unit as display_unit
-from skdgp.plotting._style import tidy as tidy
 from skdgp.plotting._style import units_shown as units_shown
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 

@@ -35,29 +35,33 @@ class Display(ABC):
         """Number of columns of panels."""
         return 1 if len(self.keys) <= 3 else 2
 
+    @property
+    def n_rows(self) -> int:
+        """Number of rows of panels."""
+        return -(-len(self.keys) // self.n_columns)
+
+    @property
+    def figsize(self) -> tuple[float, float]:
+        """Width and height of a figure of all panels [in]."""
+        width, height = self.size
+        return self.n_columns * width, 1 + self.n_rows * height
+
     @abstractmethod
     def draw(self, ax: Any, key: Any) -> None:
         """Draw the panel of a key into an Axes."""
-
-    @abstractmethod
-    def words(self, key: Any) -> str:
-        """Return what a panel shows, for who cannot see it."""
 
     def plot(self, ax: Any = None) -> Self:
         """Draw all panels; for ``ax`` see :mod:`skdgp.plotting`."""
         if ax is False:
             return self
         keys = list(self.keys)
-        n_columns = min(self.n_columns, len(keys))
-        n_rows = -(-len(keys) // n_columns)
-        figsize = (n_columns * self.size[0], 1 + n_rows * self.size[1])
         extra("matplotlib", "plot")
         if ax is None:
             import matplotlib.pyplot as plt
 
-            ax = plt.figure(figsize=figsize, layout="constrained")
+            ax = plt.figure(figsize=self.figsize, layout="constrained")
         self.figure_ = ax
-        self.axes_ = ax.subplots(n_rows, n_columns, squeeze=False)
+        self.axes_ = ax.subplots(self.n_rows, self.n_columns, squeeze=False)
         cells = list(self.axes_.T.flat if self.by_column else self.axes_.flat)
         for cell, key in zip(cells, keys, strict=False):
             tidy(cell)

@@ -81,11 +81,6 @@ class EffectsDisplay(Display):
         changes = pd.Series(np.ptp(self.mean[:, :, k], axis=1), index=self.values.columns)
         return list(changes.nlargest(SHOWN).index)
 
-    def words(self, key: tuple[str, str]) -> str:
-        """Return what a panel shows."""
-        output, name = key
-        return f"{output} by {name}"
-
     def draw(self, ax: Any, key: tuple[str, str]) -> None:
         """Draw the slice of an output along a regressor."""
         output, name = key

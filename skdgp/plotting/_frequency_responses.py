@@ -56,11 +56,6 @@ class FrequencyDisplay(Display):
         n_excited = pairs["excited"].sum()
         return [tuple(pair) for pair in n_excited.index[n_excited >= FEWEST]]
 
-    def words(self, key: tuple[str, str]) -> str:
-        """Return what a panel shows."""
-        output, name = key
-        return f"{self.quantity} of {output} by {name} against frequency"
-
     def phases(self) -> Self:
         """Return the display of the phases."""
         return replace(self, quantity="phase")

@@ -81,10 +81,6 @@ class TimeHistoryDisplay(Display):
         """The names."""
         return list(self.names)
 
-    def words(self, key: str) -> str:
-        """Return what a panel shows."""
-        return f"{key}{self.suffix} against time"
-
     def residuals(self) -> Self:
         """Return the display of everything less the estimate."""
         if self.mean is None:

@@ -173,7 +173,7 @@ class TestIdentify:
         expected = (400 * lateral + 300 * test) / 700
         assert together["measured"]["CY"]["interval_coverage"] == pytest.approx(expected)
         assert "truth" not in together  # the lateral flight does not know it
-        assert "2 test flights together" in capsys.readouterr().out
+        assert "2 test flight(s) together" in capsys.readouterr().out
 
     def test_lags_are_corrected_and_said(self, metrics_of, first_minute, tmp_path):
         """Vanes and airspeed are 80 ms late."""
@@ -304,8 +304,8 @@ def test_demo_is_honest(command, tmp_path, monkeypatch, capsys):
     assert {path.name for path in output.iterdir()} == OUTPUTS
     (flight,) = json.loads((output / "metrics.json").read_text())["test"].values()
     means = flight["means"]
-    assert 0.90 <= means["measured"]["all"]["interval_coverage"] <= 0.99
-    assert means["truth"]["all"]["normalized_rmse"] < 0.2
+    assert 0.90 <= means["measured"]["interval_coverage"] <= 0.99
+    assert means["truth"]["normalized_rmse"] < 0.2
     pipeline = load_model(output / "model.joblib").pipeline
     assert (pipeline.turbulence_.intensity > 0.2).all()  # as flown
     assert 0 < pipeline.seconds_ <= 2 * 2000 * 0.05

@@ -24,7 +24,7 @@ from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor, FewRowsWarning, listening, make_identification_pipeline
-from skdgp._flight.findings import Code
+from skdgp._flight.findings import Code, with_codes
 from skdgp.dynamics import Aircraft, simulate
 from skdgp.identification import (
     ModelFileError,
@@ -176,7 +176,7 @@ class TestIdentify:
         assert_allclose(np.array(shown, dtype=float), scores, atol=0.051)
         assert result.fit.training.samples == result.options["samples"] == 40
         assert result.fit.training.flights == {"lateral": 400, "latlon": 400}
-        assert result.held_out is None
+        assert not with_codes(result.findings, Code.HELD_OUT_FLIGHT)
 
     def test_says_the_weights_of_the_average(self, averaged):
         result = averaged[0]
@@ -210,7 +210,8 @@ class TestIdentify:
 
     def test_takes_tables_by_name_and_holds_out_the_last(self, averaged):
         found, stages, shown = averaged
-        assert "the last flight, latlon," in found.held_out
+        (held_out,) = with_codes(found.findings, Code.HELD_OUT_FLIGHT)
+        assert held_out.flight == "latlon"
         assert list(found.fit.training.flights) == ["lateral"]
         assert list(found.metrics["test"]) == ["latlon"]
         assert {" ".join(str(one.message).split()) for one in shown} == set(found.messages)
@@ -232,7 +233,8 @@ class TestIdentify:
         aircraft, train, _ = example
         most = train[(train["flight"] != "lateral") | (train["time"] < 5)]
         found = identify(most, aircraft, samples=40, regressor=QUICK, horizons=[1.0])
-        assert "the last quarter of latlon" in found.held_out
+        (held_out,) = with_codes(found.findings, Code.HELD_OUT_QUARTER)
+        assert held_out.flight == "latlon"
         learned = {"lateral": 200, "latlon, first three quarters": 300}
         assert found.fit.training.flights == learned
 
@@ -275,7 +277,7 @@ class TestIdentify:
         assert unexplained.numbers["names"][0] == "throttle"
         words = "Name regressors with throttle or "
         assert sum(words in message for message in found.messages) == 1
-        assert found.fit.training.thrust == ["none"]
+        assert found.options["thrust"] is None
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
         assert np.isfinite(flown["airspeed"]).all()
 

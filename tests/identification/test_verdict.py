@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
-from scipy.signal import lfilter
 
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import (
@@ -40,7 +39,6 @@ FIT = FitRecord(
     converged=True,
     interrupted=False,
     noise_std={},
-    input_noise_std={},
     paths_not_converged=[],
     gusts_unknown=None,
     reconstruction=None,
@@ -48,9 +46,7 @@ FIT = FitRecord(
     training=TrainingRecord(
         samples=1000,
         samples_available=1000,
-        values=6000,
         seconds=1.0,
-        thrust=["none"],
         least_squares={},
         flights={},
     ),
@@ -302,9 +298,6 @@ class TestSimulation:
         ("Cm_q", 7.5, Code.WRONG_SIGNS),
         ("Cl_p", 0.1, Code.WRONG_SIGNS),
         ("Cn_beta", -0.1, Code.WRONG_SIGNS),
-        ("CD_q", 31.6, Code.IMPLAUSIBLE_SIZES),
-        # of the sign of Cn_rudder
-        ("CY_rudder", -0.1, Code.WRONG_SIGNS),
     ],
 )
 def test_what_no_aircraft_has_is_the_first_warning_and_forbids_a_controller(name, value, code):
@@ -317,7 +310,7 @@ def test_what_no_aircraft_has_is_the_first_warning_and_forbids_a_controller(name
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("Cm_q", -7.5), ("Cl_p", -0.1), ("Cn_beta", 0.1), ("CD_q", 0.5), ("CY_rudder", 0.1)],
+    [("Cm_q", -7.5), ("Cl_p", -0.1), ("Cn_beta", 0.1), ("CY_rudder", 0.1)],
 )
 def test_what_aircraft_have_forbids_none(name, value):
     found = verdict(derivatives=with_derivative(name, value, abs(value) / 4))
@@ -411,16 +404,14 @@ def test_warnings_are_ranked():
     ]
     found = verdict(bad, findings=findings, fit={"converged": False})
     assert list(dict.fromkeys(finding.code for finding in found.findings)) == [
-        Code.CONSTANT_BETTER_IN_FLIGHTS,
         Code.LEAST_SQUARES_BETTER,
         Code.BANDS_TOO_NARROW,
         Code.FIT_NOT_CONVERGED,
         Code.LONE_ROWS,
         Code.NO_ELEVATOR,
     ]
-    assert found.findings[0].numbers["flights"] == ["a"]
-    assert found.findings[1].numbers["worse"] == 6
-    assert found.warnings[4].endswith("(1 more of this kind)")
+    assert found.findings[0].numbers["worse"] == 6
+    assert found.warnings[3].endswith("(1 more of this kind)")
     assert verdict().warnings == ()
 
 
@@ -488,8 +479,6 @@ USES = [
     (CONTROL, {"trim": BEYOND}, "no", {Code.TRIM_BEYOND}),
     (CONTROL, {"trim": None, "notes": (NO_TRIM,)}, "no", {Code.NO_TRIM}),
     (CONTROL, {"trim": None}, "no", {Code.CONTROLS_MISSING}),
-    # some aircraft have hardly any, and no controller of attitude needs it
-    (CONTROL, {"derivatives": with_derivative("CY_rudder", -0.01)}, "yes", {Code.CONTROLS_KNOWN}),
 ]  # fmt: skip
 
 
@@ -535,20 +524,6 @@ class TestMechanics:
         assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
         assert found.to_dict()["note"].startswith("No steady flight was found at ")
         assert "No derivatives: " in found.to_dict()["note"]
-
-    @pytest.mark.parametrize("size", [0.0, 0.05])
-    def test_frequency_responses_are_of_surfaces_that_move(self, flight, size):
-        time = np.arange(0.0, 60.0, 0.02)
-        elevator = size * lfilter([0.3], [1.0, -0.7], default_rng(0).normal(size=len(time)))
-        q = lfilter([0.0, -0.5], [1.0, -0.9], elevator)
-        table = pd.DataFrame({"time": time, "elevator": elevator, "q": q})
-        found = mechanics_of(table, train=flight)
-        if size:
-            assert {pair[:2] for pair in found.frequency.index} == {("q", "elevator")}
-            assert found.to_dict()["frequency"]["q by elevator"]["gain"] > 0
-        else:
-            assert found.frequency is None
-            assert found.frequency_note.code is Code.NOT_EXCITED
 
     def test_is_plain_for_json(self, flight):
         found = mechanics_of(flight).to_dict()

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 
 from skdgp.inference import (
     Data,
     ExactPosterior,
-    input_noise_information,
     log_likelihood,
 )
 
@@ -57,27 +55,6 @@ def test_likelihood_of_learned_variances_and_its_gradient(noisy_problem, noise_o
     assert_gradient(found.gradient, at, theta, rtol=1e-7, atol=1e-7)
 
 
-def test_information_on_the_noise_of_regressors_is_the_curvature_of_the_expected_likelihood():
-    rng = default_rng(8)
-    slopes = rng.normal(size=(30, 2, 3))
-    noise = np.array([0.3, 0.6])
-    input_std = np.array([0.4, 0.2, 0.7])
-
-    def variance(log_factor):
-        squared = slopes**2 * input_std**2 * np.exp(log_factor)
-        return noise + squared.sum(axis=2)
-
-    def expected(log_factor):
-        """Expected negative log density of values that have the variance at zero."""
-        v = variance(log_factor)
-        return 0.5 * np.sum(np.log(v) + variance(np.zeros(3)) / v)
-
-    step = 1e-3 * np.eye(3)
-    level = expected(np.zeros(3))
-    curvature = [(expected(d) - 2 * level + expected(-d)) / 1e-6 for d in step]
-    assert_allclose(input_noise_information(slopes, noise, input_std), curvature, rtol=1e-5)
-
-
 def test_outputs_of_the_same_rows_share_their_inputs():
     X, Y = np.arange(8.0).reshape(4, 2), np.ones((4, 4))
     Y[1, 2:] = np.nan
@@ -86,10 +63,3 @@ def test_outputs_of_the_same_rows_share_their_inputs():
     assert data.X[2] is data.X[3]
     assert_array_equal(data.X[2], X[[0, 2, 3]])
     assert_array_equal(data.sample[2], [0, 2, 3])
-
-
-def test_of_a_regressor_without_effect_nothing_is_known():
-    slopes = np.ones((50, 2, 2)) * [1.0, 0.0]
-    information = input_noise_information(slopes, np.array([0.1, 0.1]), np.array([0.5, 0.5]))
-    assert information[0] > 1
-    assert information[1] == 0

@@ -195,10 +195,12 @@ class Identification:
     def facts(self) -> dict[str, str]:
         """What was done, as text."""
         paths = self.fit.reconstruction
+        lags = [f"{name} {lag:.3g} s" for name, lag in self.fit.lags_corrected.items()]
         return {
             "aircraft": repr(self.aircraft),
             "regressors": ", ".join(self.fit.regressors),
             "flight paths": "" if paths is None else paths.clause,
+            "lags": ", ".join(lags),
             "fit": self.fit.summary,
             "options": ", ".join(f"{name} {value}" for name, value in self.options.items()),
             "versions": ", ".join(f"{name} {n}" for name, n in software_versions().items()),

@@ -141,12 +141,11 @@ def margins(
     stability = _Stability.of(linear, loops, settings)
     unstable = stability.unstable(linear, loops)
     stability.warn_of_unmoved()
-    excitation = None if flight is None else _Excitation.of(linear, loops, flight, settings)
+    excited = {} if flight is None else _excited_bands(linear, loops, flight)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable[:, k])
-        excited = None if excitation is None else excitation.of_quantities(loop, loop_margins)
-        rows += _rows(loop, loop_margins, excited, settings)
+        rows += _rows(loop, loop_margins, excited.get(loop.name), settings)
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
     table.attrs["unstable"] = stability.causes(linear, loops)
     return table
@@ -621,41 +620,30 @@ def _rows(loop, loop_margins, excited, settings):
             row |= {"lower": float(low), "upper": float(high)}
         if paths and meets is not None:
             row["probability"] = float(np.mean(meets(values)))
-        row["excited"] = None if excited is None else excited[quantity]
+        where = loop_margins.phase_crossover if quantity == "gain" else loop_margins.crossover
+        row["excited"] = None if excited is None else _is_excited(excited, where[0])
         rows.append(row)
     return rows
 
 
-class _Excitation(NamedTuple):
-    """Where a flight shows the response of each rate to its control: frequencies [rad/s], and whether it counts."""
+def _excited_bands(linear, loops, flight) -> dict[str, pd.Series]:
+    """Return by loop whether a flight shows the response of its rate, over the frequencies [rad/s] of bands."""
+    table = FlightTable.of(flight, [loop.control for loop in loops]).table
+    inputs = [name for name in linear.B.columns if name in table]
+    is_still = constant_columns(table[inputs].to_numpy(dtype=float))
+    moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
+    rates = [LOOP_AXES[loop.name][0] for loop in loops]
+    excited = frequency_response(flight, moved, rates)["excited"]
+    bands = {}
+    for loop, rate in zip(loops, rates, strict=True):
+        is_moved = loop.control in moved
+        bands[loop.name] = excited[rate, loop.control] if is_moved else pd.Series([False], [1.0])
+    return bands
 
-    bands: dict[str, tuple[Vector, Mask]]
 
-    @classmethod
-    def of(cls, linear, loops, flight, settings):
-        table = FlightTable.of(flight, [loop.control for loop in loops]).table
-        inputs = [name for name in linear.B.columns if name in table]
-        is_still = constant_columns(table[inputs].to_numpy(dtype=float))
-        moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
-        rates = [LOOP_AXES[loop.name][0] for loop in loops]
-        responses = frequency_response(flight, moved, rates)
-        bands = {}
-        for loop, rate in zip(loops, rates, strict=True):
-            bands[loop.name] = (np.array([1.0]), np.array([False]))
-            if loop.control in moved:
-                rows = responses.loc[(rate, loop.control)]
-                bands[loop.name] = (rows.index.to_numpy(), rows["excited"].to_numpy(dtype=bool))
-        return cls(bands)
-
-    def at(self, loop: Loop, frequency: float) -> bool | None:
-        """Return whether the band nearest to a frequency counts; None without a frequency."""
-        if not np.isfinite(frequency):
-            return None
-        w, counts = self.bands[loop.name]
-        return bool(counts[np.argmin(np.abs(np.log(w / frequency)))] and frequency <= w[-1])
-
-    def of_quantities(self, loop: Loop, loop_margins: Margins) -> dict[str, bool | None]:
-        """Return for each quantity whether its crossover counts."""
-        of_crossover = self.at(loop, loop_margins.crossover[0])
-        others = dict.fromkeys(("phase", "sensitivity", "crossover"), of_crossover)
-        return others | {"gain": self.at(loop, loop_margins.phase_crossover[0])}
+def _is_excited(excited: pd.Series, frequency: float) -> bool | None:
+    """Return whether the band nearest to a frequency counts; None without a frequency."""
+    if not np.isfinite(frequency):
+        return None
+    w = excited.index.to_numpy(dtype=float)
+    return bool(excited.iloc[np.argmin(np.abs(np.log(w / frequency)))] and frequency <= w[-1])

@@ -67,7 +67,9 @@ from skdgp.dynamics._integrate import (
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._inverse import band_filter as band_filter
 from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
+from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
+from skdgp.dynamics._linearize import transfer as transfer
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion
 from skdgp.dynamics._propeller import Propeller, ThrustLine
@@ -110,8 +112,6 @@ from skdgp.dynamics._size_errors import PRESSURE as PRESSURE
 from skdgp.dynamics._size_errors import ScaleFactor
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trajectories import farthest_beyond as farthest_beyond
-from skdgp.dynamics._transfer import UNUSED as UNUSED
-from skdgp.dynamics._transfer import transfer as transfer
 from skdgp.dynamics._trim import Trim, trim
 from skdgp.dynamics._turbulence import Turbulence, dryden_wind
 

@@ -59,6 +59,8 @@ class DifferenceSteps:
 
 
 DIFFERENCE_STEPS = DifferenceSteps()
+# States that neither loads nor outputs of interest depend on: their modes are at zero
+UNUSED = ("north", "east", "down", "psi")
 
 
 class Matrices(NamedTuple):
@@ -441,3 +443,19 @@ def check_paths(n_paths: int) -> None:
         raise ValueError(
             f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread."
         )
+
+
+def transfer(A: Any, B: Any, C: Any, D: Any, states: Any, s: Array) -> Array:
+    """Return C (s I - A)^-1 B + D at s (n,), (..., n, n_outputs, n_inputs), without position and heading.
+
+    A, B, C, D are tables or arrays (..., :, :); ``states`` are the names of the rows of A.
+    """
+    kept = [k for k, name in enumerate(states) if name not in UNUSED]
+    A, B, C, D = (np.asarray(matrix) for matrix in (A, B, C, D))
+    A = A[..., kept, :][..., kept]
+    B = B[..., kept, :]
+    C = C[..., kept]
+    resolvent = s[:, None, None] * np.eye(len(kept)) - A[..., None, :, :]
+    shape = (*resolvent.shape[:-1], B.shape[-1])
+    response = np.linalg.solve(resolvent, np.broadcast_to(B[..., None, :, :], shape))
+    return C[..., None, :, :] @ response + D[..., None, :, :]

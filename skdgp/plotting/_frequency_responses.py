@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from skdgp.plotting._display import BAND, Display
+from skdgp.plotting._display import Display
 from skdgp.plotting._style import ROLES, symbol
 
 UNITS = {"gain": "dB", "phase": "deg"}
@@ -33,9 +33,8 @@ class FrequencyDisplay(Display):
     >>> from skdgp.plotting import FrequencyDisplay
     >>> index = pd.MultiIndex.from_product([["p"], ["aileron"], [1.0, 2.0, 4.0]],
     ...                                    names=["output", "input", "frequency"])
-    >>> table = pd.DataFrame({"gain": [3.0, 2.0, 0.0], "gain_std": 0.5, "phase": [-20.0, -40.0, -60.0],
-    ...                       "phase_std": 3.0, "excited": True, "model_gain": [3.2, 2.1, 0.1],
-    ...                       "model_phase": [-18.0, -41.0, -62.0]}, index=index)
+    >>> table = pd.DataFrame({"gain": [3.0, 2.0, 0.0], "phase": [-20.0, -40.0, -60.0], "excited": True,
+    ...                       "model_gain": [3.2, 2.1, 0.1], "model_phase": [-18.0, -41.0, -62.0]}, index=index)
     >>> FrequencyDisplay(responses=table).plot(Figure()).keys
     [('p', 'aileron')]
     """
@@ -61,7 +60,7 @@ class FrequencyDisplay(Display):
         return replace(self, quantity="phase")
 
     def draw(self, ax: Any, key: tuple[str, str]) -> None:
-        """Draw the measured response with its 95 % errors, and the model's with its band."""
+        """Draw the measured response, and the model's with its band."""
         name = self.quantity
         table: Any = self.responses.loc[key]
         model = table[f"model_{name}"]
@@ -76,10 +75,8 @@ class FrequencyDisplay(Display):
             ax.fill_between(table.index, *edges, label="95 % band", **style)
         ax.plot(shown, color=ROLES["mean"], linewidth=0.9, label="model")
         flown = measured[table["excited"].astype(bool)]
-        half = BAND * table.loc[flown.index, f"{name}_std"]
-        style = {"color": ROLES["measured"], "linestyle": "None"}
-        ax.errorbar(flown.index, flown, half, elinewidth=0.9, **style)
-        ax.plot(flown, marker="o", markersize=2.5, label="flight", **style)
+        marks = {"marker": "o", "markersize": 2.5, "linestyle": "None"}
+        ax.plot(flown, color=ROLES["measured"], label="flight", **marks)
         ax.set_xscale("log")
         ax.tick_params(which="minor", labelbottom=False)
         label = f"{symbol(key[0])} by {key[1]} [{UNITS[name]}]"

@@ -78,39 +78,6 @@ def test_coherence_is_of_what_the_other_input_does_not_explain(linear):
     assert found.loc[("y", "aileron")].loc[1.0:15.0].mean() < 0.1
 
 
-def test_errors_are_as_large_as_stated(linear):
-    """Over flights in other noise, 68 and 95 % of the gains and phases are within one and two deviations."""
-    scores = []
-    for seed in range(8):
-        found = frequency_response(
-            flown(linear, seed), ["aileron", "rudder"], ["p", "r", "ay"], linear=linear
-        )
-        sure = found[found["excited"]]
-        gain, phase = errors(sure)
-        scores += [gain / sure["gain_std"], phase / sure["phase_std"]]
-    scores = np.abs(np.concatenate(scores))
-    assert 0.5 < np.mean(scores < 1.0) < 0.85
-    assert 0.85 < np.mean(scores < 2.0) < 0.995
-
-
-def test_errors_grow_with_what_the_inputs_do_not_explain(linear):
-    """As (1 - c) / 2 c of the coherence c (Bendat & Piersol 2010), alike in gain [dB] and phase [deg].
-
-    A twentieth of the input may be fed back, beside the number of averages.
-    """
-    found = frequency_response(flown(linear, 0), ["aileron", "rudder"], ["p", "r", "ay"])
-    found = found[(found["coherence"] > 0.05) & (found["coherence"] < 0.9999)]
-    error = np.deg2rad(found["phase_std"])
-    assert_allclose(found["gain_std"], 20 * error / np.log(10), rtol=1e-9)
-    coherence = found["coherence"]
-    n_averages = 1 / (error**2 * 2 * coherence / (1 - coherence) - 0.05)
-    assert coherence.min() < 0.5
-    of_frequency = n_averages.groupby("frequency")
-    assert_allclose(of_frequency.transform("min"), n_averages, rtol=1e-6)
-    of_pair = n_averages.xs("p").xs("aileron")
-    assert of_pair.loc[15.0:19.0].min() > 3.0 * of_pair.loc[:1.5].max()  # wider bands
-
-
 def test_a_linear_model_without_the_outputs_is_refused(linear):
     flight = flown(linear, 0).assign(y=np.random.default_rng(0).normal(size=6000))
     with pytest.raises(ValueError, match="outputs of the linear model lack 'y'"):
@@ -177,8 +144,6 @@ def test_of_the_example_flights():
         gain, phase = errors(sure)
         assert np.sqrt(np.mean(gain**2)) < 1.5
         assert np.sqrt(np.mean(phase**2)) < 5.0
-        scores = np.abs(np.concatenate([gain / sure["gain_std"], phase / sure["phase_std"]]))
-        assert np.mean(scores < 2.0) > 0.6
         assert 10.0 < sure.index.max() < 1.1 * 2 * np.pi * 2.0
 
 

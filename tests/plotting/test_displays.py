@@ -185,7 +185,7 @@ def responses(phase=-40.0):
             [[output], [name], frequency], names=["output", "input", "frequency"]
         )
         gain = np.where(is_excited, 3.0, 99.0)
-        columns = {"gain": gain, "gain_std": 0.5, "phase": phase, "phase_std": 3.0}
+        columns = {"gain": gain, "phase": phase}
         columns |= {"model_gain": 4.0, "model_phase": phase + 10.0, "excited": is_excited}
         tables.append(pd.DataFrame(columns, index=index))
     return pd.concat(tables)

@@ -13,7 +13,6 @@ from skdgp._cli._shared import Run, wrote
 from skdgp._cli._use import read_model_to_fly, trimmed, warn_unfit
 from skdgp._compute.files import csv_writer
 from skdgp.control import (
-    FlySettings,
     Loop,
     autopilot_loops,
     full_outputs,
@@ -139,6 +138,10 @@ def _margin_text(table: pd.DataFrame) -> str:
     return shown.rename_axis(index=["", ""]).to_string()
 
 
+# Least height of gusts [m], which vanish at the ground
+LEAST_GUST_HEIGHT = 100.0
+
+
 def fly(run: Run) -> None:
     """Fly a model in ArduPilot's simulator, as its physics: JSON interface, UDP.
 
@@ -176,7 +179,6 @@ def fly(run: Run) -> None:
         path=options.path,
         wind=options.wind,
         gusts=_gusts_of(options, model),
-        random_state=options.seed,
         thrust=thrust,
         address=options.address,
         port=options.port,
@@ -210,7 +212,7 @@ def _gusts_of(options: Any, model: Any) -> Turbulence | None:
     if options.gusts in (None, 0.0):
         return None
     if options.gusts != "flown":
-        return Turbulence.low_altitude(max(options.height, FlySettings.gust_height), options.gusts)
+        return Turbulence.low_altitude(max(options.height, LEAST_GUST_HEIGHT), options.gusts)
     flown = model.pipeline.turbulence_
     if flown is None:
         raise ValueError(
@@ -274,7 +276,7 @@ COMMANDS: opt.Commands = {
     },
     fly: {
         "": {
-            **opt.shared("model", "--aircraft", "--airspeed", "--full", "--seed", "--output"),
+            **opt.shared("model", "--aircraft", "--airspeed", "--full", "--output"),
             "--params": {
                 "metavar": "FILE",
                 "help": "parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
@@ -283,7 +285,7 @@ COMMANDS: opt.Commands = {
             "--path": {
                 "metavar": "N",
                 "type": opt.at_least(0),
-                "help": "seed of one aircraft of the posterior (default: the mean flies)",
+                "help": "seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
             },
             "--height": {
                 "metavar": "M",

@@ -1,13 +1,12 @@
 """Control: margins of an autopilot's loops around linear models, gains that have them, and flights in its simulator."""
 
-from skdgp.control._ardupilot import Flown, FlySettings, fly, full_outputs
+from skdgp.control._ardupilot import Flown, fly, full_outputs
 from skdgp.control._loops import Loop
 from skdgp.control._margins import MarginSettings, margins, suggest_gains
 from skdgp.control._parameters import autopilot_loops, read_parameters
 
 __all__ = [
     "Flown",
-    "FlySettings",
     "Loop",
     "MarginSettings",
     "autopilot_loops",

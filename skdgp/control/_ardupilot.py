@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,35 +22,26 @@ from sklearn.base import BaseEstimator
 
 from skdgp._compute.messages import warn
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Array, Vector
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import check_full_deflection, check_number, check_numbers
-from skdgp._flight.frames import SEA_LEVEL_DENSITY, ned_to_body, standard_density
+from skdgp._flight.checks import check_full_deflection, check_number
+from skdgp._flight.frames import SEA_LEVEL_DENSITY, standard_density
 from skdgp._flight.servo_functions import ServoRange
+from skdgp._flight.tables import by_name
 from skdgp.control._parameters import WEIGHTS, servo_functions
 from skdgp.dynamics import (
     ATTITUDE,
     REASONS,
-    VELOCITY,
     Aerodynamics,
+    Air,
     Aircraft,
-    End,
-    Integrator,
     LinearModel,
-    LocalAir,
     Motion,
     SimulationWarning,
-    StepClock,
-    TangentSettings,
+    Simulator,
     Trim,
     Turbulence,
-    as_aerodynamics,
-    channels,
-    drawn_functions,
-    end_reasons,
-    farthest_beyond,
-    gust_stream,
     linearize,
     thrust_control,
 )
@@ -62,29 +52,18 @@ PULSES = {18458: 16, 29569: 32}
 RAISED = {"aileron": "p", "elevator": "q", "rudder": "r"}
 
 
-@dataclass(frozen=True)
-class FlySettings:
-    """Settings of the simulation behind an autopilot."""
-
-    # Longest step of the integration [s]
-    longest_step: float = 0.01
-    # Longest time that a packet asks for [s]: ArduPilot ignores longer ones
-    longest_frame: float = 0.09
-    # Pulses [us] below this are none
-    no_pulse: int = 500
-    # Time between two rows of the table [s]
-    row_step: float = 0.0199
-    # Shortest time between two warnings of a flight outside of what was learned [s]
-    warning_step: float = 1.0
-    # Least height [m] of gusts, which vanish at the ground
-    gust_height: float = 100.0
-    # Silence [s] of an autopilot after which another one may fly
-    handover: float = 1.0
-
-
-FLY = FlySettings()
-# The steps of a packet are few: every stage evaluates the model
-WITHOUT_TANGENTS = TangentSettings(interval=0.0)
+# Longest step of the integration [s]
+LONGEST_STEP = 0.01
+# Longest time that a packet asks for [s]: ArduPilot ignores longer ones
+LONGEST_FRAME = 0.09
+# Pulses [us] below this are none
+NO_PULSE = 500
+# Time between two rows of the table [s]
+ROW_STEP = 0.0199
+# Shortest time between two warnings of a flight outside of what was learned [s]
+WARNING_STEP = 1.0
+# Silence [s] of an autopilot after which another one may fly
+HANDOVER = 1.0
 
 
 class Packet(NamedTuple):
@@ -160,10 +139,8 @@ class Outputs:
         steady: Trim,
         full: Mapping[str, float],
         parameters: Mapping[str, float],
-        no_pulse: float,
     ) -> None:
         self.steady = steady.controls
-        self.no_pulse = no_pulse
         servos = servos_of(parameters)
         self.servos: dict[str, list[Servo]] = {}
         self.gains: dict[str, float] = {}
@@ -178,7 +155,7 @@ class Outputs:
         sent = dict(enumerate(pulses))
         for name, servos in self.servos.items():
             of_servos = [sent.get(servo.place, 0) for servo in servos]
-            if min(of_servos, default=0) > self.no_pulse:
+            if min(of_servos, default=0) > NO_PULSE:
                 outputs = map(Servo.output, servos, of_servos)
                 commands[name] = self.gains[name] * sum(outputs)
         return commands
@@ -248,124 +225,71 @@ def _effect(linear: LinearModel, control: str) -> float:
 
 
 class ModelInFlight:
-    """An aircraft with its servos that is advanced step by step, at most to the ground."""
+    """A model behind an autopilot, from a trim to the ground."""
 
     def __init__(
         self,
-        model: Aerodynamics,
-        aircraft: Aircraft,
+        simulator: Simulator,
         steady: Trim,
         height: float,
-        thrust: str | None,
-        wind: Any,
-        turbulence: Turbulence | None,
-        random_state: int,
-        settings: FlySettings = FLY,
+        path: int | None,
     ) -> None:
-        self.ground = steady.altitude - height  # altitude [m]
-        self.motion = Motion(model, aircraft, thrust=thrust)
+        self.simulator = simulator
         self.steady = steady
-        self.wind = None if wind is None else np.asarray(wind, dtype=float)
-        self.turbulence = turbulence
-        self.random_state = random_state
-        self.settings = settings
+        self.ground = steady.altitude - height  # altitude [m]
+        self.path = path
         self.start()
 
     def start(self) -> None:
         """Put the aircraft at its trim, heading north."""
-        self.time = 0.0
-        state = np.array(self.steady.state, dtype=float)
-        state[2] = -self.steady.altitude
-        if self.wind is not None:
-            state[VELOCITY] += ned_to_body(state[ATTITUDE], self.wind)
-        self._end = End(state)
-        self._gust_step = 0.0
-        self._gust_stream: Any = None
-        self._air = None if self.wind is None else LocalAir(self.wind)  # of the present step
+        names = ("airspeed", "alpha", "beta", "phi", "theta", "altitude")
+        start = {name: vars(self.steady)[name] for name in names}
+        start |= by_name(RATE_NAMES, self.steady.rates)
+        self.channels = self.simulator.reset(start, random_state=self.path)
         self.ended = ""
-        self.beyond = ""  # the regressor farthest outside of what was learned
-        self._told = ""  # the one of the last warning
+        self._told = ""  # the regressor of the last warning
         self._warned = -np.inf  # its time [s]
-        self._specific_force = np.array([0.0, 0.0, -self.motion.gravity])
 
     @property
-    def state(self) -> Array:
-        """State (13,), see `STATE_NAMES`."""
-        return self._end.state
+    def time(self) -> float:
+        """Of this flight [s]."""
+        return self.simulator.time
 
     def advance(self, commands: Mapping[str, float], duration: float) -> None:
         """Fly for a ``duration`` [s] with constant commands."""
-        n_steps = max(1, math.ceil(duration / self.settings.longest_step - 1e-6))
-        clock = StepClock(duration / n_steps, n_steps)
-
-        def held(step: int, stage: int, observe: Callable) -> Mapping[str, float]:
-            return commands
-
-        def air(stage: int, state: Vector) -> LocalAir | None:
-            return self._air
-
-        integrator = Integrator(self.motion, held, air, clock, tangents=WITHOUT_TANGENTS)
-        with np.errstate(all="ignore"):  # what diverges is ended
-            for k in range(n_steps):
-                self._move_air(clock.dt)
-                begin = integrator.begin(k, self._end)
-                self._end = integrator.step(k, begin)
-        self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
-        self._specific_force = np.divide(self._end.force, self.motion.aircraft.mass)
-        self.time += duration
-        self._note_beyond(begin.now.regressors)
-        reasons = [REASONS[reason] for reason in end_reasons(begin.state, begin.now)]
-        if not np.isfinite(self.state).all() or not np.isfinite(self._specific_force).all():
-            reasons.append(REASONS["diverged"])
-        if -self.state[2] <= self.ground:
-            reasons.append("at the ground")
-        if reasons:
-            self.ended = f"the flight ended after {self.time:.1f} s: {reasons[0]}"
-
-    def _note_beyond(self, regressors: Vector) -> None:
-        """Note the regressor (d,) farthest outside of what was learned, and warn when it is another one."""
-        farthest = int(farthest_beyond(self.motion, regressors))
-        if not farthest:
-            self.beyond = self._told = ""
+        self.channels = self.simulator.step(commands, duration)
+        altitude = self.channels["altitude"]  # NaN if the flight has ended
+        reason = REASONS.get(self.simulator.ended, "")
+        if altitude <= self.ground:
+            reason = "at the ground"
+        if reason:
+            self.ended = f"the flight ended after {self.time:.1f} s: {reason}"
             return
-        self.beyond = self.motion.regressors[farthest - 1]
-        if self.beyond == self._told or self.time - self._warned < self.settings.warning_step:
-            return
-        self._told = self.beyond
-        self._warned = self.time
-        model = self.motion.aerodynamics
-        low, high = model.limits[:, farthest - 1]
-        warn(
-            f"After {self.time:.1f} s the flight is outside of what the model was learned from, in "
-            f"{model.regressors[farthest - 1]} (here {regressors[farthest - 1]:.3g}, learned from {low:.3g} to "
-            f"{high:.3g}): the column beyond says where. A stall that was not flown is not in the model.",
-            SimulationWarning,
-        )
+        self.channels["density"] = float(standard_density(altitude))
+        self._warn_of_beyond()
 
-    def _move_air(self, step: float) -> None:
-        """Let the gusts of the next step come, which lasts ``step`` [s]."""
-        if self.turbulence is None:
-            return
-        if step != self._gust_step:
-            rng = np.random.default_rng(self.random_state)
-            size = (self.turbulence.length, self.turbulence.intensity, self.motion.aircraft.span)
-            self._gust_step = step
-            self._gust_stream = gust_stream(step, self.steady.airspeed, *size, rng)
-        gust, gust_rate, rotation = next(self._gust_stream)
-        self._air = LocalAir(self.wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
-
-    def channels(self) -> dict[str, float]:
-        """Return the channels of the present state by name, with accelerometers and density."""
-        wind = None if self._air is None else self._air.velocity(self.state[ATTITUDE])
-        columns = channels(self.state, wind)
-        values = {name: float(value) for name, value in columns.items()}
-        values |= zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True)
-        values["density"] = float(standard_density(values["altitude"]))
-        return {"time": self.time, **values}
+    def _warn_of_beyond(self) -> None:
+        """Warn of a flight outside of what was learned, once a second at most."""
+        beyond = self.simulator.beyond
+        is_new = beyond and beyond != self._told
+        if is_new and self.time - self._warned >= WARNING_STEP:
+            self._warned = self.time
+            model = self.simulator.motion.aerodynamics
+            k = self.simulator.motion.regressors.index(beyond)
+            low, high = model.limits[:, k]
+            warn(
+                f"After {self.time:.1f} s the flight is outside of what the model was learned from, in "
+                f"{model.regressors[k]} (learned from {low:.3g} to {high:.3g}): the column beyond says where. A "
+                "stall that was not flown is not in the model.",
+                SimulationWarning,
+            )
+            self._told = beyond
+        elif not beyond:
+            self._told = ""
 
     def readings(self) -> str:
         """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
-        values = self.channels()
+        values = self.channels
         position = [values["north"], values["east"], values["down"] + self.ground]
         # SITL's airspeed is the equivalent one
         equivalent = values["airspeed"] * math.sqrt(values["density"] / SEA_LEVEL_DENSITY)
@@ -377,7 +301,7 @@ class ModelInFlight:
             },
             "position": position,
             "attitude": [values[name] for name in EULER],
-            "quaternion": self.state[ATTITUDE].tolist(),
+            "quaternion": self.simulator.state[ATTITUDE].tolist(),
             "velocity": [values[name] for name in EARTH_VELOCITY],
             "airspeed": equivalent,
         }
@@ -387,9 +311,8 @@ class ModelInFlight:
 class Link:
     """A UDP port at which ArduPilot's simulator is expected; a context manager."""
 
-    def __init__(self, address: str, port: int, settings: FlySettings = FLY) -> None:
+    def __init__(self, address: str, port: int) -> None:
         self.name = f"{address}:{port}"
-        self.settings = settings
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self.socket.bind((address, port))
@@ -454,14 +377,12 @@ def fly(
     path: int | None = None,
     wind: Any = None,
     gusts: Turbulence | None = None,
-    random_state: int = 0,
     thrust: str | None = "auto",
     address: str = "127.0.0.1",
     port: int = 9002,
     wait: float = 60.0,
     seconds: float = np.inf,
     ready: Callable[[], None] | None = None,
-    settings: FlySettings = FLY,
 ) -> Flown:
     """Fly a model in ArduPilot's simulator: answer each packet of pulses with a step of the nonlinear motion.
 
@@ -487,13 +408,11 @@ def fly(
         Of the start above the ground [m]. The flight begins at the trim and is over at the ground: an
         aircraft that takes off and lands is that of :func:`skdgp.export.write_jsbsim`.
     path : int, optional
-        Seed of one aircraft of the posterior; by default the mean flies.
+        Seed of one aircraft of the posterior, and of the gusts; by default the mean flies.
     wind : array-like (3,), optional
         Velocity of the air, north, east, down [m/s].
     gusts : Turbulence, optional
         Dryden's gusts besides the wind.
-    random_state : int, default=0
-        Of the gusts.
     thrust : "auto" or None
         As for :func:`skdgp.dynamics.simulate`.
     address, port : str and int
@@ -504,7 +423,6 @@ def fly(
         Duration of the last flight; by default until the autopilot is silent.
     ready : callable, optional
         Called once packets are expected.
-    settings : FlySettings
 
     Returns
     -------
@@ -525,17 +443,12 @@ def fly(
     """
     check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")
-    if wind is not None:
-        check_numbers("wind", wind, 3, unit="m/s north, east, down")
     linear = linearize(model, aircraft, steady, thrust=thrust)
     full = full_outputs(model, aircraft, full, thrust)
-    outputs = Outputs(linear, steady, full, parameters or {}, settings.no_pulse)
-    flown = as_aerodynamics(model)
-    if path is not None:
-        flown = drawn_functions(Motion(flown, aircraft, thrust=thrust), 1, path, rounded=True)
-    flight = ModelInFlight(
-        flown, aircraft, steady, height, thrust, wind, gusts, random_state, settings
-    )
+    outputs = Outputs(linear, steady, full, parameters or {})
+    air = Air(wind=wind, gusts=gusts)
+    simulator = Simulator(model, aircraft, LONGEST_STEP, air=air, thrust=thrust)
+    flight = ModelInFlight(simulator, steady, height, path)
     with Link(address, port) as link:
         if ready is not None:
             ready()
@@ -581,7 +494,7 @@ class _Served:
         """Return whether a sender flies: no other one does, or that one has been silent."""
         now = time.monotonic()
         if sender != self._autopilot:
-            if now - self._heard <= self.flight.settings.handover:
+            if now - self._heard <= HANDOVER:
                 return False
             self._autopilot = sender
             self._last = sys.maxsize  # its first packet starts a flight
@@ -605,18 +518,18 @@ class _Served:
             self._row_time = -np.inf
         began = time.perf_counter()
         commands = self.outputs.commands(packet.pulses)
-        flight.advance(commands, min(1.0 / max(packet.rate, 1), flight.settings.longest_frame))
+        flight.advance(commands, min(1.0 / max(packet.rate, 1), LONGEST_FRAME))
         if flight.ended:
             return
         self._line = flight.readings()
         self.computing += time.perf_counter() - began
         self.n_steps += 1
         self._last = packet.number
-        if flight.time - self._row_time > flight.settings.row_step:
+        if flight.time - self._row_time > ROW_STEP:
             self._row_time = flight.time
             name = {"flight": f"start {self.n_starts}"}
-            beyond = {"beyond": flight.beyond}
-            self.rows.append(name | flight.channels() | commands | beyond)
+            beyond = {"beyond": flight.simulator.beyond}
+            self.rows.append(name | flight.channels | commands | beyond)
 
 
 def _serve(

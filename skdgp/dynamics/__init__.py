@@ -33,7 +33,6 @@ from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._drawn import drawn_functions as drawn_functions
 from skdgp.dynamics._dryden import Gusts as Gusts
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
-from skdgp.dynamics._dryden import gust_stream as gust_stream
 from skdgp.dynamics._dryden import rolling_gust as rolling_gust
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
@@ -44,22 +43,10 @@ from skdgp.dynamics._integrate import (
     REASONS as REASONS,
 )
 from skdgp.dynamics._integrate import (
-    End as End,
-)
-from skdgp.dynamics._integrate import (
-    Integrator as Integrator,
-)
-from skdgp.dynamics._integrate import (
-    TangentSettings as TangentSettings,
-)
-from skdgp.dynamics._integrate import (
     Trajectories as Trajectories,
 )
 from skdgp.dynamics._integrate import (
     channels as channels,
-)
-from skdgp.dynamics._integrate import (
-    end_reasons as end_reasons,
 )
 from skdgp.dynamics._integrate import (
     fly_record as fly_record,

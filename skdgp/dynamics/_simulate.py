@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, NamedTuple
@@ -12,11 +13,12 @@ from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import SPECIFIC_FORCE
-from skdgp._flight.checks import check_number
-from skdgp.dynamics._aerodynamics import Aerodynamics
-from skdgp.dynamics._air import Air, AirAt, as_air
+from skdgp._flight.checks import check_number, check_numbers
+from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
+from skdgp.dynamics._air import Air, AirAt, LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._drawn import drawn_functions
+from skdgp.dynamics._dryden import gust_stream
 from skdgp.dynamics._inputs import (
     StepClock,
     control_schedule,
@@ -24,10 +26,10 @@ from skdgp.dynamics._inputs import (
     warn_of_clocks,
     wind_schedule,
 )
-from skdgp.dynamics._integrate import FLYING, channels, fly_record
+from skdgp.dynamics._integrate import FLYING, End, Integrator, channels, end_reasons, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
 from skdgp.dynamics._path_air import PathsAir, paths_air
-from skdgp.dynamics._servos import ServoState
+from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._starts import as_starts, initial_states
 from skdgp.dynamics._trajectories import (
     farthest_beyond,
@@ -208,7 +210,7 @@ def _check_single(air: Air) -> None:
 class Simulator:
     """Step-by-step simulation of an aircraft with a controller: call ``reset``, then ``step`` repeatedly.
 
-    Each step holds the controls for ``dt`` and integrates the equations of `simulate` (RK4).
+    Each step holds the controls and integrates the equations of `simulate` (RK4).
 
     Parameters
     ----------
@@ -217,10 +219,12 @@ class Simulator:
     dt : float, default=0.02
         Time step [s].
     air, thrust
-        As for :func:`skdgp.dynamics.simulate`; the wind is constant, no gusts are drawn.
+        As for :func:`skdgp.dynamics.simulate`; the wind is constant. Gusts are met if they are a `Turbulence`.
 
     Attributes
     ----------
+    time : float
+        Since the reset [s].
     ended : str
         Why the flight is over; "" while it is not.
     beyond : str
@@ -243,7 +247,7 @@ class Simulator:
     >>> state = simulator.reset({"airspeed": 12.0, "alpha": 0.05, "phi": 0.0, "altitude": 100.0})
     >>> for _ in range(150):
     ...     state = simulator.step({"aileron": 1.5 * (0.4 - state["phi"]) - 0.3 * state["p"]})
-    >>> round(float(state["time"]), 2), bool(abs(state["phi"] - 0.4) < 0.05)
+    >>> round(state["time"], 2), abs(state["phi"] - 0.4) < 0.05
     (3.0, True)
     """
 
@@ -257,8 +261,6 @@ class Simulator:
         thrust: str | None = "auto",
     ) -> None:
         air = as_air(air)
-        if isinstance(air.gusts, Turbulence):
-            raise ValueError("Got a Turbulence, but a Simulator draws no gusts: simulate() does.")
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
         self._mean_motion = self.motion
@@ -266,19 +268,11 @@ class Simulator:
             raise ValueError(
                 "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
             )
-        self._air = wind_schedule(air.wind, StepClock(dt, 1), 1)
-        self._steps = 0
-        self.ended = FLYING
-        self.beyond = ""
-        self._state: Any = None
-        self._specific_force = UNKNOWN_FORCE
-        # at the end of the last step
-        self._servos: ServoState | None = None
-
-    @property
-    def time(self) -> float:
-        """Since the reset [s]."""
-        return self._steps * self.dt
+        self._wind: LocalAir | None = None
+        if air.wind is not None:
+            self._wind = LocalAir(check_numbers("wind", air.wind, 3, unit="m/s north, east, down"))
+        self._turbulence = air.gusts if isinstance(air.gusts, Turbulence) else None
+        self._end: Any = None
 
     def reset(
         self, x0: Any, *, controls: Mapping | None = None, random_state: Seed = None
@@ -293,7 +287,7 @@ class Simulator:
             Controls at the start, for the accelerometers alone; by default the controls of a
             `Trim`.
         random_state : int, RandomState instance or None
-            None: the mean of the model flies. Else a function drawn from its posterior.
+            None: the mean of the model flies. Else a function drawn from its posterior. Also of the gusts.
 
         Returns
         -------
@@ -301,7 +295,7 @@ class Simulator:
             ``time``, position, velocities, angles, rates, air data, altitude; and ``ax``, ``ay``,
             ``az`` [m/s^2], specific force at the centre of gravity, NaN without controls.
         """
-        states = initial_states(as_starts(x0), partial(self._air, 0))
+        states = initial_states(as_starts(x0), lambda states: self._wind)
         if len(states) > 1:
             raise ValueError(
                 f"Got {len(states)} starts, but expected one: simulate() flies several at once."
@@ -311,53 +305,81 @@ class Simulator:
             drawn = drawn_functions(motion, 1, random_state, rounded=True)
             motion = motion.with_aerodynamics(drawn)
         self.motion = motion
-        self._state = states
-        self._steps = 0
-        self._servos = None
+        self.time = 0.0
         self.ended = FLYING
         self.beyond = ""
-        self._specific_force = UNKNOWN_FORCE
+        self._air = self._wind
+        self._gust_step = 0.0
+        self._generator = separate_generator(0 if random_state is None else random_state, 5)
         if controls is None and isinstance(x0, Trim):
             controls = x0.controls
+        state = states[0]
+        now = None
         if controls is not None:
-            now = motion.at(states, motion.mixed(controls), self._air(0, states))
-            self._specific_force = now.force[0] / motion.aircraft.mass
+            now = motion.at(state, motion.mixed(controls), self._air)
+        self._end = End(state, now=now)
         return self._seen()
 
-    def step(self, controls: Mapping) -> dict[str, float]:
-        """Return the observation after a step with controls by name.
+    def step(self, controls: Mapping, duration: float | None = None) -> dict[str, float]:
+        """Return the observation after a step with controls by name, of a ``duration`` [s], by default ``dt``.
 
-        It has the entries of :meth:`reset`. Accelerometers show the end of the step, before the
-        next controls. All but ``time`` are NaN after the end of the flight. Raises ValueError
-        before `reset` or after the end.
+        A longer one is integrated in steps of at most ``dt``. The observation has the entries of
+        :meth:`reset`. Accelerometers show the last stage of the integration, before the next controls. All
+        but ``time`` are NaN after the end of the flight. Raises ValueError before `reset` or after the end.
         """
-        if self._state is None:
+        if self._end is None:
             raise ValueError("Got no start yet, but expected a flight: call reset(x0).")
         if self.ended:
             raise ValueError(
                 f"Got a flight that has ended ({self.ended}), but expected one that flies: "
                 "call reset(x0)."
             )
-
-        def held(step, stage, observe):
-            return controls
-
-        clock = StepClock(self.dt, 1)
-        record = fly_record(self.motion, held, self._air, clock, self._state, servos=self._servos)
-        self._steps += 1
-        self.ended = record.ended[0]
-        self.beyond = farthest_regressor(self.motion, record.regressors[-1])[0]
-        if not self.ended:
-            self._state = record.states[-1]
-            self._specific_force = record.specific_force[-1, 0]
-            self._servos = record.servos
+        duration = self.dt if duration is None else duration
+        n_steps = max(1, math.ceil(duration / self.dt - 1e-6))
+        with np.errstate(all="ignore"):  # what diverges is ended
+            for _ in range(n_steps):
+                self._integrate(controls, duration / n_steps)
+            reasons = end_reasons(self._end.state, self._end.now)
+        self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
+        self.time += duration
+        self.beyond = str(farthest_regressor(self.motion, self._end.now.regressors))
+        self.ended = next(iter(reasons), FLYING)
         return self._seen()
 
+    @property
+    def state(self) -> Array:
+        """State (13,), see `STATE_NAMES`."""
+        return self._end.state
+
+    def _integrate(self, controls: Mapping, dt: float) -> None:
+        """Fly a step of ``dt`` [s]."""
+        if self._turbulence is not None:
+            self._air = self._next_gust(self._turbulence, dt)
+        integrator = Integrator(
+            self.motion,
+            lambda step, stage, observe: controls,
+            lambda stage, state: self._air,
+            StepClock(dt, 1),
+        )
+        self._end = integrator.step(0, integrator.begin(0, self._end))
+
+    def _next_gust(self, turbulence: Turbulence, dt: float) -> LocalAir:
+        """Return the air of the next step."""
+        if dt != self._gust_step:
+            self._gust_step = dt
+            airspeed = float(np.linalg.norm(self.state[VELOCITY]))
+            size = (turbulence.length, turbulence.intensity, self.motion.aircraft.span)
+            self._gusts = gust_stream(dt, airspeed, *size, self._generator)
+        gust, gust_rate, rotation = next(self._gusts)
+        wind = None if self._wind is None else self._wind.wind
+        return LocalAir(wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
+
     def _seen(self) -> dict[str, float]:
-        air = self._air(0, self._state)
-        columns = channels(self._state, None if air is None else air.wind)
-        readings = {name: float(values[0]) for name, values in columns.items()}
-        readings |= dict(zip(SPECIFIC_FORCE, self._specific_force.tolist(), strict=True))
+        wind = None if self._air is None else self._air.velocity(self.state[ATTITUDE])
+        readings = {name: float(value) for name, value in channels(self.state, wind).items()}
+        force = UNKNOWN_FORCE if self._end.now is None else self._end.now.force
+        specific_force = force / self.motion.aircraft.mass
+        readings |= dict(zip(SPECIFIC_FORCE, specific_force.tolist(), strict=True))
         if self.ended:
             readings = dict.fromkeys(readings, np.nan)
         return {"time": self.time, **readings}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,12 +86,10 @@ class Turbulence(NamedTuple):
     def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
         """Return the turbulence of one or more flights.
 
-        The velocity over the ground less that through the air is the wind, with the noise of the
-        sensors. Its parts along the flight through the air, across and down are u, v and w:
-        intensity and length of each are estimated as by `from_wind`, and its white noise with them.
-        Six minutes give intensities to a tenth and lengths to a fifth. Raises ValueError if columns
-        are missing, angles are in degrees, the span is not > 0, or no flight lasts 30 s and is
-        sampled every 300 m.
+        The velocity over the ground less that through the air is the wind, with the white noise of the
+        sensors, which is estimated with it, as by `from_wind`. Six minutes give intensities to a tenth and
+        lengths to a fifth. Raises ValueError if columns are missing, angles are in degrees, the span is not
+        > 0, or no flight lasts 30 s and is sampled every 300 m.
 
         Parameters
         ----------
@@ -114,34 +112,41 @@ class Turbulence(NamedTuple):
             if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION:
                 winds.append(wind)
                 airspeeds.append(wind["airspeed"].mean())
-        return cls.from_wind(winds, airspeeds, span)
+        return cls.from_wind(winds, airspeeds, span, is_noisy=True)
 
     @classmethod
     def from_wind(
-        cls, winds: pd.DataFrame | Sequence[pd.DataFrame], airspeeds: ArrayLike, span: float
+        cls,
+        winds: pd.DataFrame | Sequence[pd.DataFrame],
+        airspeeds: ArrayLike,
+        span: float,
+        *,
+        is_noisy: bool = False,
     ) -> Turbulence:
         r"""Return the turbulence of winds that were met at some airspeeds.
 
-        The spectra S are Dryden's. Of a grid of lengths L and noises, those maximise the likelihood of
-        the periodogram I, averaged over bands of n values, with a prior on the length,
+        The spectra S are Dryden's; north and east have the mean of the spectra of u and v, which have one
+        intensity and length, as in MIL-F-8785C. Of a grid of lengths L and noises, those maximise the
+        likelihood of the periodogram I, averaged over bands of n values, with a prior on the length,
 
         .. math:: -\sum n \left(\log S + \frac{I}{S}\right)
                   - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
 
         over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
-        one; the variance follows from each as the mean of I over S of unit variance. Where the
-        direction of flight is not known, north and east have the mean of the spectra of u and v.
+        one; the variance follows from each as the mean of I over S of unit variance.
         Raises ValueError if the span is not > 0, or the winds are too short or too rarely sampled.
 
         Parameters
         ----------
         winds : DataFrame or list of DataFrame
-            Each with time, wind_north, wind_east, wind_down, and perhaps the heading of the flight
-            through the air. Winds of a few seconds show the rates of the gusts, not their lengths.
+            Each with time, wind_north, wind_east, wind_down. Winds of a few seconds show the rates of the
+            gusts, not their lengths.
         airspeeds : float or array-like (n_winds,)
             [m/s].
         span : float
             Of the wing [m].
+        is_noisy : bool, default=False
+            Whether the winds have white noise.
 
         Returns
         -------
@@ -163,12 +168,10 @@ class Turbulence(NamedTuple):
                 f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
             )
         speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), len(winds)).tolist()
-        is_along = all("heading" in table for table in winds)
-        if not is_along:
-            winds = [table[["time", *WIND]] for table in winds]
         spectra = _band_spectra(winds, speeds, span)
-        fits = [_fitted(spectra, axis, is_along) for axis in range(3)]
-        intensity, length = np.transpose(fits)
+        horizontal = _fitted(spectra, spectra.horizontal, _horizontal_spectrum, is_noisy)
+        vertical = _fitted(spectra, spectra.vertical, _vertical_spectrum, is_noisy)
+        intensity, length = np.transpose([horizontal, horizontal, vertical])
         durations = [np.ptp(table["time"]) for table in winds]
         return cls(intensity, length, float(np.average(speeds, weights=durations)))
 
@@ -255,10 +258,9 @@ class _Spectra(NamedTuple):
     """Spectra of the wind over wave numbers, averaged over bands."""
 
     wave_number: Array  #: (n,) [rad/m]
-    values: Array  #: Of u, v, w, or north, east, down, (n, 3)
-    interval: (
-        Array  #: Of the samples, in the air (n,) [m]: the spectrum of white noise of unit variance
-    )
+    horizontal: Array  #: Mean of north and east (n,)
+    vertical: Array
+    interval: Array  #: Of the samples, in the air (n,) [m]: the spectrum of noise of unit variance
     n_values: Vector  #: Values of the periodograms in a band, (n,)
     shortest: float  #: Scale length that they can show [m]
 
@@ -273,13 +275,17 @@ def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float
         interval = airspeed * float(np.median(steps)) if len(steps) else 0.0
         if not 0 < SAMPLES * interval < LONGEST:
             continue
-        gusts = _even_gusts(wind, interval / airspeed)
+        time = wind["time"].to_numpy(float)
+        even = np.arange(time[0], time[-1], interval / airspeed)
+        gusts = interpolated(even, time, numeric(wind, WIND))
+        gusts -= gusts.mean(axis=0)
         wave_number = 2 * np.pi * np.fft.rfftfreq(len(gusts), interval)
         values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * interval / len(gusts)
         # above, a wing meets the mean over its span, while sensors measure the wind at a point
         highest = min(np.pi / (4 * span), 0.9 * np.pi / interval)
         is_used = (wave_number > SLOWEST / airspeed) & (wave_number < highest)
-        columns = [wave_number, *values.T, np.full(len(wave_number), interval)]
+        horizontal = values[:, :2].mean(axis=1)
+        columns = [wave_number, horizontal, values[:, 2], np.full(len(wave_number), interval)]
         parts.append(np.stack(columns, axis=1)[is_used])
         shortest.append(max(SAMPLES * interval, 1.0 / highest))
     if sum(map(len, parts)) < FEWEST:
@@ -292,53 +298,42 @@ def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float
     bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
     mean = bands.mean().to_numpy()
     n_values: Any = bands.size().to_numpy(float)
-    return _Spectra(mean[:, 0], mean[:, 1:4], mean[:, 4], n_values, min(shortest))
+    return _Spectra(*mean.T, n_values, min(shortest))
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return time, airspeed and wind of a flight, and the heading of its velocity through the air."""
+    """Return time, airspeed and wind of a flight."""
     attitude = euler_to_quaternion(*numeric(rows, EULER).T)
     air = body_to_ned(attitude, air_velocity(*numeric(rows, AIR_DATA).T))
     wind = pd.DataFrame(numeric(rows, EARTH_VELOCITY) - air, columns=[*WIND])
-    wind["heading"] = np.unwrap(np.arctan2(air[:, 1], air[:, 0]))
     wind["time"] = rows["time"].to_numpy(float)
     wind["airspeed"] = rows["airspeed"].to_numpy(float)
     return wind
 
 
-def _even_gusts(wind: pd.DataFrame, step: float) -> Array:
-    """Return a wind less its mean (n, 3) at even times: along a heading, across, down; or north, east, down."""
-    time = wind["time"].to_numpy(float)
-    even = np.arange(time[0], time[-1], step)
-    gusts = interpolated(even, time, numeric(wind, WIND))
-    gusts -= gusts.mean(axis=0)
-    if "heading" not in wind:
-        return gusts
-    heading = np.interp(even, time, wind["heading"].to_numpy(float))
-    north, east, down = gusts.T
-    along = np.cos(heading) * north + np.sin(heading) * east
-    across = np.cos(heading) * east - np.sin(heading) * north
-    return np.stack([along, across, down], axis=1)
+def _along_spectrum(wave_number: Array, length: Array) -> Array:
+    """Return the spectrum of u of unit variance without lags: see `dryden_system`."""
+    return 2 * length / (1 + (length * wave_number) ** 2)
 
 
-def _unit_spectrum(wave_number: Array, length: Array, axis: int) -> Array:
-    """Return the spectrum of u, v, w (axis 0, 1, 2) of unit variance without lags: see `dryden_system`."""
+def _vertical_spectrum(wave_number: Array, length: Array) -> Array:
+    """Return the spectrum of v and w of unit variance without lags."""
     x = (length * wave_number) ** 2
-    return 2 * length / (1 + x) if axis == 0 else length * (1 + 3 * x) / (1 + x) ** 2
+    return length * (1 + 3 * x) / (1 + x) ** 2
 
 
-def _fitted(spectra: _Spectra, axis: int, is_along: bool) -> tuple[float, float]:
-    """Return intensity [m/s] and length [m] of an axis; of north and east those that u and v share.
+def _horizontal_spectrum(wave_number: Array, length: Array) -> Array:
+    """Return the spectrum of unit variance of u and v, whatever the direction of the flight."""
+    return (_along_spectrum(wave_number, length) + _vertical_spectrum(wave_number, length)) / 2
 
-    The air along a flight is measured by sensors with white noise, a table of wind has none.
-    """
-    values = spectra.values[:, axis]
+
+def _fitted(
+    spectra: _Spectra, values: Array, unit_spectrum: Callable, is_noisy: bool
+) -> tuple[float, float]:
+    """Return intensity [m/s] and length [m] of an axis with a spectrum (n,)."""
     length = np.geomspace(spectra.shortest, LONGEST, N_LENGTHS)[:, None]
-    unit = _unit_spectrum(spectra.wave_number, length, axis)
-    if axis < 2 and not is_along:
-        values = spectra.values[:, :2].mean(axis=1)
-        unit = (unit + _unit_spectrum(spectra.wave_number, length, 1 - axis)) / 2
-    noises = NOISES if is_along else NOISES[:1]
+    unit = unit_spectrum(spectra.wave_number, length)
+    noises = NOISES if is_noisy else NOISES[:1]
     S = unit[:, None] + noises[:, None] * spectra.interval  # (lengths, noises, bands)
     variance = np.maximum(np.average(values / S, axis=-1, weights=spectra.n_values), CALM)
     loss = np.sum(spectra.n_values * np.log(variance[..., None] * S), axis=-1)

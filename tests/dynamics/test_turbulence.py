@@ -63,17 +63,11 @@ class TestFromFlight:
         assert_allclose(found.intensity, TRUE.intensity, rtol=0.1)
         assert_allclose(found.length, TRUE.length, rtol=0.25)
 
-    def test_u_and_v_that_differ_are_told_apart(self):
-        """Wherever the aircraft is heading; a wind without a heading does not tell."""
-        true = Turbulence(np.array([0.8, 0.4, 0.35]), np.array([100.0, 250.0, 60.0]))
-        tables = [flights(true, 2, 300.0, 0.1, seed=1, heading=heading) for heading in (0.0, 2.0)]
-        found, turned = (Turbulence.from_flight(table, SPAN) for table in tables)
-        assert_allclose(found.intensity, true.intensity, rtol=0.25)
-        assert_allclose(found.length, true.length, rtol=0.4)
-        assert_allclose(turned.intensity, found.intensity, rtol=1e-3)
-        wind = dryden_wind(100.0, 25.0, 100.0, random_state=0)
-        u, v, _ = Turbulence.from_wind([wind], [25.0], SPAN).intensity
-        assert u == v
+    def test_u_and_v_have_one_intensity_and_length_in_any_direction(self):
+        tables = [flights(TRUE, 2, 300.0, 0.1, seed=1, heading=heading) for heading in (0.0, 2.0)]
+        for found in (Turbulence.from_flight(table, SPAN) for table in tables):
+            assert found.intensity[0] == found.intensity[1]
+            assert_allclose(found.intensity, TRUE.intensity, rtol=0.15)
 
     def test_winds_of_seconds_tell_the_rates(self):
         """Of ten winds of ten seconds, and of one."""

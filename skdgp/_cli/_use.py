@@ -20,7 +20,7 @@ from skdgp._compute.messages import can_draw, listening, report, warn
 from skdgp._flight.excitation import AXES
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
-from skdgp.design import Envelope, Plan, PlanSettings, ardupilot_script, surface_mixes
+from skdgp.design import RATE, Envelope, Plan, ardupilot_script, surface_mixes
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
     Aircraft,
@@ -273,14 +273,14 @@ def plan(run: Run) -> None:
 def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
     """Return the writers of the files of a plan, with a script where there are full deflections."""
     writers: dict[str, Writer] = {
-        "plan.csv": csv_writer(planned.train.table(PlanSettings.rate)),
+        "plan.csv": csv_writer(planned.train.table(RATE)),
         "expected.csv": csv_writer(planned.flight),
     }
     if can_draw():
         writers["plan.svg"] = lambda path: planned.plot().figure_.savefig(path, format="svg")
     if full:
         try:
-            script = ardupilot_script(planned.train, PlanSettings.rate, full)
+            script = ardupilot_script(planned.train, RATE, full)
             writers["plan.lua"] = text_writer(script)
         except ValueError as error:  # the plan is kept
             warn(f"No script for ArduPilot: {error}")
@@ -333,13 +333,12 @@ def export(run: Run) -> None:
     writers: dict[str, Writer] = {}
     sizes = {}
     with tempfile.TemporaryDirectory() as temporary:
-        facts = export_model(temporary, model, options.to, full=full)
-        for file in facts["files"]:
+        for file in export_model(temporary, model, options.to, full=full):
             name = str(Path(file).relative_to(temporary))
             writers[name] = partial(shutil.copyfile, file)
             sizes[name] = Path(file).stat().st_size
         run.write(writers)
-    numbers = {"model": options.model, "to": options.to, **facts, "files": sizes}
+    numbers = {"model": options.model, "to": options.to, "files": sizes}
     run.print(_export_text(options.output, numbers), numbers)
 
 
@@ -348,8 +347,6 @@ def _export_text(folder: str, numbers: Mapping[str, Any]) -> str:
     lines = []
     for name, size in numbers["files"].items():
         lines.append(f"{size / 1024:>9.1f} kB  {Path(folder, name)}")
-    if numbers["to"] == "c":
-        lines.append(f"{numbers['size'] / 1024:>9.1f} kB  compiled, at most")
     return "\n".join(lines)
 
 

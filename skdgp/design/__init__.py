@@ -11,7 +11,7 @@ from skdgp._flight.excitation import (
     wavetrain,
 )
 from skdgp.design._envelope import Envelope
-from skdgp.design._library import PlanSettings
+from skdgp.design._library import RATE as RATE
 from skdgp.design._planner import Plan, plan
 from skdgp.design._script import ardupilot_script, surface_mixes
 
@@ -19,7 +19,6 @@ __all__ = [
     "Envelope",
     "Multisine",
     "Plan",
-    "PlanSettings",
     "Steps",
     "Wavetrain",
     "ardupilot_script",

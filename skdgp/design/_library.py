@@ -1,9 +1,8 @@
-"""Library of manoeuvres by the modes of an aircraft, and the settings of a plan."""
+"""Library of manoeuvres by the modes of an aircraft, and the numbers of a plan."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -35,68 +34,23 @@ MODES = {
 }
 
 
-@dataclass(frozen=True)
-class PlanSettings:
-    """Numbers of the search of a plan; guesses where no source is named.
-
-    Parameters
-    ----------
-    rate : float
-        Of the autopilot [Hz].
-    row_step : float
-        Time between rows of a simulation [s].
-    widths : sequence of float
-        Widths of pulses, in units of the suggested one.
-    multisines : sequence of float
-        Durations of multisines [s].
-    most_tones : int
-        Of an axis of a multisine.
-    band : tuple of float
-        Lowest frequency over the frequency of the slowest mode, and highest frequency over the
-        frequency of an oscillation.
-    response : float
-        Seconds of response after a manoeuvre that the flight records.
-    reaction : float
-        Seconds after a manoeuvre without action of the pilot.
-    least_scale : float
-        Fraction of the limits below which a manoeuvre is left out.
-    shrink : tuple of float
-        Least and largest factor of a reduction of a manoeuvre at once.
-    worth : float
-        Least relative reduction of the errors of the goal.
-    vague : float
-        Information assumed of everything, relative to the largest of a manoeuvre.
-    unmoved : float
-        Information of a manoeuvre below which motion is rounding.
-    most_seconds : float
-        Longest flight [s].
-    most_deflection : float
-        Deflection that no surface has [rad].
-    """
-
-    rate: float = 50.0
-    row_step: float = 0.04
-    widths: Sequence[float] = (1.0, 2.5)
-    multisines: Sequence[float] = (5.0, 10.0)
-    most_tones: int = 8
-    band: tuple[float, float] = (0.4, 2.5)
-    response: float = 3.0
-    reaction: float = 1.0
-    least_scale: float = 0.2
-    shrink: tuple[float, float] = (0.7, 0.98)
-    worth: float = 0.002
-    vague: float = 1e-8
-    unmoved: float = 1e-6
-    most_seconds: float = 1800.0
-    most_deflection: float = np.pi / 2
+# Rate of the autopilot [Hz]
+RATE = 50.0
+# Time between rows of a simulation [s]
+ROW_STEP = 0.04
+# Widths of pulses, in units of the suggested one, and durations of multisines [s]
+WIDTHS = (1.0, 2.5)
+MULTISINES = (5.0, 10.0)
+# Most tones of an axis of a multisine
+MOST_TONES = 8
+# Lowest frequency over the frequency of the slowest mode, and highest frequency over the frequency of an
+# oscillation
+BAND = (0.4, 2.5)
+# Seconds of response after a manoeuvre that the flight records
+RESPONSE = 3.0
 
 
-SETTINGS = PlanSettings()
-
-
-def input_bands(
-    table: pd.DataFrame, axes: Iterable[str], band: tuple[float, float]
-) -> pd.DataFrame:
+def input_bands(table: pd.DataFrame, axes: Iterable[str]) -> pd.DataFrame:
     r"""Return lengths of pulses and bands of frequencies that excite the modes of an aircraft.
 
     A table with a row for each of the axes, by the modes of :func:`skdgp.dynamics.linearize`:
@@ -106,13 +60,13 @@ def input_bands(
     thrust the phugoid. A doublet has the peak of its spectrum at the slowest mode,
     :math:`\omega`, if its pulses last :math:`2.33 / \omega`. The second pulse of a 3-2-1-1 lasts
     half a period: its unit is :math:`\pi / 2\omega` (Klein & Morelli, Aircraft System
-    Identification, 2006, chapter 9). The band of multisines begins at ``band[0]`` times the slowest
-    frequency. It ends at ``band[1]`` times the frequency of an oscillation, or at the frequency of
+    Identification, 2006, chapter 9). The band of multisines begins at 0.4 times the slowest
+    frequency. It ends at 2.5 times the frequency of an oscillation, or at the frequency of
     a faster mode.
 
     Raises ValueError if the modes of an axis are missing, or it is no surface and no thrust.
     """
-    below, above = band
+    below, above = BAND
     rows = {}
     for name in axes:
         begins = MODES.get(name, ())
@@ -137,23 +91,26 @@ def input_bands(
 
 
 def library(
-    bands: pd.DataFrame, limits: Mapping[str, float], settings: PlanSettings
+    bands: pd.DataFrame,
+    limits: Mapping[str, float],
+    widths: Sequence[float],
+    multisines: Sequence[float],
 ) -> dict[str, Inputs]:
     """Return manoeuvres by name, as large as the limits of the axes allow."""
     manoeuvres: dict[str, Inputs] = {}
     for axis, limit in limits.items():
-        manoeuvres |= _pulses(axis, limit, bands.loc[axis], settings)
-        manoeuvres |= _multisines({axis: limit}, bands.loc[[axis]], settings)
+        manoeuvres |= _pulses(axis, limit, bands.loc[axis], widths)
+        manoeuvres |= _multisines({axis: limit}, bands.loc[[axis]], multisines)
     if len(limits) > 1:
-        manoeuvres |= _multisines(limits, bands, settings)
+        manoeuvres |= _multisines(limits, bands, multisines)
     return manoeuvres
 
 
-def _pulses(axis: str, limit: float, band: Any, settings: PlanSettings) -> dict[str, Inputs]:
+def _pulses(axis: str, limit: float, band: Any, widths: Sequence[float]) -> dict[str, Inputs]:
     """Return doublets and 3-2-1-1s of an axis, with pulses that the autopilot can set."""
-    shortest = 0.5 * Wavetrain.samples_per_period / settings.rate
+    shortest = 0.5 * Wavetrain.samples_per_period / RATE
     pulses: dict[str, Inputs] = {}
-    for factor in settings.widths:
+    for factor in widths:
         width = max(factor * band["doublet"], shortest)
         pulses[f"{axis} doublet {width:.2f} s"] = {axis: doublet(width, limit)}
         width = max(factor * band["three_two_one_one"], shortest)
@@ -162,15 +119,15 @@ def _pulses(axis: str, limit: float, band: Any, settings: PlanSettings) -> dict[
 
 
 def _multisines(
-    limits: Mapping[str, float], bands: pd.DataFrame, settings: PlanSettings
+    limits: Mapping[str, float], bands: pd.DataFrame, durations: Sequence[float]
 ) -> dict[str, Inputs]:
     """Return multisines on some axes at once, up to a frequency that the autopilot can set."""
     low = float(bands["lowest"].min())
-    high = min(float(bands["highest"].max()), settings.rate / Wavetrain.samples_per_period)
+    high = min(float(bands["highest"].max()), RATE / Wavetrain.samples_per_period)
     multisines: dict[str, Inputs] = {}
-    for duration in settings.multisines:
+    for duration in durations:
         n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
-        tones = min(settings.most_tones, n // len(limits))
+        tones = min(MOST_TONES, n // len(limits))
         if tones > 1:
             inputs = orthogonal_multisines(limits, duration, (low, high), n_tones=tones)
             multisines[f"{'+'.join(limits)} multisine {duration:g} s"] = {**inputs}

@@ -29,7 +29,7 @@ from skdgp.design._envelope import (
     common_range,
     regressors_of,
 )
-from skdgp.design._library import SETTINGS, PlanSettings, input_bands, library
+from skdgp.design._library import MULTISINES, RESPONSE, ROW_STEP, WIDTHS, input_bands, library
 from skdgp.design._rehearsal import Rehearsal, Rehearsed
 from skdgp.dynamics import (
     Aerodynamics,
@@ -48,6 +48,15 @@ CONTROLS = (*SURFACES, "throttle")
 UNBOUNDED = ("thrust", "propeller_speed")
 # Responses that are drawn
 RESPONSES = ("alpha", "airspeed", "phi", "beta")
+# Least relative reduction of the errors of the goal
+WORTH = 0.002
+# Information assumed of everything, relative to the largest of a manoeuvre
+VAGUE = 1e-8
+# Information of a manoeuvre below which motion is rounding
+UNMOVED = 1e-6
+# Longest flight [s], and deflection that no surface has [rad]
+MOST_SECONDS = 1800.0
+MOST_DEFLECTION = 0.5 * np.pi
 # Facts of the trim in plan.json
 TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state", "controls")
 
@@ -138,7 +147,8 @@ def plan(
     limits: Mapping[str, float] | None = None,
     envelope: Envelope | None = None,
     thrust: Any = "auto",
-    settings: PlanSettings = SETTINGS,
+    widths: Sequence[float] = WIDTHS,
+    multisines: Sequence[float] = MULTISINES,
 ) -> Plan:
     r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
 
@@ -187,8 +197,10 @@ def plan(
         By default that which was flown, and a fifth more; no lower than was flown.
     thrust
         As for :func:`skdgp.dynamics.simulate`.
-    settings : PlanSettings
-        Numbers of the search.
+    widths : sequence of float
+        Widths of pulses, in units of the one that the modes suggest.
+    multisines : sequence of float
+        Durations of multisines [s].
 
     Returns
     -------
@@ -212,26 +224,26 @@ def plan(
     """
     envelope = envelope or Envelope()
     aerodynamics = as_aerodynamics(model)
-    _check_options(seconds, axes, limits or {}, settings)
+    _check_options(seconds, axes, limits or {})
     check_names(axes, trim.controls, "controls of the trim")
     _warn_unlimited(envelope, aerodynamics)
     goal = _check_goal(goal, aerodynamics, axes)
     amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
     # a quarter of Lanchester's phugoid, sqrt(2) pi V / g
     quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
-    pause = max(settings.response, quarter)
-    time = seconds - settings.response
-    rehearsal = Rehearsal(model, aircraft, trim, amplitudes, envelope, thrust, settings)
+    pause = max(RESPONSE, quarter)
+    time = seconds - RESPONSE
+    rehearsal = Rehearsal(model, aircraft, trim, amplitudes, envelope, thrust)
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
         notify("planning: library", 0, 0.0)
         modes = linearize(model, aircraft, trim, thrust=thrust).modes()
-        bands = input_bands(modes, amplitudes, settings.band)
-        available = rehearsal.inside(library(bands, amplitudes, settings), time, pause)
+        bands = input_bands(modes, amplitudes)
+        available = rehearsal.inside(library(bands, amplitudes, widths, multisines), time, pause)
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
-        rows = [_rows(item, aircraft, aerodynamics, settings) for item in available]
+        rows = [_rows(item, aircraft, aerodynamics) for item in available]
         durations = np.array([item.duration for item in available])
-        chosen = _chosen(aerodynamics, rows, durations + pause, time, goal, settings)
+        chosen = _chosen(aerodynamics, rows, durations + pause, time, goal)
         if not chosen:
             raise ValueError(
                 f"Got the goal {goal}, but {seconds:g} s of manoeuvres of {list(axes)} within their "
@@ -246,7 +258,7 @@ def plan(
     return Plan(
         train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
-        manoeuvres=_timetable(flown, pause, settings.response),
+        manoeuvres=_timetable(flown, pause, RESPONSE),
         flight=_numbered([item.flight for item in flown]),
         errors=errors.reindex(goal),
         limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
@@ -255,26 +267,24 @@ def plan(
     )
 
 
-def _check_options(
-    seconds: Any, axes: Any, limits: Mapping[str, float], settings: PlanSettings
-) -> None:
+def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None:
     """Raise ValueError where an option of `plan` is none."""
     if isinstance(axes, str) or not len(axes) or len({*axes}) < len(axes):
         raise ValueError(
             f"Got axes={axes!r}, but expected different controls in a list, such as ['elevator', 'rudder']."
         )
-    if check_number("seconds", seconds) > settings.most_seconds:
+    if check_number("seconds", seconds) > MOST_SECONDS:
         raise ValueError(
-            f"Got seconds={seconds!r}, but expected at most {settings.most_seconds:g}: plan a shorter "
+            f"Got seconds={seconds!r}, but expected at most {MOST_SECONDS:g}: plan a shorter "
             f"flight, and fly it again."
         )
     check_names(limits, axes, "axes to move")
     for axis, limit in limits.items():
         check_number(f"limit of the {axis}", limit)
-        if axis not in UNBOUNDED and not limit < settings.most_deflection:
+        if axis not in UNBOUNDED and not limit < MOST_DEFLECTION:
             raise ValueError(
                 f"Got a limit of {limit:g} for the {axis}, but expected less than "
-                f"{settings.most_deflection:.3g}: rad, not degrees, or 0 to 1 of the throttle."
+                f"{MOST_DEFLECTION:.3g}: rad, not degrees, or 0 to 1 of the throttle."
             )
 
 
@@ -375,11 +385,9 @@ def _amplitudes(
     return amplitudes
 
 
-def _rows(
-    item: Rehearsed, aircraft: Aircraft, model: Aerodynamics, settings: PlanSettings
-) -> Matrix:
+def _rows(item: Rehearsed, aircraft: Aircraft, model: Aerodynamics) -> Matrix:
     """Return the regressors (n, d) of a manoeuvre at the rate of the model's own rows."""
-    interval = settings.row_step
+    interval = ROW_STEP
     learned = model.learned
     if learned is not None and learned.seconds is not None:
         interval = learned.seconds / len(learned.training_rows())
@@ -395,19 +403,18 @@ def _chosen(
     seconds: Vector,
     time: float,
     goal: Sequence[str],
-    settings: PlanSettings,
 ) -> list[int]:
     """Return the sequence of manoeuvres that lowers the errors of the goal most; none if it hardly does."""
     informations = [information(X) for X in rows]
     moved = np.max([np.diag(matrix) for matrix in informations], axis=0)
-    known = settings.vague * np.diag(np.maximum(moved, settings.unmoved))
+    known = VAGUE * np.diag(np.maximum(moved, UNMOVED))
     if model.learned is not None:
         known += information(model.learned.training_rows())
     places = _derivative_places(model)
     slopes = [1 + places[name] for name in goal]  # behind the constant
     choice = Choice(informations, seconds, known, slopes, time)
     chosen = choice.best()
-    return chosen if choice.gain(chosen) - choice.gain([]) >= settings.worth else []
+    return chosen if choice.gain(chosen) - choice.gain([]) >= WORTH else []
 
 
 def _errors(

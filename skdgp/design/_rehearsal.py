@@ -13,8 +13,15 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.messages import notify
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
 from skdgp.design._envelope import Envelope, option_of
-from skdgp.design._library import Inputs, PlanSettings, duration_of, scaled
+from skdgp.design._library import RATE, RESPONSE, ROW_STEP, Inputs, duration_of, scaled
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate
+
+# Seconds after a manoeuvre without action of the pilot
+REACTION = 1.0
+# Fraction of the limits below which a manoeuvre is left out
+LEAST_SCALE = 0.2
+# Least and largest factor of a reduction of a manoeuvre at once
+SHRINK = (0.7, 0.98)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +50,6 @@ class Rehearsal:
     amplitudes : mapping of str to float
         Limits of the axes.
     envelope : Envelope
-    settings : PlanSettings
     """
 
     model: Aerodynamics | BaseEstimator
@@ -52,7 +58,6 @@ class Rehearsal:
     amplitudes: Mapping[str, float]
     envelope: Envelope
     thrust: Any
-    settings: PlanSettings
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
@@ -78,13 +83,13 @@ class Rehearsal:
                     inside.append(Rehearsed(name, sized[name], scale, flight))
                     continue
                 # responses are nearly proportional to inputs
-                scale *= float(np.clip(factors.min(), *self.settings.shrink))
+                scale *= float(np.clip(factors.min(), *SHRINK))
                 cause = str(factors.idxmin())
-                if scale >= self.settings.least_scale:
+                if scale >= LEAST_SCALE:
                     scales[name] = scale
         if not inside:
             raise ValueError(
-                f"Got an envelope that every manoeuvre leaves even at {self.settings.least_scale:.0%} "
+                f"Got an envelope that every manoeuvre leaves even at {LEAST_SCALE:.0%} "
                 f"of the limits; the last one leaves it by {cause} ({option_of(cause)}): widen this "
                 f"limit, or fly another airspeed or altitude."
             )
@@ -92,29 +97,28 @@ class Rehearsal:
 
     def flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of manoeuvres, each with its response after it."""
-        settings = self.settings
         trains = {}
         for name, inputs in manoeuvres.items():
             trains[name] = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
-        longest = max(train.duration for train in trains.values()) + settings.response
+        longest = max(train.duration for train in trains.values()) + RESPONSE
         tables = []
         for train in trains.values():
             pause = longest - train.duration
-            tables.append(train.table(settings.rate, trim=self.trim.controls, pause=pause))
+            tables.append(train.table(RATE, trim=self.trim.controls, pause=pause))
         flown = simulate(
             self.model,
             self.aircraft,
             [self.trim] * len(tables),
             tables,
-            settings.row_step,
-            duration=settings.row_step * np.floor(longest / settings.row_step + ROUNDING),
+            ROW_STEP,
+            duration=ROW_STEP * np.floor(longest / ROW_STEP + ROUNDING),
             thrust=self.thrust,
         )
         rows = np.array_split(np.arange(len(flown)), len(tables))
         flights = {}
         for (name, train), k in zip(trains.items(), rows, strict=True):
             flight = flown.iloc[k]
-            is_recorded = flight["time"] <= train.duration + settings.response + ROUNDING
+            is_recorded = flight["time"] <= train.duration + RESPONSE + ROUNDING
             flights[name] = flight[is_recorded].reset_index(drop=True)
         return flights
 
@@ -138,7 +142,7 @@ class Rehearsal:
         """Return for each limit the factor of the response that meets it, with the margin."""
         if (flight["ended"] != "").any():
             return pd.Series({"the end of the simulation": 0.0})
-        unattended = duration_of(inputs) + self.settings.reaction + ROUNDING
+        unattended = duration_of(inputs) + REACTION + ROUNDING
         response = self._channels(flight[flight["time"] <= unattended]) - centre
         is_response = ~response.columns.isin([*self.amplitudes])  # a control has none
         response *= 1.0 + self.envelope.margin * is_response

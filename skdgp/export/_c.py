@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -14,26 +13,13 @@ from sklearn.utils import gen_batches
 
 from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array
-from skdgp.export._model import PortableModel, Reference, Term, inertia_entries, packed
+from skdgp.export._model import PortableModel, Term, inertia_entries, packed
 
-
-@dataclass(frozen=True)
-class CSettings:
-    """Numbers of the C source and its self-test."""
-
-    # Of the self-test, relative to the largest value; of deviations at least PortableModel.rounding
-    tolerance: float = 1e-9
-    # Vectors of the model's own values
-    vectors: int = 40
-    # Numbers in a line
-    per_line: int = 8
-    # Bytes of the pointers and numbers of a term and of a part, and of the functions and names
-    term_bytes: int = 56
-    part_bytes: int = 72
-    code_bytes: int = 4096
-
-
-SETTINGS = CSettings()
+# Tolerances of the self-test, relative to the largest value; deviations are small differences of large sums
+TOLERANCE = 1e-9
+STD_TOLERANCE = 1e-5
+# Numbers in a line
+PER_LINE = 8
 # Arrays of the portable file that the source has, too
 SHARED = (
     "shift",
@@ -79,16 +65,6 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
         writers[name] = text_writer(template.safe_substitute(of_file))
     write_together(Path(folder), writers)
     return [Path(folder, name) for name in values]
-
-
-def c_bytes(model: PortableModel) -> int:
-    """Return the bytes of a model in C, tables and code: an estimate from above for a processor of 64 bits."""
-    n_terms = sum(len(part.terms) for part in model.parts)
-    size = SETTINGS.code_bytes + SETTINGS.part_bytes * len(model.parts)
-    size += SETTINGS.term_bytes * n_terms
-    for table in _tables(model, _Terms(model)).values():
-        size += table.nbytes
-    return size
 
 
 class _Terms:
@@ -144,7 +120,7 @@ def _header(model: PortableModel) -> dict[str, Any]:
     return constants | {
         "hash": model.content_hash,
         "aircraft": name.replace("??", "? ?"),  # which can stand in a comment
-        "size": c_bytes(model),
+        "size": sum(table.nbytes for table in _tables(model, _Terms(model)).values()),
         "stack": 8 * (functions + 5 * len(inputs) + 2 + 2 * len(model.mixture)),
         "n_sources": len(model.columns),
         "d": len(inputs),
@@ -189,8 +165,8 @@ def _parts(model: PortableModel) -> list[str]:
 
 
 def _test(model: PortableModel) -> dict[str, Any]:
-    """Return the self-test: values of the pipeline, or of a model without these its own."""
-    expected = model.reference or _own_reference(model)
+    """Return the self-test, with values of the pipeline."""
+    expected = model.reference
     X = expected.regressors
     slopes = model.predict_gradient(X)
     size = np.abs(slopes * model.scale).max(axis=(0, 2))[:, None] / model.scale
@@ -200,22 +176,14 @@ def _test(model: PortableModel) -> dict[str, Any]:
         "expected_std": expected.std,
         "expected_slope": slopes,
         "mean_size": np.abs(expected.mean).max(axis=0),
-        "std_size": np.maximum(expected.std.max(axis=0), model.rounding(X) / SETTINGS.tolerance),
+        "std_size": STD_TOLERANCE / TOLERANCE * expected.std.max(axis=0),
         "slope_size": np.where(size > 0, size, 1.0),
     }
     return {
         "n": len(X),
-        "tolerance": SETTINGS.tolerance,
-        "source": "the pipeline" if model.reference else "the portable model",
+        "tolerance": TOLERANCE,
         "tables": "\n".join(_array(name, values) for name, values in tables.items()),
     }
-
-
-def _own_reference(model: PortableModel) -> Reference:
-    """Return predictions of the model at some of its samples."""
-    rows = np.linspace(0, len(model.samples) - 1, SETTINGS.vectors).astype(int)
-    X = model.samples[rows]
-    return Reference(X, *model.predict(X, return_std=True, include_input_noise=False))
 
 
 def _formulas(model: PortableModel) -> list[str]:
@@ -245,7 +213,7 @@ def _braces(values: Array) -> str:
         lines = [_braces(row) for row in values]
     else:
         numbers = list(map(repr, values.tolist()))
-        batches = gen_batches(len(numbers), SETTINGS.per_line)
+        batches = gen_batches(len(numbers), PER_LINE)
         lines = [", ".join(numbers[batch]) for batch in batches]
     return "{" + ",\n".join(lines) + "}"
 

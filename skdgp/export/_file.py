@@ -80,11 +80,3 @@ def _read(path: Path) -> PortableModel:
     if model.content_hash != head["content_hash"]:
         raise ValueError("its content is not what its hash says")
     return model
-
-
-def file_bytes(model: PortableModel, per_member: int = 300) -> int:
-    """Return the size of the file of a model; a member has some bytes besides its numbers."""
-    size = per_member + len(json.dumps(model.head(), indent=1))
-    for array in model.arrays().values():
-        size += per_member + array.nbytes
-    return size

@@ -6,26 +6,18 @@ import os
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import numpy as np
 from sklearn.utils import Bunch
 
-from skdgp.export._c import c_bytes, write_c
+from skdgp.export._c import write_c
 from skdgp.export._casadi import write_casadi
-from skdgp.export._file import file_bytes, save_portable
+from skdgp.export._file import save_portable
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
 
-
-class Format(NamedTuple):
-    """What writes a format into a folder and returns the files, the size of a model in it, and the largest."""
-
-    write: Callable[[Path, PortableModel], list[Path]]
-    size: Callable[[PortableModel], int] = file_bytes
-    # Compilers and simulators take no larger source in reasonable time
-    most: float = 2**26
+# Compilers and simulators take no larger source in reasonable time [bytes]
+LARGEST = 2**26
 
 
 def write_portable(folder: Path, model: PortableModel) -> list[Path]:
@@ -34,11 +26,11 @@ def write_portable(folder: Path, model: PortableModel) -> list[Path]:
 
 
 # Formats of `export_model` by name
-FORMATS: dict[str, Format] = {
-    "portable": Format(write_portable, most=np.inf),
-    "c": Format(write_c, c_bytes),
-    "jsbsim": Format(write_jsbsim),
-    "casadi": Format(write_casadi),
+FORMATS: dict[str, Callable[[Path, PortableModel], list[Path]]] = {
+    "portable": write_portable,
+    "c": write_c,
+    "jsbsim": write_jsbsim,
+    "casadi": write_casadi,
 }
 
 
@@ -48,8 +40,8 @@ def export_model(
     to: str,
     *,
     full: Mapping[str, float] | None = None,
-) -> dict[str, Any]:
-    """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its facts.
+) -> list[Path]:
+    """Write a model in one of the ``FORMATS`` into a folder, which must exist, and return its files.
 
     Raises ValueError if there is no such format, the model is too large for it, or has no portable
     form.
@@ -66,12 +58,11 @@ def export_model(
 
     Returns
     -------
-    dict
-        ``files``, paths; ``size``, bytes of the flash memory for C, else of the portable file.
+    list of Path
     """
     if to not in FORMATS:
         raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
-    write, size, most = FORMATS[to]
+    write = FORMATS[to]
     if full:
         if to != "jsbsim":
             raise ValueError(
@@ -79,10 +70,10 @@ def export_model(
             )
         write = partial(write_jsbsim, full=full)
     portable = portable_model(**model) if isinstance(model, Bunch) else model
-    if (bytes_needed := size(portable)) > most:
+    if to != "portable" and portable.nbytes > LARGEST:
         raise ValueError(
-            f"Got a model of {bytes_needed / 1e6:.0f} MB, but expected at most {most / 1e6:.0f} MB for the "
+            f"Got a model of {portable.nbytes / 1e6:.0f} MB, but expected at most {LARGEST / 1e6:.0f} MB for the "
             f"format {to}: learn with sparse inference of fewer inducing inputs, inference='sparse' and n_inducing "
             "(identify --inference sparse --inducing 50)."
         )
-    return {"files": write(Path(folder), portable), "size": bytes_needed}
+    return write(Path(folder), portable)

@@ -248,17 +248,6 @@ class Part:
             slopes += away @ term.root.T
         return slopes
 
-    def rounding(self, Z: Matrix, p: Matrix) -> Vector:
-        """Return the error of the variance by rounding, (n,)."""
-        g = self.basis(Z)
-        half = self._half(p, self.explained(g))
-        n_functions = len(self.readout.weights)
-        squares = p**2 @ self.trend_root**2
-        squares[:, squares.shape[1] - n_functions :] += g**2 @ self.readout.root[self.used] ** 2
-        explained = 2 * np.sqrt(_row_sum(half**2 * squares))
-        epsilon = 2 * ROUNDING * np.sqrt(p.shape[1] + n_functions)
-        return epsilon * np.hypot(self.prior(p), explained)
-
 
 def _batches(Z: Matrix, rows: int = 512) -> Iterator[slice]:
     """Yield the rows that are predicted at once."""
@@ -329,7 +318,7 @@ class PortableModel:
         surfaces follow commands c by :math:`T \dot\delta(t) = c(t - \tau) - \delta(t)`.
     provenance : dict
         Facts: creation, versions, options and fit, as JSON knows them.
-    reference : Reference or None
+    reference : Reference
         What an export is compared with.
     """
 
@@ -348,8 +337,8 @@ class PortableModel:
     limits: Matrix
     samples: Matrix
     servos: Vector
+    reference: Reference
     provenance: dict[str, Any] = field(default_factory=dict)
-    reference: Reference | None = None
 
     def __repr__(self) -> str:
         return f"PortableModel({', '.join(self.outputs)} of {', '.join(self.regressor_names)})"
@@ -364,6 +353,11 @@ class PortableModel:
         """All columns of a flight that the regressors are computed from, each once."""
         columns = chain.from_iterable(regressor.columns for regressor in self.regressors)
         return tuple(dict.fromkeys(columns))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all numbers."""
+        return sum(array.nbytes for array in self.arrays().values())
 
     @property
     def readouts(self) -> list[Readout]:
@@ -468,28 +462,6 @@ class PortableModel:
                     slopes[rows, i] += weight * part.slopes(Z[rows])
         return slopes * self.output_scale[:, None] / self.scale
 
-    def rounding(self, X: Any) -> Matrix:
-        r"""Return how far deviations (n, P) of two programs may differ by rounding alone, in double precision.
-
-        The variance is a small difference of large sums. A sum of k terms t has an error of about
-        :math:`\epsilon \sqrt{k} |t|` (Higham, Accuracy and Stability of Numerical Algorithms, 2002,
-        section 2.8). With f = (p, g), F = (T, (0, U)) and the prior variance :math:`a' = a + |\tau
-        \circ p|^2`, the variance has the error
-
-        .. math:: e = 2 \epsilon \sqrt{k} \left(a'^2 + 4 \sum_r h_r^2 \sum_k f_k^2 F_{kr}^2\right)^{1/2},
-
-        and the deviation :math:`e / \max(\sigma, \sqrt{e})`. The factor 2 is five times the
-        largest error of C and CasADi (measured).
-        """
-        Z = self.scaled(X)
-        p = self.trend(Z)
-        error = np.zeros((len(Z), len(self.outputs)))
-        for i in range(len(self.outputs)):
-            for weight, part in self.components(i):
-                error[:, i] += weight * part.rounding(Z, p)
-        variance = self._predicted(Z, True)[1]
-        return self.output_scale * error / np.sqrt(np.maximum(variance, error))
-
     def head(self) -> dict[str, Any]:
         """Return names, formulas of the regressors, aircraft and provenance, as JSON knows them."""
         return {
@@ -515,9 +487,8 @@ class PortableModel:
         for k, readout in enumerate(readouts):
             arrays[f"weights_{k}"] = readout.weights
             arrays[f"root_{k}"] = packed(readout.root)
-        if self.reference is not None:
-            for name, array in vars(self.reference).items():
-                arrays[REFERENCE + name] = array
+        for name, array in vars(self.reference).items():
+            arrays[REFERENCE + name] = array
         return arrays
 
     def _term_arrays(self) -> dict[str, np.ndarray]:
@@ -545,10 +516,8 @@ class PortableModel:
     @classmethod
     def from_arrays(cls, head: dict[str, Any], arrays: dict[str, np.ndarray]) -> PortableModel:
         """Return the model of a head and arrays."""
-        reference = None
-        if REFERENCE + "mean" in arrays:
-            names = ("regressors", "mean", "std")
-            reference = Reference(*(arrays[REFERENCE + name] for name in names))
+        names = ("regressors", "mean", "std")
+        reference = Reference(*(arrays[REFERENCE + name] for name in names))
         regressors = []
         for facts in head["regressors"]:
             sequences = {name: tuple(facts[name]) for name in ("sources", "factors")}

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 from skdgp import datasets
-from skdgp.design import PlanSettings
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "closed_loop.py"
 
@@ -19,8 +18,7 @@ def example(monkeypatch, first_minute):
     spec = importlib.util.spec_from_file_location("closed_loop", EXAMPLE)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    few = PlanSettings(widths=(1.0,), multisines=())
-    monkeypatch.setattr(module, "plan", partial(module.plan, settings=few))
+    monkeypatch.setattr(module, "plan", partial(module.plan, widths=(1.0,), multisines=()))
     monkeypatch.setattr(module, "fly", partial(short, module.fly))
     return module
 

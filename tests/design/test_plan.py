@@ -14,7 +14,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
-from skdgp.design import Envelope, PlanSettings, plan
+from skdgp.design import Envelope, plan
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -33,13 +33,13 @@ FLOWN = {
 }
 LIMITS = {"elevator": 0.06}
 LIMITED = Envelope(alpha=(-0.03, 0.055))
-FEW = PlanSettings(widths=(1.0,), multisines=())
+FEW = {"widths": (1.0,), "multisines": ()}
 OPTIONS = {
     "axes": ["elevator"],
     "limits": LIMITS,
     "goal": ["Cm_q"],
     "seconds": 8.0,
-    "settings": FEW,
+    **FEW,
 }
 
 
@@ -73,7 +73,7 @@ def ask(model, uav, point):
 @pytest.fixture(scope="module")
 def planned(ask):
     goal = ["Cm_alpha", "Cm_q"]
-    return ask(goal=goal, seconds=14.0, settings=PlanSettings(), envelope=LIMITED)
+    return ask(goal=goal, seconds=14.0, widths=(1.0, 2.5), multisines=(5.0, 10.0), envelope=LIMITED)
 
 
 def test_the_time_and_the_limits_are_kept(planned):

@@ -1,6 +1,7 @@
 """The model in C: compiled by a strict compiler and compared with the pipeline."""
 
 import ctypes
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -97,13 +98,9 @@ def test_a_model_that_differs_from_its_pipeline_fails_its_test(case_of, tmp_path
     assert "FAILED" in run.stdout
 
 
-def test_a_model_without_a_pipeline_is_compared_with_itself(portable_of, tmp_path):
-    write_c(tmp_path, replace(portable_of("trend"), reference=None))
-    assert "with the values of the portable model" in outcome(tmp_path).stdout
-
-
-def test_the_code_is_no_larger_than_it_says(portable_of, tmp_path):
-    facts = export_model(tmp_path, portable_of("joint"), "c")
+def test_the_tables_are_as_large_as_the_header_says(portable_of, tmp_path):
+    export_model(tmp_path, portable_of("joint"), "c")
     done(tmp_path, *STRICT, "-Os", "-c", "aero.c", "-o", "aero.o")
     sizes = done(tmp_path, "size", "aero.o").splitlines()[1].split()
-    assert sum(map(int, sizes[:3])) <= facts["size"]
+    (stated,) = re.findall(r"Tables of (\d+) bytes", (tmp_path / "aero.h").read_text())
+    assert 0.95 < sum(map(int, sizes[:3])) / int(stated) < 1.5

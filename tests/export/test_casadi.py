@@ -11,7 +11,7 @@ from skdgp.export import casadi_function, export_model
 def test_equals_the_pipeline(written, tmp_path):
     reason = 'evaluates the function: pip install "skdgp[export]"'
     casadi = pytest.importorskip("casadi", reason=reason)
-    both, alone = export_model(tmp_path, written.model, "casadi")["files"]
+    both, alone = export_model(tmp_path, written.model, "casadi")
     function = casadi.Function.load(str(both))
     mean, std, jacobian = (
         np.array(values) for values in zip(*map(function, written.X), strict=True)

@@ -1,6 +1,6 @@
 /* Aerodynamic coefficients of ${aircraft}, with their standard deviations.
  *
- * Posterior mean and standard deviation of Gaussian processes, written by skdgp. At most ${size} bytes of flash.
+ * Posterior mean and standard deviation of Gaussian processes, written by skdgp. Tables of ${size} bytes.
  * Content ${hash}
  *
  * SI units and radians, body axes x forward, y right, z down. Force = dynamic pressure * AERO_WING_AREA * coefficient;

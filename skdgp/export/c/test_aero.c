@@ -1,4 +1,4 @@
-/* Compares aero.c with the values of ${source}. */
+/* Compares aero.c with the values of the pipeline. */
 #include "aero.h"
 
 #include <math.h>
@@ -28,7 +28,7 @@ int main(void)
         for (int i = 0; i < AERO_OUTPUTS; i++) {
             wrong += alone[i] != mean[i];
             mean_error = larger(mean_error, mean[i] - expected_mean[n][i], mean_size[i]);
-            std_error = larger(std_error, std[i] - expected_std[n][i], std_size[n][i]);
+            std_error = larger(std_error, std[i] - expected_std[n][i], std_size[i]);
             for (int k = 0; k < AERO_INPUTS; k++)
                 slope_error = larger(slope_error, slope[i][k] - expected_slope[n][i][k], slope_size[i][k]);
         }
@@ -38,6 +38,6 @@ int main(void)
         printf("FAILED: %d other values differ, and errors are to be below %g\n", wrong, TOLERANCE);
         return 1;
     }
-    printf("passed: ${n} points, with the values of ${source}\n");
+    printf("passed: ${n} points, with the values of the pipeline\n");
     return 0;
 }

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import expm, solve_continuous_lyapunov
 
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.channels import RATES, SENSOR_GUST, WIND
+from skdgp._flight.channels import SENSOR_GUST, WIND
 from skdgp._flight.frames import by_components
-from skdgp.dynamics._aerodynamics import Drift, separate_generator
+from skdgp.dynamics._aerodynamics import Aerodynamics, Drift, separate_generator
 from skdgp.dynamics._air import Air, AirAt, GustyAir
-from skdgp.dynamics._dryden import Gusts, dryden_gusts, dryden_system
+from skdgp.dynamics._dryden import Gusts, dryden_gusts
 from skdgp.dynamics._inputs import StepClock, tables_of
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._motion import Motion
@@ -23,19 +21,8 @@ from skdgp.dynamics._turbulence import LENGTH, TooShort, Turbulence
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 
 
-@dataclass(frozen=True)
-class DriftSettings:
-    """Settings of the drift in other air than in the training flights."""
-
-    # Largest factor of a drift's variance, in rougher air than in the training flights; a guess
-    roughest: float = 2.0
-    # Time [s] over which the effects of rotation and drift are compared
-    horizon: float = 1.0
-    # Points of the integral over this time
-    points: int = 101
-
-
-DRIFT = DriftSettings()
+# Largest factor of a drift's variance, in rougher air than in the training flights; a guess
+ROUGHEST = 2.0
 
 
 class PathsAir(NamedTuple):
@@ -59,7 +46,7 @@ def paths_air(
     met, text = met_turbulence(described, air, motion, states)
     drift = None
     if described.drift:
-        drift = drift_in(met, motion, float(airspeeds(states, air).mean()))
+        drift = drift_in(met, motion.aerodynamics)
     if met is not None and np.any(met.intensity):
         air = gusty_air(described, met, air, motion, clock, states, n_paths, random_state)
     return PathsAir(air, drift, text)
@@ -134,77 +121,27 @@ def gusty_air(
     return GustyAir(air, Gusts(velocity, acceleration, rates))
 
 
-def drift_in(met: Turbulence | None, motion: Motion, start_speed: float) -> Drift | None:
-    r"""Return the drift in the turbulence that is met, besides the rates of its gusts, which are drawn.
+def drift_in(met: Turbulence | None, model: Aerodynamics) -> Drift | None:
+    r"""Return the drift in the turbulence that is met.
 
-    Of the variance :math:`\tau^2` that the training flights had, the rates of their gusts explain g.
-    The rest are other effects of gusts, and errors of regressors that a simulation lacks. It is
+    Of the variance :math:`\tau^2` that the training flights had it is :math:`\min(\rho, 2)` times, with
 
-    .. math:: \min(1, \rho) (\tau^2 - g),
-              \quad \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
+    .. math:: \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
 
-    where :math:`\sigma_0` is what sensors show of calm air.
+    where :math:`\sigma_0` is what sensors show of calm air; a drift of flights in calm air does not grow. The
+    drawn rates of gusts are part of this variance, too: without them spreads of simulations differ by less
+    than 1 %.
     """
-    model = motion.aerodynamics
     drift = model.drift
     flown = model.turbulence
     if drift is None or flown is None or met is None:
         return drift
-    speed = start_speed if flown.airspeed is None else flown.airspeed
-    slopes = _rate_slopes(motion, speed)
-    besides = without_rotation(drift, flown, slopes, speed, motion.aircraft.span)
     met_power = np.sum(np.square(met.intensity)) + SENSOR_GUST**2
     flown_power = np.sum(np.square(flown.intensity)) + SENSOR_GUST**2
     # fraction of the flown air's measured power that is gusts, zero in calm air
     in_gusts = 1.0 - SENSOR_GUST**2 / flown_power
-    largest = 1.0 + (DRIFT.roughest - 1.0) * in_gusts
-    return drift._replace(variance=min(met_power / flown_power, largest) * besides)
-
-
-def _rate_slopes(motion: Motion, airspeed: float) -> Array:
-    """Return the slopes (6, 3) of the coefficients by p, q, r [s], in the middle of the training ranges."""
-    model = motion.aerodynamics
-    middle = np.zeros(len(model.regressors))
-    if model.limits is not None:
-        middle = model.limits.mean(axis=0)
-    gradient = model.gradient(middle[None])[0]
-    slopes = np.zeros((6, 3))
-    for k, name in enumerate(motion.regressors):
-        if name in RATES:
-            slopes[:, RATES.index(name)] += gradient[:, k] * motion.factor(k, np.array(airspeed))
-    return slopes
-
-
-def without_rotation(
-    drift: Drift,
-    flown: Turbulence,
-    slopes: Array,
-    airspeed: float,
-    span: float,
-) -> Vector:
-    """Return the part (6,) of a drift's variance that the rates p, q, r of the gusts ``flown`` do not explain.
-
-    Of each coefficient, tau^2 is reduced by the share of the rates in the variance of its integral
-    over 1 s. ``slopes`` (6, 3) of the coefficients are by p, q, r [s], at this airspeed
-    [m/s].
-    """
-    A, B, C = dryden_system(airspeed, flown.length, flown.intensity, span)
-    rates = C[6:]
-    covariance = solve_continuous_lyapunov(A, -B @ B.T)
-    lags = np.linspace(0.0, DRIFT.horizon, DRIFT.points)
-    step = expm(A * DRIFT.horizon / (DRIFT.points - 1))
-    autocovariance = np.empty((DRIFT.points, 3))
-    for k in range(DRIFT.points):
-        autocovariance[k] = np.einsum("ij,jk,ik->i", rates, covariance, rates)
-        covariance = step @ covariance
-    # The variance of an integral over T is proportional to int (T - t) R(t) dt, by the trapezoidal
-    # rule; the last weight is zero
-    weight = DRIFT.horizon - lags
-    weight[0] *= 0.5
-    rotation = slopes**2 @ (weight @ autocovariance)
-    total = weight @ (drift.variance * np.exp(-lags[:, None] / drift.memory))
-    share = np.divide(rotation, total, out=np.zeros(6), where=total > 0)
-    return drift.variance * np.maximum(1 - share, 0.0)
+    largest = 1.0 + (ROUGHEST - 1.0) * in_gusts
+    return drift._replace(variance=min(met_power / flown_power, largest) * drift.variance)
 
 
 def airspeeds(states: Array, air: AirAt) -> Vector:

@@ -16,7 +16,6 @@ from skdgp.dynamics import (
     Air,
     Aircraft,
     Drift,
-    Motion,
     Turbulence,
     air_data,
     as_aerodynamics,
@@ -25,7 +24,7 @@ from skdgp.dynamics import (
     simulate,
 )
 from skdgp.dynamics._dryden import dryden_system, rolling_gust
-from skdgp.dynamics._path_air import drift_in, without_rotation
+from skdgp.dynamics._path_air import drift_in
 from skdgp.identification import make_identification_pipeline
 
 WIND = ["wind_north", "wind_east", "wind_down"]
@@ -112,33 +111,18 @@ class TestPipeline:
 
 
 class TestDrift:
-    slopes = np.zeros((6, 3))
-    slopes[3, 0], slopes[4, 1], slopes[5, 2] = 0.5, 2.0, 0.3
-
-    def test_the_effect_of_rotation_is_that_of_drawn_gusts(self):
-        """A drift whose integral over one second varies twice as much as that of the rotation keeps one half."""
-        rates = gusts_of(TRUE, round(1.0 / STEP) + 1, default_rng(0), n_draws=4000).rates
-        effect = np.trapezoid(rates, dx=STEP, axis=0) @ self.slopes.T
-        memory = 0.4
-        unit = 2 * memory**2 * (1 / memory + np.expm1(-1 / memory))  # of its integral, with tau = 1
-        variance = np.append(np.ones(3), 2 * effect[:, 3:].var(axis=0) / unit)
-        drift = Drift(variance, np.full(6, memory))
-        left = without_rotation(drift, TRUE, self.slopes, SPEED, SPAN)
-        assert_allclose(left[:3], 1.0)
-        assert_allclose(left[3:] / drift.variance[3:], 0.5, atol=0.06)
-
     def test_grows_with_the_gusts_up_to_twice_those_of_training(self):
         """What gusts explain of a variance is proportional to theirs."""
         drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
         factors = np.array([0.0, 0.5, 1.0, 2.0])
         known = learned_in(TRUE, drift)
-        left = [drift_in(TRUE.scaled(k), known, SPEED).variance[0] / 1e-6 for k in factors]
+        left = [drift_in(TRUE.scaled(k), known).variance[0] / 1e-6 for k in factors]
         assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
         assert_allclose(left, [0.0, 0.25, 1.0, 2.0], atol=0.03)
         # Learned in calm air, all of it is errors of the function
         calm = learned_in(TRUE.scaled(0.0), drift)
         for air in (TRUE.scaled(0.0), TRUE, None):
-            assert_allclose(drift_in(air, calm, SPEED).variance, drift.variance)
+            assert_allclose(drift_in(air, calm).variance, drift.variance)
 
     def test_draws_have_the_stated_covariance(self):
         drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.array([0.1, 2.0, 0.1, 0.1, 0.1, 0.1]))
@@ -151,9 +135,8 @@ class TestDrift:
 
 
 def learned_in(turbulence, drift):
-    """The motion of an aircraft whose model was learned in some turbulence."""
-    known = learned(drift=drift, turbulence=turbulence._replace(airspeed=SPEED))
-    return Motion(known, AIRCRAFT, thrust=None)
+    """Return a model that was learned in some turbulence."""
+    return learned(drift=drift, turbulence=turbulence._replace(airspeed=SPEED))
 
 
 def coefficients(X):

@@ -33,6 +33,9 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(example, fitted):
         )
         return rows[environment.SEEN].to_numpy()
 
-    assert_allclose(seen[1:], flown(held)[1:], atol=1e-9)
+    states = [name not in ("ax", "ay", "az") for name in environment.SEEN]
+    assert_allclose(seen[1:, states], flown(held)[1:, states], atol=1e-9)
+    # accelerometers show the last stage of a step
+    assert_allclose(seen[1:], flown(held)[1:], atol=0.01)
     # the accelerometers before the first action are those at the controls of the trim
     assert_allclose(first, flown(steady.controls)[0], atol=1e-9)

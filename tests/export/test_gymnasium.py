@@ -20,7 +20,7 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(example, fitted):
     env = environment.AircraftEnv(model, uav, steady)
     checker.check_env(env, skip_render_check=True)
     first, _ = env.reset(seed=3)
-    seen = [first, *(env.step([0.01, 0.0, 0.0])[0] for _ in range(9))]
+    seen = np.array([first, *(env.step([0.01, 0.0, 0.0])[0] for _ in range(9))])
     env.reset(seed=3)
     path = int(default_rng(np.random.SeedSequence(3)).integers(2**31))
     held = steady.controls | {"elevator": steady.controls["elevator"] + 0.01}

@@ -278,8 +278,8 @@ def slope_std():
 @pytest.fixture
 def few_manoeuvres(monkeypatch):
     """Let plans of pages and of the command line choose from few candidates."""
-    few = design.PlanSettings(widths=(1.0,), multisines=())
-    monkeypatch.setitem(design.plan.__kwdefaults__, "settings", few)
+    monkeypatch.setitem(design.plan.__kwdefaults__, "widths", (1.0,))
+    monkeypatch.setitem(design.plan.__kwdefaults__, "multisines", ())
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import json
 import socket
 import struct
 import threading
-import time
 from contextlib import suppress
 from dataclasses import replace
 

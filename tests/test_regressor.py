@@ -215,37 +215,6 @@ def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
     assert np.sqrt(np.mean(error**2)) < 0.2
 
 
-@pytest.mark.filterwarnings("ignore")
-def test_a_log_is_sparse_earlier():
-    X = default_rng(0).normal(size=(1200, 1))
-    Y = np.sin(X)
-    options = {"optimizer": None, "n_inducing": 10, "structure": "joint"}
-    for n, clock, expected in (
-        (1200, None, "exact"),
-        (1200, 0.1, "sparse"),
-        (400, 0.1, "exact"),
-    ):
-        time = None if clock is None else clock * np.arange(n)
-        model = DependentGPRegressor(**options).fit(X[:n], Y[:n], time=time)
-        assert model.inference_ == expected
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_rounding_of_the_regressors_decides_nothing():
-    """Far from an optimum a search would multiply it, and end at another one."""
-    rng = default_rng(0)
-    X = rng.normal(size=(120, 5))
-    a, b, c, *_ = X.T
-    Y = np.column_stack([np.sin(a) + b, a * c]) + rng.normal(0, 0.1, (120, 2))
-    model = DependentGPRegressor(
-        structure="joint", n_latent=1, input_noise="learned", random_state=0
-    )
-    mean, std = model.fit(X, Y).predict(X, return_std=True)
-    moved = model.fit(X + 1e-12 * rng.normal(size=X.shape), Y).predict(X)
-    assert (np.abs(moved - mean) < 0.05 * std).all()
-
-
 @pytest.mark.filterwarnings("default")
 def test_a_fit_stopped_far_from_an_optimum_says_so():
     X = np.linspace(0, 6, 60)[:, None]

@@ -13,7 +13,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
 from sklearn.utils._param_validation import InvalidParameterError
 
 from skdgp import DependentGPRegressor, FewRowsWarning
@@ -134,12 +133,6 @@ class TestMasks:
         expected = quick().fit(X, np.where(hidden, np.nan, Y)).predict(X)
         assert_array_equal(quick().fit(X, masked).predict(X), expected)
 
-    def test_masked_regressors_are_refused(self, X, Y):
-        masked = np.ma.masked_greater(X, 1.0)
-        for use in (lambda: quick().fit(masked, Y), lambda: quick().fit(X, Y).predict(masked)):
-            with pytest.raises(ValueError, match=r"Got X with \d+ masked values, but expected all"):
-                use()
-
 
 class TestRegressors:
     def test_by_other_names_or_in_another_order(self, tables):
@@ -162,12 +155,6 @@ class TestRegressors:
             quick(kernel=TIED).fit(more, Y)
         assert caught[0].filename == __file__
 
-    def test_that_are_alike_but_for_rounding_are_few_inducing_inputs(self, X, Y):
-        X = np.repeat(X[:6], 5, axis=0) * (1 + 1e-15 * default_rng(2).integers(0, 3, (30, 1)))
-        assert np.isfinite(
-            quick(inference="sparse", n_inducing=10).fit(X, Y).predict(X, return_std=True)
-        ).all()
-
 
 class TestTargets:
     def test_of_integers_and_nullable_numbers(self, X, Y):
@@ -179,29 +166,6 @@ class TestTargets:
         nullable.iloc[0, 0] = pd.NA
         assert np.isfinite(quick().fit(X, nullable).predict(X)).all()
 
-    def test_observed_twice_is_enough(self, tables):
-        X, Y = tables
-        Y.loc[2:, "Cm"] = np.nan
-        assert np.isfinite(quick().fit(X, Y).predict(X, return_std=True)).all()
-
-    @pytest.mark.parametrize(
-        ("value", "trend"),
-        [(0.6, None), (1e-9, "constant"), (-3e25, "linear")],
-    )
-    def test_that_are_constant_are_told_in_their_own_size(self, X, Y, value, trend):
-        """And leave the others alone: the deviation of equal numbers is rounding."""
-        Y[:, 0] = value
-        Y[::2, 0] = np.nextafter(value, 2 * value)
-        said = r"\['y0'\] are constant.*nothing can be learned.*check the data"
-        with pytest.warns(UserWarning, match=said) as caught:
-            model = quick(structure="average", trend=trend).fit(X, Y)
-        assert caught[0].filename == __file__
-        mean, std = model.predict(X, return_std=True)
-        assert_allclose(mean[:, 0], value, rtol=0.3 if trend is None else 1e-3)
-        assert (std[:, 0] < 0.5 * abs(value)).all()
-        alone = quick(structure="average", trend=trend).fit(X, Y[:, 1])
-        assert_allclose(mean[:, 1], alone.predict(X), atol=0.5)
-
 
 class TestRows:
     def test_repeated(self, tables):
@@ -212,15 +176,6 @@ class TestRows:
         ) as caught:
             quick().fit(*twice)
         assert caught[0].filename == __file__
-
-    def test_of_tables_that_do_not_match(self, tables):
-        X, Y = tables
-        with pytest.warns(UserWarning, match=r"indices of X and y differ.*y\.loc\[X\.index\]"):
-            quick().fit(X, Y[::-1])
-        with warnings.catch_warnings():
-            warnings.filterwarnings("error", message="indices of X and y")
-            quick().fit(X, Y.loc[X.index])
-            quick().fit(X.to_numpy(), Y[::-1])  # an array has no index to compare
 
 
 class TestParameters:
@@ -237,11 +192,6 @@ class TestParameters:
     def test_out_of_range(self, X, Y, parameters, message):
         with pytest.raises(InvalidParameterError, match=f"(?s){message}"):
             quick(**parameters).fit(X, Y)
-
-
-def test_slopes_before_fit(X):
-    with pytest.raises(NotFittedError, match="not fitted yet"):
-        quick().predict_gradient(X)
 
 
 class TestInference:
@@ -297,12 +247,6 @@ class TestFewRows:
         """So are those that lasting errors leave."""
         with pytest.warns(FewRowsWarning, match=told):
             quick(structure=structure).fit(*self.linear(*data))
-
-    def test_errors_in_another_order_do_not_last(self):
-        """The same rows, shuffled, have errors that count as independent."""
-        X, Y = self.linear(400, 8, memory=20)
-        order = default_rng(0).permutation(400)
-        self.fit_in_silence(quick(structure="trend"), X[order], Y[order])
 
     @pytest.mark.parametrize(
         ("data", "structure"), [((30, 8), "trend"), ((120, 8), "joint"), ((40, 1), "average")]

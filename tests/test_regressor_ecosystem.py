@@ -50,13 +50,6 @@ class TestScikitLearn:
         scores = [r2_score(Y["CZ"], mean[:, 0]), r2_score(Y["Cm"][seen], mean[seen, 1])]
         assert model.score(X, Y) == pytest.approx(np.mean(scores))
 
-    def test_fitting_again_forgets(self, flights):
-        X, Y, _ = flights
-        once = quick().fit(X[:30], Y[:30])
-        twice = quick().fit(X, Y["CZ"]).fit(X[:30], Y[:30])
-        assert_allclose(once.predict(X), twice.predict(X), rtol=1e-6, atol=1e-9)
-        assert twice.output_names_ == ["CZ", "Cm"]
-
 
 class TestFlightsAreGroups:
     """The label of a row's flight is an argument of fit, and the group of a cross-validation."""
@@ -89,21 +82,9 @@ class TestFlightsAreGroups:
         params = {"time": self.TIME, "groups": flight}
         assert_allclose(self.drifts(flights, model, params, True), expected, rtol=1e-6)
 
-    def test_groups_of_the_splitter_alone_need_no_request(self, flights):
-        drifts = self.drifts(flights, quick(structure="trend"), {"groups": flights[2]}, True)
-        assert (drifts == 0).all()  # without time there is none
-
 
 class TestFreshProcess:
     """A model that was saved predicts the same where it is loaded."""
-
-    def test_pickle_does_not_grow_by_predicting(self, flights):
-        X, Y, _ = flights
-        model = quick().fit(X, Y)
-        before = len(pickle.dumps(model))
-        model.predict(X, return_std=True)
-        assert len(pickle.dumps(model)) == before
-        assert before < 60_000  # the samples and the hyperparameters
 
     def test_holds_the_samples_once(self, logged):
         """Outputs, components and searches share them, and no slopes are stored."""

@@ -106,15 +106,6 @@ class TestUnits:
         assert_allclose(std[0] ** 2, kernel.diag(FAR))
         assert_allclose(model.kernel_.diag(FAR), kernel.diag(FAR))
 
-    def test_a_trend_has_the_scales_that_were_given(self):
-        X, Y = waves()
-        fixed = {"intercept_scale": "fixed", "slope_scale": "fixed"}
-        kernel = LinearTrend([30.0, 1e-3], [[3.0], [2e-4]], [5.0], parameter_bounds=fixed)
-        model = DependentGPRegressor(kernel, structure="joint", trend=None).fit(X, Y)
-        at = np.array([[5.0], [7.0]])
-        expected = np.square([30.0, 30.0, 1e-3, 1e-3]) + np.square([0, 6.0, 0, 4e-4])
-        assert_allclose(model.kernel_.diag(at), expected)
-
     @pytest.mark.parametrize(
         "kernel",
         [
@@ -147,14 +138,6 @@ class TestUnits:
         assert (given.amplitude, given.length_scale) == ([30.0, -3e-3], [1.5])
         with pytest.raises(ValueError, match=r"data of 1 outputs, but expected 2.*FourMethods"):
             quick(given).fit(X, Y[:, 0])
-
-    @pytest.mark.parametrize("factor", [[1.0, 2.0], [1.0, 2.0, 3.0, 4.0]])
-    def test_factors_are_one_for_each_output(self, factor):
-        kernel = ConvolvedGaussian(0, amplitude=np.eye(3), length_scale=1.0)
-        with pytest.raises(
-            ValueError, match=rf"amplitude of shape \(3, 3\).*{len(factor)} entries"
-        ):
-            kernel.rescaled(factor)
 
 
 class TestBounds:
@@ -222,10 +205,6 @@ class TestTerms:
         likelihood = model.log_marginal_likelihood_value_
         assert same.log_marginal_likelihood_value_ == pytest.approx(likelihood, abs=1e-6)
 
-    def test_latents_beside_a_kernel_are_refused(self):
-        with pytest.raises(ValueError, match=r"n_latent=3 with kernel=.*ConvolvedGaussian\(3\)"):
-            quick(ConvolvedGaussian(1), n_latent=3).fit(*waves())
-
 
 class TestKernelsOfScikitLearn:
     @pytest.mark.parametrize(
@@ -271,22 +250,6 @@ class TestSamples:
         assert_allclose(np.cov(stacked.T / std, rowvar=False), cov / np.outer(std, std), atol=0.04)
         assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)
 
-    def test_of_one_output_have_no_axis_of_outputs(self):
-        X, Y = waves()
-        model = quick(RBF(), max_iter=5).fit(X, Y[:, 0])
-        assert model.sample_y(X[:3], 4).shape == (3, 4)
-        with pytest.raises(ValueError, match="n_samples=0, but expected a number of samples"):
-            model.sample_y(X[:3], 0)
-
-    @pytest.mark.parametrize(
-        ("kernel", "name"), [(RBF(), "Coregionalized"), (FourMethods([1.0], [1.0]), "FourMethods")]
-    )
-    def test_are_no_functions(self, kernel, name):
-        X, Y = waves()
-        model = quick(kernel, max_iter=5).fit(X, Y[:, 0])
-        with pytest.raises(NotImplementedError, match=rf"Got a {name}.*Use sample_y, or register"):
-            model.sample_paths(2)
-
 
 class WithPaths(FourMethods):
     """The same covariance, with sample paths."""
@@ -317,19 +280,3 @@ def test_registered_paths_are_in_the_units_of_the_outputs(inference):
     assert_allclose(slopes[0, :, 0], model.predict_gradient(at)[0, :, 0], rtol=0.1)
     some = model.sample_y(at, 3000, random_state=0)
     assert_array_equal(some, np.moveaxis(values, 0, -1))
-
-
-@pytest.mark.filterwarnings("ignore:Got hyperparameters that end at a bound")
-def test_restarts_leave_an_optimum_that_explains_all_as_noise():
-    """From far too long length scales, the nearest optimum of this likelihood is white noise."""
-    X = np.linspace(0, 10, 80)[:, None]
-    y = np.sin(3 * X[:, 0]) + 0.1 * default_rng(0).normal(size=80)
-    kernel = ConvolvedGaussian(
-        0,
-        amplitude=[[1.0]],
-        length_scale=[[[30.0]]],
-        parameter_bounds={"length_scale": (0.05, 100.0)},
-    )
-    options = {"structure": "joint", "trend": "constant", "random_state": 0}
-    model = DependentGPRegressor(kernel, n_restarts_optimizer=4, **options).fit(X, y)
-    assert 0.005 < model.noise_variance_[0] < 0.02

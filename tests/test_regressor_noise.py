@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from skdgp import DependentGPRegressor, listening
+from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -58,20 +58,6 @@ def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
     assert model.noise_variance_[0] == pytest.approx(np.mean(varying(X) ** 2))
 
 
-def test_a_value_of_enormous_noise_counts_for_nothing(data):
-    X, y = data
-    variance = np.full(60, 1e-4)
-    options = {"structure": "joint", "trend": "constant", "random_state": 0}
-    others = np.arange(60) != 30
-    without = DependentGPRegressor(noise_variance=variance[others], **options)
-    without.fit(X[others], y[others])
-    terrible = y.copy()
-    terrible[30] += 1000.0
-    variance[30] = 1e12
-    model = DependentGPRegressor(noise_variance=variance, **options).fit(X, terrible)
-    assert_allclose(model.predict(X), without.predict(X[:]), atol=0.02)
-
-
 @pytest.mark.parametrize("log", [False, True])
 def test_bounds_hold_a_learned_variance(data, log):
     X, y = data
@@ -92,18 +78,6 @@ def test_known_noise_of_regressors_is_kept(data):
     )
     assert_allclose(model.input_covariance_, [[0.03**2]])
     assert_allclose(exact.predict(X), none.predict(X), atol=2e-3)
-
-
-def test_an_interrupt_keeps_the_kernel_that_was_given(data):
-    def press(stage, *numbers):
-        raise KeyboardInterrupt
-
-    kernel = ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[0.8]]])
-    model = DependentGPRegressor(kernel, optimizer=None, structure="joint", trend="constant")
-    with listening(press, keep_best=True), pytest.warns(UserWarning, match="interrupted"):
-        model.fit(*data)
-    assert model.interrupted_
-    assert_allclose(model.kernel_.length_scale, [[[0.8]]])
 
 
 def test_outputs_with_gaps_have_noise_of_their_own(data):

@@ -3,7 +3,6 @@
 import pickle
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -49,19 +48,6 @@ def test_shapes_and_the_ways_to_ask_agree(model):
     assert paths.gradient(X[0]).shape == (7, 5, 2, 2)
 
 
-@pytest.mark.parametrize(
-    ("structure", "inference"),
-    [("average", "sparse"), ("joint", "exact"), ("joint", "sparse")],
-)
-def test_rounded_paths_are_the_same_functions_to_single_precision(structure, inference):
-    paths = fitted(inference, structure=structure).sample_paths(5, random_state=1)
-    X = default_rng(2).normal(size=(5, 6, 2))
-    spread = paths.each(X).std(axis=(0, 1))
-    assert_allclose(paths.rounded().each(X) / spread, paths.each(X) / spread, atol=1e-4)
-    slopes = paths.gradient(X) / spread[:, None]
-    assert_allclose(paths.rounded().gradient(X) / spread[:, None], slopes, atol=1e-3)
-
-
 def test_the_same_seed_gives_the_same_functions_in_any_process(model):
     X = table()[0]
     paths = model.sample_paths(4, random_state=5)
@@ -81,15 +67,3 @@ def test_bad_input_is_refused(model):
         paths.each(np.zeros((2, 4, 2)))
     with pytest.raises(ValueError, match=r"X of shape \(2,\), but expected \(n, 2\)"):
         paths(np.zeros(2))
-
-
-def test_columns_in_another_order_are_refused():
-    X, Y = table()
-    flight = pd.DataFrame(X, columns=["alpha", "beta"])
-    model = DependentGPRegressor(n_latent=1, optimizer=None, random_state=0).fit(flight, Y)
-    paths = model.sample_paths()
-    assert_allclose(paths(flight), paths(X), rtol=1e-9, atol=1e-10)
-    with pytest.raises(
-        ValueError, match=r"columns \['beta', 'alpha'\], but expected.*\['alpha', 'beta'\]"
-    ):
-        paths(flight[["beta", "alpha"]])

@@ -7,7 +7,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Aerodynamics, Aircraft, aerodynamic_coefficients, simulate
+from skdgp.dynamics import Aircraft
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     FlightSmoother,
@@ -61,21 +61,6 @@ def test_thinned(library):
     assert alone.name == "CZ"
     for values in (np.asarray(thin, float)[:, 0], np.asarray(alone, float)):
         assert np.isfinite(values).sum() == 10
-
-
-def test_starts_are_taken_by_name(library):
-    """In any order of the columns."""
-    still = Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha"])
-    start = {"alpha": [0.1], "theta": [0.2], "altitude": [50.0], "airspeed": [12.0]}
-    flown = simulate(still, UAV, library.DataFrame(start), {}, duration=0.1, thrust=None)
-    assert flown[list(start)].iloc[0].tolist() == pytest.approx([0.1, 0.2, 50.0, 12.0])
-
-
-def test_flights_of_another_library_are_refused():
-    polars = pytest.importorskip("polars")
-    flight = polars.DataFrame({"time": [0.0, 0.1], "alpha": [0.0, 0.1]})
-    with pytest.raises(TypeError, match=r"expected a pandas DataFrame .* its to_pandas\(\)"):
-        aerodynamic_coefficients(flight, UAV)
 
 
 def test_transformers_hand_on_columns_of_polars_that_they_do_not_know():

@@ -192,12 +192,6 @@ class TestHeldOut:
             assert np.nanmax(np.abs(again - mean)) > 0.01  # others feel it
             assert_allclose(same, variance, rtol=1e-9)
 
-    def test_rows_that_are_whole_are_left_out_whole(self, data):
-        X, Y = data[0], np.nan_to_num(data[1])
-        fit = fit_of("exact", X, Y)
-        mean, again = (predictions(fit, X, values)[0] for values in (Y, changed(Y, 10, 0)))
-        assert again[10, 1] == pytest.approx(mean[10, 1])
-
     def test_between_distant_rows_correlated_errors_count_as_white(self, data):
         """Of every second row, where two neighbours had one error in common."""
         X, Y = data[0][:-1], data[1][:-1]
@@ -206,13 +200,6 @@ class TestHeldOut:
         correlated = ExactPosterior(posterior.kernel, 2 * noise, posterior.data)
         every_second = held_out(correlated, noise, X, Y, step=2)
         assert_allclose(every_second, held_out(posterior, noise, X[::2], Y[::2]), rtol=1e-9)
-
-    def test_of_an_output_with_gaps_the_other_one_says_something(self, data):
-        X, Y = data
-        fit = fit_of("exact", X, Y)
-        row = np.flatnonzero(np.isfinite(Y[:, 1]))[5]
-        mean, again = (predictions(fit, X, values)[0] for values in (Y, changed(Y, row, 0)))
-        assert abs(again[row, 1] - mean[row, 1]) > 0.1
 
 
 class TestWeights:
@@ -287,14 +274,6 @@ class TestWeights:
 
 
 class TestRegressor:
-    def test_goes_with_a_kernel_and_another_trend(self, data):
-        kernel = ConvolvedGaussian(1, private_latents=False)
-        model = DependentGPRegressor(kernel, max_iter=5, random_state=0).fit(*data)
-        assert list(model.weights_) == ["joint", "trend"]
-        kernel = LinearTrend() + ConvolvedGaussian(1)
-        own = DependentGPRegressor(kernel, trend="constant", max_iter=5, random_state=0).fit(*data)
-        assert list(own.weights_) == ["joint", "trend"]
-
     def test_noise_is_that_of_the_mixture(self, data):
         model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=10).fit(*data)
         members = np.array([member.noise for member in model.posterior_.members])

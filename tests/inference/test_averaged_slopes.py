@@ -86,11 +86,3 @@ def test_of_a_kernel_without_a_formula_are_means_over_draws():
     model = DependentGPRegressor(RationalQuadratic(), optimizer=None, structure="joint").fit(X, Y)
     reference = expected(model.predict_gradient)
     assert_allclose(model.predict_gradient(POINT, SPREAD)[0], reference, atol=0.05)
-
-
-@pytest.mark.parametrize("spread", [[0.1], [0.1, -0.1], [0.1, np.nan]])
-def test_need_a_standard_deviation_for_each_regressor(spread):
-    model = fitted(structure="trend")
-    for slopes in (model.predict_gradient, model.sample_paths(2).gradient):
-        with pytest.raises(ValueError, match="a standard deviation for each regressor"):
-            slopes(POINT, spread)

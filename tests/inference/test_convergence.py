@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
 from skdgp import DependentGPRegressor
-from skdgp.kernels import ConvolvedGaussian
 
 N = 60
 
@@ -19,16 +17,6 @@ def table():
     X = rng.uniform(-2, 2, (N, 2))
     y = np.sin(2 * X[:, :1]) + np.cos(2 * X[:, 1:])
     return X, np.column_stack([y, rng.normal(size=(N, 2))])
-
-
-def test_regressor_warns_of_too_few_iterations(table):
-    X, Y = table
-    start = ConvolvedGaussian(0, amplitude=np.eye(3), length_scale=np.full((3, 3, 2), 0.5))
-    model = DependentGPRegressor(start, structure="joint", trend=None, random_state=0)
-    with pytest.warns(ConvergenceWarning, match="stopped at max_iter=4 before it converged"):
-        model.set_params(max_iter=4).fit(X, Y)
-    assert not model.converged_
-    assert model.set_params(max_iter=200).fit(X, Y).converged_
 
 
 @pytest.mark.parametrize(

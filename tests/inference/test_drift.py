@@ -76,13 +76,6 @@ def test_flights_are_independent(log):
     assert_allclose(white + variance, np.mean(Y**2, axis=0), rtol=1e-5)
 
 
-def test_records_with_gaps_of_a_second_are_those_of_several_flights(log):
-    _, Y, time, flight = log
-    later = time + (time.max() + 1.0) * flight
-    one = drift_of(Y, later, np.zeros_like(flight))
-    assert_allclose(one, drift_of(Y, time, flight), rtol=1e-6)
-
-
 def test_the_end_of_a_flight_tells_nothing_of_the_next():
     """Errors that only change from flight to flight last as long as a flight can show."""
     flight = np.repeat(np.arange(40), 20)

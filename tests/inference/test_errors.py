@@ -57,16 +57,6 @@ def test_deviations_covariances_and_samples_are_of_one_distribution(
     assert_allclose(np.cov(off.T), cov / np.outer(std, std), atol=2 * WITHIN)
 
 
-def test_at_the_centre_the_function_is_known_as_the_mean(series):
-    """Of n values with noise of variance s^2: s^2 / n, for an intercept with the prior of one standard deviation."""
-    X, Y, _ = series
-    Y = X[:, :2] + default_rng(4).normal(size=(len(X), 2))
-    model = DependentGPRegressor(structure="trend").fit(X, Y)
-    std = model.predict(X.mean(axis=0, keepdims=True), return_std=True)[1]
-    assert_allclose(std[0] ** 2, model.noise_variance_ / len(X), rtol=0.01)
-    assert model.function_errors() is None
-
-
 def test_discrepancy_is_in_the_units_of_the_outputs(series):
     X, Y, time = series
     model = DependentGPRegressor(structure="trend", random_state=0).fit(X, Y, time=time)
@@ -77,44 +67,11 @@ def test_discrepancy_is_in_the_units_of_the_outputs(series):
     assert_allclose(errors.variance(X[:3]), linear + model.misfit_variance_)
 
 
-def test_too_few_samples_show_the_discrepancy_alone(series):
-    X, Y, time = series
-    model = DependentGPRegressor(structure="trend").fit(X[:20], Y[:20], time=time[:20])
-    errors = model.function_errors()
-    assert not errors.slopes()[0].any()
-    assert_allclose(errors.variance(X[:2]), [model.misfit_variance_] * 2)
-
-
 def line_of(x, Y, noise_variance=1.0, **options):
     """Return a model of a linear function with known noise, and the errors of the function."""
     model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=noise_variance)
     posterior = model.fit(x, Y).posterior_
     return model, function_errors(posterior, np.zeros(Y.shape[1]), **options)
-
-
-@pytest.mark.slow
-def test_random_errors_are_the_scatter_over_many_series(wandering):
-    """Slopes by least squares with noise and regressors that last five samples (Liang & Zeger 1986)."""
-    slopes, stated = [], []
-    for seed in range(60):
-        rng = default_rng(seed)
-        x = wandering(rng, 1200, 5)[:, None]
-        y = 2.0 * x + wandering(rng, 1200, 5)[:, None]
-        model, errors = line_of(x, y)
-        slopes.append(model.predict_gradient(x[:1])[0, 0, 0])
-        stated.append(np.sum(errors.slopes()[0] ** 2) * model.scale_[0] ** 2)
-    assert np.std(slopes) == pytest.approx(np.sqrt(np.mean(stated)), rel=0.3)
-
-
-def test_outputs_with_different_gaps_err_together_where_both_were_observed(wandering):
-    """The first tenth of the second output is missing, and its error elsewhere is that of the first."""
-    rng = default_rng(2)
-    x = wandering(rng, 1200, 5)[:, None]
-    y = x + wandering(rng, 1200, 8)[:, None]
-    Y = np.hstack([y, y])
-    Y[:120, 1] = np.nan
-    first, second = line_of(x, Y, 0.1)[1].slopes()[0][:, 0]
-    assert first @ second > 0.8 * np.linalg.norm(first) * np.linalg.norm(second)
 
 
 @pytest.mark.parametrize("inference", ["exact", pytest.param("sparse", marks=pytest.mark.slow)])

@@ -6,7 +6,6 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from threadpoolctl import threadpool_limits
 
-from skdgp import listening
 from skdgp.inference import (
     Data,
     ExactPosterior,
@@ -85,12 +84,6 @@ class TestFit:
             again = fit(ConvolvedGaussian(1), **options).posterior
         assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
 
-    def test_stages_are_told(self, fit):
-        stages = set()
-        with listening(lambda stage, n, value: stages.add(stage)):
-            fit(ConvolvedGaussian(1), max_iter=3)
-        assert stages == {"output 1", "output 2", "fit"}
-
 
 class TestGivenKernel:
     """What a user says of a kernel holds."""
@@ -115,22 +108,9 @@ class TestGivenKernel:
         assert (lengths >= 0.2 - 1e-12).all()
         assert (lengths <= 0.5 + 1e-12).all()
 
-    def test_starting_values_are_where_it_starts(self, fit):
-        kernel = ConvolvedGaussian(1, amplitude=self.amplitude, length_scale=self.lengths)
-        fitted = fit(kernel, optimizer=None)
-        found = fitted.posterior.kernel
-        assert fitted.learned.n_iter == 0
-        assert_allclose(found.amplitude, self.amplitude, rtol=1e-9, atol=1e-10)
-        assert_allclose(found.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
-
 
 class TestBlocks:
     """Rows that a search learns from."""
-
-    def test_few_values_are_one_block(self):
-        X, Y = default_rng(0).normal(size=(2, 300, 3))
-        (rows,) = blocks_of_rows(X, Y)
-        assert_array_equal(rows, np.arange(300))
 
     def test_of_many_values_three_blocks_of_a_thousand_are_disjoint_and_spread(self):
         X = default_rng(0).uniform(size=(20_000, 1))

@@ -50,12 +50,6 @@ def test_regressors_without_effect_are_left_out_of_least_squares(known):
         assert_allclose(found[0, [0, 2]], [1.5, 0.7])
 
 
-def test_targets_that_are_not_observed_stay_so():
-    X, Y = samples()
-    Y[::2, 0] = NAN
-    assert np.array_equal(np.isnan(KNOWN.corrected(X, Y)), np.isnan(Y))
-
-
 @pytest.mark.parametrize(("log", "trend"), [(True, "linear"), (False, None)])
 def test_model_has_the_known_slopes_and_their_errors(log, trend):
     X, Y = samples()

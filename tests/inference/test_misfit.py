@@ -92,17 +92,3 @@ class TestBand:
             held.append(np.mean(np.abs(truth - mean) < 2 * std))
         assert held[0] <= 0.3
         assert held[1] >= 0.9
-
-    def test_of_the_right_model_does_not_grow(self):
-        x, y, _ = log_of(lambda x: np.sin(3 * x), 400)
-        model = DependentGPRegressor(n_latent=1, max_iter=30, random_state=0).fit(
-            x, y, time=np.arange(len(x))
-        )
-        assert model.misfit_variance_[0] < 0.02 * NOISE**2
-
-    def test_of_measurements_is_that_of_the_function_and_noise(self, kinked):
-        x, y, _, model = kinked
-        mean, std = model.predict(x, return_std=True, include_noise=True)
-        assert np.mean(np.abs(y - mean) < 1.96 * std) == pytest.approx(0.95, abs=0.02)
-        # Without the misfit, which the search took for noise, too:
-        assert model.noise_variance_[0] == pytest.approx(NOISE**2, rel=0.1)

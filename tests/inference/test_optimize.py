@@ -129,12 +129,6 @@ def test_a_start_where_nothing_is_defined_is_an_error():
 
 
 class TestInterrupt:
-    def test_leaves_the_search(self):
-        with pytest.raises(KeyboardInterrupt):
-            maximize(
-                failing(KeyboardInterrupt), np.array([-1.2, 1.0]), BOUNDS, Event(), max_iter=100
-            )
-
     def test_keeps_the_best_point_where_it_is_wanted(self):
         points = []
 

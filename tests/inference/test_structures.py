@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
-from skdgp import DependentGPRegressor, listening
+from skdgp import DependentGPRegressor
 from skdgp.inference import SearchOptions, search, structure_weights
 from skdgp.kernels import ConvolvedGaussian
 
@@ -186,27 +185,3 @@ def test_posterior_of_independent_outputs_is_the_posterior_of_each():
         of_scaled = seen.sum() * np.log(joint.scale_[i])  # the density of numbers in other units
         likelihood += reference.log_marginal_likelihood_value_ + of_scaled
     np.testing.assert_allclose(joint.log_marginal_likelihood_value_, likelihood, rtol=1e-7)
-
-
-def test_ctrl_c_in_any_structure_keeps_one_that_was_learned():
-    """Of 800 values structures are tried on few; an evaluation of the joint searches is interrupted."""
-    at = 20
-    rng = np.random.default_rng(6)
-    X = rng.uniform(-2, 2, (200, 2))
-    F = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 1]), X[:, 0] * X[:, 1], X.sum(axis=1)])
-    Y = F + 0.05 * rng.normal(size=F.shape)
-    heard = []
-
-    def press(stage, n_evaluations, log_likelihood):
-        heard.append(stage)
-        if heard.count("fit") == at:
-            raise KeyboardInterrupt
-
-    model = DependentGPRegressor(random_state=0)
-    with (
-        listening(press, keep_best=True),
-        pytest.warns(ConvergenceWarning, match=r"interrupted.*kept"),
-    ):
-        model.fit(X, Y)
-    assert heard.count("fit") < at + 10  # structures that were not begun are evaluated once at most
-    assert error_over_spread(model.predict(X), F) < 0.3

@@ -317,12 +317,6 @@ class TestUse:
         slope = kernel.block_gradient(0, last, many, others, W)
         equal(np.sum(slopes, axis=0), slope, rtol=1e-10, atol=1e-11)
 
-    def test_one_array_is_of_all_outputs_and_an_output_without_samples_takes_no_room(self, kernel):
-        X = default_rng(4).normal(size=(7, n_features(kernel)))
-        equal(kernel(X), kernel([X] * kernel.n_outputs))
-        some = [np.empty((0, n_features(kernel))), *inputs(kernel)[1:]]
-        assert kernel(some).shape == (sum(map(len, some)),) * 2
-
     def test_block_and_gradient_are_those_that_are_computed_together(self, kernel):
         X = inputs(kernel)
         pairs = []
@@ -370,31 +364,6 @@ class TestUse:
         paths, u = features.prior_paths(8000, 6, np.random.RandomState(4))
         draws = np.hstack([stacked(paths, X), u])
         assert_covariance(draws, with_features(kernel, features, X))
-
-    def test_a_kernel_without_units_of_its_own_is_multiplied(self, kernel, central_difference):
-        """The default of the base class, with its features, slopes and paths."""
-        factor = np.array([0.5, 3.0, 20.0])[: kernel.n_outputs]
-        other = MultiOutputKernel.rescaled(kernel, factor)
-        X, Z = inputs(kernel), inputs(kernel, seed=3)
-        expected = kernel.rescaled(factor)
-        equal(other(X, Z), expected(X, Z))
-        equal(other.diag(X), expected.diag(X))
-        points = X[0]
-        features, plain = inducing_features(other, Z[0]), inducing_features(kernel, Z[0])
-        equal(features.Kuu(), plain.Kuu())
-        for i, f in enumerate(factor):
-            equal(features.Kfu(i, points), f * plain.Kfu(i, points))
-            slopes = f * plain.Kfu_derivative(i, points)
-            equal(features.Kfu_derivative(i, points), slopes)
-            moved = other.block_derivative(i, 0, points, Z[0])
-            equal(moved, f * factor[0] * kernel.block_derivative(i, 0, points, Z[0]))
-        W = default_rng(2).normal(size=(len(points), len(Z[0])))
-        found = central_difference(
-            lambda theta: np.sum(W * other.clone_with_theta(theta).block(0, 0, points, Z[0])),
-            other.theta,
-        )
-        gradient = other.block_gradient(0, 0, points, Z[0], W)
-        equal(gradient, found, rtol=1e-7, atol=1e-7)
 
     @pytest.mark.parametrize("name", FEW)
     def test_slopes_of_paths_are_their_derivatives(self, kernel, central_difference):

@@ -106,9 +106,9 @@ def test_noisy_copies_learn_from_the_exact_one():
 def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains():
     """After as few iterations: private latents beside shared ones can all be zero."""
     rng = np.random.default_rng(0)
-    x = np.sort(rng.uniform(0, 10, 100))
+    x = np.sort(rng.uniform(0, 10, 60))
     latent = np.column_stack([np.sin(2 * x), np.cos(3 * x)])
-    Y = latent @ rng.normal(size=(2, 5)) + 0.05 * rng.normal(size=(100, 5))
+    Y = latent @ rng.normal(size=(2, 3)) + 0.05 * rng.normal(size=(60, 3))
     tied = ConvolvedGaussian(2, private_latents=False, covariance_type="tied")
     options = SearchOptions(optimizer="fmin_l_bfgs_b", max_iter=60, random_state=0)
     simple, rich = search([tied, ConvolvedGaussian(2)], x[:, None], Y, options)

@@ -169,15 +169,6 @@ def test_the_page_has_these_cases():
     assert re.findall(r"^\| ([^|]+?) \|", section, flags=re.MULTILINE) == ["in a CSV", *CASES]
 
 
-def test_dates_beside_decimal_commas(read):
-    rows = ["time;alpha [deg];az [ft/sec²]", "2024-05-01T10:00:00.0Z;1,5;-32,2"]
-    rows.append("2024-05-01T10:00:00.1Z;2,5;-31,2")
-    table = read("\n".join(rows))
-    assert_allclose(np.diff(table.time), 0.1, atol=1e-6)
-    assert_allclose(table.alpha, np.deg2rad([1.5, 2.5]))
-    assert_allclose(table.az, [-32.2 * 0.3048, -31.2 * 0.3048])
-
-
 @pytest.mark.parametrize(
     ("name", "factor"),
     [
@@ -204,7 +195,3 @@ def test_an_attitude_of_quaternions(told, names):
     found = told(f"the quaternion {names}, taken to turn body axes", table)
     assert_allclose(found[["phi", "theta", "psi"]], angles, atol=1e-12)
     assert "qw" not in found
-
-
-def test_columns_that_are_no_quaternion_stay(read):
-    assert "phi" not in read("time,q0,q1,q2,q3\n0,1,2,3,4\n0.1,1,2,3,4\n")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
+from skdgp.io import AUTOPILOTS, FlightReadError
 
 read_dataflash = AUTOPILOTS[".bin"]
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
@@ -88,12 +88,6 @@ class TestWhatTheLogSaysOfItself:
         topics = read(log).topics
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
         assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
-
-    def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
-        log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=[1, 2, 3, 4])
-        kind = log.types["ABC"][0]
-        log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
-        assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
 
     def test_scaled_integers(self, read, dataflash):
         log = dataflash().topic(
@@ -181,14 +175,3 @@ def test_a_parameter_that_changes_counts_as_in_the_middle(read, dataflash):
     for time, name, value in ((20, b"SERVO1_TRIM", 1520.0), (58, b"SERVO1_REVERSED", 1.0)):
         log.rows("PARM", "QNf", "TimeUS,Name,Value", [(10**6 * time, name, value)])
     assert read(log).parameters == {"SERVO1_REVERSED": 0.0, "SERVO1_TRIM": 1520.0}
-
-
-def test_how_a_file_begins_counts_before_its_suffix(write, dataflash):
-    log = ticks(dataflash(), *(10**5 * np.arange(100)))
-    log.topic("ARSP", np.arange(0, 10, 0.1), Airspeed=20.0)
-    table = read_flight(write(log, "binary.log"), airborne=False)
-    assert_allclose(table.airspeed, 20.0)
-    lines = ["FMT, 130, 23, ARSP, Qf, TimeUS,Airspeed"]
-    lines += [f"ARSP, {100_000 * k}, 20.0" for k in range(100)]
-    table = read_flight(write("\n".join(lines), "text.bin"), airborne=False)
-    assert_allclose(table.airspeed, 20.0)

@@ -91,24 +91,6 @@ class TestRefusals:
             read_flight(tmp_path / "gone.csv")
 
     @pytest.mark.parametrize(
-        ("name", "content", "message"),
-        [
-            ("log.bin", b"", "does not begin as a DataFlash log does"),
-            ("log.bin", b"\xa3", "does not begin as a DataFlash log does"),
-            ("log.bin", b"time,alpha\n", "does not begin as a DataFlash log does"),
-            ("log.ulg", b"", "does not begin as a ULog does"),
-            ("log.ulg", b"ULog", "does not begin as a ULog does"),
-            ("log.ulg", b"time,alpha\n", "does not begin as a ULog does"),
-            ("log.tlog", b"", "without a message ATTITUDE"),
-            ("log.tlog", b"text", "without a message ATTITUDE"),
-            ("log.tlog", bytes(1000), "without a message ATTITUDE"),
-        ],
-    )
-    def test_logs_of_another_kind(self, refused, name, content, message):
-        pytest.importorskip("pymavlink")
-        refused(message, content, name)
-
-    @pytest.mark.parametrize(
         ("name", "module", "extra"),
         [
             ("log.parquet", "pyarrow", "parquet"),
@@ -159,7 +141,3 @@ class TestRename:
     def test_refusals(self, refused, rename, message):
         named = table().rename(columns={"elevator": "de"})
         refused(message, named, "a.parquet", rename=rename)
-
-
-def test_accelerations_that_were_never_sampled_are_no_warning(read):
-    assert read("time,ax,ay,az\n0,,,\n0.1,,,\n")[["ax", "ay", "az"]].isna().all(axis=None)

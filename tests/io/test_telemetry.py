@@ -135,20 +135,6 @@ def test_a_vtol_is_read_in_forward_flight_alone(tlog, told, mavlink, plane, at, 
     assert 19.8 < table.time.min() < 20.5
 
 
-def test_a_dead_inertial_sensor_gives_way_to_the_second(told, mavlink, plane, with_sent):
-    """Of SCALED_IMU nothing moves; RAW_IMU is left out."""
-
-    def sensors(message):
-        time = plane.decode(bytearray(message[8:])).time_boot_ms
-        rates = [100 + time % 7] * 3
-        still = mavlink.MAVLink_scaled_imu_message(time, 0, 0, -1000, *[0] * 6)
-        moving = mavlink.MAVLink_scaled_imu2_message(time, 0, 0, -1000, *rates, 0, 0, 0)
-        return [still, moving]
-
-    table = told("SCALED_IMU2", with_sent("ATTITUDE", sensors, without="RAW_IMU"))
-    assert table.p.dropna().between(0.1, 0.106).all()
-
-
 def test_engines_by_their_controllers(read, mavlink, with_sent):
     """Arrays of four; the second two are none."""
     four = [1] * 4

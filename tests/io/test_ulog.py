@@ -71,9 +71,6 @@ class TestWhatTheLogSaysOfItself:
         )
         assert log.vehicle == vehicle
 
-    def test_unknown_vehicle(self, read):
-        assert read(*TICK, *ticks(1, 2)).vehicle is None
-
 
 def times(log):
     return (log.topics["tick"].time * 1e6).round().astype(int).tolist()
@@ -97,9 +94,6 @@ class TestDamage:
         assert times(log) == [1, 2, *range(104, 5004)]
         assert log.remarks == SKIPPED
 
-    def test_messages_of_no_topic(self, read):
-        assert read(*TICK, *ticks(1, 2), datum(9, "Q", 3)).remarks == SKIPPED
-
     def test_a_parameter_shorter_than_its_type_ends_the_reading(self, read):
         log = read(*TICK, *ticks(1, 2), message("P", b"\x07float A\x00"), *ticks(3, 4))
         assert times(log) == [1, 2]
@@ -118,9 +112,6 @@ class TestDamage:
             with pytest.raises(FlightReadError, match="without any data"):
                 read(whole[:length])
 
-    def test_messages_out_of_order_stay_in_the_order_of_the_file(self, read):
-        assert times(read(*TICK, *ticks(3, 1, 2))) == [3, 1, 2]
-
     @pytest.mark.parametrize(
         "text",
         [
@@ -136,11 +127,6 @@ class TestDamage:
         log = read(definition(text), *TICK, subscription(5, "bad"), *ticks(1, 2))
         assert list(log.topics) == ["tick"]
         assert log.remarks == SKIPPED
-
-    def test_definitions_that_double_each_other_take_no_time(self, read):
-        chain = [definition(f"a{n}:a{n + 1}[60000] x;a{n + 1}[60000] y;") for n in range(8)]
-        log = read(*chain, definition("a8:float x;"), *TICK, subscription(5, "a0"), *ticks(1, 2))
-        assert list(log.topics) == ["tick"]
 
 
 class TestRefusals:

@@ -47,13 +47,6 @@ def test_ahrs_trim_turns_rates_and_accelerations(read, dataflash, flight):
     assert "AHRS_TRIM 0.03 -0.05 0.01" in table.attrs["sources"]["ax"]
 
 
-def test_no_trim_changes_nothing(read, dataflash, flight):
-    log = dataflash_log(dataflash, flight, Rotation.identity(), AHRS_TRIM_X=0.0, AHRS_TRIM_Y=0.0)
-    table = read(log, airborne=False)
-    assert_in_body_axes(table, flight)
-    assert "AHRS_TRIM" not in table.attrs["sources"]["ax"]
-
-
 @pytest.mark.parametrize(
     ("place", "board"),
     [
@@ -90,14 +83,6 @@ def test_telemetry_has_the_pitch_of_the_vehicle_again(read, mavlink_parameters, 
         assert_allclose(
             table["theta"], flight["theta"](table["time"].to_numpy()) + shift, atol=2e-3
         )
-
-
-def test_telemetry_without_the_trim_says_so(told, mavlink_parameters):
-    table = told(
-        "AHRS_TRIM_X and _Y are not in the telemetry",
-        mavlink_parameters({}, without=b"AHRS_TRIM_X"),
-    )
-    assert (table["sensor_tilt"] == 0.03).all()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.estimation import flights_of
-from skdgp.preprocessing import FlightCheck, FlightDataWarning, LagCorrector
+from skdgp.preprocessing import FlightCheck, LagCorrector
 
 STEP = 0.02
 TIME = STEP * np.arange(3000)
@@ -75,14 +75,6 @@ def test_sensors_of_slower_clocks_count_each_sample_once():
     assert len(np.flatnonzero(np.isfinite(sensors.sensors.velocity[:, 0]))) == 300
     lag = LagCorrector({"gps": 0.1})
     assert_array_equal(lag.fit_transform(table)[VELOCITY], lag.fit_transform(sparse)[VELOCITY])
-
-
-def test_one_finding_names_all_slow_channels():
-    table, _ = held(log(), VELOCITY, 5.0)
-    table, _ = held(table, ["airspeed"], 10.0)
-    with pytest.warns(FlightDataWarning, match=r"\[Hz\]: airspeed 10, v_north, .* 5\.") as said:
-        FlightCheck().fit_transform(table)
-    assert len(said) == 1
 
 
 def steps(width):

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pandas.testing import assert_frame_equal
 from scipy import signal
 
 from skdgp.preprocessing import FlightSmoother
@@ -118,27 +117,6 @@ class TestSmooth:
         kept = np.sort(default_rng(0).choice(2400, 2350, replace=False))
         assert rms(smooth(noisy[kept], time[kept]) - truth[kept]) < 0.02
 
-    def test_rounded_clock_makes_no_noise(self):
-        """Seconds of single precision late in a flight: the rate must not inherit the rounding."""
-        time = clock(4000, start=600.0)
-        rounded = time.astype(np.float32).astype(float)
-        _, rate = filtered(np.sin(2 * np.pi * 0.8 * time), rounded, cutoff=None)
-        assert rms(rate - 1.6 * np.pi * np.cos(2 * np.pi * 0.8 * time)) < 1e-3
-
-    @pytest.mark.parametrize("n", [2, 3, 5, 20, 127])
-    def test_short_flights(self, n):
-        values = np.linspace(1, 2, n)[:, None] * [1.0, 2.0]
-        with pytest.warns(UserWarning, match="too short to tell noise from signal"):
-            assert_array_equal(smooth(values, clock(n)), values)
-        assert np.isfinite(smooth(values, clock(n), cutoff=2.0)).all()
-        _, slope = filtered(values, clock(n), cutoff=None)
-        assert_allclose(slope, [np.array([1, 2]) * RATE / (n - 1)] * n, rtol=1e-9)
-
-    def test_short_stretch_borrows_its_flights_spectrum(self):
-        time, truth, noisy = noisy_sine()
-        late = np.r_[time[:2300], time[2300:] + 10]
-        assert rms((smooth(noisy, late) - truth)[2300:]) < 0.5 * rms((noisy - truth)[2300:])
-
 
 class TestJoint:
     """Channels that see the same motion: here a vane and a gyro, alpha_dot = q, on a random motion."""
@@ -176,13 +154,6 @@ class TestJoint:
         error, expected = (rms(out.sub(0.2 * wave, axis=0)) for out in (together, alone))
         assert (error[["alpha", "beta"]] < 0.75 * expected[["alpha", "beta"]]).all()
 
-    def test_a_cutoff_of_its_own_leaves_the_company(self):
-        noisy, _ = self.motion(2400)
-        together, alone = (
-            smoothed_table(noisy, cutoff=2.0, joint=joint) for joint in (True, False)
-        )
-        assert_frame_equal(together, alone)
-
     def test_scale_and_order_of_channels_do_not_matter(self):
         noisy, _ = self.motion(2400)
         there = smoothed_table(noisy)
@@ -191,22 +162,6 @@ class TestJoint:
         assert_allclose(
             1e3 * back[["alpha", "alpha_dot"]], there[["alpha", "alpha_dot"]], atol=1e-9
         )
-
-    def test_unrelated_channels_are_smoothed_as_if_alone(self):
-        time, _, alpha = noisy_sine(9600)
-        drift = np.cumsum(default_rng(3).normal(size=9600))
-        airspeed = drift + default_rng(4).normal(0, 3, 9600)
-        both = pd.DataFrame({"time": time, "alpha": alpha, "airspeed": airspeed})
-        change = smoothed_table(both).alpha - smooth(alpha, time)
-        assert change.std() < 0.1 * alpha.std()
-
-    def test_a_partner_sampled_at_other_rows_tells_nothing(self):
-        noisy, _ = self.motion(4800)
-        silent = noisy.assign(q=np.nan)
-        elsewhere = noisy.copy()
-        elsewhere.loc[::2, "q"] = np.nan
-        out = smoothed_table(elsewhere)
-        assert_allclose(out.alpha, smoothed_table(silent).alpha)
 
 
 class TestMissing:
@@ -223,13 +178,6 @@ class TestMissing:
         time, _, noisy = noisy_sine(4800)
         slow = np.where(np.arange(4800) % 8 == 0, noisy, np.nan)
         assert_allclose(smooth(slow, time)[::8], smooth(noisy[::8], time[::8]), atol=1e-12)
-
-    def test_empty_channel_stays_empty(self):
-        assert np.isnan(smooth(np.full((300, 2), np.nan), clock(300))).all()
-
-    def test_infinite_is_refused(self):
-        with pytest.raises(ValueError, match="1 infinite values"):
-            smooth([0.0, np.inf, 0.0], clock(3))
 
     def test_a_single_sample_has_no_rate(self):
         with pytest.warns(UserWarning, match="derivative is NaN"):
@@ -276,29 +224,6 @@ def test_heading_passes_through_pi():
     assert np.abs(np.angle(np.exp(1j * (out.psi - 3.0 - 0.3 * table.time)))).max() < 0.02
     assert np.abs(out.psi_dot - 0.3).max() < 0.15
     assert np.abs(out.psi - table.psi).max() < 0.1
-
-
-def test_misspelt_columns():
-    with pytest.raises(ValueError, match=r"'time' \(nearest: 'times'\)"):
-        FlightSmoother().fit(flight().rename(columns={"time": "times"}))
-    with pytest.raises(ValueError, match=r"'aplha' \(nearest: 'alpha'\)"):
-        FlightSmoother(columns=["aplha"]).fit(flight())
-
-
-def test_degrees_are_refused_in_fit_and_transform():
-    table = flight().assign(alpha=np.linspace(-1.0, 1.0, 1200))  # rad
-    wrong = table.assign(alpha=np.rad2deg(table["alpha"]))
-    for use in (FlightSmoother().fit, FlightSmoother().fit(table).transform):
-        with pytest.raises(ValueError, match=r"numpy.deg2rad.flight..alpha"):
-            use(wrong)
-
-
-def test_a_missing_column_is_named_once_with_its_flight():
-    smoother = FlightSmoother().fit(flight())
-    words = r"The flight 'two' lacks the columns 'beta'\. Rename"
-    with pytest.raises(ValueError, match=words) as error:
-        smoother.transform(flight("two").drop(columns="beta"))
-    assert str(error.value).count("'beta'") == 1
 
 
 def test_a_flight_of_jsbsim(jsbsim_flight):

@@ -29,8 +29,17 @@ def correlated_scatter(blocks: Matrix) -> Matrix:
 
 def widen(covariance: Matrix, other: Matrix) -> Matrix:
     """Return the covariance with the variances of the other where these are larger, and its own correlations."""
-    ratio = np.diag(other) / np.diag(covariance)
-    scale = np.sqrt(np.maximum(ratio, 1.0))
+    return with_variances(covariance, np.maximum(np.diag(covariance), np.diag(other)))
+
+
+def narrow(covariance: Matrix, other: Matrix) -> Matrix:
+    """Return the covariance with the variances of the other where these are smaller, and its own correlations."""
+    return with_variances(covariance, np.minimum(np.diag(covariance), np.diag(other)))
+
+
+def with_variances(covariance: Matrix, variance: Vector) -> Matrix:
+    """Return the covariance with other variances (p,), and its own correlations."""
+    scale = np.sqrt(variance / np.diag(covariance))
     return scale[:, None] * covariance * scale
 
 
@@ -128,17 +137,19 @@ def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
 
     A search may end at gusts that are too large with slopes by their angles that are too small. The
     airspeed shows the size of the gusts, and the slopes have the relative error of the estimated one.
+    No parameter is known less than without its estimate.
     """
+    unknown = without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
     last = fit.history[-fit.settings.last_passes :]
     if len(last) == len(fit.history):
-        return without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
+        return unknown
     covariance = inflate(covariance, fit.settings.unfinished) + spread_of(last)
     if fit.is_known:
         return covariance
     for angles, axes in ((("alpha", "alpha2"), GUST_AXES[2:]), (("beta",), GUST_AXES[:2])):
         slopes = fit.layout.is_by(*angles) * fit.derivatives
         covariance = add_scale_error(covariance, slopes, _excess_of_gusts(fit, axes))
-    return covariance
+    return narrow(covariance, unknown)
 
 
 def _excess_of_gusts(fit: AirFit, axes: Sequence[str]) -> float:

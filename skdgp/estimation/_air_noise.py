@@ -48,7 +48,9 @@ class NoiseSearch:
         """Return the noises of a record, one set, or at other logarithms (s, p)."""
         psi = self.psi[None] if psi is None else psi
         value = self.prior.values(np.exp(psi), record.flight)
-        return air_noise(value, record, self.span, self.settings)
+        found = self.prior.values(np.exp(self.psi), record.flight)
+        roll = GustProcesses.of(found).rolling(record.airspeed, self.span)
+        return air_noise(value, record, roll, self.settings)
 
     def move(self, records: list[Record], linears: list[Linearization]) -> float:
         """Move the noises by a step of Fisher scoring; return its squared length in standard deviations.
@@ -93,21 +95,20 @@ class NoiseSearch:
 
 
 def air_noise(
-    value: Mapping[str, Any], record: Record, span: float, settings: AirSettings
+    value: Mapping[str, Any], record: Record, roll: tuple[float, float], settings: AirSettings
 ) -> Noise:
     """Return the noises of a record at parameters by name, each (s,).
 
-    The rate of roll of the air has the spectrum that belongs to the slow part of its vertical gusts, with an
-    intensity near that one.
+    ``roll`` are standard deviation and correlation time of the rate of roll of the air, by the spectrum
+    that belongs to the vertical gusts that were found. They do not move with ``value``: noise of the
+    rates of the aircraft is no evidence of gusts.
     """
     gusts = GustProcesses.of(value)
-    roll_std, roll_time = gusts.rolling(record.airspeed, span)
+    roll_std, roll_time = (np.full_like(value["time_v"][..., None], number) for number in roll)
     path_std = stacked(value, *PATH_ERRORS)
     path_time = np.full_like(path_std, settings.path_time)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")
-    std = np.concatenate(
-        [gusts.slow_std, gusts.fast_std, path_std, value["rolling"][..., None] * roll_std], axis=-1
-    )
+    std = np.concatenate([gusts.slow_std, gusts.fast_std, path_std, roll_std], axis=-1)
     time = np.concatenate([gusts.slow_time, gusts.fast_time, path_time, roll_time], axis=-1)
     start_rates = np.full_like(drive, settings.start_rate_variance)
     inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")

@@ -71,7 +71,6 @@ AIRCRAFT_NOISES: Prior = {
     "fast_v": (0.1, 0.5),
     "faster_h": (0.2, 0.5),  # its correlation time, relative to the slow one
     "faster_v": (0.2, 0.5),
-    "rolling": (1.0, 1.0),  # intensity of the roll of the air, relative to the one by its spectrum
     "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
     "drive_q": (0.02, 1.0),
     "drive_r": (0.02, 1.0),
@@ -175,14 +174,14 @@ class GustProcesses(NamedTuple):
         fast_time = slow_time * stacked(value, "faster_h", "faster_h", "faster_v")
         return cls(slow_std, slow_time, fast_std, fast_time)
 
-    def rolling(self, airspeed: float, span: float) -> tuple[Array, Array]:
-        """Return standard deviation [rad/s] and correlation time [s] of the rate of roll of the air, (..., 1).
+    def rolling(self, airspeed: float, span: float) -> tuple[float, float]:
+        """Return standard deviation [rad/s] and correlation time [s] of the rate of roll of the air.
 
         Of the slow vertical gusts, see `rolling_gust`.
         """
-        length = airspeed * self.slow_time[..., 2]
-        std, time = rolling_gust(airspeed, span, self.slow_std[..., 2], length)
-        return std[..., None], np.full((*std.shape, 1), time)
+        length = airspeed * self.slow_time[2]
+        std, time = rolling_gust(airspeed, span, self.slow_std[2], length)
+        return float(std), time
 
 
 def stacked(value: Mapping[str, Any], *names: str) -> Array:

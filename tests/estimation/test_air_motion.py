@@ -217,8 +217,8 @@ def test_rows_without_a_sample_tell_nothing_of_the_noise():
     """The airspeed has a noise of 0.3 m/s, and one sample in five rows."""
     flight = flown(GUSTY, 8.0)
     flight.table.loc[np.arange(len(flight.table)) % 5 != 0, "airspeed"] = np.nan
-    found = flight.estimate(settings=AirSettings(max_passes=8))
-    assert_allclose(found.noise["airspeed"], 0.3, rtol=0.3)
+    found = flight.estimate(settings=AirSettings(max_passes=12))
+    assert_allclose(found.noise["airspeed"], 0.3, rtol=0.25)
 
 
 @pytest.mark.slow
@@ -351,7 +351,7 @@ def test_model_of_the_pipeline_has_these_derivatives_and_no_narrower_bands():
     flown = flown_derivatives(pipeline(), in_gusts(), found.air["alpha"].item())
     names = [name for name in found.derivatives.index if name in flown.index and name[:2] != "CX"]
     value, std, _ = found.derivatives.loc[names].to_numpy().T
-    assert_array_less(abs(flown.loc[names, "value"] - value), 0.55 * std)
+    assert_array_less(abs(flown.loc[names, "value"] - value), 0.5 * std)
     assert_array_less(0.92 * std, flown.loc[names, "std"])  # of 500 paths, 3 %
 
 
@@ -369,7 +369,7 @@ def test_predictions_of_logged_rows_have_no_larger_errors_than_least_squares():
         np.sqrt(np.mean((Y - predicted) ** 2, axis=0))
         for predicted in (mean, model[-1].predict(X), least_squares)
     )
-    assert_array_less(of_rows, 1.05 * least)
+    assert_array_less(of_rows, 1.03 * least)
     assert np.max(of_function / least) > 1.05
 
 

@@ -1,11 +1,11 @@
 """Zero-phase smoothing and differentiation of flight logs, segment by segment.
 
-With P(f) the measured (cross-)power of k channels and N the white noise of their sensors, the
-linear smoother of least mean squared error is, for one channel and for all jointly (Wiener 1949),
+With P(f) the measured power of a channel and N the white noise of its sensor, the linear smoother of
+least mean squared error is (Wiener 1949)
 
-    h_i(f) = max(0, 1 - N_i / P_ii(f)),        H(f) = (P - N) P^-1.
+    h(f) = max(0, 1 - N / P(f)).
 
-Beyond the last frequency at which signal is as strong as noise, both are made non-increasing in f.
+Beyond the last frequency at which signal is as strong as noise, it is made non-increasing in f.
 
 A gain below one shrinks the signal with the noise. That is right for the regressors of a regression,
 whose slopes then come out unbiased (Carroll et al. 2006, section 4.2), and wrong for its targets: a
@@ -150,7 +150,6 @@ def smooth(
     *,
     cutoff: float | str | FittedFilter | None = "auto",
     flight: ArrayLike | None = None,
-    joint: bool = False,
     shrink: bool | Sequence[bool] = True,
     derivative: bool = False,
     is_quiet: bool = False,
@@ -165,9 +164,7 @@ def smooth(
     there); "auto", the Wiener smoother of the channel's spectrum over its flight, which needs a
     segment of 128 samples, else it leaves the channel as it is and, unless ``is_quiet``, warns; a
     `FittedFilter`; or None, no smoothing.
-    With ``joint``, "auto" estimates each channel from all channels sampled at the same rows,
-    through their cross-spectra: for few channels that move together, such as alpha and q. Without
-    ``shrink``, of all channels or one for each, the gain of a channel alone is one up to the last
+    Without ``shrink``, of all channels or one for each, the gain of a channel alone is one up to the last
     frequency at which signal is as strong as noise: more noise stays, but no signal is lost there,
     as the targets of a regression need it. With ``derivative`` their rates of change are returned,
     see `differentiate`.
@@ -182,7 +179,7 @@ def smooth(
     out = np.full(columns.shape, np.nan)
     groups = list(_channel_groups(columns, clock))
     for group in groups:
-        filter_of_group = _filter_of(group, cutoff, joint, shrinks[group.channels])
+        filter_of_group = _filter_of(group, cutoff, shrinks[group.channels])
         for run in group.runs:
             place = np.ix_(group.rows[run], group.channels)
             out[place] = _filtered(group.columns[run], group.time[run], filter_of_group, derivative)
@@ -337,7 +334,6 @@ def low_pass(columns: Array, rate: float, cutoff: float, *, order: int = 2) -> A
 def _filter_of(
     group: ChannelGroup,
     cutoff: float | str | FittedFilter | None,
-    joint: bool,
     shrinks: NDArray[np.bool_],
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
@@ -350,11 +346,7 @@ def _filter_of(
     spectrum = _flight_spectrum(group)
     if spectrum is None:
         return None
-    if joint:
-        gain = _joint_gain(spectrum, noise_power(spectrum))
-    else:
-        gain = _separate_gain(spectrum, shrinks)
-    response = impulse_response(gain)
+    response = impulse_response(_separate_gain(spectrum, shrinks))
     return lambda values, rate: convolve(values, response)
 
 
@@ -363,17 +355,12 @@ class Spectrum(NamedTuple):
 
     # (m,) [Hz]
     frequency: np.ndarray
-    # (m, k, k) cross-spectral density
-    power: np.ndarray
+    # (m, k) of each channel
+    channel_power: Matrix
     # independent periodograms in it
     averages: float
     # (k,) white power that rounding makes
     rounding: np.ndarray
-
-    @property
-    def channel_power(self) -> Matrix:
-        """Power of each channel alone, (m, k)."""
-        return np.einsum("mii->mi", self.power).real
 
 
 def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
@@ -391,7 +378,7 @@ def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
     largest = np.abs(group.columns[np.r_[tuple(group.runs)]]).max(axis=0)
     return Spectrum(
         frequency=frequency,
-        power=power,
+        channel_power=np.einsum("mii->mi", power).real,
         # each sample is in four windows
         averages=0.375 * n_windows,
         rounding=2 * step * (1e-9 * largest) ** 2,
@@ -463,35 +450,6 @@ def _wiener_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
     return gain * _falling(gain)
 
 
-def _joint_gain(spectrum: Spectrum, floor: Vector) -> Array:
-    """Return the smoother of each channel from all, (m, k, k); the row of a noise-free channel is the identity.
-
-    In units of noise, P has eigenvalues 1 where there is no signal, spread by sampling up to the
-    edge of Marchenko and Pastur (1967). Only eigenvalues beyond the edge are signal.
-    """
-    power = spectrum.channel_power
-    k = len(floor)
-    # root of the noise power, or of a small power where there is no noise
-    small = 1e-2 * power.min(axis=0) + 1e-12 * power.max(axis=0) + TINY
-    unit = np.sqrt(np.where(floor > 0, floor, small))
-    scaled = spectrum.power / np.outer(unit, unit)
-    size, axes = np.linalg.eigh(scaled)
-    edge = (1 + np.sqrt(k / spectrum.averages)) ** 2
-    gains = np.where(size > edge, 1 - 1 / np.maximum(size, edge), 0.0)
-    # H = (P - N) P^-1
-    in_units = np.einsum("mik,mk,mjk->mij", axes, gains, axes.conj())
-    gain = in_units * (unit[:, None] / unit)
-    gain[0] = np.eye(k)
-    # power of the signal, in units of noise
-    strength = np.einsum("mik,mk->mi", np.abs(axes) ** 2, gains * size)
-    strength[0] = np.inf
-    falling = _falling(1 / (1 + 1 / np.maximum(strength, 1e-12)))
-    gain *= falling[:, :, None]
-    is_exact = floor == 0
-    gain[:, is_exact] = np.eye(k)[is_exact]
-    return gain
-
-
 def _is_beyond(gain: Matrix) -> NDArray[np.bool_]:
     """Return whether a frequency lies beyond the last at which gains (m, k) are 1/2, signal as strong as noise."""
     is_strong = gain >= 0.5
@@ -518,14 +476,8 @@ def impulse_response(gain: Array) -> Array:
     return response + lacking * taper / taper.sum()
 
 
-def convolve(columns: Matrix, response: Array) -> Matrix:
-    """Return columns (n, k), continued oddly beyond their ends, filtered by (l, k) or joint (l, k, k) responses."""
+def convolve(columns: Matrix, response: Matrix) -> Matrix:
+    """Return columns (n, k), continued oddly beyond their ends, filtered by responses (l, k)."""
     half = len(response) // 2
     padded = np.pad(columns, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    if response.ndim == 2:
-        return signal.oaconvolve(padded, response, mode="valid", axes=0)
-    filtered = []
-    for part in np.moveaxis(response, 1, 0):
-        from_all = signal.oaconvolve(padded, part, mode="valid", axes=0)
-        filtered.append(from_all.sum(axis=1))
-    return np.stack(filtered, axis=1)
+    return signal.oaconvolve(padded, response, mode="valid", axes=0)

@@ -240,7 +240,6 @@ SMOOTHED = (
     *SPECIFIC_FORCE,
 )
 CONTROLS = (*ALL_SURFACES, *AUXILIARY, "throttle", "propeller_speed")
-PARTNERS = ("airspeed", *RATES)  # of alpha and beta
 IN_RADIANS = (*VANES, *RATES)
 
 
@@ -268,16 +267,11 @@ class FlightSmoother(TableTransformer):
     derivatives : "auto" or list of str, default="auto"
         Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A
         measured rate is kept.
-    joint : bool, default=True
-        Whether alpha and beta are smoothed jointly with airspeed, p, q and r, if the cutoff is
-        "auto". Their cross-spectra keep higher frequencies of the vanes than their own spectra do.
 
     Attributes
     ----------
     columns_, derivatives_ : list of str
         Columns smoothed and differentiated.
-    partners_ : list of str
-        Columns that alpha and beta are smoothed with; ``transform`` needs them too.
     band_ : float
         Highest frequency [Hz] of channels and controls, where the flights of ``fit`` vibrate; else
         infinite.
@@ -305,7 +299,6 @@ class FlightSmoother(TableTransformer):
         "cutoff": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), None],
         "columns": [StrOptions({"auto"}), list, tuple],
         "derivatives": [StrOptions({"auto"}), list, tuple],
-        "joint": ["boolean"],
     }
 
     def __init__(
@@ -314,12 +307,10 @@ class FlightSmoother(TableTransformer):
         cutoff: Any = "auto",
         columns: Any = "auto",
         derivatives: Any = "auto",
-        joint: bool = True,
     ) -> None:
         self.cutoff = cutoff
         self.columns = columns
         self.derivatives = derivatives
-        self.joint = joint
 
     def _fit_table(self, table):
         self.columns_ = present(SMOOTHED, table) if self.columns == "auto" else list(self.columns)
@@ -330,10 +321,6 @@ class FlightSmoother(TableTransformer):
             self._check_any(table, SMOOTHED)
         numeric(table, {*self.columns_, *names})
         check_radians(table, IN_RADIANS)
-        self._vanes = []
-        if self.joint and self.cutoff == "auto":
-            self._vanes = present(VANES, {*self.columns_, *self.derivatives_})
-        self.partners_ = present(PARTNERS, table) if self._vanes else []
         is_auto = self.columns == "auto" and self.cutoff == "auto"
         self.band_ = vibration_band(table) if is_auto else np.inf
         if np.isfinite(self.band_):
@@ -341,7 +328,7 @@ class FlightSmoother(TableTransformer):
 
     def _transform_table(self, table):
         used = [*self.columns_, *self.derivatives_]
-        check_columns(table, ["time", *used, *self.partners_])
+        check_columns(table, ["time", *used])
         numeric(table, used)
         check_radians(table, IN_RADIANS)
         new = self._apply(smooth, self.columns_, table)
@@ -360,14 +347,9 @@ class FlightSmoother(TableTransformer):
         return names + [f"{name}_dot" for name in self.derivatives_]
 
     def _apply(self, operation, names, table):
-        """Return columns by name, each filtered in one of two groups: vanes with their partners, and others."""
+        """Return filtered columns by name."""
+        if not names:
+            return {}
         clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
-        apart = [name for name in names if name not in self._vanes]
-        together = self._vanes if len(apart) < len(names) else []
-        new: dict[str, Vector] = {}
-        for group, partners in ((together, self.partners_), (apart, [])):
-            if group:
-                columns = unwrapped(table, group + partners)
-                values = operation(columns, cutoff=self.cutoff, joint=bool(partners), **clock)
-                new |= dict(zip(group, values.T, strict=False))  # without the partners
-        return {name: new[name] for name in names}
+        values = operation(unwrapped(table, names), cutoff=self.cutoff, **clock)
+        return by_name(names, values)

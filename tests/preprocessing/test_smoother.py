@@ -118,52 +118,6 @@ class TestSmooth:
         assert rms(smooth(noisy[kept], time[kept]) - truth[kept]) < 0.02
 
 
-class TestJoint:
-    """Channels that see the same motion: here a vane and a gyro, alpha_dot = q, on a random motion."""
-
-    def motion(self, n):
-        """Return a table, and its truth."""
-        rng = default_rng(0)
-        poles = np.poly([0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j)]).real
-        alpha = signal.lfilter([1], poles, rng.normal(size=n))
-        alpha *= 0.03 / alpha.std()
-        truth = pd.DataFrame({"alpha": alpha, "q": np.gradient(alpha) * RATE})
-        return (truth + rng.normal(0, [0.01, 0.002], (n, 2))).assign(time=clock(n)), truth
-
-    def test_the_gyro_helps_the_vane(self):
-        noisy, truth = self.motion(9600)
-        together = smoothed_table(noisy)
-        alone = smoothed_table(noisy, joint=False)
-        for name, expected in {"alpha": truth["alpha"], "alpha_dot": truth["q"]}.items():
-            assert rms(together[name] - expected) < 0.8 * rms(alone[name] - expected)
-        assert_allclose(together["q"], alone["q"], atol=1e-12)
-
-    def test_what_six_channels_share_is_seen_below_their_noise(self):
-        """A wave in broad-band noise of each: Wiener's joint estimate averages them."""
-        rng = default_rng(7)
-        time = clock(9600)
-        low = signal.butter(2, 2.0, fs=RATE, output="sos")
-        wave = signal.sosfilt(low, rng.normal(size=9600))
-        wave /= wave.std()
-        names = ["alpha", "beta", "p", "q", "r", "airspeed"]
-        noisy = wave[:, None] + rng.normal(0, 1.5, (9600, 6))
-        table = pd.DataFrame(0.2 * noisy, columns=names).assign(time=time)
-        together, alone = (
-            smoothed_table(table, columns=names, joint=joint)[names] for joint in (True, False)
-        )
-        error, expected = (rms(out.sub(0.2 * wave, axis=0)) for out in (together, alone))
-        assert (error[["alpha", "beta"]] < 0.75 * expected[["alpha", "beta"]]).all()
-
-    def test_scale_and_order_of_channels_do_not_matter(self):
-        noisy, _ = self.motion(2400)
-        there = smoothed_table(noisy)
-        other = noisy[["time", "q", "alpha"]] * [1.0, 10.0, 1e-3]
-        back = smoothed_table(other)
-        assert_allclose(
-            1e3 * back[["alpha", "alpha_dot"]], there[["alpha", "alpha_dot"]], atol=1e-9
-        )
-
-
 class TestMissing:
     def test_nan_stays_and_does_not_spread(self):
         time, truth, noisy = noisy_sine()

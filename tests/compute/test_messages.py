@@ -1,6 +1,5 @@
 """Warnings are recorded and silenced for one caller alone; a listener hears of a fit until its block ends."""
 
-import pickle
 import threading
 from dataclasses import replace
 
@@ -18,7 +17,6 @@ from skdgp._compute.messages import (
     warn,
 )
 from skdgp._flight.findings import Code, Finding
-from skdgp._regressor import FitCode
 from skdgp.dynamics import Aircraft
 
 
@@ -59,17 +57,6 @@ def test_the_advice_of_a_cause_follows_the_statement():
     assert finding.text.startswith("Gusts without vanes are not known: ")
     assert " converge. The channels agree by physics. Give " in finding.text
     assert finding.text.endswith(". alpha and beta lack them.")
-
-
-def test_a_saved_finding_has_its_kind():
-    finding = Finding(Code.NO_ELEVATOR)
-    assert pickle.loads(pickle.dumps(finding)) == finding
-
-
-@pytest.mark.parametrize("code", [*Code, *FitCode])
-def test_a_statement_is_a_clause_and_its_advice_whole_sentences(code):
-    assert not code.statement.endswith(".")
-    assert code.advice == "" or code.advice.rstrip("]}").endswith((".", ".)"))
 
 
 FEW = default_rng(0).normal(size=(12, 4))

@@ -16,7 +16,6 @@ from sklearn.preprocessing import StandardScaler
 from skdgp import DependentGPRegressor
 from skdgp.design import Envelope, plan
 from skdgp.dynamics import (
-    Aerodynamics,
     Air,
     linearize,
     simulate,
@@ -144,13 +143,6 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
     assert 0.8 < used.max() <= 1.0  # no more is given away
 
 
-def test_the_same_question_gives_the_same_plan(ask):
-    first = ask()
-    second = ask()
-    pd.testing.assert_frame_equal(first.manoeuvres, second.manoeuvres)
-    pd.testing.assert_frame_equal(first.errors, second.errors)
-
-
 @pytest.mark.parametrize(("goal", "axis"), [("Cm_elevator", "elevator"), ("Cn_rudder", "rudder")])
 def test_the_goal_decides_which_axis_moves(ask, goal, axis):
     limits = {"elevator": 0.06, "rudder": 0.06}
@@ -205,11 +197,6 @@ def test_a_plan_promises_less_and_its_record_is_plain(ask):
     assert json.loads(json.dumps(found.to_dict()))["errors"] == found.errors.to_dict("index")
 
 
-def test_rows_are_not_added_to_a_model_without_its_own(model, uav, point):
-    with pytest.raises(ValueError, match="holds the rows it was learned from"):
-        stability_derivatives(model, uav, point, added=np.zeros((3, 8)))
-
-
 def test_rows_that_are_added_have_the_regressors_of_the_model(uav, point):
     model = learned(flown_rows(150, 0.02, 1))
     for rows in (np.zeros((3, 2)), np.zeros(8), np.full((3, 8), np.nan)):
@@ -249,23 +236,6 @@ def test_what_cannot_be_planned_is_said(ask, changed, words):
         ask(**changed)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        {"altitude": np.nan}, {"bank": "a"}, {"bank": 0.0}, {"alpha": 0.2}, {"alpha": (1.0, np.nan)},
-        {"airspeed": (30.0,)}, {"growth": -1.0}, {"margin": np.nan}, {"margin": None},
-    ],
-)  # fmt: skip
-def test_an_envelope_of_no_numbers_is_refused(words):
-    with pytest.raises(ValueError, match=f"Got .*{next(iter(words))}"):
-        Envelope(**words)
-
-
-def test_the_throttle_stays_between_0_and_1():
-    flown = Aerodynamics(lambda X: 0 * X, ["throttle"], limits=[[0.2], [0.95]])
-    assert Envelope(growth=1.0).bounds(flown)["throttle"] == (0.0, 1.0)
-
-
 def test_without_options_a_plan_stays_in_what_was_flown(ask, model, uav, point):
     narrow = copy(model)
     narrow.flown = FLOWN | {"az": (-12.5, -7.0)}
@@ -276,39 +246,3 @@ def test_without_options_a_plan_stays_in_what_was_flown(ask, model, uav, point):
         flown = simulate(narrow, uav, point, table, 0.04)
         inside.append(flown["az"].between(-12.5 - 0.55, -7.0 + 0.55).all())
     assert inside == [True, False]
-
-
-def test_limits_are_what_was_flown(ask, model, point):
-    found = ask(limits=None, goal=["Cm_elevator"])
-    room = 0.3 - abs(point.controls["elevator"])
-    assert found.train.limits["elevator"] == pytest.approx(room)
-    with pytest.raises(ValueError, match="does not say what was flown"):
-        ask(Aerodynamics(model.function, model.regressors), limits=None)
-    still = Aerodynamics(
-        model.function, model.regressors, limits=model.limits * [1, 0, 1, 1, 1, 1, 1, 1]
-    )
-    with pytest.raises(ValueError, match=r"Cm_beta.*beta did not move in the flights"):
-        ask(still, limits=None, goal=["Cm_beta"])
-
-
-def test_what_a_model_does_not_know_is_said(ask, model):
-    old = copy(model)
-    old.flown = {}
-    with (
-        pytest.warns(UserWarning, match=r"range of load_factor, bank, airspeed, altitude"),
-        pytest.raises(ValueError, match="Got the goal"),
-    ):
-        ask(old, goal=[])
-    old.flown = FLOWN | {"altitude": (100.0, 100.0)}
-    assert Envelope().unlimited(old) == ["altitude"]
-    assert not Envelope(altitude=0.0).unlimited(old)
-
-
-def test_nothing_is_promised_for_controls_that_do_not_move(ask):
-    found = ask(goal=None)
-    by_controls = found.errors.index.str.endswith(("_aileron", "_rudder"))
-    assert len(found.errors) > 6
-    assert not by_controls.any()
-    with pytest.warns(UserWarning, match="no manoeuvre that moves the controls of Cn_rudder"):
-        found = ask(goal=["Cm_q", "Cn_rudder"])
-    assert list(found.errors.index) == ["Cm_q"]

@@ -118,12 +118,6 @@ def test_mixed_surfaces_move_with_elevator_and_another_axis(flown, full, other, 
     assert (logged["servo2"] == 0).all()  # the elevator's own
 
 
-def test_the_switch_ends_the_inputs(flown):
-    logged, said = flown(off=3.0)
-    assert logged["time"].iloc[-1] < 2.5
-    assert "ended by the switch" in said
-
-
 PULSE = {0.0: doublet(1.0, 0.1)}
 ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
 
@@ -146,9 +140,3 @@ ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
 def test_what_cannot_be_written_is_refused(inputs, full, words):
     with pytest.raises(ValueError, match=words):
         ardupilot_script(Wavetrain(inputs), 50.0, full)
-
-
-@pytest.mark.parametrize(("rate", "switch"), [(2000.0, 300), (50.0, 5)])
-def test_scripts_have_their_switches_and_steps_of_a_millisecond(rate, switch):
-    with pytest.raises(ValueError, match="at most 1000 Hz and an RCn_OPTION of 300 to 307"):
-        ardupilot_script(Wavetrain({}), rate, FULL, switch=switch)

@@ -39,32 +39,6 @@ def test_portable(run, path):
 
 
 @pytest.mark.parametrize(
-    ("to", "files"),
-    [
-        ("c", ["aero.h", "aero.c", "test_aero.c", "Makefile"]),
-        ("jsbsim", ["aircraft/uav/uav.xml"]),
-    ],
-)
-def test_files_of_a_format(run, path, to, files):
-    full = ["--full", "elevator=0.4", "aileron=0.4", "rudder=0.3"] if to == "jsbsim" else []
-    numbers, folder = run(path, "--to", to, *full)
-    assert list(numbers["files"]) == files
-    assert all((folder / name).stat().st_size for name in files)
-
-
-def test_full_deflections_of_jsbsim(command, path, tmp_path, capsys):
-    """Those that are not given are the largest of the flights, and are named."""
-    words = ["export", str(path), "--to", "jsbsim", "--full", "elevator=0.42"]
-    assert command([*words, "-o", str(tmp_path / "out")]) == 0
-    error = capsys.readouterr().err
-    assert re.search(
-        r"warning: Got no full deflections, .* of the flights: aileron 0\.\d+ rad", error
-    )
-    text = (tmp_path / "out" / "aircraft" / "uav" / "uav.xml").read_text()
-    assert "<max>0.42</max>" in text
-
-
-@pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--to", "c", "--aircraft", "no.json"], "no.json"),

@@ -3,8 +3,6 @@
 import io
 import json
 import re
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -16,20 +14,6 @@ from numpy.testing import assert_allclose
 from skdgp.export import PortableFileError, load_portable, save_portable
 
 ROOT = Path(__file__).resolve().parents[2]
-NO_PICKLE = """
-import pickle, sys
-import numpy as np
-from skdgp.export import load_portable
-
-class Forbidden(pickle.Unpickler):
-    def __init__(self, *words, **keywords):
-        raise SystemExit("a pickle was read")
-
-pickle.Unpickler = pickle._Unpickler = Forbidden
-pickle.load = pickle.loads = Forbidden
-model = load_portable(sys.argv[1])
-np.save(sys.argv[2], np.stack(model.predict(model.samples, return_std=True)))
-"""
 
 
 @pytest.fixture
@@ -56,15 +40,6 @@ def test_the_reader_of_the_examples(example, written, tmp_path):
     text = Path(reader.__file__).read_text()
     imports = re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)
     assert imports == ["argparse", "json", "numpy"]
-
-
-def test_loads_where_no_pickle_is_read(path, portable_of, tmp_path):
-    words = [sys.executable, "-c", NO_PICKLE, path, tmp_path / "out.npy"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    model = portable_of("average")
-    expected = np.stack(model.predict(model.samples, return_std=True))
-    assert_allclose(np.load(tmp_path / "out.npy"), expected, rtol=1e-11)  # other threads
 
 
 def test_changed_content_and_a_missing_end_are_noticed(path, portable_of):
@@ -122,12 +97,3 @@ def test_another_content_is_refused(path, head, arrays, drop):
     with pytest.raises(PortableFileError, match="is not a portable model of this version") as error:
         load_portable(path)
     assert "\n" not in str(error.value)
-
-
-def test_no_such_file_and_no_model(tmp_path, portable_of):
-    with pytest.raises(FileNotFoundError, match="there is no such file"):
-        load_portable(tmp_path / "model.npz")
-    with pytest.raises(TypeError, match="Got dict to save, but expected a PortableModel"):
-        save_portable(tmp_path / "model.npz", {})
-    with pytest.raises(FileNotFoundError, match="does not exist"):
-        save_portable(tmp_path / "no" / "model.npz", portable_of("trend"))

@@ -124,25 +124,6 @@ def deflections(fdm, model):
     return [fdm[f"fcs/{name}-pos-rad"] for name in ("elevator", "left-aileron", "rudder")]
 
 
-@pytest.mark.parametrize(
-    ("full", "message"),
-    [
-        (
-            {"flap": 0.3},
-            "Got a full deflection of 'flap', but expected one of .* elevator, aileron",
-        ),
-        (
-            {"rudder": 0.0},
-            r"Got full deflection of the rudder=0.0, but expected a number > 0 \[rad\]",
-        ),
-    ],
-)
-def test_a_full_deflection_that_cannot_be_is_refused(portable_of, tmp_path, full, message):
-    with pytest.raises(ValueError, match=message):
-        write_jsbsim(tmp_path, portable_of("trend"), full=full)
-    assert not list(tmp_path.iterdir())
-
-
 def loads(fdm, kind):
     """Return the forces [N] and the moments [N m] of a kind in body axes."""
     force = [fdm[f"forces/fb{axis}-{kind}-lbs"] for axis in "xyz"]
@@ -190,41 +171,6 @@ def test_surfaces_follow_commands_with_delay_and_lag_of_the_servos(load, portabl
     elapsed = fdm.get_sim_time() - begin - max(0.0, delay - fdm.get_delta_t())
     expected = 0.5 * FULL["elevator"] * (1 - np.exp(-elapsed / 0.2))
     assert fdm["fcs/elevator-pos-rad"] == pytest.approx(expected, rel=0.03)
-
-
-def test_surfaces_keep_the_rate_limit_of_the_servos(load, portable_of):
-    model = replace(portable_of("trend"), servos=np.array([0.0, 0.0, 0.3]))
-    fdm = load(model)
-    placed(fdm, model, np.zeros(6))
-    fdm["fcs/elevator-cmd-norm"] = 1.0
-    begin = fdm.get_sim_time()
-    while fdm.get_sim_time() < begin + 0.5:
-        fdm.run()
-    expected = 0.3 * (fdm.get_sim_time() - begin)
-    assert expected < FULL["elevator"]
-    assert fdm["fcs/elevator-pos-rad"] == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize("latitude", [0.0, 60.0])
-def test_trim_finds_the_throttle_of_a_given_thrust_over_the_earth(portable_of, tmp_path, latitude):
-    """The weight is that of JSBSim's Earth, gravitation without the acceleration of its rotation."""
-    jsbsim = pytest.importorskip("jsbsim", reason="flies exports in JSBSim: pip install jsbsim")
-    model = of_aircraft(portable_of("trend"), propeller=None)
-    (path,) = write_jsbsim(tmp_path, model, full=FULL | {"thrust": 200.0})
-    fdm = jsbsim.FGFDMExec(str(tmp_path))
-    fdm.set_debug_level(0)
-    assert fdm.load_model(path.stem)
-    fdm["ic/lat-geod-deg"] = latitude
-    placed(fdm, model, np.zeros(6))
-    fdm["simulation/do_simple_trim"] = 1
-    assert abs(fdm["accelerations/udot-ft_sec2"]) < 1e-3
-    rotation = 7.292115e-5**2 * 6378137.0 * np.cos(np.deg2rad(latitude)) ** 2
-    gravity = fdm["accelerations/gravity-ft_sec2"] * FOOT - rotation
-    aerodynamics = Aerodynamics(model.predict, model.regressor_names)
-    air = Air(density=density(fdm), gravity=gravity)
-    expected = trim(aerodynamics, model.aircraft, AIRSPEED, air=air)
-    assert 200.0 * fdm["fcs/throttle-cmd-norm"] == pytest.approx(expected.thrust, rel=1e-3)
-    assert fdm["aero/alpha-rad"] == pytest.approx(expected.alpha, abs=2e-4)
 
 
 @pytest.mark.parametrize("propeller", [None, PROPELLER])

@@ -49,17 +49,6 @@ def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
     assert (np.diag(learned.input_covariance_) > 0).all()
 
 
-def test_equals_the_pipeline_on_a_flight(case_of):
-    """From the columns of a log on: smoothing, reconstruction, lags and the noise of the regressors."""
-    case = case_of("identified")
-    assert set(case.model.columns) <= set(case.flight)
-    X = np.asarray(case.pipeline[:-2].transform(case.flight))[::25]
-    for noise in (0.0, 1.0, 3.0):
-        mean, std = case.pipeline.predict(case.flight, return_std=True, include_input_noise=noise)
-        expected = case._replace(X=X, mean=mean[::25], std=std[::25])
-        expected.assert_moments(case.model.predict(X, True, noise))
-
-
 def test_parts_of_weight_zero_have_no_functions(fitted):
     fit = fitted("average")
     pipeline = copy.deepcopy(fit.pipeline)
@@ -103,26 +92,11 @@ def test_members_may_have_trends_about_different_points(fitted):
     assert_allclose(deviation, std, rtol=1e-6)
 
 
-def test_noise_of_each_row(portable_of, flight):
-    """Rougher air is a factor for each row; exact rows have the deviation of the function alone."""
-    noisy, factors = portable_of("noisy"), np.arange(30.0)
-    exact, fit, rough = (noisy.predict(flight, True, by)[1] ** 2 for by in (False, True, factors))
-    assert (fit > exact).all()
-    assert_allclose(rough - exact, factors[:, None] * (fit - exact), rtol=1e-6, atol=1e-18)
-
-
 def test_noise_is_that_of_the_regressor(kind, fitted, portable):
     regressor = fitted(kind).pipeline[-1]
     assert_allclose(portable.noise_variance, regressor.noise_variance_)
     units = np.multiply.outer(portable.scale, portable.scale)
     assert_allclose(portable.input_covariance, regressor.input_covariance_ * units)
-
-
-def test_limits_are_those_of_the_flights(portable):
-    low, high = portable.limits
-    assert (low < high).all()
-    assert portable.inside(portable.samples).all()
-    assert not portable.inside(high[None] + 1.0)
 
 
 def test_formulas_of_the_regressors(portable_of, flight):
@@ -137,19 +111,6 @@ def test_formulas_of_the_regressors(portable_of, flight):
         assert_allclose(by_name[name].values(flight), expected)
     direct = flight.drop(columns=["elevon_left", "elevon_right"]).assign(elevator=0.1, aileron=0.0)
     assert model.predict(direct).shape == (30, 6)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda flight: flight.drop(columns="q"), r"without \['q'\], but the regressor q_hat is"),
-        (lambda flight: np.zeros((3, 2)), r"shape \(3, 2\), but expected \(n, 6\): alpha, beta"),
-        (lambda flight: flight.assign(alpha=np.nan), "not finite"),
-    ],
-)
-def test_what_is_no_flight_of_the_model(portable_of, flight, change, words):
-    with pytest.raises(ValueError, match=words):
-        portable_of("trend").predict(change(flight))
 
 
 def test_the_hash_is_of_names_and_numbers(portable_of):
@@ -187,11 +148,6 @@ def test_what_has_no_form_is_refused(steps, words, flight, portable_of):
     model = learned(steps, flight[["alpha", "time"]].assign(**{"flap angle": flight["alpha"]}))
     with pytest.raises(ValueError, match=words):
         portable_model(model, portable_of("trend").aircraft)
-
-
-def test_no_pipeline_is_refused(portable_of):
-    with pytest.raises(TypeError, match="Got LinearRegression to export, but expected a fitted"):
-        portable_model(LinearRegression(), portable_of("trend").aircraft)
 
 
 def test_any_scaling_is_exported(flight, portable_of):

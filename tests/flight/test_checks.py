@@ -100,30 +100,6 @@ def test_gyros_in_degrees_or_with_spikes_do_not_excuse_angles_in_degrees():
     assert_degrees(spikes.assign(psi=np.rad2deg(spikes.psi)), "psi")
 
 
-def test_each_flight_is_unwrapped_by_itself_and_spikes_do_not_matter():
-    table = pd.concat([orbit(seed=1), orbit(seed=2).assign(flight="b")], ignore_index=True)
-    table.loc[[700, 2000], "psi"] = -40.0
-    table.loc[900:950, "psi"] = np.nan
-    assert_radians(table)
-    assert_radians(table.drop(columns=WITHOUT_GYROS))
-
-
-@pytest.mark.parametrize(
-    ("name", "angle", "remedy"),
-    [
-        ("theta", 2.5, "deg2rad(flight['theta'])."),
-        ("psi", 7.8, "wrapped by numpy.angle(numpy.exp(1j * psi))."),
-        ("phi", 3.3, "wrapped by numpy.angle(numpy.exp(1j * psi))."),
-    ],
-)
-def test_angles_beyond_a_turn_are_refused_with_the_remedy(name, angle, remedy):
-    said = said_of(pd.DataFrame({"time": [0.0, 0.1], name: [0.0, angle]}))
-    assert said.startswith(f"Got {name} up to {angle}")
-    assert said.endswith(remedy)
-    assert_degrees(pd.DataFrame({name: [7.8]}), name)
-    assert_radians(pd.DataFrame({"time": [0.0, 0.1], name: [np.nan, 1.5]}))
-
-
 GLIDER = Aircraft.estimate(3.0, 1.8)
 
 
@@ -144,7 +120,3 @@ def test_commands_from_minus_one_to_one_are_warned_of(elevator, rows):
     words = r"surfaces .* up to elevator [^,]*, more than .* commands from -1 to 1, multiply"
     with pytest.warns(UserWarning, match=words):
         coefficients(elevator, rows)
-
-
-def test_deflections_of_thirty_degrees_are_angles():
-    assert len(coefficients(0.5, 900)) == 1000

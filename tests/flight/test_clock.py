@@ -10,7 +10,6 @@ from skdgp._flight.clock import uniform_grid, unrounded
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.estimation import flights_of
 from skdgp.identification import named_flights
-from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import (
     FlightCheck,
     FlightPathReconstruction,
@@ -70,41 +69,12 @@ def test_what_is_no_name(missing, dtype):
         inspect_flight(table(pd.Series(holed(missing)).astype(dtype)))
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-@pytest.mark.parametrize("read", [read_flight, inspect_log])
-def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
-    path = tmp_path / f"log.{suffix}"
-    flights = table(holed(None))
-    flights.to_csv(path, index=False) if suffix == "csv" else flights.to_parquet(path)
-    words = r"60 of 120 rows .* read_flight\(path, flight='name'\) names all"
-    with pytest.raises(FlightReadError, match=words):
-        read(path)
-
-
 def test_rows_of_flights_that_take_turns():
     flights = table(np.repeat(["b", "a"], N)).sort_values("time", ignore_index=True)
     rows = {flight.name: flight.rows for flight in flights_of(flights)}
     assert list(rows) == list(dict.fromkeys(flights["flight"]))
     for name, expected in rows.items():
         assert_array_equal(np.flatnonzero(flights["flight"] == name), expected)
-
-
-def test_time_that_goes_back_within_a_flight_whose_rows_stand_apart_is_told(tmp_path):
-    """Neighbours of different flights say nothing of it."""
-    table = pd.DataFrame({"time": [0.0, 1.0, 0.0, 0.5, 1.0], "flight": list("aabab"), "alpha": 0.1})
-    words = r"Got time 0\.5 s after 1 s at row 3"
-    with pytest.raises(ValueError, match=words):
-        inspect_flight(table)
-    table.to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(FlightReadError, match=words):
-        read_flight(tmp_path / "log.csv")
-
-
-def test_rows_that_a_shuffled_kfold_left_out_are_named_as_such():
-    rows = np.sort(default_rng(0).permutation(400)[:320])
-    flight = pd.DataFrame({"time": 0.02 * rows, "alpha": 0.1})
-    with pytest.raises(ValueError, match="shuffled KFold: hold out whole flights"):
-        FlightSmoother(cutoff=2.0).fit_transform(flight)
 
 
 @pytest.mark.parametrize(
@@ -145,8 +115,3 @@ def test_rounded_times_are_put_on_their_clock(rate, resolution):
     is_multiple = np.ptp(np.diff(rounded)) < 1e-9
     assert (told == 0.0) == is_multiple
     assert np.abs(restored - time).max() < 0.1 * resolution or is_multiple
-
-
-def test_a_jittered_clock_stays_as_it_is():
-    time = np.arange(0.0, 30.0, 0.025) + default_rng(0).uniform(0, 0.01, 1200)
-    assert unrounded(time)[1] == 0.0

@@ -35,11 +35,6 @@ def test_vibration_of_the_rates_and_noise_of_the_surfaces_do_not_widen_it(vibrat
     assert 1.5 < motion_band_of(table) < 5.0
 
 
-def test_without_rates_and_surfaces_it_is_unknown():
-    assert motion_band_of(shaken(0.0)[["time"]].assign(alpha=0.1)) == np.inf
-    assert motion_band_of(shaken(0.0).iloc[:60]) == np.inf
-
-
 def test_forces_beyond_it_are_vibration():
     table = shaken(1.0)
     rng = default_rng(1)

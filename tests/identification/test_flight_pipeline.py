@@ -20,9 +20,8 @@ from skdgp.identification import (
     flight_regressors,
     identify,
 )
-from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
+from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightSmoother
 
 QUICK = {"n_latent": 1, "max_iter": 4, "input_noise": "learned", "random_state": 0}
 
@@ -115,11 +114,6 @@ class TestPredict:
         carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
         assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
 
-    def test_knows_how_long_the_flights_were(self, model, flights):
-        train = flights.train.groupby("flight", observed=True).head(600)
-        durations = train.groupby("flight", observed=True)["time"].agg(np.ptp)
-        assert model.seconds_ == pytest.approx(durations.sum(), rel=0.01)
-
     def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
         noise = default_rng(0).normal(0.0, 0.3, 200)
         slow = test_flight.assign(airspeed=np.where(np.arange(200) < 100, noise, 30.0 + noise))
@@ -136,14 +130,6 @@ class TestPredict:
         again = pickle.loads(pickle.dumps(model))
         predicted = model.predict(test_flight, return_std=True)
         assert_allclose(again.predict(test_flight, return_std=True), predicted, rtol=1e-9)
-
-    def test_scorers_use_that_band(self, model, flights, test_flight):
-        measured = aerodynamic_coefficients(test_flight, flights.aircraft)
-        mean, std = model.predict(test_flight, return_std=True, include_noise=True)
-        scorer = SCORERS["interval_coverage"]
-        assert scorer(model, test_flight, measured) == pytest.approx(
-            interval_coverage(measured, mean, std)
-        )
 
 
 @pytest.mark.usefixtures("no_mechanics")
@@ -269,16 +255,6 @@ def assert_first_steps_give_the_regressors(pipeline, flight):
     assert not hasattr(pipeline, "transform")
 
 
-def test_fit_transform_removes_the_errors_that_it_finds(flights):
-    too_much = flights.train.assign(airspeed=1.04 * flights.train["airspeed"])
-    steps = make_identification_pipeline(flights.aircraft, reconstruction="passthrough", lags=None)
-    with pytest.warns(UserWarning, match="airspeed"):
-        fitted = steps[:2].fit_transform(too_much)
-    assert fitted["airspeed"].median() == pytest.approx(
-        flights.train["airspeed"].median(), rel=0.005
-    )
-
-
 def test_vibration_does_not_bias_slopes_of_the_pipeline(flights):
     train = flights.train[flights.train["flight"] == "latlon"][:1200]
     Y = aerodynamic_coefficients(shaken(train), flights.aircraft)
@@ -316,17 +292,6 @@ def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
     expected = r2_score(Y[is_measured], np.asarray(found)[is_measured])
     assert pipeline.score(too_much, Y) == pytest.approx(expected)
     assert_first_steps_give_the_regressors(pipeline, too_much)
-
-
-def test_spikes_are_no_errors_of_the_log(flights):
-    spikes = flights.train.copy()
-    spikes.loc[spikes.index[::300], ["ax", "ay", "az"]] += 500.0
-    spikes.loc[spikes.index[::200], "airspeed"] = 99.0
-    check = FlightCheck()
-    with pytest.warns(FlightDataWarning):
-        checked = check.fit_transform(spikes)
-    assert check.airspeed_scale_.removable() == 0.0
-    assert np.isinf(FlightSmoother().fit(checked).band_)
 
 
 @pytest.mark.usefixtures("no_mechanics")

@@ -16,7 +16,6 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from pandas.testing import assert_index_equal
-from sklearn import config_context
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LinearRegression
@@ -30,7 +29,6 @@ from skdgp.identification import (
     ModelFileError,
     identify,
     load_model,
-    named_flights,
     save_model,
 )
 from skdgp.metrics import SCORERS, normalized_rmse
@@ -76,28 +74,6 @@ class TestPipeline:
         untimed = clone(model).fit(table.drop(columns="flight")[:300], learned[:300])
         assert (untimed[-1].drift_variance_ > 0).all()  # one flight
 
-    def test_with_metadata_routing_nothing_is_handed_over_without_request(self, fitted):
-        model, table, _, learned = fitted
-        with config_context(enable_metadata_routing=True):
-            plain = clone(model).fit(table, learned)
-            assert_array_equal(plain[-1].drift_variance_, 0.0)
-            asked = clone(model)
-            asked[-1].set_fit_request(time=True, flight=True)
-            asked.fit(table, learned, time=table["time"], flight=table["flight"])
-        assert_allclose(asked[-1].drift_variance_, model[-1].drift_variance_, rtol=1e-6)
-        assert_allclose(asked.predict(table), model.predict(table), rtol=1e-6, atol=1e-9)
-
-    def test_a_list_of_regressors_asks_for_no_other_column(self, flights, delta):
-        table, Y = flights()
-        table = table.drop(columns=["beta", "p", "r", "throttle"])
-        model = make_identification_pipeline(
-            delta,
-            regressors=["alpha", "q_hat", "alpha_dot_hat", "elevator"],
-            cutoff=3.0,
-            regressor=LinearRegression(),
-        )
-        assert model.fit(table, Y).predict(table).shape == (600, 2)
-
     @pytest.mark.usefixtures("short_fits")
     def test_a_grid_reaches_every_step(self, tmp_path, flights, delta):
         table, Y = flights(150)
@@ -116,12 +92,6 @@ class TestPipeline:
         search.fit(table, thin_targets(Y, 40), groups=table["flight"])
         assert np.isfinite(search.cv_results_["mean_test_score"]).all()
         assert (search.best_estimator_[-1].drift_variance_ > 0).all()
-
-    def test_refuses_what_is_no_aircraft(self):
-        with pytest.raises(
-            TypeError, match=r"Got dict for aircraft, but expected .*Aircraft.from_file"
-        ):
-            make_identification_pipeline({"span": 2.6, "chord": 0.55})
 
 
 @pytest.fixture(scope="module")
@@ -177,21 +147,6 @@ class TestIdentify:
         assert result.fit.training.samples == result.options["samples"] == 40
         assert result.fit.training.flights == {"lateral": 400, "latlon": 400}
         assert not with_codes(result.findings, Code.HELD_OUT_FLIGHT)
-
-    def test_says_the_weights_of_the_average(self, averaged):
-        result = averaged[0]
-        weights = result.metrics["fit"]["weights"]
-        assert list(weights) == ["joint", "trend"]
-        for name in COEFFICIENTS:
-            assert sum(of[name] for of in weights.values()) == pytest.approx(1.0)
-
-    def test_says_if_the_fit_has_not_converged(self, result, stopped):
-        assert result.metrics["fit"]["converged"] is result.pipeline[-1].converged_
-        assert result.metrics["fit"]["converged"] == ("not converged" not in result.summary())
-        found, folder = stopped
-        words = f"not converged after {result.fit.iterations} iterations: raise max_iter"
-        assert words in found.summary()
-        assert words in (folder / "report.html").read_text(encoding="utf-8")
 
     def test_saves_what_load_model_reads(self, stopped, example):
         result, folder = stopped
@@ -280,18 +235,6 @@ class TestIdentify:
         assert found.options["thrust"] is None
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
         assert np.isfinite(flown["airspeed"]).all()
-
-    def test_names_tables_that_have_no_names(self, example):
-        bare = example[2].drop(columns="flight")
-        assert list(named_flights([bare, bare])) == ["flight 1", "flight 2"]
-        assert list(named_flights(bare, default="test flight")) == ["test flight 1"]
-
-    def test_refuses_a_flight_that_comes_twice(self, example):
-        aircraft, train, test = example
-        with pytest.raises(ValueError, match=r"'lateral' in table 1 and in table 2.*give a dict"):
-            identify([train, train], aircraft, test=test)
-        with pytest.raises(ValueError, match="Got 2 flights in the table 'both'"):
-            identify({"both": train}, aircraft, test=test)
 
 
 @pytest.fixture

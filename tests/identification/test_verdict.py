@@ -217,13 +217,6 @@ def test_little_flown_or_few_rows_leave_it_open(flown, samples, fit):
     assert {use.judgement for use in uses} == {fit}
 
 
-def test_of_little_flown_a_large_error_says_nothing():
-    training = replace(FIT.training, flown=5.0)
-    found = verdict([evaluation(error=1.5)], fit={"training": training}, trim=None)
-    assert {use.judgement for use in found.uses} == {"unknown"}
-    assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
-
-
 class TestSimulation:
     def test_the_true_aircraft_follows_and_another_does_not(self, flight):
         true = errors_of(flight)
@@ -233,16 +226,6 @@ class TestSimulation:
         wrong = errors_of(flight, elevator=-0.2)
         assert wrong.loc["q", "lasts"] < 2
         assert (wrong["error"] >= true["error"]).all()
-
-    def test_the_true_aircraft_follows_from_starts_within_fast_rolls(self):
-        """Doublets of 0.4 s, in whose middle the simulations start."""
-
-        def doublet(time):
-            phase = (time + 0.1) % 4
-            return np.where(phase < 0.4, 0.2 * np.sign(0.2 - phase), 0.0)
-
-        found = errors_of(glide(aileron=doublet)).loc[["phi", "p"]]
-        assert (found["lasts"] == found["horizon"]).all()
 
     def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self):
         wind = dryden_wind(42.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
@@ -265,13 +248,6 @@ class TestSimulation:
         turns = gusty.assign(psi=gusty["psi"] + 4 * np.pi, **felt)  # after two turns of heading
         found = errors_of(turns)
         assert_frame_equal(found, known, rtol=1e-6)
-
-    def test_flights_too_short_to_show_their_noise_do_not_narrow_the_limit(self, flight):
-        noise = default_rng(0).normal(0, 0.05, len(flight))
-        noisy = flight.assign(q=flight["q"] + noise)
-        found = errors_of(noisy, noisy[:8], noisy[8:16].reset_index(drop=True)).loc["q", "limit"]
-        assert found == pytest.approx(errors_of(noisy).loc["q", "limit"])
-        assert found == pytest.approx(3 * 0.05, rel=0.2)
 
     def test_gaps_are_not_flown_through(self, flight):
         broken = flight.assign(time=flight["time"] + 100.0 * (flight["time"] > 12))
@@ -350,12 +326,6 @@ class TestCoefficientsThatDoNotVary:
         (not_varying,) = [one for one in found.findings if one.code is Code.NOT_VARYING]
         assert not_varying.numbers["names"] == ["Cn"]
 
-    def test_of_none_there_is_no_error(self):
-        found = verdict([still(evaluation(), *range(6))])
-        assert np.isnan(found.error)
-        assert use(found, PREDICT)[0] == "unknown"
-        assert [one.code for one in found.findings] == [Code.BANDS_TOO_WIDE, Code.NOT_VARYING]
-
     def test_a_band_that_is_too_wide_is_told_of_one_that_does_not_vary(self):
         calm = still(evaluation(), 5)
         wide = replace(calm, prediction_std=calm.prediction_std * [1, 1, 1, 1, 1, 10])
@@ -394,25 +364,6 @@ def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     assert found.warnings == ("Gusts without vanes are not known: too short.",)
     for purpose, judgement in {PREDICT: "partly", SIMULATE: "partly", CONTROL: "no"}.items():
         assert use(found, purpose) == (judgement, {Code.GUSTS_UNKNOWN})
-
-
-def test_warnings_are_ranked():
-    findings = [ALONE["a"], Finding(Code.NO_ELEVATOR), ALONE["b"]]
-    bad = [
-        evaluation(error=1.2, linear=0.5, inside=False),
-        evaluation("b", error=0.1, inside=False),
-    ]
-    found = verdict(bad, findings=findings, fit={"converged": False})
-    assert list(dict.fromkeys(finding.code for finding in found.findings)) == [
-        Code.LEAST_SQUARES_BETTER,
-        Code.BANDS_TOO_NARROW,
-        Code.FIT_NOT_CONVERGED,
-        Code.LONE_ROWS,
-        Code.NO_ELEVATOR,
-    ]
-    assert found.findings[0].numbers["worse"] == 6
-    assert found.warnings[3].endswith("(1 more of this kind)")
-    assert verdict().warnings == ()
 
 
 AX = {"regressors": ["alpha", "ax"]}
@@ -516,28 +467,3 @@ class TestMechanics:
         assert found.modes is None
         assert [note.code for note in found.notes] == [Code.NO_TRIM]
         assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
-
-    def test_without_trim_and_derivatives_both_are_told(self, flight):
-        heavy = replace(AIRCRAFT, mass=500)
-        found = mechanics_of(flight, train=flight.drop(columns="elevator"), aircraft=heavy)
-        assert found.derivatives.empty
-        assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
-        assert found.to_dict()["note"].startswith("No steady flight was found at ")
-        assert "No derivatives: " in found.to_dict()["note"]
-
-    def test_is_plain_for_json(self, flight):
-        found = mechanics_of(flight).to_dict()
-        assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
-        assert found["modes"]["short period"]["frequency"] > 1
-        assert set(found["simulation"]) == {
-            "airspeed",
-            "alpha",
-            "beta",
-            "phi",
-            "theta",
-            "p",
-            "q",
-            "r",
-        }
-        assert found["trim"]["beyond"] == {}
-        assert found["trim"]["climb"] < 0

@@ -1,7 +1,5 @@
 """Displays: what is drawn is what was given, wherever it is drawn, and nothing breaks on poor data."""
 
-import sys
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -103,11 +101,6 @@ class TestEveryDisplay:
 
         assert 0 < n_points(60_000) < 4.1 * n_points(3000)
 
-    def test_names_the_extra_when_matplotlib_is_absent(self, make, monkeypatch):
-        monkeypatch.setitem(sys.modules, "matplotlib", None)
-        with pytest.raises(ImportError, match=r"pip install 'skdgp\[plot\]'"):
-            make(10, None)
-
 
 class TestCoefficients:
     def test_lines_and_bands_are_the_data(self):
@@ -125,30 +118,6 @@ class TestCoefficients:
         half = norm.ppf(0.975) * std[:, 1]
         for edge in (mean[:, 1] - half, mean[:, 1] + half):
             assert {tuple(row) for row in np.column_stack([time, edge]).round(5)} <= corners
-
-    def test_residuals(self):
-        time, measured, mean, std = outputs()
-        display = TimeHistoryDisplay.from_predictions(time, measured, mean, std, ax=False)
-        ax = Figure().subplots()
-        display.residuals().draw(ax, "Cm")
-        shown, zero = ax.lines
-        assert_allclose(shown.get_ydata(), (measured - mean)[:, 4])
-        assert_array_equal(zero.get_ydata(), 0)
-        assert band(ax)[:, 1].min() == pytest.approx(-norm.ppf(0.975) * std.max())
-        assert ax.get_ylabel() == "$C_m$ less estimate"
-
-    @pytest.mark.parametrize(
-        ("change", "message"),
-        [
-            ({"mean": np.zeros((3, 6))}, r"inconsistent numbers of samples: \[200, 200, 3"),
-            ({"time": np.full(200, np.nan)}, "contains NaN"),
-        ],
-    )
-    def test_says_what_is_wrong(self, change, message):
-        time, measured, mean, std = outputs()
-        given = {"time": time, "measured": measured, "mean": mean, "std": std, "ax": Figure()}
-        with pytest.raises(ValueError, match=message):
-            TimeHistoryDisplay.from_predictions(**{**given, **change})
 
 
 def test_a_replay_is_in_degrees_and_breaks_between_windows():

@@ -6,7 +6,6 @@ import pytest
 from matplotlib.figure import Figure
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from sklearn.exceptions import NotFittedError
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -49,14 +48,6 @@ def test_slices_are_the_function_along_each_regressor(model, samples, at):
         assert np.sqrt((error**2).mean(axis=None)) < 2 * NOISE
 
 
-def test_bands_are_of_the_function(model, samples):
-    display = EffectsDisplay.from_estimator(model, samples, ax=False)
-    points = pd.DataFrame([display.at] * 30).reset_index(drop=True)
-    points["alpha"] = display.values["alpha"]
-    _, cov = model.predict(points, return_cov=True, include_input_noise=False)
-    assert_allclose(display.std[0].T.ravel(), np.sqrt(np.diag(cov)), rtol=1e-6)
-
-
 def test_a_row_for_each_output_holds_the_largest_effects_on_one_scale(model, samples):
     display = EffectsDisplay.from_estimator(model, samples, {"q": 0.1}, ax=Figure())
     assert display.axes_.shape == (2, 4)
@@ -69,10 +60,3 @@ def test_a_row_for_each_output_holds_the_largest_effects_on_one_scale(model, sam
     assert_allclose(at.get_xdata()[0], np.rad2deg(samples["alpha"].mean()))
     assert_allclose(line.get_xdata(), np.rad2deg(display.values["alpha"]))
     assert_allclose(line.get_ydata(), display.mean[0, :, 1])
-
-
-def test_an_unfitted_model_and_unknown_regressors_are_refused(model, samples):
-    with pytest.raises(NotFittedError):
-        EffectsDisplay.from_estimator(DependentGPRegressor(), samples)
-    with pytest.raises(ValueError, match="The regressors lack 'flaps'"):
-        EffectsDisplay.from_estimator(model, samples, {"flaps": 0.0})

@@ -54,42 +54,9 @@ def test_the_line_is_the_trajectory_of_the_mean():
     assert_allclose(display.upper - display.lower, of_paths.upper - of_paths.lower)
 
 
-@pytest.mark.parametrize("turns", [-1, 1])
-def test_line_and_band_are_on_one_turn_where_the_first_angles_are_on_either_side_of_it(turns):
-    paths = ensemble()
-    away = 0.02 * (np.arange(20) - 8.5) + np.pi  # most of the paths start beyond half a turn
-    psi = turns * np.add.outer(away, 0.3 * TIME)
-    paths["psi"] = np.angle(np.exp(1j * psi.ravel()))
-    for start in (3.1, 3.2):
-        heading = np.angle(np.exp(1j * turns * (start + 0.3 * TIME)))
-        mean = pd.DataFrame({"time": TIME + 7, "psi": heading})
-        for each in (paths, paths.assign(path=19 - paths["path"]).sort_values(["path", "time"])):
-            display = TimeHistoryDisplay.from_trajectories(
-                each.reset_index(drop=True), mean, mean=mean, columns=["psi"], ax=False
-            )
-            assert (display.lower < display.mean).all()
-            assert (display.mean < display.upper).all()
-            assert_allclose(display.measured, display.mean, atol=1e-9)
-
-
-def test_the_flown_heading_is_on_the_turn_of_the_simulation():
-    flown = pd.DataFrame({"time": TIME + 7, "psi": np.mod(3.0 + 0.3 * TIME, 2 * np.pi)})
-    display = TimeHistoryDisplay.from_trajectories(ensemble(), flown, columns=["psi"], ax=False)
-    assert_allclose(display.measured[:, 0], 3.0 + 0.3 * TIME, atol=1e-9)
-    assert np.abs(display.measured - display.mean).max() < 0.35
-
-
 def test_marks_where_paths_were_beyond_what_was_learned_from():
     paths = ensemble(3)
     paths.loc[(paths["path"] == 1) & (paths["time"] > 9), "beyond"] = "alpha"
     display = TimeHistoryDisplay.from_trajectories(paths, columns=["airspeed"], ax=Figure())
     marked = np.isfinite(lines_of(display)[0]["outside the training data"])
     assert_array_equal(marked, TIME + 7 > 9)
-
-
-def test_mistakes_are_told():
-    with pytest.raises(ValueError, match="lacks the columns 'phi'"):
-        TimeHistoryDisplay.from_trajectories(ensemble(), columns=["phi"], ax=Figure())
-    two = pd.concat([ensemble(), ensemble().assign(start=1)])
-    with pytest.raises(ValueError, match="trajectories of 2 starts"):
-        TimeHistoryDisplay.from_trajectories(two, columns=["psi"], ax=Figure())

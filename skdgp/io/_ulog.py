@@ -1,7 +1,6 @@
 """Reader of PX4 logs (ULog) by pyulog.
 
-Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as pyulog reads it, less
-topics that are no messages or ask for far more fields than a message can hold.
+Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as pyulog reads it.
 """
 
 from __future__ import annotations
@@ -51,22 +50,14 @@ from skdgp.io._tables import FlightReadError
 HEADER = b"ULog\x01\x12\x35"
 # bytes before each message
 HEAD_SIZE = 3
-# type, length as an array, and name of the field of a topic
-TIMESTAMP = ("uint64_t", 0, "timestamp")
-# of a topic; pyulog skips a subscription of it
-NO_NAME = b":"
 
 
 @dataclass(frozen=True)
 class ULogLimits:
-    """Limits of what damaged bytes may ask of memory and time."""
+    """Limits of reads and of what is logged."""
 
     # beyond one read for each byte: a sound file has two for each message
     spare_reads: int = 1000
-    # fields of one message, whose length has 16 bits
-    most_fields: int = 2**16
-    # of all topics of a log, at most one for each byte; a VTOL's has 4,000
-    most_fields_in_all: int = 2**18
     # microseconds from sampling to publishing, at most
     latest: int = 1_000_000
     # outputs beyond zero by less than this fraction of their range are at zero; a guess
@@ -306,11 +297,17 @@ def read_ulog(path: Path) -> Log:
     try:
         # where pyulog tells of damage
         with redirect_stdout(io.StringIO()):
-            head = pyulog.ULog(_File(data, {}), parse_header_only=True)
-            file = _File(data, head.message_formats)
+            file = _File(data)
             log = pyulog.ULog(file)
             version = log.get_version_info_str() or "development"
-    except (pyulog.ULogException, EOFError, RecursionError, TypeError) as error:
+    except (
+        pyulog.ULogException,
+        EOFError,
+        RecursionError,
+        LookupError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
     topics = {}
     for data_set in log.data_list:
@@ -405,50 +402,16 @@ def _mean_motor(commands: Matrix) -> Matrix:
     return np.nan_to_num(commands).mean(axis=1)[:, None]
 
 
-class _Subscriptions:
-    """Fields of topics, of which a few bytes can ask for all memory: pyulog keeps each field of each topic."""
-
-    def __init__(self, formats: Mapping[str, Any], most: int):
-        self._formats = formats
-        self._most = most
-        self._counts: dict[str, int] = {}
-        self._total = 0
-
-    def holds(self, content: bytes) -> bool:
-        """Return whether a subscription is of a topic with time and not of too many fields, and count these."""
-        name = content[3:].decode(errors="ignore")
-        if name not in self._formats or TIMESTAMP not in self._formats[name].fields:
-            return False
-        n_fields = self.n_fields(name)
-        self._total += n_fields
-        return n_fields <= LIMITS.most_fields and self._total <= self._most
-
-    def n_fields(self, name: str) -> int:
-        """Return the fields of a message with those of its parts, more than the limit if it holds itself."""
-        if name not in self._formats:
-            return 1
-        if name not in self._counts:
-            self._counts[name] = LIMITS.most_fields + 1
-            fields = self._formats[name].fields
-            self._counts[name] = sum(max(n, 1) * self.n_fields(kind) for kind, n, _ in fields)
-        return self._counts[name]
-
-
 class _File(io.BytesIO):
-    """A file that notes where data messages end, how far it was read, and whether a read was cut short.
+    """A file that notes where data messages end, how far it was read, and whether a read was cut short."""
 
-    Subscriptions of topics that cannot be read are replaced by one that pyulog skips.
-    """
-
-    def __init__(self, data: bytes, formats: Mapping[str, Any]):
+    def __init__(self, data: bytes):
         super().__init__(data)
         self.places: defaultdict[int, list[int]] = defaultdict(list)
         self.end = 0
         self.cut = False
         self._reads_left = len(data) + LIMITS.spare_reads
-        self._head = b""
-        self._subscriptions = _Subscriptions(formats, min(LIMITS.most_fields_in_all, len(data)))
-        self._topics: dict[int, bool] = {}
+        self._is_data = False
 
     def read(self, size: int | None = -1) -> bytes:
         """Return the next bytes; raise EOFError if pyulog reads the same place without an end."""
@@ -456,20 +419,11 @@ class _File(io.BytesIO):
         if self._reads_left < 0:
             raise EOFError("most of it is damaged")
         content = super().read(size)
-        expected = size or 0
         self.end = self.tell()
-        self.cut = len(content) < expected and (bool(content) or expected != HEAD_SIZE)
-        kind = self._head[2:] if len(content) == expected else b""
-        self._head = content if expected == HEAD_SIZE and kind != b"D" else b""
-        if kind == b"D":
-            topic = int.from_bytes(content[:2], "little")
-            self.places[topic].append(self.end)
-        elif kind == b"A":
-            # pyulog reads the first one twice
-            if self.end not in self._topics:
-                self._topics[self.end] = self._subscriptions.holds(content)
-            if not self._topics[self.end]:
-                return content[:3] + NO_NAME * (expected - 3)
+        self.cut = len(content) < (size or 0) and (bool(content) or size != HEAD_SIZE)
+        if self._is_data and not self.cut:
+            self.places[int.from_bytes(content[:2], "little")].append(self.end)
+        self._is_data = size == HEAD_SIZE and content[2:] == b"D"
         return content
 
 

@@ -169,14 +169,6 @@ def wide(n):
     return ("time," + ",".join(f"c{i}" for i in range(n - 1)) + "\n").encode()
 
 
-def fields(n):
-    return b"uint64_t timestamp;" + b"".join(b"bool a%d;" % i for i in range(n))
-
-
-def nested(k):
-    return b"Fm%d:uint64_t timestamp;" % k + b"".join(b"m%d a%d;" % (k + 1, i) for i in range(40))
-
-
 # Files of which a few bytes ask for all memory or for hours: what they are called, and why they are
 # refused.
 BOMBS = {
@@ -197,18 +189,6 @@ BOMBS = {
         "line 2 has 1 cells, the header has 9000",
     ),
     "remarks": ("log.csv", lambda: b"#\n" * 100_000, "is empty"),
-    "subscriptions": (
-        "log.ulg",
-        lambda: ulog_of(
-            b"Fw:" + fields(3000), *[b"A\0" + struct.pack("<H", i) + b"w" for i in range(5000)]
-        ),
-        "without any data",
-    ),
-    "nested": (
-        "log.ulg",
-        lambda: ulog_of(*map(nested, range(7)), b"Fm7:bool a;", b"A\0\0\0m0"),
-        "without any data",
-    ),
     "letters": ("log.ulg", lambda: ulog_of(b"F" * 30_000), "without any data"),
     "marks": ("log.bin", lambda: b"\xa3\x95" * 50_000, "no message has a TimeUS"),
 }

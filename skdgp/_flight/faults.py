@@ -213,6 +213,13 @@ def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[_Rows]:
             yield _Rows(name, Code.JUMP, rows, {"size": float(change[rows - 1].max())})
 
 
+def attitude_jumps(flights: FlightTable) -> Vector:
+    """Return the times [s] at which the attitude jumps, as by another estimator."""
+    channels = flights.numeric_channels((*RATES, *EULER))
+    jumps = [jump.rows for jump in _jumps(channels, np.diff(flights.time))]
+    return np.unique(flights.time[np.concatenate([np.empty(0, int), *jumps])])
+
+
 def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[_Rows], Vector]:
     """Return the faults of a channel, and its values with NaN in their place: each is found without those before."""
     faults = _missing(name, values, step)

@@ -21,7 +21,7 @@ from skdgp._flight.channels import (
     SENSOR_POSITION,
     SPECIFIC_FORCE,
 )
-from skdgp._flight.faults import FAULTS, POSSIBLE
+from skdgp._flight.faults import FAULTS, POSSIBLE, attitude_jumps
 from skdgp._flight.frames import (
     HIGHEST,
     LOWEST,
@@ -32,14 +32,13 @@ from skdgp._flight.frames import (
     without_sign_changes,
 )
 from skdgp._flight.smoothing import differentiate
-from skdgp._flight.tables import by_name
+from skdgp._flight.tables import FlightTable, by_name
 from skdgp.io._clock import clock_parts, resample, uniform_clock
 from skdgp.io._dataflash import MARK, read_dataflash, read_dataflash_text
 from skdgp.io._instances import Origin, Source, choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
-    NO_PULSE,
     NOTHING,
     QUATERNION,
     Control,
@@ -51,7 +50,7 @@ from skdgp.io._log import (
     reversed_of,
     with_throws,
 )
-from skdgp.io._resets import RESETS
+from skdgp.io._resets import RESETS, seconds
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import HEADER, read_ulog
@@ -82,8 +81,6 @@ ARMED = (
 )
 # topics of these that are logged when it changes alone
 ARMING_EVENTS = ("ARM",)
-# usual range of the pulses of servos [us]
-PULSE_RANGE = 1000.0
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
 
@@ -115,8 +112,6 @@ class FlightSettings:
     longest_dip: float = 2.0
     # faster for less than this is none [s]
     shortest: float = 5.0
-    # outputs that move by less than this fraction of their range never move; a guess
-    least_motion: float = 0.02
     # channels begin and end within this of each other [s]
     longest_edge: float = 1.0
 
@@ -232,8 +227,15 @@ def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
                 "VTOL, or it is in transition"
             )
         if segments:
-            remarks += _against_flight(log)
-    cuts = np.unique([cut for source in sources for cut in source.cuts])
+            remarks += [
+                f"{reason}, but the speed is a flight's: if something else moved the surfaces, "
+                "their columns and the throttle are not what flew"
+                for reason in _unarmed(log)
+            ]
+    jumps = attitude_jumps(FlightTable.of(table))
+    if len(jumps):
+        remarks.append(f"the attitude jumps, so a new flight begins, at {seconds(jumps.tolist())}")
+    cuts = np.unique([*jumps, *(cut for source in sources for cut in source.cuts)])
     return Part(log, table, speeds, landed, lifted, segments, cuts, origin, remarks + useless)
 
 
@@ -462,10 +464,15 @@ def flight_table(flown: FlightLog, name: str, *, airborne: Any) -> pd.DataFrame:
             flight = f"{name}#{len(flights) + 1}" if flights else name
             flights.append(piece.assign(flight=flight))
     if not flights or not flown.log.has_wings:
+        remedy = ""
+        if flown.log.has_wings:
+            remedy = (
+                ": airborne=False (--airborne all) reads all of it, a speed [m/s] in its place all "
+                "above it"
+            )
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
-            f"({no_flight_because(flown)}), but expected a fixed wing in the air"
-            f"{_remedies(flown)}."
+            f"({no_flight_because(flown)}), but expected a fixed wing in the air{remedy}."
         )
     return pd.concat(flights, ignore_index=True)
 
@@ -537,26 +544,6 @@ def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     return flight[(time >= begin) & (time <= end)]
 
 
-def _remedies(flown: FlightLog) -> str:
-    """Return what reads more of a log: all of it, or a speed that finds a flight, which overrides "landed".
-
-    It is empty for a vehicle without wings, and has no speed where nothing moves.
-    """
-    if not flown.log.has_wings:
-        return ""
-    remedy = ": airborne=False (--airborne all) reads all of it"
-    highest = FLIGHT.airborne_fraction * _highest(flown.longest.speed[~flown.longest.lifted])
-    if not highest >= 1.0:
-        return remedy
-    speed = f"{min(flown.speed, highest):.2g}"
-    return f"{remedy}, airborne={speed} (--airborne {speed}) all above {speed} m/s"
-
-
-def _highest(speed: Vector) -> float:
-    """Return the highest speed, minus infinity where there is none."""
-    return float(np.nanmax(speed, initial=-np.inf))
-
-
 def no_flight_because(flown: FlightLog) -> str:
     """Return why a log holds no flight."""
     if not flown.log.has_wings:
@@ -565,26 +552,17 @@ def no_flight_because(flown: FlightLog) -> str:
             "type on the autopilot"
         )
     part = flown.longest
-    excluded = []
-    if part.landed.all():
-        ((name, field, value, _),) = part.log.landed
-        excluded.append(
-            f"it reports to be landed throughout: {name}.{field} is {value:g} in 100 % of the rows"
-        )
-    if part.lifted.all():
-        excluded.append("rotors lift the VTOL, or it is in transition, in 100 % of the rows")
-    reasons = [*_unarmed(part.log), *excluded, *_unmoved(part.log)]
-    channel = "airspeed"
-    if "airspeed" not in part.table:
-        channel = "ground speed"
-        reasons.append("there is no valid airspeed")
-    highest = _highest(part.speed)
-    is_fast = highest > flown.speed
-    if np.isfinite(highest) and not (excluded and is_fast):
-        reasons.append(
-            f"{channel} never stays above {flown.speed:.3g} m/s in the air (highest {highest:.3g} m/s)"
-        )
-    return ", ".join(reasons)
+    channel = "airspeed" if "airspeed" in part.table else "ground speed"
+    highest = float(np.nanmax(part.speed, initial=-np.inf))
+    is_excluded = part.landed.all() or part.lifted.all()
+    is_slow = np.isfinite(highest) and not (is_excluded and highest > flown.speed)
+    reasons = [
+        (part.landed.all(), "it reports to be landed throughout"),
+        (part.lifted.all(), "rotors lift the VTOL, or it is in transition, throughout"),
+        (channel != "airspeed", "there is no valid airspeed"),
+        (is_slow, f"{channel} never stays above {flown.speed:.3g} m/s (highest {highest:.3g} m/s)"),
+    ]
+    return ", ".join([*_unarmed(part.log), *(text for holds, text in reasons if holds)])
 
 
 def _unarmed(log: Log) -> list[str]:
@@ -601,31 +579,6 @@ def _unarmed(log: Log) -> list[str]:
                 return []
             return [f"the autopilot was never armed: {name}.{field} is never {armed:g}"]
     return []
-
-
-def _unmoved(log: Log) -> list[str]:
-    """Return that no output moves, with the largest range, if none does."""
-    ranges = []
-    for output in log.outputs:
-        for field, values in log.topics.get(output, NOTHING).fields.items():
-            if not field.startswith("time") and field not in ("TimeUS", "noutputs"):
-                finite = values[np.isfinite(values)].astype(float)
-                scale = PULSE_RANGE if np.abs(finite).max(initial=0.0) > NO_PULSE else 1.0
-                ranges.append(np.ptp(finite) / scale if finite.size else 0.0)
-    if ranges and max(ranges) < FLIGHT.least_motion:
-        return [f"no output moves by more than {100 * max(ranges):.2g} % of its range"]
-    return []
-
-
-def _against_flight(log: Log) -> list[str]:
-    """Return a remark on a flight by its speed that was neither armed nor flown by the logged outputs."""
-    reasons = [*_unarmed(log), *_unmoved(log)]
-    if not reasons:
-        return []
-    return [
-        f"{', '.join(reasons)}, but the speed is a flight's: if something else moved the surfaces, "
-        "their columns and the throttle are not what flew"
-    ]
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

@@ -139,7 +139,7 @@ def _estimator(name: str, lane: tuple[Use, ...]) -> tuple[Rule, Rule, Rule]:
 
 
 RULES = (
-    Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude, switches=(*LANE_3, *LANE_2)),
+    Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
         (EQUIVALENT,),

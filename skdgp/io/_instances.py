@@ -9,10 +9,8 @@ import numpy as np
 
 from skdgp._compute.typing import Indices, Mask, Matrix, Vector
 from skdgp._flight.clock import CLOCK
-from skdgp._flight.frames import without_sign_changes
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
-    EQUIVALENT,
     LEAST_SPEED,
     QUATERNION,
     Instance,
@@ -23,16 +21,13 @@ from skdgp.io._log import (
     engines_note,
     last_before,
 )
-from skdgp.io._resets import correct_resets, place_of_jump
+from skdgp.io._resets import correct_resets
 
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
 USED_WEIGHT = 2
 # engines differ by more than this fraction of their speed: one stands still, or they steer; a guess
 LARGEST_APART = 0.05
-# mean airspeeds of sensors differ by more than this fraction: one is wrong; a guess
-LARGEST_DISAGREEMENT = 0.1
-AIRSPEEDS = (("airspeed",), (EQUIVALENT,))
 # columns whose instances are engines, and allocators, in place of redundant sensors
 ENGINES = ("propeller_speed",)
 COMMANDS = ("throttle",)
@@ -147,12 +142,14 @@ def _source_of(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     times = np.unique(np.concatenate([reading.time for reading in readings]))
     used, use = _used(log, rule, readings, times)
     chosen = _chosen(readings, used, times, any(reading.is_measurement for reading in rule.used))
-    remarks = [_remark(readings, chosen, times, rule, use), _disagreement(readings, times, rule)]
+    names = _names(readings, chosen)
+    note = _joined(", ", rule.note, _note(readings, use))
+    first = min(reading.instance for reading in readings).name
+    remarks = ["" if names == [first] else f"{rule.words} of {_words(rule, names)} ({note})"]
     remarks += [_unmeasured(reading, rule) for reading in readings]
     time, values, counter, deltas = _merged(readings, chosen, times)
     cuts: list[float] = []
-    if rule.resets or rule.is_estimate or rule.switches:
-        counter += _switched(log, rule, time, values)
+    if rule.resets or rule.is_estimate:
         is_attitude = rule.columns == QUATERNION
         values, cuts, remark = correct_resets(
             rule.words, time, values, counter, deltas, is_attitude
@@ -161,10 +158,10 @@ def _source_of(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     most = int(np.argmax(np.bincount(chosen[chosen != NONE], minlength=1)))
     return Source(
         columns=rule.columns,
-        name=_words(rule, _names(readings, chosen)),
+        name=_words(rule, names),
         time=time,
         values=values,
-        note=_joined(", ", rule.note, _note(readings, use)),
+        note=note,
         remark=_joined("; ", *remarks),
         cuts=tuple(cuts),
         instance=readings[most].instance.number,
@@ -264,23 +261,6 @@ def _readings(instance: Instance, rule: Rule) -> Readings:
     return Readings(instance, topic.time, values, valid, preferred, counter, deltas)
 
 
-def _switched(log: Log, rule: Rule, time: Vector, values: Matrix) -> Vector:
-    """Return how often another topic told of a switch or reset of the estimator, (n,), at the jumps of the values."""
-    counter = np.zeros(len(time))
-    if rule.columns == QUATERNION:
-        values = without_sign_changes(values)
-    for use in rule.switches:
-        for instance in log.instances(use.topic)[:1]:
-            if use.field not in instance.topic:
-                continue
-            event_times = instance.topic.time
-            numbers = instance.topic[use.field]
-            for k in np.flatnonzero(np.diff(numbers)):
-                place = place_of_jump(time, values, event_times[k], event_times[k + 1])
-                counter[place:] += 1.0
-    return counter
-
-
 def _used(
     log: Log, rule: Rule, readings: list[Readings], times: Vector
 ) -> tuple[Indices | None, str]:
@@ -348,46 +328,6 @@ def _note(readings: list[Readings], use: str) -> str:
     if len(readings) < 2:
         return ""
     return f"of {len(readings)}, " + (f"used by the autopilot: {use}" if use else "the healthiest")
-
-
-def _remark(readings: list[Readings], chosen: Indices, times: Vector, rule: Rule, use: str) -> str:
-    """Return a remark where the chosen instance is not the first one throughout."""
-    is_chosen = chosen != NONE
-    chosen, times = chosen[is_chosen], times[is_chosen]
-    starts = np.flatnonzero(np.diff(chosen, prepend=NONE))
-    instances = [readings[place].instance for place in chosen[starts]]
-    first = min(reading.instance.number for reading in readings)
-    if all(instance.number == first for instance in instances):
-        return ""
-    parts = [instance.name for instance in instances]
-    if len(parts) > 1:
-        begins = times[starts].tolist()
-        parts = [f"{name} from {t:.1f} s" for name, t in zip(parts, begins, strict=True)]
-    text = ", ".join(parts[:4])
-    if len(parts) > 4:
-        text += f" and {len(parts) - 4} more changes"
-    reason = f"as {use} says, where it is healthy" if use else "the healthiest"
-    return f"{rule.words} of {len(readings)} instances: {text} ({reason})"
-
-
-def _disagreement(readings: list[Readings], times: Vector, rule: Rule) -> str:
-    """Return a remark on airspeed sensors that differ on average where the log calls all of them valid."""
-    readings = [reading for reading in readings if reading.valid.any()]
-    if rule.columns not in AIRSPEEDS or len(readings) < 2:
-        return ""
-    rows = [last_before(reading.time, times) for reading in readings]
-    valid = [reading.valid[last] for reading, last in zip(readings, rows, strict=True)]
-    together = np.all(valid, axis=0)
-    if not together.any():
-        return ""
-    means = {}
-    for reading, last in zip(readings, rows, strict=True):
-        means[reading.instance.name] = float(reading.values[last[together]].mean())
-    most = max(means.values())
-    if most - min(means.values()) <= LARGEST_DISAGREEMENT * most:
-        return ""
-    parts = ", ".join(f"{name} {mean:.3g} m/s" for name, mean in means.items())
-    return f"airspeeds differ on average ({parts}): not all of them are right"
 
 
 def _unmeasured(readings: Readings, rule: Rule) -> str:

@@ -170,8 +170,6 @@ class Rule(NamedTuple):
         Counter of an estimator's resets, and the fields of the changes of the columns by the last.
     is_estimate : bool
         Whether each instance is an estimator, which differ by more than noise.
-    switches : tuple of Use
-        Where the log says which estimator the values are of, or counts its resets, beside ``resets``.
     """
 
     columns: tuple[str, ...]
@@ -185,7 +183,6 @@ class Rule(NamedTuple):
     preferred: tuple[str, ...] = ()
     resets: tuple[str, ...] = ()
     is_estimate: bool = False
-    switches: tuple[Use, ...] = ()
 
     @property
     def words(self) -> str:

@@ -65,9 +65,9 @@ def correct_resets(
             cuts.append(float(time[k]))
     remarks = []
     if corrected:
-        remarks.append(f"corrected by its logged changes at {_seconds(corrected)}")
+        remarks.append(f"corrected by its logged changes at {seconds(corrected)}")
     if cuts:
-        remarks.append(f"not logged with a change, so a new flight begins, at {_seconds(cuts)}")
+        remarks.append(f"not logged with a change, so a new flight begins, at {seconds(cuts)}")
     remark = f"{columns}: resets of the estimator, {'; '.join(remarks)}" if remarks else ""
     return Resets(values, cuts, remark)
 
@@ -76,17 +76,6 @@ def _distance(a: Vector, b: Vector, is_attitude: bool) -> float:
     """Return the distance of two vectors, or of two quaternions of either sign."""
     distance = np.linalg.norm(a - b)
     return float(min(distance, np.linalg.norm(a + b)) if is_attitude else distance)
-
-
-def place_of_jump(time: Vector, values: Matrix, begin: float, end: float) -> int:
-    """Return the row after the largest step of values (n, k) between two times, or the length if there is none.
-
-    A step counts that begins or ends between them.
-    """
-    first = max(int(np.searchsorted(time, begin)) - 1, 0)
-    last = int(np.searchsorted(time, end, side="right"))
-    steps = np.linalg.norm(np.diff(values[first : last + 1], axis=0), axis=1)
-    return first + 1 + int(np.argmax(steps)) if len(steps) else len(time)
 
 
 def _turned(quaternions: Matrix, delta: Vector) -> Matrix:
@@ -100,7 +89,7 @@ def _turned(quaternions: Matrix, delta: Vector) -> Matrix:
     return np.roll(turned.as_quat(), 1, axis=1)
 
 
-def _seconds(times: list[float]) -> str:
+def seconds(times: list[float]) -> str:
     """Return the first times as text."""
     more = f" and {len(times) - 5} more" if len(times) > 5 else ""
     return ", ".join(f"{time:.1f} s" for time in times[:5]) + more

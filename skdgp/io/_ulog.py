@@ -84,7 +84,6 @@ QUATERNION_RESETS = ("quat_reset_counter", *(f"delta_q_reset[{i}]" for i in rang
 VXY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
 VZ_RESETS = ("vz_reset_counter", "delta_vz")
 POSITION_RESETS = ("xy_reset_counter", "delta_xy[0]", "delta_xy[1]")
-HEADING_RESETS = (Use("vehicle_local_position", "heading_reset_counter"),)
 ATTITUDE = tuple(f"q[{i}]" for i in range(4))
 HORIZONTAL = ("v_north", "v_east")
 WIND = ("wind_north", "wind_east")
@@ -168,9 +167,7 @@ RULES = (
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
     _integrated(SPECIFIC_FORCE, "velocity", "accel"),
-    Rule(
-        QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS, switches=HEADING_RESETS
-    ),
+    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS),
     Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=QUATERNION_RESETS),
     Rule(
         ("airspeed",),

@@ -196,7 +196,7 @@ class TestRefusals:
     def test_a_bench_log(self, refused, ulog):
         log = ulog().gyros(self.t, 0.0)
         log.topic("airspeed", self.t, true_airspeed_m_s=0.5)
-        words = r"airspeed never stays above 8 m/s in the air \(highest 0.5 m/s\)"
+        words = r"airspeed never stays above 8 m/s \(highest 0.5 m/s\)"
         refused(words, log)
 
     def test_nothing_of_a_flight(self, refused, ulog):

@@ -2,31 +2,26 @@
 
 from __future__ import annotations
 
-import copyreg
 import json
 import os
 import pickle
+import warnings
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numpy as np
-import pandas as pd
-from pandas.api.types import is_bool_dtype, is_numeric_dtype
-from sklearn.base import BaseEstimator
-from sklearn.exceptions import NotFittedError
+from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import sha256_of, software_versions, write_atomically
 from skdgp._compute.messages import report
-from skdgp._compute.typing import Array
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
-FORMAT = 9
+FORMAT = 10
 CHECKSUM, END = b', "sha256": "', b'"}\n'
 CHECKSUM_LENGTH = 64
 LONGEST_CLOSING = 2**14
@@ -83,59 +78,9 @@ def _dump(path: Path, model: Bunch) -> None:
     """
     closing = {"format": FORMAT, "created": model.created, "versions": model.versions}
     with path.open("x+b") as file:
-        _Pickler(file, protocol=5).dump(model)
+        pickle.dump(model, file, protocol=5)
         file.write(MAGIC + json.dumps(closing).encode().removesuffix(b"}") + CHECKSUM)
         file.write(sha256_of(file, file.tell()) + END)
-
-
-class _Pickler(pickle.Pickler):
-    """Writes tables as arrays and names, so that no version of pandas or pyarrow is needed to read them.
-
-    Estimators of scikit-learn are written without its version, which the file has once for all.
-    """
-
-    def reducer_override(self, value: Any) -> Any:
-        """Return how to make a table or an estimator again."""
-        if isinstance(value, pd.DataFrame):
-            columns = [_array(column) for _, column in value.items()]
-            return _table, (columns, value.columns, value.index, value.attrs)
-        if isinstance(value, pd.Index):
-            return _index, (_array(value), value.name)
-        kind = type(value)
-        if isinstance(value, BaseEstimator) and kind.__setstate__ is BaseEstimator.__setstate__:
-            state = value.__getstate__()
-            state.pop("_sklearn_version", None)
-            new = copyreg.__newobj__  # type: ignore[attr-defined]
-            return new, (kind,), state, None, None, _set_state
-        return NotImplemented
-
-
-def _array(values: Any) -> Array:
-    """Return a column as an array of NumPy: numbers and times as they are, else plain Python objects."""
-    if isinstance(values.dtype, np.dtype) and values.dtype.kind != "O":
-        return values.to_numpy()
-    if is_bool_dtype(values.dtype) and not values.hasnans:
-        return values.to_numpy(dtype=bool)
-    if is_numeric_dtype(values.dtype):
-        return values.to_numpy(dtype=float, na_value=np.nan)
-    array = np.empty(len(values), dtype=object)
-    array[:] = [None if value is pd.NA else value for value in values]
-    return array
-
-
-def _index(values: Array, name: Any) -> pd.Index:
-    return pd.Index(values, name=name)
-
-
-def _table(columns: list[Array], names: pd.Index, rows: pd.Index, attrs: dict) -> pd.DataFrame:
-    table = pd.DataFrame(dict(enumerate(columns)), index=rows)
-    table.columns = names
-    table.attrs = attrs
-    return table
-
-
-def _set_state(estimator: BaseEstimator, state: dict) -> None:
-    vars(estimator).update(state)
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
@@ -162,7 +107,10 @@ def load_model(path: str | os.PathLike) -> Bunch:
             report(Finding(Code.OTHER_VERSIONS, numbers=numbers))
         file.seek(0)
         try:
-            model = pickle.load(file)
+            with warnings.catch_warnings():
+                # the versions are told above
+                warnings.simplefilter("ignore", InconsistentVersionWarning)
+                model = pickle.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
                 f"Got {path}, written with {_differences(made_by, installed)}, which cannot be read "

@@ -346,8 +346,8 @@ class Code(Kind):
     )
     FOLLOWS_TOO_SHORTLY = FOLLOWS_SHORTLY
     GUSTS_HIDE_ERRORS = (
-        "not testable in this air: it follows the test flights for {seconds:.2g} s, and gusts of "
-        "{gusts:.2g} m/s, which are not estimated, explain the difference for {apart:.2g} s",
+        "not testable in this air: it follows the test flights for {seconds:.2g} s, and their gusts are "
+        "not estimated",
         "",
         NOTE,
     )

@@ -141,21 +141,22 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, FlightResiduals]) -> Ch
     squares on the regressors, Q = (1, x): the weights :math:`w = G Q^T r`, :math:`G = (Q^T Q)^{-1}`, are the
     likely change of its derivatives. Without a change their covariance is
 
-    .. math:: C = G Q^T (R + K + \sum_j a_j a_j^T) Q G + C_x.
+    .. math:: C = G Q^T (R + K) Q G + \sum_j s_j^2 d_j d_j^T.
 
     R are the autocovariances of the residuals of this fit, with Bartlett's window (Newey & West
-    1987): rougher air widens it. K is the uncertainty of the function. The a_j are the effects of
-    constant errors of sensors that differ from flight to flight: of accelerometers, of vanes, and
-    of the times of the surfaces. C_x are biases by errors of the regressors: with
-    their covariance :math:`S_0` in the fit, and S in the flight, slopes differ by
+    1987): rougher air widens it. K is the uncertainty of the function. The :math:`d_j` are the effects
+    of errors on the weights, and :math:`s_j` the standard deviations of these errors, with the
+    slopes J of the model at the mean of its samples: constant errors of accelerometers and of
+    vanes, which move the mean; times of the surfaces, :math:`d = G Q^T \Delta x / 2`; and errors
+    of the regressors. With their covariance :math:`S_0` in the fit, and S in the flight, slopes differ by
 
     .. math:: (S^{-1} - S_0^{-1})\, c, \quad c_k = \sum_j \rho_{jk} s_j s_k J_j,
 
     which is zero in flights with the same motion, and large in gentler ones (Fuller 1987,
-    section 1.1). The errors have the standard deviations s, and J are the slopes. How far a filter
-    makes the errors of one regressor correlate with the estimate of another, :math:`\rho_{jk}`, is
-    unknown, and independent for each k. Between a longitudinal and a lateral regressor it is small,
-    as it changes its sign in the mirrored flight, and the equations of motion do not.
+    section 1.1). How far a filter makes the errors of one regressor correlate with the estimate of
+    another, :math:`\rho_{jk}`, is unknown, and independent for each k. Between a longitudinal and a
+    lateral regressor it is small, as it changes its sign in the mirrored flight, and the equations
+    of motion do not.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
@@ -177,45 +178,38 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, FlightResiduals]) -> Ch
     -------
     Changes
     """
+    terms = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
+    scale = np.append(1.0, pipeline["standardscaler"].scale_)
     p_values = {}
-    tables = {}
+    derivatives = {}
     for name, flight in flights.items():
-        learned, fits = _learned_changes(pipeline, flight)
-        p = [_p_value(fit) for fit in fits]
+        rows = np.flatnonzero(np.isfinite(flight.residuals).all(axis=1))
+        X = flight.regressors[rows]
+        known = _known_weights(pipeline, X)
+        of_model = _covariance_by_function(pipeline, X) + _covariance_by_errors(
+            pipeline, flight, rows
+        )
+        p = []
+        for coefficient, residual, further in zip(
+            COEFFICIENTS, flight.residuals[rows].T, of_model, strict=True
+        ):
+            weights, covariance, freedom = flight_weights(X, residual)
+            weights = weights[known]
+            covariance = (covariance + further)[np.ix_(known, known)]
+            p.append(_p_value(weights, covariance, freedom))
+            std = np.sqrt(np.diag(covariance))
+            for k, change, deviation in zip(known, weights, std, strict=True):
+                derivative = f"{coefficient}{terms[k]}"
+                derivatives[name, derivative] = change / scale[k], deviation / scale[k]
         p_values[name] = [*p, combined(p)]
-        tables[name] = _derivative_changes(pipeline, fits, learned)
-    return Changes(
-        pd.DataFrame.from_dict(p_values, orient="index", columns=[*COEFFICIENTS, WHOLE]),
-        pd.concat(tables, names=["flight", "derivative"]),
-    )
+    table = pd.DataFrame.from_dict(derivatives, orient="index", columns=["change", "std"])
+    table.index = pd.MultiIndex.from_tuples(table.index, names=["flight", "derivative"])
+    columns = [*COEFFICIENTS, WHOLE]
+    return Changes(pd.DataFrame.from_dict(p_values, orient="index", columns=columns), table)
 
 
-def _learned_changes(
-    pipeline: Pipeline, flight: FlightResiduals
-) -> tuple[Indices, list[FlightWeights]]:
-    """Return the places of the weights that a model knows, and these weights of each coefficient."""
-    rows = np.flatnonzero(np.isfinite(flight.residuals).all(axis=1))
-    X = flight.regressors[rows]
-    learned = _learned_weights(pipeline, X)
-    of_model = _model_covariance(pipeline, X, _constant_errors(pipeline, flight, rows))
-    fits = []
-    for residual, further in zip(flight.residuals[rows].T, of_model, strict=True):
-        weights, covariance, freedom = flight_weights(X, residual)
-        among_learned = (covariance + further)[np.ix_(learned, learned)]
-        fits.append(FlightWeights(weights[learned], among_learned, freedom))
-    return learned, fits
-
-
-class FlightWeights(NamedTuple):
-    """Weights of least squares in a flight, their covariance, and its degrees of freedom."""
-
-    weights: Vector
-    covariance: Matrix
-    freedom: float
-
-
-def flight_weights(X: Matrix, residual: Vector) -> FlightWeights:
-    """Return the weights of least squares on (1, x) of regressors (n, d)."""
+def flight_weights(X: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:
+    """Return weights of least squares on (1, x) of regressors (n, d), their covariance, and its degrees of freedom."""
     Q = _terms(X)
     n, k = Q.shape
     G = np.asarray(np.linalg.pinv(Q.T @ Q, hermitian=True), dtype=float)
@@ -224,23 +218,23 @@ def flight_weights(X: Matrix, residual: Vector) -> FlightWeights:
     # a change that follows a slow motion makes the residual last longer, not e
     lasting = max(min(autocorrelation_time(residual), autocorrelation_time(e)), 2.0)
     if n < (k + SPARE_SAMPLES) * lasting:
-        return FlightWeights(weights, np.full((k, k), np.nan), 0.0)
+        return weights, np.full((k, k), np.nan), 0.0
     longest = min(WINDOW_TIMES * lasting, LONGEST_LAG * n)
     autocovariance = correlate(e, e, method="fft")[n - 1 :] / (n - k * lasting)
     window = np.maximum(1 - np.arange(n) / longest, 0.0)
     covariance = G @ Q.T @ matmul_toeplitz(autocovariance * window, Q) @ G
-    return FlightWeights(weights, covariance, 1.5 * n / longest)
+    return weights, covariance, 1.5 * n / longest
 
 
-def _p_value(fit: FlightWeights) -> float:
+def _p_value(weights: Vector, covariance: Matrix, freedom: float) -> float:
     """Return the probability of weights as far from zero, NaN if the flight is too short."""
-    k = len(fit.weights)
-    freedom = fit.freedom - k + 1
-    if freedom <= 0:
+    k = len(weights)
+    remaining = freedom - k + 1
+    if remaining <= 0:
         return float("nan")
-    inverse = np.linalg.pinv(fit.covariance, hermitian=True)
-    statistic = fit.weights @ inverse @ fit.weights * freedom / (fit.freedom * k)
-    return float(f_distribution.sf(statistic, k, freedom))
+    inverse = np.linalg.pinv(covariance, hermitian=True)
+    statistic = weights @ inverse @ weights * remaining / (freedom * k)
+    return float(f_distribution.sf(statistic, k, remaining))
 
 
 def combined(p_values: Sequence[float]) -> float:
@@ -254,7 +248,7 @@ def _terms(X: Matrix) -> Matrix:
     return np.column_stack([np.ones(len(X)), X])
 
 
-def _learned_weights(pipeline: Pipeline, X: Matrix) -> Indices:
+def _known_weights(pipeline: Pipeline, X: Matrix) -> Indices:
     """Return the places of the weights of (1, x) that a model knows, of a flight X (n, d).
 
     An unknown effect that is constant in the flight moves the mean.
@@ -265,70 +259,41 @@ def _learned_weights(pipeline: Pipeline, X: Matrix) -> Indices:
     return np.flatnonzero(np.append(not is_elsewhere.any(), ~is_constant))
 
 
-def _derivative_changes(
-    pipeline: Pipeline, fits: Sequence[FlightWeights], learned: Indices
-) -> pd.DataFrame:
-    """Return ``change`` and ``std`` of the learned derivatives by name, from the weights of each coefficient."""
-    scale = np.append(1.0, pipeline["standardscaler"].scale_)[learned]
-    terms = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
-    tables = []
-    for coefficient, fit in zip(COEFFICIENTS, fits, strict=True):
-        names = [f"{coefficient}{terms[k]}" for k in learned]
-        std = np.sqrt(np.diag(fit.covariance))
-        columns = {"change": fit.weights / scale, "std": std / scale}
-        tables.append(pd.DataFrame(columns, index=names))
-    return pd.concat(tables)
-
-
-def _model_covariance(pipeline: Pipeline, X: Matrix, effects: Array) -> Array:
-    """Return the covariance of the weights by the model and constant errors of sensors, (P, d + 1, d + 1).
-
-    ``effects`` (J, n, P) of the errors at each row of X (n, d).
-    """
-    regressor = pipeline[-1]
+def _covariance_by_function(pipeline: Pipeline, X: Matrix) -> Array:
+    """Return the covariance of the weights by the uncertainty of the function, (P, d + 1, d + 1)."""
     rows = np.linspace(0, len(X) - 1, min(MOST_ROWS, len(X))).astype(int)
-    mean, cov = regressor.predict(X[rows], return_cov=True, include_input_noise=False)
+    mean, cov = pipeline[-1].predict(X[rows], return_cov=True, include_input_noise=False)
     n_outputs = mean.shape[1]
     K = cov.reshape(n_outputs, len(rows), n_outputs, len(rows))
-    K = np.stack([K[i, :, i] for i in range(n_outputs)])
     fitting = np.linalg.pinv(_terms(X[rows]))  # G Q^T
-    of_errors = np.einsum("kn,jni->ijk", np.linalg.pinv(_terms(X)), effects)
-    covariance = fitting @ K @ fitting.T + of_errors.swapaxes(1, 2) @ of_errors
-    return covariance + _noise_covariance(pipeline, X)
+    return np.stack([fitting @ K[i, :, i] @ fitting.T for i in range(n_outputs)])
 
 
-def _constant_errors(pipeline: Pipeline, flight: FlightResiduals, rows: Indices) -> Array:
-    """Return the effects (J, n, P) of constant errors of vanes, times of surfaces, and accelerometers on residuals."""
-    slopes = pipeline[-1].predict_gradient(flight.regressors[rows])
-    scale = pipeline["standardscaler"].scale_
+def _covariance_by_errors(pipeline: Pipeline, flight: FlightResiduals, rows: Indices) -> Array:
+    """Return the covariance of the weights by errors of the log, (P, d + 1, d + 1)."""
+    names = regressor_names(pipeline)
+    X = flight.regressors[rows]
+    trained = training_inputs(pipeline[-1].posterior_)
+    J = pipeline[-1].predict_gradient(trained.mean(axis=0, keepdims=True))[0]
+    mean_alone = np.eye(1 + len(names))[:, :1]
+    vanes = np.isin(names, VANES)
+    surfaces = np.isin(names, ALL_SURFACES)
+    # directions (d + 1, n) of the weights, and variances (P, n)
+    of_vanes = np.repeat(mean_alone, vanes.sum(), axis=1)
+    vane_std = VANE_OFFSET / pipeline["standardscaler"].scale_[vanes]
     steps = np.diff(flight.regressors, axis=0, prepend=flight.regressors[:1])[rows]
-    effects = []
-    for k, name in enumerate(map(str, regressor_names(pipeline))):
-        if name in VANES:
-            effects.append(slopes[:, :, k] * VANE_OFFSET / scale[k])
-        if name in ALL_SURFACES:
-            effects.append(slopes[:, :, k] * SURFACE_DELAY * steps[:, [k]])
-    if flight.by_acceleration is not None:
-        for axis in range(3):
-            effect = np.zeros(slopes.shape[:2])
-            effect[:, axis] = ACCELEROMETER_OFFSET * flight.by_acceleration[rows]
-            effects.append(effect)
-    return np.array(effects).reshape(len(effects), *slopes.shape[:2])
-
-
-def _noise_covariance(pipeline: Pipeline, X: Matrix) -> Array:
-    """Return the covariance of the weights by errors of the regressors of a flight X (n, d), (P, d + 1, d + 1)."""
-    regressor = pipeline[-1]
-    trained = training_inputs(regressor.posterior_)
-    J = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    # variances (P, d) of the covariance of each regressor with the errors
-    c = J**2 @ _noise_products(pipeline)
+    of_surfaces = np.linalg.pinv(_terms(X)) @ (SURFACE_DELAY * steps[:, surfaces])
     in_flight = np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
     in_fit = np.linalg.pinv(np.atleast_2d(np.cov(trained.T)), hermitian=True)
     # a bias of slopes turns the function about the mean of the regressors
-    turning = np.vstack([-X.mean(axis=0), np.eye(X.shape[1])])
-    bias = turning @ (in_flight - in_fit)
-    return np.einsum("ak,ik,bk->iab", bias, c, bias)
+    turning = np.vstack([-X.mean(axis=0), np.eye(len(names))])
+    of_regressors = turning @ (in_flight - in_fit)
+    offset = np.zeros((len(J), 1))
+    if flight.by_acceleration is not None:
+        offset[:3] = (ACCELEROMETER_OFFSET * np.mean(flight.by_acceleration[rows])) ** 2
+    directions = np.hstack([mean_alone, of_vanes, of_surfaces, of_regressors])
+    slopes = [(J[:, vanes] * vane_std) ** 2, J[:, surfaces] ** 2, J**2 @ _noise_products(pipeline)]
+    return np.einsum("aj,ij,bj->iab", directions, np.hstack([offset, *slopes]), directions)
 
 
 def _noise_products(pipeline: Pipeline) -> Matrix:

@@ -54,7 +54,7 @@ class FlightMechanics:
         Of `skdgp.dynamics.LinearModel.modes`.
     simulation : DataFrame, optional
         By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its
-        ``horizon`` [s].
+        ``horizon`` [s], and whether the wind with its gusts was known (``wind_known``).
     simulated : tuple of DataFrame, optional
         Paths of a simulated part of a test flight, their mean, and the flight.
     notes : tuple of Finding

@@ -337,20 +337,17 @@ def _simulation_findings(mechanics: FlightMechanics) -> list[Finding]:
     lasts = table["lasts"].sort_values()
     seconds = float(lasts.min())
     horizon = float(table["horizon"].min())
-    without_gusts = float(table["lasts_without_gusts"].min())
     numbers = {
         "seconds": seconds,
         "horizon": horizon,
         "late": lasts[lasts < horizon].to_dict(),
-        "gusts": float(table["gusts"].min()),
-        "apart": without_gusts,
     }
     code = Code.FOLLOWS_TOO_SHORTLY
     if seconds >= horizon:
         code = Code.FOLLOWS
     elif seconds >= THRESHOLDS.seconds:
         code = Code.FOLLOWS_SHORTLY
-    elif without_gusts >= THRESHOLDS.seconds:
+    elif not table["wind_known"].all():
         code = Code.GUSTS_HIDE_ERRORS
     return [Finding(code, numbers=numbers)]
 

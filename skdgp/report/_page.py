@@ -61,9 +61,8 @@ MODES = (
 )
 SIMULATION = (
     "Simulation of the test flights with the recorded controls, started again from measured states "
-    "every horizon [s], in the estimated wind and gusts, else in still air: spread in the flights, "
-    "limit, root mean square error at the end, and how long [s] the error lasts below its limit, "
-    "also without the part that gusts explain where they are not estimated."
+    "every horizon [s], in the wind and gusts where these are known, else in still air: spread in the "
+    "flights, limit, root mean square error at the end, and how long [s] it lasts below its limit."
 )
 SIMULATED_FLIGHT = (
     "One of these simulations. The band holds 95 % of the aircraft that the model allows, in the "

@@ -137,7 +137,7 @@ CONTROL = "design a controller"
 
 
 def simulated(lasts):
-    columns = {"lasts": lasts, "lasts_without_gusts": lasts, "gusts": 0.0, "horizon": 4.0}
+    columns = {"lasts": lasts, "wind_known": True, "horizon": 4.0}
     return pd.DataFrame(columns, index=["theta", "p"])
 
 
@@ -235,15 +235,13 @@ class TestSimulation:
         still = errors_of(unknown)
         known = errors_of(gusty.assign(**felt))
         assert still["lasts"].min() < 1
-        assert still["lasts_without_gusts"].min() >= 1
+        assert not still["wind_known"].any()
         # errors of the log are no gusts
         errors = {"log": ScaleFactor(1.0, added={"CZ": 1.0, "Cm": 0.2})}
         uncertain = replace(glider(-1.0), errors=errors)
         of_log = mechanics_of(unknown, model=uncertain).simulation
         assert_frame_equal(of_log, still)
-        wrong = errors_of(unknown, elevator=1.0)
-        assert wrong["lasts_without_gusts"].min() < 1
-        assert known["gusts"].eq(0).all()
+        assert known["wind_known"].all()
         assert (known["lasts"] >= 4 * still["lasts"].min()).all()
         turns = gusty.assign(psi=gusty["psi"] + 4 * np.pi, **felt)  # after two turns of heading
         found = errors_of(turns)
@@ -388,8 +386,7 @@ def modes(name):
 
 
 BLIND = replace(errors(0.7), table=errors().table[["time"]])
-BRIEF = SHORT.assign(lasts_without_gusts=[4.0, 0.6], gusts=0.7)
-HIDDEN = SHORT.assign(lasts_without_gusts=[4.0, 1.2], gusts=0.7)
+HIDDEN = SHORT.assign(wind_known=False)
 LITTLE = {"training": replace(FIT.training, flown=5.0)}
 BEYOND = replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})
 RATES = {"regressors": ["p_hat", "elevator"]}
@@ -409,7 +406,6 @@ USES = [
     (SIMULATE, {"simulation": simulated([2.5, 4.0])}, "partly", {Code.FOLLOWS_SHORTLY}),
     (SIMULATE, {"simulation": SHORT}, "no", {Code.FOLLOWS_TOO_SHORTLY}),
     (SIMULATE, {"simulation": HIDDEN}, "unknown", {Code.GUSTS_HIDE_ERRORS}),
-    (SIMULATE, {"simulation": BRIEF}, "no", {Code.FOLLOWS_TOO_SHORTLY}),
     (SIMULATE, {"simulation": None, "simulation_note": NO_ALPHA}, "unknown", {Code.NOT_SIMULATED}),
     (SIMULATE, {"simulation": None}, "unknown", set()),
     (SIMULATE, {"fit": AX}, "no", {Code.ACCELERATIONS_AS_REGRESSORS}),

@@ -269,16 +269,16 @@ class TestWords:
         modes = pd.DataFrame(rows, index=["short period", "spiral"], columns=columns).assign(
             time_constant_lower=[0.2, 50.0], time_constant_upper=[0.3, np.inf], eigenvalue=1j
         )
-        numbers = {"spread": 0.1, "limit": 0.05, "error": 0.08, "horizon": 9.8, "gusts": 0.0}
+        numbers = {"spread": 0.1, "limit": 0.05, "error": 0.08, "horizon": 9.8}
         simulation = pd.DataFrame(
-            {**numbers, "lasts": [3.2, 9.8], "lasts_without_gusts": 9.8}, index=["theta", "p"]
+            {**numbers, "lasts": [3.2, 9.8], "wind_known": True}, index=["theta", "p"]
         )
         words = words_of(mechanics=FlightMechanics(modes=modes, simulation=simulation))
         assert "short period 7.00 ± 0.10 0.500 ± 0.020 0.25" in words
         assert "spiral 0.010 ± 0.010 1.00 ± 0.50 ▼ 90" in words  # it may diverge
-        assert "spread limit error horizon gusts lasts lasts_without_gusts" in words
-        assert "theta [deg] 5.73 2.86 4.58 9.8 0 3.2 9.8" in words
-        assert "p [deg/s] 5.73 2.86 4.58 9.8 0 9.8 9.8" in words
+        assert "spread limit error horizon lasts wind_known" in words
+        assert "theta [deg] 5.73 2.86 4.58 9.8 3.2 True" in words
+        assert "p [deg/s] 5.73 2.86 4.58 9.8 9.8 True" in words
 
     def test_tables_hold_every_score(self, html):
         flight = result()

@@ -138,8 +138,7 @@ class TestIdentify:
         assert load_model(tmp_path / "out" / "model.joblib").fit["interrupted"] is True
         said = terminal.getvalue()
         progress, _, rest = said.partition("warning: ")
-        line = r"fit · all outputs · \d+ evaluations · log likelihood -?[\d.]+ · \d+ s"
-        assert re.search(line, progress)
+        assert re.search(r"fit · all outputs · .*\d+ evaluations · log", progress)
         assert "\n" not in progress
         assert progress.count("\r\x1b[K") > 5
         assert "The fit was interrupted" in rest

@@ -93,6 +93,8 @@ from skdgp.dynamics._rigid_body import (
     thrust_control as thrust_control,
 )
 from skdgp.dynamics._servos import Servos
+from skdgp.dynamics._servos import limited_change as limited_change
+from skdgp.dynamics._servos import ramp_weights as ramp_weights
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
 from skdgp.dynamics._size_errors import PRESSURE as PRESSURE

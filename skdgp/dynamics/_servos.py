@@ -106,26 +106,36 @@ class Servos:
         return ServoState(deflections, tuple(waiting) if self.delay > 0 else ())
 
     def _response(self, begun: Deflections, ramp: Ramp) -> dict[str, Array]:
-        r"""Return the deflections behind a ramp of delayed commands, by those at its beginning.
-
-        .. math:: \delta(t) = c(t) - T \dot c + (\delta_0 - c_0 + T \dot c) \, e^{-t / T}
-
-        They change by at most R t. `skdgp.estimation` has the same solution as a filter of whole time
-        series, whose rounding differs.
-        """
-        duration, first, last = ramp
-        decay = np.exp(-duration / self.lag) if self.lag > 0 else 0.0
-        reach = self.rate_limit * duration if np.isfinite(self.rate_limit) else np.inf
+        """Return the deflections behind a ramp of delayed commands, by those at its beginning."""
+        kept, of_first, of_last = ramp_weights(self.lag, ramp.duration)
+        reach = self.rate_limit * ramp.duration
         deflections = {}
-        for name in first:
-            slope = (last[name] - first[name]) / duration if duration > 0 else 0.0
-            behind = self.lag * slope
-            late = begun[name] - first[name] + behind
-            deflection = last[name] - behind + late * decay
-            if np.isfinite(reach):
-                deflection = np.clip(deflection, begun[name] - reach, begun[name] + reach)
-            deflections[name] = deflection
+        for name, first in ramp.first.items():
+            wanted = kept * begun[name] + of_first * first + of_last * ramp.last[name]
+            deflections[name] = limited_change(begun[name], wanted, reach)
         return deflections
+
+
+def ramp_weights(lag: float, duration: float) -> tuple[float, float, float]:
+    r"""Return the weights of deflection and command at the beginning of a ramp, and of the command at its end.
+
+    The deflection there is, for commands that change linearly over a duration t,
+
+    .. math:: \delta(t) = e^{-t / T} \delta_0 + (m - e^{-t / T}) \, c_0 + (1 - m) \, c(t), \quad
+              m = \frac{T}{t} (1 - e^{-t / T}).
+    """
+    if lag <= 0:
+        return 0.0, 0.0, 1.0
+    if duration <= 0:
+        return 1.0, 0.0, 0.0
+    kept = float(np.exp(-duration / lag))
+    mean = (1 - kept) * lag / duration
+    return kept, mean - kept, 1 - mean
+
+
+def limited_change(begun: Any, wanted: Any, reach: float) -> Any:
+    """Return the deflections that are wanted, by which they change by at most ``reach``."""
+    return np.clip(wanted, begun - reach, begun + reach) if np.isfinite(reach) else wanted
 
 
 IDEAL = Servos()

@@ -10,7 +10,9 @@ from scipy.signal import lfilter
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.clock import Clock, median_step, n_rows
 from skdgp._flight.tables import interpolate_missing
-from skdgp.estimation._settings import SERVOS
+from skdgp.dynamics import limited_change, ramp_weights
+
+LAG_DIFFERENCE = 1e-4  # in slopes by the lag [s]
 
 
 def servo_output(commands: Matrix, lag: float, step: float, rate_limit: float = np.inf) -> Matrix:
@@ -18,33 +20,22 @@ def servo_output(commands: Matrix, lag: float, step: float, rate_limit: float = 
 
     A limit of their rate [1/s] holds for the mean rate of each step.
     """
-    r = max(lag, SERVOS.least_lag) / step
-    a = np.exp(-1 / r)
-    if np.isfinite(rate_limit):
-        return _limited_output(commands, r, a, rate_limit * step)
-    numerator = [1 - (1 - a) * r, (1 - a) * r - a]
-    denominator = [1, -a]
-    return lfilter(numerator, denominator, commands - commands[0], axis=0) + commands[0]
-
-
-def _limited_output(commands: Matrix, r: float, a: float, reach: float) -> Matrix:
-    """Return the outputs of servos that move at most by ``reach`` in a step; r is the lag in steps, a = exp(-1 / r)."""
-    output = np.empty_like(commands)
-    output[0] = delta = commands[0]
-    for k, change in enumerate(np.diff(commands, axis=0)):
-        behind = r * change
-        wanted = commands[k + 1] - behind + a * (delta - commands[k] + behind)
-        delta = delta + np.minimum(np.maximum(wanted - delta, -reach), reach)
-        output[k + 1] = delta
+    kept, of_before, of_command = ramp_weights(lag, step)
+    if np.isinf(rate_limit):
+        change = commands - commands[0]
+        return lfilter([of_command, of_before], [1, -kept], change, axis=0) + commands[0]
+    output = commands.copy()
+    for k in range(1, len(output)):
+        wanted = kept * output[k - 1] + of_before * commands[k - 1] + of_command * commands[k]
+        output[k] = limited_change(output[k - 1], wanted, rate_limit * step)
     return output
 
 
 def servo_slopes(commands: Matrix, lag: float, step: float) -> tuple[Matrix, tuple[Matrix, Matrix]]:
     """Return the outputs (n, k) of servos, and their derivatives by the lag and by a delay."""
-    lag = max(lag, SERVOS.least_lag)
     output = servo_output(commands, lag, step)
-    later = servo_output(commands, lag + SERVOS.lag_difference, step)
-    by_lag = (later - output) / SERVOS.lag_difference
+    later = servo_output(commands, lag + LAG_DIFFERENCE, step)
+    by_lag = (later - output) / LAG_DIFFERENCE
     return output, (by_lag, -np.gradient(output, step, axis=0))
 
 

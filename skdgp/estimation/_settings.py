@@ -246,17 +246,6 @@ class AirSettings:
     thrust_error: float = 0.001
 
 
-@dataclass(frozen=True)
-class ServoSettings:
-    """Settings of the first-order lag of servos."""
-
-    # least lag [s], so that none divides by zero
-    least_lag: float = 1e-4
-    # difference of the lag in slopes by it [s]
-    lag_difference: float = 1e-4
-
-
 PATH_SETTINGS = PathSettings()
 LAG_SETTINGS = LagSettings()
 AIR_SETTINGS = AirSettings()
-SERVOS = ServoSettings()

@@ -179,13 +179,17 @@ def found(log):
 @pytest.mark.slow
 class TestALogAMassAndASpan:
     def test_signs_are_right(self, found):
-        """Where known. PX4, hardware in the loop: no accelerometer, vane, servo angle or thrust, unknown simulator."""
+        """PX4, hardware in the loop: no accelerometer, vane, servo angle or thrust, unknown simulator.
+
+        Yaw is hardly excited; the bands of what did not converge are no wider than without the flight.
+        """
         table = found.mechanics.derivatives
-        of_signs = table.loc[list(SIGNS)]
-        right = of_signs["value"] * list(SIGNS.values())
+        of_signs = table.loc[list(SIGNS)].drop(index="Cn_r")
+        assert (of_signs["value"] * [SIGNS[name] for name in of_signs.index] > 0).all()
         is_known = of_signs["value"].abs() > of_signs["std"]
-        assert (right[is_known] > 0).all()
-        assert {"Cl_p", "Cl_aileron", "Cm_q", "Cm_elevator"} <= set(right.index[is_known])
+        assert {"Cl_p", "Cl_aileron", "Cm_q", "Cm_elevator"} <= set(is_known.index[is_known])
+        for name, std in {"CZ_alpha": 1.7, "Cm_alpha": 2.0, "Cn_r": 0.25}.items():
+            assert table.loc[name, "std"] < std
         assert table.loc["Cm_elevator", "per"] == "full throw"
         assert table.loc["Cm_alpha", "per"] == "rad"
 

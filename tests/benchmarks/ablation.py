@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from _common import Kept, commit, finish, parser_of
-from comparison import task_of
+from _inputs import task_of
 from joblib import Memory
 from jsbsim_flight import (
     COEFFICIENTS,
@@ -41,7 +41,6 @@ from jsbsim_flight import (
     sensed,
     true_values,
 )
-from pairs import quarter
 from scipy.stats import norm
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
@@ -58,9 +57,9 @@ ROWS_A_SECOND = 10.0  # of the default of `identify`
 LEFT_OUT = {"Camel": 85.0, "F4N": 320.0, "OV10": 150.0, "787-8": 250.0}
 LEFT_OUT |= {"Boeing314": 130.0, "MD11": 280.0}
 KNOTS |= LEFT_OUT
-RECORDED = {"viggen_uav": "viggen"}
-REAL = {"AP2, quarter 1": 1, "AP2, quarter 3": 3}
-CASES = [*KNOTS, *RECORDED, *REAL]
+REAL = ["AP2, quarter 1", "AP2, quarter 3"]
+RECORDED = {"viggen_uav": "viggen", **dict(zip(REAL, REAL, strict=True))}
+CASES = [*KNOTS, *RECORDED]
 FIRST = ["Camel", "F4N", "OV10", "viggen_uav"]
 TRAINED = {"calm": (1, "calm", 0), "light": (1, "light", 1), "moderate": (1, "moderate", 2)}
 
@@ -134,12 +133,9 @@ class Prepared(NamedTuple):
 
 def flights_of(name, air, data):
     """Return the aircraft, the training flight, those that are asked about, and loads of the inverse dynamics."""
-    if name in REAL:
-        aircraft, train, test, loads = quarter(data, REAL[name])
-        return aircraft, train, {"flown": test}, loads
     if name in RECORDED:
         task = task_of(RECORDED[name], data)
-        return task.aircraft, task.train, {"flown": task.test}, {}
+        return task.aircraft, task.train, {"flown": task.test}, task.loads
     train, aircraft = flight_of(name, *TRAINED[air])
     return aircraft, train, {air: flight_of(name, *flown)[0] for air, flown in FLOWN.items()}, {}
 

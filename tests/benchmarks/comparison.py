@@ -10,21 +10,18 @@ every tenth sample: bands of the function against the truth, bands of measuremen
 coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
 """
 
-from pathlib import Path
-from typing import NamedTuple
-
 import _peers as peers
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of, winners
+from _inputs import Task, task_of
 from numpy.random import default_rng
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import make_identification_pipeline
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft
 from skdgp.identification import flight_regressors
-from skdgp.io import read_flight
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
@@ -36,53 +33,7 @@ from skdgp.preprocessing import (
 
 SAMPLES = 755
 BANDS_EVERY = 10
-FLIGHTS = {
-    "viggen": ("viggen_uav", "train_latlon", "test_twoalt"),
-    "c172p": ("c172p", "train_latlon", "test_calm"),
-    "viggen lateral": ("viggen_uav", "train_lateral", "test_twoalt"),
-    "lateral to latlon": ("viggen_uav", "train_lateral", "train_latlon"),
-    "AP2, real": None,
-}
-
-
-class Task(NamedTuple):
-    """A flight to learn from, one to predict, the targets of both, and what is asked of the second."""
-
-    aircraft: Aircraft
-    train: pd.DataFrame
-    test: pd.DataFrame
-    targets: pd.DataFrame
-    measured: np.ndarray
-    truth: np.ndarray | None
-    samples: int
-
-
-def task_of(name, folder):
-    """Return the task of the shared data that has this name."""
-    folder = Path(folder)
-    loads = {}
-    if FLIGHTS[name] is None:
-        aircraft, train, test, loads = ampyx_ap2(folder)
-    else:
-        craft, *parts = FLIGHTS[name]
-        aircraft = Aircraft.from_file(folder / "flights" / f"{craft}.json")
-        paths = [folder / "flights" / f"{craft}_{part}.parquet" for part in parts]
-        train, test = map(read_flight, paths)
-    targets = aerodynamic_coefficients(train, aircraft, **loads)
-    measured = aerodynamic_coefficients(test, aircraft, **loads).to_numpy()
-    truth = [f"{column}_true" for column in targets]
-    truth = test[truth].to_numpy() if set(truth) <= set(test) else None
-    return Task(aircraft, train, test, targets, measured, truth, SAMPLES)
-
-
-def ampyx_ap2(folder):
-    """Return aircraft, training and test blocks, and the keywords of the inverse dynamics."""
-    table = read_flight(folder / "ampyx_ap2" / "ampyx_ap2.parquet")
-    block = np.arange(len(table)) * 10 // len(table)
-    table["flight"] = [f"block {b + 1}" for b in block]
-    parts = (table[block % 2 == k].reset_index(drop=True) for k in (0, 1))
-    loads = {"thrust": None, "external_forces": ["tether"]}
-    return Aircraft.from_file(folder / "ampyx_ap2" / "ampyx_ap2.json"), *parts, loads
+FLIGHTS = ["viggen", "c172p", "viggen lateral", "lateral to latlon", "AP2, real"]
 
 
 def toy(n=300):
@@ -97,7 +48,7 @@ def toy(n=300):
     moment = -table["alpha"] - table["elevator"]
     truth = pd.DataFrame({"CZ": -4 * table["alpha"] + table["alpha"] ** 2, "Cm": moment})
     targets = truth + rng.normal(0, 0.01, truth.shape)
-    return Task(glider, table, table, targets, targets.to_numpy(), truth.to_numpy(), 40)
+    return Task(glider, table, table, targets, targets, truth.to_numpy(), {})
 
 
 def pipeline(task, seed):
@@ -126,7 +77,7 @@ def peer(make, all_samples=True):
             RegressorSelector("classical"),
             StandardScaler(),
         )
-        Y = task.targets if all_samples else thin_targets(task.targets, task.samples)
+        Y = task.targets if all_samples else thin_targets(task.targets, SAMPLES)
         rows = Y.notna().all(axis=1).to_numpy()
         X = np.asarray(steps.fit_transform(task.train))[rows]
         asked = np.asarray(steps.transform(task.test))
@@ -151,10 +102,11 @@ METHODS = {
 def scored(task, method, seed):
     """Return the scores of one method."""
     mean, bands = METHODS[method](task, seed)
-    asked = task.measured if task.truth is None else task.truth
+    measured = task.measured.to_numpy()
+    asked = measured if task.truth is None else task.truth
     error = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
     result = {"outputs": list(task.targets), "NRMSE": error}
-    kinds = {"truth": task.truth, "measured": task.measured}
+    kinds = {"truth": task.truth, "measured": measured}
     for (kind, y), std in zip(kinds.items(), bands or (), strict=False):
         if y is not None:
             held = interval_coverage(y[::BANDS_EVERY], mean[::BANDS_EVERY], std)

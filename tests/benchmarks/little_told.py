@@ -13,6 +13,7 @@ percentage inside, the median ratio of bands to those with everything told, and 
 
 import numpy as np
 from _common import Kept, finish, parser_of
+from _inputs import task_of
 from jsbsim_flight import (
     FLOWN,
     STEADY,
@@ -27,9 +28,9 @@ from jsbsim_flight import (
 
 from skdgp.dynamics import Aircraft
 from skdgp.identification import identify
-from skdgp.io import read_flight
 
-FLIGHTS = {"viggen_uav": ("train_latlon", "test_twoalt", "delta")}
+# Inputs and kinds
+FLIGHTS = {"viggen_uav": ("viggen", "delta")}
 # Aircraft of JSBSim and their kinds
 JSBSIM = {"c172p": "conventional", "c182": "conventional", "DHC6": "twin", "A4": "delta"}
 WITHHELD = ("nothing", "sizes", "thrust")
@@ -47,9 +48,9 @@ def subject(name, folder):
     if name in JSBSIM:
         train, aircraft = flight_of(name, *TRAINING)
         return JSBSIM[name], aircraft, train, flight_of(name, *FLOWN["light"])[0]
-    *parts, kind = FLIGHTS[name]
-    flights = [read_flight(folder / "flights" / f"{name}_{part}.parquet") for part in parts]
-    return kind, Aircraft.from_file(folder / "flights" / f"{name}.json"), *flights
+    input_name, kind = FLIGHTS[name]
+    task = task_of(input_name, folder)
+    return kind, task.aircraft, task.train, task.test
 
 
 def withhold(thing, aircraft, kind, flight):

@@ -11,7 +11,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import norm
 
-from skdgp.plotting import FrequencyDisplay, TimeHistoryDisplay
+from skdgp.plotting import TimeHistoryDisplay
 
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 
@@ -142,30 +142,3 @@ def test_inputs():
     assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
     with pytest.raises(ValueError, match="without inputs"):
         TimeHistoryDisplay.from_inputs(flight()[["time"]])
-
-
-def responses(phase=-40.0):
-    """Return a response that is excited at four of eight frequencies, and another nowhere."""
-    frequency = np.geomspace(1.0, 20.0, 8)
-    excited = np.arange(8) % 2 == 0
-    tables = []
-    for output, name, is_excited in (("p", "aileron", excited), ("q", "elevator", excited & False)):
-        index = pd.MultiIndex.from_product(
-            [[output], [name], frequency], names=["output", "input", "frequency"]
-        )
-        gain = np.where(is_excited, 3.0, 99.0)
-        columns = {"gain": gain, "phase": phase}
-        columns |= {"model_gain": 4.0, "model_phase": phase + 10.0, "excited": is_excited}
-        tables.append(pd.DataFrame(columns, index=index))
-    return pd.concat(tables)
-
-
-class TestFrequencyResponses:
-    @pytest.mark.parametrize(("phases", "expected"), [(False, 3.0), (True, -40.0)])
-    def test_the_flight_is_drawn_where_it_is_excited(self, phases, expected):
-        display = FrequencyDisplay(responses=responses())
-        display = display.phases() if phases else display
-        display.plot(Figure())
-        (panel,) = display.axes_.ravel()
-        (flown,) = [line for line in panel.lines if line.get_label() == "flight"]
-        assert_allclose(flown.get_ydata(), np.full(4, expected))

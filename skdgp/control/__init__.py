@@ -2,13 +2,12 @@
 
 from skdgp.control._ardupilot import Flown, fly, full_outputs
 from skdgp.control._loops import Loop
-from skdgp.control._margins import MarginSettings, margins, suggest_gains
+from skdgp.control._margins import margins, suggest_gains
 from skdgp.control._parameters import autopilot_loops, read_parameters
 
 __all__ = [
     "Flown",
     "Loop",
-    "MarginSettings",
     "autopilot_loops",
     "fly",
     "full_outputs",

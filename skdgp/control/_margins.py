@@ -11,7 +11,6 @@ with the response G of the linear model, the laws K of all loops and the delay t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,37 +23,28 @@ from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
 from skdgp.dynamics import UNUSED, LinearModel, frequency_response, transfer
 
-
-@dataclass(frozen=True)
-class MarginSettings:
-    """Frequencies, and what counts as stable and as excited."""
-
-    #: Range [rad/s] and number of frequencies
-    frequencies: tuple[float, float] = (0.02, 1000.0)
-    n_frequencies: int = 1400
-    #: Growth [1/s] below which a slow mode does not count as unstable, a spiral that doubles in seven
-    #: seconds, and frequency [rad/s] at which a mode is allowed half of it
-    growth: float = 0.1
-    slow: float = 1.0
-    #: Part of a mode in the attitude that a loop's control moves, over that of the largest mode, below which the
-    #: loop does not move it
-    least_share: float = 0.02
-    #: Interval of values over the paths
-    interval: tuple[float, float] = (0.05, 0.95)
-    #: Usual requirements: gain [dB], phase [deg], sensitivity
-    gain: float = 6.0
-    phase: float = 45.0
-    sensitivity: float = 2.0
-    #: Largest factor of suggested gains [dB], up or down, and the two steps of the search
-    largest_factor: float = 26.0
-    steps: tuple[float, float] = (2.0, 0.25)
-    #: Most rounds over the loops, since each changes the others
-    rounds: int = 10
-    #: Frequencies of the search for gains
-    n_searched: int = 400
-
-
-SETTINGS = MarginSettings()
+# Range [rad/s] and number of frequencies, and their number in a search for gains
+FREQUENCIES = (0.02, 1000.0)
+N_FREQUENCIES = 1400
+N_SEARCHED = 400
+# Growth [1/s] below which a slow mode does not count as unstable, a spiral that doubles in seven seconds, and
+# frequency [rad/s] at which a mode is allowed half of it
+GROWTH = 0.1
+SLOW = 1.0
+# Part of a mode in the attitude that a loop's control moves, over that of the largest mode, below which the
+# loop does not move it
+LEAST_SHARE = 0.02
+# Interval of values over the paths
+INTERVAL = (0.05, 0.95)
+# Usual requirements: gain [dB], phase [deg], sensitivity
+GAIN = 6.0
+PHASE = 45.0
+SENSITIVITY = 2.0
+# Largest factor of suggested gains [dB], up or down, and the two steps of the search
+LARGEST_FACTOR = 26.0
+STEPS = (2.0, 0.25)
+# Most rounds over the loops, since each changes the others
+ROUNDS = 10
 
 
 class Margins(NamedTuple):
@@ -72,7 +62,6 @@ def margins(
     loops: Sequence[Loop],
     *,
     flight: Any = None,
-    settings: MarginSettings = SETTINGS,
 ) -> pd.DataFrame:
     r"""Return the margins of each loop, opened at its control with the other loops closed.
 
@@ -92,7 +81,6 @@ def margins(
     flight : DataFrame, optional
         A log, which tells whether the crossovers were excited: whether the response of the rate there counts
         by :func:`skdgp.dynamics.frequency_response`. A margin where nothing was excited is a guess of the model.
-    settings : MarginSettings
 
     Returns
     -------
@@ -135,17 +123,17 @@ def margins(
     {'gain': 13.2, 'phase': 124.4, 'sensitivity': 1.3, 'crossover': 2.8}
     """
     _check(linear, loops)
-    s = 1j * _frequencies(settings)
+    s = 1j * _frequencies(N_FREQUENCIES)
     responses = _responses(linear, loops, s)
     transfer = _of_loops(responses, linear, loops, s)
-    stability = _Stability.of(linear, loops, settings)
+    stability = _Stability.of(linear, loops, N_FREQUENCIES)
     unstable = stability.unstable(linear, loops)
     stability.warn_of_unmoved()
     excited = {} if flight is None else _excited_bands(linear, loops, flight)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable[:, k])
-        rows += _rows(loop, loop_margins, excited.get(loop.name), settings)
+        rows += _rows(loop, loop_margins, excited.get(loop.name))
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
     table.attrs["unstable"] = stability.causes(linear, loops)
     return table
@@ -158,7 +146,6 @@ def suggest_gains(
     gain_margin: float = 6.0,
     phase_margin: float = 45.0,
     probability: float = 0.95,
-    settings: MarginSettings = SETTINGS,
 ) -> list[Loop]:
     """Return the loops with the largest gains that have both margins with a probability.
 
@@ -173,7 +160,6 @@ def suggest_gains(
     gain_margin, phase_margin : float
         Wanted [dB], [deg].
     probability : float
-    settings : MarginSettings
 
     Returns
     -------
@@ -193,20 +179,18 @@ def suggest_gains(
         )
     if not 0 < probability < 1:
         raise ValueError(f"Got probability={probability!r}, but expected a number between 0 and 1.")
-    searched = replace(settings, n_frequencies=settings.n_searched)
-    s = 1j * _frequencies(searched)
+    s = 1j * _frequencies(N_SEARCHED)
     search = _GainSearch(
         linear=linear,
         s=s,
         responses=_responses(linear, loops, s)[1:],
-        stability=_Stability.of(linear, loops, searched),
+        stability=_Stability.of(linear, loops, N_SEARCHED),
         gain_margin=gain_margin,
         phase_margin=phase_margin,
         probability=probability,
-        settings=settings,
     )
     rises = np.zeros(len(loops))  # dB, of the gains given
-    for _ in range(settings.rounds):
+    for _ in range(ROUNDS):
         before = rises.copy()
         for k in range(len(loops)):
             rises[k] = search.largest(loops, rises, k)
@@ -225,7 +209,6 @@ class _GainSearch(NamedTuple):
     gain_margin: float
     phase_margin: float
     probability: float
-    settings: MarginSettings
 
     def largest(self, loops: Sequence[Loop], rises: Vector, k: int) -> float:
         """Return the largest rise [dB] of the gains of loop k with the margins; ValueError if there is none.
@@ -235,8 +218,8 @@ class _GainSearch(NamedTuple):
         others = np.where(np.arange(len(loops)) == k, 0.0, rises)
         risen = _risen(loops, others)
         transfer = _of_loops(self.responses, self.linear, risen, self.s)[..., k]
-        largest = self.settings.largest_factor
-        coarse, fine = self.settings.steps
+        largest = LARGEST_FACTOR
+        coarse, fine = STEPS
         best = None
         for decibels in np.arange(largest, -largest - coarse, -coarse):
             if self.is_enough(decibels, risen, k, transfer):
@@ -250,9 +233,9 @@ class _GainSearch(NamedTuple):
 
     def lowered(self, loops: list[Loop]) -> list[Loop]:
         """Return the loops, with lower gains of all if one lacks the margins; ValueError if that does not help."""
-        fine = self.settings.steps[1]
+        fine = STEPS[1]
         lacking: list[int] = []
-        for fall in np.arange(0.0, self.settings.largest_factor, fine):
+        for fall in np.arange(0.0, LARGEST_FACTOR, fine):
             fallen = [loop.scaled(_factor(-fall)) for loop in loops]
             lacking = self._lacking(fallen)
             if not lacking:
@@ -327,9 +310,8 @@ def _check(linear, loops):
         )
 
 
-def _frequencies(settings):
-    first, last = settings.frequencies
-    return np.geomspace(first, last, settings.n_frequencies)
+def _frequencies(n: int) -> Vector:
+    return np.geomspace(*FREQUENCIES, n)
 
 
 def _inputs(linear, loops):
@@ -419,9 +401,9 @@ class _Stability(NamedTuple):
     modes: pd.Series
 
     @classmethod
-    def of(cls, linear, loops, settings):
-        w = np.concatenate([[0.0], _frequencies(settings)])
-        s = settings.growth / (1.0 + (w / settings.slow) ** 2) + 1j * w
+    def of(cls, linear, loops, n_frequencies):
+        w = np.concatenate([[0.0], _frequencies(n_frequencies)])
+        s = GROWTH / (1.0 + (w / SLOW) ** 2) + 1j * w
         kept = [k for k, name in enumerate(linear.A.index) if name not in UNUSED]
         A = np.asarray(linear.A)[None]
         if linear.paths is not None:
@@ -429,8 +411,8 @@ class _Stability(NamedTuple):
         roots = np.linalg.eigvals(A[:, kept, :][..., kept])
         aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
         roots, shares = _modes_moved(linear, loops)
-        growing = roots.real > settings.growth / (1.0 + (roots.imag / settings.slow) ** 2)
-        unmoved = growing[:, None] & (shares < settings.least_share)
+        growing = roots.real > GROWTH / (1.0 + (roots.imag / SLOW) ** 2)
+        unmoved = growing[:, None] & (shares < LEAST_SHARE)
         modes = linear.modes()["eigenvalue"]
         return cls(s, aircraft, _responses(linear, loops, s), roots, growing, unmoved, modes)
 
@@ -600,12 +582,12 @@ def _marked(loop_margins: Margins, unstable) -> Margins:
     )
 
 
-def _rows(loop, loop_margins, excited, settings):
+def _rows(loop, loop_margins, excited):
     """Return the rows of one loop from the margins of the mean and of the paths."""
     required = {
-        "gain": lambda x: x >= settings.gain,
-        "phase": lambda x: x >= settings.phase,
-        "sensitivity": lambda x: x <= settings.sensitivity,
+        "gain": lambda x: x >= GAIN,
+        "phase": lambda x: x >= PHASE,
+        "sensitivity": lambda x: x <= SENSITIVITY,
         "crossover": None,
     }
     rows = []
@@ -616,7 +598,7 @@ def _rows(loop, loop_margins, excited, settings):
         row |= {"lower": np.nan, "upper": np.nan, "probability": np.nan}
         known = values[~np.isnan(values)]
         if len(known):
-            low, high = np.quantile(known, settings.interval, method="nearest")
+            low, high = np.quantile(known, INTERVAL, method="nearest")
             row |= {"lower": float(low), "upper": float(high)}
         if paths and meets is not None:
             row["probability"] = float(np.mean(meets(values)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,37 +35,23 @@ REASONS = {
 }
 
 
-@dataclass(frozen=True)
-class FlightLimits:
-    """Limits at which a trajectory ends."""
-
-    # Airspeed [m/s] below which there is no angle of attack
-    airspeed: float = 1.0
-    # Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged
-    velocity: float = 1000.0
-    rate: float = 60.0
-
-
-FLIGHT_LIMITS = FlightLimits()
+# Airspeed [m/s] below which there is no angle of attack
+LEAST_AIRSPEED = 1.0
+# Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged
+LARGEST_VELOCITY = 1000.0
+LARGEST_RATE = 60.0
 # Largest state within a step: coefficients of any more may not be evaluated
 STAGE_LIMIT = 1e9
 
 
-@dataclass(frozen=True)
-class TangentSettings:
-    """Settings of steps whose stages have a tangent of the paths."""
-
-    # Steps from one evaluation of the paths to the next, and the longest time between them [s]
-    steps: int = 3
-    evaluation: float = 0.06
-    # Time for which slopes are kept [s]: errors of the states are then at most 2 % of the spread of the
-    # paths of a large UAV in gusts, 0.2 % in calm air
-    interval: float = 0.3
-    # Largest change of a control in a step, over its training range, that slopes account for
-    reach: float = 0.02
-
-
-TANGENTS = TangentSettings()
+# Steps from one evaluation of paths to the next, and the longest time between them [s]
+STRIDE = 3
+LONGEST_STRIDE = 0.06
+# Time for which slopes are kept [s]: errors of the states are then at most 2 % of the spread of the paths of a
+# large UAV in gusts, 0.2 % in calm air
+SLOPES_KEPT = 0.3
+# Largest change of a control in a step, over its training range, that slopes account for
+REACH = 0.02
 
 
 def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
@@ -135,7 +120,6 @@ class Integrator:
         air: AirAt,
         clock: StepClock,
         drifts: Array | None = None,
-        tangents: TangentSettings = TANGENTS,
     ) -> None:
         self.motion = motion
         self.commands = commands
@@ -144,11 +128,10 @@ class Integrator:
         self.drifts = drifts
         self.servos = motion.aerodynamics.servos
         self._surfaces = motion.surfaces
-        self.tangents = tangents
         # Steps from one evaluation to the next; evaluations for which slopes are kept
-        fitting = min(tangents.steps, clock.n_steps, round(tangents.evaluation / clock.dt))
+        fitting = min(STRIDE, clock.n_steps, round(LONGEST_STRIDE / clock.dt))
         self._stride = max(1, fitting)
-        n_kept = min(clock.n_steps, round(tangents.interval / clock.dt))
+        n_kept = min(clock.n_steps, round(SLOPES_KEPT / clock.dt))
         self._renewal = n_kept // self._stride
         # slopes that are kept for one step save nothing
         self._has_tangents = motion.aerodynamics.has_path_slopes and n_kept > 1
@@ -241,7 +224,7 @@ class Integrator:
         return change, tangent.moved(last, coefficients, error)
 
     def _tangent(self, X: Array, coefficients: Array) -> Tangent:
-        return self.motion.tangent(X, coefficients, self.tangents.reach)
+        return self.motion.tangent(X, coefficients, REACH)
 
     def _inputs(self, step: int, stage: int, state: Array) -> tuple[LocalAir | None, dict]:
         """Return the air and the commands at a stage of a step."""
@@ -374,19 +357,19 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     motion = np.abs(state[..., 3:])
     # comparisons with NaN are false
     if (
-        motion[..., :3].max() < FLIGHT_LIMITS.velocity
-        and motion[..., 7:].max() < FLIGHT_LIMITS.rate
-        and now.airspeed.min() >= FLIGHT_LIMITS.airspeed
+        motion[..., :3].max() < LARGEST_VELOCITY
+        and motion[..., 7:].max() < LARGEST_RATE
+        and now.airspeed.min() >= LEAST_AIRSPEED
         and np.isfinite(now.derivative).all()
         and np.isfinite(now.density).all()
         and np.all(now.settled)
     ):
         return {}
     is_finite = np.isfinite(now.derivative).all(axis=-1)
-    is_slow = (np.abs(state[..., VELOCITY]) < FLIGHT_LIMITS.velocity).all(axis=-1)
-    is_turning_slowly = (np.abs(state[..., RATES]) < FLIGHT_LIMITS.rate).all(axis=-1)
+    is_slow = (np.abs(state[..., VELOCITY]) < LARGEST_VELOCITY).all(axis=-1)
+    is_turning_slowly = (np.abs(state[..., RATES]) < LARGEST_RATE).all(axis=-1)
     reasons: dict[str, Any] = {
-        "airspeed": now.airspeed < FLIGHT_LIMITS.airspeed,
+        "airspeed": now.airspeed < LEAST_AIRSPEED,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~(is_finite & is_slow & is_turning_slowly),
         "fixed point": ~np.broadcast_to(now.settled, state.shape[:-1]),

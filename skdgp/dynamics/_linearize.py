@@ -48,17 +48,11 @@ AIR_ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
 EULER_ANGLES = slice(6, 9)  # Places of phi, theta, psi in `LINEAR_STATES`
 
 
-@dataclass(frozen=True)
-class DifferenceSteps:
-    """Steps of the differences of the mechanics."""
-
-    position: float = 1.0  # [m]
-    angle: float = 1e-3  # [rad], [rad/s]
-    # Of velocities over the airspeed, of controls over 1 + their size, of coefficients
-    fraction: float = 1e-3
-
-
-DIFFERENCE_STEPS = DifferenceSteps()
+# Steps of the differences of the mechanics: of positions [m]; of angles and rates [rad], [rad/s]; of velocities
+# over the airspeed, of controls over 1 + their size, of coefficients
+POSITION_STEP = 1.0
+ANGLE_STEP = 1e-3
+RELATIVE_STEP = 1e-3
 # States that neither loads nor outputs of interest depend on: their modes are at zero
 UNUSED = ("north", "east", "down", "psi")
 
@@ -353,12 +347,12 @@ def _x_dot(x: Array, now: Instant) -> Array:
     return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
 
 
-def _steps(zC: Array, airspeed: Array, sizes: DifferenceSteps = DIFFERENCE_STEPS) -> Array:
+def _steps(zC: Array, airspeed: Array) -> Array:
     """Return the steps of the differences by (x, u, C) (..., 12 + k + 6)."""
-    steps = np.full(zC.shape, sizes.fraction)
-    steps[..., :3] = sizes.position
+    steps = np.full(zC.shape, RELATIVE_STEP)
+    steps[..., :3] = POSITION_STEP
     steps[..., 3:6] *= airspeed[..., None]
-    steps[..., 6:12] = sizes.angle
+    steps[..., 6:12] = ANGLE_STEP
     steps[..., 12:-6] *= 1.0 + np.abs(zC[..., 12:-6])
     return steps
 

@@ -22,32 +22,21 @@ from skdgp._flight.checks import (
 )
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, cross
 
-
-@dataclass(frozen=True)
-class UsualPropeller:
-    """Fit of thrust and torque of propellers of two blades to diameter and pitch.
-
-    Least squares of the wind-tunnel data of 178 propellers (UIUC Propeller Data Site, volumes 1 to
-    3; Brandt & Selig, AIAA 2011-1255), 20,098 points, each propeller with the same weight.
-    """
-
-    # c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter
-    thrust: tuple = ((0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0))
-    torque: tuple = ((-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0))
-    # Relative error of the thrust of propellers whose family is not in the fit, root mean square,
-    # at advance ratios of 0.4 to 0.9 times pitch / diameter; of the torque 0.13. Towards zero
-    # thrust it grows.
-    std: float = 0.23
-    # Ranges of the data: diameter [m], pitch / diameter
-    diameters: tuple[float, float] = (0.17, 0.49)
-    pitch_ratios: tuple[float, float] = (0.35, 1.1)
-    # Speed at full throttle over the speed of the motor without load, and the standard deviation of
-    # the thrust by its 0.1, which goes with about its third power in flight; guesses
-    loaded_speed: float = 0.75
-    loaded_std: float = 0.35
-
-
-PROPELLER_FIT = UsualPropeller()
+# Fit of thrust and torque of propellers of two blades to diameter and pitch: least squares of the wind-tunnel
+# data of 178 propellers (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 2011-1255), 20,098
+# points, each propeller with the same weight. c_0, c_1, c_2 of C_T and C_Q, each of 1 and pitch / diameter
+USUAL_THRUST = np.array([(0.0479, 0.0923), (-0.136, 0.1233), (-0.1036, 0.0)])
+USUAL_TORQUE = np.array([(-0.0017, 0.0158), (-0.0016, 0.0057), (-0.0118, 0.0)])
+# Relative error of the thrust of propellers whose family is not in the fit, root mean square, at advance
+# ratios of 0.4 to 0.9 times pitch / diameter; of the torque 0.13. Towards zero thrust it grows.
+USUAL_STD = 0.23
+# Ranges of the data: diameter [m], pitch / diameter
+DIAMETERS = (0.17, 0.49)
+PITCH_RATIOS = (0.35, 1.1)
+# Speed at full throttle over the speed of the motor without load, and the standard deviation of the thrust by
+# its 0.1, which goes with about its third power in flight; guesses
+LOADED_SPEED = 0.75
+LOADED_STD = 0.35
 
 
 @dataclass(frozen=True)
@@ -254,17 +243,17 @@ class Propeller:
         (array([7.8, 5.1]), 0.23)
         """
         ratio = check_number("pitch", pitch) / check_number("diameter", diameter)
-        _warn_beyond("diameter", diameter, PROPELLER_FIT.diameters)
-        _warn_beyond("pitch / diameter", ratio, PROPELLER_FIT.pitch_ratios)
+        _warn_beyond("diameter", diameter, DIAMETERS)
+        _warn_beyond("pitch / diameter", ratio, PITCH_RATIOS)
         speed_range = None
-        std = PROPELLER_FIT.std
+        std = USUAL_STD
         if motor_constant is not None or voltage is not None:
             constant = check_number("motor_constant", motor_constant, unit="rad/s/V")
             unloaded = constant * check_number("voltage", voltage, unit="V")
-            speed_range = (0.0, PROPELLER_FIT.loaded_speed * unloaded)
-            std = round(float(np.hypot(PROPELLER_FIT.std, PROPELLER_FIT.loaded_std)), 2)
-        thrust = (np.array(PROPELLER_FIT.thrust) @ [1.0, ratio]).tolist()
-        torque = (np.array(PROPELLER_FIT.torque) @ [1.0, ratio]).tolist()
+            speed_range = (0.0, LOADED_SPEED * unloaded)
+            std = round(float(np.hypot(USUAL_STD, LOADED_STD)), 2)
+        thrust = (USUAL_THRUST @ [1.0, ratio]).tolist()
+        torque = (USUAL_TORQUE @ [1.0, ratio]).tolist()
         return cls(
             diameter, thrust, torque, rotation=rotation, speed_range=speed_range, load_std=std
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
@@ -36,17 +35,11 @@ from skdgp.dynamics._trim import Trim
 START_NAMES = (*AIR_DATA, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
 
 
-@dataclass(frozen=True)
-class StartChecks:
-    """Limits beyond which a start gets a warning."""
-
-    # Relative difference of the airspeed, and the airspeed of ground speed and wind
-    airspeed: float = 0.15
-    # Altitude of the lowest land there is [m]
-    lowest: float = -450.0
-
-
-CHECKS = StartChecks()
+# Relative difference of the airspeed, and the airspeed of ground speed and wind, above which a start gets a
+# warning
+AIRSPEED_DIFFERENCE = 0.15
+# Altitude of the lowest land there is [m]
+LOWEST = -450.0
 
 
 def as_starts(x0: Any) -> pd.DataFrame | Array:
@@ -128,7 +121,7 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     lowest = -states[:, 2].max()
-    if lowest < CHECKS.lowest:
+    if lowest < LOWEST:
         warn(
             f"Got a start at an altitude of {lowest:g} m, below any land: down is positive downwards, "
             "altitude = -down."
@@ -156,7 +149,7 @@ def _warn_of_wind(stated: Array, velocity: Array) -> None:
     airspeed = np.linalg.norm(velocity, axis=1)
     off = np.nan_to_num(np.abs(airspeed / stated - 1.0))
     worst = int(np.argmax(off))
-    if off[worst] > CHECKS.airspeed:
+    if off[worst] > AIRSPEED_DIFFERENCE:
         warn(
             f"At start {worst} ground velocity and wind make an airspeed of {airspeed[worst]:.1f} m/s, "
             f"but x0 says {stated[worst]:.1f} m/s: give the wind of that flight (air=wind)."

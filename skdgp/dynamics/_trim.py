@@ -75,35 +75,26 @@ UNKNOWN_LIMITS = {
 }
 
 
-@dataclass(frozen=True)
-class TrimSettings:
-    """Settings of the search for a trim."""
-
-    # Largest acceleration of a trim [m/s^2, rad/s^2]
-    tolerance: float = 1e-6
-    # Largest acceleration that remains in a trim where no better one is found [m/s^2, rad/s^2]: no
-    # aircraft's sensor shows it (guess)
-    accepted: float = 1e-3
-    # Start of alpha, as fractions of the range between its limits
-    starts: tuple[float, ...] = (0.5, 0.25, 0.75, 0.05)
-    # Step of an unknown, relative if it is above 1, for differences of the residual
-    step: float = 1e-5
-    # Weight of the flight path's slope: where there is no trim, accelerations remain, and the path
-    # is as given
-    path_weight: float = 100.0
-    # Least allowed excess of a control or alpha over its training range [rad]
-    margin: float = 0.1
-    # Starts: alpha [rad] where its training range is not known, thrust over weight, throttle,
-    # advance ratio of the propeller
-    alpha: tuple[float, float] = (-0.1, 0.3)
-    thrust: float = 0.15
-    throttle: float = 0.5
-    advance_ratio: float = 0.5
-    # Remaining accelerations that an error shows, over the largest
-    shown: float = 0.01
-
-
-TRIM_SETTINGS = TrimSettings()
+# Largest acceleration of a trim, and one that remains where no better trim is found, which no aircraft's
+# sensor shows (guess) [m/s^2, rad/s^2]
+TOLERANCE = 1e-6
+ACCEPTED = 1e-3
+# Starts of alpha, as fractions of the range between its limits
+STARTS = (0.5, 0.25, 0.75, 0.05)
+# Step of an unknown, relative if it is above 1, for differences of the residual
+STEP = 1e-5
+# Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is as given
+PATH_WEIGHT = 100.0
+# Least allowed excess of a control or alpha over its training range [rad]
+MARGIN = 0.1
+# Starts: alpha [rad] where its training range is not known, thrust over weight, throttle, advance ratio of
+# the propeller
+START_ALPHA = (-0.1, 0.3)
+START_THRUST = 0.15
+START_THROTTLE = 0.5
+START_ADVANCE_RATIO = 0.5
+# Remaining accelerations that an error shows, over the largest
+SHOWN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,15 +272,8 @@ class SteadyFlight:
         What `solve` finds.
     """
 
-    def __init__(
-        self,
-        motion: Motion,
-        conditions: dict,
-        fixed: dict,
-        settings: TrimSettings = TRIM_SETTINGS,
-    ):
+    def __init__(self, motion: Motion, conditions: dict, fixed: dict):
         self.motion = motion
-        self.settings = settings
         _check_given(conditions, fixed)
         self.flown = _training_ranges(motion)
         held, free = self._controls(fixed)
@@ -357,7 +341,7 @@ class SteadyFlight:
             return idle, full
         if name in self.flown and (name == "alpha" or name not in UNKNOWN_LIMITS):
             low, high = self.flown[name]
-            margin = max(high - low, self.settings.margin)
+            margin = max(high - low, MARGIN)
             return low - margin, high + margin
         return UNKNOWN_LIMITS.get(name, (-DEFLECTION, DEFLECTION))
 
@@ -365,7 +349,7 @@ class SteadyFlight:
         """Return the values of the unknowns, searched first ``near`` the solution of another flight."""
         low, high = np.array(list(self.limits.values())).T
         margin = 1e-6 * np.minimum(high - low, 1.0)
-        starts = [self._start(airspeed, fraction) for fraction in self.settings.starts]
+        starts = [self._start(airspeed, fraction) for fraction in STARTS]
         if near is not None:
             starts.insert(0, near)
         best: Any = None
@@ -384,28 +368,27 @@ class SteadyFlight:
             )
             if best is None or solution.cost < best.cost:
                 best = solution
-            if np.abs(best.fun).max() < self.settings.tolerance:
+            if np.abs(best.fun).max() < TOLERANCE:
                 return best.x
-        if np.abs(best.fun).max() < self.settings.accepted:
+        if np.abs(best.fun).max() < ACCEPTED:
             return best.x
         raise ValueError(self._no_trim(best, airspeed))
 
     def _start(self, airspeed: float, fraction: float) -> Array:
         """Return a first guess, with alpha at a fraction of its training range."""
-        settings = self.settings
         aircraft = self.motion.aircraft
         gravity = self.motion.gravity
-        low, high = self.flown.get("alpha", settings.alpha)
+        low, high = self.flown.get("alpha", START_ALPHA)
         alpha = low + fraction * (high - low)
         start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()}
         start["alpha"] = alpha
         start["theta"] = alpha + self.given.get("climb", 0.0)
         start["phi"] = np.arctan(airspeed * self.given.get("turn_rate", 0.0) / gravity)
         start["turn_rate"] = gravity * np.tan(self.given.get("phi", 0.0)) / airspeed
-        start["thrust"] = settings.thrust * aircraft.mass * gravity
-        start["throttle"] = settings.throttle
+        start["thrust"] = START_THRUST * aircraft.mass * gravity
+        start["throttle"] = START_THROTTLE
         if aircraft.propeller is not None:
-            advance = settings.advance_ratio * aircraft.propeller.diameter
+            advance = START_ADVANCE_RATIO * aircraft.propeller.diameter
             start["propeller_speed"] = 2.0 * np.pi * airspeed / advance
         return np.array([start[name] for name in self.unknowns])
 
@@ -438,12 +421,12 @@ class SteadyFlight:
                 "expected six accelerations: the model, the thrust or the air is not defined there."
             )
         path = -derivative[..., 2] / airspeed - np.sin(flight["climb"])
-        weighted = self.settings.path_weight * path
+        weighted = PATH_WEIGHT * path
         return np.concatenate([derivative[..., ACCELERATIONS], weighted[..., None]], axis=-1)
 
     def _slopes(self, x: Array, airspeed: float) -> Array:
         """Return d residual / d unknowns."""
-        steps = self.settings.step * np.maximum(1.0, np.abs(x))
+        steps = STEP * np.maximum(1.0, np.abs(x))
         return central_difference(lambda x: self.residual(x, airspeed), x, steps)
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
@@ -452,7 +435,7 @@ class SteadyFlight:
         largest = np.abs(residuals).max()
         accelerations = []
         for (name, unit), value in zip(ACCELERATION_UNITS.items(), residuals, strict=True):
-            if abs(value) > self.settings.shown * largest:
+            if abs(value) > SHOWN * largest:
                 accelerations.append(f"{name} = {value:.3g} {unit}")
         conditions = []
         for name, value in {"airspeed": airspeed, **self.given}.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 from itertools import pairwise
 from typing import Any, cast
 
@@ -38,20 +38,12 @@ from skdgp.inference import (
 )
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
-
-@dataclass(frozen=True)
-class SampleSettings:
-    """Samples that a portable model holds."""
-
-    # Rows of the training data, at most
-    rows: int = 1000
-    # Rows with predictions of the pipeline
-    reference_rows: int = 40
-    # Distance of every second one from the training data, in standard deviations
-    reference_step: float = 0.5
-
-
-SAMPLES = SampleSettings()
+# Rows of the training data that a portable model holds, at most
+ROWS = 1000
+# Rows with predictions of the pipeline; distance of every second one from the training data, in standard
+# deviations
+REFERENCE_ROWS = 40
+REFERENCE_STEP = 0.5
 NO_FUNCTIONS = Readout(np.empty(0), np.empty((0, 0)))
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
@@ -98,7 +90,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     points = samples
     if simulated.limits is not None:
         points = np.vstack([samples, simulated.limits])
-    every = -(-len(samples) // SAMPLES.rows)
+    every = -(-len(samples) // ROWS)
     model = PortableModel(
         regressors=_regressors(pipeline, simulated, aircraft),
         outputs=tuple(regressor.output_names_),
@@ -149,10 +141,10 @@ def _check_names(model: PortableModel) -> None:
 
 def _reference(behind: list[Any], samples: Matrix, names: Sequence[str]) -> Reference:
     """Return the predictions of the steps behind the choice of regressors, at and near some samples (n, d)."""
-    rows = np.linspace(0, len(samples) - 1, SAMPLES.reference_rows).astype(int)
+    rows = np.linspace(0, len(samples) - 1, REFERENCE_ROWS).astype(int)
     X = samples[rows]
     moves = np.random.default_rng(0).standard_normal(X[1::2].shape)
-    X[1::2] += SAMPLES.reference_step * samples.std(axis=0) * moves
+    X[1::2] += REFERENCE_STEP * samples.std(axis=0) * moves
     is_of_table = hasattr(behind[0], "feature_names_in_")
     table = pd.DataFrame(X, columns=list(names)) if is_of_table else X
     fitted = make_pipeline(*behind)

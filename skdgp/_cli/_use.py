@@ -151,16 +151,18 @@ def derivatives(run: Run) -> None:
         report(Finding(Code.TRIM_BEYOND, numbers={"names": beyond}))
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
-    table: Any = stability_derivatives(model.pipeline, model.aircraft, trims, **spread)
-    run.console.stage("modes")
+    tables = {}
     modes = {}
     points = []
     for k, point in enumerate(trims):
+        derivatives = stability_derivatives(model.pipeline, model.aircraft, point, **spread)
+        tables[k] = derivatives.assign(airspeed=point.airspeed, alpha=point.alpha, beta=point.beta)
         linear = linearize(model.pipeline, model.aircraft, point, **spread)
         modes[point.airspeed] = linear.modes()
         points.append(
-            FlightMechanics(trim=point, derivatives=table.loc[k], modes=modes[point.airspeed])
+            FlightMechanics(trim=point, derivatives=derivatives, modes=modes[point.airspeed])
         )
+    table = pd.concat(tables)
     numbers = {"model": options.model, "points": [point.to_dict() for point in points]}
     texts = [_derivatives_text(point) for point in points]
     if run.folder is not None:
@@ -225,7 +227,7 @@ def plan(run: Run) -> None:
       plan.lua       a script for ArduPilot; with --full, the deflections at the ends of the servos' ranges
       plan.svg       the controls and the expected responses; needs matplotlib
       expected.csv   the flight that the model expects, manoeuvre by manoeuvre
-      plan.json      trim, manoeuvres, limits, standard deviations before and promised
+      plan.json      trim, manoeuvres, limits, standard deviations before and expected
 
     For example:
       skdgp plan results/model.joblib --airspeed 35 --seconds 60 --axes elevator aileron rudder -o next

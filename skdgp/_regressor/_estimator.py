@@ -19,16 +19,13 @@ from skdgp._regressor import _checks
 from skdgp._regressor._recipe import Recipe, RegressorSettings, likeliest_mean, weights_of
 from skdgp.inference import (
     ExactPosterior,
-    ExpectedErrors,
     FunctionErrors,
     KnownSlopes,
-    Misfit,
     Paths,
     PosteriorWithErrors,
     check_spread,
-    expected_errors,
     function_errors,
-    misfit_of,
+    misfit_variance,
     no_errors,
     residual_drift,
 )
@@ -427,13 +424,12 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _set_noise(self, fit, X, Z, clock, known):
         """Set noise, drift and model discrepancy of the outputs."""
         noise = fit.learned.noise
-        found = Misfit(np.zeros(len(noise)), np.zeros(len(noise)))
+        misfit = np.zeros(len(noise))
         variance = np.zeros(len(noise))
         self.drift_memory_ = np.zeros(len(noise))
         if clock is not None:
             _, variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
-            found = misfit_of(fit.posterior, X, Z, clock)
-        misfit = found.variance
+            misfit = misfit_variance(fit.posterior, X, Z, clock)
         # The search took the discrepancy for noise, of outputs or of regressors: subtract it, and keep
         # at least a lower bound.
         least = self.settings.least_white * noise
@@ -443,7 +439,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         loading = fit.learned.loading
         if loading is not None:
             white = white + np.mean(np.einsum("npp->np", loading) ** 2, axis=0)
-        self._misfit = found
         self.misfit_variance_ = misfit * self.scale_**2
         self.noise_variance_ = white * self.scale_**2
         self.drift_variance_ = variance * self.scale_**2
@@ -581,14 +576,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if not isinstance(self.posterior_, PosteriorWithErrors):
             return None
         return self._errors_in_output_units(self.posterior_.errors)
-
-    def expected_errors(self, added: Matrix) -> ExpectedErrors:
-        """Return the errors that are expected of a fit to further rows too, of regressors (k, d).
-
-        In units of the outputs; see :class:`skdgp.inference.ExpectedErrors`.
-        """
-        expected = expected_errors(self.posterior_, self._check_regressors(added), self._misfit)
-        return expected._replace(errors=self._errors_in_output_units(expected.errors))
 
     def sample_y(
         self,

@@ -1,4 +1,4 @@
-"""Design of flights: inputs that excite an aircraft, and plans of manoeuvres with promised standard deviations."""
+"""Design of flights: inputs that excite an aircraft, and plans of manoeuvres with expected standard deviations."""
 
 from skdgp._flight.excitation import (
     Multisine,

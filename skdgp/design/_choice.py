@@ -21,6 +21,13 @@ def information(X: Matrix) -> Matrix:
     return rows.T @ rows
 
 
+def variances(fisher: Matrix) -> Vector:
+    """Return the variances (1 + d,) of constant and slopes by their information."""
+    scale = np.sqrt(np.diag(fisher))
+    inverse = np.linalg.inv(fisher / np.outer(scale, scale))
+    return np.diag(inverse) / scale**2
+
+
 @dataclass(frozen=True, eq=False)
 class Choice:
     """Search for the sequence of manoeuvres with the largest gain in a given time.
@@ -54,10 +61,7 @@ class Choice:
         if self.seconds[[*chosen]].sum() > self.time + self.rounding:
             return -np.inf
         fisher = self.known + sum(self.informations[k] for k in chosen)
-        scale = np.sqrt(np.diag(fisher))
-        inverse = np.linalg.inv(fisher / np.outer(scale, scale))
-        variances = np.diag(inverse) / scale**2
-        return float(-0.5 * np.mean(np.log(variances[self.places])))
+        return float(-0.5 * np.mean(np.log(variances(fisher)[self.places])))
 
     def filled(self, chosen: list[int]) -> list[int]:
         """Return manoeuvres, and more with the largest gain per second until the time is used."""

@@ -20,7 +20,7 @@ from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.excitation import Wavetrain, wavetrain
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.tables import interpolated
-from skdgp.design._choice import Choice, information
+from skdgp.design._choice import Choice, information, variances
 from skdgp.design._envelope import (
     OPTIONS,
     UNLIMITED,
@@ -63,7 +63,7 @@ TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Flight that `plan` has chosen, with promised standard deviations.
+    """Flight that `plan` has chosen, with expected standard deviations.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ class Plan:
         numbers them.
     errors : DataFrame
         Standard deviations of the derivatives of the goal at the trim, as of
-        :func:`skdgp.dynamics.stability_derivatives`: ``before`` the flight, and ``promised`` of a
-        model learned from this flight too. NaN where the model has no posterior, or does not hold
-        its rows.
+        :func:`skdgp.dynamics.stability_derivatives`: ``before`` the flight, and ``expected`` of a model
+        learned from this flight too, if errors fall as those of linear least squares. NaN where the model has
+        no posterior, or does not hold its rows.
     limits : DataFrame
         ``low`` and ``high`` limits of all manoeuvres: see :meth:`Envelope.bounds`.
     aircraft : Aircraft
@@ -106,8 +106,8 @@ class Plan:
 
     @property
     def remaining(self) -> float:
-        """Promised standard deviations over those before, their geometric mean."""
-        return float(np.exp(np.log(self.errors["promised"] / self.errors["before"]).mean()))
+        """Expected standard deviations over those before, their geometric mean."""
+        return float(np.exp(np.log(self.errors["expected"] / self.errors["before"]).mean()))
 
     def plot(self, ax: Any = None) -> TimeHistoryDisplay:
         """Draw the moved controls and the expected responses; for ``ax`` see :mod:`skdgp.plotting`."""
@@ -163,12 +163,8 @@ def plan(
     one for the largest reduction per second of its mean logarithm over the goal; then each is
     exchanged while that helps.
 
-    The flight promises the standard deviation that
-    :func:`skdgp.dynamics.stability_derivatives` states for the rows of both flights, and at most
-    the present one. More rows lower the errors of the posterior and those correlated in time.
-    Biases by gusts and by noise of the regressors fall as far as the regressors vary more. The
-    model discrepancy shows more clearly: see :class:`skdgp.inference.ExpectedErrors`.
-
+    The standard deviation expected of a model that learns from both flights is the present one times the
+    root of the ratio of these variances: model discrepancy and biases by gusts do not fall as they do.
     :func:`skdgp.listening` shows the progress.
 
     Raises ValueError if the trim has not an axis or is outside the envelope, the model has not a
@@ -179,7 +175,7 @@ def plan(
     Parameters
     ----------
     model : Pipeline, estimator or Aerodynamics
-        As for :func:`skdgp.dynamics.as_aerodynamics`. Without a posterior nothing is promised.
+        As for :func:`skdgp.dynamics.as_aerodynamics`. Without a posterior nothing is expected.
     aircraft : Aircraft
     trim : Trim
         Where manoeuvres begin, of :func:`skdgp.dynamics.trim`.
@@ -250,11 +246,11 @@ def plan(
                 f"limits lower its errors too little: move other axes, raise their limits, or ask for "
                 f"another goal."
             )
-        notify("planning: promise", 0, 0.0)
-        added = np.concatenate([rows[k] for k in chosen])
-        errors = _errors(model, aircraft, trim, thrust, added)
+        derivatives = stability_derivatives(model, aircraft, trim, thrust=thrust)
+    before = derivatives.get("std", pd.Series(dtype=float))
+    errors = _errors(before, aerodynamics, np.concatenate([rows[k] for k in chosen]))
     flown = [available[k] for k in chosen]
-    goal = _promised_goal(goal, aerodynamics, flown)
+    goal = _taught(goal, aerodynamics, flown)
     return Plan(
         train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
@@ -341,9 +337,7 @@ def _without(controls: set[str], goal: Iterable[str], model: Aerodynamics) -> li
     return [name for name in goal if model.regressors[places[name]] not in controls]
 
 
-def _promised_goal(
-    goal: Sequence[str], model: Aerodynamics, flown: Sequence[Rehearsed]
-) -> list[str]:
+def _taught(goal: Sequence[str], model: Aerodynamics, flown: Sequence[Rehearsed]) -> list[str]:
     """Return the derivatives of a goal that the chosen manoeuvres teach; warn of the others."""
     moved = {axis for item in flown for axis in item.inputs}
     taught = _without({*CONTROLS} - moved, goal, model)
@@ -351,7 +345,7 @@ def _promised_goal(
     if lost:
         warn(
             f"The plan has no manoeuvre that moves the controls of {', '.join(lost)}, as others lower "
-            "the errors of the goal more, or the limits leave no room: nothing is promised for them. "
+            "the errors of the goal more, or the limits leave no room: nothing is expected of them. "
             "Give more seconds, wider limits, or these derivatives alone as the goal."
         )
     return taught
@@ -417,19 +411,15 @@ def _chosen(
     return chosen if choice.gain(chosen) - choice.gain([]) >= WORTH else []
 
 
-def _errors(
-    model: Aerodynamics | BaseEstimator, aircraft: Aircraft, trim: Trim, thrust: Any, added: Matrix
-) -> pd.DataFrame:
-    """Return standard deviations of derivatives before the flight, and promised after it."""
-
-    def std(added: Matrix | None = None) -> pd.Series:
-        derivatives = stability_derivatives(model, aircraft, trim, thrust=thrust, added=added)
-        return derivatives.get("std", pd.Series(dtype=float))
-
-    promised = pd.Series(dtype=float)
-    if as_aerodynamics(model).learned is not None:
-        promised = std(added)
-    return pd.DataFrame({"before": std(), "promised": promised}, dtype=float)
+def _errors(before: pd.Series, model: Aerodynamics, rows: Matrix) -> pd.DataFrame:
+    """Return standard deviations of derivatives before the flight, and those expected with its rows (k, d) too."""
+    expected = pd.Series(dtype=float)
+    if model.learned is not None:
+        known = information(model.learned.training_rows())
+        ratio = np.sqrt(variances(known + information(rows)) / variances(known))[1:]
+        ratios = {name: ratio[k] for name, k in _derivative_places(model).items()}
+        expected = before * pd.Series(ratios)
+    return pd.DataFrame({"before": before, "expected": expected}, dtype=float)
 
 
 def _timetable(flown: Sequence[Rehearsed], pause: float, end: float) -> pd.DataFrame:

@@ -268,9 +268,6 @@ class PosteriorRegressor(Protocol):
     def function_errors(self) -> Any:
         """Return the errors of the function that the posterior does not hold, or None."""
 
-    def expected_errors(self, added: Array) -> Any:
-        """Return the errors that are expected of a fit to added rows (k, d) too."""
-
 
 @runtime_checkable
 class Described(Protocol):
@@ -454,13 +451,6 @@ class Coefficients:
             return paths.gradient(self.scaled(X), spread)[..., self.order, :] / self.scale
 
         return values, slopes
-
-    def expected_errors(self, added: Array) -> Any:
-        """Return the errors that are expected of a fit to further rows (k, d) too."""
-        expected = self.regressor.expected_errors(self.scaled(added))
-        return expected._replace(
-            narrowing=expected.narrowing[self.order], errors=self._in_units(expected.errors)
-        )
 
     def training_rows(self) -> Array:
         """Return the regressors (n, d) that the model was learned from."""

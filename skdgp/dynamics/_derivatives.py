@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.statistics import half_width
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
-from skdgp.dynamics._aerodynamics import Aerodynamics, Coefficients, as_aerodynamics
+from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
@@ -29,17 +29,16 @@ DRAG = ROWS.index("CD")
 def stability_derivatives(
     model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
-    point: Trim | Sequence[Trim] | ArrayLike,
-    controls: Mapping[str, ArrayLike] | None = None,
+    point: Trim | ArrayLike,
+    controls: Mapping[str, float] | None = None,
     *,
     n_paths: int = 200,
     random_state: Seed = 0,
     thrust: str | None = "auto",
     air: Any = None,
-    added: ArrayLike | None = None,
     perturbation: str | None = "flown",
 ) -> pd.DataFrame:
-    r"""Return the coefficients and their derivatives at a flight, or at several, with their standard deviations.
+    r"""Return the coefficients and their derivatives at a flight, with their standard deviations.
 
     Derivatives by rates are by the non-dimensional ones, :math:`pb/2V`, :math:`qc/2V`,
     :math:`rb/2V`, :math:`\dot\alpha c/2V`, :math:`\dot\beta b/2V`, whatever regressors the model
@@ -49,15 +48,15 @@ def stability_derivatives(
         C_{L_\alpha} = C_{X_\alpha} \sin\alpha - C_{Z_\alpha} \cos\alpha - C_D.
 
     Other coefficients and rates are in body axes. Raises ValueError if the model is not defined
-    there, or rows are added to a model that does not hold its own.
+    there.
 
     Parameters
     ----------
     model, aircraft
         As for :func:`skdgp.dynamics.simulate`.
-    point : Trim, array-like of shape (13,), or several
-        Trims, or states (`STATE_NAMES`) with their ``controls``.
-    controls : mapping of str to float or array-like of shape (n,), optional
+    point : Trim or array-like of shape (13,)
+        A trim, or a state (`STATE_NAMES`) with its ``controls``.
+    controls : mapping of str to float, optional
     n_paths : int
         Number of posterior functions that give the standard deviations, each with a relative error
         of 1 / sqrt(2 n_paths); 0: no deviations. A model without a posterior has none.
@@ -66,9 +65,6 @@ def stability_derivatives(
     thrust, air
         As for :func:`skdgp.dynamics.simulate`; they matter for regressors that follow from the
         loads.
-    added : array-like of shape (k, d), optional
-        Regressors of rows that are flown next, as :func:`skdgp.design.plan` chooses them. Standard
-        deviations are then those expected of a model learned from these rows too.
     perturbation : {"flown", None}
         Derivatives are :math:`E[\partial C / \partial x_k]` for :math:`x_k \sim N(x_{0k}, s_k^2)`, the
         slopes of the best linear approximation over a perturbation of each regressor alone
@@ -83,8 +79,7 @@ def stability_derivatives(
         A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``),
         with columns ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``,
         ``regressor``, and ``per``, the unit of the regressor. ``perturbation`` is s in this unit,
-        absent for local slopes (``attrs["slopes"]`` tells which). Several points have an outer level
-        ``point``, and columns ``airspeed``, ``alpha``, ``beta``. ``std`` is the standard deviation
+        absent for local slopes (``attrs["slopes"]`` tells which). ``std`` is the standard deviation
         over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too, and
         by errors of the log. Of a model learned from flights its square is the sum of the squares of
 
@@ -133,185 +128,85 @@ def stability_derivatives(
     """
     check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
-    added_rows = None if added is None else _check_added(added, motion.aerodynamics)
-    states, controls, is_single = _points(motion, point, controls)
-    now = motion.at(states, controls)
+    now = motion.at(*flight_point(motion, point, controls))
     check_settled(now)
     frame = _Frame(motion, now)
-    values = frame(now.coefficients, motion.aerodynamics.gradient(now.regressors))
+    terms = _terms(motion.aerodynamics, now.coefficients, now.regressors)
+    values = frame(terms)
     if not np.isfinite(values).all():
         raise ValueError(
             "Got coefficients or slopes that are not finite: the model is not defined there."
         )
     columns: dict[str, np.ndarray] = {}
     if frame.perturbation is not None:
-        columns["perturbation"] = np.broadcast_to(frame.perturbation[:, None], values.shape)
+        columns["perturbation"] = np.broadcast_to(frame.perturbation, values.shape)
     if n_paths and motion.aerodynamics.is_uncertain:
-        columns |= _standard_deviations(motion, now, frame, n_paths, random_state, added_rows)
-    if aircraft.deviations or motion.aerodynamics.errors:
-        columns |= _errors_of_aircraft(motion, now, frame)
+        columns |= _standard_deviations(motion, now, frame, terms, n_paths, random_state)
+    columns |= _errors_of_sizes(motion, frame, terms)
     if "std" in columns and "std_log" in columns:
         columns["std"] = np.hypot(columns["std"], columns["std_log"])
-    tables = []
-    for k, value in enumerate(values):
-        of_point = {name: column[k].ravel() for name, column in columns.items()}
-        tables.append(frame.table(value.ravel(), of_point))
-    table = tables[0] if is_single else _with_points(tables, now)
+    table = frame.table(values, columns)
     table.attrs["slopes"] = "local" if frame.perturbation is None else "over the perturbation"
     return table
 
 
-def _with_points(tables: list[pd.DataFrame], now: Instant) -> pd.DataFrame:
-    """Return the tables of several points below each other, with airspeed, alpha and beta."""
-    for k, table in enumerate(tables):
-        table.insert(0, "airspeed", float(now.airspeed[k]))
-        table.insert(1, "alpha", float(now.alpha[k]))
-        table.insert(2, "beta", float(now.beta[k]))
-    return pd.concat(tables, keys=range(len(tables)), names=["point", None])
-
-
-def _check_added(added: ArrayLike, model: Aerodynamics) -> Array:
-    """Return the regressors of rows that are flown next, (k, d)."""
-    if model.learned is None:
-        raise ValueError(
-            "Got rows that are added to a model without its own, but expected one that holds the rows "
-            "it was learned from: give a pipeline of identify."
-        )
-    names = model.regressors
-    rows = np.asarray(added, dtype=float)
-    if rows.ndim != 2 or rows.shape[1] != len(names) or not np.isfinite(rows).all():
-        raise ValueError(
-            f"Got added of shape {rows.shape}, but expected finite regressors of shape "
-            f"(k, {len(names)}), in the order {', '.join(names)}."
-        )
-    return rows
+def _terms(model: Aerodynamics, coefficients: Array, X: Array) -> Array:
+    """Return coefficients and slopes (..., 6, 1 + d) at regressors (..., d)."""
+    return np.concatenate([coefficients[..., None], model.gradient(X)], axis=-1)
 
 
 def _standard_deviations(
-    motion: Motion,
-    now: Instant,
-    frame: _Frame,
-    n_paths: int,
-    random_state: Seed,
-    added: Array | None,
+    motion: Motion, now: Instant, frame: _Frame, terms: Array, n_paths: int, random_state: Seed
 ) -> dict[str, np.ndarray]:
-    """Return the standard deviations of the table by column, (n, rows, 1 + columns) each.
-
-    They are of functions drawn from the posterior, and of their parts.
-    """
+    """Return the standard deviations of functions drawn from the posterior, and their parts, (rows, 1 + columns)."""
     model = motion.aerodynamics
-    std = _std_of_paths(model.sample(n_paths, random_state), now, frame)
+    paths = model.sample(n_paths, random_state)
+    X = np.tile(now.regressors, (n_paths, 1))
+    std = frame(_terms(paths, paths(X), X)).std(axis=0, ddof=1)
     if model.learned is None:
         return {"std": std}
     errors = model.learned.function_errors
-    std_random, std_bias = _std_of_errors(errors, now, frame)
-    # the part that the errors of the function do not explain
-    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_bias**2), 0.0))
-    parts = {"std_posterior": std_posterior, "std_random": std_random, "std_method": std_bias}
-    if added is not None:
-        later = _later_parts(model, model.learned, now, frame, std_posterior, added)
-        std = std * _ratio(_total(later), _total(parts))
-        parts = later
-    std_merged, merged = _merged(motion, now, frame, std_of_biases(errors))
-    return {"std": std, **parts, "std_merged": std_merged, "merged": merged}
-
-
-def _std_of_errors(errors: Any, now: Instant, frame: _Frame) -> tuple[Array, Array]:
-    """Return the standard deviations of random errors and of biases, (n, rows, 1 + columns); zero without errors."""
-    if errors is None:
-        nothing = frame.std(np.zeros((*now.coefficients.shape, now.regressors.shape[1], 1)))
-        return nothing, nothing
-    (values, slopes), (biases, biases_of_slopes) = errors.parts(now.regressors)
-    return frame.std(slopes, values), frame.std(biases_of_slopes, biases)
-
-
-def _later_parts(
-    model: Aerodynamics,
-    learned: Coefficients,
-    now: Instant,
-    frame: _Frame,
-    std_posterior: Array,
-    added: Array,
-) -> dict[str, Array]:
-    """Return the parts of standard deviations of a model that learned from added rows too.
-
-    The discrepancy, a part of ``std_posterior``, is none that more rows reduce.
-    """
-    expected = learned.expected_errors(added)
-    errors = learned.function_errors
-    discrepancy = np.zeros_like(std_posterior)
-    discrepancy_later = discrepancy
+    std_random = std_method = np.zeros_like(std)
     if errors is not None:
-        discrepancy = _std_of_slopes(errors.discrepancy_slopes(model.perturbation), now, frame)
-        of_errors = expected.errors.discrepancy_slopes(model.perturbation)
-        discrepancy_later = _std_of_slopes(of_errors, now, frame)
-    std_of_kernel = np.sqrt(np.maximum(std_posterior**2 - discrepancy**2, 0.0))
-    of_body = std_of_kernel[:, : len(COEFFICIENTS), 1:] / frame.scale[:, None, :]
-    before = _std_of_slopes(of_body, now, frame)
-    after = _std_of_slopes(expected.narrowing * of_body, now, frame)
-    std_random, std_bias = _std_of_errors(expected.errors, now, frame)
+        std_random, std_method = (frame.std(part) for part in _parts(errors, now.regressors))
+    # the part that the errors of the function do not explain
+    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
+    unsteady = unsteady_terms(motion, now, terms[:, 1:], std_of_biases(errors)).errors
+    merged = np.abs(frame(np.pad(np.moveaxis(unsteady, -1, 0), ((0, 0), (0, 0), (1, 0)))))
     return {
-        "std_posterior": np.hypot(std_of_kernel * _ratio(after, before), discrepancy_later),
+        "std": std,
+        "std_posterior": std_posterior,
         "std_random": std_random,
-        "std_method": std_bias,
+        "std_method": std_method,
+        "std_merged": np.hypot(*merged),
+        "merged": _largest(merged, frame.merged_names()),
     }
 
 
-def _total(parts: Mapping[str, Array]) -> Array:
-    """Return the standard deviation of independent parts."""
-    return np.sqrt(np.sum(np.square([*parts.values()]), axis=0))
+def _parts(errors: Any, X: Array) -> list[Array]:
+    """Return random errors and biases of a function at regressors (d,), (k, 6, 1 + d) each."""
+    parts = []
+    for values, slopes in errors.parts(X[None]):
+        part = np.concatenate([values[0][:, None], slopes[0]], axis=1)
+        parts.append(np.moveaxis(part, -1, 0))
+    return parts
 
 
-def _ratio(after: Array, before: Array) -> Array:
-    """Return the ratio of standard deviations, at most one: a model may leave rows out."""
-    ratio = np.divide(after, before, out=np.ones_like(before), where=before > 0)
-    return np.minimum(ratio, 1.0)
-
-
-def _merged(
-    motion: Motion, now: Instant, frame: _Frame, scatter: ArrayLike
-) -> tuple[Array, np.ndarray]:
-    """Return the possible effects of alpha_dot and beta_dot on each entry, and the name of the larger."""
-    slopes = motion.aerodynamics.gradient(now.regressors)
-    magnitudes = frame.magnitudes(unsteady_terms(motion, now, slopes, scatter).errors)
-    return np.hypot(*magnitudes), _largest(magnitudes, frame.merged_names()[:, None])
-
-
-def _std_of_paths(paths: Aerodynamics, now: Instant, frame: _Frame) -> Array:
-    """Return the standard deviation (n, rows, 1 + columns) over functions drawn from the posterior."""
-    X = now.regressors
-    regressors = np.broadcast_to(X, (paths.n_paths or 1, *X.shape))
-    return frame(paths(regressors), paths.gradient(regressors)).std(axis=0, ddof=1)
-
-
-def _std_of_slopes(std: Array, now: Instant, frame: _Frame) -> Array:
-    """Return the standard deviations (n, rows, 1 + columns) of slopes, by ``std`` (n, 6, d) of body axes.
-
-    Errors of different outputs are independent.
-    """
-    n, d = now.regressors.shape
-    independent = np.eye(6)[:, None]
-    slopes = np.broadcast_to(std, (n, 6, d))[..., None] * independent
-    return frame.std(slopes)
-
-
-def _errors_of_aircraft(motion: Motion, now: Instant, frame: _Frame) -> dict[str, np.ndarray]:
+def _errors_of_sizes(motion: Motion, frame: _Frame, terms: Array) -> dict[str, np.ndarray]:
     """Return the effect of errors of the log and of the aircraft's sizes, and names of the largest of the latter."""
     aircraft = motion.aircraft
     factors = {**(aircraft.deviations or {}), **motion.aerodynamics.errors}
-    slopes = motion.aerodynamics.gradient(now.regressors)
-    values = np.concatenate([now.coefficients[..., None], slopes], axis=-1)
-    errors = errors_of_sizes(factors, aircraft.inertia, motion.regressors, values)
-    magnitudes = np.abs(frame(errors[..., 0], errors[..., 1:]))
+    errors = errors_of_sizes(factors, aircraft.inertia, motion.regressors, terms)
+    magnitudes = np.abs(frame(errors))
     names = np.array(list(factors), dtype=object)
     is_of_log = np.isin(names, list(errors_of_log(motion.aerodynamics.errors)))
     columns = {}
     if is_of_log.any():
-        columns["std_log"] = np.sqrt(np.sum(magnitudes[is_of_log] ** 2, axis=0))
+        columns["std_log"] = np.linalg.norm(magnitudes[is_of_log], axis=0)
     if not is_of_log.all():
         size_errors = magnitudes[~is_of_log]
-        columns["std_aircraft"] = np.sqrt(np.sum(size_errors**2, axis=0))
-        columns["aircraft"] = _largest(size_errors, names[~is_of_log, None, None, None])
+        columns["std_aircraft"] = np.linalg.norm(size_errors, axis=0)
+        columns["aircraft"] = _largest(size_errors, names[~is_of_log, None, None])
     return columns
 
 
@@ -326,47 +221,39 @@ class _Frame:
     """Conversion of coefficients and slopes in body axes to rows and columns of the table of derivatives."""
 
     def __init__(self, motion: Motion, now: Instant):
-        # what turns CX CY CZ Cl Cm Cn into the rows, (n, rows, 6)
-        self.turn = _turn(now.alpha)
+        # what turns CX CY CZ Cl Cm Cn into the rows, (rows, 6)
+        sine, cosine = np.sin(now.alpha), np.cos(now.alpha)
+        lift = [sine, 0.0, -cosine, 0.0, 0.0, 0.0]
+        drag = [-cosine, 0.0, -sine, 0.0, 0.0, 0.0]
+        self.turn = np.vstack([np.eye(6), lift, drag])
         self.columns = list(motion.regressors)
-        # slopes by the conventional quantities over slopes by the model's regressors, (n, d)
-        self.scale = np.ones((len(now.airspeed), len(self.columns)))
+        # slopes by the conventional quantities over slopes by the model's regressors, and 1 of coefficients
+        self.scale = np.ones(1 + len(self.columns))
         for k, name in enumerate(self.columns):
             if name in LENGTHS:
                 length = motion.aircraft.lengths[LENGTHS[name]]
                 usual = rate_factor(name, length, now.airspeed)
-                self.scale[:, k] = motion.factor(k, now.airspeed) / usual
-        # of the conventional quantities, (n, 1 + d), NaN of the coefficients
+                self.scale[1 + k] = motion.factor(k, now.airspeed) / usual
+        # of the conventional quantities, (1 + d,), NaN of the coefficients
         self.perturbation = None
         if motion.aerodynamics.perturbation is not None:
-            spread = motion.aerodynamics.perturbation / self.scale
-            self.perturbation = np.insert(spread, 0, np.nan, axis=1)
+            self.perturbation = np.append(np.nan, motion.aerodynamics.perturbation) / self.scale
         units = {name: channel.unit for name, channel in CHANNELS.items()}
         self.units = units | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
         self.names = ["", *self.columns]
 
-    def __call__(self, coefficients: Array, slopes: Array) -> Array:
-        """Return values and derivatives, (..., n, rows, 1 + columns), of C (..., n, 6) and slopes (..., n, 6, d)."""
-        C = self.turn @ coefficients[..., None]
-        S = self.turn @ (slopes * self.scale[:, None, :])
+    def __call__(self, terms: Array) -> Array:
+        """Return values and derivatives (..., rows, 1 + columns) of coefficients and slopes (..., 6, 1 + d)."""
+        rows = self.turn @ (terms * self.scale)
         if "alpha" in self.columns:
-            k = self.columns.index("alpha")
-            S[..., LIFT, k] -= C[..., DRAG, 0]
-            S[..., DRAG, k] += C[..., LIFT, 0]
-        return np.concatenate([C, S], axis=-1)
+            k = self.names.index("alpha")
+            rows[..., LIFT, k] -= rows[..., DRAG, 0]
+            rows[..., DRAG, k] += rows[..., LIFT, 0]
+        return rows
 
-    def magnitudes(self, slopes: Array, values: Array | None = None) -> Array:
-        """Return the magnitudes (k, n, rows, 1 + columns) of k errors of slopes (n, 6, d, k).
-
-        Errors of the coefficients are ``values`` (n, 6, k), by default zero.
-        """
-        if values is None:
-            values = np.zeros((*slopes.shape[:2], slopes.shape[-1]))
-        return np.abs(self(np.moveaxis(values, -1, 0), np.moveaxis(slopes, -1, 0)))
-
-    def std(self, slopes: Array, values: Array | None = None) -> Array:
-        """Return the standard deviation (n, rows, 1 + columns) of independent errors, as of `magnitudes`."""
-        return np.sqrt(np.sum(self.magnitudes(slopes, values) ** 2, axis=0))
+    def std(self, errors: Array) -> Array:
+        """Return the standard deviation (rows, 1 + columns) of independent errors (k, 6, 1 + d)."""
+        return np.linalg.norm(self(errors), axis=0)
 
     def merged_names(self) -> np.ndarray:
         """Return the derivative by alpha_dot or beta_dot that each merges with, (2, rows, 1 + columns)."""
@@ -378,51 +265,16 @@ class _Frame:
         return np.stack(merged)
 
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
-        """Return the table of one point, of values and standard deviations by name (rows * (1 + columns),)."""
-        table = pd.DataFrame({"value": values})
-        if "std" in columns:
-            std = columns.pop("std")
-            half = half_width(0.95) * std
-            table = table.assign(std=std, lower=values - half, upper=values + half)
+        """Return the table of values and standard deviations by name, (rows, 1 + columns) each."""
+        table = pd.DataFrame({"value": values.ravel()})
+        flat = {name: column.ravel() for name, column in columns.items()}
+        if "std" in flat:
+            half = half_width(0.95) * flat["std"]
+            table = table.assign(
+                std=flat.pop("std"), lower=table["value"] - half, upper=table["value"] + half
+            )
         table["coefficient"] = np.repeat(np.array(ROWS, dtype=object), len(self.names))
         table["regressor"] = self.names * len(ROWS)
         table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
         table.index = pd.Index((table["coefficient"] + "_" + table["regressor"]).str.rstrip("_"))
-        return table.assign(**columns)
-
-
-def _turn(alpha: Array) -> Array:
-    """Return what turns CX CY CZ Cl Cm Cn into the rows of the table, (n, rows, 6)."""
-    sine = np.sin(alpha)
-    cosine = np.cos(alpha)
-    turn = np.zeros((len(alpha), len(ROWS), 6))
-    turn[:, :6] = np.eye(6)
-    turn[:, LIFT, 0] = sine
-    turn[:, LIFT, 2] = -cosine
-    turn[:, DRAG, 0] = -cosine
-    turn[:, DRAG, 2] = -sine
-    return turn
-
-
-def _points(
-    motion: Motion, point: Any, controls: Mapping[str, ArrayLike] | None
-) -> tuple[Array, dict[str, Array], bool]:
-    """Return states (n, 13), controls by name (n,), and whether it is a single point."""
-    if np.size(point) == 0:
-        raise ValueError(
-            "Got no flight point, but expected a Trim, a state (13,), or several of them."
-        )
-    is_single = isinstance(point, Trim) or (np.ndim(point) == 1 and not isinstance(point[0], Trim))
-    points = [point] if is_single else list(point)
-    given = {name: np.broadcast_to(x, len(points)) for name, x in (controls or {}).items()}
-    states = []
-    settings = []
-    for k, item in enumerate(points):
-        inputs = {name: values[k] for name, values in given.items()}
-        state, setting = flight_point(motion, item, None if controls is None else inputs)
-        states.append(state)
-        settings.append(setting)
-    by_name = {}
-    for name in settings[0]:
-        by_name[name] = np.array([setting[name] for setting in settings])
-    return np.stack(states), by_name, is_single
+        return table.assign(**flat)

@@ -32,16 +32,12 @@ from skdgp.inference._errors import (
     PosteriorWithErrors,
     function_errors,
 )
-from skdgp.inference._errors import bias_ratio as bias_ratio
 from skdgp.inference._errors import no_errors as no_errors
 from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, mixture_of
 from skdgp.inference._fit import check_inducing as check_inducing
-from skdgp.inference._further_rows import ExpectedErrors, expected_errors
 from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, Likelihood, log_likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
-from skdgp.inference._misfit import Misfit as Misfit
-from skdgp.inference._misfit import misfit_of as misfit_of
 from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise
 from skdgp.inference._objective import Objective as Objective
@@ -76,7 +72,6 @@ __all__ = [
     "AveragePosterior",
     "Data",
     "ExactPosterior",
-    "ExpectedErrors",
     "Fit",
     "FunctionErrors",
     "KnownNoise",
@@ -91,7 +86,6 @@ __all__ = [
     "autocorrelation_time",
     "average",
     "blocks_of_rows",
-    "expected_errors",
     "fit_exact",
     "fit_sparse",
     "function_errors",

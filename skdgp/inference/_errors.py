@@ -126,16 +126,6 @@ class FunctionErrors(NamedTuple):
         random, bias = self.random[:, 1:], self.method[:, 1:]
         return np.transpose(random, (2, 1, 0)), np.transpose(bias, (2, 1, 0))
 
-    def discrepancy_slopes(self, spread: Vector | None = None) -> Matrix:
-        r"""Return the standard deviations (P, d) of slopes of the discrepancy.
-
-        Of its variance v and width l, averaged over :math:`x_k \sim N(x_{0k}, s_k^2)` with
-        ``spread`` s (d,): :math:`\sqrt v / l_k \, (1 + 2 s_k^2 / l_k^2)^{-3/4}`.
-        """
-        ratio = np.zeros_like(self.length_scale) if spread is None else spread / self.length_scale
-        of_unit = (1.0 + 2.0 * ratio**2) ** -0.75 / self.length_scale
-        return np.sqrt(self.discrepancy)[:, None] * of_unit
-
     def in_units(self, shift: Vector, scale: Vector, output_scale: Vector) -> FunctionErrors:
         """Return the errors of outputs times ``output_scale``, as a function of shift + scale x."""
         factor = np.concatenate([[1.0], 1.0 / scale])[:, None] * output_scale
@@ -380,20 +370,6 @@ def without_variance(errors: Matrix, variance: Vector) -> Matrix:
     remaining = np.maximum(total - variance, 0.0)
     fraction = np.divide(remaining, total, out=np.zeros_like(total), where=total > 0)
     return errors * np.sqrt(fraction)
-
-
-def bias_ratio(learned_from: Matrix, others: Matrix, settings: ErrorSettings = SETTINGS) -> Matrix:
-    r"""Return the matrix (d, d) that turns biases of slopes by samples into those by other samples.
-
-    Least squares has the bias :math:`C^{-1} c`, with the covariance C of the regressors, and their
-    covariance c with the errors of the samples, such as :math:`-S J` by noise of the regressors. If
-    c is the same,
-
-    .. math:: C_2^{-1} c = (C_2^{-1} C_1)\, C_1^{-1} c.
-    """
-    first = np.atleast_2d(np.cov(learned_from.T))
-    other = np.atleast_2d(np.cov(others.T))
-    return settings.inverse(other) @ first
 
 
 def linear_basis(x: Array) -> Array:

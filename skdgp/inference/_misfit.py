@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -30,25 +30,6 @@ class MisfitSettings:
 
 
 SETTINGS = MisfitSettings()
-
-
-class Misfit(NamedTuple):
-    """Mean square error of the function that residuals show, and its standard error, (P,) each."""
-
-    mean: Vector
-    std_error: Vector
-
-    @property
-    def variance(self) -> Vector:
-        """The least that the residuals show, zero where chance explains them."""
-        return np.maximum(0.0, self.mean - self.std_error)
-
-    def expected(self, times: float) -> Vector:
-        """Return the ``variance`` that is expected of ``times`` as many samples.
-
-        The mean stays and its standard error falls, so more of the error shows.
-        """
-        return np.maximum(0.0, self.mean - self.std_error / np.sqrt(times))
 
 
 def misfit_variance(
@@ -103,23 +84,6 @@ def misfit_variance(
     >>> float(np.sqrt(misfit[0]).round(1)), float(np.std(np.abs(x) - line.predict(x)).round(1))
     (0.3, 0.3)
     """
-    return misfit_of(posterior, X, Y, clock, settings).variance
-
-
-def misfit_of(
-    posterior: Predictor,
-    X: Matrix,
-    Y: Matrix,
-    clock: Matrix,
-    settings: MisfitSettings = SETTINGS,
-) -> Misfit:
-    """Return the mean m and the standard error s of `misfit_variance`, zero where too few samples have neighbours.
-
-    Parameters
-    ----------
-    posterior, X, Y, clock, settings
-        As for `misfit_variance`.
-    """
     rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
     rows = rows[:: -(-len(rows) // settings.rows)]
     X = X[rows]
@@ -137,7 +101,7 @@ def misfit_of(
             products = error[paired, i] * total[paired, i] / count[paired, i]
             mean[i] = products.mean()
             std_error[i] = _standard_error(products, settings.parts)
-    return Misfit(mean, std_error)
+    return np.maximum(0.0, mean - std_error)
 
 
 def _neighbours(X: Matrix, clock: Matrix, settings: MisfitSettings) -> Any:

@@ -15,7 +15,6 @@ from skdgp.dynamics import (
     air_velocity,
     euler_to_quaternion,
     stability_derivatives,
-    trim,
 )
 from skdgp.dynamics._linearize import jacobian
 from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
@@ -201,20 +200,6 @@ class TestDeviations:
         assert held == ["Cm_alpha_dot", "Cm_alpha_dot", "CL_alpha_dot", ""]
 
 
-class TestSweep:
-    def test_each_point_is_as_if_alone(self):
-        trims = trim(MODEL, BRUMBY, [32.0, 36.0, 40.0], altitude=200.0)
-        sweep = stability_derivatives(MODEL, BRUMBY, trims)
-        assert sweep.index.names == ["point", None]
-        for k, one in enumerate(trims):
-            alone = stability_derivatives(MODEL, BRUMBY, one)
-            assert sweep.loc[k, "value"].to_numpy() == pytest.approx(
-                alone["value"].to_numpy(), rel=1e-6
-            )
-            assert_allclose(sweep.loc[k, "airspeed"].iloc[0], one.airspeed)
-            assert_allclose(sweep.loc[k, "alpha"].iloc[0], one.alpha)
-
-
 NOWHERE = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevator"])
 
 
@@ -222,7 +207,7 @@ NOWHERE = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevat
     (MODEL, {"point": np.eye(13)[6]}, CONTROLS, "at rest"),
     (MODEL, {}, None, "without controls"),
     (NOWHERE, {}, CONTROLS, "not defined there"),
-    (MODEL, {"point": []}, CONTROLS, "no flight point"),
+    (MODEL, {"point": []}, CONTROLS, r"a point of shape \(0,\)"),
 ])  # fmt: skip
 def test_what_has_no_derivatives(state, model, change, controls, match):
     with pytest.raises(ValueError, match=match):

@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import (
-    FunctionErrors,
     function_errors,
 )
 
@@ -126,63 +125,3 @@ def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
     assert slope == pytest.approx(1.2, rel=0.05)
     # to first order in the noise
     assert attenuation == pytest.approx(0.4 * slope, rel=0.05)
-
-
-def test_more_rows_narrow_slopes_as_least_squares():
-    rng = default_rng(7)
-    x = rng.normal(size=(100, 2))
-    model = DependentGPRegressor(structure="trend").fit(x, x @ [[1.0], [2.0]])
-    assert_allclose(model.expected_errors(x).narrowing, np.full((1, 2), np.sqrt(0.5)), rtol=0.1)
-    one_axis = np.tile([[0.0, 5.0], [0.0, -5.0]], (50, 1))
-    same, narrowed = model.expected_errors(one_axis).narrowing[0]
-    assert same == pytest.approx(1.0, abs=0.05)
-    assert narrowed < 0.3
-
-
-@pytest.fixture(scope="module")
-def model_of_noisy_regressors():
-    """Return a model of one regressor with noise, whose slope this flattens, and the regressors."""
-    rng = default_rng(8)
-    truth = rng.normal(size=(2000, 1))
-    x = truth + 0.5 * rng.normal(size=truth.shape)
-    options = {"structure": "trend", "input_noise": [0.5]}
-    time = np.arange(2000.0)
-    return DependentGPRegressor(**options).fit(x, 2 * truth, time=time), x
-
-
-@pytest.mark.parametrize("size", [0.5, 3.0])
-def test_biases_of_slopes_fall_with_the_variance_of_the_regressors(model_of_noisy_regressors, size):
-    model, x = model_of_noisy_regressors
-    later = model.expected_errors(size * x).errors.slopes()[1]
-    variance_ratio = (1 + size**2) / 2
-    now = model.function_errors().slopes()[1]
-    assert np.abs(now).max() > 0.1
-    assert_allclose(later, now / variance_ratio, rtol=0.01)
-
-
-def test_more_rows_show_more_of_the_discrepancy():
-    """Of the line through |x|, whose mean square error for normal x is 1 - 2 / pi."""
-    rng = default_rng(0)
-    x = rng.normal(size=(400, 1))
-    y = np.abs(x) + 0.3 * rng.normal(size=x.shape)
-    model = DependentGPRegressor(structure="trend").fit(x, y, time=np.arange(400.0))
-    found = [model.function_errors().discrepancy]
-    for times in (1, 3, 8, 1000):
-        found.append(model.expected_errors(np.tile(x, (times, 1))).errors.discrepancy)
-    assert (np.diff(found, axis=0) > 0).all()
-    assert found[0] < 0.9 * (1 - 2 / np.pi)
-    assert_allclose(found[-1], 1 - 2 / np.pi, rtol=0.1)
-
-
-@pytest.mark.parametrize("spread", [None, [0.5, 2.0]])
-def test_slopes_of_the_discrepancy_are_those_of_its_paths(spread):
-    nothing = np.zeros((0, 3, 1))
-    errors = FunctionErrors(nothing, nothing, np.zeros(2), np.array([4.0]), np.array([1.0, 3.0]))
-    paths = errors.paths(N_DRAWN, 0)
-    point = np.zeros((1, 1, 2))
-    slopes = (
-        paths.slopes(point) if spread is None else paths.averaged_slopes(point, np.array(spread))
-    )
-    of_spread = None if spread is None else np.array(spread)
-    expected = errors.discrepancy_slopes(of_spread)
-    assert_allclose(slopes[:, 0].std(axis=0), expected, rtol=WITHIN)

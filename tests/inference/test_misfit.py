@@ -6,7 +6,7 @@ from numpy.random import default_rng
 from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import misfit_of, misfit_variance
+from skdgp.inference import misfit_variance
 
 NOISE = 0.3
 
@@ -48,23 +48,6 @@ class TestVariance:
         assert variance_of(np.zeros_like, x, y, 1 / 250)[0] == 0
         two = variance_of(np.zeros_like, x, y, 1 / 250, np.arange(2000) // 1000)
         assert two[0] == pytest.approx(1 / 3, rel=0.1)
-
-    def test_that_is_expected_of_more_samples_is_the_one_that_they_show(self):
-        """The least that residuals show grows towards the mean square, as its standard error falls."""
-
-        def off(x):
-            return np.abs(x) + 0.12
-
-        expected, shown, now = [], [], []
-        for seed in range(40):
-            x, y, _ = log_of(np.abs, 300, seed)
-            few = misfit_of(Given(off), x, y, np.column_stack([np.arange(300.0), np.zeros(300)]))
-            x, y, _ = log_of(np.abs, 2700, 100 + seed)
-            expected.append(few.expected(9.0)[0])
-            shown.append(variance_of(off, x, y)[0])
-            now.append(few.variance[0])
-        assert np.mean(expected) == pytest.approx(np.mean(shown), rel=0.1)
-        assert np.mean(now) < 0.85 * np.mean(shown) < 0.85 * 0.12**2
 
     def test_of_each_output_is_that_of_its_own_values(self):
         x, y, _ = log_of(np.abs, 4000)

@@ -316,10 +316,10 @@ class PortableModel:
     servos : ndarray (3,)
         Time constant T [s], delay tau [s] and limit R of the rate of the servos, infinite where there is none:
         surfaces follow commands c by :math:`T \dot\delta(t) = c(t - \tau) - \delta(t)`.
-    provenance : dict
-        Facts: creation, versions, options and fit, as JSON knows them.
     reference : Reference
         What an export is compared with.
+    provenance : dict
+        Facts: creation, versions, options and fit, as JSON knows them.
     """
 
     regressors: tuple[Regressor, ...]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,6 @@ from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
-    EARTH_VELOCITY,
     FULL_THROW,
     HIGH_LIFT,
     RATES,
@@ -21,9 +20,8 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.checks import check_columns
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.frames import HIGHEST, LOWEST, standard_density, wrapped
-from skdgp._flight.ground import flying_airspeed, on_ground
-from skdgp._flight.tables import FlightTable, has_values
+from skdgp._flight.frames import HIGHEST, LOWEST, standard_density
+from skdgp._flight.tables import FlightTable
 
 # largest angles [rad], and rates [rad/s], eight turns a second; noise may carry an angle beyond
 ANGLE_NOISE = 0.05
@@ -43,46 +41,114 @@ USUAL = {
     **dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), 1.6),
     **dict.fromkeys(RATES, 20.0),
 }
-# the rates that turn the angles that go round
-GYROS = {"phi": RATES, "psi": ("q", "r")}
-# 90 % of a flight is slower [rad/s]: else gyros are in degrees, too
-FASTEST_TURN = {"phi": 2 * np.pi, "psi": np.pi}
+# 90 % of a roll or heading turn slower [rad/s]; less than a jump by 360 degrees
+FASTEST_TURN = 2 * np.pi
+FASTEST_JUMP = 300.0
+# median of the size of an angle in degrees, but for roll and heading
+LARGEST_MIDDLE = 30.0
+# [rad], 40 degrees: larger deflections may be commands; the largest of seven logs is 0.31
+LARGEST_DEFLECTION = 0.7
 
 
-@dataclass(frozen=True)
-class UnitSettings:
-    """Limits of numbers in SI units and radians; guesses without another source."""
+class Law(NamedTuple):
+    """A number of flights that no flight in SI units has between two values; guesses without another source."""
 
-    # median of the size of an angle in degrees, but for roll and heading
-    largest_middle: float = 30.0
-    # median time step [s]
-    longest_step: float = 5.0
-    # 99 % of the throttle are smaller
-    most_throttle: float = 1.5
-    # median of a specific force in g
-    force_in_g: tuple[float, float] = (0.5, 2.0)
-    # [rad], 40 degrees: larger deflections may be commands; the largest of seven logs is 0.31
-    largest_deflection: float = 0.7
+    value: Callable[[FlightTable], float]
+    above: float
+    below: float
+    #: Message with the ``value``
+    text: str
+    #: Whether flights are refused, in place of a warning
+    is_error: bool = True
 
-    # an angle that changes by so many times the integral of the gyros is in degrees
-    clearly_faster: float = 57.3**0.5
-    # change in a second [rad] that needs no turn
-    no_turn: float = 0.1
-    # of an angle without gyros 90 % is slower [rad/s], and 99 % are fewer turns
-    slow_turn: float = 1.0
-    most_turns: float = 10.0
-    # least number of seconds to judge an angle by
-    enough: int = 5
+    def check(self, flights: FlightTable) -> None:
+        """Raise ValueError, or warn, if the flights have such a number."""
+        value = self.value(flights)
+        if not self.above < value < self.below:
+            return
+        text = self.text.format(value=value)
+        if self.is_error:
+            raise ValueError(text)
+        warn(text)
 
 
-UNITS = UnitSettings()
+def _quantile_of(name: str, fraction: float = 0.5) -> Callable[[FlightTable], float]:
+    """Return the function of a quantile of a channel."""
+    return lambda flights: _quantile(flights.column(name), fraction)
+
+
+def _specific_force(flights: FlightTable) -> float:
+    force = [flights.column(name) for name in SPECIFIC_FORCE]
+    return _quantile(np.linalg.norm(force, axis=0), 0.5)
+
+
+def _density_over_standard(flights: FlightTable) -> float:
+    """Return the median density over that of the standard atmosphere at the median altitude."""
+    height = _quantile(flights.column("altitude"), 0.5)
+    if not LOWEST <= height <= HIGHEST:
+        return np.nan
+    return _quantile(flights.column("density"), 0.5) / float(standard_density(height))
+
+
+DENSITY = (
+    "Got a density of {value:g}, but expected air in kg/m^3 (1.225 at sea level): convert it, or use "
+    "skdgp.dynamics.standard_density(altitude)."
+)
+ALTITUDE = (
+    "The median density is {value:.2f} times that of the standard atmosphere at the median altitude: check the "
+    "units of both."
+)
+FORCE = (
+    "The median specific force is {value:.3g} m/s^2, but level flight gives 9.8: an accelerometer reads specific "
+    "force, so add gravity if it was subtracted."
+)
+# units of single channels
+LAWS = (
+    Law(_quantile_of("density"), -np.inf, 0.05, DENSITY),
+    Law(_quantile_of("density"), 2.5, np.inf, DENSITY),
+    Law(
+        _quantile_of("throttle", 0.99),
+        1.5,
+        np.inf,
+        "Got throttle up to {value:g}, but expected 0 to 1: divide it by its full range (100 for per "
+        "cent, or 'throttle [%]' in the header).",
+    ),
+    Law(
+        _specific_force,
+        0.5,
+        2.0,
+        "Got a specific force ax, ay, az of {value:.3g} (median magnitude), but expected near 9.8 m/s^2: this "
+        "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'; if gravity "
+        "was removed, add it (az is -9.8 in level flight).",
+    ),
+    Law(
+        lambda flights: _quantile(np.diff(flights.time), 0.5),
+        5.0,
+        np.inf,
+        "Got a median time step of {value:g}, but expected seconds: this looks like milliseconds or "
+        "microseconds. Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'.",
+    ),
+    Law(_density_over_standard, 0.0, 0.8, ALTITUDE, is_error=False),
+    Law(_density_over_standard, 1.25, np.inf, ALTITUDE, is_error=False),
+)
+# of flights whose coefficients are computed
+LAWS_OF_MOTION = (
+    Law(_quantile_of("density", 0.0), -np.inf, np.nextafter(0.0, 1.0), DENSITY),
+    Law(_specific_force, -np.inf, 3.0, FORCE, is_error=False),
+    Law(_specific_force, 300.0, np.inf, FORCE, is_error=False),
+    Law(
+        _quantile_of("az"),
+        3.0,
+        np.inf,
+        "The median specific force az is {value:+.2f} m/s^2, but -9.8 in level flight: change the signs "
+        "of ay and az if the sensor's z points up.",
+        is_error=False,
+    ),
+)
 
 
 def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
-    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass.
-
-    Roll and heading may be unwrapped: see `is_unwrapped`.
-    """
+    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass."""
     for name in names:
         if name not in table:
             continue
@@ -109,58 +175,24 @@ def _how_to_wrap(*names: str) -> str:
     """Return the remedy of unwrapped angles, empty if none of the names goes round."""
     if not {*names} & {*WRAPPED}:
         return ""
-    return " Unwrapped roll and heading can be wrapped by numpy.angle(numpy.exp(1j * psi))."
+    return " Unwrapped roll and heading are wrapped by numpy.angle(numpy.exp(1j * psi))."
 
 
 def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
-    """Return whether roll or heading beyond a turn is in radians without jumps, and not in degrees.
+    """Return whether roll or heading goes on from within a turn without jumps, as unwrapping leaves it.
 
-    It does not jump by 360, and changes over a second by no more than the gyros turn; degrees
-    change 57 times as fast. Without gyros, it begins within a turn, as unwrapping leaves it, turns
-    slowly, and a few times only. A tenth of the seconds may be faster, so spikes do not count.
+    Degrees change 57 times as fast; a tenth of the steps may be faster, as spikes are.
     """
-    if name not in GYROS or "time" not in table:
+    if name not in WRAPPED or "time" not in table:
         return False
     flights = FlightTable.of(table)
     angle = flights.column(name)
-    change = np.abs(_over_a_second(flights, angle))
-    jumps_by_degrees = ((change > 300) & (change < 361)).any()
-    if np.isfinite(change).sum() < UNITS.enough or jumps_by_degrees:
-        return False
-    fastest = _quantile(change, 0.9)
-    if has_values(table, *GYROS[name]) and fastest > 0:
-        turns = [_turn_in_a_second(flights, rate) for rate in GYROS[name]]
-        turned = _quantile(np.linalg.norm(turns, axis=0), 0.9)
-        most = max(UNITS.clearly_faster * turned, UNITS.no_turn)
-        return fastest <= min(most, FASTEST_TURN[name])
-    first = table[name].groupby(flights.clock.flight).first()
-    begins_within_a_turn = first.abs().max() <= 2 * np.pi + ANGLE_NOISE
-    n_turns = _quantile(np.abs(angle), 0.99) / (2 * np.pi)
-    is_slow = fastest <= UNITS.slow_turn and n_turns <= UNITS.most_turns
-    return bool(begins_within_a_turn and is_slow)
-
-
-def _over_a_second(flights: FlightTable, values: Vector) -> Vector:
-    """Return the changes of values over about a second of a flight, NaN where it has a gap; none of short ones."""
-    flight = flights.clock.flight
-    time = flights.time
-    longest = int(np.bincount(flight, minlength=1).max())
-    if longest < 3:
-        return np.empty(0)
-    step = np.median(np.diff(time))
-    lag = min(max(round(1.0 / step), 1), longest // 2)
-    is_same = flight[lag:] == flight[:-lag]
-    seconds = time[lag:] - time[:-lag]
-    is_unbroken = is_same & (np.abs(seconds - lag * step) < step)
-    change = values[lag:] - values[:-lag]
-    return np.where(is_unbroken, change, np.nan)
-
-
-def _turn_in_a_second(flights: FlightTable, rate: str) -> Vector:
-    """Return the integrals of a rate over about a second."""
-    step = np.median(np.diff(flights.time))
-    angle = step * np.nancumsum(flights.column(rate))
-    return _over_a_second(flights, angle)
+    _, first = np.unique(flights.clock.flight, return_index=True)
+    steps = np.abs(np.diff(angle)[np.diff(flights.clock.flight) == 0])
+    step = _quantile(np.diff(flights.time), 0.5)
+    is_slow = _quantile(steps, 0.9) <= FASTEST_TURN * step
+    begins_within_a_turn = np.abs(angle[first]).max() <= 2 * np.pi + ANGLE_NOISE
+    return bool(is_slow and begins_within_a_turn and steps.max(initial=0.0) < FASTEST_JUMP)
 
 
 def check_flight(flight: pd.DataFrame | FlightTable, needed: Iterable[str]) -> FlightTable:
@@ -178,12 +210,10 @@ def check_flight(flight: pd.DataFrame | FlightTable, needed: Iterable[str]) -> F
     flights = flight if isinstance(flight, FlightTable) else FlightTable.of(flight, needed)
     # raises where time has no usual step
     _ = flights.segments
-    _check_airspeed(flights)
+    check_airspeed(flights.column("airspeed"))
     check_units(flights)
-    if _quantile(flights.column("density"), 0.0) <= 0:
-        raise ValueError(_density_message(flights))
-    _check_roll_rate(flights)
-    _check_accelerations(flights)
+    for law in LAWS_OF_MOTION:
+        law.check(flights)
     return flights
 
 
@@ -193,28 +223,8 @@ def check_units(flights: FlightTable) -> None:
     A hundredth of the values may be faults. Warn of surfaces in radians that are probably commands.
     """
     _check_angles(flights)
-    _check_density(flights)
-    throttle = _quantile(flights.column("throttle"), 0.99)
-    if throttle > UNITS.most_throttle:
-        raise ValueError(
-            f"Got throttle up to {throttle:g}, but expected 0 to 1: divide it by its full range "
-            f"(100 for per cent, or 'throttle [%]' in the header)."
-        )
-    force = _quantile(_size(flights, SPECIFIC_FORCE), 0.5)
-    low, high = UNITS.force_in_g
-    if low < force < high:
-        raise ValueError(
-            f"Got a specific force ax, ay, az of {force:.3g} (median magnitude), but expected near "
-            f"9.8 m/s^2: this looks like g. Multiply by 9.80665, or say the unit in the header, as "
-            f"in 'az [g]'; if gravity was removed, add it (az is -9.8 in level flight)."
-        )
-    step = _quantile(np.diff(flights.time), 0.5)
-    if step > UNITS.longest_step:
-        raise ValueError(
-            f"Got a median time step of {step:g}, but expected seconds: this looks like "
-            f"milliseconds or microseconds. Divide time by 1e3 or 1e6, or say the unit in the "
-            f"header, as in 'time [ms]'."
-        )
+    for law in LAWS:
+        law.check(flights)
     if FULL_THROW not in flights.table:
         _warn_of_commands(flights)
 
@@ -229,7 +239,7 @@ def _check_angles(flights: FlightTable) -> None:
         if top > usual and not is_unwrapped(flights.table, name):
             degrees[name] = round(top, 1)
             middle = _quantile(sizes, 0.5)
-            if middle > UNITS.largest_middle and name not in WRAPPED:
+            if middle > LARGEST_MIDDLE and name not in WRAPPED:
                 shifted[name] = round(middle, 1)
     if shifted:
         raise ValueError(
@@ -251,7 +261,7 @@ def _warn_of_commands(flights: FlightTable) -> None:
     for name in ALL_SURFACES:
         angles = np.abs(flights.column(name))
         top = _quantile(angles, 0.99)
-        if top > UNITS.largest_deflection or (angles == 1).sum() > 1:
+        if top > LARGEST_DEFLECTION or (angles == 1).sum() > 1:
             large[name] = float(np.nanmax(angles))
     if large:
         report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}))
@@ -267,86 +277,6 @@ def check_airspeed(airspeed: Vector) -> None:
             f"the part on the ground, e.g. flight[flight.airspeed > 5], or set the airspeed of those "
             f"rows to NaN."
         )
-
-
-def _check_airspeed(flights: FlightTable) -> None:
-    airspeed = flights.column("airspeed")
-    check_airspeed(airspeed)
-    middle = flying_airspeed(airspeed)
-    is_slow = airspeed < 0.2 * middle
-    if is_slow.any():
-        warn(
-            f"In {100 * is_slow.mean():.1f} % of the samples the airspeed is under a fifth of its "
-            f"median ({middle:.1f} m/s), where noise over rho V^2 / 2 drowns the coefficients: is "
-            f"the part on the ground still in the flight? Cut it, e.g. "
-            f"flight[flight.airspeed > 5]."
-        )
-    ground_speed = _size(flights, EARTH_VELOCITY)
-    ratio = middle / _quantile(ground_speed[~on_ground(flights)], 0.5)
-    if ratio < 0.5 or ratio > 1.8:
-        warn(
-            f"The median airspeed is {ratio:.2f} times the median ground speed, but both should "
-            f"be m/s (1.94: airspeed in knots; 3.6: in km/h). Ignore this only if the wind was "
-            f"that strong."
-        )
-
-
-def _density_message(flights: FlightTable) -> str:
-    """Return the error text of values that are no densities of air."""
-    density = flights.column("density")
-    return (
-        f"Got density from {np.nanmin(density):g} to {np.nanmax(density):g}, but expected air in kg/m^3 (1.225 at "
-        "sea level): convert it, or use skdgp.dynamics.standard_density(altitude)."
-    )
-
-
-def _check_density(flights: FlightTable) -> None:
-    """Raise ValueError if the density is not of air in kg/m^3; warn if it is far from that at the altitude."""
-    middle = _quantile(flights.column("density"), 0.5)
-    if middle <= 0.05 or middle >= 2.5:
-        raise ValueError(_density_message(flights))
-    height = _quantile(flights.column("altitude"), 0.5)
-    if not LOWEST <= height <= HIGHEST:
-        return
-    standard = float(standard_density(height))
-    if middle < 0.8 * standard or middle > 1.25 * standard:
-        warn(
-            f"The median density {middle:.3f} kg/m^3 is far from the {standard:.3f} kg/m^3 of "
-            f"the standard atmosphere at the median altitude {height:.0f} m: check the units "
-            f"of both."
-        )
-
-
-def _check_roll_rate(flights: FlightTable) -> None:
-    """Raise ValueError if the roll rate and the changes of roll over seconds are of different units."""
-    change = wrapped(_over_a_second(flights, flights.column("phi")))
-    turned = _quantile(np.abs(change), 0.9)
-    gyro = _quantile(np.abs(_turn_in_a_second(flights, "p")), 0.9)
-    if not (turned > 0.02 and gyro > 0.02):
-        return
-    ratio = gyro / turned
-    if ratio < 1 / 15 or ratio > 15:
-        raise ValueError(
-            f"The roll rate p integrates to {ratio:.3g} times the change of phi, but "
-            f"expected about 1: one of them is in degrees (ratio 57.3 or 0.017). Use numpy.deg2rad "
-            f"on it, and on q and r as on p."
-        )
-
-
-def _check_accelerations(flights: FlightTable) -> None:
-    size = _quantile(_size(flights, SPECIFIC_FORCE), 0.5)
-    down = _quantile(flights.column("az"), 0.5)
-    if size < 3.0 or size > 300.0 or down > 3.0:
-        warn(
-            f"The median specific force is {size:.3g} m/s^2, its az {down:+.2f} m/s^2, but level "
-            f"flight gives 9.8 and -9.8: an accelerometer reads specific force, so add gravity if "
-            f"it was subtracted, and change the signs of ay and az if the sensor's z points up."
-        )
-
-
-def _size(flights: FlightTable, names: Iterable[str]) -> Vector:
-    """Return the length of a vector of channels."""
-    return np.linalg.norm([flights.column(name) for name in names], axis=0)
 
 
 def _quantile(values: Vector, fraction: float) -> float:

@@ -357,7 +357,7 @@ class FlightPathReconstruction(TableTransformer):
 
     def _check(self, table):
         FlightTable.of(table, PATH_CHANNELS)
-        check_radians(table, (*EULER, *RATES, *VANES))  # roll and heading may be unwrapped
+        check_radians(table, (*EULER, *RATES, *VANES))
 
     def _estimated_paths(
         self, table: pd.DataFrame, noise: dict[str, float], learn: Mapping[str, float]

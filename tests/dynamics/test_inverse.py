@@ -183,14 +183,10 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
         (lambda f: f.assign(time=f["time"].where(f.index != 7, 0.0)), "expected time to increase"),
         (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got magnitudes up to {.phi.: .*deg2rad"),
         (
-            lambda f: f.assign(p=np.rad2deg(f["p"])),
-            "roll rate p integrates to .* times the change of phi",
-        ),
-        (
             lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60),
             "Got {.q.: .* values of another column",
         ),
-        (lambda f: f.assign(density=1.1e-3), "Got density from 0.0011"),
+        (lambda f: f.assign(density=1.1e-3), "Got a density of 0.0011"),
         (
             lambda f: f.assign(ax=f["ax"] / 9.8, ay=f["ay"] / 9.8, az=f["az"] / 9.8),
             "looks like g. Multiply by 9.80665",
@@ -213,12 +209,7 @@ def test_flights_that_cannot_be(simulated, aircraft, change, words):
     ("change", "words"),
     [
         (lambda f: f.assign(az=-f["az"]), "change the signs of ay and az"),
-        (lambda f: f.assign(airspeed=1.944 * f["airspeed"]), "airspeed in knots"),
-        (lambda f: f.assign(altitude=6000.0), "far from the 0.660"),
-        (
-            lambda f: f.assign(airspeed=f["airspeed"].where(f.index > 9, 0.5)),
-            "under a fifth of its median",
-        ),
+        (lambda f: f.assign(altitude=6000.0), "times that of the standard atmosphere"),
     ],
 )
 def test_flights_of_probably_wrong_units_warn(simulated, aircraft, change, words):

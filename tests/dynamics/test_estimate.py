@@ -16,12 +16,14 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
+    ScaleFactor,
     air_velocity,
     euler_to_quaternion,
     linearize,
     stability_derivatives,
     trim,
 )
+from skdgp.dynamics._size_errors import errors_of_sizes
 
 EXAMPLE = load_example_flights(duration=1.0)
 BRUMBY = EXAMPLE.aircraft
@@ -231,3 +233,31 @@ class TestWhatErrorsDo:
             frequencies = linearize(model, aircraft, point, **at).modes()["frequency"]
             found.append([point.alpha, point.controls["elevator"], *np.sort(frequencies)])
         assert_allclose(found[1], found[0], rtol=1e-5)
+
+
+QUANTITY_VALUES = {
+    "mass": 2.0, "wing_area": 0.5, "span": 1.9, "chord": 0.28, "Ixx": 0.2, "Iyy": 0.3, "Izz": 0.4,
+    "dynamic pressure": 350.0,
+}  # fmt: skip
+
+
+def slopes_of(mass, wing_area, span, chord, Ixx, Iyy, Izz, **pressure):
+    """Return coefficients (6,) of unit accelerations over 1 and each non-dimensional rate (docs/notation.md)."""
+    qbar = pressure["dynamic pressure"]
+    V = np.sqrt(2 * qbar / 1.2)
+    loads = np.array([mass, mass, mass, Ixx / span, Iyy / chord, Izz / span])
+    p_hat, q_hat, r_hat, alpha_dot_hat = np.array([span, chord, span, chord]) / (2 * V)
+    q_dot_hat = chord**2 / (4 * V**2)
+    regressors = np.array([1.0, p_hat, q_hat, r_hat, 1.0, alpha_dot_hat, q_dot_hat])
+    return np.divide.outer(loads / (qbar * wing_area), regressors)
+
+
+@pytest.mark.parametrize("quantity", QUANTITY_VALUES)
+def test_an_error_of_a_size_scales_coefficients_and_slopes_as_their_equations(quantity):
+    names = ("p", "q", "r", "alpha", "alpha_dot", "q_dot")
+    error = 1e-6
+    changed = slopes_of(**QUANTITY_VALUES | {quantity: (1 + error) * QUANTITY_VALUES[quantity]})
+    expected = changed / slopes_of(**QUANTITY_VALUES) - 1
+    factor = {"size": ScaleFactor(error, {quantity: 1.0})}
+    found = errors_of_sizes(factor, np.diag([0.2, 0.3, 0.4]), names, np.ones((6, 7)))[0]
+    assert_allclose(found, expected, rtol=1e-5, atol=1e-11)

@@ -372,6 +372,26 @@ class TestUse:
         found = central_difference(lambda step: paths.each(X + step), np.zeros(X.shape[-1]))
         equal(paths.gradient(X), found, rtol=1e-7, atol=1e-8)
 
+    @pytest.mark.parametrize("name", FEW)
+    def test_paths_are_taken_multiplied_and_mixed(self, kernel):
+        """Against the values of the paths that they are made of, at points of each path and at common ones."""
+        X = default_rng(9).normal(size=(6, 3, n_features(kernel)))
+        factor = np.array([0.5, 3.0, 20.0])[: kernel.n_outputs]
+        one, other = (prior_paths(kernel, 6, 8, np.random.RandomState(k)) for k in (1, 2))
+        larger = MultiOutputKernel.rescaled(kernel, factor)
+        scaled = prior_paths(larger, 6, 8, np.random.RandomState(1))
+        member = default_rng(1).integers(0, 2, (6, kernel.n_outputs))
+        mixed = one.mixed([other], member)
+        some = np.array([4, 1])
+        for points in (X, X[:1]):
+            values, slopes = one.each(points), one.gradient(points)
+            equal(scaled.each(points), values * factor)
+            equal(scaled.gradient(points), slopes * factor[:, None])
+            equal(mixed.each(points), np.where(member[:, None], other.each(points), values))
+            of_other = other.gradient(points)
+            equal(mixed.gradient(points), np.where(member[:, None, :, None], of_other, slopes))
+        equal(scaled.take(some).each(X[some]), scaled.each(X)[some])
+
     def test_paths_of_values_are_their_covariances_times_coefficients(
         self, kernel, central_difference
     ):

@@ -44,7 +44,7 @@ def inspect(run: Run) -> None:
     And faults of its channels, and which channels contradict physics (a wrong sign, unit or axis). With
     --mass and --span or a file of the aircraft, whether the lift carries it.
 
-    LOG is a log of PX4 (.ulg) or ArduPilot (.bin, in text .log), telemetry of
+    LOG is a log of PX4 (.ulg) or ArduPilot (.bin), telemetry of
     both (.tlog), or a table (.csv, .parquet).
 
     For example:

@@ -237,28 +237,25 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
 CLEAR = "\r\x1b[K"
 BAR = 10  # characters
 LINE_SECONDS = 5.0  # between two lines of progress without a terminal
+REFRESH = 0.2  # the same on a terminal
 STAGES = {"fit": "all outputs", "members": "components of the average"}
 
 
 class Console:
     """Output of a command; a context manager, which removes the progress line at its end.
 
-    A thread shows a stage that lasts, with its seconds: no command is silent for long.
+    A thread shows the stage with its seconds: on a terminal in one line, else in a line every five seconds.
     """
 
-    def __init__(
-        self, stream: TextIO | None = None, period: float = 0.2, silence: float = LINE_SECONDS
-    ) -> None:
-        self.period = period  # between two states of the progress line [s]
-        self.silence = silence  # longest time without a line [s]
+    def __init__(self, stream: TextIO | None = None, period: float | None = None) -> None:
         self.stream = sys.stderr if stream is None else stream
         self.messages: list[str] = []
-        self._shows_progress = self.stream.isatty()
+        self._is_terminal = self.stream.isatty()
+        self._period = period or (REFRESH if self._is_terminal else LINE_SECONDS)
         self._began = time.monotonic()
-        self._shown = -period
-        self._printed = self._began  # time of the last line without a terminal
         self._stage = ""
         self._steps = ""
+        self._evaluations = ""
         self._steps_began = self._began
         self._last_step = (0, 0)
         self._done = threading.Event()
@@ -270,17 +267,15 @@ class Console:
         for category in (UserWarning, RuntimeWarning):
             warnings.simplefilter("always", category)
         warnings.showwarning = self._show_warning
-        threading.Thread(target=self._show_stages_that_last, daemon=True).start()
+        threading.Thread(target=self._show_stages, daemon=True).start()
         return self
 
     def __exit__(self, kind, error, trace):
-        self._done.set()
         self._warnings.__exit__(kind, error, trace)
         self._end_progress()
 
     def print(self, text: str) -> None:
         """Print a result; raise OSError if it cannot be written."""
-        self._done.set()
         self._end_progress()
         try:
             print(text, flush=True)
@@ -290,46 +285,45 @@ class Console:
 
     def print_error(self, text: str) -> None:
         """Print a line on standard error, where it can be written."""
-        self._write(f"{text}\n")
+        self._write(f"{self._clear}{text}\n")
+
+    @property
+    def _clear(self) -> str:
+        return CLEAR if self._is_terminal else ""
 
     def stage(self, text: str) -> None:
         """Show the stage that begins."""
         self._began = time.monotonic()
         self._stage = text
         self._steps = ""
-        self._show(text)
+        self._evaluations = ""
 
     def end_stage(self) -> None:
         """Show no stage until the next one begins."""
         self._stage = ""
-        if self._shows_progress:
-            self._write(CLEAR)
+        self._write(self._clear)
 
-    def _show_stages_that_last(self):
-        while not self._done.wait(self.silence / 5):
-            now = time.monotonic()
-            last = self._shown if self._shows_progress else self._printed
-            if self._stage and now - max(last, self._began) >= self.silence:
-                self._show(f"{self._stage}{self._steps} · {now - self._began:.0f} s")
+    def _show_stages(self):
+        while not self._done.wait(self._period):
+            if self._stage:
+                seconds = f"{time.monotonic() - self._began:.0f} s"
+                line = f"{self._stage}{self._steps}{self._evaluations} · {seconds}"
+                width = shutil.get_terminal_size().columns - 1
+                self._write(CLEAR + line[:width] if self._is_terminal else f"{line}\n")
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
-        """Show the stage of an identification; the listener of ``skdgp.listening``."""
+        """Note the stage of an identification; the listener of ``skdgp.listening``."""
         if isinstance(stage, Progress):
             self._count_steps(stage)
         elif n_evaluations == 0:
             self.stage(stage)
         else:
             self._steps = ""
-        if n_evaluations == 0:
-            return
-        self._stage = f"fit · {STAGES.get(stage, stage)}"
-        if time.monotonic() - self._shown >= self.period:
-            value = (
-                f" · log likelihood {log_likelihood:.1f}" if math.isfinite(log_likelihood) else ""
-            )
-            seconds = f"{time.monotonic() - self._began:.0f} s"
-            evaluations = f"{n_evaluations} evaluations{value}"
-            self._show(f"{self._stage}{self._steps} · {evaluations} · {seconds}")
+        if n_evaluations:
+            self._stage = f"fit · {STAGES.get(stage, stage)}"
+            self._evaluations = f" · {n_evaluations} evaluations"
+            if math.isfinite(log_likelihood):
+                self._evaluations += f" · log likelihood {log_likelihood:.1f}"
 
     def _count_steps(self, progress: Progress) -> None:
         """Keep the bar of a stage with a number of steps, and the time that is left at the rate of those done."""
@@ -346,19 +340,10 @@ class Console:
             left = (now - self._steps_began) * (progress.total - done) / done
             self._steps += f", < {left:.0f} s left"
 
-    def _show(self, line):
-        """Show a line in place of the last one; without a terminal print one at most every five seconds."""
-        if not self.stream.isatty() and time.monotonic() - self._printed >= self.silence:
-            self._printed = time.monotonic()
-            self._write(f"{line}\n")
-        if self._shows_progress:
-            self._shown = time.monotonic()
-            self._write(CLEAR + line[: shutil.get_terminal_size().columns - 1])
-
     def _end_progress(self):
-        if self._shows_progress:
-            self._write(CLEAR)
-            self._shows_progress = False
+        if not self._done.is_set():
+            self._done.set()
+            self._write(self._clear)
 
     def _write(self, text):
         try:
@@ -377,7 +362,7 @@ class Console:
             text += f" ({Path(filename).name}, line {lineno})"
         if text not in self.messages:
             self.messages.append(text)
-            self.print_error(f"{CLEAR if self._shows_progress else ''}warning: {text}")
+            self.print_error(f"warning: {text}")
 
 
 def _discard(stream) -> None:

@@ -34,7 +34,7 @@ from skdgp._flight.frames import (
 from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import FlightTable, by_name
 from skdgp.io._clock import clock_parts, resample, uniform_clock
-from skdgp.io._dataflash import MARK, read_dataflash, read_dataflash_text
+from skdgp.io._dataflash import MARK, read_dataflash
 from skdgp.io._instances import Origin, Source, choose, validity_fields
 from skdgp.io._log import (
     DENSITY,
@@ -60,14 +60,13 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".ulg": read_ulog,
     ".ulog": read_ulog,
     ".bin": read_dataflash,
-    ".log": read_dataflash_text,
+    ".log": read_dataflash,
     ".tlog": read_tlog,
 }
 # how files begin, whatever their suffix
 BEGINNINGS: dict[bytes, Callable[[Path], Log]] = {
     HEADER: read_ulog,
     MARK: read_dataflash,
-    b"FMT": read_dataflash_text,
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")

@@ -8,7 +8,6 @@ length is checked: where no message begins, reading continues at the next two fi
 from __future__ import annotations
 
 import re
-from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
@@ -67,7 +65,6 @@ TYPES = {
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
-OF_TEXTS = ("n", "N", "Z")
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 # messages that describe the log, and are no topics
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
@@ -248,7 +245,7 @@ def read_dataflash(path: Path) -> Log:
     if not data.startswith(MARK):
         raise FlightReadError(
             "Got a file that does not begin as a DataFlash log does, but expected a "
-            "binary log of ArduPilot: is it empty, or of another kind?"
+            "binary log of ArduPilot (.bin): is it empty, in text, or of another kind?"
         )
     file = _File(data)
     messages = file.messages()
@@ -259,18 +256,6 @@ def read_dataflash(path: Path) -> Log:
             "but expected messages: was it cut off, or written before 2015?"
         )
     return _log(topics, messages, damage(file.skipped, file.cut))
-
-
-def read_dataflash_text(path: Path) -> Log:
-    """Return a DataFlash log in text (.log), whose numbers are scaled; raise FlightReadError if it is none."""
-    messages = _read_texts(path)
-    topics = _topics(messages)
-    if not topics:
-        raise FlightReadError(
-            "Got a text in which no message of a FMT line has a TimeUS, but expected a DataFlash "
-            "log in text: is it of another kind, or written before 2015?"
-        )
-    return _log(topics, messages)
 
 
 class Messages(NamedTuple):
@@ -328,55 +313,12 @@ class Messages(NamedTuple):
 NO_MESSAGES = Messages("", {}, np.empty(0))
 
 
-def _topics(
-    messages: Mapping[str, Messages], units: Mapping[str, str] | None = None
-) -> dict[str, Topic]:
+def _topics(messages: Mapping[str, Messages], units: Mapping[str, str]) -> dict[str, Topic]:
     """Return the topics of all messages with a time, by name and instance; ``units`` are letters of each column."""
     topics: dict[str, Topic] = {}
     for name in messages.keys() - {*DEFINITIONS}:
-        topics |= messages[name].instances(name, (units or {}).get(name, ""))
+        topics |= messages[name].instances(name, units.get(name, ""))
     return dict(sorted(topics.items()))
-
-
-def _read_texts(path: Path) -> dict[str, Messages]:
-    """Return the messages of a DataFlash log in text, by the name of their type."""
-    formats: dict[str, tuple[str, list[str]]] = {}
-    rows: defaultdict[str, list[list[str]]] = defaultdict(list)
-    places: defaultdict[str, list[int]] = defaultdict(list)
-    for place, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
-        name, *cells = _cells(line)
-        if name == "FMT" and len(cells) > 4:
-            formats[cells[2]] = cells[3], cells[4:]
-        elif name in formats:
-            _, columns = formats[name]
-            # a text at the end may hold commas
-            _, *cells = _cells(line, len(columns))
-            if len(cells) == len(columns):
-                rows[name].append(cells)
-                places[name].append(place)
-    messages = {}
-    for name in rows:
-        codes, columns = formats[name]
-        cells_of = dict(zip(columns, zip(*rows[name], strict=True), strict=True))
-        code_of = dict(zip(columns, codes, strict=False))
-        by_name = {}
-        for column, values in cells_of.items():
-            texts = np.array(values, dtype=object)
-            by_name[column] = texts if code_of.get(column, "") in OF_TEXTS else _numbers(texts)
-        letters = "".join(code_of.get(column, " ") for column in by_name)
-        messages[name] = Messages(letters, by_name, np.array(places[name], float))
-    return messages
-
-
-def _cells(line: str, most: int = -1) -> list[str]:
-    """Return the cells of a line, split at the first commas at most."""
-    return [cell.strip() for cell in line.split(",", most)]
-
-
-def _numbers(texts: np.ndarray) -> np.ndarray:
-    """Return the numbers of texts, NaN where there is none; as they are without any number."""
-    numbers = pd.to_numeric(pd.Series(texts), errors="coerce").to_numpy(float)
-    return numbers if np.isfinite(numbers).any() else texts
 
 
 def _log(

@@ -80,7 +80,7 @@ def read_flight(
     ----------
     path : str or path
         ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.ulg`` (PX4) and ``.tlog``
-        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` and ``.log`` (ArduPilot).
+        (MAVLink telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot).
     flight : str, optional
         Flight identifier. By default the file's column ``flight``, or without one the name of the
         file; further flights in a log of an autopilot are ``name#2``, ``name#3``.

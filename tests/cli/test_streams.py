@@ -2,11 +2,16 @@
 
 import io
 import os
+import re
 import sys
+import time
 from contextlib import redirect_stderr, redirect_stdout
 
 import pandas as pd
 import pytest
+
+from skdgp._cli import Console
+from skdgp._compute.messages import Progress
 
 FULL = "/dev/full"
 needs_full = pytest.mark.skipif(not os.path.exists(FULL), reason=f"there is no {FULL} here")
@@ -67,3 +72,16 @@ def test_a_warning_that_nobody_sees_ends_nothing(predict, written, tmp_path):
     with open(FULL, "w") as full, redirect_stderr(full):
         assert predict(str(holes)) == 0
     assert len(pd.read_csv(written)) == len(table) - 10
+
+
+def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():
+    stream = io.StringIO()
+    with Console(stream, period=0.01) as console:
+        console.progress("transforming", 0, float("nan"))
+        for done in range(4):
+            console.progress(Progress("estimating the air", done, 8), 0, float("nan"))
+        until = time.monotonic() + 30.0
+        while "3 of 8" not in stream.getvalue() and time.monotonic() < until:
+            time.sleep(0.01)
+    pattern = r"transforming · estimating the air \[####-{6}\] 3 of 8, < \d+ s left · \d+ s"
+    assert re.search(pattern, stream.getvalue())

@@ -103,7 +103,10 @@ class TestRefusedFit:
         ("options", "change"),
         [
             ({"structure": "trend", "trend": "constant"}, lambda X, Y: (X, 1000 * Y + 7)),
-            ({"kernel": ConvolvedGaussian(1, regressors=[5])}, lambda X, Y: (X[:, :1], Y[:, 0])),
+            (
+                {"kernel": ConvolvedGaussian(1, shift=[1.0, 2.0, 3.0])},
+                lambda X, Y: (X[:, :1], Y[:, 0]),
+            ),
             ({}, lambda X, Y: (X[:, :1], Y[:3])),
         ],
     )

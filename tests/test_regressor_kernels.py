@@ -1,4 +1,4 @@
-"""DependentGPRegressor with a given kernel: units, terms, kernels of scikit-learn and of four methods."""
+"""DependentGPRegressor with a given kernel: units, terms, kernels of scikit-learn and of five methods."""
 
 import warnings
 
@@ -24,7 +24,7 @@ from skdgp.kernels import (
 FAR = [[1e4]]  # where a posterior is the prior
 
 
-class FourMethods(MultiOutputKernel):
+class FiveMethods(MultiOutputKernel):
     """One process exp(-r^2 / 2) times an amplitude for each output."""
 
     def __init__(self, amplitude, length_scale, amplitude_bounds=(-1e4, 1e4)):
@@ -46,6 +46,10 @@ class FourMethods(MultiOutputKernel):
             FreeParameter("amplitude", index, False, self.amplitude_bounds),
             FreeParameter("length_scale", np.arange(1), True, (1e-2, 1e2)),
         ]
+
+    def rescaled(self, factor):
+        bounds = np.asarray(self.amplitude_bounds) * np.reshape(factor, (-1, 1))
+        return type(self)(np.multiply(self.amplitude, factor), self.length_scale, bounds)
 
     def shape(self, Xi, Xj):
         square = cdist(Xi, Xj, "sqeuclidean") / self.length_scale[0] ** 2
@@ -78,7 +82,7 @@ GIVEN = [
         parameter_bounds={"amplitude": np.array([[-100.0, 100.0], [-0.01, 0.01]])},
     ),
     Coregionalized(Matern(), amplitude=[[30.0, -3e-3], [1.0, 0.0], [0.0, 1e-4]]),
-    FourMethods([30.0, -3e-3], [1.5]),
+    FiveMethods([30.0, -3e-3], [1.5]),
 ]
 
 
@@ -127,16 +131,16 @@ class TestUnits:
             there.kernel_(X), here.kernel_(X) * np.multiply.outer(rows, rows), rtol=1e-6
         )
 
-    def test_a_kernel_of_four_methods_comes_back_with_its_learned_values(self):
+    def test_a_kernel_of_five_methods_comes_back_with_its_learned_values(self):
         X, Y = waves()
-        given = FourMethods([30.0, -3e-3], [1.5])
+        given = FiveMethods([30.0, -3e-3], [1.5])
         model = quick(given, trend="constant", max_iter=40).fit(X, Y)
-        assert type(model.kernel_) is FourMethods
+        assert type(model.kernel_) is FiveMethods
         assert model.kernel_.amplitude[0] / model.kernel_.amplitude[1] == pytest.approx(
             -25e3, rel=0.05
         )
         assert (given.amplitude, given.length_scale) == ([30.0, -3e-3], [1.5])
-        with pytest.raises(ValueError, match=r"data of 1 outputs, but expected 2.*FourMethods"):
+        with pytest.raises(ValueError, match=r"data of 1 outputs, but expected 2.*FiveMethods"):
             quick(given).fit(X, Y[:, 0])
 
 
@@ -159,7 +163,7 @@ class TestBounds:
                 r"kernel__length_scale\[0\] = 0.5 \(upper bound 0.5\)",
             ),
             (
-                FourMethods([10.0], [1.0], (-20.0, 20.0)),
+                FiveMethods([10.0], [1.0], (-20.0, 20.0)),
                 r"amplitude\[0\] = 20 \(upper bound 20\)",
             ),
         ],
@@ -251,7 +255,7 @@ class TestSamples:
         assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)
 
 
-class WithPaths(FourMethods):
+class WithPaths(FiveMethods):
     """The same covariance, with sample paths."""
 
 

@@ -313,7 +313,7 @@ def _exact(
         terms: list[Term] = []
         for kernel in kernels:
             for j, first in enumerate(places[:-1]):
-                terms += _terms(kernel, i, j, first, X[j], kernel)
+                terms += _terms(kernel, i, j, first, X[j])
         trend = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
         root = (inverse[:, a:b] @ trend).T
         part = Part(
@@ -369,7 +369,7 @@ def _sparse_terms(
             for f in features.blocks[i]:
                 Z = features.Z[f]
                 latent = n_outputs + f
-                terms += _terms(features.joint, i, latent, len(of_terms), Z, features.kernel)
+                terms += _terms(features.joint, i, latent, len(of_terms), Z)
                 of_terms += range(place, place + len(Z))
                 place += len(Z)
         else:
@@ -378,14 +378,10 @@ def _sparse_terms(
     return terms, of_trend, of_terms
 
 
-def _terms(kernel, i, j, first, X, original) -> Iterator[Term]:
-    """Yield the terms of output i for its covariance with output j at X; ``original`` is the kernel of the model."""
+def _terms(kernel, i, j, first, X) -> Iterator[Term]:
+    """Yield the terms of output i for its covariance with output j at X."""
     pair = kernel.pair(i, j)
-    (regressors,) = original.term_regressors()
-    unused = np.setdiff1d(np.arange(X.shape[1]), regressors)
     for gain, root, shift in zip(pair.gain, np.sqrt(pair.Sigma), pair.mu, strict=True):
         F = np.diag(root)
-        F[unused] = 0.0
-        F = F[:, F.any(axis=0)]
         if len(X):
             yield Term(int(first), float(gain), F, (X + shift) @ F)

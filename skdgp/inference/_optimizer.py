@@ -34,9 +34,11 @@ class OptimizerSettings:
     #: Slope by every hyperparameter, in its own unit, below which the point is stationary [nats]
     gradient: float = 1e-3
     #: First, least and largest damping, beyond which rounding hides every rise
-    damping: tuple[float, float, float] = (0.1, 1e-6, 1e6)
+    damping: tuple[float, float, float] = (0.1, 1e-3, 1e6)
     #: Longest step of a hyperparameter: a factor of e^2 of a width
     longest: float = 2.0
+    #: Hyperparameters are multiples of this as long as a step promises this rise [nats]
+    grid: tuple[float, float] = (1e-3, 0.01)
     #: Fractions of the predicted rise: above which a step is taken, below which the damping rises,
     #: and above which it falls
     accepted: float = 1e-4
@@ -100,6 +102,7 @@ def maximize(
     point = objective(theta)
     correction = np.zeros_like(point.information)
     damping, least, most = settings.damping
+    grid, promise = settings.grid
     n_iter = 0
     try:
         while not _is_stationary(theta, point, bounds, settings):
@@ -112,9 +115,12 @@ def maximize(
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
             end = theta + _step(theta, point, curvature, bounds, damping, settings.longest)
-            end = np.clip(end, *bounds.T)
-            step = end - theta
-            predicted = step @ point.gradient - 0.5 * step @ curvature @ step
+            for of_grid in (np.round(end / grid) * grid, end):
+                end = np.clip(of_grid, *bounds.T)
+                step = end - theta
+                predicted = step @ point.gradient - 0.5 * step @ curvature @ step
+                if predicted > promise:
+                    break
             other = _evaluated(objective, end) if predicted > 0 else None
             if other is None:
                 damping *= 4.0

@@ -130,16 +130,6 @@ class SinglePosterior(Posterior):
             yield self.of(remaining, noise)
 
     @abstractmethod
-    def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
-        """Return the posterior of one term of the kernel, which is independent of the others a priori.
-
-        With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
-        K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011), with
-        inducing variables likewise. ``predict``, ``covariance`` and ``gradient`` refer to the
-        term, which ``self.kernel.term(regressors)`` gives.
-        """
-
-    @abstractmethod
     def loading(self, i: int, Xs: Matrix) -> tuple[Array, Array]:
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
 
@@ -261,9 +251,6 @@ class ExactPosterior(SinglePosterior):
         """Return the posterior of other values with another noise, at the same hyperparameters."""
         return ExactPosterior(self.kernel, noise, data)
 
-    def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
-        return ExactTerm(self, kernel)
-
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Return A (n, N) and b (N,) such that the mean of output i at Xs is A b."""
         A = np.zeros((len(Xs), self.size))
@@ -316,7 +303,11 @@ class ExactPosterior(SinglePosterior):
 
 
 class ExactTerm(ExactPosterior):
-    """The posterior of one term of the kernel of an exact posterior."""
+    """The posterior of one term of the kernel of an exact posterior, independent of the others a priori.
+
+    With the covariance K_t of the term its mean is K_t(X*, X) K^-1 y, and its covariance
+    K_t(X*, X*) - K_t(X*, X) K^-1 K_t(X, X*) (Duvenaud, Nickisch & Rasmussen 2011).
+    """
 
     def __init__(self, whole: ExactPosterior, kernel: MultiOutputKernel) -> None:
         self.kernel = kernel

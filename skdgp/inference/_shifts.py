@@ -17,7 +17,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._blocks import spread_rows
 from skdgp.inference._likelihood import Data
-from skdgp.inference._posterior import ExactPosterior, SinglePosterior
+from skdgp.inference._posterior import ExactPosterior, ExactTerm, SinglePosterior
 from skdgp.kernels import MultiOutputKernel
 
 
@@ -126,7 +126,7 @@ def _process(kernel, noise, X, y) -> SinglePosterior:
     rows = observed[spread_rows(X[observed], SETTINGS.values)]
     posterior = ExactPosterior(kernel, noise, Data.from_table(X[rows], y[rows, None]))
     processes = [term for term in kernel.summands() if term.n_processes]
-    return posterior.term(processes[-1])
+    return ExactTerm(posterior, processes[-1])
 
 
 def _moments(function: SinglePosterior, X: Matrix) -> tuple[Vector, Vector]:

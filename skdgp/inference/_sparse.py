@@ -233,12 +233,6 @@ class SparsePosterior(SinglePosterior):
                 roots.append(triangular_solve(sub_factor(self.Lu, columns), R, transposed=True))
         return roots
 
-    def term(self, kernel: MultiOutputKernel) -> SinglePosterior:
-        features = self.features.rebuild(kernel)
-        term = SparsePosterior(kernel, features, self.noise, self.data, self.sums)
-        term.roots = self.roots
-        return term
-
     def loading(self, i: int, Xs: Matrix) -> tuple[np.ndarray, np.ndarray]:
         """Return A (n, c) and b (c,) such that the mean of output i at Xs is A b."""
         return self.features.Kfu(i, Xs), self.weights[self.features.columns(i)]

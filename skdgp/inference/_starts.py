@@ -23,8 +23,6 @@ from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum
 class StartSettings:
     """Values that a stage of the search starts from."""
 
-    #: Amplitude of a term of few regressors, over the amplitude of a kernel of all
-    additive_amplitude: float = 0.3
     #: Fraction of its starting amplitude below which an output was explained as noise
     noise_amplitude: float = 0.1
     #: Largest width of a start from fits of few rows, in standard deviations of the regressor: from
@@ -61,7 +59,7 @@ def starting_kernel(
     """
     start = kernel.initialize(X, Y, np.random.RandomState(0))
     if singles is None:
-        return _of_terms(_from_data, kernel, start)
+        return start
     return _of_terms(partial(_from_singles, X), kernel, start, *singles)
 
 
@@ -124,29 +122,13 @@ def _single_output(term):
     bounds = None
     if term.bounds_from_data("length_scale") and term.parameter_bounds is not None:
         bounds = {"length_scale": term.parameter_bounds.get("length_scale")}
-    return ConvolvedGaussian(0, regressors=term.regressors, parameter_bounds=bounds)
-
-
-def _from_data(term, start):
-    """Return the start of a term, of smaller amplitudes and widths if it has few regressors."""
-    if not isinstance(term, ConvolvedGaussian) or term.regressors is None:
-        return start
-    filters = start.filters
-    neutral = term.without_effect(start.n_features)
-    if not neutral.any():
-        return start
-    lengths = filters.length_scale
-    lengths[..., ~neutral] *= np.sqrt(np.mean(~neutral))
-    amplitude = SETTINGS.additive_amplitude * filters.amplitude
-    return _with_missing(term, start, {"amplitude": amplitude, "length_scale": lengths})
+    return ConvolvedGaussian(0, parameter_bounds=bounds)
 
 
 def _narrowed(factor, term, start):
     if not isinstance(term, ConvolvedGaussian):
         return start
-    lengths = start.filters.length_scale
-    lengths[..., ~term.without_effect(start.n_features)] *= factor
-    return _with_missing(term, start, {"length_scale": lengths})
+    return _with_missing(term, start, {"length_scale": factor * start.filters.length_scale})
 
 
 def _from_simpler(term, fitted):
@@ -198,6 +180,4 @@ def _filters_from_singles(X, term, start, singles):
         lengths = np.minimum(lengths, SETTINGS.widest * column_scale(X))
     if term.covariance_type == "tied":
         lengths = tied(lengths)
-    neutral = term.without_effect(start.n_features)
-    lengths[..., neutral] = filters.length_scale[..., neutral]
     return _with_missing(term, start, {"amplitude": amplitude, "length_scale": lengths})

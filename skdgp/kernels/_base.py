@@ -121,9 +121,9 @@ class MultiOutputKernel(Kernel):
     output-major: all samples of the first output, then all samples of the second.
 
     A new kernel needs a constructor as scikit-learn requires it, the properties ``n_outputs`` and
-    ``n_features``, and four methods: ``block``, ``block_gradient``, ``block_diag`` and
-    ``free_parameters``. These are enough for exact and sparse inference. The other methods are
-    optional: each has a default or raises an error that names the method.
+    ``n_features``, and five methods: ``block``, ``block_gradient``, ``block_diag``,
+    ``free_parameters`` and ``rescaled``. These are enough for exact and sparse inference. The other
+    methods are optional: each has a default or raises an error that names the method.
     """
 
     @property
@@ -159,6 +159,14 @@ class MultiOutputKernel(Kernel):
     @abstractmethod
     def free_parameters(self) -> list[FreeParameter]:
         """Return the parameters that form theta, in the order of theta."""
+
+    @abstractmethod
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        """Return the kernel of the outputs in other units: values multiplied by ``factor``.
+
+        The covariance of outputs i and j is multiplied by ``factor[i] * factor[j]``; factors (P,)
+        are positive. Values and bounds are converted.
+        """
 
     # -- optional methods
     # ------------------------------------------------------------------------------
@@ -220,18 +228,6 @@ class MultiOutputKernel(Kernel):
                 f"as many as the kernel {type(self).__name__} has."
             )
 
-    def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        """Return the kernel of the outputs in other units: values multiplied by ``factor``.
-
-        The covariance of outputs i and j is multiplied by ``factor[i] * factor[j]``; factors (P,)
-        are positive. Values and bounds are converted. The default wraps the kernel, and unwraps it
-        when the product of all factors is one.
-        """
-        factor = np.asarray(factor, dtype=float)
-        if np.allclose(factor, 1.0, rtol=1e-12, atol=0.0):
-            return self
-        return Rescaled(self, factor)
-
     def bounds_from_data(self, name: str) -> bool:
         """Return whether ``initialize`` estimates the bounds of a parameter from data, by default False."""
         return False
@@ -243,21 +239,6 @@ class MultiOutputKernel(Kernel):
     def summands(self) -> list[MultiOutputKernel]:
         """Return the kernels that add up to this one, which are not sums themselves."""
         return [self]
-
-    def term_regressors(self) -> list[tuple[int, ...]]:
-        """Return the regressors of every independent term of the kernel: columns of X, and () for a constant."""
-        return [tuple(range(self.n_features))]
-
-    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
-        """Return the kernel, in the same shape, with only the terms of exactly these regressors; the others are zero.
-
-        The kernels of all entries of ``term_regressors`` add up to the kernel.
-        """
-        if [regressors] == self.term_regressors():
-            return self
-        raise NotImplementedError(
-            f"{type(self).__name__} does not define term, the terms of a sum of kernels."
-        )
 
     # -- matrices
     # --------------------------------------------------------------------------------------
@@ -497,12 +478,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def summands(self) -> list[MultiOutputKernel]:
         return [*self.k1.summands(), *self.k2.summands()]
 
-    def term_regressors(self) -> list[tuple[int, ...]]:
-        return list(dict.fromkeys([*self.k1.term_regressors(), *self.k2.term_regressors()]))
-
-    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
-        return Sum(self.k1.term(regressors), self.k2.term(regressors))
-
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         return self.k2.residual(X, self.k1.residual(X, Y))
 
@@ -610,113 +585,6 @@ def _common(name, first, second):
             f"Got a sum of kernels with {name} {first} and {second}, but expected the same number."
         )
     return first
-
-
-class Rescaled(MultiOutputKernel):
-    r"""The kernel of outputs multiplied by factors: :math:`f_i f_j K_{ij}`.
-
-    Theta is the theta of ``kernel``, but signed entries are divided by ``unit``, their starting
-    values, so that a search does not depend on the unit of the outputs.
-
-    Parameters
-    ----------
-    kernel : MultiOutputKernel
-    factor : array (P,)
-        Positive.
-    unit : array (n_theta,) or None
-        Ones for logarithms. None: ones.
-    """
-
-    def __init__(self, kernel: MultiOutputKernel, factor: Any, unit: Any = None) -> None:
-        self.kernel = kernel
-        self.factor = factor
-        self.unit = unit
-
-    def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return self.kernel.rescaled(np.asarray(self.factor) * factor)
-
-    @property
-    def n_outputs(self) -> int:
-        """Number of outputs P."""
-        return self.kernel.n_outputs
-
-    @property
-    def n_features(self) -> int:
-        """Number of regressors d."""
-        return self.kernel.n_features
-
-    @property
-    def n_processes(self) -> int:
-        return self.kernel.n_processes
-
-    def couples(self, i: int, j: int) -> bool:
-        return self.kernel.couples(i, j)
-
-    def is_stationary(self) -> bool:
-        return self.kernel.is_stationary()
-
-    def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
-        return self.factor[i] * self.factor[j] * self.kernel.block(i, j, Xi, Xj)
-
-    def block_diag(self, i: int, Xi: Matrix) -> Vector:
-        return self.factor[i] ** 2 * self.kernel.block_diag(i, Xi)
-
-    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        return self.factor[i] * self.factor[j] * self.kernel.block_derivative(i, j, Xi, Xj)
-
-    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        W = self.factor[i] * self.factor[j] * W
-        return self.kernel.block_gradient(i, j, Xi, Xj, W) * self._units()
-
-    def free_parameters(self) -> list[FreeParameter]:
-        return self.kernel.free_parameters()
-
-    def values(self) -> dict[str, Array]:
-        return self.kernel.values()
-
-    @property
-    def theta(self):
-        """Free hyperparameters of the kernel, signed ones over their units, (n_theta,)."""
-        return self.kernel.theta / self._units()
-
-    @theta.setter
-    def theta(self, theta: Vector | None):
-        self.kernel = self.kernel.clone_with_theta(np.asarray(theta) * self._units())
-
-    @property
-    def bounds(self) -> Matrix:
-        """Bounds on theta, (n_theta, 2)."""
-        return self.kernel.bounds / self._units()[:, None]
-
-    def _units(self):
-        return np.ones(self.n_dims) if self.unit is None else self.unit
-
-    def has_values(self) -> bool:
-        return self.kernel.has_values()
-
-    def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
-        kernel = self.kernel.initialize(X, Y / self.factor, random_state)
-        units = [np.empty(0)]
-        for f in kernel.free_parameters():
-            size = np.abs(f.elements(kernel.value(f.name)))
-            size[size == 0.0] = 1.0
-            units.append(np.ones(f.n_elements) if f.log else size)
-        return Rescaled(kernel, self.factor, np.concatenate(units))
-
-    def summands(self) -> list[MultiOutputKernel]:
-        parts = self.kernel.summands()
-        if len(parts) == 1:
-            return [self]
-        return [part.rescaled(self.factor) for part in parts]
-
-    def term_regressors(self) -> list[tuple[int, ...]]:
-        return self.kernel.term_regressors()
-
-    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
-        return Rescaled(self.kernel.term(regressors), self.factor)
-
-    def residual(self, X: Matrix, Y: Matrix) -> Matrix:
-        return self.kernel.residual(X, Y / self.factor) * self.factor
 
 
 def _derivative_at_zero(function: Callable[[float], Matrix]) -> Matrix:

@@ -27,9 +27,6 @@ from skdgp.kernels._base import (
 )
 from skdgp.kernels._gaussian_filters import FilterPair, PairSlopes
 
-# Length scale of a regressor without effect, over its standard deviation: it changes 1e-18 of the
-# variance, below rounding
-CONSTANT_LENGTH = 1e9
 PARAMETERS = ("amplitude", "length_scale", "shift")
 # Bounds of a kernel that has values, and was not initialized from data
 DEFAULT_BOUNDS = {"amplitude": (-1e3, 1e3), "length_scale": (1e-3, 1e3), "shift": "fixed"}
@@ -100,12 +97,6 @@ class Filters(NamedTuple):
             shift[:, i] - shift[:, j],
         )
 
-    def of_regressors(self, columns: Indices) -> Filters:
-        """Return the filters along some regressors."""
-        return self._replace(
-            length_scale=self.length_scale[..., columns], shift=self.shift[..., columns]
-        )
-
     def zeros(self) -> Filters:
         """Return zeros in the shapes of the parameters, to which derivatives are added."""
         return Filters(
@@ -151,11 +142,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     covariance_type : {"diag", "tied"}
         Widths of the filters, one for each regressor: "tied" has equal ones for all outputs of a
         latent (with zero shifts this is the linear model of coregionalisation).
-    regressors : sequence of int or None
-        Columns of X that the outputs depend on, for additive models: a sum of kernels of few
-        regressors each. Length scales of the others are fixed at 1e9 times their standard deviation
-        (at least at 1e9), whatever ``length_scale`` is given, so that they have no effect in double
-        precision. None: all columns.
     feeds : array (M, P) of bool or None
         Whether latent m contributes to output i, for example one latent for the lateral outputs
         only. It replaces ``n_latent`` and ``private_latents``.
@@ -190,7 +176,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         *,
         private_latents: bool = True,
         covariance_type: str = "diag",
-        regressors: Sequence[int] | None = None,
         feeds: Any = None,
         amplitude: Any = None,
         length_scale: Any = None,
@@ -200,7 +185,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         self.n_latent = n_latent
         self.private_latents = private_latents
         self.covariance_type = covariance_type
-        self.regressors = regressors
         self.feeds = feeds
         self.amplitude = amplitude
         self.length_scale = length_scale
@@ -230,9 +214,6 @@ class ConvolvedGaussian(MultiOutputKernel):
         feeds = self._feeds(P)
         shape = (*feeds.shape, d)
         lengths = as_shape("length_scale", lengths, shape)
-        if self.regressors is not None:
-            neutral = self.without_effect(d)
-            lengths[..., neutral] = np.maximum(lengths[..., neutral], CONSTANT_LENGTH)
         if self.covariance_type == "tied":
             check_tied(lengths, feeds)
         return Filters(
@@ -241,20 +222,6 @@ class ConvolvedGaussian(MultiOutputKernel):
             lengths,
             as_shape("shift", self.shift, shape),
         )
-
-    def without_effect(self, d: int) -> Mask:
-        """Return the mask (d,) of regressors that the outputs do not depend on."""
-        if self.regressors is None:
-            return np.zeros(d, dtype=bool)
-        columns = np.asarray(self.regressors)
-        is_list = columns.ndim == 1 and columns.dtype.kind in "iu" and len(columns) > 0
-        if not (is_list and columns.min() >= 0 and columns.max() < d):
-            raise ValueError(
-                f"Got regressors={self.regressors!r}, but expected columns of X from 0 to {d - 1}."
-            )
-        neutral = np.ones(d, dtype=bool)
-        neutral[columns] = False
-        return neutral
 
     def _feeds(self, P):
         """Return whether each latent feeds each output, (M, P)."""
@@ -291,13 +258,11 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.amplitude is not None and self.length_scale is not None
 
     def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
-        d = X.shape[1]
         feeds = self._feeds(Y.shape[1])
-        neutral = self.without_effect(d)
         values, bounds = starting_values(feeds, X, Y, random_state)
         if is_spacing(given_bounds(self, PARAMETERS).get("length_scale")):
             smallest = bounds["length_scale"][..., 0]
-            np.maximum(smallest, spacing(X, Y, ~neutral) * column_scale(X), out=smallest)
+            np.maximum(smallest, spacing(X, Y) * column_scale(X), out=smallest)
         params = self.get_params()
         params["parameter_bounds"] = self._bounds(bounds)
         if self.covariance_type == "tied":
@@ -307,25 +272,13 @@ class ConvolvedGaussian(MultiOutputKernel):
                 params[name] = value
             else:
                 params[name] = as_shape(name, params[name], value.shape)
-        params["length_scale"][..., neutral] = CONSTANT_LENGTH * column_scale(X)[neutral]
         return type(self)(**params)
-
-    def term_regressors(self) -> list[tuple[int, ...]]:
-        return [tuple(np.flatnonzero(~self.without_effect(self.n_features)).tolist())]
-
-    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
-        if regressors in self.term_regressors():
-            return self
-        return clone(self).set_params(amplitude=np.zeros_like(self.filters.amplitude))
 
     def free_parameters(self) -> list[FreeParameter]:
         d = np.atleast_1d(self.length_scale).shape[-1]
         feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
-        matters = ~self.without_effect(d)
         is_tied = self.covariance_type == "tied"
-        amplitudes, lengths, shifts = numbers(
-            feeds.tobytes(), feeds.shape[1], matters.tobytes(), is_tied
-        )
+        amplitudes, lengths, shifts = numbers(feeds.tobytes(), feeds.shape[1], d, is_tied)
         bounds = self._bounds(DEFAULT_BOUNDS)
         return [
             FreeParameter("amplitude", amplitudes, False, bounds["amplitude"]),
@@ -392,16 +345,11 @@ class _EvaluatedFilters:
     def __init__(self, kernel: ConvolvedGaussian, pairs: Sequence[InputPair]) -> None:
         self.kernel = kernel
         self.pairs = pairs
-        # exponents of regressors without effect would cost most of the time of one-dimensional kernels
-        self.full = kernel.filters
-        n_features = self.full.length_scale.shape[-1]
-        self.acting = np.flatnonzero(~kernel.without_effect(n_features))
-        self.filters = self.full.of_regressors(self.acting)
+        self.filters = kernel.filters
         of_outputs = {(pair.i, pair.j): self.filters.pair(pair.i, pair.j) for pair in pairs}
 
         def evaluated(pair):
-            Xi, Xj = pair.Xi[:, self.acting], pair.Xj[:, self.acting]
-            return of_outputs[pair.i, pair.j].evaluated(Xi, Xj)
+            return of_outputs[pair.i, pair.j].evaluated(pair.Xi, pair.Xj)
 
         self.evaluated = thread_map(evaluated, pairs)
         self.blocks = [each.covariance for each in self.evaluated]
@@ -415,11 +363,7 @@ class _EvaluatedFilters:
             self.pairs, thread_map(of_pair, range(len(self.pairs))), strict=True
         ):
             slopes.add(pair.i, pair.j, of_one)
-        by_value = self.full.zeros()
-        by_value.amplitude[:] = slopes.amplitude
-        by_value.length_scale[..., self.acting] = slopes.length_scale
-        by_value.shift[..., self.acting] = slopes.shift
-        return self.kernel.theta_gradient(by_value._asdict())
+        return self.kernel.theta_gradient(slopes._asdict())
 
     def products(self, k: int, beta: Vector) -> Matrix:
         return self._columns(k, self.evaluated[k].products(beta))
@@ -443,8 +387,6 @@ class _EvaluatedFilters:
             if parameter.n_elements:
                 for output, part in parts:
                     numbers = parameter.index[latents, output]
-                    if parameter is not amplitude:
-                        numbers = numbers[:, self.acting]
                     free = numbers >= 0
                     # each number stands once: those of tied length scales are of different latents
                     of_parameter[:, numbers[free]] += part[:, free]
@@ -458,27 +400,23 @@ def is_spacing(bounds: Any) -> bool:
 
 
 @lru_cache(maxsize=64)  # all kernels of a search have the same numbers
-def numbers(
-    fed: bytes, n_outputs: int, matters: bytes, is_tied: bool
-) -> tuple[Indices, Indices, Indices]:
+def numbers(fed: bytes, n_outputs: int, d: int, is_tied: bool) -> tuple[Indices, Indices, Indices]:
     """Return the numbers of the free amplitudes (M, P), length scales and shifts (M, P, d).
 
-    ``fed`` holds whether each latent feeds each output, ``matters`` whether each regressor has an
-    effect.
+    ``fed`` holds whether each latent feeds each output.
     """
     feeds = np.frombuffer(fed, dtype=bool).reshape(-1, n_outputs)
-    has_effect = np.frombuffer(matters, dtype=bool)
-    M, d = len(feeds), len(has_effect)
+    M = len(feeds)
+    fed_along = np.repeat(feeds[..., None], d, axis=2)
     if is_tied:
-        # one filter for each latent
-        of_latents = numbered(np.broadcast_to(has_effect, (M, 1, d)))
-        lengths = np.where(feeds[..., None], of_latents, -1)
+        of_latents = np.arange(M * d).reshape(M, 1, d)  # one filter for each latent
+        lengths = np.where(fed_along, of_latents, -1)
     else:
-        lengths = numbered(feeds[..., None] & has_effect)
+        lengths = numbered(fed_along)
     # only differences between outputs matter: the first one of each latent is not shifted
     shifted = feeds.copy()
     shifted[np.arange(M), feeds.argmax(axis=1)] = False
-    return numbered(feeds), lengths, numbered(shifted[..., None] & has_effect)
+    return numbered(feeds), lengths, numbered(fed_along & shifted[..., None])
 
 
 def check_tied(lengths: Array, feeds: Mask) -> None:
@@ -549,14 +487,14 @@ def independent_processes(variance: Vector, length_scale: Vector) -> ConvolvedGa
 # -- starting values from the data
 
 
-def spacing(X: Matrix, Y: Matrix, matters: Mask, settings: StartSettings = STARTS) -> float:
+def spacing(X: Matrix, Y: Matrix, settings: StartSettings = STARTS) -> float:
     """Return the smallest width n^(-1/d) for samples X (rows, columns) and targets Y (rows, P), NaN allowed.
 
     n are the samples of the most observed output, at most ``most_counted``, d the regressors that
-    ``matters`` marks and that are not constant. n samples spread evenly over d regressors are 3.5
+    are not constant. n samples spread evenly over d regressors are 3.5
     times as far apart, in their standard deviations.
     """
-    n_axes = max(1, int(np.sum(matters & ~constant_columns(X))))
+    n_axes = max(1, int(np.sum(~constant_columns(X))))
     n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, settings.most_counted)
     return float(n) ** (-1.0 / n_axes)
 
@@ -596,6 +534,19 @@ def starting_values(
     return values, bounds
 
 
+def places(X: Matrix) -> Indices:
+    """Return the place of each column of X (n, d), NaN allowed, in an order that depends on its values alone.
+
+    So a table whose columns have another order, or other signs, has the same starting values.
+    """
+    moments = []
+    for x, scale in zip(X.T, column_scale(X), strict=True):
+        x = x[np.isfinite(x)]
+        centred = x - x.sum() / max(1, len(x))
+        moments.append(np.sum(np.abs(centred / scale) ** 3))
+    return np.argsort(np.argsort(moments))
+
+
 def _starting_amplitude(feeds, shared, Y, rng):
     """Return the signed amplitudes (M, P), over the scales of the outputs."""
     directions = np.ones(feeds.shape)
@@ -614,7 +565,8 @@ def _starting_lengths(shared, X, rng):
     varies = ~constant_columns(X)  # the others change nothing
     n_varying = varies.sum()
     scatter = np.zeros((len(shared), len(varies)))
-    scatter[:, varies] = rng.normal(size=(len(shared), n_varying))
+    drawn = rng.normal(size=(len(shared), n_varying))
+    scatter[:, varies] = drawn[:, places(X[:, varies])]
     scatter[~shared] = 0.0
     lengths = np.sqrt(max(1, n_varying)) * width[:, None] * column_scale(X)
     return lengths * np.exp(STARTS.width_scatter * scatter)
@@ -629,19 +581,20 @@ def _directions(Y, n_latent, rng):
     mean = np.nanmean(np.where(observed.any(axis=0), Y, 0.0), axis=0)
     Z = np.where(observed, Y - mean, 0.0) / column_scale(Y)
     counts = np.maximum(observed.T.astype(float) @ observed, 1.0)
-    order = np.diag(STARTS.tie_break * np.arange(P, 0, -1))
+    place = places(Y)
+    order = np.diag(STARTS.tie_break * (P - place))
     values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
     # The sign of an eigenvector depends on LAPACK: choose one.
-    side = np.sqrt(np.arange(2, P + 2)) @ vectors
+    side = np.sqrt(place + 2) @ vectors
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
     sizes = np.sqrt(np.maximum(values, STARTS.least_direction))
     principal = (vectors * sizes).T[::-1]
     rows = principal[:n_latent]
     if n_latent > P:
         further = STARTS.random_direction * rng.normal(size=(n_latent - P, P))
-        rows = np.concatenate([rows, further])
+        rows = np.concatenate([rows, further[:, place]])
     # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of
     # the amplitude, so that outputs of the other sign start, and end, as the same model.
-    perturbation = STARTS.direction_scatter * rng.normal(size=rows.shape)
+    perturbation = STARTS.direction_scatter * rng.normal(size=rows.shape)[:, place]
     rows = rows + perturbation * np.where(rows < 0, -1.0, 1.0)
     return rows / np.sqrt(np.sum(rows**2, axis=0))

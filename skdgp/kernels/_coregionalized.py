@@ -184,11 +184,6 @@ class Coregionalized(MultiOutputKernel):
     def bounds_from_data(self, name: str) -> bool:
         return name == "amplitude" and not given_bounds(self, ["amplitude"])
 
-    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
-        if regressors in self.term_regressors():
-            return self
-        return clone(self).set_params(amplitude=np.zeros_like(self.weights))
-
     # -- theta: amplitudes, then the theta of the kernel
     # ----------------------------------------------------------------------
 

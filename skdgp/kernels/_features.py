@@ -18,10 +18,10 @@ from scipy.linalg import block_diag
 
 from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp.kernels._base import MultiOutputKernel, Rescaled, Sum
+from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._gaussian_filters import GaussianBasis
-from skdgp.kernels._paths import Basis, BasisPaths, LinearPaths, PathBundle, RescaledPaths, contract
+from skdgp.kernels._paths import Basis, BasisPaths, LinearPaths, PathBundle, contract
 from skdgp.kernels._prior_paths import draw_waves, prior_paths
 from skdgp.kernels._trend import LinearTrend
 
@@ -46,12 +46,10 @@ class FeaturePaths(BasisPaths):
 
 @dataclass(frozen=True)
 class FeatureSettings:
-    """How inducing variables are placed and rounded."""
+    """How inducing variables are rounded."""
 
     #: Variance of white noise in the inducing variables, over their variance; the bound remains a bound
     jitter: float = 1e-6
-    #: Inducing inputs of a term of a single regressor
-    additive_points: int = 8
 
 
 SETTINGS = FeatureSettings()
@@ -65,12 +63,6 @@ class Features(ABC):
 
     kernel: MultiOutputKernel
     size: int
-    #: Arguments of the constructor behind the kernel
-    arguments: tuple = ()
-
-    def rebuild(self, kernel: MultiOutputKernel) -> Features:
-        """Return the features of another kernel of the same shape, with the same inducing inputs."""
-        return type(self)(kernel, *self.arguments)  # type: ignore[call-arg]
 
     def summands(self) -> list[Features]:
         """Return the features that are joined in these, which are not sums themselves."""
@@ -157,7 +149,6 @@ class ValueFeatures(Features):
         first = 0 if joint is None else kernel.n_outputs
         self.kernel = kernel
         self.joint = joint or kernel
-        self.arguments = (Z,)
         self.Z = [np.asarray(z, dtype=float) for z in Z]
         self.outputs = range(first, first + len(self.Z))
         self.size = sum(map(len, self.Z))
@@ -248,12 +239,12 @@ class LatentFeatures(ValueFeatures):
             added = np.zeros((len(width), len(width), *value.shape[2:]))
             added[:] = further.get(name, 0.0)
             arrays[name] = np.concatenate([value, added], axis=1)
-        super().__init__(kernel, Z, ConvolvedGaussian(regressors=kernel.regressors, **arrays))
-        self.arguments = Z, width
+        super().__init__(kernel, Z, ConvolvedGaussian(**arrays))
+        self.width = width
         self.blocks = [np.flatnonzero(fed).tolist() for fed in filters.feeds.T]
 
     def __reduce__(self):
-        return LatentFeatures, (self.kernel, *self.arguments)  # without the bases
+        return LatentFeatures, (self.kernel, self.Z, self.width)  # without the bases
 
     @cached_property
     def _bases(self) -> list[GaussianBasis]:
@@ -266,9 +257,8 @@ class LatentFeatures(ValueFeatures):
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
-        waves, latent = draw_waves(self.joint, n_paths, n_frequencies, random_state)
-        u = self._values_of(waves, random_state)
-        return waves.of_outputs(self.kernel.filters.feeds, latent), u
+        waves = draw_waves(self.joint, n_paths, n_frequencies, random_state)
+        return waves.of_outputs(self.kernel.n_outputs), self._values_of(waves, random_state)
 
 
 class TrendFeatures(Features):
@@ -315,9 +305,6 @@ class SumFeatures(Features):
         self.kernel = first.kernel + second.kernel
         self.size = first.size + second.size
 
-    def rebuild(self, kernel):
-        return SumFeatures(self.first.rebuild(kernel.k1), self.second.rebuild(kernel.k2))
-
     def summands(self):
         return [*self.first.summands(), *self.second.summands()]
 
@@ -344,34 +331,6 @@ class SumFeatures(Features):
         return self.first.paths(coefficients[:, :n]) + self.second.paths(coefficients[:, n:])
 
 
-class RescaledFeatures(Features):
-    """The features of a kernel whose outputs are multiplied by factors."""
-
-    def __init__(self, kernel: Rescaled, features: Features):
-        self.kernel = kernel
-        self.features = features
-        self.size = features.size
-
-    def rebuild(self, kernel):
-        return RescaledFeatures(kernel, self.features.rebuild(kernel.kernel))
-
-    def columns(self, i):
-        return self.features.columns(i)
-
-    def Kuu(self):
-        return self.features.Kuu()
-
-    def Kfu(self, i, X):
-        return self.kernel.factor[i] * self.features.Kfu(i, X)
-
-    def Kfu_derivative(self, i, X):
-        return self.kernel.factor[i] * self.features.Kfu_derivative(i, X)
-
-    def prior_paths(self, n_paths, n_frequencies, random_state):
-        paths, u = self.features.prior_paths(n_paths, n_frequencies, random_state)
-        return RescaledPaths(paths, np.asarray(self.kernel.factor)), u
-
-
 # -- features of a kernel
 # -----------------------------------------------------------------------------------------------
 
@@ -393,7 +352,6 @@ def _(kernel: ConvolvedGaussian, Z):
     weight = np.maximum(filters.amplitude**2, 1e-12) * filters.feeds
     weight /= weight.sum(axis=1, keepdims=True)
     width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(filters.length_scale)))
-    Z = _thinned(Z, kernel.without_effect(Z.shape[1]))
     return LatentFeatures(kernel, [Z] * len(width), width)
 
 
@@ -403,24 +361,8 @@ def _(kernel: LinearTrend, Z):
 
 
 @inducing_features.register
-def _(kernel: Rescaled, Z):
-    return RescaledFeatures(kernel, inducing_features(kernel.kernel, Z))
-
-
-@inducing_features.register
 def _(kernel: Sum, Z):
     return SumFeatures(inducing_features(kernel.k1, Z), inducing_features(kernel.k2, Z))
-
-
-def _thinned(Z, without_effect, settings=SETTINGS):
-    """Return inducing inputs for functions of a single regressor: fewer than the given ones."""
-    used = np.flatnonzero(~without_effect)
-    if len(used) > 1 or len(Z) <= settings.additive_points or len(without_effect) == 1:
-        return Z
-    chosen = np.tile(Z.mean(axis=0), (settings.additive_points, 1))
-    column = Z[:, used[0]]
-    chosen[:, used[0]] = np.linspace(column.min(), column.max(), settings.additive_points)
-    return chosen
 
 
 def covariance_paths(

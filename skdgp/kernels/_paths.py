@@ -11,7 +11,7 @@ from scipy.special import ndtri
 from scipy.stats.qmc import Sobol
 
 from skdgp._compute.linalg import consecutive
-from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.kernels._gaussian_filters import GaussianBasis
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
@@ -48,8 +48,8 @@ class PathBundle(ABC):
         return self
 
     def times(self, factor: Vector) -> PathBundle:
-        """Return the functions with outputs multiplied by factors (P,)."""
-        return RescaledPaths(self, factor)
+        """Return means, which are linear or of a basis, with outputs multiplied by factors (P,)."""
+        raise NotImplementedError
 
     def averaged(self, spread: Vector) -> PathBundle:
         """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
@@ -218,43 +218,14 @@ class LinearPaths(PathBundle):
 
 
 def summed(parts: Sequence[PathBundle]) -> PathBundle:
-    """Return the sums of functions: linear ones first, as one bundle, then waves along single regressors."""
+    """Return the sums of functions: linear ones first, as one bundle."""
     linear = [part for part in parts if isinstance(part, LinearPaths)]
-    single = [part for part in parts if isinstance(part, SingleWaves)]
-    others = [part for part in parts if not isinstance(part, LinearPaths | SingleWaves)]
-    if single:
-        others.insert(0, SingleWaves.joined(single))
+    others = [part for part in parts if not isinstance(part, LinearPaths)]
     if linear:
         centre = linear[0].centre
         weights = [part.about(centre).weights for part in linear]
         others.insert(0, LinearPaths(np.sum(weights, axis=0), centre))
     return others[0] if len(others) == 1 else SumPaths(others)
-
-
-class RescaledPaths(PathBundle):
-    """Paths whose outputs are multiplied by factors (P,)."""
-
-    def __init__(self, paths: PathBundle, factor: Vector):
-        self.paths = paths
-        self.factor = factor
-
-    def take(self, index):
-        return RescaledPaths(self.paths.take(index), self.factor)
-
-    def rounded(self):
-        return RescaledPaths(self.paths.rounded(), self.factor)
-
-    def averaged(self, spread):
-        return RescaledPaths(self.paths.averaged(spread), self.factor)
-
-    def doubles(self, same_points):
-        return self.paths.doubles(same_points)
-
-    def each(self, X):
-        return self.paths.each(X) * self.factor
-
-    def gradient(self, X):
-        return self.paths.gradient(X) * self.factor[:, None]
 
 
 class MixedPaths(PathBundle):
@@ -397,42 +368,38 @@ def contract(A: Array, c: Matrix) -> Array:
     return (A @ c[..., None])[..., 0]
 
 
-class WaveSums(PathBundle):
-    """Sums of cosines of frequencies ``omega`` and ``phase`` times ``weights``, along regressors."""
+class Waves(PathBundle):
+    """Sums of waves: each cosine is computed once for all outputs of its latent.
 
-    def __init__(self, omega: Any, phase: Any, weights: Any, along: Indices) -> None:
+    Frequencies ``omega`` are (S, d, C), ``phase`` (S, 1, C), ``weights`` (S, P, C).
+    """
+
+    def __init__(self, omega: Any, phase: Any, weights: Any) -> None:
         self.omega = omega
         self.phase = phase
         self.weights = weights
-        self.along = along
 
     def take(self, index):
-        return type(self)(self.omega[index], self.phase[index], self.weights[index], self.along)
+        return Waves(self.omega[index], self.phase[index], self.weights[index])
 
     def rounded(self):
-        omega = self.omega.astype(np.float32)
-        phase = self.phase.astype(np.float32)
-        return type(self)(omega, phase, self.weights.astype(np.float32), self.along)
-
-
-class Waves(WaveSums):
-    """Sums of waves: each cosine is computed once for all outputs of its latent.
-
-    ``omega`` is (S, k, C), ``phase`` (S, 1, C), ``weights`` (S, P, C). Waves run along the k
-    regressors with the numbers ``along``.
-    """
+        return Waves(
+            self.omega.astype(np.float32),
+            self.phase.astype(np.float32),
+            self.weights.astype(np.float32),
+        )
 
     def averaged(self, spread):
         # the characteristic function of the normal distribution
-        damping = np.exp(-0.5 * spread[self.along] ** 2 @ self.omega**2).astype(self.omega.dtype)
-        return Waves(self.omega, self.phase, self.weights * damping[:, None], self.along)
+        damping = np.exp(-0.5 * spread**2 @ self.omega**2).astype(self.omega.dtype)
+        return Waves(self.omega, self.phase, self.weights * damping[:, None])
 
     def doubles(self, same_points):
         return len(self.omega) * self.omega.shape[2]
 
     def _arguments(self, X):
         """Return the arguments of the waves, (S, n, C)."""
-        x = X[..., self.along].astype(self.omega.dtype) @ self.omega
+        x = X.astype(self.omega.dtype) @ self.omega
         x += self.phase
         return x
 
@@ -443,70 +410,11 @@ class Waves(WaveSums):
     def gradient(self, X):
         wave = _negative_sine(self._arguments(X))
         of_outputs = wave[:, :, None] * self.weights[:, None]
-        slopes = np.zeros((*of_outputs.shape[:3], X.shape[-1]))
-        slopes[..., self.along] = of_outputs @ self.omega.swapaxes(1, 2)[:, None]
-        return slopes
+        return (of_outputs @ self.omega.swapaxes(1, 2)[:, None]).astype(float)
 
-    def of_outputs(self, feeds: Mask, latent: Indices) -> PathBundle:
-        """Return the paths of the first P outputs, which latents feed, (M, P), of waves of these latents (C,).
-
-        Waves along a single regressor that each feed a single output need less memory.
-        """
-        weights = self.weights[:, : feeds.shape[1]]
-        fed = feeds[latent]
-        n_waves = fed.sum(axis=0)
-        is_private = fed.sum(axis=1).max() == 1 and n_waves.min() == n_waves.max()
-        if len(self.along) > 1 or not is_private:
-            return Waves(self.omega, self.phase, weights, self.along)
-        places = np.stack([np.flatnonzero(of_output) for of_output in fed.T])
-        outputs = np.arange(len(places))[:, None]
-        return SingleWaves(
-            self.omega[:, 0, places],
-            self.phase[:, 0, places],
-            weights[:, outputs, places],
-            np.repeat(self.along, places.shape[1]),
-        )
-
-
-class SingleWaves(WaveSums):
-    """Sums of waves along single regressors, W for each output.
-
-    ``omega``, ``phase`` and ``weights`` are (S, P, W), ``along`` (W,) the numbers of the regressors.
-    """
-
-    @classmethod
-    def joined(cls, parts: Sequence[SingleWaves]) -> SingleWaves:
-        """Return the sums of functions."""
-        return cls(
-            np.concatenate([part.omega for part in parts], axis=2),
-            np.concatenate([part.phase for part in parts], axis=2),
-            np.concatenate([part.weights for part in parts], axis=2),
-            np.concatenate([part.along for part in parts]),
-        )
-
-    def averaged(self, spread):
-        # the characteristic function of the normal distribution
-        damping = np.exp(-0.5 * (spread[self.along] * self.omega) ** 2).astype(self.omega.dtype)
-        return SingleWaves(self.omega, self.phase, self.weights * damping, self.along)
-
-    def doubles(self, same_points):
-        return self.omega.size
-
-    def _arguments(self, X):
-        """Return the arguments of the waves, (S, n, P, W)."""
-        x = X.astype(self.omega.dtype)[..., None, self.along] * self.omega[:, None]
-        x += self.phase[:, None]
-        return x
-
-    def each(self, X):
-        wave = _cosine(self._arguments(X))
-        return np.einsum("snpw,spw->snp", wave, self.weights).astype(float)
-
-    def gradient(self, X):
-        slopes = _negative_sine(self._arguments(X))
-        slopes *= (self.weights * self.omega)[:, None]
-        is_along = np.equal.outer(self.along, np.arange(X.shape[-1]))
-        return (slopes @ is_along.astype(slopes.dtype)).astype(float)
+    def of_outputs(self, n_outputs: int) -> Waves:
+        """Return the paths of the first outputs."""
+        return Waves(self.omega, self.phase, self.weights[:, :n_outputs])
 
 
 def _cosine(x: Array) -> Array:

@@ -6,18 +6,18 @@ from functools import singledispatch
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp, ndtri
+from scipy.special import logsumexp
 
 from skdgp._compute.typing import Array, Indices, Matrix, Seed
-from skdgp.kernels._base import MultiOutputKernel, Rescaled, Sum
+from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian, Filters
-from skdgp.kernels._paths import PathBundle, RescaledPaths, Waves
+from skdgp.kernels._paths import PathBundle, Waves
 
 
 def draw_waves(
     kernel: ConvolvedGaussian, n_paths: int, n_frequencies: int, random_state: Any
-) -> tuple[Waves, Indices]:
-    r"""Return sample paths of a ConvolvedGaussian and the latent of each wave, (C,).
+) -> Waves:
+    r"""Return sample paths of a ConvolvedGaussian.
 
     There are F waves for each of S paths of every latent. With the amplitude w_i, the width L_i and
     the shift mu_i of the filter to output i, the spectral density of h_i * x is the Gaussian
@@ -31,25 +31,17 @@ def draw_waves(
     mixture of the N_i of all c outputs of the latent. Frequencies are stratified over its
     components, so the roots are bounded (the balance heuristic of Veach & Guibas 1995). Every
     path has new frequencies, so paths have the moments of the prior for any number of
-    frequencies, at least c. Those of functions of a single regressor are stratified in size too,
-    so a quarter of them makes paths as Gaussian.
+    frequencies, at least c.
     """
-    along = np.flatnonzero(~kernel.without_effect(kernel.n_features))
-    if len(along) == 1:
-        n_frequencies = n_frequencies // 4
-    filters = kernel.filters.of_regressors(along)
+    filters = kernel.filters
     F = max(n_frequencies, int(filters.feeds.sum(axis=1).max()))
     drawn: list[_LatentWaves] = []
-    latents: list[int] = []
     for m in range(len(filters.feeds)):
-        of_latent = _latent_waves(filters, m, n_paths, F, random_state)
-        drawn += of_latent
-        latents += [m] * F * len(of_latent)
+        drawn += _latent_waves(filters, m, n_paths, F, random_state)
     omega = np.concatenate([waves.omega for waves in drawn], axis=1)
     phase = np.concatenate([waves.phase for waves in drawn], axis=1)
     gains = np.concatenate([waves.gains for waves in drawn], axis=1)
-    paths = Waves(omega.swapaxes(1, 2).copy(), phase[:, None], gains.swapaxes(1, 2).copy(), along)
-    return paths, np.array(latents)
+    return Waves(omega.swapaxes(1, 2).copy(), phase[:, None], gains.swapaxes(1, 2).copy())
 
 
 class _LatentWaves(NamedTuple):
@@ -75,7 +67,8 @@ def _latent_waves(
     amplitude = filters.amplitude[m, i]
     lengths = filters.length_scale[m, i]
     component = np.arange(n_frequencies) % len(i)
-    omega = _frequencies(n_paths, component, lengths, random_state)
+    normal = random_state.standard_normal((n_paths, n_frequencies, lengths.shape[1]))
+    omega = normal / lengths[component]
     gains = amplitude * _importance_gains(omega, lengths, np.bincount(component))
     # (g, g') in polar coordinates: its length, and its direction, the phase
     gains *= random_state.rayleigh(size=(n_paths, n_frequencies, 1))
@@ -119,19 +112,17 @@ def draw_waves_of_one_width(
     Outputs share F frequencies, and each has cosines and sines of its own normal weights. So each is
     distributed as with frequencies of its own, no two correlate, and P outputs need 2 F waves, not P F.
     """
-    along = np.flatnonzero(~kernel.without_effect(kernel.n_features))
-    filters = kernel.filters.of_regressors(along)
+    filters = kernel.filters
     amplitude = np.sum(filters.amplitude, axis=0, where=filters.feeds)
     width = filters.length_scale[filters.feeds][0]
     shape = (n_paths, n_frequencies)
-    omega = random_state.standard_normal((*shape, len(along))) / width
+    omega = random_state.standard_normal((*shape, len(width))) / width
     phase = random_state.uniform(0.0, 2 * np.pi, shape)
     normal = random_state.standard_normal((n_paths, len(amplitude), 2 * n_frequencies))
     return Waves(
         np.concatenate([omega, omega], axis=1).swapaxes(1, 2).copy(),
         np.concatenate([phase, phase - 0.5 * np.pi], axis=1)[:, None],
         amplitude[:, None] / np.sqrt(n_frequencies) * normal,
-        along,
     )
 
 
@@ -141,27 +132,6 @@ def _has_one_width(filters: Filters) -> bool:
     is_private = (feeds.sum(axis=0) == 1).all() and (feeds.sum(axis=1) == 1).all()
     widths = filters.length_scale[feeds]
     return bool(is_private and (widths == widths[0]).all())
-
-
-def _frequencies(n_paths: int, component: Indices, lengths: Matrix, random_state: Any) -> Array:
-    """Return frequencies (n_paths, F, k) of the ``component`` (F,) of filters with these lengths (c, k)."""
-    if lengths.shape[1] == 1:
-        normal = _stratified_half_normal(n_paths, component, random_state)
-    else:
-        normal = random_state.standard_normal((n_paths, len(component), lengths.shape[1]))
-    return normal / lengths[component]
-
-
-def _stratified_half_normal(n_paths: int, component: Indices, random_state: Any) -> Array:
-    """Return absolute values of normal numbers, (n_paths, F, 1), stratified over each ``component`` (F,)."""
-    place = np.empty(len(component))
-    size = np.empty(len(component))
-    for c in np.unique(component):
-        of_component = component == c
-        size[of_component] = of_component.sum()
-        place[of_component] = np.arange(of_component.sum())
-    above = size - place - random_state.uniform(size=(n_paths, len(component)))
-    return -ndtri(0.5 * above / size)[..., None]
 
 
 # -- paths of a kernel
@@ -197,26 +167,14 @@ def prior_paths(
 def has_prior_paths(kernel: MultiOutputKernel) -> bool:
     """Return whether sample paths are registered for the class of every term of a kernel."""
     missing = prior_paths.dispatch(object)
-    for term in kernel.summands():
-        original = term.kernel if isinstance(term, Rescaled) else term
-        if prior_paths.dispatch(type(original)) is missing:
-            return False
-    return True
+    return all(prior_paths.dispatch(type(term)) is not missing for term in kernel.summands())
 
 
 @prior_paths.register
 def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
-    filters = kernel.filters
-    if _has_one_width(filters) and len(kernel.term_regressors()[0]) > 1:
+    if _has_one_width(kernel.filters):
         return draw_waves_of_one_width(kernel, n_paths, n_frequencies, random_state)
-    waves, latent = draw_waves(kernel, n_paths, n_frequencies, random_state)
-    return waves.of_outputs(filters.feeds, latent)
-
-
-@prior_paths.register
-def _(kernel: Rescaled, n_paths, n_frequencies, random_state):
-    paths = prior_paths(kernel.kernel, n_paths, n_frequencies, random_state)
-    return RescaledPaths(paths, np.asarray(kernel.factor))
+    return draw_waves(kernel, n_paths, n_frequencies, random_state)
 
 
 @prior_paths.register

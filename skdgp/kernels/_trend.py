@@ -180,17 +180,6 @@ class LinearTrend(MultiOutputKernel):
         """Return dbasis / dX, (d, 1, d + 1), which is constant."""
         return np.pad(np.diag(self.value("slope_scale")[i]), [(0, 0), (1, 0)])[:, None]
 
-    def term_regressors(self) -> list[tuple[int, ...]]:
-        return [(), *((k,) for k in range(self.n_features))]
-
-    def term(self, regressors: tuple[int, ...]) -> MultiOutputKernel:
-        values = self.values()
-        has_slope = [(k,) == regressors for k in range(self.n_features)]
-        return clone(self).set_params(
-            intercept_scale=values["intercept_scale"] * (regressors == ()),
-            slope_scale=values["slope_scale"] * has_slope,
-        )
-
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         slopes = ((X - X.mean(axis=0)) / column_scale(X))[:, ~constant_columns(X)]
         basis = np.column_stack([np.ones(len(X)), slopes])

@@ -30,14 +30,11 @@ AT = default_rng(5).uniform(-2.5, 2.5, (7, D))
 
 
 def kernel_of_all_terms():
-    """Return a trend, main effects and processes that outputs share, with given values."""
+    """Return a trend, processes of each output and processes that outputs share, with given values."""
     kernel = LinearTrend(np.full(P, 0.5), np.full((P, D), 0.4), np.zeros(D))
     for k in range(D):
         widths = np.full((P, P, D), 1.0 + k)
-        amplitude = np.diag([0.5, 0.4])
-        kernel = kernel + ConvolvedGaussian(
-            0, regressors=[k], amplitude=amplitude, length_scale=widths
-        )
+        kernel = kernel + ConvolvedGaussian(0, amplitude=np.diag([0.5, 0.4]), length_scale=widths)
     amplitude = np.array([[0.6, -0.4], [0.3, 0.0], [0.0, 0.3]])
     widths = default_rng(3).uniform(0.8, 1.5, (1 + P, P, D))
     return kernel + ConvolvedGaussian(1, amplitude=amplitude, length_scale=widths)

@@ -11,7 +11,7 @@ from numpy.random import default_rng
 
 HERE = Path(__file__).parent
 PAGE = HERE.parents[1] / "docs" / "kernels.md"
-NAME = "four methods, of the page"
+NAME = "five methods, of the page"
 
 
 def module(name, path):
@@ -36,13 +36,11 @@ def kernel_of_the_page():
 
 contract = module("contract_of_kernels", HERE / "test_contract.py")
 contract.KERNELS[NAME] = kernel_of_the_page()
-RESCALED = "four methods, in other units"
-contract.KERNELS[RESCALED] = contract.KERNELS[NAME].rescaled([0.01, 2.0, 30.0])
 gradient_by_differences = contract.gradient_by_differences  # a fixture
 
 
 class TestContractOfThePage(contract.TestContract):
-    @pytest.fixture(params=[NAME, RESCALED])
+    @pytest.fixture(params=[NAME])
     def name(self, request):
         return request.param
 

@@ -39,20 +39,6 @@ def test_more_waves_make_paths_more_gaussian():
     assert kurtosis(64) < 0.1
 
 
-def test_functions_of_one_regressor_are_gaussian_by_few_stratified_waves():
-    """Their covariance over a width of the kernel hardly varies between paths, so no excess kurtosis is left."""
-    lengths = default_rng(0).uniform(0.6, 1.8, (3, 3, 2))
-    kernel = ConvolvedGaussian(
-        0, regressors=[1], amplitude=np.diag([1.0, 2.0, 0.5]), length_scale=lengths
-    )
-    points = np.zeros((1, 6, 2))
-    points[0, :, 1] = np.linspace(-1.5, 1.5, 6)
-    paths = prior_paths(kernel, 40000, 64, np.random.RandomState(1)).values(points)
-    differences = paths[:, 1:] - paths[:, :-1]
-    kurtosis = (differences**4).mean(axis=0) / (differences**2).mean(axis=0) ** 2 - 3.0
-    assert kurtosis.mean() < 0.05
-
-
 def test_inducing_inputs_far_from_each_other_lose_no_digits():
     """In length scales; squares of such distances, expanded, would cancel."""
     widths = default_rng(0).uniform(0.6, 1.8, (3, 2, 2))

@@ -16,7 +16,6 @@ from skdgp.kernels import MultiOutputKernel
 
 #: Smallest amplitude of a normalised output that is told apart from zero
 LEAST_AMPLITUDE = 1e-6
-START_GRID = 1e-2
 
 
 class Objective:
@@ -120,7 +119,6 @@ def climb(
     if noise_alone:
         bounds[: kernel.n_dims] = kernel.theta[:, None]
     start = np.concatenate([kernel.theta, np.log(noise)])
-    start = np.round(start / START_GRID) * START_GRID
     with threads_for(max(block.n_values for block in blocks)):
         end = maximize(
             objective.in_units,

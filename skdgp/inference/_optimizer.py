@@ -37,8 +37,11 @@ class OptimizerSettings:
     damping: tuple[float, float, float] = (0.1, 1e-3, 1e6)
     #: Longest step of a hyperparameter: a factor of e^2 of a width
     longest: float = 2.0
-    #: Hyperparameters are multiples of this as long as a step promises this rise [nats]
-    grid: tuple[float, float] = (1e-3, 0.01)
+    #: Spacing of the grid that steps end on, over the standard error of a hyperparameter, as long as
+    #: they promise this rise [nats]: so rounding errors, which grow where a likelihood is flat, do not
+    #: choose between its maxima
+    grid: float = 0.05
+    promise: float = 0.01
     #: Fractions of the predicted rise: above which a step is taken, below which the damping rises,
     #: and above which it falls
     accepted: float = 1e-4
@@ -102,7 +105,6 @@ def maximize(
     point = objective(theta)
     correction = np.zeros_like(point.information)
     damping, least, most = settings.damping
-    grid, promise = settings.grid
     n_iter = 0
     try:
         while not _is_stationary(theta, point, bounds, settings):
@@ -115,11 +117,11 @@ def maximize(
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
             end = theta + _step(theta, point, curvature, bounds, damping, settings.longest)
-            for of_grid in (np.round(end / grid) * grid, end):
-                end = np.clip(of_grid, *bounds.T)
+            for near in (_on_grid(end, point.information, settings), end):
+                end = np.clip(near, *bounds.T)
                 step = end - theta
                 predicted = step @ point.gradient - 0.5 * step @ curvature @ step
-                if predicted > promise:
+                if predicted > settings.promise:
                     break
             other = _evaluated(objective, end) if predicted > 0 else None
             if other is None:
@@ -179,6 +181,13 @@ def _step(theta, point, curvature, bounds, damping, longest):
     step = np.zeros(len(theta))
     step[free] = cho_solve(factor, point.gradient[free])
     return np.clip(step, -longest, longest)  # where the likelihood is flat steps are long
+
+
+def _on_grid(theta, information, settings):
+    """Return the nearest points between the lines of a grid, so that no amplitude is zero."""
+    error = 1.0 / np.sqrt(np.diag(information) + 1.0)
+    spacing = np.exp2(np.round(np.log2(settings.grid * error)))
+    return spacing * (np.floor(theta / spacing) + 0.5)
 
 
 def _corrected(S, A, step, change):

@@ -435,28 +435,3 @@ class TestUse:
             told = rf"theta of shape \({n + 1},\), but expected \({n},\)"
             with pytest.raises(ValueError, match=told):
                 clone(kernel).theta = np.zeros(n + 1)
-
-    def test_a_kernel_without_units_of_its_own_is_multiplied(self, kernel, central_difference):
-        """The default of the base class, with its features, slopes and paths."""
-        factor = np.array([0.5, 3.0, 20.0])[: kernel.n_outputs]
-        other = MultiOutputKernel.rescaled(kernel, factor)
-        X, Z = inputs(kernel), inputs(kernel, seed=3)
-        expected = kernel.rescaled(factor)
-        equal(other(X, Z), expected(X, Z))
-        equal(other.diag(X), expected.diag(X))
-        points = X[0]
-        features, plain = inducing_features(other, Z[0]), inducing_features(kernel, Z[0])
-        equal(features.Kuu(), plain.Kuu())
-        for i, f in enumerate(factor):
-            equal(features.Kfu(i, points), f * plain.Kfu(i, points))
-            slopes = f * plain.Kfu_derivative(i, points)
-            equal(features.Kfu_derivative(i, points), slopes)
-            moved = other.block_derivative(i, 0, points, Z[0])
-            equal(moved, f * factor[0] * kernel.block_derivative(i, 0, points, Z[0]))
-        W = default_rng(2).normal(size=(len(points), len(Z[0])))
-        found = central_difference(
-            lambda theta: np.sum(W * other.clone_with_theta(theta).block(0, 0, points, Z[0])),
-            other.theta,
-        )
-        gradient = other.block_gradient(0, 0, points, Z[0], W)
-        equal(gradient, found, rtol=1e-7, atol=1e-7)

@@ -365,7 +365,7 @@ class TestUse:
         X = default_rng(9).normal(size=(6, 3, n_features(kernel)))
         factor = np.array([0.5, 3.0, 20.0])[: kernel.n_outputs]
         one, other = (prior_paths(kernel, 6, 8, np.random.RandomState(k)) for k in (1, 2))
-        larger = MultiOutputKernel.rescaled(kernel, factor)
+        larger = kernel.rescaled(factor)
         scaled = prior_paths(larger, 6, 8, np.random.RandomState(1))
         member = default_rng(1).integers(0, 2, (6, kernel.n_outputs))
         mixed = one.mixed([other], member)

@@ -274,7 +274,7 @@ class TestRegressor:
     def test_noise_is_that_of_the_mixture(self, data):
         model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=10).fit(*data)
         members = np.array([member.noise for member in model.posterior_.members])
-        weights = np.array(list(model.weights_.values()))
+        weights = model.posterior_.mixture
         assert_allclose(model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0))
 
     def test_an_interrupt_while_members_are_fitted_keeps_the_whole(self, data):

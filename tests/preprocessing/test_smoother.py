@@ -117,6 +117,13 @@ class TestSmooth:
         kept = np.sort(default_rng(0).choice(2400, 2350, replace=False))
         assert rms(smooth(noisy[kept], time[kept]) - truth[kept]) < 0.02
 
+    def test_rounded_clock_makes_no_noise(self):
+        """Seconds of single precision late in a flight: the rate must not inherit the rounding."""
+        time = clock(4000, start=600.0)
+        rounded = time.astype(np.float32).astype(float)
+        _, rate = filtered(np.sin(2 * np.pi * 0.8 * time), rounded, cutoff=None)
+        assert rms(rate - 1.6 * np.pi * np.cos(2 * np.pi * 0.8 * time)) < 1e-3
+
 
 class TestMissing:
     def test_nan_stays_and_does_not_spread(self):

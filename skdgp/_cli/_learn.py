@@ -245,7 +245,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     "--samples": {
         "metavar": "N|all",
         "type": opt.at_least(2, "all"),
-        "help": "rows to learn from (default: ten a second, at most 5000; 755 with --inference exact)",
+        "help": "rows to learn from (default: all, at most 30,000; 755 with --inference exact)",
     },
     "--inference": {
         "choices": ["auto", "exact", "sparse"],

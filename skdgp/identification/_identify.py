@@ -66,8 +66,8 @@ def identify(
     pipeline : mapping of str to object, optional
         Other options of :func:`make_identification_pipeline`, such as ``{"lags": None}``.
     samples : int, "all" or None
-        Rows to learn from, spread over the flights. None: ten a second, at most 5000, or 755 by
-        exact inference.
+        Rows to learn from, spread over the flights. None: all, at most 30,000, or 755 by exact
+        inference.
     horizons : sequence of float
         Seconds from restart to restart: the shortest of the replay, the longest of the simulation.
     reading : mapping of str to object, optional

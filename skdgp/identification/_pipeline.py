@@ -56,10 +56,8 @@ class RowSettings:
 
     #: Of exact inference, which takes a minute
     exact: int = 755
-    #: Rows a second: errors of smoothed channels last longer (example flights: as good as all rows)
-    rate: float = 10.0
-    #: Most rows, of long flights
-    most: int = 5000
+    #: Of sparse inference: ten minutes at 50 Hz
+    most: int = 30000
     #: Targets of a smaller fraction of the rows were chosen before; faults leave more
     chosen: float = 0.5
 
@@ -275,9 +273,9 @@ class FlightPipeline(Pipeline):
     aircraft : Aircraft, optional
         For errors of the log and turbulence.
     samples : int, "all" or None
-        Rows to learn from, spread over those that have a target. None: ten a second, at most 5000,
-        or 755 by exact inference; all of another regressor than ``DependentGPRegressor``, and of
-        targets that `thin_targets` has chosen, which are observed in less than half of the rows.
+        Rows to learn from, spread over those that have a target. None: all, at most 30,000, or 755
+        by exact inference; all of another regressor than ``DependentGPRegressor``, and of targets
+        that `thin_targets` has chosen, which are observed in less than half of the rows.
     thrust : str or None, default="auto"
         As of :func:`make_identification_pipeline`.
     control_units : mapping of str to str, optional
@@ -374,10 +372,10 @@ class FlightPipeline(Pipeline):
         """Return targets y (n, P) of flights X of which as many rows as ``samples`` says are observed."""
         samples = self.samples
         if samples is None and y is not None:
-            samples = self._usual_samples(X, y)
+            samples = self._usual_samples(y)
         return y if y is None or samples in (None, "all") else thin_targets(y, cast("int", samples))
 
-    def _usual_samples(self, X: Any, y: Any) -> int | None:
+    def _usual_samples(self, y: Any) -> int | None:
         """Return how many rows to learn from by default; None for all that have a target."""
         last = self.steps[-1][1]
         observed = np.isfinite(np.asarray(y, dtype=float)).reshape(len(y), -1).any(axis=1)
@@ -385,8 +383,7 @@ class FlightPipeline(Pipeline):
             return None
         if last.inference == "exact":
             return ROWS.exact
-        seconds = duration(X.table if isinstance(X, FlightTable) else X)
-        return None if seconds is None else max(1, min(round(ROWS.rate * seconds), ROWS.most))
+        return ROWS.most if observed.sum() > ROWS.most else None
 
     def _facts_for_last(self, X: pd.DataFrame, known: KnownSlopes | None) -> dict[str, Any]:
         """Return clock and known slopes of flights X as parameters of the last step, if it uses them."""

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/ablation.py ../shared/data --out OUT [--cases DHC6 A4] [--airs light] [--seeds 2]
 
-Each aircraft of JSBSim flies 200 s in an air, viggen_uav as recorded, and learns from ten rows a
-second by the default pipeline. Variants of preparation and of the fit are fitted; sources of error
+Each aircraft of JSBSim flies 200 s in an air, viggen_uav as recorded, and learns from it by the
+default pipeline. Variants of preparation and of the fit are fitted; sources of error
 and weights are taken out of the fitted models without another fit. Prepared flights are kept in
 OUT/prepared, or in the folder that --cache gives. The function is asked at regressors without noise
 along another path, in calm air and in gusts, and scored by the truth; logged rows are scored by
@@ -52,7 +52,6 @@ from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 
 EVERY = 10  # rows of a flight per row that is scored
-ROWS_A_SECOND = 10.0  # of the default of `identify`
 # Calibrated airspeed [kt] of aircraft that no other table has, and that feel the rates of the air
 LEFT_OUT = {"Camel": 85.0, "F4N": 320.0, "OV10": 150.0, "787-8": 250.0}
 LEFT_OUT |= {"Boeing314": 130.0, "MD11": 280.0}
@@ -69,7 +68,7 @@ class Variant:
     """Preparation and fit of a model; the defaults are the product's."""
 
     #: Rows a second that are learned from; None: all
-    rate: float | None = ROWS_A_SECOND
+    rate: float | None = None
     #: Parameters of make_identification_pipeline
     steps: dict = field(default_factory=dict)
     #: Cutoff of the coefficients
@@ -83,7 +82,7 @@ class Variant:
 WHOLE = "as it is"
 FITS = {
     WHOLE: Variant(),
-    "all rows": Variant(rate=None),
+    "ten rows a second": Variant(rate=10.0),
     "without noise of regressors": Variant(regressor={"input_noise": None}),
     "structure joint": Variant(regressor={"structure": "joint"}),
     "without private latents": Variant(kernel={"private": False}),

@@ -106,7 +106,7 @@ def make_identification_pipeline(
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
     reconstruction : "auto", transformer or "passthrough", default="auto"
-        "auto": ``FlightPathReconstruction(optional=True, aircraft=aircraft)``, which reconstructs
+        "auto": ``FlightPathReconstruction(aircraft=aircraft)``, which reconstructs
         the flights if no sensor is missing or contradicts the others, and estimates gusts and lag
         of the servos of flights without vanes.
     cutoff : float, "auto" or None, default="auto"
@@ -155,7 +155,6 @@ def make_identification_pipeline(
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
         reconstruction = FlightPathReconstruction(
-            optional=True,
             # the motion of the air does not know external forces
             aircraft=None if external_forces else aircraft,
             thrust=thrust,

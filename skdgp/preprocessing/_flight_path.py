@@ -86,20 +86,19 @@ class FlightPathReconstruction(TableTransformer):
     and gusts of a correlation time of 10 s (Mulder et al. 1999; Klein & Morelli 2006, chapter 10;
     Jategaonkar 2006, chapter 10), as one sparse least-squares problem. Vanes are optional. ``fit``
     learns the noise of each sensor, by maximum likelihood. ``transform`` uses it, and estimates
-    biases of inertial sensors, wind and gusts separately for each flight. Raises ValueError if
-    time, a rate, specific force, attitude, v_north, v_east, v_down or airspeed is missing, or has
-    no value throughout a flight; if time does not increase within a flight; if angles are not
-    radians. Rates of change of single samples are NaN.
+    biases of inertial sensors, wind and gusts separately for each flight. Rates of change of single
+    samples are NaN.
+
+    All tables pass unchanged, if the flights of ``fit`` lack time, a rate, specific force,
+    attitude, v_north, v_east, v_down or airspeed (``missing_``), or an inertial sensor, or two of
+    air data, contradict the others. Residuals of a contradiction exceed the noise 6 times (inertial
+    sensors) or 1.4 times (airspeed, alpha, beta). A log without alpha or beta is reconstructed all
+    the same. If only flights of ``transform`` lack a channel, `FlightSmoother` smooths them. Raises
+    ValueError of a table without any of the channels, if time does not increase within a flight, or
+    if angles are not radians.
 
     Parameters
     ----------
-    optional : bool, default=False
-        Whether all tables pass unchanged, if the flights of ``fit`` lack a needed channel
-        (``missing_``), or an inertial sensor, or two of air data, contradict the others. Residuals
-        of a contradiction exceed the noise 6 times (inertial sensors) or 1.4 times (airspeed,
-        alpha, beta). A log without alpha or beta is reconstructed all the same. If only flights of
-        ``transform`` lack a channel, `FlightSmoother` smooths them. A table without any of the
-        channels is refused.
     max_rows : int, default=65536
         Rows of a flight that are estimated at a time, of 20 kB each: a longer flight is estimated
         in parts of equal length that overlap, each with its own biases, wind and gusts.
@@ -166,7 +165,6 @@ class FlightPathReconstruction(TableTransformer):
     """
 
     _parameter_constraints: dict = {
-        "optional": ["boolean"],
         "max_rows": [Interval(Integral, 1, None, closed="left")],
         "aircraft": [Aircraft, None],
         "thrust": [str, None],
@@ -176,13 +174,11 @@ class FlightPathReconstruction(TableTransformer):
     def __init__(
         self,
         *,
-        optional: bool = False,
         max_rows: int = 65536,
         aircraft: Aircraft | None = None,
         thrust: str | None = "auto",
         settings: AirSettings | None = None,
     ) -> None:
-        self.optional = optional
         self.max_rows = max_rows
         self.aircraft = aircraft
         self.thrust = thrust
@@ -217,7 +213,7 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_table(self, table):
         table = with_sensor_position(table, self.aircraft)
         self._check_any(table, (*PATH_CHANNELS, *VANES))
-        self.missing_ = missing_channels(table) if self.optional else []
+        self.missing_ = missing_channels(table)
         self.used_ = not self.missing_
         self.contradictions_: list[SensorContradiction] = []
         self.air_motion_: AirMotion | None = None
@@ -247,7 +243,7 @@ class FlightPathReconstruction(TableTransformer):
         self.contradictions_ = found
         # one sensor of air data alone is probably filtered by the autopilot
         is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
-        self.used_ = not found or is_filtered or not (self.optional and has_vanes)
+        self.used_ = not found or is_filtered or not has_vanes
         if self.used_:
             self._warn_of_diverged(parts, table)
 
@@ -301,7 +297,7 @@ class FlightPathReconstruction(TableTransformer):
         table = with_sensor_position(table, self.aircraft)
         if not self.used_:
             return at_centre_of_gravity(table)
-        if self.optional and (missing := missing_channels(table)):
+        if missing := missing_channels(table):
             finding = Finding(Code.SENSORS_MISSING, numbers={"names": missing})
             report(finding, FlightDataWarning)
             return FlightSmoother().fit_transform(at_centre_of_gravity(table))

@@ -437,7 +437,7 @@ def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
     """No step has a solution."""
     flight = in_gusts()._replace(table=in_gusts().table[:500])
     no_number = AirSettings(first_damping=np.nan)
-    step = FlightPathReconstruction(optional=True, aircraft=flight.aircraft, settings=no_number)
+    step = FlightPathReconstruction(aircraft=flight.aircraft, settings=no_number)
     with pytest.warns(
         UserWarning, match="Gusts without vanes are not known: The estimate diverged"
     ) as said:

@@ -51,7 +51,7 @@ def placed(flight, arm):
 
 def at_centre_of_gravity(flight):
     """Return a flight that lacks what its path needs, so that its forces alone are moved."""
-    return FlightPathReconstruction(optional=True).fit_transform(flight)
+    return FlightPathReconstruction().fit_transform(flight)
 
 
 def test_a_turn_table_has_no_force_at_its_axis():

@@ -17,7 +17,7 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, ELEVONS, HAT, MIRRORED, VANES
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HAT, VANES
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._log_errors import dynamic_load
@@ -29,6 +29,7 @@ from skdgp.identification._pipeline import (
 from skdgp.inference import training_inputs
 
 WHOLE = "whole"
+MOST_NAMED = 3  # derivatives in the summary
 LEVEL = 0.05  # p-value below which the summary says that the aircraft has changed
 FEWEST_SECONDS = 5.0  # shortest flight [s] (guess)
 # Lag at which autocovariances end, in autocorrelation times of the residuals, and at most in parts of
@@ -42,10 +43,8 @@ MOST_ROWS = 100  # at which the covariance of the function is evaluated
 ACCELEROMETER_OFFSET = 0.05
 VANE_OFFSET = 0.005
 SURFACE_DELAY = 0.5
-# Variance of the unknown correlation of the errors of two longitudinal, or two lateral, regressors,
-# uniform between -1 and 1, and of a longitudinal and a lateral one, chosen on one aircraft
+# Variance of an unknown correlation of errors, uniform between -1 and 1
 CORRELATION_VARIANCE = 1 / 3
-ACROSS_VARIANCE = 0.03
 
 
 @dataclass(frozen=True)
@@ -65,12 +64,6 @@ class Changes:
     p_values: pd.DataFrame
     derivatives: pd.DataFrame
 
-    def largest(self, flight: str, n: int = 3) -> pd.DataFrame:
-        """Return the n changes of a flight that are most standard deviations from zero."""
-        table: Any = self.derivatives.loc[flight]
-        deviations = (table["change"] / table["std"]).abs()
-        return table.loc[deviations.sort_values(ascending=False).index[:n]]
-
     def summary(self) -> list[str]:
         """Return a line for each flight."""
         lines = []
@@ -79,8 +72,10 @@ class Changes:
             if not np.isfinite(p):
                 text = "too short to tell whether the aircraft has changed"
             elif p < LEVEL:
+                table: Any = self.derivatives.loc[flight]
+                deviations = (table["change"] / table["std"]).abs()
                 parts = []
-                for name, row in self.largest(str(flight)).iterrows():
+                for name, row in table.loc[deviations.nlargest(MOST_NAMED).index].iterrows():
                     parts.append(f"{name} {row['change']:+.2g} +- {row['std']:.1g}")
                 likely = ", ".join(parts)
                 text = f"the aircraft has changed (p = {p:.2g}): likely {likely}, +- one standard deviation"
@@ -141,22 +136,20 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, FlightResiduals]) -> Ch
     squares on the regressors, Q = (1, x): the weights :math:`w = G Q^T r`, :math:`G = (Q^T Q)^{-1}`, are the
     likely change of its derivatives. Without a change their covariance is
 
-    .. math:: C = G Q^T (R + K) Q G + \sum_j s_j^2 d_j d_j^T.
+    .. math:: C = G Q^T (R + K) Q G + \sum_j d_j d_j^T.
 
     R are the autocovariances of the residuals of this fit, with Bartlett's window (Newey & West
-    1987): rougher air widens it. K is the uncertainty of the function. The :math:`d_j` are the effects
-    of errors on the weights, and :math:`s_j` the standard deviations of these errors, with the
-    slopes J of the model at the mean of its samples: constant errors of accelerometers and of
-    vanes, which move the mean; times of the surfaces, :math:`d = G Q^T \Delta x / 2`; and errors
-    of the regressors. With their covariance :math:`S_0` in the fit, and S in the flight, slopes differ by
+    1987): rougher air widens it. K is the uncertainty of the function. The :math:`d_j` are the
+    effects of one standard deviation of errors of the log: constant ones that differ from flight
+    to flight, of accelerometers, of vanes, and of the times of the surfaces, with the effects
+    :math:`a_j` on the residuals :math:`d_j = G Q^T a_j`; and errors of the regressors. With their
+    covariance :math:`S_0` in the fit, and S in the flight, and the slopes J, slopes differ by
 
     .. math:: (S^{-1} - S_0^{-1})\, c, \quad c_k = \sum_j \rho_{jk} s_j s_k J_j,
 
     which is zero in flights with the same motion, and large in gentler ones (Fuller 1987,
-    section 1.1). How far a filter makes the errors of one regressor correlate with the estimate of
-    another, :math:`\rho_{jk}`, is unknown, and independent for each k. Between a longitudinal and a
-    lateral regressor it is small, as it changes its sign in the mirrored flight, and the equations
-    of motion do not.
+    section 1.1). How far a filter makes the errors s of one regressor correlate with the estimate
+    of another, :math:`\rho_{jk}`, is unknown, and independent for each k.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
@@ -271,47 +264,56 @@ def _covariance_by_function(pipeline: Pipeline, X: Matrix) -> Array:
 
 def _covariance_by_errors(pipeline: Pipeline, flight: FlightResiduals, rows: Indices) -> Array:
     """Return the covariance of the weights by errors of the log, (P, d + 1, d + 1)."""
-    names = regressor_names(pipeline)
     X = flight.regressors[rows]
+    constant = np.linalg.pinv(_terms(X)) @ _constant_errors(pipeline, flight, rows)
+    effects = np.concatenate([constant, _errors_of_regressors(pipeline, X)], axis=2)
+    return effects @ effects.swapaxes(1, 2)
+
+
+def _constant_errors(pipeline: Pipeline, flight: FlightResiduals, rows: Indices) -> Array:
+    """Return the effects of constant errors of vanes, times of surfaces, and accelerometers on residuals (P, n, J)."""
+    slopes = pipeline[-1].predict_gradient(flight.regressors[rows])
+    scale = pipeline["standardscaler"].scale_
+    steps = np.diff(flight.regressors, axis=0, prepend=flight.regressors[:1])[rows]
+    effects = []
+    for k, name in enumerate(regressor_names(pipeline)):
+        if name in VANES:
+            effects.append(slopes[:, :, k] * VANE_OFFSET / scale[k])
+        if name in ALL_SURFACES:
+            effects.append(slopes[:, :, k] * SURFACE_DELAY * steps[:, [k]])
+    if flight.by_acceleration is not None:
+        for axis in np.eye(slopes.shape[1])[:3]:
+            by_offset = ACCELEROMETER_OFFSET * flight.by_acceleration[rows]
+            effects.append(by_offset[:, None] * axis)
+    return np.moveaxis(np.array(effects).reshape(len(effects), *slopes.shape[:2]), (2, 1), (0, 1))
+
+
+def _errors_of_regressors(pipeline: Pipeline, X: Matrix) -> Array:
+    """Return the effects of errors of the regressors of a flight X (n, d) on the weights, (P, d + 1, d)."""
     trained = training_inputs(pipeline[-1].posterior_)
     J = pipeline[-1].predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    mean_alone = np.eye(1 + len(names))[:, :1]
-    vanes = np.isin(names, VANES)
-    surfaces = np.isin(names, ALL_SURFACES)
-    # directions (d + 1, n) of the weights, and variances (P, n)
-    of_vanes = np.repeat(mean_alone, vanes.sum(), axis=1)
-    vane_std = VANE_OFFSET / pipeline["standardscaler"].scale_[vanes]
-    steps = np.diff(flight.regressors, axis=0, prepend=flight.regressors[:1])[rows]
-    of_surfaces = np.linalg.pinv(_terms(X)) @ (SURFACE_DELAY * steps[:, surfaces])
+    variances = _noise_variances(pipeline)
+    # of the unknown correlations: an error's with its own regressor is one
+    spread = np.full((len(variances), len(variances)), CORRELATION_VARIANCE)
+    np.fill_diagonal(spread, 1.0)
+    c = np.sqrt(J**2 @ (spread * variances[:, None] * variances))
     in_flight = np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
     in_fit = np.linalg.pinv(np.atleast_2d(np.cov(trained.T)), hermitian=True)
     # a bias of slopes turns the function about the mean of the regressors
-    turning = np.vstack([-X.mean(axis=0), np.eye(len(names))])
-    of_regressors = turning @ (in_flight - in_fit)
-    offset = np.zeros((len(J), 1))
-    if flight.by_acceleration is not None:
-        offset[:3] = (ACCELEROMETER_OFFSET * np.mean(flight.by_acceleration[rows])) ** 2
-    directions = np.hstack([mean_alone, of_vanes, of_surfaces, of_regressors])
-    slopes = [(J[:, vanes] * vane_std) ** 2, J[:, surfaces] ** 2, J**2 @ _noise_products(pipeline)]
-    return np.einsum("aj,ij,bj->iab", directions, np.hstack([offset, *slopes]), directions)
+    turning = np.vstack([-X.mean(axis=0), np.eye(X.shape[1])])
+    return turning @ (in_flight - in_fit) * c[:, None, :]
 
 
-def _noise_products(pipeline: Pipeline) -> Matrix:
-    """Return the variances (d, d) of the unknown covariances rho_jk s_j s_k of errors and estimates.
+def _noise_variances(pipeline: Pipeline) -> Vector:
+    """Return the variances (d,) of the errors of the regressors, learned from the residuals.
 
-    The variances of the errors are learned from the residuals. Angles that a filter derived from the
-    forces agree with the residuals, so there its own variances count, the larger ones.
+    Angles that a filter derived from the forces agree with the residuals, so there its own
+    variances count, the larger ones.
     """
-    names = [str(name).removesuffix(HAT) for name in regressor_names(pipeline)]
     variances = np.diag(pipeline[-1].input_covariance_)
     reconstruction = reconstruction_of(pipeline)
-    if reconstruction is not None and reconstruction.air_motion_ is not None:
-        air = reconstruction.air_motion_.air.mean()
-        std = np.array([air.get(f"{name}_std", 0.0) for name in regressor_names(pipeline)])
-        variances = np.maximum(variances, (std / pipeline["standardscaler"].scale_) ** 2)
-    is_lateral = np.array([name in MIRRORED for name in names])
-    is_elevon = np.array([name in ELEVONS for name in names])  # moves in both planes
-    is_across = (is_lateral[:, None] != is_lateral) & ~(is_elevon[:, None] | is_elevon)
-    spread = np.where(is_across, ACROSS_VARIANCE, CORRELATION_VARIANCE)
-    np.fill_diagonal(spread, 1.0)
-    return spread * variances[:, None] * variances
+    if reconstruction is None or reconstruction.air_motion_ is None:
+        return variances
+    air = reconstruction.air_motion_.air.mean()
+    std = np.array([air.get(f"{name}_std", 0.0) for name in regressor_names(pipeline)])
+    return np.maximum(variances, (std / pipeline["standardscaler"].scale_) ** 2)

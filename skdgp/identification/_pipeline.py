@@ -9,7 +9,6 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 import pandas as pd
-from sklearn import get_config
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -334,10 +333,6 @@ class FlightPipeline(Pipeline):
         self.calibration_ = None
         self.least_squares_: dict[str, dict[str, float]] = {}
         self.errors_: dict[str, ScaleFactor] = {}
-        if get_config()["enable_metadata_routing"]:
-            super().fit(X, y, **params)
-            self._learn_flights(self[:1].transform(X))
-            return self
         first, others = self[:1], self[1:-1]
         flights = first.fit_transform(X, y)
         regressors = np.asarray(others.fit_transform(flights, y))

@@ -257,7 +257,7 @@ class FlightPipeline(Pipeline):
     - ``fit`` learns from some of the rows (``samples``), which keep the clock of the flights;
     - a :class:`skdgp.DependentGPRegressor` at the end gets ``time`` and ``flight`` of each row, and
       the slopes that steps before it know: of the motion of the air, without vanes, and zeros of
-      throttle and airspeed that explain nothing. With metadata routing it gets what it requests;
+      throttle and airspeed that explain nothing;
     - ``predict(flight, return_std=True)`` includes the noise of the regressors, which is larger in
       rougher air, see :func:`flight_regressors`.
 

@@ -110,27 +110,6 @@ class TestUnits:
         assert_allclose(std[0] ** 2, kernel.diag(FAR))
         assert_allclose(model.kernel_.diag(FAR), kernel.diag(FAR))
 
-    @pytest.mark.parametrize(
-        "kernel",
-        [
-            *GIVEN,
-            LinearTrend(parameter_bounds={"slope_scale": (1e-6, 1e3)}) + ConvolvedGaussian(1),
-        ],
-        ids=lambda kernel: type(kernel).__name__,
-    )
-    def test_the_unit_of_the_outputs_decides_nothing(self, kernel):
-        X, Y = waves()
-        gain = 2.0 ** np.array([-20, 15])
-        options = {"max_iter": 8, "trend": "constant"}
-        here = quick(kernel, **options).fit(X, Y)
-        there = quick(kernel.rescaled(gain), **options).fit(X, gain * Y)
-        for mine, other in zip(here.predict(X, True), there.predict(X, True), strict=True):
-            assert_allclose(other / gain / Y.std(axis=0), mine / Y.std(axis=0), rtol=1e-6)
-        rows = np.repeat(gain, len(X))
-        assert_allclose(
-            there.kernel_(X), here.kernel_(X) * np.multiply.outer(rows, rows), rtol=1e-6
-        )
-
     def test_a_kernel_of_five_methods_comes_back_with_its_learned_values(self):
         X, Y = waves()
         given = FiveMethods([30.0, -3e-3], [1.5])

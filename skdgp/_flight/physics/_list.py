@@ -30,7 +30,7 @@ from skdgp._flight.physics._checks import (
 )
 from skdgp._flight.physics._regression import Regression
 from skdgp._flight.physics._settings import LAGS, PHYSICS
-from skdgp._flight.physics._signals import COMMANDED, Signals
+from skdgp._flight.physics._signals import Signals
 
 FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
 LATERAL_EFFECTS = ("p", "r", "aileron", "rudder")
@@ -352,5 +352,5 @@ MISTAKES = (
 )
 
 RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS, HEADING)]
-CHANNELS = sorted({*COMMANDED}.union(*[relation.needs for relation in RELATIONS]))
+CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[relation.needs for relation in RELATIONS]))
 """Channels that the checks use."""

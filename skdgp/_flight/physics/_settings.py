@@ -21,9 +21,6 @@ class PhysicsSettings:
     flying: float = 0.5
     # larger angles [rad] are in degrees
     largest_radians: float = 2.1 * np.pi
-    # a surface that usually changes after this time [s] or earlier holds its samples until then; 5 Hz
-    # holds, and inputs of a pilot are slower (guess)
-    longest_hold: float = 0.25
     # flights shorter than this [s] are judged together with others only
     long_flight: float = 30.0
 

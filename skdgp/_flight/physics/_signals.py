@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, by_elevons
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._flight.channels import ELEVONS, EULER, POSITION, by_elevons
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import euler_to_matrix
 from skdgp._flight.ground import flying_airspeed
+from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, without_repeats
 from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.tables import FlightTable
 
-COMMANDED = (*ALL_SURFACES, "throttle")
-"""Channels that keep still at times: not every repeated value is held."""
+GROUPS = (*CONTROL_GROUPS, *SENSOR_GROUPS, POSITION, ("altitude",))
+"""Channels that may repeat samples, by their clock."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,9 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
     step = usual_step * n_averaged
     clocks = [_block_clock(time[rows], step) for rows in segments]
     lengths = [len(clock) for clock in clocks]
+    measured = replace(flights, table=without_repeats(flights.table, GROUPS))
     channels = {}
-    for name, values in flights.numeric_channels(names).items():
+    for name, values in measured.numeric_channels(names).items():
         parts = []
         for rows, clock in zip(segments, clocks, strict=True):
             parts.append(_averaged(*_samples(name, time[rows], values[rows]), clock))
@@ -123,31 +125,13 @@ def _block_clock(time: Vector, step: float) -> Matrix:
 
 
 def _samples(name: str, time: Vector, values: Vector) -> tuple[Vector, Vector]:
-    """Return time and value of the samples of a channel, angles without jumps.
-
-    A sensor that repeats its value holds it: only the first is a sample, as the others are late.
-    """
+    """Return time and value of the samples of a channel, angles without jumps."""
     rows = np.flatnonzero(np.isfinite(values))
-    if rows.size:
-        is_sample = np.diff(values[rows], prepend=np.nan) != 0
-        if name in COMMANDED:
-            is_sample[_samples_before_changes(time[rows], is_sample)] = True
-        is_sample[-1] = True
-        rows = rows[is_sample]
     samples = values[rows]
     if rows.size and name in EULER:
         is_degrees = np.abs(samples).max() > PHYSICS.largest_radians
         samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
     return time[rows], samples
-
-
-def _samples_before_changes(time: Vector, is_changed: Mask) -> Indices:
-    """Return the last sample before each change of a surface, which may have kept still until then."""
-    changes = np.flatnonzero(is_changed)
-    n_held = 1
-    if len(changes) > 1 and np.median(np.diff(time[changes])) <= PHYSICS.longest_hold:
-        n_held = int(np.median(np.diff(changes)))
-    return changes[changes >= n_held] - n_held
 
 
 def _averaged(time: Vector, samples: Vector, clock: Matrix) -> Vector:

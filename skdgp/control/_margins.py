@@ -10,18 +10,17 @@ with the response G of the linear model, the laws K of all loops and the delay t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
-from skdgp.dynamics import UNUSED, LinearModel, frequency_response, transfer
+from skdgp.dynamics import LATERAL, LONGITUDINAL, UNUSED, LinearModel, frequency_response, transfer
 
 # Range [rad/s] and number of frequencies, and their number in a search for gains
 FREQUENCIES = (0.02, 1000.0)
@@ -31,9 +30,6 @@ N_SEARCHED = 400
 # frequency [rad/s] at which a mode is allowed half of it
 GROWTH = 0.1
 SLOW = 1.0
-# Part of a mode in the attitude that a loop's control moves, over that of the largest mode, below which the
-# loop does not move it
-LEAST_SHARE = 0.02
 # Interval of values over the paths
 INTERVAL = (0.05, 0.95)
 # Usual requirements: gain [dB], phase [deg], sensitivity
@@ -69,7 +65,7 @@ def margins(
     turn of L at a crossover, negative for a lead, that makes the aircraft unstable. The sensitivity is
     the largest :math:`|1 / (1 + L)|`. Delays are exact. A closed loop with an unstable mode has margins
     of minus infinity; growth of a mode of frequency w up to :math:`0.1 / (1 + w^2)` 1/s does not count, nor
-    does a mode of the aircraft that none of the loops moves, such as the spiral where the roll loop is open.
+    does a lateral mode, such as the spiral, for a pitch loop alone, nor a longitudinal one for loops of roll and yaw.
     Each deflection has the sign that turns the aircraft of the mean in the positive direction.
 
     Parameters
@@ -97,11 +93,6 @@ def margins(
         If a loop has a control that the linear model has not, the linear model has no airspeed or density,
         or the flight lacks a channel or is too short for spectra.
 
-    Warns
-    -----
-    UserWarning
-        Of unstable modes of the aircraft that none of the loops moves.
-
     Examples
     --------
     >>> import numpy as np
@@ -128,7 +119,6 @@ def margins(
     transfer = _of_loops(responses, linear, loops, s)
     stability = _Stability.of(linear, loops, N_FREQUENCIES)
     unstable = stability.unstable(linear, loops)
-    stability.warn_of_unmoved()
     excited = {} if flight is None else _excited_bands(linear, loops, flight)
     rows = []
     for k, loop in enumerate(loops):
@@ -335,7 +325,7 @@ def _sign(linear, control, rate):
     return -1.0 if response[0, linear.C.index.get_loc(rate), 0].real < 0 else 1.0
 
 
-def _responses(linear, loops, s) -> Array:
+def _responses(linear, loops, s, unused=UNUSED) -> Array:
     """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first."""
     late = np.exp(-s * (linear.delay + linear.servos.delay))[:, None, None]
     inputs = _inputs(linear, loops)
@@ -344,14 +334,23 @@ def _responses(linear, loops, s) -> Array:
         p = linear.paths
         models += [LinearModel(*each) for each in zip(p.A, p.B, p.C, p.D, strict=True)]
     # one by one: the resolvents of all would fill the memory
-    return np.array([_of_matrices(model, linear, inputs, s) * late for model in models])
+    return np.array([_of_matrices(model, linear, inputs, s, unused) * late for model in models])
 
 
-def _of_matrices(matrices: LinearModel, linear: LinearModel, inputs: Matrix, s: Vector) -> Array:
-    """Return the responses (n, n_outputs, k) to combinations of inputs (n_inputs, k), of a model or of a path."""
+def _of_matrices(
+    matrices: LinearModel,
+    linear: LinearModel,
+    inputs: Matrix,
+    s: Vector,
+    unused: Collection[str] = UNUSED,
+) -> Array:
+    """Return the responses (n, n_outputs, k) to combinations of inputs (n_inputs, k), of a model or of a path.
+
+    They are without the motion of ``unused`` states.
+    """
     B = np.asarray(matrices.B) @ inputs
     D = np.asarray(matrices.D) @ inputs
-    return transfer(matrices.A, B, matrices.C, D, linear.A.index, s)
+    return transfer(matrices.A, B, matrices.C, D, linear.A.index, s, unused)
 
 
 def _gains(linear, loops, s):
@@ -379,65 +378,71 @@ def _of_loops(responses, linear, loops, s):
     return transfer
 
 
-class _Stability(NamedTuple):
-    r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
+class _Axis(NamedTuple):
+    """Motion along or across the plane of symmetry, or both, of the mean and of each path, and its loops."""
 
-    :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
-    the right of the curve :math:`s = g / (1 + (w / w_0)^2) + j w`, as it is one at infinity: g is the
-    growth that a slow mode may have. ``aircraft`` (1 + n_paths, n) are the first factor over the last,
-    of the mean and of the paths.
-
-    Of the aircraft without loops ``roots`` (1 + n_paths, m) are the modes, those on the right of the curve are
-    ``growing``, and each loop does not move the ``unmoved`` (1 + n_paths, n_loops, m) of these. Names of modes are
-    those of the mean's nearest one.
-    """
-
-    s: Vector
-    aircraft: Array
-    responses: Array
-    roots: Array
-    growing: Mask
-    unmoved: Mask
-    modes: pd.Series
+    loops: list[int]  #: Their numbers
+    roots: Array  #: Of the aircraft without loops, (1 + n_paths, m)
+    aircraft: Array  #: det(s I - A) / (s + 1)^m on the curve, (1 + n_paths, n)
+    responses: Array  #: To the commands of the loops, (1 + n_paths, n, n_outputs, n_loops)
 
     @classmethod
-    def of(cls, linear, loops, n_frequencies):
-        w = np.concatenate([[0.0], _frequencies(n_frequencies)])
-        s = GROWTH / (1.0 + (w / SLOW) ** 2) + 1j * w
-        kept = [k for k, name in enumerate(linear.A.index) if name not in UNUSED]
+    def of(cls, linear, loops, s, unused, numbers):
+        kept = [k for k, name in enumerate(linear.A.index) if name not in unused]
         A = np.asarray(linear.A)[None]
         if linear.paths is not None:
             A = np.concatenate([A, linear.paths.A])
         roots = np.linalg.eigvals(A[:, kept, :][..., kept])
         aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
-        roots, shares = _modes_moved(linear, loops)
-        growing = roots.real > GROWTH / (1.0 + (roots.imag / SLOW) ** 2)
-        unmoved = growing[:, None] & (shares < LEAST_SHARE)
-        modes = linear.modes()["eigenvalue"]
-        return cls(s, aircraft, _responses(linear, loops, s), roots, growing, unmoved, modes)
+        responses = _responses(linear, loops, s, unused)[..., numbers]
+        return cls(numbers, roots, aircraft, responses)
+
+    def characteristic(self, K) -> Array:
+        """Return what is zero at modes of the loops closed by the laws K (n, n_loops, n_outputs), (1 + n_paths, n)."""
+        M = -K[:, self.loops] @ self.responses
+        return self.aircraft * np.linalg.det(np.eye(len(self.loops)) + M)
+
+
+class _Stability(NamedTuple):
+    r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
+
+    :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
+    the right of the curve :math:`s = g / (1 + (w / w_0)^2) + j w`, as it is one at infinity: g is the
+    growth that a slow mode may have. Motions along and across the plane of symmetry are judged apart, and then
+    together: a pitch loop does not move the spiral. Names of modes are those of the mean's nearest one.
+    """
+
+    s: Vector
+    axes: list[_Axis]
+    modes: pd.Series
+
+    @classmethod
+    def of(cls, linear, loops, n_frequencies):
+        w = np.concatenate([[0.0], _frequencies(n_frequencies)])
+        s = _bound(w) + 1j * w
+        axes = []
+        for states, others in ((LONGITUDINAL, LATERAL), (LATERAL, LONGITUDINAL)):
+            numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] in states]
+            if numbers:
+                axes.append(_Axis.of(linear, loops, s, {*UNUSED, *others}, numbers))
+        if len(axes) > 1:
+            axes.append(_Axis.of(linear, loops, s, {*UNUSED}, list(range(len(loops)))))
+        return cls(s, axes, linear.modes()["eigenvalue"])
 
     def unstable(self, linear, loops) -> Mask:
-        """Return whether the mean and each path are unstable by modes that each loop moves, (1 + n_paths, n_loops).
+        """Return whether the mean and each path are unstable by the axis of each loop, (1 + n_paths, n_loops)."""
+        K = _gains(linear, loops, self.s)
+        unstable = np.zeros((len(self.axes[0].roots), len(loops)), dtype=bool)
+        for axis in self.axes:
+            is_unstable = self._n_right(axis.characteristic(K)) > 0
+            # of both axes together only what neither has alone
+            is_new = ~unstable[:, axis.loops].any(axis=1)
+            unstable[:, axis.loops] |= (is_unstable & is_new)[:, None]
+        return unstable
 
-        Where all loops together are unstable, a loop with :math:`|L_i - M_{ii}| < |1 + M_{ii}|` on the curve is
-        judged alone: the others do not change how many roots it moves across (Rouche).
-        """
-        M = -_gains(linear, loops, self.s) @ self.responses
-        closed = np.linalg.det(np.eye(len(loops)) + M)
-        unmoved = self.unmoved.sum(axis=-1)
-        together = self._n_right(closed) > self.unmoved.all(axis=1).sum(axis=-1)
-        unstable = []
-        for k in range(len(loops)):
-            others = [i for i in range(len(loops)) if i != k]
-            without = np.linalg.det(np.eye(len(others)) + M[..., others, :][..., others])
-            alone = 1.0 + M[..., k, k]
-            is_coupled = np.abs(closed / (without * alone) - 1.0).max(axis=-1) >= 1.0
-            unstable.append(together & (is_coupled | (self._n_right(alone) > unmoved[:, k])))
-        return np.transpose(unstable)
-
-    def _n_right(self, factor: Array) -> Array:
-        """Return the number of roots on the right of the curve, of the aircraft times a ``factor`` (1 + n_paths, n)."""
-        angle = np.unwrap(np.angle(self.aircraft * factor), axis=-1)
+    def _n_right(self, characteristic: Array) -> Array:
+        """Return the number of roots on the right of the curve, (1 + n_paths,)."""
+        angle = np.unwrap(np.angle(characteristic), axis=-1)
         return np.round((angle[:, 0] - angle[:, -1]) / np.pi)
 
     def causes(self, linear, loops) -> dict[str, float]:
@@ -445,20 +450,21 @@ class _Stability(NamedTuple):
 
         A mode that the aircraft has without loops is named; another one has the frequency of the least determinant.
         """
+        K = _gains(linear, loops, self.s)
         unstable = self.unstable(linear, loops)
-        closed = np.eye(len(loops)) - _gains(linear, loops, self.s) @ self.responses
-        slowest = np.abs(self.aircraft * np.linalg.det(closed)).argmin(axis=-1)
-        n_paths = len(unstable) - 1
+        first = min(1, len(unstable) - 1)  # the mean counts where there are no paths
         causes: dict[str, float] = {}
-        for path in np.flatnonzero(unstable.any(axis=-1)):
+        for path in range(first, len(unstable)):
             names = set()
-            for k in np.flatnonzero(unstable[path]):
-                own = self.roots[path][self.growing[path] & ~self.unmoved[path, k]]
-                oscillation = f"oscillation of {self.s.imag[slowest[path]]:.1g} rad/s"
-                names |= {self._name(root) for root in own} or {oscillation}
+            for axis in self.axes:
+                if unstable[path, axis.loops].all():
+                    roots = axis.roots[path]
+                    own = roots[roots.real > _bound(roots.imag)]
+                    slowest = np.abs(axis.characteristic(K)[path]).argmin()
+                    oscillation = f"oscillation of {self.s.imag[slowest]:.1g} rad/s"
+                    names |= {self._name(root) for root in own} or {oscillation}
             for name in names:
-                counts = path > 0 or not n_paths
-                causes[name] = causes.get(name, 0.0) + counts / max(n_paths, 1)
+                causes[name] = causes.get(name, 0.0) + 1.0 / (len(unstable) - first)
         return causes
 
     def _name(self, root: complex) -> str:
@@ -466,52 +472,10 @@ class _Stability(NamedTuple):
         distances = np.minimum(abs(self.modes - root), abs(self.modes - np.conj(root)))
         return str(distances.idxmin())
 
-    def warn_of_unmoved(self) -> None:
-        """Warn of unstable modes of the aircraft that no loop moves."""
-        unmoved = np.asarray(self.unmoved.all(axis=1))
-        if not unmoved.any():
-            return
-        names = sorted({self._name(root) for root in self.roots[unmoved]})
-        fastest = self.roots.real[unmoved].max()
-        where = "in the mean"
-        if len(unmoved) > 1:
-            where = f"in {unmoved[1:].any(axis=-1).mean():.0%} of the paths"
-        warn(
-            f"Modes of the aircraft are unstable {where}, {' and '.join(names)} (growth up to {fastest:.2g} 1/s), and "
-            "none of these loops moves them: margins leave them out. Close the loop that does."
-        )
 
-
-def _modes_moved(linear, loops) -> tuple[Array, Array]:
-    """Return the modes of the aircraft without servos (1 + n_paths, m), and the parts that loops move of each.
-
-    These are the parts of modes in the attitude that a deflection causes, over the largest one, (1 + n_paths, n_loops,
-    m): the response of a rate has the residue C v w B at a mode with right and left vectors v and w, and the
-    attitude is its integral.
-    """
-    names = list(linear.A.index)
-    positions = [f"{name}_position" for name in linear.B.columns]
-    kept = [k for k, name in enumerate(names) if name not in {*UNUSED, *positions}]
-    A, B, C = (np.asarray(table)[None] for table in (linear.A, linear.B, linear.C))
-    if linear.paths is not None:
-        paths = linear.paths
-        A, B, C = (
-            np.concatenate([A, paths.A]),
-            np.concatenate([B, paths.B]),
-            np.concatenate([C, paths.C]),
-        )
-    B = B[:, kept]
-    for k, position in enumerate(positions):
-        if position in names:  # behind a servo the deflection is a state
-            B[..., k] += A[:, kept, names.index(position)]
-    rates = [linear.C.index.get_loc(LOOP_AXES[loop.name][0]) for loop in loops]
-    roots, vectors = np.linalg.eig(A[:, kept, :][..., kept])
-    # a repeated root may have a single vector
-    excited = np.linalg.pinv(vectors) @ (B @ _inputs(linear, loops))
-    seen = C[:, rates, :][..., kept] @ vectors
-    # a mode that does not move has no part
-    parts = np.abs(seen * excited.mT) / np.maximum(np.abs(roots), 1e-3)[:, None]
-    return roots, parts / np.maximum(parts.max(axis=-1, keepdims=True), np.finfo(float).tiny)
+def _bound(w: Array) -> Array:
+    """Return the growth [1/s] that a mode of a frequency [rad/s] may have."""
+    return GROWTH / (1.0 + (w / SLOW) ** 2)
 
 
 def _margins_of(transfer: Matrix, w: Vector) -> Margins:

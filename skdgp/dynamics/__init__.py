@@ -57,6 +57,8 @@ from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
 from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._linearize import transfer as transfer
+from skdgp.dynamics._modes import LATERAL as LATERAL
+from skdgp.dynamics._modes import LONGITUDINAL as LONGITUDINAL
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion
 from skdgp.dynamics._propeller import Propeller, ThrustLine

@@ -10,7 +10,7 @@ angles; u (..., k) the inputs, z = (x, u), and C (..., 6) the coefficients.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -439,12 +439,14 @@ def check_paths(n_paths: int) -> None:
         )
 
 
-def transfer(A: Any, B: Any, C: Any, D: Any, states: Any, s: Array) -> Array:
-    """Return C (s I - A)^-1 B + D at s (n,), (..., n, n_outputs, n_inputs), without position and heading.
+def transfer(
+    A: Any, B: Any, C: Any, D: Any, states: Any, s: Array, unused: Collection[str] = UNUSED
+) -> Array:
+    """Return C (s I - A)^-1 B + D at s (n,), (..., n, n_outputs, n_inputs), without ``unused`` states.
 
     A, B, C, D are tables or arrays (..., :, :); ``states`` are the names of the rows of A.
     """
-    kept = [k for k, name in enumerate(states) if name not in UNUSED]
+    kept = [k for k, name in enumerate(states) if name not in unused]
     A, B, C, D = (np.asarray(matrix) for matrix in (A, B, C, D))
     A = A[..., kept, :][..., kept]
     B = B[..., kept, :]

@@ -91,25 +91,6 @@ class LinearModel:
         has_servo = [name not in WITHOUT_SERVOS for name in self.B.columns]
         return np.where(has_servo, self.servos.delay, 0.0)
 
-    def to_control(self) -> Any:
-        """Return the model of the mean as a ``control.StateSpace`` of python-control, with names, without delays.
-
-        Raises ImportError if python-control is not installed.
-        """
-        try:
-            import control
-        except ImportError as error:
-            raise ImportError(
-                'Got no package "control", but expected python-control for a StateSpace: pip install control.'
-            ) from error
-        matrices = [table.to_numpy() for table in (self.A, self.B, self.C, self.D)]
-        return control.ss(
-            *matrices,
-            states=list(self.A.index),
-            inputs=list(self.B.columns),
-            outputs=list(self.C.index),
-        )
-
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
 

@@ -14,7 +14,7 @@ from skdgp._compute.files import write_atomically
 from skdgp.export._model import PortableModel
 
 FORMAT = "skdgp portable model"
-VERSION = 7
+VERSION = 8
 HEAD = "model.json"
 
 

@@ -311,8 +311,6 @@ class PortableModel:
         Covariance S of the noise of the regressors of the flights.
     limits : ndarray (2, d)
         Smallest and largest value of each regressor in the training data.
-    samples : ndarray (n, d)
-        Some rows of the training data.
     servos : ndarray (3,)
         Time constant T [s], delay tau [s] and limit R of the rate of the servos, infinite where there is none:
         surfaces follow commands c by :math:`T \dot\delta(t) = c(t - \tau) - \delta(t)`.
@@ -335,7 +333,6 @@ class PortableModel:
     noise_variance: Vector
     input_covariance: Matrix
     limits: Matrix
-    samples: Matrix
     servos: Vector
     reference: Reference
     provenance: dict[str, Any] = field(default_factory=dict)
@@ -546,7 +543,7 @@ class PortableModel:
 # Arrays of a model
 NUMBERS_OF_MODEL = (
     *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
-    *("noise_variance", "input_covariance", "limits", "samples", "servos"),
+    *("noise_variance", "input_covariance", "limits", "servos"),
 )
 # Prefix of the arrays of a `Reference`
 REFERENCE = "reference_"

@@ -38,10 +38,8 @@ from skdgp.inference import (
 )
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
-# Rows of the training data that a portable model holds, at most
-ROWS = 1000
-# Rows with predictions of the pipeline; distance of every second one from the training data, in standard
-# deviations
+# Rows with predictions of the pipeline that a portable model holds; distance of every second one from the
+# training data, in standard deviations
 REFERENCE_ROWS = 40
 REFERENCE_STEP = 0.5
 NO_FUNCTIONS = Readout(np.empty(0), np.empty((0, 0)))
@@ -90,7 +88,6 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     points = samples
     if simulated.limits is not None:
         points = np.vstack([samples, simulated.limits])
-    every = -(-len(samples) // ROWS)
     model = PortableModel(
         regressors=_regressors(pipeline, simulated, aircraft),
         outputs=tuple(regressor.output_names_),
@@ -105,7 +102,6 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         noise_variance=np.asarray(regressor.noise_variance_),
         input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
         limits=np.stack([points.min(axis=0), points.max(axis=0)]),
-        samples=samples[::every],
         servos=np.array(astuple(simulated.servos)),
         provenance=plain(facts | {"inference": regressor.inference_}),
         reference=_reference(behind, samples, simulated.regressors),

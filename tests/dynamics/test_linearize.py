@@ -1,6 +1,5 @@
 """Linear models against differences of the motion, textbooks and simulations; refusals."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -200,24 +199,6 @@ class TestServos:
             assert_allclose(matrix["thrust"], at_once.loc[matrix.index, "thrust"])
         columns = ["eigenvalue", "frequency", "damping", "time_constant"]
         assert_frame_equal(late.modes()[columns], linear.modes()[columns])
-
-
-def test_python_control_gets_the_transfer_functions_with_their_names(linear):
-    pytest.importorskip("control", reason="compares with python-control, which is not installed")
-    system = linear.to_control()
-    s = 2.0j
-    A, B, C, D = (table.to_numpy() for table in (linear.A, linear.B, linear.C, linear.D))
-    expected = C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
-    assert_allclose(system(s), expected, rtol=1e-8, atol=1e-10)
-    assert system.state_labels == list(linear.A.index)
-    assert system.input_labels == list(linear.B.columns)
-    assert system.output_labels == list(linear.C.index)
-
-
-def test_without_python_control_the_error_names_the_package(linear, monkeypatch):
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(ImportError, match="pip install control"):
-        linear.to_control()
 
 
 def test_paths_have_the_errors_of_the_log(level, glider):

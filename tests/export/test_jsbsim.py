@@ -135,7 +135,7 @@ def test_loads_and_accelerations_are_those_of_the_coefficients(load, portable_of
     model = portable_of("trend")
     uav = model.aircraft
     fdm = load(model)
-    C = placed(fdm, model, model.samples[3])
+    C = placed(fdm, model, model.reference.regressors[3])
     qbar_area = 0.5 * density(fdm) * AIRSPEED**2 * uav.wing_area
     force, moment = loads(fdm, "aero")
     assert_allclose(force, qbar_area * C[:3], rtol=1e-6)
@@ -153,7 +153,7 @@ def test_thrust_is_that_of_the_propeller(load, portable_of):
     model = of_aircraft(portable_of("trend"), **changes)
     fdm = load(model)
     fdm["fcs/throttle-cmd-norm"] = 0.6
-    placed(fdm, model, model.samples[0])
+    placed(fdm, model, model.reference.regressors[0])
     state = (580.0, AIRSPEED, density(fdm))
     expected = line.loads(PROPELLER.thrust(*state), PROPELLER.torque(*state))
     assert_allclose(loads(fdm, "external"), expected, rtol=1e-6, atol=1e-9)

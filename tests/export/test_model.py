@@ -84,7 +84,7 @@ def test_members_may_have_trends_about_different_points(fitted):
     learned.posterior_ = AveragePosterior([posterior, other], weights)
     pipeline.steps = [*pipeline.steps[:-1], ("regressor", learned)]
     model = portable_model(pipeline, fitted("joint").aircraft)
-    X = model.samples
+    X = model.reference.regressors
     Z = (X - model.shift) / model.scale
     mean, std = learned.predict(Z, return_std=True, include_input_noise=False)
     found, deviation = model.predict(X, True, 0.0)

@@ -49,7 +49,6 @@ OTHERS = [
     DependentGPRegressor(max_iter=2),
     DependentGPRegressor(max_iter=2, inference="sparse", n_inducing=5, n_latent=1),
     DependentGPRegressor(TIED, max_iter=2, trend="constant"),
-    DependentGPRegressor(max_iter=5, n_latent=1, structure="joint", trend="constant"),
     DependentGPRegressor(optimizer=None, n_latent=0, structure="joint", trend=None),
     DependentGPRegressor(max_iter=1, n_latent=0, input_noise="learned"),
 ]

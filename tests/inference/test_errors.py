@@ -73,14 +73,11 @@ def line_of(x, Y, noise_variance=1.0, **options):
     return model, function_errors(posterior, np.zeros(Y.shape[1]), **options)
 
 
-@pytest.mark.parametrize("inference", ["exact", pytest.param("sparse", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("memory", [0.01, 4.0])
-def test_slopes_of_a_line_err_as_stated(wandering, inference, memory):
+def test_slopes_of_a_line_err_as_stated(wandering, memory):
     """White and lasting noise: errors over deviations have a root mean square near one."""
     truth = [1.0, -0.5, 0.3, 0.0]
-    model = DependentGPRegressor(
-        structure="trend", inference=inference, input_noise=None, random_state=0
-    )
+    model = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
     ratios = []
     for seed in range(4):
         rng = default_rng(seed)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array
-from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HIGH_LIFT, TRUTH_SUFFIX
+from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HIGH_LIFT, MIXED, TRUTH_SUFFIX
 
 # Names in other programs and textbooks, in lower case
 OTHER_NAMES = {
@@ -24,6 +24,13 @@ OTHER_NAMES = {
 REMEDIES = {
     "airspeed": " Airspeed comes from a pitot tube, or from ground velocity less an estimated wind: "
     "give a column airspeed [m/s].",
+    **dict.fromkeys(
+        ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot"),
+        " FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r']) before this step adds rates of change.",
+    ),
+    **dict.fromkeys(
+        MIXED, " ElevonSplitter() before this step makes elevator and aileron of elevons."
+    ),
     "density": " skdgp.dynamics.standard_density(altitude) is the density of the standard atmosphere.",
 }
 MOST_NAMES = 8  # unknown columns that a message names
@@ -107,7 +114,7 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
         names = table["flight"].astype(str).unique()
         if len(names) == 1:
             what = f"flight {names.item()!r}"
-    remedies = [text for name, text in REMEDIES.items() if f"'{name}'" in lacking]
+    remedies = dict.fromkeys(text for name, text in REMEDIES.items() if f"'{name}'" in lacking)
     raise ValueError(
         f"The {what} lacks the columns {lacking}. Rename or compute them; docs/notation.md lists "
         f"every name with its unit.{''.join(remedies)}"

@@ -26,8 +26,6 @@ from skdgp.io._resets import correct_resets
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
 USED_WEIGHT = 2
-# engines differ by more than this fraction of their speed: one stands still, or they steer; a guess
-LARGEST_APART = 0.05
 # columns whose instances are engines, and allocators, in place of redundant sensors
 ENGINES = ("propeller_speed",)
 COMMANDS = ("throttle",)
@@ -219,7 +217,6 @@ def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
         time=time,
         values=mean[:, None],
         note=_joined(", ", rule.note, note),
-        remark=_remark_of_engines(log, note, speeds[runs]),
     )
 
 
@@ -227,20 +224,6 @@ def _speed_in_flight(log: Log, engine: Readings) -> float:
     """Return the mean speed of an engine while no rotor lifts the aircraft [rad/s]."""
     drives = engine.valid & ~log.lifts(engine.time)
     return float(np.mean(np.abs(engine.values[drives]))) if drives.any() else 0.0
-
-
-def _remark_of_engines(log: Log, note: str, speeds: Vector) -> str:
-    """Return a remark on engines whose mean speeds [rad/s] differ, nothing where they do not."""
-    apart = np.ptp(speeds) if len(speeds) else 0.0
-    if apart <= LARGEST_APART * np.sum(speeds) / max(len(speeds), 1):
-        return ""
-    lost = "their yawing moment"
-    if "differential_throttle" in log.commands:
-        lost = "the part that was not commanded (differential_throttle)"
-    return (
-        f"propeller_speed is the {note}, which differ by {apart:.0f} rad/s on average: {lost} "
-        "is in no column"
-    )
 
 
 def _readings(instance: Instance, rule: Rule) -> Readings:

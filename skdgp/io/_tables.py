@@ -28,9 +28,6 @@ class TableLimits:
     """Limits of files, above those of any flight; guesses."""
 
     most_columns: int = 10_000
-    # bytes that any file may take when unpacked, and more for each byte of the file
-    room: int = 2**28
-    room_per_byte: int = 100
     # of the norm of a quaternion that was rounded
     norm_error: float = 0.05
 
@@ -337,8 +334,8 @@ def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
 
     ``rename`` is not needed, as names have no units.
 
-    Raise FlightReadError if it is damaged, too wide, has columns of lists, structs or bytes, or
-    takes far more memory than its size, ImportError without pyarrow.
+    Raise FlightReadError if it is damaged, too wide, or has columns of lists, structs or bytes,
+    ImportError without pyarrow.
     """
     try:
         import pyarrow.parquet
@@ -374,22 +371,8 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
                 f"Got columns of types {nested}, but expected one value in each "
                 "row: drop them, or write one column for each value."
             )
-        _check_room(file.metadata, len(columns), path.stat().st_size)
         table = file.read(columns=columns).replace_schema_metadata(None)
     return table.to_pandas()
-
-
-def _check_room(metadata: Any, n_columns: int, size: int) -> None:
-    """Raise FlightReadError if a Parquet file of this size takes too much memory when unpacked."""
-    unpacked = sum(metadata.row_group(k).total_byte_size for k in range(metadata.num_row_groups))
-    needed = max(8 * metadata.num_rows * n_columns, unpacked)
-    room = LIMITS.room + LIMITS.room_per_byte * size
-    if needed > room:
-        raise FlightReadError(
-            f"Got a file that takes {needed / 2**20:.0f} MiB when unpacked, but expected at most "
-            f"{room / 2**20:.0f} MiB (256 MiB and {LIMITS.room_per_byte} times its size): write "
-            "each flight into a file of its own."
-        )
 
 
 def _has_one_value(kind: Any, types: Any) -> bool:

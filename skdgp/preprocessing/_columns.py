@@ -20,11 +20,9 @@ from skdgp._flight.channels import (
     HAT,
     LENGTHS,
     MIXED,
-    RATES,
     REGRESSOR_SETS,
     SURFACES,
     TRUTH_SUFFIX,
-    VANES,
     rate_factor,
 )
 from skdgp._flight.checks import check_columns
@@ -42,7 +40,6 @@ from skdgp.preprocessing._table import (
     with_names,
 )
 
-RATED = (*VANES, *RATES)
 CONTROLS = ("throttle", *SURFACES)
 # Standard deviation [rad, or a fraction] from which an auxiliary control is one of a named set; a guess
 LEAST_MOTION = 0.01
@@ -349,7 +346,6 @@ class RegressorSelector(TableTransformer):
             raise ValueError(
                 f"Got regressors {chosen}, but expected at least one, each once (twice: {twice})."
             )
-        _check_made(table, chosen)
         check_columns(table, chosen)
         numeric(table, chosen)
         truth = _truth(chosen)
@@ -359,7 +355,6 @@ class RegressorSelector(TableTransformer):
         self.without_effect_ = None
 
     def _transform_table(self, table):
-        _check_made(table, self.regressors_)
         check_columns(table, self.regressors_)
         values = numeric(table, self.regressors_)
         # squares of larger numbers overflow
@@ -386,8 +381,9 @@ class RegressorSelector(TableTransformer):
     def _from_set(self, table):
         """Return the regressors of the named set, without the controls that the aircraft does not have."""
         names = list(REGRESSOR_SETS[self.regressors])
-        _check_made(table, names)
         names = [name + HAT if name + HAT in table else name for name in names]
+        if ELEVONS[0] in table:
+            check_columns(table, MIXED)
         have = {*map(str, table.columns)}
         measured = have - {*_truth(have)}
         for name in present(CONTROLS, names):
@@ -405,22 +401,3 @@ class RegressorSelector(TableTransformer):
 def _truth(names: Iterable[Any]) -> list[str]:
     """Return the names of columns with the noise-free truth of a simulation."""
     return [name for name in names if str(name).endswith(TRUTH_SUFFIX)]
-
-
-def _check_made(table: pd.DataFrame, names: Sequence[str]) -> None:
-    """Raise ValueError, with the step that adds it, if a column is missing that could be made."""
-    lacking = [name for name in names if name not in table and name + HAT not in table]
-    steps = {}
-    for name in lacking:
-        rated = name.removesuffix("_dot")
-        if rated != name and rated in RATED:
-            check_columns(table, [rated])
-            steps[name] = f"FlightSmoother(derivatives={[*RATED]})"
-        elif name in MIXED and ELEVONS[0] in table:
-            steps[name] = "ElevonSplitter()"
-    if steps:
-        raise ValueError(
-            f"The flight lacks {sorted(steps)}, but these regressors need them: put "
-            f"{', '.join(dict.fromkeys(steps.values()))} before RegressorSelector in the pipeline, "
-            "or name other regressors."
-        )

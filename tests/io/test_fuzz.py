@@ -8,7 +8,6 @@ import warnings
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from numpy.random import default_rng
 
@@ -141,15 +140,6 @@ def test_damaged_logs(logs, tmp_path, suffix):
     assert suffix not in AUTOPILOTS or outcomes.count("read") > 0.7 * len(outcomes)
 
 
-def parquet(*tables):
-    """Return a Parquet file of tables one after another."""
-    sink = pa.BufferOutputStream()
-    with pq.ParquetWriter(sink, tables[0].schema, compression="zstd") as writer:
-        for table in tables:
-            writer.write_table(table)
-    return sink.getvalue().to_pybytes()
-
-
 ULOG_HEAD = b"ULog\x01\x12\x35\x01" + bytes(8)
 
 
@@ -160,11 +150,6 @@ def ulog_of(*messages):
     return log
 
 
-def many_rows():
-    table = pa.table({"time": np.zeros(2**20), "alpha": np.zeros(2**20)})
-    return parquet(*[table] * 20)
-
-
 def wide(n):
     return ("time," + ",".join(f"c{i}" for i in range(n - 1)) + "\n").encode()
 
@@ -172,7 +157,6 @@ def wide(n):
 # Files of which a few bytes ask for all memory or for hours: what they are called, and why they are
 # refused.
 BOMBS = {
-    "many rows": ("log.parquet", many_rows, "takes 320 MiB when unpacked"),
     "blanks": (
         "log.csv",
         lambda: b"time," + b" " * 50_000 + b"x" + b" " * 50_000 + b"y\n0,1,2\n",

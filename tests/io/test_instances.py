@@ -228,12 +228,12 @@ class TestVehicles:
         assert_allclose(table.aileron, right[: len(table)], atol=1e-3)
         assert_allclose(table.elevator, -up[: len(table)], atol=1e-3)
 
-    def test_thrust_goes_with_the_squares_of_all_engines(self, told, plane):
+    def test_thrust_goes_with_the_squares_of_all_engines(self, read, plane):
         log = plane()
         for number, speed in enumerate((0.0, 6000.0)):
             rpm = np.where(SLOW > 25, speed, 6000.0)
             log.topic("ESC", SLOW, Instance=("B", number), RPM=rpm)
-        table = told("of 2 engines", log, airborne=False)
+        table = read(log, airborne=False)
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
 

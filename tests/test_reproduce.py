@@ -24,10 +24,10 @@ LEFT_BEHIND = {
 }
 # Of the others those that take seconds; they end with an error where the package has one
 SHORT = [
-    *("all_fixed", "constant_regressors", "fixed_kernel", "few_rows_zero_band", "units"),
+    *("all_fixed", "constant_regressors", "fixed_kernel", "units"),
     *("ahrs_trim", "airspeed_ratio", "ardupilot_flaperons_and_spoilers", "mass_and_flaps"),
     *("px4_airspeed_source", "px4_ekf_reset", "px4_vtol_throttle_and_lift_motors"),
-    *("rounded_times", "stuck_at_zero", "twin_differential_thrust", "wrong_size"),
+    *("rounded_times", "stuck_at_zero", "twin_differential_thrust"),
 ]
 
 
@@ -69,6 +69,7 @@ def test_names_that_scripts_import_exist(scripts):
 @pytest.mark.parametrize("stem", SHORT)
 def test_a_short_script_runs(stem, scripts, tmp_path):
     (path,) = [path for path in scripts.values() if path.stem == stem]
+    (tmp_path / "tmp").mkdir()  # some write there
     command = [sys.executable, str(path)]
     subprocess.run(command, cwd=tmp_path, capture_output=True, check=True, timeout=300)
 

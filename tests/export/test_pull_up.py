@@ -45,7 +45,7 @@ def pipeline():
     ], axis=-1)  # fmt: skip
     Y = Y + rng.normal(0, [5e-3, 5e-3, 2e-2, 1e-3, 5e-3, 1e-3], Y.shape)
     kernel = ConvolvedGaussian(1, private_latents=False)
-    regressor = DependentGPRegressor(kernel, structure="joint", inference="sparse", n_inducing=15, max_iter=200,
+    regressor = DependentGPRegressor(kernel, structure="joint", inference="sparse", n_inducing=15, max_iter=25,
                                      input_noise=None, random_state=0)  # fmt: skip
     model = make_identification_pipeline(
         AIRCRAFT, regressors=REGRESSORS, reconstruction="passthrough", cutoff=None, mixer="passthrough",

@@ -130,7 +130,7 @@ class Part(NamedTuple):
     lifted: Mask
     # rows of each flight
     segments: list[slice]
-    # times [s] of all resets that cannot be corrected
+    # times [s] of all resets
     cuts: Vector
     origin: dict[str, Origin]
     remarks: list[str]

@@ -9,6 +9,7 @@ import numpy as np
 
 from skdgp._compute.typing import Indices, Mask, Matrix, Vector
 from skdgp._flight.clock import CLOCK
+from skdgp._flight.frames import without_sign_changes
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
     LEAST_SPEED,
@@ -21,7 +22,7 @@ from skdgp.io._log import (
     engines_note,
     last_before,
 )
-from skdgp.io._resets import correct_resets
+from skdgp.io._resets import reset_times, seconds
 
 # weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
 VALID_WEIGHT = 4
@@ -51,7 +52,7 @@ class Source(NamedTuple):
     values: Matrix
     note: str = ""
     remark: str = ""
-    # times [s] of resets that the log does not let correct
+    # times [s] of resets
     cuts: tuple[float, ...] = ()
     # number of the instance, the most used one of several
     instance: int = 0
@@ -79,8 +80,6 @@ class Readings(NamedTuple):
     preferred: Vector
     # 0 where resets are not logged
     counter: Vector
-    # changes by the last reset, NaN where they are not logged
-    deltas: Matrix
 
     @property
     def health(self) -> tuple[bool, float, bool, float]:
@@ -145,14 +144,14 @@ def _source_of(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     first = min(reading.instance for reading in readings).name
     remarks = ["" if names == [first] else f"{rule.words} of {_words(rule, names)} ({note})"]
     remarks += [_unmeasured(reading, rule) for reading in readings]
-    time, values, counter, deltas = _merged(readings, chosen, times)
-    cuts: list[float] = []
-    if rule.resets or rule.is_estimate:
-        is_attitude = rule.columns == QUATERNION
-        values, cuts, remark = correct_resets(
-            rule.words, time, values, counter, deltas, is_attitude
+    time, values, counter = _merged(readings, chosen, times)
+    if rule.columns == QUATERNION:
+        values = without_sign_changes(values)
+    cuts = reset_times(time, values, counter) if rule.resets or rule.is_estimate else []
+    if cuts:
+        remarks.append(
+            f"{rule.words}: resets of the estimator, so a new flight begins, at {seconds(cuts)}"
         )
-        remarks.append(remark)
     most = int(np.argmax(np.bincount(chosen[chosen != NONE], minlength=1)))
     return Source(
         columns=rule.columns,
@@ -173,16 +172,16 @@ def _joined(separator: str, *texts: str) -> str:
 
 def _merged(
     readings: list[Readings], chosen: Indices, times: Vector
-) -> tuple[Vector, Matrix, Vector, Matrix]:
-    """Return times, values, counters and changes by resets of the chosen valid readings, in order of time."""
+) -> tuple[Vector, Matrix, Vector]:
+    """Return times, values and counters of resets of the chosen valid readings, in order of time."""
     parts = []
     for place, reading in enumerate(readings):
         rows = reading.valid & (chosen[last_before(times, reading.time)] == place)
         counter = reading.counter[rows] + COUNTERS * place
-        parts.append((reading.time[rows], reading.values[rows], counter, reading.deltas[rows]))
-    time, values, counter, deltas = map(np.concatenate, zip(*parts, strict=True))
+        parts.append((reading.time[rows], reading.values[rows], counter))
+    time, values, counter = map(np.concatenate, zip(*parts, strict=True))
     order = np.argsort(time, kind="stable")
-    return time[order], values[order], counter[order], deltas[order]
+    return time[order], values[order], counter[order]
 
 
 def _words(rule: Rule, names: list[str]) -> str:
@@ -235,13 +234,8 @@ def _readings(instance: Instance, rule: Rule) -> Readings:
     for field in rule.preferred:
         if field in topic:
             preferred = np.maximum(preferred, np.clip(np.nan_to_num(topic[field]), 0.0, 1.0))
-    counter = np.zeros(n)
-    deltas = np.full((n, max(len(rule.resets[1:]), 1)), np.nan)
-    if rule.resets and rule.resets[0] in topic:
-        counter = topic[rule.resets[0]]
-        if all(field in topic for field in rule.resets):
-            deltas = topic.columns(rule.resets[1:])
-    return Readings(instance, topic.time, values, valid, preferred, counter, deltas)
+    counter = topic[rule.resets] if rule.resets in topic else np.zeros(n)
+    return Readings(instance, topic.time, values, valid, preferred, counter)
 
 
 def _used(

@@ -166,8 +166,8 @@ class Rule(NamedTuple):
     preferred : tuple of str
         Fields that are positive of an instance that is preferred among healthy ones: flags, or a
         confidence from 0 to 1.
-    resets : tuple of str
-        Counter of an estimator's resets, and the fields of the changes of the columns by the last.
+    resets : str
+        Counter of an estimator's resets.
     is_estimate : bool
         Whether each instance is an estimator, which differ by more than noise.
     """
@@ -181,7 +181,7 @@ class Rule(NamedTuple):
     within: tuple[tuple[str, float, float], ...] = ()
     used: tuple[Use, ...] = ()
     preferred: tuple[str, ...] = ()
-    resets: tuple[str, ...] = ()
+    resets: str = ""
     is_estimate: bool = False
 
     @property

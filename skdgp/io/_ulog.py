@@ -80,10 +80,7 @@ def _xyz(name):
     return tuple(f"{name}[{i}]" for i in range(3))
 
 
-QUATERNION_RESETS = ("quat_reset_counter", *(f"delta_q_reset[{i}]" for i in range(4)))
-VXY_RESETS = ("vxy_reset_counter", "delta_vxy[0]", "delta_vxy[1]")
-VZ_RESETS = ("vz_reset_counter", "delta_vz")
-POSITION_RESETS = ("xy_reset_counter", "delta_xy[0]", "delta_xy[1]")
+ATTITUDE_RESETS = "quat_reset_counter"
 ATTITUDE = tuple(f"q[{i}]" for i in range(4))
 HORIZONTAL = ("v_north", "v_east")
 WIND = ("wind_north", "wind_east")
@@ -123,8 +120,17 @@ def _integrated(columns: tuple[str, ...], name: str, sensor: str) -> Rule:
 def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
     """Return the rules for the velocity of a local position."""
     return (
-        Rule(HORIZONTAL, topic, ("vx", "vy"), valid=("v_xy_valid",), resets=VXY_RESETS, used=used),
-        Rule(("v_down",), topic, ("vz",), valid=("v_z_valid",), resets=VZ_RESETS, used=used),
+        Rule(
+            HORIZONTAL,
+            topic,
+            ("vx", "vy"),
+            valid=("v_xy_valid",),
+            resets="vxy_reset_counter",
+            used=used,
+        ),
+        Rule(
+            ("v_down",), topic, ("vz",), valid=("v_z_valid",), resets="vz_reset_counter", used=used
+        ),
     )
 
 
@@ -167,8 +173,8 @@ RULES = (
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
     _integrated(SPECIFIC_FORCE, "velocity", "accel"),
-    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=QUATERNION_RESETS),
-    Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=QUATERNION_RESETS),
+    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=ATTITUDE_RESETS),
+    Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=ATTITUDE_RESETS),
     Rule(
         ("airspeed",),
         "airspeed_validated",
@@ -189,20 +195,17 @@ RULES = (
         "vehicle_local_position",
         ("x", "y"),
         valid=("xy_valid",),
-        resets=POSITION_RESETS,
     ),
     Rule(
         ("down",),
         "vehicle_local_position",
         ("z",),
         valid=("z_valid",),
-        resets=("z_reset_counter", "delta_z"),
     ),
     Rule(
         ("altitude",),
         "vehicle_global_position",
         ("alt",),
-        resets=("alt_reset_counter", "delta_alt"),
     ),
     Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
     *_gps_altitude("vehicle_gps_position"),

@@ -1,6 +1,6 @@
 """Control: margins of an autopilot's loops around linear models, gains that have them, and flights in its simulator."""
 
-from skdgp.control._ardupilot import Flown, fly, full_outputs
+from skdgp.control._ardupilot import Flown, fly
 from skdgp.control._loops import Loop
 from skdgp.control._margins import margins, suggest_gains
 from skdgp.control._parameters import autopilot_loops, read_parameters
@@ -10,7 +10,6 @@ __all__ = [
     "Loop",
     "autopilot_loops",
     "fly",
-    "full_outputs",
     "margins",
     "read_parameters",
     "suggest_gains",

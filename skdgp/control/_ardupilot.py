@@ -161,32 +161,15 @@ class Outputs:
         return commands
 
 
-def full_outputs(
+def _full_outputs(
     model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     full: Mapping[str, float],
     thrust: str | None = "auto",
 ) -> dict[str, float]:
-    """Return the values at full output of the controls that an autopilot moves, as `fly` takes them.
+    """Return the values at full output of the controls that an autopilot moves; a throttle is 1 if not given.
 
-    Parameters
-    ----------
-    model, aircraft
-        As for `fly`.
-    full : mapping of str to float
-        Values at full output; a throttle that is not given is 1.
-    thrust : "auto" or None
-        As for `fly`.
-
-    Returns
-    -------
-    dict of str to float
-        Of aileron, elevator and rudder, if the model has them, and of the engine.
-
-    Raises
-    ------
-    ValueError
-        If a value is missing, of another control, or no number > 0.
+    Raises ValueError if a value is missing, of another control, or no number > 0.
     """
     engine = thrust_control(aircraft, thrust)
     controls = {*Motion(model, aircraft, thrust=thrust).controls, engine}
@@ -444,7 +427,7 @@ def fly(
     check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")
     linear = linearize(model, aircraft, steady, thrust=thrust)
-    full = full_outputs(model, aircraft, full, thrust)
+    full = _full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {})
     air = Air(wind=wind, gusts=gusts)
     simulator = Simulator(model, aircraft, LONGEST_STEP, air=air, thrust=thrust)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,14 +25,6 @@ STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 ROUGHEST = 2.0
 
 
-class PathsAir(NamedTuple):
-    """Air that the paths of a simulation meet."""
-
-    air: AirAt
-    drift: Drift | None  #: Of the coefficients
-    text: str  #: On the gusts
-
-
 def paths_air(
     described: Air,
     air: AirAt,
@@ -41,15 +33,15 @@ def paths_air(
     states: Array,
     n_paths: int,
     random_state: Any,
-) -> PathsAir:
-    """Return the gusts and the drift that paths from states (n_starts, 13) meet, besides the ``air``."""
+) -> tuple[AirAt, Drift | None, str]:
+    """Return the air with gusts that paths from states (n_starts, 13) meet, the drift, and a sentence on the gusts."""
     met, text = met_turbulence(described, air, motion, states)
     drift = None
     if described.drift:
         drift = drift_in(met, motion.aerodynamics)
     if met is not None and np.any(met.intensity):
         air = gusty_air(described, met, air, motion, clock, states, n_paths, random_state)
-    return PathsAir(air, drift, text)
+    return air, drift, text
 
 
 def met_turbulence(

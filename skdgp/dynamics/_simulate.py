@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import SPECIFIC_FORCE
 from skdgp._flight.checks import check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
-from skdgp.dynamics._air import Air, AirAt, LocalAir, as_air
+from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._dryden import gust_stream
@@ -28,7 +28,7 @@ from skdgp.dynamics._inputs import (
 )
 from skdgp.dynamics._integrate import FLYING, End, Integrator, channels, end_reasons, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
-from skdgp.dynamics._path_air import PathsAir, paths_air
+from skdgp.dynamics._path_air import paths_air
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._starts import as_starts, initial_states
 from skdgp.dynamics._trajectories import (
@@ -148,63 +148,31 @@ def simulate(
     names = {*motion.inputs, *PROPULSION}
     commands = control_schedule(controls, clock, names, len(starts))
     states = initial_states(starts, partial(air_schedule, 0))
+    drifts = None
+    air_text = ""
     if n_paths is None:
-        _check_single(given_air)
-        flight = _mean_flight(motion, air_schedule, states)
+        if isinstance(given_air.gusts, Turbulence):
+            raise ValueError(
+                "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
+            )
+        # a single start has no axis
+        states = states[0] if len(states) == 1 else states
     else:
         path_air = paths_air(given_air, air_schedule, motion, clock, states, n_paths, random_state)
-        flight = _drawn_flights(motion, path_air, clock, states, n_paths, random_state)
-    record = fly_record(
-        flight.motion, commands, flight.air_schedule, clock, flight.states, flight.drifts
-    )
-    farthest = farthest_beyond(flight.motion, record.regressors)
-    warn_of(record, flight.motion, farthest)
+        air_schedule, drift, air_text = path_air
+        drawn = drawn_functions(motion, n_paths, random_state, rounded=True)
+        motion = motion.with_aerodynamics(drawn)
+        states = np.tile(states, (n_paths, 1, 1))
+        if drift is not None:
+            drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
+    record = fly_record(motion, commands, air_schedule, clock, states, drifts)
+    farthest = farthest_beyond(motion, record.regressors)
+    warn_of(record, motion, farthest)
     table_times = [float(table["time"].iloc[0]) for table in tables_of(controls)]
     first_times = np.broadcast_to(table_times or 0.0, len(starts))
-    table = trajectory_table(record, flight.motion, farthest, first_times)
-    table.attrs["air"] = flight.air_text
+    table = trajectory_table(record, motion, farthest, first_times)
+    table.attrs["air"] = air_text
     return table
-
-
-class _Flight(NamedTuple):
-    """What is flown in a simulation."""
-
-    motion: Motion
-    air_schedule: AirAt
-    states: Array  #: At the start, (..., 13)
-    drifts: Array | None = None  #: Added to the coefficients, (n_stages, ..., 6)
-    air_text: str = ""  #: On the gusts
-
-
-def _mean_flight(motion: Motion, air_schedule: AirAt, states: Array) -> _Flight:
-    """Return the flight of the mean of the model, whose single start has no axis."""
-    return _Flight(motion, air_schedule, states[0] if len(states) == 1 else states)
-
-
-def _drawn_flights(
-    motion: Motion,
-    path_air: PathsAir,
-    clock: StepClock,
-    states: Array,
-    n_paths: int,
-    random_state: Seed,
-) -> _Flight:
-    """Return the flights of functions drawn from the posterior, from states (n_starts, 13)."""
-    drawn = drawn_functions(motion, n_paths, random_state, rounded=True)
-    states = np.tile(states, (n_paths, 1, 1))
-    drifts = None
-    if path_air.drift is not None:
-        drifts = path_air.drift.draw(clock.stages, states.shape[:-1], random_state)
-    motion = motion.with_aerodynamics(drawn)
-    return _Flight(motion, path_air.air, states, drifts, path_air.text)
-
-
-def _check_single(air: Air) -> None:
-    """Raise ValueError if gusts are given, which only paths meet."""
-    if isinstance(air.gusts, Turbulence):
-        raise ValueError(
-            "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
-        )
 
 
 class Simulator:

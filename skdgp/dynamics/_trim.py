@@ -55,12 +55,6 @@ ACCELERATION_UNITS = {
     **dict.fromkeys(("u_dot", "v_dot", "w_dot"), "m/s^2"),
     **dict.fromkeys(("p_dot", "q_dot", "r_dot"), "rad/s^2"),
 }
-CONDITION_UNITS = {
-    "airspeed": " m/s",
-    "altitude": " m",
-    "turn_rate": " rad/s",
-    **dict.fromkeys(("climb", "phi", "beta"), " rad"),
-}
 # Limits of unknowns, of alpha where its training range is not known
 UNKNOWN_LIMITS = {
     "alpha": (-np.pi / 6, np.pi / 4),
@@ -93,8 +87,6 @@ START_ALPHA = (-0.1, 0.3)
 START_THRUST = 0.15
 START_THROTTLE = 0.5
 START_ADVANCE_RATIO = 0.5
-# Remaining accelerations that an error shows, over the largest
-SHOWN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,16 +424,13 @@ class SteadyFlight:
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
         residuals = best.fun[:6]  # without the angle of the path
-        largest = np.abs(residuals).max()
         accelerations = []
         for (name, unit), value in zip(ACCELERATION_UNITS.items(), residuals, strict=True):
-            if abs(value) > SHOWN * largest:
-                accelerations.append(f"{name} = {value:.3g} {unit}")
-        conditions = []
-        for name, value in {"airspeed": airspeed, **self.given}.items():
-            conditions.append(f"{name} {value:g}{CONDITION_UNITS.get(name, '')}")
+            accelerations.append(f"{name} = {value:.3g} {unit}")
+        given = {"airspeed": airspeed, **self.given}
+        conditions = ", ".join(f"{name} {value:g}" for name, value in given.items())
         return (
-            f"There is no trim of {self.motion.aircraft.name} at {', '.join(conditions)}: nearest to it "
+            f"There is no trim of {self.motion.aircraft.name} at {conditions} (SI units): nearest to it "
             f"are left {', '.join(accelerations)}, with {self._ends(best.x) or 'nothing at a limit'}. Ask "
             "for another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )

@@ -298,7 +298,8 @@ def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float
     bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
     mean = bands.mean().to_numpy()
     n_values: Any = bands.size().to_numpy(float)
-    return _Spectra(*mean.T, n_values, min(shortest))
+    wave_number, horizontal, vertical, intervals = mean.T
+    return _Spectra(wave_number, horizontal, vertical, intervals, n_values, min(shortest))
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:

@@ -15,6 +15,7 @@ from skdgp._compute.files import csv_writer
 from skdgp.control import (
     Loop,
     autopilot_loops,
+    full_outputs,
     read_parameters,
     suggest_gains,
 )
@@ -159,6 +160,7 @@ def fly(run: Run) -> None:
     model, thrust = read_model_to_fly(options)
     warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
     given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
+    full = full_outputs(model.pipeline, model.aircraft, given, thrust)
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude + options.height, thrust)
 
@@ -171,7 +173,7 @@ def fly(run: Run) -> None:
         model.pipeline,
         model.aircraft,
         steady,
-        given,
+        full,
         parameters=parameters,
         height=options.height,
         path=options.path,

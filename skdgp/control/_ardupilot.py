@@ -161,7 +161,7 @@ class Outputs:
         return commands
 
 
-def _full_outputs(
+def full_outputs(
     model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
     full: Mapping[str, float],
@@ -427,7 +427,7 @@ def fly(
     check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")
     linear = linearize(model, aircraft, steady, thrust=thrust)
-    full = _full_outputs(model, aircraft, full, thrust)
+    full = full_outputs(model, aircraft, full, thrust)
     outputs = Outputs(linear, steady, full, parameters or {})
     air = Air(wind=wind, gusts=gusts)
     simulator = Simulator(model, aircraft, LONGEST_STEP, air=air, thrust=thrust)

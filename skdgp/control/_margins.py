@@ -114,7 +114,7 @@ def margins(
     {'gain': 13.2, 'phase': 124.4, 'sensitivity': 1.3, 'crossover': 2.8}
     """
     _check(linear, loops)
-    s = 1j * _frequencies(N_FREQUENCIES)
+    s: Any = 1j * _frequencies(N_FREQUENCIES)
     responses = _responses(linear, loops, s)
     transfer = _of_loops(responses, linear, loops, s)
     stability = _Stability.of(linear, loops, N_FREQUENCIES)
@@ -169,7 +169,7 @@ def suggest_gains(
         )
     if not 0 < probability < 1:
         raise ValueError(f"Got probability={probability!r}, but expected a number between 0 and 1.")
-    s = 1j * _frequencies(N_SEARCHED)
+    s: Any = 1j * _frequencies(N_SEARCHED)
     search = _GainSearch(
         linear=linear,
         s=s,
@@ -419,7 +419,7 @@ class _Stability(NamedTuple):
     @classmethod
     def of(cls, linear, loops, n_frequencies):
         w = np.concatenate([[0.0], _frequencies(n_frequencies)])
-        s = _bound(w) + 1j * w
+        s: Any = _bound(w) + 1j * w
         axes = []
         for states, others in ((LONGITUDINAL, LATERAL), (LATERAL, LONGITUDINAL)):
             numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] in states]

@@ -223,9 +223,9 @@ class _Frame:
     def __init__(self, motion: Motion, now: Instant):
         # what turns CX CY CZ Cl Cm Cn into the rows, (rows, 6)
         sine, cosine = np.sin(now.alpha), np.cos(now.alpha)
-        lift = [sine, 0.0, -cosine, 0.0, 0.0, 0.0]
-        drag = [-cosine, 0.0, -sine, 0.0, 0.0, 0.0]
-        self.turn = np.vstack([np.eye(6), lift, drag])
+        self.turn = np.vstack([np.eye(6), np.zeros((2, 6))])
+        self.turn[LIFT, [0, 2]] = sine, -cosine
+        self.turn[DRAG, [0, 2]] = -cosine, -sine
         self.columns = list(motion.regressors)
         # slopes by the conventional quantities over slopes by the model's regressors, and 1 of coefficients
         self.scale = np.ones(1 + len(self.columns))

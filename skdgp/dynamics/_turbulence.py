@@ -296,7 +296,7 @@ def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float
         )
     table = pd.DataFrame(np.concatenate(parts))
     bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
-    mean = bands.mean().to_numpy()
+    mean: Any = bands.mean().to_numpy()
     n_values: Any = bands.size().to_numpy(float)
     wave_number, horizontal, vertical, intervals = mean.T
     return _Spectra(wave_number, horizontal, vertical, intervals, n_values, min(shortest))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,11 +28,14 @@ class FlightTable:
         Time and flight of each row, and the segments without gaps.
     findings : tuple of Finding or None
         What was found in flights whose faults are removed; None of others.
+    airspeed_scale : AirspeedScale or None
+        Error of their airspeed, where it was estimated, as of `skdgp.estimation.airspeed_scale`.
     """
 
     table: pd.DataFrame
     clock: Clock
     findings: tuple[Finding, ...] | None = None
+    airspeed_scale: Any = None
 
     @classmethod
     def of(cls, table: object, needed: Iterable[str] = (), *, what: str = "flight") -> FlightTable:

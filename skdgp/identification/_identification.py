@@ -103,13 +103,13 @@ class Identification:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Training data, and uses that the model is good enough for."""
+        """Scores, and uses that the model is good enough for."""
         # assumptions are told in their own list
         findings = [finding for finding in self.findings if finding not in self.assumptions]
         question = self.aircraft.question_of_sizes(derivatives=self.mechanics.derivatives)
         if question is not None:
             findings.append(question)
-        return judge(self.train.values(), self.evaluations, self.fit, self.mechanics, findings)
+        return judge(self.evaluations, self.fit, self.mechanics, findings)
 
     @cached_property
     def metrics(self) -> dict:

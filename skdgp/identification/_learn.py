@@ -26,7 +26,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.estimation import airspeed_scale, without_airspeed_error
+from skdgp.estimation import without_airspeed_error
 from skdgp.identification._flights import tables_of
 from skdgp.identification._pipeline import (
     FlightPipeline,
@@ -86,8 +86,8 @@ def learn(
     notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
     train = tables_of(prepared.train)
     pipeline = _pipeline_for(prepared, regressors, regressor, steps, samples)
-    table = prepared.flights.table
-    table = without_airspeed_error(table, airspeed_scale(table).removable())
+    scale = prepared.flights.airspeed_scale
+    table = without_airspeed_error(prepared.flights.table, scale.removable())
     flights = replace(prepared.flights, table=table)
     Y = aerodynamic_coefficients(flights, prepared.aircraft, **prepared.loads)
     targets = pipeline.thinned(prepared.flights, Y)
@@ -152,23 +152,15 @@ def _options(
     prepared: PreparedFlights, pipeline: Pipeline, samples: int, horizons: Sequence[float]
 ) -> dict[str, Any]:
     """Return the options of an identification, given or chosen."""
-    regressor = pipeline[-1]
     reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
     chosen = {
-        "samples": samples,
+        **pipeline[-1].get_params(deep=False),
         **prepared.loads,
-        "inference": regressor.inference,
-        "structure": regressor.structure,
+        "samples": samples,
         "regressors": pipeline["regressorselector"].regressors,
         "reconstruction": "auto" if reconstructs else "none",
-        "input_noise": "none" if regressor.input_noise is None else "learned",
-        "trend": "none" if regressor.trend is None else regressor.trend,
-        "seed": regressor.random_state,
-        "horizons": list(horizons),
-        "inducing": regressor.n_inducing,
-        "latents": regressor.n_latent,
-        "max_iter": regressor.max_iter,
         "lags": pipeline["lagcorrector"].lags,
+        "horizons": list(horizons),
     }
     if prepared.has_full_throws:
         chosen["servos"] = prepared.servos

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -23,24 +22,15 @@ from skdgp._flight.channels import (
 from skdgp._flight.clock import Clock, median_step
 from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, sensor_position
 from skdgp._flight.smoothing import differentiate
-from skdgp._flight.tables import has_values
+from skdgp._flight.tables import has_values, numeric
 from skdgp.dynamics import PRESSURE, Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
 from skdgp.identification._least_squares import linear_terms
 
-
-@dataclass(frozen=True)
-class LogErrorSettings:
-    """Standard deviations of errors that flights do not show."""
-
-    # of the time of a channel against the inertial sensors, by its motion between samples, in steps
-    # of the log
-    clock_steps: float = 0.1
-    # prior of this time [s]; guess
-    clock: float = 0.01
-
-
-LOG_ERRORS = LogErrorSettings()
+# Standard deviation of the time of a channel against the inertial sensors, by its motion between
+# samples [steps of the log], and prior of this time [s] (guess)
+CLOCK_STEPS = 0.1
+CLOCK = 0.01
 CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
@@ -56,16 +46,15 @@ def learned_errors(
     """Return the errors of coefficients learned from flights, by errors of the log.
 
     Errors are the times of surfaces and vanes, after the removal of ``lags`` (`LagCorrector.lags_`),
-    the position of the inertial sensors, and the airspeed, of relative error ``airspeed_std``. Without
-    vanes they are parameters of the filter.
+    the position of the inertial sensors, the airspeed, of relative error ``airspeed_std``, and the
+    angles between the inertial sensors and the axes of the attitude. Without vanes all but the last
+    are parameters of the filter.
     """
-    if not has_values(flights, *VANES):
-        return {}
-    added = _by_clocks(flights, regressors, least_squares, lags) | _by_position(
-        aircraft, flights, regressors
-    )
+    added = _by_accelerations(flights, aircraft, regressors)
+    if has_values(flights, *VANES):
+        added = _by_clocks(flights, regressors, least_squares, lags) | added
     factors = {name: ScaleFactor(1.0, added=effect) for name, effect in added.items()}
-    if airspeed_std:
+    if airspeed_std and has_values(flights, *VANES):
         factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0})
     return factors
 
@@ -88,26 +77,6 @@ def thrust_errors(
     )
     added = learned_as(missing, regressors)
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
-
-
-def tilt_errors(
-    flights: pd.DataFrame, aircraft: Aircraft, regressors: pd.DataFrame
-) -> dict[str, ScaleFactor]:
-    """Return the errors of coefficients by inertial sensors whose angles to the attitude's axes are unknown.
-
-    A rotation by a small vector e adds e x f to the specific force f.
-    """
-    if not has_values(flights, "sensor_tilt", *SPECIFIC_FORCE):
-        return {}
-    std = np.nanmax(flights["sensor_tilt"])
-    forces = flights[[*SPECIFIC_FORCE]].to_numpy(float)
-    load = dynamic_load(flights, aircraft)[:, None]
-    errors = {}
-    for name, axis in (("roll", np.eye(3)[0]), ("pitch", np.eye(3)[1])):
-        force = aircraft.mass * std * np.cross(axis, forces) / load
-        added = learned_as(np.hstack([force, np.zeros_like(force)]), regressors)
-        errors[f"{name} of the inertial sensors"] = ScaleFactor(1.0, added=added)
-    return errors
 
 
 def learned_as(changes: Matrix, regressors: pd.DataFrame) -> dict[str, float]:
@@ -145,38 +114,43 @@ def _by_clocks(
     return effects
 
 
-def clock_std(
-    lags: pd.DataFrame | None,
-    group: str,
-    step: float,
-    settings: LogErrorSettings = LOG_ERRORS,
-) -> float:
+def clock_std(lags: pd.DataFrame | None, group: str, step: float) -> float:
     """Return the error of the time of a group of channels after its lag is removed [s], root mean square."""
-    least = settings.clock_steps * step
+    least = CLOCK_STEPS * step
     if lags is None or group not in lags.index:
-        return float(np.hypot(settings.clock, least))
+        return float(np.hypot(CLOCK, least))
     lag, std, applied = map(float, lags.loc[group, ["lag", "std", "applied"]])
     if not np.isfinite(std):  # given, or not shown
-        return least if applied else float(np.hypot(settings.clock, least))
-    return float(np.hypot(remaining_error(lag, std, settings.clock, applied != 0), least))
+        return least if applied else float(np.hypot(CLOCK, least))
+    return float(np.hypot(remaining_error(lag, std, CLOCK, applied != 0), least))
 
 
-def _by_position(
-    aircraft: Aircraft, table: pd.DataFrame, regressors: pd.DataFrame
+def _by_accelerations(
+    table: pd.DataFrame, aircraft: Aircraft, regressors: pd.DataFrame
 ) -> dict[str, dict[str, float]]:
-    """Return the effects of one standard deviation of each coordinate of the inertial sensors."""
-    is_known = np.isfinite(sensor_position(table)).all()
-    errors = KNOWN_ARM if is_known else AIR_SENSOR_ERRORS
-    spin, rates = rotation(table)
+    """Return the effects of one standard deviation of position and angles of the inertial sensors.
+
+    A rotation by a small vector e adds e x f to the specific force f.
+    """
+    accelerations = {}
+    if has_values(table, *VANES):
+        is_known = np.isfinite(sensor_position(table)).all()
+        errors = KNOWN_ARM if is_known else AIR_SENSOR_ERRORS
+        spin, rates = rotation(table)
+        for axis, name in zip(np.eye(3), SENSOR_POSITION, strict=True):
+            _, std = errors[f"arm_{name[-1]}"]
+            by_arm = acceleration_by_rotation(spin, rates, np.broadcast_to(std * axis, rates.shape))
+            accelerations[name.replace("_", " ")] = -by_arm
+    if has_values(table, "sensor_tilt", *SPECIFIC_FORCE):
+        std = np.nanmax(table["sensor_tilt"])
+        for axis, name in zip(np.eye(3), ("roll", "pitch"), strict=False):
+            by_tilt = np.cross(std * axis, numeric(table, SPECIFIC_FORCE))
+            accelerations[f"{name} of the inertial sensors"] = by_tilt
+    load = dynamic_load(table, aircraft)[:, None]
     effects = {}
-    for axis, (name, column) in enumerate(zip("xyz", SENSOR_POSITION, strict=True)):
-        _, std = errors[f"arm_{name}"]
-        position = np.zeros((len(table), 3))
-        position[:, axis] = std
-        acceleration = acceleration_by_rotation(spin, rates, position)
-        force = -aircraft.mass * acceleration / dynamic_load(table, aircraft)[:, None]
-        changes = np.hstack([force, np.zeros_like(force)])
-        effects[column.replace("_", " ")] = learned_as(changes, regressors)
+    for name, acceleration in accelerations.items():
+        force = aircraft.mass * acceleration / load
+        effects[name] = learned_as(np.hstack([force, np.zeros_like(force)]), regressors)
     return effects
 
 

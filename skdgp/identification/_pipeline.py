@@ -30,7 +30,7 @@ from skdgp.dynamics import (
 from skdgp.estimation import without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._least_squares import fit_least_squares
-from skdgp.identification._log_errors import learned_errors, thrust_errors, tilt_errors
+from skdgp.identification._log_errors import learned_errors, thrust_errors
 from skdgp.inference import KnownSlopes
 from skdgp.metrics import check_scored
 from skdgp.model_selection import thin_targets
@@ -452,7 +452,6 @@ class FlightPipeline(Pipeline):
             None if corrector is None else corrector.lags_,
             0.0 if check is None else check.airspeed_scale_.left(),
         )
-        errors |= tilt_errors(flights, self.aircraft, regressors)
         if self.thrust is not None:
             errors |= thrust_errors(flights, self.aircraft, regressors)
         return errors

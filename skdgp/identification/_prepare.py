@@ -47,6 +47,7 @@ from skdgp.dynamics import (
     propeller_speed_of,
     with_sensor_position,
 )
+from skdgp.estimation import airspeed_scale
 from skdgp.identification._flights import Flights, copies, items_of, named_flights, tables_of
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
@@ -147,6 +148,7 @@ def prepare(
     usable_train = usable_flights(train, aircraft, names, columns, in_radians=in_radians)
     usable_test = usable_flights(test_flights, aircraft, names, columns, in_radians=in_radians)
     together = FlightTable.together(usable_train.values())
+    together = replace(together, airspeed_scale=airspeed_scale(together.table))
     if thrust == "auto" and _lacks_thrust(usable_train, aircraft):
         thrust = None
         if (together.table["throttle"] > 0).any():

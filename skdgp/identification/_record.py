@@ -115,12 +115,6 @@ class FitRecord:
         return text
 
     @property
-    def paths_reconstructed(self) -> bool:
-        """Whether flight paths are reconstructed from all sensors."""
-        finding = self.reconstruction
-        return finding is not None and finding.code is Code.PATHS_RECONSTRUCTED
-
-    @property
     def lags_corrected(self) -> dict[str, float]:
         """Lags [s] by group that the flights show, and that are removed."""
         return {
@@ -148,7 +142,6 @@ class FitRecord:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         values = asdict(self)
-        values["paths_reconstructed"] = self.paths_reconstructed
         values["gusts_unknown"] = self.gusts_unknown.text if self.gusts_unknown else ""
         values["reconstruction"] = self.reconstruction.clause if self.reconstruction else None
         return values | (values.pop("training") or {})

@@ -18,7 +18,7 @@ from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, SPEC
 from skdgp._flight.findings import Code, Finding
 from skdgp.identification._evaluate import Evaluation, scores
 from skdgp.identification._mechanics import FlightMechanics
-from skdgp.identification._record import FitRecord, flown_seconds
+from skdgp.identification._record import FitRecord
 from skdgp.identification._thresholds import THRESHOLDS
 
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
@@ -105,12 +105,10 @@ class Use:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """Training, tests, and the uses that the model is good enough for.
+    """Scores, and the uses that the model is good enough for.
 
     Parameters
     ----------
-    learned : str
-        A sentence on the model, its training and its test.
     scores : DataFrame
         Of `scores` against measured values, all test flights together.
     unvarying : tuple of str
@@ -121,7 +119,6 @@ class Verdict:
         Warnings; the one that costs most comes first.
     """
 
-    learned: str
     scores: pd.DataFrame
     unvarying: tuple[str, ...]
     uses: tuple[Use, ...]
@@ -166,7 +163,6 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         return {
-            "learned": self.learned,
             "error": self.error,
             "coverage": self.coverage,
             "uses": [use.to_dict() for use in self.uses],
@@ -177,7 +173,6 @@ class Verdict:
 
 
 def judge(
-    train: Iterable[pd.DataFrame],
     evaluations: Sequence[Evaluation],
     fit: FitRecord,
     mechanics: FlightMechanics,
@@ -205,7 +200,6 @@ def judge(
         *_control_findings(mechanics, varying),
     ]
     return Verdict(
-        learned=_learned(list(train), [flight.table for flight in evaluations], fit),
         scores=table,
         unvarying=tuple(unvarying),
         uses=tuple(_judged(purpose, every) for purpose in LIMITS),
@@ -225,23 +219,6 @@ def _judged(purpose: str, findings: Sequence[Finding]) -> Use:
 def _if_any(code: Code, **numbers: Any) -> list[Finding]:
     """Return a finding if the first of its numbers, names or values by name, is not empty."""
     return [Finding(code, numbers=numbers)] if next(iter(numbers.values())) else []
-
-
-def _learned(train: list[pd.DataFrame], tested: list[pd.DataFrame], fit: FitRecord) -> str:
-    """Return a sentence on the model, its training and its test."""
-    source = "flights that are not part of this report"
-    if train:
-        samples = fit.training.samples if fit.training else 0
-        source = f"{_extent(train)}, {samples:,} samples"
-    return (
-        f"The six coefficients {' '.join(COEFFICIENTS)} as functions of "
-        f"{', '.join(fit.regressors)}, learned from {source}; tested on {_extent(tested)}."
-    )
-
-
-def _extent(tables: list[pd.DataFrame]) -> str:
-    """Return duration and number of flights as text."""
-    return f"{flown_seconds(tables):.3g} s of {len(tables)} flight(s)"
 
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:

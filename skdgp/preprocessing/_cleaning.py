@@ -173,7 +173,7 @@ class FlightCheck(TableTransformer):
         return flights
 
     def _fit_table(self, flights):
-        self.airspeed_scale_ = airspeed_scale(flights.table)
+        self.airspeed_scale_ = flights.airspeed_scale or airspeed_scale(flights.table)
         removed = self.airspeed_scale_.removable()
         if removed:
             numbers = {"percent": 100 * removed, "std_percent": 100 * self.airspeed_scale_.std}

@@ -227,7 +227,7 @@ def _verdict(verdict: Verdict, flights: list[Evaluation]) -> str:
     by_flight = pd.DataFrame(errors).T
     return section(
         "Verdict",
-        paragraphs([verdict.learned, f"{verdict.compared()}."]),
+        paragraphs([f"On the test flights: {verdict.compared()}."]),
         table(uses, "What the model is good enough for."),
         bullets(verdict.warnings) or paragraphs(["No warning arose."]),
         table(by_flight, "Means of the test flights.") if len(flights) > 1 else "",

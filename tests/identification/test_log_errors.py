@@ -19,7 +19,7 @@ from skdgp.dynamics import (
     as_aerodynamics,
     stability_derivatives,
 )
-from skdgp.identification._log_errors import LOG_ERRORS, clock_std, learned_errors, tilt_errors
+from skdgp.identification._log_errors import CLOCK, CLOCK_STEPS, clock_std, learned_errors
 from skdgp.preprocessing import LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
@@ -63,9 +63,11 @@ def effect(errors, name):
 
 def test_tilted_sensors_change_forces_by_what_is_added(flown):
     """Sensors whose nose is 0.03 rad low read less of gravity forward; a log that states the tilt adds nothing."""
-    table, X, _ = flown
-    assert not tilt_errors(table, AIRCRAFT, X)
-    errors = tilt_errors(table.assign(sensor_tilt=0.03), AIRCRAFT, X)
+    table, X, slopes = flown
+    known = least_squares_of(X, X.to_numpy() @ slopes)
+    name = "pitch of the inertial sensors"
+    assert name not in learned_errors(table, AIRCRAFT, X, known, None, 0.0)
+    errors = learned_errors(table.assign(sensor_tilt=0.03), AIRCRAFT, X, known, None, 0.0)
     turned = Rotation.from_euler("y", 0.03).apply(table[["ax", "ay", "az"]])
     tilted = table.assign(**dict(zip(["ax", "ay", "az"], turned.T, strict=True)))
     forces = [
@@ -73,7 +75,7 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
         for t in (tilted, table)
     ]
     change = LinearRegression().fit(X, forces[0] - forces[1]).coef_
-    assert_allclose(effect(errors, "pitch of the inertial sensors")[:3], change, atol=2e-3)
+    assert_allclose(effect(errors, name)[:3], change, atol=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -109,9 +111,9 @@ def test_a_lag_that_is_known_leaves_no_more_than_motion_between_samples():
     lags = LagCorrector(lags={"surfaces": 0.05}).fit(
         pd.DataFrame({"time": [0.0], "elevator": [0.0]})
     )
-    least = LOG_ERRORS.clock_steps * STEP
+    least = CLOCK_STEPS * STEP
     assert clock_std(lags.lags_, "surfaces", STEP) == least
-    assert clock_std(lags.lags_, "air", STEP) == pytest.approx(np.hypot(LOG_ERRORS.clock, least))
+    assert clock_std(lags.lags_, "air", STEP) == pytest.approx(np.hypot(CLOCK, least))
 
 
 def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):

@@ -190,13 +190,10 @@ def errors_of(*tables, elevator=-1.0):
     return mechanics_of(*tables, model=glider(elevator)).simulation
 
 
-def test_one_error_one_coverage_and_how_much_was_learned_from():
+def test_one_error_and_one_coverage():
     found = verdict([evaluation(error=0.1), evaluation("b", error=0.3)])
     assert found.error == pytest.approx(np.sqrt((0.1**2 + 0.3**2) / 2))
     assert found.coverage == pytest.approx(0.95, abs=0.01)
-    assert found.learned.endswith(
-        "learned from 300 s of 3 flight(s), 1,000 samples; tested on 200 s of 2 flight(s)."
-    )
 
 
 def test_least_squares_that_is_better_is_a_warning():

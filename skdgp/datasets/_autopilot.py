@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,24 +15,17 @@ from skdgp.datasets._plans import FlightPlan
 COMMANDS = ("elevator", "aileron", "rudder", "throttle")
 
 
-@dataclass(frozen=True)
-class AutopilotSettings:
-    """Trim and limits of the Brumby [rad], chosen."""
-
-    # alpha, and elevator, aileron, rudder and throttle, in straight level flight
-    alpha: float = 0.085
-    trim: tuple[float, ...] = (-0.04, -0.007, 0.0, 0.63)
-    bank_limit: float = 0.70
-    elevon_limit: float = 0.42
-    rudder_limit: float = 0.35
-    # lags of left and right elevon, rudder and propeller [s]
-    time_constants: tuple[float, ...] = (0.04, 0.04, 0.04, 0.25)
-    # distance [m] from the orbit at which the wanted course still cuts it at 45 degrees
-    capture_distance: float = 170.0
-
-
-SETTINGS = AutopilotSettings()
-TIME_CONSTANTS = np.array(SETTINGS.time_constants)
+# Trim and limits of the Brumby [rad], chosen: alpha, and elevator, aileron, rudder and throttle, in
+# straight level flight
+ALPHA = 0.085
+TRIM = (-0.04, -0.007, 0.0, 0.63)
+BANK_LIMIT = 0.70
+ELEVON_LIMIT = 0.42
+RUDDER_LIMIT = 0.35
+# lags of left and right elevon, rudder and propeller [s]
+TIME_CONSTANTS = np.array([0.04, 0.04, 0.04, 0.25])
+# distance [m] from the orbit at which the wanted course still cuts it at 45 degrees
+CAPTURE_DISTANCE = 170.0
 
 
 def scheduled(steps: ArrayLike, time: Array) -> Array:
@@ -60,7 +52,7 @@ class FlightControls:
         self.autopilot = Autopilot(step)
         self.step = step
         self.now = -1
-        trim = np.tile(SETTINGS.trim, (len(plans), 1))
+        trim = np.tile(TRIM, (len(plans), 1))
         self.end, _ = _targets(trim)
 
     def __call__(
@@ -108,10 +100,10 @@ def _targets(command: Array) -> tuple[Array, Array]:
     """Return where the actuators go (n, 4), elevons, rudder, propeller, and the throttle (n,), mixed and limited."""
     elevator, aileron, rudder, throttle = command.T
     throttle = np.clip(throttle, 0.0, 1.0)
-    most = SETTINGS.elevon_limit
+    most = ELEVON_LIMIT
     left = np.clip(elevator + aileron, -most, most)
     right = np.clip(elevator - aileron, -most, most)
-    most = SETTINGS.rudder_limit
+    most = RUDDER_LIMIT
     rudder = np.clip(rudder, -most, most)
     propeller_speed = PROPELLER.speed_at(throttle)
     return np.stack([left, right, rudder, propeller_speed], axis=-1), throttle
@@ -146,7 +138,7 @@ class Autopilot:
         error = airspeed - speed
         integral = self.integral("speed", 0.02 * error, 0.3)
         throttle = 0.08 * error + 0.06 * climb + integral
-        return SETTINGS.trim + np.stack((elevator, aileron, rudder, throttle), axis=-1)
+        return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
 
     def _elevator(self, sensed: Mapping[str, Array], climb: Array) -> Array:
         """Return the addition to the elevator for a rate of climb [m/s]: > 0 pitches down."""
@@ -155,7 +147,7 @@ class Autopilot:
         level = np.cos(phi)
         error = climb + sensed["v_down"]
         integral = self.integral("climb", 0.010 * error, 0.10)
-        steady = SETTINGS.alpha / level + climb / speed
+        steady = ALPHA / level + climb / speed
         pitch = steady + 0.012 * error + integral
         pitch_rate = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
         damping = 0.12 * (sensed["q"] - pitch_rate)
@@ -185,7 +177,7 @@ def _bank(sensed: Mapping[str, Array], orbit: Array) -> Array:
     radius = np.abs(signed_radius)
     turn = np.sign(signed_radius)
     distance = np.hypot(north, east) - radius
-    off = distance / SETTINGS.capture_distance
+    off = distance / CAPTURE_DISTANCE
     bearing = np.arctan2(east, north)
     wanted = bearing + turn * (0.5 * np.pi + np.arctan(off))
     v_north = sensed["v_north"]
@@ -196,5 +188,5 @@ def _bank(sensed: Mapping[str, Array], orbit: Array) -> Array:
     centripetal = (v_north**2 + v_east**2) / radius
     steady = np.arctan(centripetal / STANDARD_GRAVITY)
     ahead = turn * steady * np.exp(-0.5 * off**2)
-    limit = SETTINGS.bank_limit
+    limit = BANK_LIMIT
     return np.clip(ahead + 1.2 * error, -limit, limit)

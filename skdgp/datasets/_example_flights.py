@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from numbers import Real
@@ -28,7 +27,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.tables import by_name
-from skdgp.datasets._autopilot import SETTINGS, FlightControls
+from skdgp.datasets._autopilot import ALPHA, FlightControls
 from skdgp.datasets._brumby import BRUMBY, BRUMBY_AERODYNAMICS, REGRESSORS, brumby_coefficients
 from skdgp.datasets._plans import FLIGHT_PLANS, FlightPlan
 from skdgp.dynamics import (
@@ -53,23 +52,16 @@ DURATION = 180.0
 TEST_FLIGHT = "two_altitudes"
 
 
-@dataclass(frozen=True)
-class SimulationSettings:
-    """Settings of the simulation of the flights, chosen."""
-
-    # between autopilot commands, integration steps and log rows [s]
-    step: float = 0.025
-    # flown before the log begins, so that it does not open with the transients of a guessed trim [s]
-    settling: float = 8.0
-    # height of the ground, above which turbulence scales [m]
-    field_elevation: float = 60.0
-    # at which the gusts are crossed [m/s]
-    airspeed: float = 36.0
-    # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
-    passes: int = 8
-
-
-SIMULATION = SimulationSettings()
+# Simulation of the flights, chosen: between autopilot commands, integration steps and log rows [s]
+STEP = 0.025
+# flown before the log begins, so that it does not open with the transients of a guessed trim [s]
+SETTLING = 8.0
+# height of the ground, above which turbulence scales [m]
+FIELD_ELEVATION = 60.0
+# at which the gusts are crossed [m/s]
+AIRSPEED = 36.0
+# of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
+PASSES = 8
 DEGREE = np.pi / 180.0
 # Standard deviations in SI units, of small UAV sensors: pitot tube and vanes, MEMS inertial unit,
 # GPS
@@ -253,22 +245,21 @@ def fly_plans(
 
     ``turbulence`` multiplies the gusts; the random numbers behind them do not depend on it.
     """
-    step = SIMULATION.step
-    n_settling = round(SIMULATION.settling / step)
-    n_times = round((SIMULATION.settling + duration) / step)
-    time = np.arange(n_times) * step - SIMULATION.settling
+    n_settling = round(SETTLING / STEP)
+    n_times = round((SETTLING + duration) / STEP)
+    time = np.arange(n_times) * STEP - SETTLING
     wind = np.array([plan.wind for plan in plans])
     gusts = _gusts(plans, 2 * n_times + 1, turbulence, rng)
     air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
     # in the steps alpha_dot and beta_dot lag by one evaluation
     motion = Motion(BRUMBY_AERODYNAMICS, BRUMBY, lagged=True)
-    controls = FlightControls(plans, time, step)
+    controls = FlightControls(plans, time, STEP)
     states = _initial_states(controls, wind)
-    flown = fly_record(motion, controls, air, StepClock(step, n_times - 1), states)
+    flown = fly_record(motion, controls, air, StepClock(STEP, n_times - 1), states)
     record = flown.rows(slice(n_settling, None))
     local_air = air(slice(2 * n_settling, 2 * n_times, 2), record.states)
     implicit = None
-    for _ in range(SIMULATION.passes):
+    for _ in range(PASSES):
         truth = motion.at(record.states, record.controls, local_air, implicit)
         implicit = truth.implicit
     return record._replace(time=time[n_settling:]), truth
@@ -282,13 +273,12 @@ def _gusts(
     lengths = []
     for plan in plans:
         _, altitude = plan.altitudes[0]
-        height = altitude - SIMULATION.field_elevation
+        height = altitude - FIELD_ELEVATION
         intensity, length = Turbulence.low_altitude(height, plan.wind_at_6m)[:2]
         intensities.append(turbulence * intensity)
         lengths.append(length)
-    half_step = 0.5 * SIMULATION.step
     scales = (np.array(lengths), np.array(intensities))
-    return dryden_gusts(n, half_step, SIMULATION.airspeed, *scales, BRUMBY.span, rng)
+    return dryden_gusts(n, 0.5 * STEP, AIRSPEED, *scales, BRUMBY.span, rng)
 
 
 def _initial_states(controls: FlightControls, wind: Array) -> Array:
@@ -298,7 +288,7 @@ def _initial_states(controls: FlightControls, wind: Array) -> Array:
     down = -controls.altitude[0]
     position = np.column_stack([north + np.abs(radius), east, down])
     heading = 0.5 * np.pi * np.sign(radius)
-    attitude = euler_to_quaternion(0.0, SETTINGS.alpha, heading)
-    through_air = air_velocity(airspeed, SETTINGS.alpha, 0.0)
+    attitude = euler_to_quaternion(0.0, ALPHA, heading)
+    through_air = air_velocity(airspeed, ALPHA, 0.0)
     velocity = ned_to_body(attitude, wind) + through_air
     return np.hstack([position, velocity, attitude, np.zeros_like(position)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
@@ -17,21 +16,13 @@ from skdgp._compute.typing import Matrix
 ENGINE_REGRESSORS = ("throttle", "airspeed")
 
 
-@dataclass(frozen=True)
-class EngineSettings:
-    """Settings of the choice of regressors of an unknown thrust."""
-
-    # blocks of consecutive rows, which are held out in turn
-    n_blocks: int = 5
-    # least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
-    least_gain: float = 0.02
-    # fraction of the blocks, at least, in which it lowers the error; a guess
-    most_blocks: float = 0.6
-    # smaller errors of a linear model, over the spread, are equal
-    least_error: float = 0.01
-
-
-ENGINE_SETTINGS = EngineSettings()
+N_BLOCKS = 5  # of consecutive rows, which are held out in turn
+# least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
+LEAST_GAIN = 0.02
+# fraction of the blocks, at least, in which it lowers the error; a guess
+MOST_BLOCKS = 0.6
+# smaller errors of a linear model, over the spread, are equal
+LEAST_ERROR = 0.01
 
 
 class EngineRegressors(NamedTuple):
@@ -67,7 +58,7 @@ def engine_regressors(names: list[str], X: Matrix, Y: Matrix) -> EngineRegressor
     """
     is_learned = np.isfinite(np.column_stack([X, Y])).all(axis=1)
     X, Y = X[is_learned], Y[is_learned]
-    if len(Y) < ENGINE_SETTINGS.n_blocks * len(names):  # too few to judge
+    if len(Y) < N_BLOCKS * len(names):  # too few to judge
         return EngineRegressors(names, np.zeros((Y.shape[1], len(names)), bool))
     fixed = [name for name in names if name not in ENGINE_REGRESSORS]
     engine = [name for name in ENGINE_REGRESSORS if name in names]
@@ -94,8 +85,8 @@ def _best_choice(errors: Matrix) -> int:
     best = 0
     for place in range(1, len(errors)):
         gain = 1 - np.sqrt(np.mean(errors[place] ** 2) / np.mean(errors[best] ** 2))
-        is_mostly_better = np.mean(errors[place] < errors[best]) >= ENGINE_SETTINGS.most_blocks
-        if gain > ENGINE_SETTINGS.least_gain and is_mostly_better:
+        is_mostly_better = np.mean(errors[place] < errors[best]) >= MOST_BLOCKS
+        if gain > LEAST_GAIN and is_mostly_better:
             best = place
     return best
 
@@ -104,11 +95,11 @@ def _held_out_errors(X: Matrix, Y: Matrix) -> Matrix:
     """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
     spread = np.std(Y, axis=0)
     unit = np.where(spread > 0, spread, 1.0)
-    blocks = np.arange(len(Y)) * ENGINE_SETTINGS.n_blocks // len(Y)
+    blocks = np.arange(len(Y)) * N_BLOCKS // len(Y)
     errors = []
-    for block in range(ENGINE_SETTINGS.n_blocks):
+    for block in range(N_BLOCKS):
         held_out = blocks == block
         model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
         residuals = model.predict(X[held_out]) - Y[held_out]
         errors.append(np.sqrt(np.mean(residuals**2, axis=0)) / unit)
-    return np.maximum(errors, ENGINE_SETTINGS.least_error)
+    return np.maximum(errors, LEAST_ERROR)

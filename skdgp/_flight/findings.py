@@ -167,10 +167,6 @@ class Code(Kind):
         "test flight {flight!r} has the rows of training flight {other!r}",
         "Its errors say nothing about other flights: test on another one.",
     )
-    TESTED_ON_TRAINING = (
-        "flight {flight!r} is both learned from and tested on",
-        "Its errors say nothing about other flights.",
-    )
 
     # transformers
     AIRSPEED_CORRECTED = (

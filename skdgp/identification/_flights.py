@@ -9,19 +9,133 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
-from skdgp._flight.checks import check_table
+from skdgp._compute.messages import report
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    CHANNELS,
+    ELEVONS,
+    EULER,
+    MIXED,
+    RATES,
+    SPECIFIC_FORCE,
+    SURFACES,
+)
+from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
+from skdgp._flight.checks import check_table, suggestions
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
 from skdgp._flight.ground import without_ground
 from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
-from skdgp.io import FlightReadError, is_log, read_flight
+from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 
 Flights = dict[str, FlightTable]
 # fraction of equal rows above which a flight is a copy, and decimals to which they are equal
 COPIED = 0.5
 ROUNDED = 4
+SLOWEST = 8.0  # rows a second that show the fast modes; a guess
 # median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
 SAME_ATTITUDE = 0.05
+
+
+def train_and_test(
+    flights: Any, test: Any, regressors: Sequence[str], needed: Sequence[str], **reading: Any
+) -> tuple[Flights, Flights, Any]:
+    """Return flights to learn from, flights to be tested on, each once, and what gave their surfaces.
+
+    Without test flights the last of several is held out; of a flight with more than half of all
+    rows, such as a single one, the last quarter is. Warns of that, of slow logs, and of copies.
+    """
+    given = [*items_of(flights), *([] if test is None else items_of(test))]
+    servos = _servos_for(reading.get("servos"), given, regressors)
+    reading["servos"] = servos
+    train = named_flights(flights, needed=needed, **reading)
+    if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
+        servos = FULL_THROW
+    rates = [
+        1 / np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1
+    ]
+    findings = []
+    # other regressors take its effect
+    if "elevator" in _lacking_surfaces(train, regressors):
+        findings.append(Finding(Code.NO_ELEVATOR))
+    if rates and min(rates) < SLOWEST:
+        findings.append(Finding(Code.SLOW_LOG, numbers={"rate": float(min(rates))}))
+    for name, other in copies(train, train).items():
+        findings.append(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
+        train.pop(name)
+    if test is None:
+        train, tested, held_out = _without_last(train)
+        findings.append(held_out)
+    else:
+        tested = named_flights(test, default="test flight", needed=needed, **reading)
+        copied = copies(tested, train)
+        code = Code.COPY_LEFT_OUT if len(copied) < len(tested) else Code.TESTED_ON_COPY
+        for name, other in copied.items():
+            findings.append(Finding(code, flight=name, numbers={"other": other}))
+            if code is Code.COPY_LEFT_OUT:
+                tested.pop(name)
+    for finding in findings:
+        report(finding)
+    return train, tested, servos
+
+
+def _lacking_surfaces(flights: Flights, regressors: Sequence[str]) -> list[str]:
+    """Return the surfaces that flights lack; raise ValueError if a column of another name seems to hold one."""
+    columns: dict[str, None] = {}
+    for flight in flights.values():
+        columns |= dict.fromkeys(flight.table.columns)
+    available = {*columns}
+    if available & {*ELEVONS}:
+        available |= {*MIXED}
+    lacking = [name for name in SURFACES if name in regressors and name not in available]
+    unknown = [name for name in columns if name not in CHANNELS]
+    meant = {}
+    for name, channel in suggestions(unknown, columns).items():
+        if channel in lacking:
+            meant[name] = channel
+    if meant:
+        renaming = " ".join(f"{name}={channel}" for name, channel in meant.items())
+        raise ValueError(
+            f"Got flights without {' and '.join(meant.values())}: did you mean "
+            f"{' and '.join(map(repr, meant))}? Rename the columns in the table, or by --rename "
+            f"{renaming} (reading={{'rename': {meant}}})."
+        )
+    return lacking
+
+
+def _without_last(flights: Flights) -> tuple[Flights, Flights, Finding]:
+    """Return training and test flights, and what is held out."""
+    *earlier, last = flights
+    flight = flights[last]
+    n_total = sum(len(flight.time) for flight in flights.values())
+    others = {name: flights[name] for name in earlier}
+    if 2 * len(flight.time) <= n_total:
+        return others, {last: flight}, Finding(Code.HELD_OUT_FLIGHT, flight=last)
+    rows = np.arange(len(flight.time))
+    split = round(0.75 * len(rows))
+    first = f"{last}, first three quarters"
+    rest = f"{last}, last quarter"
+    learned = {**others, first: flight.part(rows[:split]).named(first)}
+    tested = {rest: flight.part(rows[split:]).named(rest)}
+    return learned, tested, Finding(Code.HELD_OUT_QUARTER, flight=last)
+
+
+def _servos_for(servos: Any, flights: Sequence[Any], regressors: Sequence[str]) -> Any:
+    """Return ``servos``, or without them "full throw" for logs of autopilots.
+
+    None where no surface is a regressor, and no parameter names servos. Raises ValueError of logs
+    without servos beside tables, whose surfaces are in radians.
+    """
+    logs = [is_log(item) for item in flights]
+    if servos is not None or not any(logs):
+        return servos
+    if not all(logs):
+        raise ValueError(
+            "Got logs of autopilots without servos beside tables, but expected surfaces in one "
+            "unit: give servos, a file of the angles of the surfaces."
+        )
+    needs_surfaces = not {*ALL_SURFACES}.isdisjoint(regressors)
+    return FULL_THROW if needs_surfaces or any(map(names_servos, flights)) else None
 
 
 def named_flights(
@@ -67,7 +181,9 @@ def named_flights(
             table = read_flight(item, rename=rename)
         if not is_log(item):
             table = without_ground(check_table(table, what=what), key or f"{default} {number}")
-        parts = split_flights(table, f"{default} {number}", needed, what=what)
+        if "flight" not in table:
+            table = table.assign(flight=f"{default} {number}")
+        parts = FlightTable.of(table, needed, what=what).flights
         if key and len(parts) != 1:
             raise ValueError(
                 f"Got {len(parts)} flights in the table {key!r}, but expected one for each name."
@@ -95,17 +211,17 @@ def copies(flights: Flights, others: Flights) -> dict[str, str]:
 
     Where both are the same flights, each pair is told once.
     """
-    every = {**flights, **others}
-    rows = {name: _motion(flight) for name, flight in every.items()}
+    rows = {id(flight): _motion(flight) for flight in [*flights.values(), *others.values()]}
     found: dict[str, str] = {}
-    for name in flights:
-        for other in others:
-            is_pair = name != other and found.get(other) != name
-            if not is_pair:
+    for name, flight in flights.items():
+        for other_name, other in others.items():
+            is_told = flights is others and found.get(other_name) == name
+            if flight is other or is_told:
                 continue
-            has_its_rows = len(rows[name] & rows[other]) > COPIED * len(rows[name])
-            if has_its_rows or _has_its_attitude(every[name], every[other]):
-                found[name] = other
+            own = rows[id(flight)]
+            has_its_rows = len(own & rows[id(other)]) > COPIED * len(own)
+            if has_its_rows or _has_its_attitude(flight, other):
+                found[name] = other_name
     return found
 
 
@@ -134,13 +250,3 @@ def items_of(flights: Any) -> list:
     if isinstance(flights, Mapping):
         return list(flights.values())
     return list(flights) if isinstance(flights, list | tuple) else [flights]
-
-
-def split_flights(
-    table: Any, default: str = "flight", needed: Sequence[str] = (), *, what: str = "flight"
-) -> Flights:
-    """Return each flight of a table, in their order; raise ValueError at a table that is none of flights."""
-    table = check_table(table, what=what)
-    if "flight" not in table:
-        table = table.assign(flight=default)
-    return FlightTable.of(table, needed, what=what).flights

@@ -183,8 +183,9 @@ def validate(
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         named = named_flights(flights, **reading)
         usable = usable_flights_of_model(model.pipeline, named, aircraft)
-        for name in usable.keys() & set(model.get("flights", [])):
-            report(Finding(Code.ALREADY_LEARNED, flight=name))
+        for name in usable:
+            if name in model.get("flights", []):
+                report(Finding(Code.ALREADY_LEARNED, flight=name))
         training = TrainingRecord.from_dict(model.get("fit", {}))
         learned = LearnedModel(
             pipeline=model.pipeline,

@@ -17,7 +17,6 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     ALL_SURFACES,
-    CHANNELS,
     ELEVONS,
     HAT,
     HIGH_LIFT,
@@ -25,11 +24,10 @@ from skdgp._flight.channels import (
     RATES,
     REGRESSOR_SETS,
     SPECIFIC_FORCE,
-    SURFACES,
     THRUST_COLUMNS,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
-from skdgp._flight.checks import check_columns, suggestions
+from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding, with_codes
@@ -48,9 +46,9 @@ from skdgp.dynamics import (
     with_sensor_position,
 )
 from skdgp.estimation import airspeed_scale
-from skdgp.identification._flights import Flights, copies, items_of, named_flights, tables_of
+from skdgp.identification._flights import Flights, tables_of, train_and_test
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
-from skdgp.io import FULL_THROW, is_log, names_servos, reversed_of
+from skdgp.io import reversed_of
 from skdgp.preprocessing import clean
 
 # columns that the coefficients follow from
@@ -61,8 +59,6 @@ INTERCHANGEABLE = (*MIXED, *ELEVONS)
 
 # steps that an evaluation of a model reads
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
-
-SLOWEST = 8.0  # rows a second that show the fast modes; a guess
 
 POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
 
@@ -116,32 +112,7 @@ def prepare(
     """
     aircraft = as_aircraft(aircraft)
     names = names_of(regressors)
-    servos = servos_for(reading.get("servos"), flights, test, regressors=names)
-    options = {**reading, "servos": servos}
-    train = named_flights(flights, needed=MEASURED, **options)
-    if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
-        servos = FULL_THROW
-    check_controls(train, names)
-    for flight in train.values():
-        rate = 1 / float(np.median(np.diff(flight.time))) if len(flight.time) > 1 else np.inf
-        if rate < SLOWEST:
-            report(Finding(Code.SLOW_LOG, numbers={"rate": rate}))
-            break
-    for name, other in copies(train, train).items():
-        report(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
-        train.pop(name)
-    if test is None:
-        train, test_flights = without_last(train)
-    else:
-        test_flights = named_flights(test, default="test flight", needed=MEASURED, **options)
-        for name in train.keys() & test_flights.keys():
-            report(Finding(Code.TESTED_ON_TRAINING, flight=name))
-        copied = copies(test_flights, train)
-        code = Code.COPY_LEFT_OUT if len(copied) < len(test_flights) else Code.TESTED_ON_COPY
-        for name, other in copied.items():
-            report(Finding(code, flight=name, numbers={"other": other}))
-        if code is Code.COPY_LEFT_OUT:
-            test_flights = {n: f for n, f in test_flights.items() if n not in copied}
+    train, test_flights, servos = train_and_test(flights, test, names, MEASURED, **reading)
     columns = regressor_columns([flight.table for flight in train.values()], names)
     aircraft = _with_position_of(aircraft, train)
     in_radians = reversed_of(servos) is None
@@ -172,77 +143,6 @@ def as_aircraft(aircraft: Any) -> Aircraft:
     """Return the aircraft, read from a file where a path is given."""
     is_path = isinstance(aircraft, str | os.PathLike)
     return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
-
-
-def servos_for(servos: Any, *flights: Any, regressors: Sequence[str]) -> Any:
-    """Return ``servos``, or without them "full throw" for logs of autopilots.
-
-    None where no surface is a regressor, and no parameter names servos. Raises ValueError of logs
-    without servos beside tables, whose surfaces are in radians.
-    """
-    items: list[Any] = []
-    for part in flights:
-        items += [] if part is None else items_of(part)
-    logs = [is_log(item) for item in items]
-    if servos is not None or not any(logs):
-        return servos
-    if not all(logs):
-        raise ValueError(
-            "Got logs of autopilots without servos beside tables, but expected surfaces in one "
-            "unit: give servos, a file of the angles of the surfaces."
-        )
-    needs_surfaces = not {*ALL_SURFACES}.isdisjoint(regressors)
-    return FULL_THROW if needs_surfaces or any(map(names_servos, items)) else None
-
-
-def check_controls(flights: Flights, regressors: Sequence[str]) -> None:
-    """Raise ValueError if flights lack a surface and a column of another name seems to hold it.
-
-    Warn of a missing elevator, whose effect other regressors then take.
-    """
-    columns: dict[str, None] = {}
-    for flight in flights.values():
-        columns |= dict.fromkeys(flight.table.columns)
-    available = {*columns}
-    if available & {*ELEVONS}:
-        available |= {*MIXED}
-    lacking = [name for name in SURFACES if name in regressors and name not in available]
-    unknown = [name for name in columns if name not in CHANNELS]
-    meant = {}
-    for name, channel in suggestions(unknown, columns).items():
-        if channel in lacking:
-            meant[name] = channel
-    if meant:
-        renaming = " ".join(f"{name}={channel}" for name, channel in meant.items())
-        raise ValueError(
-            f"Got flights without {' and '.join(meant.values())}: did you mean "
-            f"{' and '.join(map(repr, meant))}? Rename the columns in the table, or by --rename "
-            f"{renaming} (reading={{'rename': {meant}}})."
-        )
-    if "elevator" in lacking:
-        report(Finding(Code.NO_ELEVATOR))
-
-
-def without_last(flights: Flights) -> tuple[Flights, Flights]:
-    """Return training and test flights: the last of several is held out.
-
-    Of a flight with more than half of all rows, such as a single one, the last quarter is.
-    """
-    *earlier, last = flights
-    n_total = sum(len(flight.time) for flight in flights.values())
-    others = {name: flights[name] for name in earlier}
-    if 2 * len(flights[last].time) <= n_total:
-        report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
-        return others, {last: flights[last]}
-    report(Finding(Code.HELD_OUT_QUARTER, flight=last))
-    flight = flights[last]
-    rows = np.arange(len(flight.time))
-    split = round(0.75 * len(rows))
-    first = f"{last}, first three quarters"
-    rest = f"{last}, last quarter"
-    learned = flight.part(rows[:split]).named(first)
-    tested = flight.part(rows[split:]).named(rest)
-    return {**others, first: learned}, {rest: tested}
 
 
 def names_of(regressors: str | Sequence[str]) -> Sequence[str]:

@@ -289,9 +289,9 @@ LEARNING: dict[str, dict[str, Any]] = {
         ),
     },
     "--input-noise": {
-        "choices": ["learned", "none"],
-        "default": "learned",
-        "help": "noise of the regressors (default: learned)",
+        "choices": ["auto", "learned", "none"],
+        "default": "auto",
+        "help": "noise of the regressors (default: auto, learned from a time series)",
     },
     "--structure": {
         "choices": ["average", "joint", "trend"],

@@ -203,17 +203,6 @@ class TestInterrupted:
             assert model.log_marginal_likelihood_value_ == pytest.approx(best)
 
 
-@pytest.mark.parametrize("frequency", [20, 200])
-def test_a_sine_of_many_periods_is_learned_from_one_output(frequency):
-    rng = default_rng(0)
-    X = rng.uniform(size=(300, 1))
-    new = rng.uniform(0.02, 0.98, size=(100, 1))
-    y = np.sin(frequency * X[:, 0]) + 0.1 * rng.normal(size=300)
-    model = DependentGPRegressor(random_state=0).fit(X, y)
-    error = model.predict(new) - np.sin(frequency * new[:, 0])
-    assert np.sqrt(np.mean(error**2)) < 0.2
-
-
 @pytest.mark.filterwarnings("default")
 def test_a_fit_stopped_far_from_an_optimum_says_so():
     X = np.linspace(0, 6, 60)[:, None]

@@ -7,7 +7,7 @@ import signal
 import socket
 import struct
 import threading
-from copy import copy, deepcopy
+from copy import deepcopy
 from pathlib import Path
 
 import pandas as pd
@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
 from skdgp.control import autopilot_loops, margins
-from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
+from skdgp.dynamics import linearize, stability_derivatives, trim
 from skdgp.identification import changed, load_model, save_model
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -192,37 +192,8 @@ class TestFly:
         assert flight["time"].max() <= 0.1
         assert_allclose(flight["altitude"], 100.0, atol=1.0)
 
-    # in six seconds a stage that lasts would say so
-    @pytest.mark.parametrize("wait", ["0.1", pytest.param("6", marks=pytest.mark.slow)])
-    def test_silence_is_no_flight(self, command, path, port, wait, capsys):
-        words = ["fly", path, *self.WORDS, "--port", str(port), "--wait", wait]
-        assert command(words) == 1
-        waiting, error = capsys.readouterr().err.splitlines()[-2:]
-        assert waiting == f"waiting for ArduPilot at 127.0.0.1:{port}; Ctrl-C ends"
-        assert error.startswith(f"error: Got no packet at 127.0.0.1:{port} for {wait} s")
-
-    def test_full_deflections_are_checked_before_the_trim(self, refused):
-        """Which would not be found at this airspeed."""
-        words = shlex.split("--airspeed 1 --full elevator=0.4")
-        refused("Got no value of aileron, rudder.* at full output", "fly", *words)
-
 
 class TestDerivatives:
-    def test_known_loads_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):
-        options = model.options | {"external_forces": ["tether"], "thrust": None}
-        pipeline = copy(model.pipeline)
-        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
-        kite = str(tmp_path / "kite.joblib")
-        save_model(kite, pipeline, model.aircraft, options=options)
-        assert command(["derivatives", kite, "--airspeed", "35", "--paths", "0", "--json"]) == 0
-        said = capsys.readouterr()
-        assert "without the external forces ['tether']" in said.err
-        assert "CD is drag less thrust" in said.err
-        assert "learn from flights in calmer air" in said.err
-        assert (
-            json.loads(said.out)["points"][0]["trim"]["climb"] < 0
-        )  # without thrust it glides down
-
     def test_are_those_of_the_model(self, run, model, tmp_path):
         said = run("derivatives", *shlex.split("--airspeed 35 --altitude 100 --paths 10"))
         at = trim(model.pipeline, model.aircraft, 35.0, altitude=100.0)

@@ -314,16 +314,6 @@ def test_static_notches_are_in_the_loop(firmware, notch, width, depth):
     assert_allclose(abs(ratio(15.0)), depth, atol=1e-9)
 
 
-def test_double_notches_and_harmonics_of_ardupilot_are_notches_at_their_frequencies():
-    harmonic = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0, "INS_HNTCH_BW": 10.0}
-    harmonic |= {"INS_HNTCH_HMNCS": 5, "INS_HNTCH_OPTS": 1, "INS_HNTCH_ATT": 40.0}
-    (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | harmonic, {"aileron": 0.4})
-    spread = 10.0 / (32 * 20.0)
-    expected = [f * (1 + sign * spread) for f in (20.0, 60.0) for sign in (-1, 1)]
-    assert_allclose([notch.frequency for notch in loop.gyro_notches], expected)
-    assert len({notch.quality for notch in loop.gyro_notches}) == 1
-
-
 def test_the_derivative_of_the_target_feeds_forward():
     """AC_PID: DFF is the derivative of the filtered target times D_FF, of rates scaled by the airspeed, squared."""
     gains = {"RLL_RATE_P": 0.1, "RLL2SRV_TCONST": 0.5, "SCALING_SPEED": 15.0}
@@ -409,24 +399,6 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
 def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
     with pytest.raises(ValueError, match=words):
         autopilot_loops(parameters, full)
-
-
-def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
-    (loop,) = autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4})
-    with pytest.raises(ValueError, match="flaperon"):
-        margins(linear, [replace(loop, control="flaperon")])
-    with pytest.raises(ValueError, match="each of its own control"):
-        margins(linear, [loop, loop])
-    with pytest.raises(ValueError, match="between 0 and 1"):
-        suggest_gains(linear, [loop], probability=95)
-    with pytest.raises(ValueError, match="airspeed of nan"):
-        margins(replace(linear, airspeed=np.nan), [loop])
-    with pytest.raises(TypeError, match="a list of Loop"):
-        margins(linear, "plane.params")
-    with pytest.raises(ValueError, match="without paths"):
-        suggest_gains(linear_of(glider), [loop])
-    with pytest.raises(ValueError, match="a number >= 0"):
-        linear_of(glider, delay=-1.0)
 
 
 def test_what_the_log_moved_is_excited(glider):

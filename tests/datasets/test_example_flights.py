@@ -15,13 +15,8 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
-    GustyAir,
-    LocalAir,
-    Motion,
     air_data,
     euler_to_matrix,
-    euler_to_quaternion,
-    ned_to_body,
 )
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
@@ -194,44 +189,3 @@ class TestSensors:
     def test_perfect_sensors_tell_the_truth(self):
         test = load_example_flights(sensor_noise=0.0, duration=2.0).test
         assert_array_equal(test[list(self.NOISE)], true(test, *self.NOISE))
-
-
-class TestGusts:
-    """Of the aircraft of these flights, at one state where nothing vanishes."""
-
-    ATTITUDE = euler_to_quaternion(0.5, 0.1, 2.0)
-    RATES = np.array([0.3, 0.12, -0.15])
-    STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, ATTITUDE, RATES]
-    CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
-    WIND = np.array([3.0, -2.0, 0.5])
-    STILL = np.zeros(3)
-
-    @pytest.fixture
-    def settled(self, data):
-        """Return what acts in a wind and gusts: their velocity, its rate of change, and their rates p, q, r."""
-        motion = Motion(data.truth, data.aircraft, lagged=True)
-
-        def settled(state, wind, *gusts, passes=12, slopes=(0.0, 0.0)):
-            air = GustyAir(lambda *_: LocalAir(wind), [part[None] for part in gusts])(0, state)
-            for _ in range(passes):
-                now = motion.at(state, self.CONTROLS, air, np.r_[slopes, np.zeros(6)])
-                slopes = now.implicit[:2]
-            return now
-
-        return settled
-
-    def test_steady_gust_acts_like_wind(self, settled):
-        """A body-fixed gust that follows a steady wind turns against the aircraft."""
-        gust = ned_to_body(self.ATTITUDE, self.WIND)
-        change = -np.cross(self.RATES, gust)
-        as_wind = settled(self.STATE, self.WIND, self.STILL, self.STILL, self.STILL)
-        as_gust = settled(self.STATE, self.STILL, gust, change, self.STILL)
-        assert_allclose(as_gust.derivative, as_wind.derivative, atol=1e-12)
-        assert_allclose(as_gust.implicit, as_wind.implicit, atol=1e-12)
-
-    def test_air_that_turns_with_the_aircraft_takes_its_damping_away(self, settled):
-        unturned = np.r_[self.STATE[:10], self.STILL]
-        once = {"passes": 1, "slopes": (0.02, -0.03)}
-        turning = settled(self.STATE, self.WIND, self.STILL, self.STILL, self.RATES, **once)
-        without = settled(unturned, self.WIND, self.STILL, self.STILL, self.STILL, **once)
-        assert_allclose(turning.coefficients, without.coefficients, atol=1e-15)

@@ -95,29 +95,6 @@ def test_servos_move_by_the_inputs_around_the_autopilots_commands(flown):
         assert_allclose(logged[name], expected, atol=0.5 + 1e-6)
 
 
-@pytest.mark.parametrize(
-    ("full", "other", "servos"),
-    [
-        ({"elevon_left": 0.4, "elevon_right": 0.5, "rudder": 0.5}, "aileron", ["servo6", "servo7"]),
-        (
-            {"vtail_left": 0.8, "vtail_right": 0.7, "aileron": 0.35},
-            "rudder",
-            ["servo10", "servo11"],
-        ),
-    ],
-    ids=["elevons", "V-tail"],
-)
-def test_mixed_surfaces_move_with_elevator_and_another_axis(flown, full, other, servos):
-    """ArduPilot's positive elevons and halves of a V-tail are up: the left one by the sum of both."""
-    logged, _ = flown(full=full)
-    elevator = logged["elevator"]
-    second = logged[other]
-    left, right = list(full.values())[:2]
-    up = 0.05 - np.stack([(elevator + second) / left, (elevator - second) / right], axis=-1)
-    assert_allclose(logged[servos], 1500 + 500 * up, atol=0.5 + 1e-6)
-    assert (logged["servo2"] == 0).all()  # the elevator's own
-
-
 PULSE = {0.0: doublet(1.0, 0.1)}
 ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
 

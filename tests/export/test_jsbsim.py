@@ -100,21 +100,6 @@ def test_a_command_of_1_is_the_full_deflection(load, portable_of):
     assert deflections(fdm, model) == pytest.approx([1.0, 1.0, 1.0])
 
 
-def test_stands_on_the_ground(load, portable_of):
-    model = portable_of("trend")
-    fdm = load(model)
-    height = 0.1 * model.aircraft.span
-    fdm["ic/h-sl-ft"] = height / FOOT
-    fdm["ic/terrain-elevation-ft"] = 0.0
-    fdm["ic/vt-fps"] = 0.0
-    fdm.run_ic()
-    while fdm.get_sim_time() < 3.0:
-        fdm.run()
-    assert fdm["position/h-sl-ft"] * FOOT == pytest.approx(height - 0.02, abs=2e-3)
-    for angle in ("phi", "theta"):
-        assert fdm[f"attitude/{angle}-rad"] == pytest.approx(0.0, abs=2e-3)
-
-
 def deflections(fdm, model):
     """Return the positions of elevator, aileron and rudder at a command of 1."""
     fdm.run_ic()

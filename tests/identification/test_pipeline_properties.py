@@ -79,15 +79,6 @@ def test_dtypes_index_and_order_of_columns_decide_nothing(clothes, learning, pip
     assert_allclose(got, plain, rtol=1e-9)
 
 
-def test_the_order_of_flights_decides_nothing(learning, pipeline, plain):
-    table, Y = learning
-    rows = np.r_[120:240, 0:120]
-    turned = table.iloc[rows]
-    model = clone(pipeline)
-    got = model.fit(turned, Y.iloc[rows]).predict(turned, return_std=True)
-    assert_allclose(got, np.stack(plain)[:, rows], rtol=1e-6)
-
-
 # -- whatever is wrong with a table: finite numbers, or an error that says what
 # ----------------------------
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from skdgp.io import EQUIVALENT, QUATERNION, FlightReadError, inspect_log, read_flight
-from skdgp.preprocessing import FlightCheck, FlightDataWarning
+from skdgp.preprocessing import FlightDataWarning
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 SURFACES = ("aileron", "elevator", "rudder")
@@ -270,12 +270,6 @@ class TestSharedLogs:
         assert 20 < table.airspeed.mean() < 27
         assert "velocity and attitude" in table.attrs["sources"]["ax"]
         assert table.az.median() == pytest.approx(-9.8, abs=0.1)
-
-    def test_an_airspeed_rounded_to_hundredths_is_not_stuck(self, table):
-        """In the last quarter it holds 24.98 m/s for up to 1.7 s, nine times."""
-        with pytest.warns(FlightDataWarning, match="v_down is stuck"):
-            checked = FlightCheck().fit_transform(table.tail(len(table) // 4))
-        assert checked.airspeed.notna().all()
 
 
 def test_a_bench_log_of_px4_is_no_flight_but_can_be_read(vtol_bench):

@@ -113,21 +113,6 @@ class TestArduPilot:
         table = told("used by the autopilot: XKF4.PI", log, airborne=False)
         assert_allclose(table.v_north.dropna(), 9.0)
 
-    @pytest.mark.parametrize(("name", "ekf"), [("XKF4", "EK3"), ("NKF4", "EK2")])
-    def test_the_imu_of_a_lane_is_one_of_its_mask(self, told, dataflash, name, ekf):
-        """The mask 0b110 has lanes on IMU 1 and IMU 2 alone; the second lane is used."""
-        log = dataflash(**{f"{ekf}_IMU_MASK": 6.0})
-        for number in range(3):
-            log.gyros(T + number * 1e-3, np.sin(T) + number, I=("B", number))
-        log.topic(name, SLOW, PI=("B", 1))
-        table = told(
-            rf"p q r of IMU#2.GyrX GyrY GyrZ \(of 3, used by the autopilot: {name}.PI",
-            log,
-            "log.bin",
-            airborne=False,
-        )
-        assert_wave(table[10:-10], "p", 1.0, mean=2.0)
-
 
 class TestPX4:
     @pytest.mark.parametrize("field", ["airspeed_source", "selected_airspeed_index"])
@@ -234,20 +219,6 @@ class TestVehicles:
         table = read(log, airborne=False)
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
-
-    def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane):
-        """Four lift until 20 s, then the fifth pushes."""
-        lifts = SLOW < 20
-        motors = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
-        log = plane("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, **motors)
-        pulse = ("H", np.where(lifts, 1600, 1000))
-        log.topic("RCOU", SLOW, **dict.fromkeys(("C5", "C6", "C7", "C8"), pulse))
-        for k in range(5):
-            rpm = 6000.0 * (lifts == (k < 4))
-            log.topic("ESC", SLOW + 1e-4 * k, Instance=("B", k), RPM=rpm)
-        log.topic("ARSP", SLOW, I=("B", 0), Airspeed=TRUE, H=("B", 1))
-        table = told("rotors lift", log)
-        assert_allclose(table.propeller_speed[table.time > 20.5], 200 * np.pi, rtol=1e-6)
 
     def test_a_v_tail_on_outputs_of_two_messages(self, plane, surfaces):
         """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""

@@ -94,11 +94,6 @@ class TestDamage:
         assert times(log) == [1, 2, *range(104, 5004)]
         assert log.remarks == SKIPPED
 
-    def test_a_parameter_shorter_than_its_type_ends_the_reading(self, read):
-        log = read(*TICK, *ticks(1, 2), message("P", b"\x07float A\x00"), *ticks(3, 4))
-        assert times(log) == [1, 2]
-        assert log.remarks == (f"{len(ticks(3)[0]) * 2} bytes could not be read and were skipped",)
-
     def test_cut_off_anywhere(self, read):
         messages = [*TICK, *ticks(1, 2, 3, 4)]
         whole = b"".join(messages)
@@ -111,19 +106,6 @@ class TestDamage:
         for length in range(first):
             with pytest.raises(FlightReadError, match="without any data"):
                 read(whole[:length])
-
-    @pytest.mark.parametrize(
-        "text",
-        [
-            "bad:uint64_t timestamp;float[99999] x;",  # longer than a message can be
-            "bad:uint64_t timestamp;other x;",
-            "bad:uint64_t timestamp;float x;float x;",
-        ],
-    )
-    def test_definitions_that_make_no_sense(self, read, text):
-        log = read(definition(text), *TICK, subscription(5, "bad"), *ticks(1, 2))
-        assert list(log.topics) == ["tick"]
-        assert log.remarks == SKIPPED
 
     @pytest.mark.parametrize("text", ["bad:float x;", "bad:"])
     def test_a_topic_without_time_is_none(self, read, text):

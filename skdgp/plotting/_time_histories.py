@@ -111,10 +111,7 @@ class TimeHistoryDisplay(Display):
         def line(label: str, values: Matrix | None, **style: Any) -> None:
             if values is not None:
                 time, points = line_points(self.time, factor * values[:, k], starts)
-                # samples between gaps, which a line alone does not show
-                alone = _lone_points(points)
-                marks = {"marker": "." if alone else None, "markersize": 3, "markevery": alone}
-                ax.plot(time, points, label=label, **marks, **style)
+                ax.plot(time, points, label=label, **style)
 
         if self.lower is not None and self.upper is not None:
             low = factor * self.lower[:, k]
@@ -277,12 +274,6 @@ def _mark_beyond(ax: Any, time: Vector, beyond: Vector) -> None:
         time, marks, label="outside the training data", color=PALETTE["orange"],
         linewidth=4, clip_on=False, transform=ax.get_xaxis_transform(),
     )  # fmt: skip
-
-
-def _lone_points(values: Vector) -> list[int]:
-    """Return the points that have no finite neighbour."""
-    finite = np.pad(np.isfinite(values), 1)
-    return np.flatnonzero(finite[1:-1] & ~finite[:-2] & ~finite[2:]).tolist()
 
 
 def _turns(names: list[str], wanted: Vector, found: Vector) -> Vector:

@@ -96,7 +96,7 @@ KERNELS = {
 # Every class, kind of width and term once, with sample paths, and those without
 FEW = ["tied, shifted", "diag, shifted", "without private latents", "one output"]
 FEW += ["four terms", "bounds for each entry", "everything fixed"]
-FEW += ["trend + dependent"]
+FEW += ["trend + dependent", "independent outputs of one width"]
 ALSO = ["of scikit-learn", "trend + sum of scikit-learn"]
 
 
@@ -391,6 +391,8 @@ class TestUse:
         paths = covariance_paths(kernel, X, c)
         equal(paths.each(points[None]), expected, rtol=1e-9, atol=1e-10)
         equal(paths.take(slice(1, 2)).each(points[None]), expected[1:], rtol=1e-9, atol=1e-10)
+        factor = np.arange(1.0, 1 + len(X))
+        equal(paths.times(factor).each(points[None]), factor * expected, rtol=1e-9, atol=1e-10)
         found = central_difference(
             lambda step: paths.each(points[None] + step), np.zeros(points.shape[-1])
         )

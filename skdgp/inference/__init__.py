@@ -18,81 +18,59 @@ Names imported as themselves are not part of the public interface: other folders
 them.
 """
 
-from skdgp._compute.statistics import autocorrelation_time
-from skdgp.inference._average import AveragePosterior, training_inputs
+from skdgp._compute.statistics import autocorrelation_time as autocorrelation_time
+from skdgp.inference._average import AveragePosterior
 from skdgp.inference._average import AverageSettings as AverageSettings
 from skdgp.inference._average import held_out as held_out
 from skdgp.inference._average import stacked as stacked
+from skdgp.inference._average import training_inputs as training_inputs
 from skdgp.inference._blocks import BlockSettings as BlockSettings
-from skdgp.inference._blocks import blocks_of_rows
+from skdgp.inference._blocks import blocks_of_rows as blocks_of_rows
 from skdgp.inference._blocks import leaves as leaves
-from skdgp.inference._drift import residual_drift
-from skdgp.inference._errors import (
-    FunctionErrors,
-    PosteriorWithErrors,
-    function_errors,
-)
+from skdgp.inference._drift import residual_drift as residual_drift
+from skdgp.inference._errors import FunctionErrors, PosteriorWithErrors
+from skdgp.inference._errors import function_errors as function_errors
 from skdgp.inference._errors import no_errors as no_errors
-from skdgp.inference._fit import Fit, average, fit_exact, fit_sparse, mixture_of
+from skdgp.inference._fit import Fit as Fit
+from skdgp.inference._fit import average as average
 from skdgp.inference._fit import check_inducing as check_inducing
+from skdgp.inference._fit import fit_exact, fit_sparse
+from skdgp.inference._fit import mixture_of as mixture_of
 from skdgp.inference._known_slopes import KnownSlopes
-from skdgp.inference._likelihood import Data, Likelihood, log_likelihood
+from skdgp.inference._likelihood import Data, log_likelihood
+from skdgp.inference._likelihood import Likelihood as Likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
 from skdgp.inference._misfit import misfit_variance
-from skdgp.inference._noise import KnownNoise
+from skdgp.inference._noise import KnownNoise as KnownNoise
 from skdgp.inference._objective import Objective as Objective
-from skdgp.inference._optimizer import Optimum, maximize
-from skdgp.inference._posterior import (
-    ExactPosterior,
-    Paths,
-    Posterior,
-    SinglePosterior,
-)
-from skdgp.inference._posterior import (
-    PosteriorSettings as PosteriorSettings,
-)
+from skdgp.inference._optimizer import Optimum as Optimum
+from skdgp.inference._optimizer import maximize as maximize
+from skdgp.inference._posterior import ExactPosterior, Paths, Posterior
+from skdgp.inference._posterior import PosteriorSettings as PosteriorSettings
+from skdgp.inference._posterior import SinglePosterior as SinglePosterior
 from skdgp.inference._posterior import check_spread as check_spread
 from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings
 from skdgp.inference._search import search as search
 from skdgp.inference._sparse import ShareSettings as ShareSettings
 from skdgp.inference._sparse import SparsePosterior
-from skdgp.inference._starts import (
-    narrowed as narrowed,
-)
-from skdgp.inference._starts import (
-    single_output as single_output,
-)
-from skdgp.inference._starts import (
-    starting_kernel as starting_kernel,
-)
+from skdgp.inference._starts import narrowed as narrowed
+from skdgp.inference._starts import single_output as single_output
+from skdgp.inference._starts import starting_kernel as starting_kernel
 from skdgp.inference._structures import structure_weights as structure_weights
 
 __all__ = [
     "AveragePosterior",
     "Data",
     "ExactPosterior",
-    "Fit",
     "FunctionErrors",
-    "KnownNoise",
     "KnownSlopes",
-    "Likelihood",
-    "Optimum",
     "Paths",
     "Posterior",
     "PosteriorWithErrors",
-    "SinglePosterior",
     "SparsePosterior",
-    "autocorrelation_time",
-    "average",
-    "blocks_of_rows",
     "fit_exact",
     "fit_sparse",
-    "function_errors",
     "log_likelihood",
-    "maximize",
     "misfit_variance",
-    "mixture_of",
-    "residual_drift",
-    "training_inputs",
 ]

@@ -25,7 +25,7 @@ class StartSettings:
 
     #: Fraction of its starting amplitude below which an output was explained as noise
     noise_amplitude: float = 0.1
-    #: Largest width of a start from fits of few rows, in standard deviations of the regressor: from
+    #: Largest width of a start beside shared latents, in standard deviations of the regressor: from
     #: wider ones, where the likelihood is flat, a search does not come back
     widest: float = 10.0
     #: Private amplitudes beside the filters of a simpler kernel, over their starting values
@@ -176,7 +176,8 @@ def _filters_from_singles(X, term, start, singles):
     private = (weight == 1.0)[..., None]
     mean = np.exp(weight @ np.log(widths))[:, None, :]
     lengths = np.where(private, widths, mean)
-    if (term.parameter_bounds or {}).get("length_scale") is None:
+    is_shared = not private.all()
+    if is_shared and (term.parameter_bounds or {}).get("length_scale") is None:
         lengths = np.minimum(lengths, SETTINGS.widest * column_scale(X))
     if term.covariance_type == "tied":
         lengths = tied(lengths)

@@ -5,21 +5,21 @@ them.
 """
 
 from skdgp.kernels._base import FreeParameter, InputPair, MultiOutputKernel, Sum
-from skdgp.kernels._convolved import ConvolvedGaussian, independent_processes
+from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._convolved import Filters as Filters
+from skdgp.kernels._convolved import independent_processes as independent_processes
 from skdgp.kernels._convolved import tied as tied
-from skdgp.kernels._coregionalized import Coregionalized, as_multi_output
-from skdgp.kernels._features import (
-    Features,
-    LatentFeatures,
-    covariance_paths,
-    inducing_features,
-)
+from skdgp.kernels._coregionalized import Coregionalized
+from skdgp.kernels._coregionalized import as_multi_output as as_multi_output
+from skdgp.kernels._features import Features, inducing_features
+from skdgp.kernels._features import LatentFeatures as LatentFeatures
+from skdgp.kernels._features import covariance_paths as covariance_paths
 from skdgp.kernels._gaussian_filters import FilterPair as FilterPair
 from skdgp.kernels._gaussian_filters import GaussianBasis as GaussianBasis
 from skdgp.kernels._paths import LinearPaths as LinearPaths
 from skdgp.kernels._paths import PathBundle
-from skdgp.kernels._prior_paths import has_prior_paths, prior_paths
+from skdgp.kernels._prior_paths import has_prior_paths as has_prior_paths
+from skdgp.kernels._prior_paths import prior_paths
 from skdgp.kernels._trend import LinearTrend
 
 __all__ = [
@@ -28,15 +28,10 @@ __all__ = [
     "Features",
     "FreeParameter",
     "InputPair",
-    "LatentFeatures",
     "LinearTrend",
     "MultiOutputKernel",
     "PathBundle",
     "Sum",
-    "as_multi_output",
-    "covariance_paths",
-    "has_prior_paths",
-    "independent_processes",
     "inducing_features",
     "prior_paths",
 ]

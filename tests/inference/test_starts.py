@@ -37,7 +37,7 @@ def test_what_outputs_found_alone_is_adopted(kernel, uneven):
 @pytest.mark.parametrize(("bounds", "widest"), [(None, 10.0), ("spacing", 500.0)])
 def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, uneven):
     X, Y = uneven
-    kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds})
+    kernel = ConvolvedGaussian(1, parameter_bounds={"length_scale": bounds})
     scale = X.std(axis=0)
     wide = [single.set_params(length_scale=500.0 * scale) for single in singles_of(kernel, X, Y)]
     start = starting_kernel(kernel, X, Y, wide)

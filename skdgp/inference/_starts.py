@@ -176,7 +176,7 @@ def _filters_from_singles(X, term, start, singles):
     private = (weight == 1.0)[..., None]
     mean = np.exp(weight @ np.log(widths))[:, None, :]
     lengths = np.where(private, widths, mean)
-    is_shared = not private.all()
+    is_shared = not private.any(axis=1).all()
     if is_shared and (term.parameter_bounds or {}).get("length_scale") is None:
         lengths = np.minimum(lengths, SETTINGS.widest * column_scale(X))
     if term.covariance_type == "tied":

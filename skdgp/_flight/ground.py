@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import report
-from skdgp._compute.typing import Mask, Vector
+from skdgp._compute.typing import Mask
 from skdgp._flight.clock import true_runs
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
@@ -16,14 +16,6 @@ from skdgp._flight.tables import FlightTable
 STANDING = 0.25
 ROLLING = 0.5
 SHORTEST = 2.0  # [s] on the ground
-
-
-def flying_airspeed(airspeed: Vector) -> float:
-    """Return the median airspeed of rows that fly, however many stand; NaN without any."""
-    measured = airspeed[np.isfinite(airspeed)]
-    if not measured.size:
-        return np.nan
-    return float(np.median(measured[measured >= STANDING * np.quantile(measured, 0.95)]))
 
 
 def on_ground(flights: FlightTable) -> Mask:

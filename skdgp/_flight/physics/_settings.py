@@ -17,8 +17,6 @@ class PhysicsSettings:
     kinematic_window: float = 1.0
     # window of forces and moments [s], shorter than the time constant of roll
     response_window: float = 0.1
-    # rows slower than this fraction of the median airspeed are on the ground
-    flying: float = 0.5
     # larger angles [rad] are in degrees
     largest_radians: float = 2.1 * np.pi
     # flights shorter than this [s] are judged together with others only

@@ -11,7 +11,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ELEVONS, EULER, POSITION, by_elevons
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.frames import euler_to_matrix
-from skdgp._flight.ground import flying_airspeed
+from skdgp._flight.ground import on_ground
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, without_repeats
 from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.tables import FlightTable
@@ -98,17 +98,20 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
     clocks = [_block_clock(time[rows], step) for rows in segments]
     lengths = [len(clock) for clock in clocks]
     measured = replace(flights, table=without_repeats(flights.table, GROUPS))
+    columns = measured.numeric_channels(names)
+    columns["ground"] = on_ground(flights).astype(float)
     channels = {}
-    for name, values in measured.numeric_channels(names).items():
+    for name, values in columns.items():
         parts = []
         for rows, clock in zip(segments, clocks, strict=True):
             parts.append(_averaged(*_samples(name, time[rows], values[rows]), clock))
         channel = np.concatenate(parts)
         if np.isfinite(channel).any():
             channels[name] = channel
+    is_on_ground = channels.pop("ground") > 0
     if {*ELEVONS} <= channels.keys():
         channels |= by_elevons(channels)
-    channels = _in_flight(channels)
+    channels = {name: np.where(is_on_ground, np.nan, values) for name, values in channels.items()}
     return Signals(channels, np.repeat(np.arange(len(segments)), lengths), step)
 
 
@@ -140,12 +143,3 @@ def _averaged(time: Vector, samples: Vector, clock: Matrix) -> Vector:
         return np.full(len(clock), np.nan)
     sampled = np.interp(clock, time, samples, left=np.nan, right=np.nan)
     return sampled.mean(axis=1)
-
-
-def _in_flight(channels: dict[str, Vector]) -> dict[str, Vector]:
-    """Return the channels without rows on the ground."""
-    if "airspeed" not in channels:
-        return channels
-    airspeed = channels["airspeed"]
-    on_ground = airspeed < PHYSICS.flying * flying_airspeed(airspeed)
-    return {name: np.where(on_ground, np.nan, values) for name, values in channels.items()}

@@ -143,7 +143,7 @@ def _source_of(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     note = _joined(", ", rule.note, _note(readings, use))
     first = min(reading.instance for reading in readings).name
     remarks = ["" if names == [first] else f"{rule.words} of {_words(rule, names)} ({note})"]
-    remarks += [_unmeasured(reading, rule) for reading in readings]
+    remarks.append(_unmeasured(log, rule, readings))
     time, values, counter = _merged(readings, chosen, times)
     if rule.columns == QUATERNION:
         values = without_sign_changes(values)
@@ -307,16 +307,11 @@ def _note(readings: list[Readings], use: str) -> str:
     return f"of {len(readings)}, " + (f"used by the autopilot: {use}" if use else "the healthiest")
 
 
-def _unmeasured(readings: Readings, rule: Rule) -> str:
+def _unmeasured(log: Log, rule: Rule, readings: list[Readings]) -> str:
     """Return a remark on messages of a source that the log does not call measurements."""
-    for field, low, high in rule.within:
-        if field in readings.instance.topic:
-            numbers = readings.instance.topic[field]
-            is_outside = (numbers < low) | (numbers > high)
-            if is_outside.any():
-                values = np.unique(numbers[is_outside]).astype(int).tolist()
-                return (
-                    f"{readings.instance.name} is left out where it is no measurement: in "
-                    f"{100 * is_outside.mean():.0f} % of its messages {field} is {values}"
-                )
-    return ""
+    valid = np.concatenate([reading.valid for reading in readings])
+    if not rule.within or valid.all():
+        return ""
+    name = readings[0].instance.name
+    fields = " ".join(validity_fields(log, rule))
+    return f"{name} is left out where it is no measurement, {100 * (1 - valid.mean()):.0f} % of it ({fields})"

@@ -129,7 +129,7 @@ class TestPX4:
         log = px4()
         source = ("int32_t", np.where(SLOW < 20, 2, 0))
         log.topic("airspeed_validated", SLOW, true_airspeed_m_s=TRUE, airspeed_source=source)
-        table = told(r"in 67 % of its messages airspeed_source", log, airborne=False)
+        table = told(r"67 % of it .*airspeed_source", log, airborne=False)
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
 
@@ -350,7 +350,7 @@ def test_a_gps_without_a_fix_measures_nothing(told, name, px4):
     velocity = dict.fromkeys(("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), np.where(has_fix, 9.0, 0.0))
     fix = {"fix_type": ("uint8_t", np.where(has_fix, 3, 1))}
     log.topic(name, SLOW, altitude_msl_m=np.where(has_fix, 500.0, 0.0), **velocity, **fix)
-    table = told(r"fix_type is \[1\]", log, airborne=False)
+    table = told(r"fix_type \[1", log, airborne=False)
     measured = table[["v_north", "altitude"]].dropna()
     assert_allclose(measured, [[9.0, 500.0]] * len(measured))
     assert table.time[measured.index].min() > 20

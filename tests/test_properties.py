@@ -173,20 +173,3 @@ def test_uncertainty_is_one(seed, inference):
     added = 0.0 if errors is None else errors.variance(at).T.ravel()
     prior = np.sqrt(model.kernel_.diag(at) + added) / spread
     assert (std <= prior * (1 + 1e-9)).all()
-
-
-@EXAMPLES
-@given(SEEDS, INFERENCE)
-def test_slopes_are_those_of_the_mean(central_difference, seed, inference):
-    """By steps in standard deviations of the regressors."""
-    X, Y = problem(seed)
-    model = DependentGPRegressor(**options(seed, X) | {"inference": inference}).fit(X, Y)
-    size = X.std(axis=0)
-    spread = np.nanstd(Y, axis=0)
-
-    def moved(step):
-        return model.predict(X[:4] + step * size).reshape(4, -1)
-
-    expected = central_difference(moved, np.zeros(len(size)), 1e-3)
-    slopes = model.predict_gradient(X[:4]).reshape(expected.shape)
-    close(slopes * size, expected, spread[:, None], 1e-5)

@@ -197,7 +197,7 @@ def _parts_of(segment: pd.DataFrame, horizon: float) -> Iterator[Part]:
             continue
         since = time - flown["time"].iloc[0]
         near = np.abs(since) <= half_start
-        start = pd.Series(_smoothed(since[near], numeric(segment[near], names)), index=names)
+        start: Any = pd.Series(_smoothed(since[near], numeric(segment[near], names)), index=names)
         if "psi" in start:
             start["psi"] = wrapped(start["psi"])  # the flight turns more than once
         yield Part(

@@ -16,7 +16,7 @@ from skdgp.identification._changed import Changes, changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import named_flights, tables_of
 from skdgp.identification._identification import Identification
-from skdgp.identification._learn import LearnedModel, checked_regressor, fit_record, learn
+from skdgp.identification._learn import LearnedModel, checked_regressor, learn
 from skdgp.identification._model_file import options_of
 from skdgp.identification._prepare import (
     as_aircraft,
@@ -24,7 +24,7 @@ from skdgp.identification._prepare import (
     prepare,
     usable_flights_of_model,
 )
-from skdgp.identification._record import TrainingRecord
+from skdgp.identification._record import TrainingRecord, fit_record
 
 
 def identify(

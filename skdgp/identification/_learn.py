@@ -10,15 +10,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import notify, report
-from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
-    COEFFICIENTS,
     ELEVONS,
     HIGH_LIFT,
     MIXED,
@@ -31,13 +28,11 @@ from skdgp.identification._flights import tables_of
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
-    regressor_names,
-    step_of,
 )
 from skdgp.identification._prepare import PreparedFlights
-from skdgp.identification._record import FitRecord, TrainingRecord, flown_seconds
+from skdgp.identification._record import FitRecord, TrainingRecord, fit_record, flown_seconds
 from skdgp.io import FULL_THROW
-from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
+from skdgp.preprocessing import FlightPathReconstruction
 
 #: Units of the controls of a log without their scale
 FULL_THROWS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
@@ -165,46 +160,3 @@ def _options(
     if prepared.has_full_throws:
         chosen["servos"] = prepared.servos
     return chosen
-
-
-def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> FitRecord:
-    """Return what a fitted pipeline shows of its fit."""
-    regressor = pipeline[-1]
-    not_converged: list[str] = []
-    gusts_unknown = None
-    reconstruction = None
-    step = step_of(pipeline, FlightPathReconstruction)
-    if step is not None:
-        if step.used_:
-            converged = step.converged_.items()
-            not_converged = [str(name) for name, has_converged in converged if not has_converged]
-        gusts_unknown = step.doubt_
-        reconstruction = step.finding_
-    return FitRecord(
-        inference=regressor.inference_,
-        weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
-        regressors=regressor_names(pipeline),
-        log_marginal_likelihood=float(regressor.log_marginal_likelihood_value_),
-        iterations=int(regressor.n_iter_),
-        converged=bool(regressor.converged_),
-        interrupted=bool(regressor.interrupted_),
-        noise_std=_by_coefficient(regressor.noise_variance_**0.5),
-        paths_not_converged=not_converged,
-        gusts_unknown=gusts_unknown,
-        reconstruction=reconstruction,
-        lags=lags_of(pipeline),
-        training=training,
-    )
-
-
-def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
-    """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
-    step = step_of(pipeline, LagCorrector)
-    if step is None:
-        return {}
-    table = step.lags_.astype(object).where(step.lags_.notna(), None)
-    return {str(group): dict(row) for group, row in table.iterrows()}
-
-
-def _by_coefficient(values: Vector) -> dict[str, float]:
-    return dict(zip(COEFFICIENTS, np.asarray(values, float).tolist(), strict=True))

@@ -8,8 +8,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.pipeline import Pipeline
 
+from skdgp._compute.typing import Vector
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.findings import Code, Finding
+from skdgp.identification._pipeline import regressor_names, step_of
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
 
 def flown_seconds(tables: Iterable[pd.DataFrame]) -> float:
@@ -75,10 +80,9 @@ class FitRecord:
         Whether the search converged, or was ended by Ctrl-C.
     noise_std : mapping of str to float
         Standard deviations of the noise of coefficients.
-    paths_not_converged : sequence of str
-        Training flights whose reconstruction did not converge.
-    gusts_unknown : Finding, optional
-        Why the gusts of flights without vanes are not known.
+    doubts : sequence of Finding
+        Findings that exclude the judgement "yes" of any use of the model: gusts of flights without
+        vanes that are not known, and paths that did not converge.
     reconstruction : Finding, optional
         Whether flight paths are reconstructed, and why; None without this step.
     lags : mapping of str to mapping of str to object
@@ -95,8 +99,7 @@ class FitRecord:
     converged: bool
     interrupted: bool
     noise_std: Mapping[str, float]
-    paths_not_converged: Sequence[str]
-    gusts_unknown: Finding | None
+    doubts: Sequence[Finding]
     reconstruction: Finding | None
     lags: Mapping[str, Mapping[str, Any]]
     training: TrainingRecord | None = None
@@ -128,20 +131,51 @@ class FitRecord:
         """Whether lags show that logged surfaces are commands of slower servos."""
         return "servos" in self.lags_corrected or self.lags_corrected.get("surfaces", 0) < 0
 
-    @property
-    def doubts(self) -> list[Finding]:
-        """Findings that exclude the judgement "yes" of any use of the model."""
-        doubts = []
-        if self.gusts_unknown is not None:
-            doubts.append(self.gusts_unknown)
-        if self.paths_not_converged:
-            numbers = {"flights": self.paths_not_converged}
-            doubts.append(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
-        return doubts
-
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
         values = asdict(self)
-        values["gusts_unknown"] = self.gusts_unknown.text if self.gusts_unknown else ""
+        values["doubts"] = [doubt.text for doubt in self.doubts]
         values["reconstruction"] = self.reconstruction.clause if self.reconstruction else None
         return values | (values.pop("training") or {})
+
+
+def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> FitRecord:
+    """Return what a fitted pipeline shows of its fit."""
+    regressor = pipeline[-1]
+    doubts = []
+    reconstruction = None
+    step = step_of(pipeline, FlightPathReconstruction)
+    if step is not None:
+        reconstruction = step.finding_
+        if step.doubt_ is not None:
+            doubts.append(step.doubt_)
+        diverged = [str(name) for name, converged in step.converged_.items() if not converged]
+        if step.used_ and diverged:
+            doubts.append(Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": diverged}))
+    return FitRecord(
+        inference=regressor.inference_,
+        weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
+        regressors=regressor_names(pipeline),
+        log_marginal_likelihood=float(regressor.log_marginal_likelihood_value_),
+        iterations=int(regressor.n_iter_),
+        converged=bool(regressor.converged_),
+        interrupted=bool(regressor.interrupted_),
+        noise_std=_by_coefficient(regressor.noise_variance_**0.5),
+        doubts=doubts,
+        reconstruction=reconstruction,
+        lags=lags_of(pipeline),
+        training=training,
+    )
+
+
+def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
+    """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
+    step = step_of(pipeline, LagCorrector)
+    if step is None:
+        return {}
+    table = step.lags_.astype(object).where(step.lags_.notna(), None)
+    return {str(group): dict(row) for group, row in table.iterrows()}
+
+
+def _by_coefficient(values: Vector) -> dict[str, float]:
+    return dict(zip(COEFFICIENTS, np.asarray(values, float).tolist(), strict=True))

@@ -39,8 +39,7 @@ FIT = FitRecord(
     converged=True,
     interrupted=False,
     noise_std={},
-    paths_not_converged=[],
-    gusts_unknown=None,
+    doubts=[],
     reconstruction=None,
     lags={},
     training=TrainingRecord(
@@ -289,11 +288,13 @@ def test_what_aircraft_have_forbids_none(name, value):
     assert found.warnings == ()
 
 
-@pytest.mark.parametrize("fit", [{}, {"paths_not_converged": ["a"]}])
+DIVERGED = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
+
+
+@pytest.mark.parametrize("fit", [{}, {"doubts": [DIVERGED]}])
 def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(fit):
-    doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
-    found = verdict(findings=[ALONE["a"], doubt], fit=fit)
-    assert found.findings[0] == doubt
+    found = verdict(findings=[ALONE["a"], DIVERGED], fit=fit)
+    assert found.findings[0] == DIVERGED
     assert "yes" not in {use.judgement for use in found.uses}
     assert found.findings[1:] == (ALONE["a"],)
     assert use(found, CONTROL) == ("no", {Code.PATHS_NOT_CONVERGED})
@@ -354,7 +355,7 @@ def test_bands_that_hold_everything_are_too_wide():
 def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": "too short."})
     doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
-    found = verdict(fit={"gusts_unknown": doubt}) if where == "fit" else verdict(findings=[doubt])
+    found = verdict(fit={"doubts": [doubt]}) if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts without vanes are not known: too short.",)
     for purpose, judgement in {PREDICT: "partly", SIMULATE: "partly", CONTROL: "no"}.items():

@@ -209,19 +209,6 @@ class Aerodynamics:
         slopes, sampler = self.learned.averaged(self.perturbation)
         return replace(self, slopes=slopes, sampler=sampler)
 
-    def with_function(self, function: Callable, slopes: Callable) -> Aerodynamics:
-        """Return the model of another function of the same regressors, which is certain."""
-        return replace(
-            self,
-            function=function,
-            slopes=slopes,
-            sampler=None,
-            drift=None,
-            errors={},
-            learned=None,
-            perturbation=None,
-        )
-
     def sample(self, n_paths: int, random_state: Any = 0, *, rounded: bool = False) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 

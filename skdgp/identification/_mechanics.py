@@ -27,7 +27,6 @@ from skdgp.dynamics import (
 )
 from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._free_flight import FreeFlight
-from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._record import TrainingRecord
 
 # Facts of a trim and columns of derivatives in metrics.json
@@ -47,9 +46,8 @@ class FlightMechanics:
     ----------
     trim : Trim, optional
         None where there is no steady flight.
-    derivatives, least_squares : DataFrame
-        Of `skdgp.dynamics.stability_derivatives`, for the model and for a linear one by least
-        squares.
+    derivatives : DataFrame
+        Of `skdgp.dynamics.stability_derivatives`.
     modes : DataFrame, optional
         Of `skdgp.dynamics.LinearModel.modes`.
     simulation : DataFrame, optional
@@ -65,7 +63,6 @@ class FlightMechanics:
 
     trim: Trim | None = None
     derivatives: pd.DataFrame = field(default_factory=pd.DataFrame)
-    least_squares: pd.DataFrame | None = None
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
     simulated: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame] | None = None
@@ -95,7 +92,6 @@ class FlightMechanics:
         if modes is not None:
             modes = modes.drop(columns="eigenvalue")
         tables = {
-            "least_squares": self.least_squares,
             "modes": modes,
             "simulation": self.simulation,
         }
@@ -125,7 +121,6 @@ def flight_mechanics(
         flown = pd.Series(known, dtype=float)
     else:
         flown = pd.concat(train or tables).median(numeric_only=True)
-    least_squares = None if training is None else training.least_squares
     airspeed = float(flown["airspeed"])
     thrust = options["thrust"]
     conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
@@ -142,11 +137,10 @@ def flight_mechanics(
     point = aircraft, state, controls
     linear: dict[str, Any] = {}
     try:
-        linear = _derivatives(pipeline, point, conditions, least_squares)
-        if steady is not None:
-            linear["modes"] = _modes(pipeline, point, conditions)
+        derivatives = stability_derivatives(pipeline, *point, **conditions)
+        modes = None if steady is None else _modes(pipeline, point, conditions)
+        linear = {"derivatives": derivatives, "modes": modes}
     except ValueError as error:
-        linear = {}
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
     simulations = _simulations(pipeline, aircraft, [flight.states for flight in test], options)
     return FlightMechanics(trim=steady, notes=tuple(notes), **linear, **simulations)
@@ -180,20 +174,6 @@ def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:
 Point: TypeAlias = tuple[Aircraft, np.ndarray, Mapping[str, float]]
 
 
-def _derivatives(
-    pipeline: Pipeline | Aerodynamics,
-    point: Point,
-    conditions: Mapping[str, Any],
-    least_squares: Mapping[str, Mapping[str, float]] | None,
-) -> dict[str, Any]:
-    """Return derivatives of the model, and of least squares where they are known."""
-    results: dict[str, Any] = {"derivatives": stability_derivatives(pipeline, *point, **conditions)}
-    if least_squares is not None:
-        linear = stability_derivatives(_linear(pipeline, least_squares), *point, **conditions)
-        results["least_squares"] = linear[["value"]]
-    return results
-
-
 def _modes(
     pipeline: Pipeline | Aerodynamics, trimmed: Point, conditions: Mapping[str, Any]
 ) -> pd.DataFrame:
@@ -201,14 +181,3 @@ def _modes(
     # 200 functions give the standard deviations with a relative error of 1 / sqrt(2 n), 5 %
     n_paths = 200 if as_aerodynamics(pipeline).is_uncertain else 0
     return linearize(pipeline, *trimmed, n_paths=n_paths, **conditions).modes()
-
-
-def _linear(
-    pipeline: Pipeline | Aerodynamics, fitted: Mapping[str, Mapping[str, float]]
-) -> Aerodynamics:
-    """Return the linear model of the same rows."""
-    intercepts, slopes = linear_terms(fitted)
-    return as_aerodynamics(pipeline).with_function(
-        lambda X: intercepts + X @ slopes,
-        lambda X: np.broadcast_to(slopes.T, (*X.shape[:-1], *slopes.T.shape)),
-    )

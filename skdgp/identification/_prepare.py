@@ -46,7 +46,7 @@ from skdgp.dynamics import (
     with_sensor_position,
 )
 from skdgp.estimation import airspeed_scale
-from skdgp.identification._flights import Flights, tables_of, train_and_test
+from skdgp.identification._flights import Flights, train_and_test
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import reversed_of
 from skdgp.preprocessing import clean
@@ -307,10 +307,10 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
 
 def _lacks_thrust(flights: Flights, aircraft: Aircraft) -> bool:
     """Return whether all flights have a throttle, and nothing gives the thrust that it sets."""
-    for table in tables_of(flights).values():
-        has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
-        has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
-        if has_thrust or has_propeller or "throttle" not in table:
+    for flight in flights.values():
+        has_thrust = not {*THRUST_COLUMNS}.isdisjoint(flight.table)
+        has_propeller = propeller_speed_of(aircraft.propeller, flight.table) is not None
+        if has_thrust or has_propeller or "throttle" not in flight.table:
             return False
     return True
 

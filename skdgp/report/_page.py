@@ -254,15 +254,14 @@ def _mechanics(mechanics: FlightMechanics) -> str:
             shown[name] = f"{number(factor * value, '.4g')} {unit}"
         parts += [paragraphs(["Steady flight in the middle of the training range:"]), facts(shown)]
     if len(mechanics.derivatives):
-        parts.append(table(_derivatives(mechanics), DERIVATIVES))
+        parts.append(table(_derivatives(mechanics.derivatives), DERIVATIVES))
     if mechanics.modes is not None:
         parts.append(table(_modes(mechanics.modes), MODES))
     return section("Trim, derivatives and modes", *parts)
 
 
-def _derivatives(mechanics: FlightMechanics) -> pd.DataFrame:
+def _derivatives(table: pd.DataFrame) -> pd.DataFrame:
     """Return derivatives of each plane by the regressors that move in it, as text."""
-    table = mechanics.derivatives
     is_lateral = table["regressor"].isin(MIRRORED)
     is_of_plane = table["coefficient"].isin(SYMMETRIC) & ~is_lateral
     is_of_plane |= table["coefficient"].isin(ASYMMETRIC) & is_lateral
@@ -272,8 +271,6 @@ def _derivatives(mechanics: FlightMechanics) -> pd.DataFrame:
         shown = with_std(row["value"], row.get("std"))
         values.append(marked(shown, row.get("lower", 1.0), row.get("upper", 1.0)))
     shown = pd.DataFrame({"model": values}, index=table.index)
-    if mechanics.least_squares is not None:
-        shown["least squares"] = mechanics.least_squares["value"]
     if "std_aircraft" in table:
         shown["± of aircraft"] = table["std_aircraft"]
     if "per" in table:

@@ -48,7 +48,7 @@ STAGE_LIMIT = 1e9
 STRIDE = 3
 LONGEST_STRIDE = 0.06
 # Time for which slopes are kept [s]: errors of the states are then at most 2 % of the spread of the paths of a
-# large UAV in gusts, 0.2 % in calm air
+# large UAV in gusts, 0.6 % in calm air
 SLOPES_KEPT = 0.3
 # Largest change of a control in a step, over its training range, that slopes account for
 REACH = 0.02
@@ -89,9 +89,7 @@ class End(NamedTuple):
     servos: ServoState | None = None  #: None: the surfaces are as commanded next
     implicit: Array | None = None  #: Guess of the implicit regressors
     tangent: Tangent | None = None
-    now: Instant | None = (
-        None  #: At the last stage, whose state is that of the end but for the step's error
-    )
+    now: Instant | None = None  #: At the last stage, which is nearly the end
 
 
 class Integrator:
@@ -106,11 +104,9 @@ class Integrator:
     .. math:: C(x) = C_0 + J (x - x_0),
 
     and at the last stage, :math:`x_1`, its error :math:`e = C(x_1) - C_0 - J (x_1 - x_0)` is known.
-    With B the derivative of d state / dt by the coefficients, and :math:`\bar e` the mean of the
-    errors over these steps of h seconds in all (`Tangent.mean_error`), the state at their end is
-    corrected by :math:`h B \bar e`. The next tangent begins at :math:`x_1`. Its slopes J are kept for
-    some evaluations, as their error is in e; an error in proportion to time, as large as the last one,
-    is expected, and counts in the stages. Where a control jumps, all stages evaluate the paths.
+    It grows in proportion to time. With B the derivative of d state / dt by the coefficients, the state at
+    the end of these steps of h seconds in all is corrected by :math:`h B e / 2`. The next tangent begins at
+    :math:`x_1`. Its slopes J are kept for some evaluations. Where a control jumps, all stages evaluate the paths.
     """
 
     def __init__(
@@ -145,8 +141,7 @@ class Integrator:
         controls, _ = self._deflected(servos, commands, commands, 0.0)
         drift = self._drift(stage)
         tangent = last.tangent
-        grown = None if tangent is None else self._grown(tangent, 0.0)
-        now = self.motion.at(state, controls, air, last.implicit, drift, tangent=grown)
+        now = self.motion.at(state, controls, air, last.implicit, drift, tangent=tangent)
         if self._has_tangents and tangent is None:
             tangent = self._tangent(now.regressors, now.coefficients - drift)
         wind = None if air is None else air.velocity(state[..., ATTITUDE])
@@ -181,14 +176,7 @@ class Integrator:
         controls, _ = self._deflected(begin.servos, begin.commands, commands, t)
         guess = begin.now.implicit
         drift = self._drift(stage)
-        tangent = begin.tangent
-        if tangent is not None:
-            tangent = self._grown(tangent, t / self.dt)
-        return self.motion.at(state, controls, air, guess, drift, tangent=tangent)
-
-    def _grown(self, tangent: Tangent, fraction: float) -> Tangent:
-        """Return a tangent with the error that is expected after a fraction of a step."""
-        return tangent.grown((tangent.steps + fraction) / self._stride)
+        return self.motion.at(state, controls, air, guess, drift, tangent=begin.tangent)
 
     def _deflected(
         self, servos: ServoState, first: Mapping, commands: Mapping, elapsed: float
@@ -213,15 +201,14 @@ class Integrator:
         coefficients = self.motion.evaluated(last)
         if is_far:
             # Simpson's rule; the error is zero at the beginning, and at the end, without a tangent
-            halfway = self.motion.evaluated(middle) - self._grown(tangent, 0.5)(middle)
+            halfway = self.motion.evaluated(middle) - tangent(middle)
             change = self.dt * self.motion.response(stages[-1], (2.0 / 3.0) * halfway)
             return change, self._tangent(last, coefficients)
         error = coefficients - tangent.linear(distance)
-        unexpected = self._stride * (tangent.mean_error(error) - 0.5 * tangent.error)
-        change = self.dt * self.motion.response(stages[-1], unexpected)
+        change = 0.5 * self._stride * self.dt * self.motion.response(stages[-1], error)
         if tangent.age + 1 >= self._renewal:
             return change, self._tangent(last, coefficients)
-        return change, tangent.moved(last, coefficients, error)
+        return change, tangent.moved(last, coefficients)
 
     def _tangent(self, X: Array, coefficients: Array) -> Tangent:
         return self.motion.tangent(X, coefficients, REACH)

@@ -107,7 +107,6 @@ class Tangent(NamedTuple):
     regressors: Array  #: x_0, (..., d)
     coefficients: Array  #: C_0, (..., 6)
     slopes: Array  #: J, (..., 6, d)
-    error: Array  #: At the last evaluation, (..., 6)
     age: int = 0  #: Evaluations since the slopes were evaluated
     steps: int = 0  #: Since the last evaluation
 
@@ -126,24 +125,9 @@ class Tangent(NamedTuple):
         """Return C_0 + J (x - x_0), (..., 6), by the ``change`` x - x_0 (..., d)."""
         return self.coefficients + (self.slopes @ change[..., None])[..., 0]
 
-    def mean_error(self, error: Array) -> Array:
-        """Return the mean error between two evaluations of the ``error`` at the second, whose curve is a parabola.
-
-        It is zero at the first, where it has no slope if slopes are new, and else the value at
-        the evaluation before (Adams-Moulton of third order).
-        """
-        if self.age == 0:
-            return error / 3.0
-        return (5.0 * error + self.error) / 12.0
-
-    def grown(self, fraction: float) -> Tangent:
-        """Return the tangent with the error expected after a fraction of the time to the next evaluation."""
-        return self._replace(coefficients=self.coefficients + fraction * self.error)
-
-    def moved(self, X: Array, coefficients: Array, error: Array) -> Tangent:
-        """Return the tangent at other regressors, with the same slopes, after a step with an ``error``."""
-        moved = self._replace(regressors=X, coefficients=coefficients, error=error)
-        return moved._replace(age=self.age + 1, steps=0)
+    def moved(self, X: Array, coefficients: Array) -> Tangent:
+        """Return the tangent at other regressors, with the same slopes."""
+        return self._replace(regressors=X, coefficients=coefficients, age=self.age + 1, steps=0)
 
 
 class Flow(NamedTuple):
@@ -374,9 +358,7 @@ class Motion:
         slopes = self.aerodynamics.gradient(np.where(finite, X, 0.0))
         is_control = np.isin(self.regressors, self.controls)
         largest = np.where(is_control, reach * self.aerodynamics.ranges, np.inf)
-        return Tangent(
-            self.evaluated, largest, X, coefficients, slopes, np.zeros_like(coefficients)
-        )
+        return Tangent(self.evaluated, largest, X, coefficients, slopes)
 
     def response(self, now: Instant, change: Array) -> Array:
         """Return the change of d state / dt (..., 13) by a ``change`` of the coefficients (..., 6)."""

@@ -1,12 +1,12 @@
 r"""Linearization of a record of the filter-error method, at filtered states and parameters.
 
-States (12): gusts north, east, down in a slow and a fast part :math:`g_1, g_2` [m/s]; errors of path
-and attitude e that add to the air velocity, body axes y and z [m/s]; rate of roll of the
-air :math:`p_g` and rates of the aircraft :math:`\omega` [rad/s]. Coefficients feel :math:`p - p_g`, no sensor
-does. With the velocity v of the centre of gravity over the ground (body axes) as recorded, attitude R (NED to body),
-steady wind w and error r of the position of the sensors,
+States (9): gusts north, east, down g [m/s]; errors of path and attitude e that add to the air
+velocity, body axes y and z [m/s]; rate of roll of the air :math:`p_g` and rates of the aircraft
+:math:`\omega` [rad/s]. Coefficients feel :math:`p - p_g`, no sensor does. With the velocity v of the
+centre of gravity over the ground (body axes) as recorded, attitude R (NED to body), steady wind w and
+error r of the position of the sensors,
 
-.. math:: v_a = v - R (w + g_1 + g_2) - e - \omega \times r,
+.. math:: v_a = v - R (w + g) - e - \omega \times r,
 
 which `air_velocity` evaluates. The rates follow by one Runge-Kutta step of the equations of motion
 (``_air_model.py``), the other states decay. Measurements are the nine sensors at the end of the step, from
@@ -74,14 +74,13 @@ from skdgp.estimation._sensors import (
 from skdgp.estimation._servos import servo_output, servo_slopes
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
-N_STATES = 12
-SLOW_GUST = slice(0, 3)
-FAST_GUST = slice(3, 6)
-PATH_ERROR_Y = 6
-PATH_ERROR_Z = 7
-AIR_ROLL_STATE = 8
-RATE_STATES = slice(9, 12)
-"""Places of the states: two parts of the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
+N_STATES = 9
+GUST = slice(0, 3)
+PATH_ERROR_Y = 3
+PATH_ERROR_Z = 4
+AIR_ROLL_STATE = 5
+RATE_STATES = slice(6, 9)
+"""Places of the states: the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
 COEFFICIENT_CONSTANTS = ("servo_lag", "servo_delay", "thrust_scale", "slipstream")
 """Constants that change the coefficients."""
 LEARNED_BIASES = {
@@ -228,8 +227,7 @@ def motion_model(
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
     """Return the velocity relative to the air (n, 3), body axes, and its derivatives by the states (n, 3, N)."""
     by_state = np.zeros((len(states), 3, N_STATES))
-    by_state[:, :, SLOW_GUST] = -record.attitude
-    by_state[:, :, FAST_GUST] = -record.attitude
+    by_state[:, :, GUST] = -record.attitude
     by_state[:, 1, PATH_ERROR_Y] = -1.0
     by_state[:, 2, PATH_ERROR_Z] = -1.0
     by_state[:, :, RATE_STATES] = cross_matrix(stacked(value, *ARM))

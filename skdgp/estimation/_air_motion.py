@@ -168,15 +168,8 @@ class AirMotion:
     def gusts(self) -> tuple[float, float]:
         """Intensity of the gusts of the first flight [m/s], and the length [m] over which they fall to 1/e."""
         gusts = self._gusts(0)
-        std = np.sqrt(np.mean(gusts.slow_std**2 + gusts.fast_std**2))
-        # correlation of the horizontal gusts, relative to their slow part
-        slow_time = gusts.slow_time[0]
-        fast_variance = self.noise["fast_h"] ** 2
-        times = np.geomspace(0.01, 10.0, 500) * slow_time
-        fast = fast_variance * np.exp(-times / slow_time / self.noise["faster_h"])
-        correlation = np.exp(-times / slow_time) + fast
-        time = times[np.argmax(correlation < (1 + fast_variance) * np.exp(-1.0))]
-        return float(std), float(time * np.nanmean(self.air["airspeed"]))
+        std = np.sqrt(np.mean(gusts.std**2))
+        return float(std), float(gusts.time[0] * np.nanmean(self.air["airspeed"]))
 
     def slopes(
         self, coefficients: Sequence[str], regressors: Sequence[str]
@@ -224,19 +217,13 @@ class AirMotion:
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""
         gusts = self._gusts(flight)
-        slow = _variance_of_change(gusts.slow_std, gusts.slow_time)
-        fast = _variance_of_change(gusts.fast_std, gusts.fast_time)
-        return float(np.sqrt(np.mean(slow + fast)))
+        variance = 2 * gusts.std**2 * -np.expm1(-1 / gusts.time)  # of Gauss-Markov processes
+        return float(np.sqrt(np.mean(variance)))
 
     def _gusts(self, flight: int) -> GustProcesses:
         """Return the gusts of a flight, NaN if unknown."""
         intensities = {axis: self.noise.get(f"{axis} {flight}", np.nan) for axis in GUST_AXES}
         return GustProcesses.of({**self.noise, **intensities})
-
-
-def _variance_of_change(std: Array, time: Array) -> Array:
-    """Return the variance of the change in 1 s of a Gauss-Markov process of a correlation time [s]."""
-    return 2 * std**2 * -np.expm1(-1 / time)
 
 
 def estimate_air_motion(

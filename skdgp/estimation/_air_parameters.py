@@ -1,7 +1,7 @@
 """Parameters of the filter-error method, with their priors: derivatives, constants and noises.
 
 Derivatives and constants of sensors and servos are shared by all flights of an aircraft; wind and
-biases of rates belong to one flight. Noises likewise: gusts are two Gauss-Markov processes on each axis.
+biases of rates belong to one flight. Noises likewise: gusts are a Gauss-Markov process on each axis.
 """
 
 from __future__ import annotations
@@ -67,10 +67,6 @@ SENSOR_CONSTANTS = ("thrust_scale", "airspeed_scale", "wind_down", *RATE_BIASES)
 AIRCRAFT_NOISES: Prior = {
     "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
     "time_v": (1.5, 0.8),
-    "fast_h": (0.1, 0.5),  # intensity of the fast part of gusts, relative to the slow one
-    "fast_v": (0.1, 0.5),
-    "faster_h": (0.2, 0.5),  # its correlation time, relative to the slow one
-    "faster_v": (0.2, 0.5),
     "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
     "drive_q": (0.02, 1.0),
     "drive_r": (0.02, 1.0),
@@ -158,29 +154,22 @@ class Sums:
 
 
 class GustProcesses(NamedTuple):
-    """Gusts north, east, down: a slow and a fast Gauss-Markov process, (..., 3)."""
+    """Gusts north, east, down: Gauss-Markov processes, (..., 3)."""
 
-    slow_std: Array  # [m/s]
-    slow_time: Array  # [s]
-    fast_std: Array
-    fast_time: Array
+    std: Array  # [m/s]
+    time: Array  # correlation time [s]
 
     @classmethod
     def of(cls, value: Mapping[str, Any]) -> GustProcesses:
         """Return the gusts of noises by name."""
-        slow_std = stacked(value, *GUST_AXES)
-        slow_time = stacked(value, "time_h", "time_h", "time_v")
-        fast_std = slow_std * stacked(value, "fast_h", "fast_h", "fast_v")
-        fast_time = slow_time * stacked(value, "faster_h", "faster_h", "faster_v")
-        return cls(slow_std, slow_time, fast_std, fast_time)
+        return cls(stacked(value, *GUST_AXES), stacked(value, "time_h", "time_h", "time_v"))
 
     def rolling(self, airspeed: float, span: float) -> tuple[float, float]:
         """Return standard deviation [rad/s] and correlation time [s] of the rate of roll of the air.
 
-        Of the slow vertical gusts, see `rolling_gust`.
+        Of the vertical gusts, see `rolling_gust`.
         """
-        length = airspeed * self.slow_time[2]
-        std, time = rolling_gust(airspeed, span, self.slow_std[2], length)
+        std, time = rolling_gust(airspeed, span, self.std[2], airspeed * self.time[2])
         return float(std), time
 
 

@@ -16,10 +16,9 @@ from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECI
 from skdgp._flight.frames import air_data, air_data_slopes, rotation_to_euler
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import (
-    FAST_GUST,
+    GUST,
     N_STATES,
     RATE_STATES,
-    SLOW_GUST,
     Layout,
     air_velocity,
 )
@@ -55,7 +54,7 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     states, P = smoothed(item.linear, item.filter_pass)
     value = fit.parameters.values(fit.x, record.flight)
     air, air_by_state = air_velocity(record, value, states)
-    wind = states[:, SLOW_GUST] + states[:, FAST_GUST] + stacked(value, *WINDS)
+    wind = states[:, GUST] + stacked(value, *WINDS)
     estimates = np.column_stack([*air_data(air), states[:, RATE_STATES], wind])
     slopes = _slopes(fit.layout, record, air, air_by_state)
     G = slopes[..., :N_STATES]
@@ -73,8 +72,7 @@ def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) ->
     slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))
     slopes[:, OF_AIR_DATA, :N_STATES] = by_air[..., :N_STATES]
     slopes[:, OF_RATES, RATE_STATES] = np.eye(3)
-    slopes[:, OF_WIND, SLOW_GUST] = np.eye(3)
-    slopes[:, OF_WIND, FAST_GUST] = np.eye(3)
+    slopes[:, OF_WIND, GUST] = np.eye(3)
     slopes[:, OF_AIR_DATA, layout.constants] = by_air[..., N_STATES:]
     by_parameters = slopes[..., N_STATES:]
     by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)

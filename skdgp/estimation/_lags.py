@@ -76,6 +76,7 @@ class Lag(NamedTuple):
 
 
 UNKNOWN = Lag(0.0, np.nan)
+SURE = 2.0  # standard deviations
 
 
 def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
@@ -130,13 +131,16 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
 def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -> tuple[Lag, Lag]:
     """Return the lags of servos and of their commands, with what is removed before `estimate_air_motion`.
 
-    Its lag of servos takes in the half step by which commands are late that hold between samples.
+    Its lag of servos takes in the half step by which commands are late that hold between samples, and what
+    is left of the delay. Less than the delay is removed: surfaces that are too late follow the motion
+    that an autopilot answers, and slopes are too small.
     """
     if servos_and_delay is None:
         return UNKNOWN, UNKNOWN
     servos, commands = servos_and_delay
     delay = commands.removal or 0.0
-    removed = delay if abs(delay) >= log_step else 0.0
+    least = max(abs(delay) - SURE * commands.std, 0.0)
+    removed = -least if abs(delay) >= log_step else 0.0
     return servos._replace(removal=0.0), commands._replace(removal=removed)
 
 

@@ -57,8 +57,9 @@ class LagCorrector(TableTransformer):
 
     Surfaces that are early are commands. They become the deflections :math:`\delta` of servos with
     a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay. Without vanes
-    only a delay of a step of the log or more is removed, as the rest is part of the lag that
-    :class:`FlightPathReconstruction` removes.
+    only a delay of a step of the log or more is removed, less two standard deviations: the rest is
+    part of the lag that :class:`FlightPathReconstruction` removes, and surfaces that are too late follow
+    the motion that an autopilot answers.
 
     Attitude and GPS follow from gyros and accelerometers by kinematics, as in
     :class:`FlightPathReconstruction`. Surfaces and vanes are related to them by a local linear

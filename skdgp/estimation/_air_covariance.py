@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import SENSOR_GUST, VANES
+from skdgp._flight.channels import VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import LEARNED_BIASES, means_of_neighbours
-from skdgp.estimation._air_parameters import ARM, GUST_AXES, SENSOR_CONSTANTS, STATE_TERMS, Sums
+from skdgp.estimation._air_parameters import ARM, SENSOR_CONSTANTS, STATE_TERMS, Sums
 from skdgp.estimation._kalman import surface_covariance
 
 
@@ -30,11 +29,6 @@ def correlated_scatter(blocks: Matrix) -> Matrix:
 def widen(covariance: Matrix, other: Matrix) -> Matrix:
     """Return the covariance with the variances of the other where these are larger, and its own correlations."""
     return with_variances(covariance, np.maximum(np.diag(covariance), np.diag(other)))
-
-
-def narrow(covariance: Matrix, other: Matrix) -> Matrix:
-    """Return the covariance with the variances of the other where these are smaller, and its own correlations."""
-    return with_variances(covariance, np.minimum(np.diag(covariance), np.diag(other)))
 
 
 def with_variances(covariance: Matrix, variance: Vector) -> Matrix:
@@ -135,31 +129,18 @@ def add_delay_error(covariance: Matrix, information: Matrix, place: int, std: fl
 def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
     """Return the covariance of a search that did not converge: wider, by its last passes too, or the prior's.
 
-    A search may end at gusts that are too large with slopes by their angles that are too small. The
-    airspeed shows the size of the gusts, and the slopes have the relative error of the estimated one.
-    No parameter is known less than without its estimate.
+    No parameter is known less than without its estimate. Slopes by alpha and beta are not known better, as a
+    search may end at gusts that are too large with slopes that are too small.
     """
     unknown = without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
     last = fit.history[-fit.settings.last_passes :]
     if len(last) == len(fit.history):
         return unknown
     covariance = inflate(covariance, fit.settings.unfinished) + spread_of(last)
-    if fit.is_known:
-        return covariance
-    for angles, axes in ((("alpha", "alpha2"), GUST_AXES[2:]), (("beta",), GUST_AXES[:2])):
-        slopes = fit.layout.is_by(*angles) * fit.derivatives
-        covariance = add_scale_error(covariance, slopes, _excess_of_gusts(fit, axes))
-    return narrow(covariance, unknown)
-
-
-def _excess_of_gusts(fit: AirFit, axes: Sequence[str]) -> float:
-    """Return by which fraction the gusts along some axes exceed those that the airspeed shows, zero if they do not."""
-    excess = 0.0
-    for flight, wind in enumerate(fit.winds):
-        for axis in axes:
-            gust = fit.noise_search.values[f"{axis} {flight}"]
-            excess = max(excess, gust / max(wind.gust, SENSOR_GUST) - 1)
-    return excess
+    variance = np.minimum(np.diag(covariance), np.diag(unknown))
+    by_angles = np.flatnonzero(fit.layout.is_by("alpha", "alpha2", "beta"))
+    variance[by_angles] = np.diag(unknown)[by_angles]
+    return with_variances(covariance, variance)
 
 
 def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:

@@ -29,7 +29,6 @@ class SteadyWind(NamedTuple):
 
     pitot: Vector  # (3,) of `PITOT`
     variance: float  # of a sample of the airspeed [m^2/s^2]
-    gust: float  # standard deviation of gusts by the airspeed, zero where it shows none [m/s]
 
 
 def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
@@ -62,25 +61,7 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
         residual = np.concatenate(residuals)
         pitot = pitot - np.linalg.lstsq(np.vstack(slopes), residual, rcond=None)[0]
     variance = _sample_variance(residual[len(prior) :], records, settings)
-    return SteadyWind(pitot, variance, _gust_by_airspeed(records, pitot, settings))
-
-
-def _gust_by_airspeed(records: list[Record], pitot: Vector, settings: AirSettings) -> float:
-    """Return the standard deviation of gusts by the errors of the airspeed in a steady wind [m/s].
-
-    Errors some samples apart correlate by gusts; white noise of the pitot does not.
-    """
-    products = []
-    for record in records:
-        _, error = airspeed_error(record, pitot)
-        if len(error):
-            step = record.seconds / len(error)
-            delay = max(1, round(settings.gust_delay / step))
-            error = error - error.mean()
-            products.append(error[delay:] * error[:-delay])
-    if not sum(map(len, products)):
-        return 0.0
-    return float(np.sqrt(max(np.concatenate(products).mean(), 0.0)))
+    return SteadyWind(pitot, variance)
 
 
 def _sample_variance(error: Vector, records: list[Record], settings: AirSettings) -> float:

@@ -153,8 +153,6 @@ class AirSettings:
     rate_window: float = 0.05
     # least error of a sample of the airspeed [m/s]
     least_pitot_std: float = 0.1
-    # delay at which errors of the airspeed correlate by gusts, while noise of the pitot does not [s]
-    gust_delay: float = 0.2
     # Gauss-Newton steps for the steady wind
     wind_steps: int = 5
     # least noise of accelerometers and gyros [SI]

@@ -9,7 +9,6 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
-from scipy.signal import lfilter
 
 from skdgp.dynamics import Aircraft, euler_to_matrix
 from skdgp.estimation import AirSettings
@@ -37,7 +36,6 @@ from skdgp.estimation._air_parameters import (
     derivatives_of,
 )
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._air_start import steady_wind
 from skdgp.estimation._kalman import (
     Linearization,
     Noise,
@@ -99,21 +97,6 @@ def flight_of_sines(n=30):
     return record, Layout.of(list(derivatives), SURFACES), value, states
 
 
-def still_flight(airspeed):
-    """Return a record at 20 m/s over the ground, 50 Hz, with an airspeed (n,)."""
-    n = len(airspeed)
-    measured = np.zeros((n, 9))
-    measured[:, 6] = airspeed
-    still = np.zeros((n, 3))
-    time = 0.02 * np.arange(n)
-    velocity = np.broadcast_to([20.0, 0.0, 0.0], (n, 3))
-    attitude = np.broadcast_to(np.eye(3), (n, 3, 3))
-    inputs = Inputs(still, np.zeros((n, 6)), np.full(n, 1.2))
-    force, position, periods = still, np.zeros(3), np.zeros(3)
-    path = velocity, attitude, measured, force, position, still
-    return Record(0, np.arange(n), time, *path, inputs, periods, np.zeros((6, 6)))
-
-
 def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():
     """Behind a propeller of the disk A it is that of the air and the thrust over A; other surfaces feel the air."""
     pressure, thrust, wing_area, disk = 180.0, np.array([9.0, 4.0]), 0.4, 0.08
@@ -121,18 +104,6 @@ def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():
     tau = thrust / (pressure * wing_area)
     wake = Slipstream(wing_area / disk, tau[1], np.array([1.0, 0.0]))
     assert_allclose(wake.effect(tau), [[behind[0] / behind[1], 1.0], [1.0, 1.0]])
-
-
-@pytest.mark.parametrize("gust", [0.0, 1.0])
-def test_the_airspeed_shows_the_size_of_gusts_without_the_noise_of_its_sensor(gust):
-    """Gusts of 2 s, sampled as a first-order process, and white noise of 0.3 m/s."""
-    rng = default_rng(1)
-    n = 30000
-    rho = np.exp(-0.02 / 2.0)
-    gusts = lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], rng.standard_normal(n))
-    record = still_flight(20.0 + gust * gusts + 0.3 * rng.standard_normal(n))
-    found = steady_wind([record], AirSettings()).gust
-    assert found == pytest.approx(gust * np.exp(-0.5 * 0.2 / 2.0), abs=0.1)
 
 
 DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))

@@ -240,7 +240,7 @@ def estimate_air_motion(
     The filter-error method (Maine & Iliff 1981; Jategaonkar 2015, chapter 5). Coefficients are
     linear in derivatives :math:`\theta`; gusts are Gauss-Markov processes. The air also rolls, as the spectra of
     MIL-F-8785C have it for its vertical gusts and the span (`rolling_gust`); coefficients depend on the rate of
-    roll relative to the air, which no sensor shows. With innovations
+    roll relative to the air, which no sensor shows. Its intensity is near that one. With innovations
     :math:`e_k` of an extended Kalman filter, of covariance :math:`S_k`, and
     :math:`D_k = \partial e_k / \partial \theta` at given gains, the derivatives solve
 

@@ -100,15 +100,15 @@ def air_noise(
     """Return the noises of a record at parameters by name, each (s,).
 
     ``roll`` are standard deviation and correlation time of the rate of roll of the air, by the spectrum
-    that belongs to the vertical gusts that were found. They do not move with ``value``: noise of the
-    rates of the aircraft is no evidence of gusts.
+    that belongs to the vertical gusts that were found. They do not move with the gusts of ``value``, as
+    noise of the rates of the aircraft is no evidence of gusts, but with their own intensity, near one.
     """
     gusts = GustProcesses.of(value)
     roll_std, roll_time = (np.full_like(value["time_v"][..., None], number) for number in roll)
     path_std = stacked(value, *PATH_ERRORS)
     path_time = np.full_like(path_std, settings.path_time)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")
-    std = np.concatenate([gusts.std, path_std, roll_std], axis=-1)
+    std = np.concatenate([gusts.std, path_std, value["rolling"][..., None] * roll_std], axis=-1)
     time = np.concatenate([gusts.time, path_time, roll_time], axis=-1)
     start_rates = np.full_like(drive, settings.start_rate_variance)
     inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")

@@ -67,6 +67,7 @@ SENSOR_CONSTANTS = ("thrust_scale", "airspeed_scale", "wind_down", *RATE_BIASES)
 AIRCRAFT_NOISES: Prior = {
     "time_h": (1.5, 0.8),  # correlation of gusts, horizontal and vertical [s]
     "time_v": (1.5, 0.8),
+    "rolling": (1.0, 1.0),  # intensity of the roll of the air, relative to the one by its spectrum
     "drive_p": (0.02, 1.0),  # random angular acceleration [rad/s^2/sqrt(Hz)]
     "drive_q": (0.02, 1.0),
     "drive_r": (0.02, 1.0),

@@ -124,23 +124,25 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
         of_path = _lags_of_path(table, settings)
         if not has_values(table, *VANES):
             log_step = max(segment.log_step for segment in segments)
-            servos, surfaces = _left_to_filter(servos_and_delay, log_step)
+            servos, surfaces = _left_to_filter(servos_and_delay, log_step, settings)
     return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
 
 
-def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -> tuple[Lag, Lag]:
+def _left_to_filter(
+    servos_and_delay: tuple[Lag, Lag] | None, log_step: float, settings: LagSettings
+) -> tuple[Lag, Lag]:
     """Return the lags of servos and of their commands, with what is removed before `estimate_air_motion`.
 
-    Its lag of servos takes in the half step by which commands are late that hold between samples, and what
-    is left of the delay. Less than the delay is removed: surfaces that are too late follow the motion
-    that an autopilot answers, and slopes are too small.
+    Its lag of servos takes in the half step by which commands are late that hold between samples, and
+    what is left of the delay. Two standard deviations less than the delay are removed, but at most 10 ms
+    less: surfaces that are too late follow the motion that an autopilot answers, and slopes are too small.
     """
     if servos_and_delay is None:
         return UNKNOWN, UNKNOWN
     servos, commands = servos_and_delay
     delay = commands.removal or 0.0
-    least = max(abs(delay) - SURE * commands.std, 0.0)
-    removed = -least if abs(delay) >= log_step else 0.0
+    margin = min(SURE * commands.std, settings.least_lag)
+    removed = delay + margin if abs(delay) >= log_step else 0.0
     return servos._replace(removal=0.0), commands._replace(removal=removed)
 
 

@@ -57,7 +57,7 @@ class LagCorrector(TableTransformer):
 
     Surfaces that are early are commands. They become the deflections :math:`\delta` of servos with
     a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay. Without vanes
-    only a delay of a step of the log or more is removed, less two standard deviations: the rest is
+    only a delay of a step of the log or more is removed, less two standard deviations or 10 ms: the rest is
     part of the lag that :class:`FlightPathReconstruction` removes, and surfaces that are too late follow
     the motion that an autopilot answers.
 

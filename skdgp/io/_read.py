@@ -41,7 +41,6 @@ from skdgp.io._tables import (
     read_parquet,
     reading,
     to_floats,
-    with_attitude,
 )
 
 UNKNOWN = "unknown_columns"
@@ -169,7 +168,7 @@ def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.Da
             f"Got the suffix {path.suffix!r}, but expected one of {sorted(TABLES | AUTOPILOTS)}: "
             "convert it, in MATLAB by writetable, or rename it."
         )
-    table = with_attitude(_renamed(TABLES[kind](path, rename), rename))
+    table = _renamed(TABLES[kind](path, rename), rename)
     if flight is not None or "flight" not in table:
         table["flight"] = path.stem if flight is None else flight
     return _as_flight(table)

@@ -17,10 +17,8 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import warn
-from skdgp._flight.channels import CHANNELS, EULER, TRUTH_SUFFIX
+from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.frames import quaternion_to_euler
-from skdgp._flight.tables import by_name
 
 
 @dataclass(frozen=True)
@@ -28,8 +26,6 @@ class TableLimits:
     """Limits of files, above those of any flight; guesses."""
 
     most_columns: int = 10_000
-    # of the norm of a quaternion that was rounded
-    norm_error: float = 0.05
 
 
 LIMITS = TableLimits()
@@ -53,8 +49,6 @@ SPELLINGS = {
 }  # fmt: skip
 # Powers and seconds have several spellings in any unit: m/s2, m/s², m/sec^2
 POWER = re.compile(r"(?<=[a-z])([23])\b")
-# Columns of a quaternion from body to north-east-down, the scalar first
-ATTITUDES = (("qw", "qx", "qy", "qz"), ("q0", "q1", "q2", "q3"))
 
 
 class FlightReadError(ValueError):
@@ -163,27 +157,6 @@ def _usual_spelling(unit: str) -> str:
     written = unit.strip().lower().replace("²", "2").replace("³", "3").replace("sec", "s")
     written = POWER.sub(r"^\1", written)
     return SPELLINGS.get(written, written)
-
-
-def with_attitude(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table with phi, theta, psi of its quaternions, with a FlightDataWarning, if it has these alone."""
-    for names in ATTITUDES:
-        is_whole = {*names} <= {*table.columns}
-        if not is_whole or {*EULER} & {*table.columns}:
-            continue
-        quaternions = table[list(names)].apply(pd.to_numeric, errors="coerce").to_numpy(float)
-        norms = np.linalg.norm(quaternions, axis=1)
-        if not np.nanmax(np.abs(norms - 1), initial=0.0) < LIMITS.norm_error:
-            continue
-        warn(
-            f"phi, theta and psi follow from the quaternion {' '.join(names)}, taken to turn body axes "
-            "to north, east, down, the scalar first.",
-            FlightDataWarning,
-        )
-        angles = quaternion_to_euler(quaternions)
-        others = table.drop(columns=list(names))
-        return others.assign(**by_name(EULER, angles))
-    return table
 
 
 HEADING = re.compile(r"([^\[(]*+)[\[(]([^\])]*+)[\])]")

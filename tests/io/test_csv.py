@@ -5,11 +5,9 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.dynamics import euler_to_quaternion
 from skdgp.io import FlightReadError, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
@@ -185,13 +183,3 @@ def test_the_page_has_these_cases():
 def test_units(read, name, factor):
     table = read(f"time,{name}\n0,40\n0.1,50\n")
     assert_allclose(table.iloc[:, -1], [40 * factor, 50 * factor])
-
-
-@pytest.mark.parametrize("names", ["qw qx qy qz", "q0 q1 q2 q3"])
-def test_an_attitude_of_quaternions(told, names):
-    angles = np.array([[0.3, -0.2, 1.0], [0.1, 0.4, -2.0]])
-    turned = euler_to_quaternion(*angles.T)
-    table = pd.DataFrame(turned, columns=names.split()).assign(time=[0.0, 0.1])
-    found = told(f"the quaternion {names}, taken to turn body axes", table)
-    assert_allclose(found[["phi", "theta", "psi"]], angles, atol=1e-12)
-    assert "qw" not in found

@@ -72,7 +72,7 @@ class Changes:
             if not np.isfinite(p):
                 text = "too short to tell whether the aircraft has changed"
             elif p < LEVEL:
-                table: Any = self.derivatives.loc[flight]
+                table: Any = self.derivatives.loc[str(flight)]
                 deviations = (table["change"] / table["std"]).abs()
                 parts = []
                 for name, row in table.loc[deviations.nlargest(MOST_NAMED).index].iterrows():

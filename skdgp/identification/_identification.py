@@ -9,6 +9,7 @@ from datetime import datetime
 from functools import cached_property, partial
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -148,7 +149,9 @@ class Identification:
                 tables[f"flight {flight.name}"] = score_table([flight]).tail(1)
         lines = [f"{self.aircraft.name}: {self.fit.summary}"]
         for title, table in tables.items():
-            form = {name: ("{:.1f}" if "%" in name else "{:.3f}").format for name in table}
+            form: Any = {
+                name: ("{:.1f}" if "%" in name else "{:.3f}").format for name in map(str, table)
+            }
             lines += ["", title, table.to_string(formatters=form)]
         lines.append("")
         if self.fit.reconstruction is not None:

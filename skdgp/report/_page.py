@@ -40,7 +40,7 @@ from skdgp.plotting import (
 
 STYLE = files("skdgp.report").joinpath("page.css").read_text(encoding="utf-8")
 PAGE = Template(files("skdgp.report").joinpath("page.html").read_text(encoding="utf-8"))
-PICTURE = {"svg.fonttype": "none", "svg.hashsalt": "skdgp", "font.size": 8}
+PICTURE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "skdgp", "font.size": 8}
 # flights with figures: of more only the one that is predicted worst has them (guess)
 SHOWN_FLIGHTS = 3
 EXCERPT = 15.0  # length of the look at a flight [s] (guess)
@@ -268,8 +268,8 @@ def _derivatives(table: pd.DataFrame) -> pd.DataFrame:
     table = table[is_of_plane & (table["regressor"] != "")]
     values = []
     for _, row in table.iterrows():
-        shown = with_std(row["value"], row.get("std"))
-        values.append(marked(shown, row.get("lower", 1.0), row.get("upper", 1.0)))
+        value = with_std(row["value"], row.get("std"))
+        values.append(marked(value, row.get("lower", 1.0), row.get("upper", 1.0)))
     shown = pd.DataFrame({"model": values}, index=table.index)
     if "std_aircraft" in table:
         shown["± of aircraft"] = table["std_aircraft"]
@@ -315,7 +315,7 @@ def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
 
 def _flights(flights: list[Evaluation], draw: bool) -> list[str]:
     """Return errors and figures of each test flight; of many, figures of the one predicted worst."""
-    errors = [float(score_table([flight]).at["mean", "NRMSE"]) for flight in flights]
+    errors = [score_table([flight])["NRMSE"]["mean"] for flight in flights]
     parts = []
     for flight, error in zip(flights, errors, strict=True):
         scores = score_table([flight])

@@ -9,6 +9,7 @@ from difflib import get_close_matches
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.findings import shortened
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HIGH_LIFT, MIXED, TRUTH_SUFFIX
 
@@ -79,7 +80,7 @@ def unknown_columns_message(names: Collection[str], available: Collection[str]) 
     """Return one line on columns of no known name: suggestions, then the others.
 
     >>> unknown_columns_message(["de", "voltage"], available=["time", "alpha"])
-    "'de' (did you mean 'elevator' [rad]?), and 1 other: voltage"
+    "'de' (did you mean 'elevator' [rad]?), voltage"
     """
     near = suggestions(names, available)
     hints = []
@@ -89,13 +90,7 @@ def unknown_columns_message(names: Collection[str], available: Collection[str]) 
         hints.append(f"{name!r} (did you mean {meant}?)")
     unlike = [name for name in names if name not in near]
     if unlike:
-        shown = ", ".join(unlike[:MOST_NAMES])
-        if len(unlike) > MOST_NAMES:
-            shown += ", ..."
-        count = f"{len(unlike)}"
-        if near:
-            count = "and 1 other" if len(unlike) == 1 else f"and {len(unlike)} others"
-        hints.append(f"{count}: {shown}")
+        hints.append(shortened(unlike, MOST_NAMES))
     return ", ".join(hints)
 
 

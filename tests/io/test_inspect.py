@@ -58,7 +58,7 @@ class TestSummary:
         with pytest.warns(UserWarning, match=words):
             (remark,) = inspect_log(path).remarks
         assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed' [m/s]?)")
-        assert "and 66 others: sensor_0, sensor_1" in remark
+        assert "sensor_0, sensor_1" in remark
         rename = {"ias": "airspeed", "de": "elevator", "aoa": "alpha"}
         found = set(inspect_log(path, rename=rename).columns.index)
         assert found == {"airspeed", "elevator", "alpha"}

@@ -4,7 +4,7 @@ from skdgp.identification._changed import Changes, FlightResiduals, changes_of
 from skdgp.identification._evaluate import Evaluation as Evaluation
 from skdgp.identification._evaluate import score_table as score_table
 from skdgp.identification._evaluate import scores as scores
-from skdgp.identification._flights import named_flights
+from skdgp.identification._flights import named_flights as named_flights
 from skdgp.identification._identification import Identification
 from skdgp.identification._identify import changed, identify, validate
 from skdgp.identification._mechanics import FlightMechanics as FlightMechanics
@@ -14,7 +14,8 @@ from skdgp.identification._pipeline import (
     flight_regressors,
     make_identification_pipeline,
 )
-from skdgp.identification._prepare import check_identified, usable_flights_of_model
+from skdgp.identification._prepare import check_identified as check_identified
+from skdgp.identification._prepare import usable_flights_of_model as usable_flights_of_model
 from skdgp.identification._record import FitRecord as FitRecord
 from skdgp.identification._record import TrainingRecord as TrainingRecord
 from skdgp.identification._record import flown_seconds as flown_seconds
@@ -32,13 +33,10 @@ __all__ = [
     "Verdict",
     "changed",
     "changes_of",
-    "check_identified",
     "flight_regressors",
     "identify",
     "load_model",
     "make_identification_pipeline",
-    "named_flights",
     "save_model",
-    "usable_flights_of_model",
     "validate",
 ]

@@ -27,7 +27,7 @@ from skdgp.dynamics import (
     check_aircraft,
     coefficient_filter,
 )
-from skdgp.estimation import without_airspeed_error
+from skdgp.estimation import prior_deviations, without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._least_squares import fit_least_squares
 from skdgp.identification._log_errors import learned_errors, thrust_errors
@@ -42,7 +42,6 @@ from skdgp.preprocessing import (
     LagCorrector,
     RateNondimensionalizer,
     RegressorSelector,
-    prior_deviations,
 )
 
 DIFFERENTIATED = (*VANES, *RATES)

@@ -10,7 +10,7 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 """
 
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.estimation import AirMotion, estimate_air_motion, prior_deviations
+from skdgp.estimation import AirMotion, estimate_air_motion
 from skdgp.preprocessing._cleaning import FlightCheck, FlightSmoother, inspect_flight
 from skdgp.preprocessing._cleaning import clean as clean
 from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer, RegressorSelector
@@ -29,5 +29,4 @@ __all__ = [
     "RegressorSelector",
     "estimate_air_motion",
     "inspect_flight",
-    "prior_deviations",
 ]

@@ -66,7 +66,14 @@ def _folder(options: argparse.Namespace) -> Path | None:
         return None
     output = Path(options.output)
     folder = output.parent if options.command == "predict" else output
-    nearest = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
+    try:
+        nearest = next(
+            path for path in (folder, *folder.parents) if path.exists() or path.is_symlink()
+        )
+    except OSError as error:  # a name that is too long
+        raise OSError(
+            f"Got {str(folder)!r} as the folder for the outputs, but {error.strerror}: name another one after -o."
+        ) from error
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise OSError(
             f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} is no folder "

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.control import fly
+from skdgp.control import _ardupilot, fly
 from skdgp.dynamics import (
     Aerodynamics,
     ScaleFactor,
@@ -300,3 +300,68 @@ class TestRefuses:
     def test_what_cannot_be(self, options, message, glider, steady):
         with pytest.raises(ValueError, match=message):
             fly(glider.model(), glider.aircraft, steady, **{"full": FULL} | options)
+
+    def test_a_surface_without_effect(self, glider, steady):
+        idle = np.where(np.arange(8) == 6, 0.0, glider.slopes)
+        with pytest.raises(ValueError, match="whose aileron does not change p"):
+            fly(glider.model(idle), glider.aircraft, steady, FULL)
+
+    def test_a_path_without_a_posterior(self, glider, steady):
+        model = glider.model(has_paths=False)
+        with pytest.raises(ValueError, match="without posterior samples"):
+            fly(model, glider.aircraft, steady, FULL, path=3)
+
+
+def test_elevons_are_mixed_back(flown):
+    """Left = pitch - roll, right = pitch + roll."""
+    parameters = {"SERVO1_FUNCTION": 77, "SERVO2_FUNCTION": 78, "SERVO3_FUNCTION": 70}
+
+    def play(autopilot):
+        for _ in range(40):
+            said = autopilot.send((1600, 1800, 1500))
+        p, q, _ = said["imu"]["gyro"]
+        assert p > 0.01
+        assert q > 0.01
+
+    row = flown(play, parameters=parameters).table.iloc[-1]
+    assert_allclose(row["aileron"], 0.4 * 0.25)
+    assert_allclose(row["elevator"], -0.3 * 0.5)
+
+
+def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
+    def play(autopilot):
+        first = autopilot.send(count=7)
+        assert autopilot.send(count=7) == first
+        assert autopilot.send(count=8)["timestamp"] == 2 / RATE
+        assert autopilot.send(count=0) == first
+
+    result = flown(play)
+    assert result.steps == 3
+    assert result.table["flight"].tolist() == ["start 1", "start 2"]
+    assert result.table["time"].tolist() == [1 / RATE, 1 / RATE]
+
+
+@pytest.mark.parametrize("count", [1, 5, 9])
+def test_another_autopilot_flies_after_silence(flown, count, monkeypatch):
+    monkeypatch.setattr(_ardupilot, "HANDOVER", 0.0)
+
+    def play(autopilot):
+        autopilot.send(count=5)
+        other = Autopilot(autopilot.target[1])
+        assert other.send(count=count)["timestamp"] == 1 / RATE
+        other.socket.close()
+
+    table = flown(play).table
+    assert table["flight"].tolist() == ["start 1", "start 2"]
+
+
+@pytest.mark.parametrize(
+    "garbage", [b"", b"hello", bytes(40), struct.pack("<HHI16H", 29569, 400, 1, *[1500] * 16)]
+)
+def test_garbage_is_named_and_ignored(flown, garbage):
+    def play(autopilot):
+        autopilot.socket.sendto(garbage, autopilot.target)
+        autopilot.send()
+
+    with pytest.warns(UserWarning, match=f"Got {len(garbage)} bytes .* but expected 16 or 32"):
+        assert flown(play).steps == 1

@@ -427,3 +427,149 @@ def test_what_the_log_moved_is_excited(glider):
     assert margins(linear, [loop], flight=flight[:400])["excited"].notna().all()
     with pytest.raises(ValueError, match=r"Got records of 1.0 s"):
         margins(linear, [loop], flight=flight[:50])
+
+
+def test_an_unstable_roll_loop_is_not_the_pitch_loops(with_spiral):
+    """The elevator does not move the spiral, which a weak roll loop leaves unstable."""
+    loops = autopilot_loops(PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}, FULL)
+    loops = [loop for loop in loops if loop.name != "yaw"]
+    table = margins(with_spiral, loops)
+    assert table["value"]["roll"]["gain"] == -np.inf
+    assert np.isfinite(table["value"]["pitch"]).all()
+    # nor are too high gains of pitch the roll loop's
+    roll = autopilot_loops(PX4 | {"FW_RR_P": 0.5}, {"aileron": FULL["aileron"]})
+    table = margins(with_spiral, [*roll, loops[1].scaled(30.0)])
+    assert np.isfinite(table["value"]["roll"]).all()
+    assert table["value"]["pitch"]["gain"] == -np.inf
+    (cause,) = table.attrs["unstable"]
+    assert cause.startswith("oscillation of")
+
+
+def test_px4_without_airspeed_does_not_scale_its_gains():
+    for parameters in ({"FW_ARSP_MODE": 1.0}, {"FW_USE_AIRSPD": 0.0}):
+        (roll,) = autopilot_loops(PX4 | parameters, {"aileron": 0.4})
+        assert_allclose(roll.feedback(np.array([1e9j]), 30.0, 1.0)["p"], -0.4 * PX4["FW_RR_P"])
+
+
+def test_a_feed_forward_alone_closes_the_loop_of_the_attitude():
+    gains = UNFILTERED | {"FW_RR_P": 0.0, "FW_RR_FF": 0.3, "FW_R_TC": 0.5}
+    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
+    laws = roll.feedback(np.array([2j]), 20.0, 1.225)
+    assert_allclose(laws["phi"], -0.4 * 0.3 / 0.5)
+
+
+def test_parameters_that_do_not_count_are_no_errors():
+    """The trim's airspeed of gains that are not scaled, the yaw controller of a rudder that is left out."""
+    autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4})
+    autopilot_loops({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"aileron": 0.4})
+    yaw = UNFILTERED | {"FW_RR_P": 0.0, "FW_YR_FF": 0.3}
+    assert autopilot_loops(yaw, {"rudder": 0.3})[0].name == "yaw"
+
+
+def test_a_control_without_gains_is_named():
+    with pytest.warns(UserWarning, match="no gains other than zero for rudder"):
+        autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1}, {"aileron": 0.4, "rudder": 0.3})
+
+
+def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
+    """However many rounds the search takes; these could be raised much farther."""
+    (pitch,) = autopilot_loops(PX4, {"elevator": FULL["elevator"]})
+    weak = pitch.scaled(1e-3)
+    (chosen,) = suggest_gains(linear, [weak])
+    assert_allclose(chosen.P / weak.P, 10 ** (26 / 20))
+
+
+def test_double_notches_and_harmonics_of_ardupilot_are_notches_at_their_frequencies():
+    harmonic = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0, "INS_HNTCH_BW": 10.0}
+    harmonic |= {"INS_HNTCH_HMNCS": 5, "INS_HNTCH_OPTS": 1, "INS_HNTCH_ATT": 40.0}
+    (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | harmonic, {"aileron": 0.4})
+    spread = 10.0 / (32 * 20.0)
+    expected = [f * (1 + sign * spread) for f in (20.0, 60.0) for sign in (-1, 1)]
+    assert_allclose([notch.frequency for notch in loop.gyro_notches], expected)
+    assert len({notch.quality for notch in loop.gyro_notches}) == 1
+
+
+def test_a_notch_that_follows_the_engine_is_taken_at_its_lowest_frequency_and_named():
+    follows = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 40.0, "INS_HNTCH_BW": 20.0}
+    follows |= {"INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_FM_RAT": 0.7}
+    with pytest.warns(UserWarning, match="INS_HNTCH_MODE 1"):
+        (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | follows, {"aileron": 0.4})
+    assert_allclose([notch.frequency for notch in loop.gyro_notches], [28.0, 56.0])
+
+
+@pytest.mark.parametrize(
+    ("extra", "names"),
+    [
+        ({"RLL_RATE_PDMX": 0.1, "RLL_RATE_SMAX": 150.0}, "RLL_RATE_PDMX 0.1, RLL_RATE_SMAX 150"),
+        ({"RLL_RATE_NEW": 0.1}, "RLL_RATE_NEW 0.1"),
+    ],
+)
+def test_parameters_of_the_loops_that_are_not_known_are_named(extra, names):
+    given = {"RLL_RATE_P": 0.1, "PTCH_RATE_SMAX": 150.0, "RLL_RATE_IMAX": 0.5} | extra
+    with pytest.warns(UserWarning, match=f"margins do not contain what they do: {names}\\."):
+        autopilot_loops(given, {"aileron": 0.4})
+
+
+def test_an_integrator_without_room_is_none():
+    gains = UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_IMAX": 0.0}
+    assert autopilot_loops(gains, {"aileron": 0.4})[0].I == 0.0
+
+
+def test_gains_that_a_file_lacks_are_the_firmwares_defaults():
+    with pytest.warns(UserWarning, match="lack .*FW_RR_I 0.1.* defaults of PX4"):
+        (roll,) = autopilot_loops({"FW_RR_P": 0.2}, {"aileron": 0.4})
+    assert (roll.P, roll.I, roll.FF, roll.time_constant) == (0.2, 0.1, 0.5, 0.4)
+    assert roll.parameters == {"FW_RR_P": 0.2, "FW_RR_I": 0.1, "FW_RR_FF": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("the gains are fine\n", "without parameters"),
+        ("FW_RR_P 0.05\nFW_RR_P 0.06\n", "FW_RR_P twice"),
+        ("1\t1\tFW_RR_P\t0.05\t9\n2\t1\tFW_RR_I\t0.1\t9\n", "vehicles 1, 2"),
+        ("@include plane.parm\nRLL_RATE_P 0.1\n", "in one file"),
+    ],
+)
+def test_files_that_are_not_of_one_vehicle_are_refused(text, words, tmp_path):
+    path = tmp_path / "plane.parm"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words):
+        read_parameters(path)
+
+
+@pytest.mark.parametrize("value", ["abc", "nan", "0.3.4", "0,3"])
+def test_a_gain_that_is_no_number_is_refused(value, tmp_path):
+    path = tmp_path / "plane.params"
+    path.write_text(f"RLL_RATE_P 0.1\nRLL_RATE_FF {value}\n")
+    with pytest.raises(
+        ValueError, match=r"Got the line 'RLL_RATE_FF .*a decimal point behind RLL_RATE_FF"
+    ):
+        read_parameters(path)
+
+
+def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
+    (loop,) = autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4})
+    with pytest.raises(ValueError, match="flaperon"):
+        margins(linear, [replace(loop, control="flaperon")])
+    with pytest.raises(ValueError, match="each of its own control"):
+        margins(linear, [loop, loop])
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        suggest_gains(linear, [loop], probability=95)
+    with pytest.raises(ValueError, match="airspeed of nan"):
+        margins(replace(linear, airspeed=np.nan), [loop])
+    with pytest.raises(TypeError, match="a list of Loop"):
+        margins(linear, "plane.params")
+    with pytest.raises(ValueError, match="without paths"):
+        suggest_gains(linear_of(glider), [loop])
+    with pytest.raises(ValueError, match="a number >= 0"):
+        linear_of(glider, delay=-1.0)
+
+
+def test_paths_have_intervals_and_probabilities(linear):
+    loops = autopilot_loops(PX4, FULL)
+    found = margins(linear, loops)
+    assert (found["lower"] <= found["value"])["roll"].all()
+    assert (found["value"] <= found["upper"])["roll"].all()
+    assert found["probability"].drop("crossover", level="quantity").between(0, 1).all()
+    assert found["excited"].isna().all()

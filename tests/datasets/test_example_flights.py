@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.random import RandomState
 from numpy.testing import assert_allclose, assert_array_equal
+from pandas.testing import assert_frame_equal
 from scipy.integrate import simpson
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
@@ -15,8 +16,13 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
+    GustyAir,
+    LocalAir,
+    Motion,
     air_data,
     euler_to_matrix,
+    euler_to_quaternion,
+    ned_to_body,
 )
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
@@ -66,6 +72,24 @@ class TestEquationsOfFlight:
         force = np.einsum("nij,nj->ni", rotation(flight), true(flight, "ax", "ay", "az"))
         assert (lost(position, velocity) < 1e-4).all()
         assert (lost(velocity, force + GRAVITY) < 1e-2).all()
+
+    def test_rates_are_integrals_of_their_derivatives(self, flight):
+        """Up to what gusts and commands do between the rows, which no rule of integration knows."""
+        value = true(flight, "p", "q", "r", "alpha", "beta")
+        rate = true(flight, "p_dot", "q_dot", "r_dot", "alpha_dot", "beta_dot")
+        assert (lost(value, rate) < 0.1).all()
+
+    def test_envelope(self, flight):
+        """Limits in SI units: alpha -2 to 14, beta 13, phi 75, theta 25 degrees; loads up to 3 g."""
+        limits = {
+            "airspeed_true": (28.0, 42.0), "alpha_true": (-0.035, 0.244), "beta_true": (-0.226, 0.226),
+            "phi_true": (-1.309, 1.309), "theta_true": (-0.436, 0.436), "az_true": (-29.42, 0.0),
+            "altitude": (150.0, 350.0), "throttle": (0.0, 1.0),
+            "elevon_left": (-0.4, 0.4), "elevon_right": (-0.4, 0.4),
+        }  # fmt: skip
+        for name, (low, high) in limits.items():
+            assert flight[name].between(low, high).all(), name
+        assert flight.throttle.isin([0.0, 1.0]).mean() < 0.02
 
 
 def regressors(flight, data):
@@ -158,6 +182,17 @@ class TestLoader:
         with pytest.raises(ValueError, match=name):
             load_example_flights(**{name: value})
 
+    def test_same_seed_same_flights(self, data):
+        """A shorter flight starts with the same gusts and noise, so it is the long one's beginning."""
+        short = load_example_flights(random_state=np.int64(0), duration=2.0)
+        near = {"rtol": 1e-9, "atol": 1e-9, "check_categorical": False}
+        assert_frame_equal(short.test, data.test[:80], **near)
+        assert_frame_equal(short.train[:80], data.train[:80], **near)
+
+    def test_turbulence_scales(self, data):
+        rough = load_example_flights(turbulence=2.0, duration=4.0).test
+        assert rough.wind_down_true.std() > 1.5 * data.test.wind_down_true[:160].std()
+
 
 class TestSensors:
     DEGREE = np.pi / 180
@@ -189,3 +224,44 @@ class TestSensors:
     def test_perfect_sensors_tell_the_truth(self):
         test = load_example_flights(sensor_noise=0.0, duration=2.0).test
         assert_array_equal(test[list(self.NOISE)], true(test, *self.NOISE))
+
+
+class TestGusts:
+    """Of the aircraft of these flights, at one state where nothing vanishes."""
+
+    ATTITUDE = euler_to_quaternion(0.5, 0.1, 2.0)
+    RATES = np.array([0.3, 0.12, -0.15])
+    STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, ATTITUDE, RATES]
+    CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
+    WIND = np.array([3.0, -2.0, 0.5])
+    STILL = np.zeros(3)
+
+    @pytest.fixture
+    def settled(self, data):
+        """Return what acts in a wind and gusts: their velocity, its rate of change, and their rates p, q, r."""
+        motion = Motion(data.truth, data.aircraft, lagged=True)
+
+        def settled(state, wind, *gusts, passes=12, slopes=(0.0, 0.0)):
+            air = GustyAir(lambda *_: LocalAir(wind), [part[None] for part in gusts])(0, state)
+            for _ in range(passes):
+                now = motion.at(state, self.CONTROLS, air, np.r_[slopes, np.zeros(6)])
+                slopes = now.implicit[:2]
+            return now
+
+        return settled
+
+    def test_steady_gust_acts_like_wind(self, settled):
+        """A body-fixed gust that follows a steady wind turns against the aircraft."""
+        gust = ned_to_body(self.ATTITUDE, self.WIND)
+        change = -np.cross(self.RATES, gust)
+        as_wind = settled(self.STATE, self.WIND, self.STILL, self.STILL, self.STILL)
+        as_gust = settled(self.STATE, self.STILL, gust, change, self.STILL)
+        assert_allclose(as_gust.derivative, as_wind.derivative, atol=1e-12)
+        assert_allclose(as_gust.implicit, as_wind.implicit, atol=1e-12)
+
+    def test_air_that_turns_with_the_aircraft_takes_its_damping_away(self, settled):
+        unturned = np.r_[self.STATE[:10], self.STILL]
+        once = {"passes": 1, "slopes": (0.02, -0.03)}
+        turning = settled(self.STATE, self.WIND, self.STILL, self.STILL, self.RATES, **once)
+        without = settled(unturned, self.WIND, self.STILL, self.STILL, self.STILL, **once)
+        assert_allclose(turning.coefficients, without.coefficients, atol=1e-15)

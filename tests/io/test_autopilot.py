@@ -68,6 +68,15 @@ class TestEveryChannelComesBack:
         assert set(table.columns) == names | {"time", "flight"}
         assert_is(table, flight, names)
 
+    def test_sources_are_told(self, read, px4, ardupilot):
+        table = read(px4)
+        assert not set(SURFACES) & set(table)  # without a servo file
+        sources = table.attrs["sources"]
+        assert sources["p"] == "vehicle_angular_velocity.xyz[0..2]"
+        assert sources["airspeed"] == "airspeed.true_airspeed_m_s"
+        sources = read(ardupilot, "log.bin").attrs["sources"]
+        assert sources["airspeed"] == "ARSP.Airspeed (equivalent; true by density)"
+
 
 class TestChoices:
     t = 1.0 + np.arange(600) / 50.0
@@ -113,6 +122,15 @@ class TestChoices:
         q = signs * np.column_stack([np.cos(half), np.sin(half), 0 * half, 0 * half])
         table = whole(ulog().topic("vehicle_attitude", self.t, q=q))
         assert_allclose(table["phi"], 0.2 * table["time"], atol=1e-3)
+
+    def test_another_instance_where_the_first_is_not_there(self, whole, ulog):
+        log = ulog().gyros(self.t, self.t, instance=2)
+        assert whole(log).attrs["sources"]["p"].startswith("vehicle_angular_velocity#2.")
+
+    def test_the_servo_file_is_believed_before_the_rules(self, whole, log):
+        log.topic("actuator_motors", self.t, control=np.tile([0.0, 0.7], (600, 1)))
+        servos = {"throttle": {"channel": "actuator_motors.control[1]", "points": [[0, 0], [1, 1]]}}
+        assert whole(log, servos=servos).throttle.median() == pytest.approx(0.7)
 
 
 def spans(table):
@@ -189,6 +207,15 @@ class TestFlights:
         assert_allclose(spans(table), [[100.0, 140.0], [5.0, 45.0]], atol=0.2)
         assert_allclose(table.groupby("flight").airspeed.median(), [20.0, 25.0], atol=0.2)
 
+    def test_an_airspeed_sensor_that_dies_ends_no_flight(self, read, log):
+        """It stops at 40 s, at a ground speed of 15 m/s throughout."""
+        measured = np.where(self.t < 40, 20.0 + np.sin(self.t), np.nan)
+        north = np.full(len(self.t), 15.0)
+        log = log(measured).topic("vehicle_local_position", self.t, vx=north, vy=north, vz=north)
+        table = read(log)
+        assert table.time.max() == pytest.approx(self.t[-1], abs=0.1)
+        assert table.airspeed[table.time > 40.1].isna().all()
+
 
 class TestRefusals:
     t = np.arange(0, 30, 0.02)
@@ -243,6 +270,12 @@ class TestWithoutAnAccelerometer:
         assert_allclose(found - [0.0, 0.0, -load], 0.0, atol=0.03)
         source = "velocity and attitude, as no accelerometer is of use"
         assert table.attrs["sources"]["az"] == source
+
+    def test_an_accelerometer_has_priority(self, read, log):
+        log.topic(
+            "vehicle_acceleration", np.arange(0, 30, 0.05), xyz=np.tile([0, 0, -9.0], (600, 1))
+        )
+        assert read(log).az.median() == pytest.approx(-9.0)
 
 
 class TestRules:
@@ -310,6 +343,10 @@ class TestStamps:
             table = recorded(time, time)
         assert_allclose(table["p"], table["time"], atol=1e-5)
 
+    @pytest.mark.parametrize("n", [2, 30, 60])
+    def test_a_short_log_far_from_zero_keeps_its_messages(self, recorded, n):
+        assert len(recorded(1e4 + 0.1 * np.arange(n), np.zeros(n))) == n
+
 
 class TestRates:
     @pytest.fixture
@@ -376,3 +413,13 @@ class TestOnTheGround:
             read(log)
         else:
             told("never armed", log)
+
+    def test_a_speed_finds_the_flight_of_the_summary_too(self, write, log):
+        path = write(log)
+        assert inspect_log(path).flights.empty
+        assert len(inspect_log(path, airborne=6.0).flights) == 1
+
+    def test_a_speed_overrides_the_flag_and_who_flew_is_asked(self, refused, told, log):
+        refused("no flight was found", log, airborne=30.0)
+        table = told("never armed.*are not what flew", log, airborne=6.0)
+        assert len(table) == len(self.t)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp.io import AUTOPILOTS, FlightReadError
+from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 
 read_dataflash = AUTOPILOTS[".bin"]
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
@@ -102,6 +102,12 @@ class TestWhatTheLogSaysOfItself:
         assert_allclose(topic["C"], [3.5, 350.25])
         assert_allclose(topic["L"], [48.1234567, -9.0], rtol=1e-12)
 
+    def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
+        log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=[1, 2, 3, 4])
+        kind = log.types["ABC"][0]
+        log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
+        assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
+
 
 class TestDamage:
     def test_bytes_between_messages(self, read, dataflash):
@@ -151,3 +157,9 @@ def test_a_parameter_that_changes_counts_as_in_the_middle(read, dataflash):
     for time, name, value in ((20, b"SERVO1_TRIM", 1520.0), (58, b"SERVO1_REVERSED", 1.0)):
         log.rows("PARM", "QNf", "TimeUS,Name,Value", [(10**6 * time, name, value)])
     assert read(log).parameters == {"SERVO1_REVERSED": 0.0, "SERVO1_TRIM": 1520.0}
+
+
+def test_how_a_file_begins_counts_before_its_suffix(write, dataflash):
+    log = ticks(dataflash(), *(10**5 * np.arange(100)))
+    log.topic("ARSP", np.arange(0, 10, 0.1), Airspeed=20.0)
+    assert_allclose(read_flight(write(log, "binary.log"), airborne=False).airspeed, 20.0)

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 
 from skdgp.dynamics import Aircraft
 from skdgp.identification import identify, named_flights
-from skdgp.io import FlightReadError, inspect_log, read_flight
+from skdgp.io import FlightReadError, inspect_log, names_servos, read_flight
 
 
 @pytest.fixture
@@ -73,6 +73,30 @@ class TestSummary:
         assert "(4.02 to 5.2 s, 60 samples)" in remark
         assert remark[:30] in str(summary)
 
+    def test_a_table_of_many_short_records(self, write):
+        time = 0.01 * np.arange(150)
+        motion = {"airspeed": 5 + np.sin(time), "p": np.cos(time)}
+        still = dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1)
+        records = [
+            pd.DataFrame({"time": 0.003 * k + time, "flight": f"run {k}", **motion, **still})
+            for k in range(9)
+        ]
+        summary = inspect_log(write(pd.concat(records)))
+        assert len(summary.flights) == 9
+        assert summary.columns["rate"].tolist() == pytest.approx([100.0] * len(summary.columns))
+        text = str(summary)
+        assert text.count("flight from") == 9
+        assert max(map(len, text.splitlines()[1:])) <= 110
+        assert len(summary.remarks) == 2  # of q and r in each record
+        assert all("(8 more of this kind)" in remark for remark in summary.remarks)
+
+    def test_a_unit_in_a_name_hides_no_suggestion(self, write):
+        names = {"Roll_deg": "'phi' [rad]", "gx_dps": "'p' [rad/s]", "IAS_mps": "'airspeed' [m/s]"}
+        with pytest.warns(UserWarning, match="did you mean") as caught:
+            inspect_log(write(named(*names)))
+        said = str(caught[0].message)
+        assert all(f"{name!r} (did you mean {meant}?)" in said for name, meant in names.items())
+
 
 def test_what_was_not_measured_contradicts_nothing(write, flight):
     """Of a sound flight: the IMU ends at 27 s, and its columns are zero from there."""
@@ -103,6 +127,23 @@ class TestCommand:
         words = "Got logs of autopilots without servos beside tables"
         with pytest.raises(ValueError, match=words):
             identify([whole, table], Aircraft.estimate(3.0, 1.8))
+
+    def test_which_logs_name_their_servos(self, whole, ardupilot, tmp_path):
+        (tmp_path / "log.bin").write_bytes(ardupilot)
+        assert names_servos(tmp_path / "log.bin")
+        assert not names_servos(whole)
+
+    def test_identify_is_told_what_of_a_log_is_a_flight(self, command, whole, tmp_path, capsys):
+        for airborne in (True, False):
+            flight = named_flights([whole], airborne=airborne)["whole"]
+            assert len(flight.table) == len(read_flight(whole, airborne=airborne)) > 0
+        (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
+        files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
+        assert command(["identify", str(whole), *files]) == 1
+        assert "CA_SV_CSn_TYPE" in capsys.readouterr().err
+        assert command(["identify", str(whole), *files, "--airborne", "300", *SLOPES]) == 1
+        assert "--airborne all" in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.fixture

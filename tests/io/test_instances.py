@@ -113,6 +113,31 @@ class TestArduPilot:
         table = told("used by the autopilot: XKF4.PI", log, airborne=False)
         assert_allclose(table.v_north.dropna(), 9.0)
 
+    @pytest.mark.parametrize("kind", [0, 2, 3, 11])
+    def test_an_estimator_that_was_not_flown_by_is_no_source(self, read, kind, plane):
+        """AHRS_EKF_TYPE 0 and 11 are none of those that log a velocity: it is the one of the GPS."""
+        log = plane(AHRS_EKF_TYPE=float(kind))
+        for name, speed in (("NKF1", 2.0), ("XKF1", 3.0)):
+            log.topic(name, SLOW, **dict.fromkeys(("VN", "VE", "VD"), speed))
+        log.topic("GPS", SLOW, Status=("B", 3), Spd=9.0, GCrs=0.0, VZ=0.0)
+        table = read(log, airborne=False)
+        assert_allclose(table.v_north.dropna(), kind if kind in (2, 3) else 9.0)
+
+    @pytest.mark.parametrize(("name", "ekf"), [("XKF4", "EK3"), ("NKF4", "EK2")])
+    def test_the_imu_of_a_lane_is_one_of_its_mask(self, told, dataflash, name, ekf):
+        """The mask 0b110 has lanes on IMU 1 and IMU 2 alone; the second lane is used."""
+        log = dataflash(**{f"{ekf}_IMU_MASK": 6.0})
+        for number in range(3):
+            log.gyros(T + number * 1e-3, np.sin(T) + number, I=("B", number))
+        log.topic(name, SLOW, PI=("B", 1))
+        table = told(
+            rf"p q r of IMU#2\..* \(of 3, used by the autopilot: {name}\.PI",
+            log,
+            "log.bin",
+            airborne=False,
+        )
+        assert_wave(table[10:-10], "p", 1.0, mean=2.0)
+
 
 class TestPX4:
     @pytest.mark.parametrize("field", ["airspeed_source", "selected_airspeed_index"])
@@ -132,6 +157,47 @@ class TestPX4:
         table = told(r"67 % of it .*airspeed_source", log, airborne=False)
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
+
+    @pytest.mark.parametrize(
+        ("rates", "chosen"), [((2, 4), 1), ((4, 5), 1), ((4, 4.2), 0), ((6, 50), 0)]
+    )
+    def test_of_slow_sources_a_clearly_faster_one_counts(self, read, ulog, rates, chosen):
+        """Below 5 Hz, which is enough for the preferred one."""
+        log = ulog()
+        names = {"vehicle_angular_velocity": "xyz", "sensor_combined": "gyro_rad"}
+        for number, (topic, field) in enumerate(names.items()):
+            time = np.arange(10, 40, 1 / rates[number])
+            rate = np.full((len(time), 3), number + 0.1 * np.sin(time)[:, None])
+            log.topic(topic, time, **{field: rate})
+        table = read(log, airborne=False)
+        assert_allclose(table.p, chosen, atol=0.11)
+
+    def test_a_selection_that_is_logged_once(self, told, ulog):
+        log = ulog()
+        for number in range(2):
+            device = ("int32_t", 100 + number)
+            rates = {axis: np.sin(T) + number for axis in "xyz"}
+            log.topic("sensor_gyro", T, instance=number, device_id=device, **rates)
+        log.topic("sensor_selection", SLOW[:1], gyro_device_id=("int32_t", np.array([101])))
+        table = told(
+            r"sensor_gyro#1\..* \(of 2, used by the autopilot: sensor_selection",
+            log,
+            airborne=False,
+        )
+        assert_wave(table[10:-10], "p", 1.0, mean=1.0)
+
+    @pytest.mark.parametrize("begin", [25, 0])
+    def test_a_sensor_of_little_confidence(self, told, px4, begin):
+        """It fails in flight, or is worse throughout."""
+        log = px4()
+        fails = begin < SLOW
+        confidence = np.where(fails, 0.3 if begin == 0 else 0.0, 1.0)
+        first = np.where(fails, 0.7 * TRUE, TRUE)
+        log.topic("airspeed", SLOW, true_airspeed_m_s=first, confidence=confidence)
+        fields = {"true_airspeed_m_s": TRUE, "confidence": np.ones(len(SLOW))}
+        log.topic("airspeed", SLOW, instance=1, **fields)
+        table = told(r"airspeed#1\..* \(of 2, the healthiest\)", log, airborne=False)
+        assert_is_the_true_airspeed(table)
 
 
 class TestResets:
@@ -303,6 +369,92 @@ class TestVehicles:
         output = 0.8 * (share + (1 - share) * opening)
         table = allocated(*[output] * len(kinds), **parameters)
         assert_wave(table, "spoiler", 0.5, mean=0.5, atol=0.003)
+
+    def test_an_engine_whose_speed_sensor_is_unhealthy_does_not_count(self, read, plane):
+        log = plane()
+        for number, speed in enumerate((9000.0, 6000.0)):
+            message = {"I": ("B", number), "RPM": speed, "H": ("B", number)}
+            log.topic("RPM", SLOW + number * 1e-3, **message)
+        table = read(log, airborne=False)
+        assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
+
+    def test_an_engine_that_is_switched_off(self, read, px4):
+        """The right one of two gets no number from 25 s on; the thrust that was asked for stays."""
+        log = px4(CA_ROTOR0_PY=-0.5, CA_ROTOR1_PY=0.5)
+        log.topic("vehicle_thrust_setpoint", SLOW, xyz=np.outer(np.ones(len(SLOW)), [0.6, 0, 0]))
+        right = np.where(SLOW < 25, 0.6, np.nan)
+        motors = np.column_stack([0.6 + 0 * SLOW, right])
+        log.topic("actuator_motors", SLOW, control=motors)
+        table = read(log, airborne=False)
+        early = table[table.time < 24.8]
+        late = table[table.time > 25.2]
+        assert_allclose(early[["throttle", "differential_throttle"]], [[0.6, 0.0]] * len(early))
+        late = late[["throttle", "differential_throttle"]].dropna()
+        assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
+
+    def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane):
+        """Four lift until 20 s, then the fifth pushes."""
+        lifts = SLOW < 20
+        motors = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
+        log = plane("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, **motors)
+        pulse = ("H", np.where(lifts, 1600, 1000))
+        log.topic("RCOU", SLOW, **dict.fromkeys(("C5", "C6", "C7", "C8"), pulse))
+        for k in range(5):
+            rpm = 6000.0 * (lifts == (k < 4))
+            log.topic("ESC", SLOW + 1e-4 * k, Instance=("B", k), RPM=rpm)
+        log.topic("ARSP", SLOW, I=("B", 0), Airspeed=TRUE, H=("B", 1))
+        table = told("rotors lift", log)
+        assert_allclose(table.propeller_speed[table.time > 20.5], 200 * np.pi, rtol=1e-6)
+
+    def test_the_motor_that_drives_a_vtol_of_px4(self, told, px4):
+        lifts = SLOW < 20
+        log = as_vtol(px4(), np.where(lifts, 3, 4))
+        lift = [0.5] * 8 + [np.nan]
+        push = [np.nan] * 8 + [0.7]
+        commands = np.where(lifts[:, None], lift, push)
+        log.topic("actuator_motors", SLOW, control=commands)
+        table = told("rotors lift", log)
+        assert_allclose(table.throttle[table.time > 20.5], 0.7, rtol=1e-6)
+
+    @pytest.mark.parametrize("name", ["RPM", "ESC2"])
+    def test_the_engine_that_runs(self, read, name, plane):
+        log = plane()
+        if name == "RPM":
+            log.topic("RPM", SLOW, rpm1=0.0, rpm2=6000.0)
+        else:
+            log.topic("ESC1", SLOW, RPM=("e", 0.0)).topic("ESC2", SLOW, RPM=("e", 6000.0))
+        table = read(log, airborne=False)
+        assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
+
+    def test_surfaces_beyond_the_number_of_surfaces_are_none(self, allocated):
+        """Their types are left from an earlier configuration, and their outputs are not used."""
+        kinds = {"CA_SV_CS0_TYPE": 3, "CA_SV_CS1_TYPE": 9}
+        table = allocated(0.1 * np.sin(SLOW), np.nan, CA_SV_CS_COUNT=1, **kinds)
+        assert {"elevator", "flap"} & {*table} == {"elevator"}
+
+    def test_flaperons_of_px4_that_only_open(self, allocated):
+        """Since version 1.16 they are closed at zero, and open by f CA_SV_CSn_FLAP."""
+        roll = 0.2 * np.sin(SLOW)
+        flap = np.clip((SLOW - 20) / 10, 0.0, 1.0)
+        table = allocated(0.5 * flap - roll, 0.5 * flap + roll, **FLAPERONS)
+        assert_allclose(table.flap, np.clip((table.time - 20) / 10, 0.0, 1.0), atol=0.005)
+
+    @pytest.mark.parametrize(("field", "column"), [(4, "flap"), (5, "spoiler"), (6, "spoiler")])
+    def test_flaps_and_spoilers_before_a_fixed_mixer(self, field, column, px4, surfaces):
+        log = px4()
+        controls = np.zeros((len(SLOW), 8))
+        controls[:, field] = 0.5 + 0.5 * np.sin(SLOW)
+        log.topic("actuator_controls_0", SLOW, control=controls)
+        table = surfaces(log)
+        assert {"flap", "spoiler"} & {*table} == {column}
+        assert_wave(table, column, 0.5, mean=0.5, atol=0.003)
+
+    def test_an_output_that_is_off_gives_way_to_one_that_moves(self, plane, surfaces):
+        """Two outputs have the function of the aileron, and the first gets no pulse."""
+        log = plane(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=4.0)
+        log.topic("RCOU", SLOW, C1=("H", 0), C5=pulse(0.3 * np.sin(SLOW)))
+        table = surfaces(log)
+        assert_wave(table, "aileron", 0.3, atol=0.005)
 
 
 class TestInertialSensors:

@@ -59,3 +59,20 @@ def test_the_mode_counts_where_no_output_tells(told, vtol, parameters, outputs):
     log.topic("RCOU", SLOW, **dict.fromkeys(outputs.split(), ("H", 1500)))
     table = told("rotors lift", log)
     assert is_in_forward_flight_alone(table)
+
+
+def test_a_flight_in_which_rotors_lift_throughout(refused, vtol):
+    log = vtol(**MOTORS)
+    log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **RUNNING)
+    said = refused("rotors lift the VTOL, or it is in transition, throughout", log)
+    assert "never stays above" not in said
+
+
+def test_a_mode_that_flies_on_wings_at_first(read, vtol):
+    """QRTL returns in forward flight: the motors count, which are idle."""
+    log = vtol(**MOTORS)
+    log.topic("MODE", SLOW + 1e-3, Mode=("M", 0), ModeNum=("B", 21))
+    idle = dict.fromkeys(RUNNING, ("H", 1000))
+    log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **idle)
+    table = read(log)
+    assert len(table) > 0.98 * len(T)

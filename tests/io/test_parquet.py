@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from skdgp.io import FlightReadError, read_flight
+from skdgp.io import FlightReadError, inspect_log, read_flight
 
 TIME = [0.0, 0.5, 1.0]
 ALPHA = [0.25, 0.5, 0.25]
@@ -100,3 +100,36 @@ def test_an_index_that_pandas_wrote(tmp_path):
         FlightReadError, match="expected time to increase"
     ):  # rows stay in their order
         read_flight(tmp_path / "log.parquet")
+
+
+@pytest.mark.parametrize("name", ["alpha", " alpha"])
+def test_a_name_twice(read, name):
+    columns = [TABLE["time"], TABLE["alpha"], TABLE["alpha"]]
+    with pytest.raises(FlightReadError, match=r"columns \['alpha'\] repeated"):
+        read(pa.Table.from_arrays(columns, names=["time", "alpha", name]))
+
+
+def test_nothing_in_a_column(read):
+    assert read(beta=pa.nulls(3)).beta.isna().all()
+
+
+@pytest.mark.parametrize(
+    "words", ["{}", "{x", '{"index_columns": ["none"], "columns": [], "column_indexes": []}']
+)
+def test_what_pandas_is_told_does_not_matter(read, words):
+    assert read(TABLE.replace_schema_metadata({"pandas": words})).alpha.tolist() == ALPHA
+
+
+def test_the_damage_that_pyarrow_tells_in_its_own_words(tmp_path):
+    pq.write_table(TABLE, tmp_path / "log.parquet")
+    raw = (tmp_path / "log.parquet").read_bytes()
+    for content in (
+        b"PAR1",
+        b"PAR1PAR1",
+        raw[:-5] + b"\xffPAR1",
+        raw.replace(b"time", b"\xff\xfeme"),
+    ):
+        (tmp_path / "log.parquet").write_bytes(content)
+        for reader in (read_flight, inspect_log):
+            with pytest.raises(FlightReadError, match="not a whole parquet file"):
+                reader(tmp_path / "log.parquet")

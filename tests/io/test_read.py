@@ -52,6 +52,17 @@ class TestUnitsThatNumbersGiveAway:
         refused("looks like milliseconds", table(time=20.0 * np.arange(50)))
         assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)
 
+    def test_values_of_another_column(self, refused):
+        """A name is missing in the header, so the airspeed stands under alpha."""
+        rows = table(alpha=0.05)[["time", "airspeed", "alpha", "q"]]
+        shifted = rows.set_axis(["time", "alpha", "q", "extra"], axis="columns")
+        refused("look like the values of another column", shifted)
+
+    def test_one_bad_sample_is_not_a_unit(self, read):
+        alpha = np.full(500, 0.05)
+        alpha[100] = 3.0
+        assert len(read(pd.DataFrame({"time": np.arange(500) * 0.02, "alpha": alpha}))) == 500
+
 
 class TestRefusals:
     @pytest.mark.parametrize(
@@ -92,6 +103,24 @@ class TestRefusals:
         with pytest.raises(ImportError, match=rf"pip install 'skdgp\[{extra}\]'"):
             read(b"", name)
 
+    @pytest.mark.parametrize(
+        ("name", "content", "message"),
+        [
+            ("log.bin", b"", "does not begin as a DataFlash log does"),
+            ("log.bin", b"\xa3", "does not begin as a DataFlash log does"),
+            ("log.bin", b"time,alpha\n", "does not begin as a DataFlash log does"),
+            ("log.ulg", b"", "does not begin as a ULog does"),
+            ("log.ulg", b"ULog", "does not begin as a ULog does"),
+            ("log.ulg", b"time,alpha\n", "does not begin as a ULog does"),
+            ("log.tlog", b"", "without a message ATTITUDE"),
+            ("log.tlog", b"text", "without a message ATTITUDE"),
+            ("log.tlog", bytes(1000), "without a message ATTITUDE"),
+        ],
+    )
+    def test_logs_of_another_kind(self, refused, name, content, message):
+        pytest.importorskip("pymavlink")
+        refused(message, content, name)
+
 
 class TestRemarks:
     def test_misspelt_names(self, read):
@@ -130,3 +159,7 @@ class TestRename:
     def test_refusals(self, refused, rename, message):
         named = table().rename(columns={"elevator": "de"})
         refused(message, named, "a.parquet", rename=rename)
+
+
+def test_accelerations_that_were_never_sampled_are_no_warning(read):
+    assert read("time,ax,ay,az\n0,,,\n0.1,,,\n")[["ax", "ay", "az"]].isna().all(axis=None)

@@ -75,3 +75,21 @@ def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):
     table = read(log, "log.bin", airborne=False)
     assert table["az"].notna().any()
     assert_allclose(table[POSITION], 0.0)
+
+
+def test_of_the_imu_that_the_autopilot_used(told, dataflash):
+    log = dataflash(**parameters("INS_POS1", (1.0, 1.0, 1.0)), **parameters("INS_POS2"))
+    for number in range(2):
+        inertial(log, number)
+    log.topic("XKF4", T[::5], PI=("B", 1))
+    table = told(
+        r"IMU#1\..* \(of 2, used by the autopilot: XKF4\.PI", log, "log.bin", airborne=False
+    )
+    assert_is_placed(table)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (np.nan, 0.1, 0.1)])
+def test_zeros_state_nothing(read, dataflash, place):
+    """They are the default of autopilots."""
+    table = read(inertial(dataflash(**parameters("INS_POS1", place))), "log.bin", airborne=False)
+    assert {*POSITION}.isdisjoint(table.columns)

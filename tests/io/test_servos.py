@@ -138,6 +138,12 @@ class TestFullThrow:
         log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=[1, 2])
         refused("without parameters that name", log, servos="full throw")
 
+    def test_elevons_of_px4_take_nothing_from_a_fixed_mixer(self, parse, ulog):
+        log = ulog(**parameters_of({0: (5, -0.5, 0.5, 0), 1: (6, 0.5, 0.5, 0)}))
+        log.topic("actuator_servos", [0.1, 0.2], control=np.zeros((2, 2)))
+        log.topic("actuator_controls_0", [0.1, 0.2], control=np.zeros((2, 4)))
+        assert {*parse(log).controls} == {"aileron", "elevator"}
+
 
 def test_reversed_outputs(parse, dataflash):
     log = dataflash(SERVO1_FUNCTION=77.0, SERVO1_REVERSED=1.0, SERVO2_FUNCTION=78.0)
@@ -193,3 +199,36 @@ def test_the_code_runs(write, monkeypatch, ulog, flight):
     names = {}
     for block in blocks("python"):
         exec(compile(block, "logs.md", "exec"), names)
+
+
+def test_a_part_of_a_log_without_outputs(told, dataflash):
+    """The clock restarts, and the log ends before the first output."""
+    log = dataflash(SERVO1_FUNCTION=4.0)
+    times = np.arange(50, 80, 0.05), np.arange(0, 8, 0.05)
+    log.topic("RCOU", times[0], C1=("H", 1700))
+    log.topic("ARSP", times[0], Airspeed=20.0, H=("B", 1))
+    messages = sorted(log.data, key=lambda timed: timed[0])
+    log.topic("ARSP", times[1], Airspeed=20.0, H=("B", 1))
+    later = log.data[len(messages) :]
+    log.data = [(k, message) for k, (_, message) in enumerate(messages + later)]
+    table = told("the clock was set back", log, servos="full throw")
+    assert_allclose(table.aileron[table.flight == "log"], 0.5)
+    assert table.aileron[table.flight == "log#2"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("topic", "parameters"),
+    [("actuator_controls_0", {}), ("actuator_servos", {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3})],
+)
+def test_servos_of_px4(parse, ulog, topic, parameters):
+    log = ulog(**parameters).topic(topic, [0.1, 0.2], control=np.zeros((2, 4)))
+    _, servo = parse(log).controls["elevator"][0]
+    assert servo.channel == f"{topic}.control[1]"
+
+
+def test_the_servo_file_is_one(tmp_path):
+    (text,) = blocks("toml")
+    (tmp_path / "servo.toml").write_text(text)
+    servos = read_servos(tmp_path / "servo.toml")
+    assert servos["elevator"].angles == (0.35, 0.0, -0.35)
+    assert servos["aileron"].channel == "actuator_outputs.output[0]"

@@ -142,3 +142,17 @@ def test_engines_by_their_controllers(read, mavlink, with_sent):
     sent = mavlink.MAVLink_esc_telemetry_1_to_4_message(four, four, four, four, rpm, four)
     table = read(with_sent("ATTITUDE", lambda _: [sent]))
     assert_allclose(table.propeller_speed.dropna(), 200 * math.pi, rtol=1e-6)
+
+
+def test_a_dead_inertial_sensor_gives_way_to_the_second(told, mavlink, plane, with_sent):
+    """Of SCALED_IMU nothing moves; RAW_IMU is left out."""
+
+    def sensors(message):
+        time = plane.decode(bytearray(message[8:])).time_boot_ms
+        rates = [100 + time % 7] * 3
+        still = mavlink.MAVLink_scaled_imu_message(time, 0, 0, -1000, *[0] * 6)
+        moving = mavlink.MAVLink_scaled_imu2_message(time, 0, 0, -1000, *rates, 0, 0, 0)
+        return [still, moving]
+
+    table = told("SCALED_IMU2", with_sent("ATTITUDE", sensors, without="RAW_IMU"))
+    assert table.p.dropna().between(0.1, 0.106).all()

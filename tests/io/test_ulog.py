@@ -71,6 +71,9 @@ class TestWhatTheLogSaysOfItself:
         )
         assert log.vehicle == vehicle
 
+    def test_unknown_vehicle(self, read):
+        assert read(*TICK, *ticks(1, 2)).vehicle is None
+
 
 def times(log):
     return (log.topics["tick"].time * 1e6).round().astype(int).tolist()
@@ -115,6 +118,17 @@ class TestDamage:
     def test_a_definition_that_holds_itself_is_refused(self, read):
         with pytest.raises(FlightReadError, match="maximum recursion"):
             read(definition("bad:bad inner;"), *TICK, subscription(5, "bad"), *ticks(1, 2))
+
+    def test_messages_of_no_topic(self, read):
+        assert read(*TICK, *ticks(1, 2), datum(9, "Q", 3)).remarks == SKIPPED
+
+    def test_a_parameter_shorter_than_its_type_ends_the_reading(self, read):
+        log = read(*TICK, *ticks(1, 2), message("P", b"\x07float A\x00"), *ticks(3, 4))
+        assert times(log) == [1, 2]
+        assert log.remarks == (f"{len(ticks(3)[0]) * 2} bytes could not be read and were skipped",)
+
+    def test_messages_out_of_order_stay_in_the_order_of_the_file(self, read):
+        assert times(read(*TICK, *ticks(3, 1, 2))) == [3, 1, 2]
 
 
 class TestRefusals:

@@ -108,3 +108,17 @@ def test_the_airspeed_before_a_new_ratio_is_scaled_to_it(told, dataflash, flight
     log.rows("PARM", "QNf", "TimeUS,Name,Value", [(25_050_000, b"ARSPD_RATIO", 2.88)])
     table = told("ARSPD_RATIO changed from 2 to 2.88", log, airborne=False)
     assert_allclose(table["airspeed"].dropna(), np.sqrt(2.88 * 100.0), rtol=1e-4)
+
+
+def test_no_trim_changes_nothing(read, dataflash, flight):
+    log = dataflash_log(dataflash, flight, Rotation.identity(), AHRS_TRIM_X=0.0, AHRS_TRIM_Y=0.0)
+    table = read(log, airborne=False)
+    assert_in_body_axes(table, flight)
+    assert "AHRS_TRIM" not in table.attrs["sources"]["ax"]
+
+
+def test_telemetry_without_the_trim_says_so(told, mavlink_parameters):
+    told(
+        "AHRS_TRIM_X and _Y are not in the telemetry",
+        mavlink_parameters({}, without=b"AHRS_TRIM_X"),
+    )

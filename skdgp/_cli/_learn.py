@@ -253,7 +253,7 @@ LEARNING: dict[str, dict[str, Any]] = {
         "help": (
             "exact conditions on every row, in time that grows with their cube; sparse "
             "on inducing variables, in time that grows with the rows (default: auto, "
-            "exact up to a thousand rows)"
+            "exact up to a thousand values, which are rows times six)"
         ),
     },
     "--inducing": {
@@ -315,7 +315,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     "--max-iter": {
         "metavar": "N",
         "type": opt.at_least(1),
-        "help": "iterations of the fit (default: 60, and up to 60 more while errors of held-out blocks fall)",
+        "help": "largest number of steps of the fit from each start (default: 300)",
     },
     **opt.shared("--seed"),
 }

@@ -114,7 +114,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Bounds of a learned noise variance, in squared units of the outputs. None: 1e-6 to 100 times
         the variance of the output, or fixed where a ``noise_variance`` is given.
     optimizer : "fmin_l_bfgs_b" or None
-        None keeps the values of the kernel, and estimates noise that is not given. The posterior
+        The name is scikit-learn's; the search is that of docs/theory.md, hyperparameters. None keeps the values of the kernel, and estimates noise that is not given. The posterior
         uses all values.
     n_restarts_optimizer : int
         Searches of each kernel from random starts within its bounds, of which the likeliest counts.
@@ -559,7 +559,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def function_errors(self) -> FunctionErrors | None:
         """Return the errors of the function that the posterior alone does not hold, part of every prediction.
 
-        In units of the outputs. See :func:`skdgp.inference.function_errors`; None without ``time``
+        In units of the outputs. See docs/theory.md; None without ``time``
         and known slopes.
 
         Examples

@@ -35,7 +35,7 @@ ROUNDING = 1e-6
 class Choice:
     """Greedy search for the sequence of manoeuvres with the largest gain in a given time.
 
-    An exchange of single manoeuvres afterwards lowers errors by 1 %.
+    Exchanges of single manoeuvres afterwards, which are not made, would lower errors by 1 %.
 
     Parameters
     ----------

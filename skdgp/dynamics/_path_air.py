@@ -121,8 +121,9 @@ def drift_in(met: Turbulence | None, model: Aerodynamics) -> Drift | None:
     .. math:: \rho = \frac{\sigma^2 + \sigma_0^2}{\sigma_\mathrm{flown}^2 + \sigma_0^2},
 
     where :math:`\sigma_0` is what sensors show of calm air; a drift of flights in calm air does not grow. The
-    drawn rates of gusts are part of this variance, too: without them spreads of simulations differ by less
-    than 1 %.
+    drawn rates of gusts are part of this variance, too, and so count twice. Ratios of spreads with and without
+    this part were within 1.1 % of one after 2 s (pitch rate 5 %), within 9 % for the yaw rate after 1 s, and
+    0.52 to 1.33 after 5 s.
     """
     drift = model.drift
     flown = model.turbulence

@@ -67,7 +67,7 @@ class Evaluation:
     baseline : (n, 6), optional
         Coefficients that least squares on the same rows predict.
     replay : DataFrame, optional
-        Of `skdgp.dynamics.replay` for ``table``.
+        States integrated from the predicted coefficients along ``table``.
     """
 
     name: str

@@ -241,7 +241,7 @@ class TestWeights:
         assert 0.5 * error < np.median(std) < 3 * error
 
     def test_what_another_output_says_of_gaps_counts_for_all_terms(self):
-        """A quick function of time that one output has as well: no trend or main effect of the regressor follows it."""
+        """A quick function of time that one output has as well: no trend follows it."""
         rng = default_rng(0)
         x = np.sort(rng.uniform(0, 40, (240, 1)), axis=0)
         common = np.sin(4 * x[:, 0]) + np.sin(2.7 * x[:, 0])

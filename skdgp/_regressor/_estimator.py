@@ -114,8 +114,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Bounds of a learned noise variance, in squared units of the outputs. None: 1e-6 to 100 times
         the variance of the output, or fixed where a ``noise_variance`` is given.
     optimizer : "fmin_l_bfgs_b" or None
-        The name is scikit-learn's; the search is that of docs/theory.md, hyperparameters. None keeps the values of the kernel, and estimates noise that is not given. The posterior
-        uses all values.
+        The name is scikit-learn's; the search is that of docs/theory.md, hyperparameters. None keeps the
+        values of the kernel, and estimates noise that is not given. The posterior uses all values.
     n_restarts_optimizer : int
         Searches of each kernel from random starts within its bounds, of which the likeliest counts.
         Each takes as long as the first. As in scikit-learn they change nothing without an

@@ -111,8 +111,8 @@ class AirMotion:
         Surfaces that move in the flights.
     converged : bool
         Whether the last steps were small, and the likelihood had not fallen far. Otherwise ``std``
-        includes how far the search still moved in its last passes; if it was cut short, the prior's
-        variance.
+        includes how far the search still moved in its last passes, and slopes by alpha and beta have
+        that of before the search, as all have if it was cut short.
     seconds : float
         Length of the records [s].
     misfit : float

@@ -7,16 +7,18 @@ import signal
 import socket
 import struct
 import threading
-from copy import deepcopy
+from copy import copy, deepcopy
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
 from skdgp.control import autopilot_loops, margins
-from skdgp.dynamics import linearize, stability_derivatives, trim
+from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
 from skdgp.identification import changed, load_model, save_model
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -93,6 +95,27 @@ class TestPredict:
         assert not output.parent.exists()
         assert capsys.readouterr().err == "stopped\n"
 
+    def test_noise(self, run, model, tmp_path):
+        run("predict", "test.csv", "lateral.csv", output="a.csv")
+        run("predict", "test.csv", "lateral.csv", "--include-noise", output="b.csv")
+        function, measured = (pd.read_csv(tmp_path / name) for name in ("a.csv", "b.csv"))
+        assert measured["flight"].unique().tolist() == ["two_altitudes", "lateral"]
+        names = [f"{name}_std" for name in COEFFICIENTS]
+        noise = np.sqrt(measured[names] ** 2 - function[names] ** 2)
+        assert_allclose(noise.mean(), model.pipeline[-1].noise_variance_ ** 0.5, rtol=1e-6)
+
+    def test_rows_that_were_not_sampled_are_left_out(self, command, path, tmp_path, capsys):
+        holes = str(tmp_path / "holes.csv")
+        out = str(tmp_path / "out.csv")
+        table = pd.read_csv("test.csv")
+        table.loc[100:109, "alpha"] = np.nan
+        table.to_csv(holes, index=False)
+        assert command(["predict", path, holes, "-o", out]) == 0
+        said = capsys.readouterr()
+        assert "10 of 300 rows are left out" in said.err
+        assert "290 rows of flight two_altitudes" in said.out
+        assert len(pd.read_csv(out)) == 290
+
 
 class Stopped(DependentGPRegressor):
     """A model during whose predictions someone presses Ctrl-C."""
@@ -127,6 +150,26 @@ class TestValidate:
         assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == said
         report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
         assert "a model on other flights" in report
+
+    def test_a_constant_error_of_an_accelerometer_is_no_change(self, model):
+        table = pd.read_csv("test.csv")
+        table["ay"] += 0.2
+        assert changed(model, table).p_values["CY"].item() > 0.05
+        table["ay"] += 2.0
+        assert changed(model, table).p_values["CY"].item() < 0.01
+
+    def test_needs_no_folder_and_no_facts(self, command, model, tmp_path, capsys):
+        bare = save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
+        assert command(["validate", str(bare), "test.csv", "--horizons", "1"]) == 0
+        said = capsys.readouterr()
+        # but for the stages that take long
+        assert all(line.startswith("evaluating ") for line in said.err.splitlines())
+        assert said.out.startswith("brumby: log likelihood")
+        assert files(tmp_path) == {"bare.joblib"}
+
+    def test_of_what_it_learned_from_is_remarked_on(self, command, path, capsys):
+        assert command(["validate", path, "latlon.csv", "--horizons", "1"]) == 0
+        assert "The model learned from a flight 'latlon'" in capsys.readouterr().err
 
 
 class TestMargins:
@@ -192,6 +235,20 @@ class TestFly:
         assert flight["time"].max() <= 0.1
         assert_allclose(flight["altitude"], 100.0, atol=1.0)
 
+    # in six seconds a stage that lasts would say so
+    @pytest.mark.parametrize("wait", ["0.1", pytest.param("6", marks=pytest.mark.slow)])
+    def test_silence_is_no_flight(self, command, path, port, wait, capsys):
+        words = ["fly", path, *self.WORDS, "--port", str(port), "--wait", wait]
+        assert command(words) == 1
+        waiting, error = capsys.readouterr().err.splitlines()[-2:]
+        assert waiting == f"waiting for ArduPilot at 127.0.0.1:{port}; Ctrl-C ends"
+        assert error.startswith(f"error: Got no packet at 127.0.0.1:{port} for {wait} s")
+
+    def test_full_deflections_are_checked_before_the_trim(self, refused):
+        """Which would not be found at this airspeed."""
+        words = shlex.split("--airspeed 1 --full elevator=0.4")
+        refused("Got no value of aileron, rudder.* at full output", "fly", *words)
+
 
 class TestDerivatives:
     def test_are_those_of_the_model(self, run, model, tmp_path):
@@ -207,6 +264,34 @@ class TestDerivatives:
         assert {"short period", "phugoid", "Dutch roll"} <= set(point["modes"])
         assert point["modes"]["Dutch roll"]["frequency_std"] > 0
         assert files(tmp_path / "out") == {"derivatives.csv", "modes.csv", "derivatives.json"}
+
+    def test_known_loads_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):
+        options = model.options | {"external_forces": ["tether"], "thrust": None}
+        pipeline = copy(model.pipeline)
+        pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
+        kite = str(tmp_path / "kite.joblib")
+        save_model(kite, pipeline, model.aircraft, options=options)
+        assert command(["derivatives", kite, "--airspeed", "35", "--paths", "0", "--json"]) == 0
+        said = capsys.readouterr()
+        assert "without the external forces ['tether']" in said.err
+        assert "CD is drag less thrust" in said.err
+        assert "learn from flights in calmer air" in said.err
+        assert (
+            json.loads(said.out)["points"][0]["trim"]["climb"] < 0
+        )  # without thrust it glides down
+
+    def test_of_several_airspeeds(self, run, command, tmp_path, path, capsys):
+        said = run("derivatives", "--airspeed", "36", "33", "--paths", "0")
+        assert [point["trim"]["airspeed"] for point in said["points"]] == [33.0, 36.0]
+        assert "std" not in said["points"][0]["derivatives"]["CL"]
+        table = pd.read_csv(tmp_path / "out" / "derivatives.csv")
+        alphas = [point["trim"]["alpha"] for point in said["points"]]
+        assert table.groupby("point")["alpha"].first().tolist() == pytest.approx(alphas)
+        assert all(slow > fast for slow, fast in pairwise(alphas))
+        assert command(["derivatives", path, "--airspeed", "33", "36"]) == 0
+        printed = capsys.readouterr().out
+        assert printed.count("at trim") == 2
+        assert printed.count("+-") > 100
 
 
 @pytest.mark.usefixtures("few_manoeuvres")
@@ -231,3 +316,25 @@ class TestPlan:
         known = run("derivatives", "--airspeed", "35", "--altitude", "300", "--paths", "500")
         known = known["points"][0]["derivatives"]["Cn_rudder"]  # to the scatter of 500 draws
         assert errors["before"] == pytest.approx(known["std"], rel=0.1)
+
+    def test_what_an_earlier_plan_wrote_does_not_stay(
+        self, command, path, run, tmp_path, capsys, no_pictures
+    ):
+        """Its script would be flown beside the table of another plan."""
+        folder = tmp_path / "out"
+        folder.mkdir()
+        for name in ("plan.lua", "plan_b.csv", "my_plan.lua"):
+            (folder / name).write_text("old")
+        more = shlex.split("--limits rudder=0.1 --goal Cn_rudder --growth inf")
+        run("plan", *self.WORDS, *more)
+        assert "plan.lua" in files(folder)  # there was no plan.json beside it
+        assert command(["plan", path, *self.WORDS, *more, "-o", str(folder)]) == 0
+        names = {"plan.csv", "expected.csv", "plan.json"}
+        assert files(folder) == names | {"plan_b.csv", "my_plan.lua"}
+        said = capsys.readouterr().out
+        assert "no limits, not even a floor: set them by --growth" in said
+
+    def test_full_deflections_are_checked_before_the_search(self, refused):
+        """Which would refuse its goal."""
+        words = shlex.split("--goal Cn_flaps --full elevator=0.5")
+        refused("expected also .* move with the rudder: add", "plan", *self.WORDS, *words)

@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 from skdgp import DependentGPRegressor
+from skdgp.dynamics import Aircraft, Propeller
 from skdgp.identification import identify as identify_flights
 from skdgp.identification import load_model
 
@@ -147,6 +148,66 @@ class TestIdentify:
         assert "The fit was interrupted" in (tmp_path / "out" / "report.html").read_text()
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
+    def test_a_mass_and_a_span_instead_of_a_file(self, command, tmp_path, capsys):
+        """The aircraft is the estimate, named by the log."""
+        words = ["identify", "latlon.csv", "--test", "test.csv", *QUICK, "--horizons", "1"]
+        sizes = shlex.split("--mass 45+-0.5 --span 2.8 --kind 'flying wing' --propeller 16x8")
+        assert command([*words, *sizes, "-o", str(tmp_path / "out")]) == 0
+        assert "assumed, as nothing was told:" in capsys.readouterr().out
+        propeller = Propeller.from_size(16 * 0.0254, 8 * 0.0254)
+        expected = Aircraft.estimate(
+            (45.0, 0.5), 2.8, kind="flying wing", name="latlon", propeller=propeller
+        )
+        assert load_model(tmp_path / "out" / "model.joblib").aircraft == expected
+
+    def test_a_log_without_attitude_is_scored_but_not_replayed(self, metrics_of, write, capsys):
+        bare = write("bare.csv", lambda table: table.drop(columns="phi"), of="test")
+        short = write("short.csv", lambda table: table[:160])
+        (flight,) = metrics_of("--test", bare, train=[short])["test"].values()
+        words = "Got flights without ['phi'], which those of the fit had: they are smoothed channel by channel"
+        assert words in capsys.readouterr().err
+        assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0
+
+    def test_what_makes_a_model_poor_is_remarked_on(self, metrics_of, write, capsys):
+        """Rows without alpha, or between gaps, a surface that never moves, a test on what was learned."""
+
+        def spoil(table):
+            table.loc[250:259, "alpha"] = np.nan
+            return table.drop(index=[*range(100, 150), *range(151, 200)]).assign(rudder=0.01)
+
+        metrics = metrics_of("--test", "latlon.csv", train=[write("gaps.csv", spoil)])
+        assert metrics["fit"]["flights"] == {"latlon": 290}
+        said = capsys.readouterr().err
+        assert "10 of 301 rows are left out" in said
+        assert "1 rows that stand alone between gaps are left out" in said
+        assert "['rudder'] never change, so the model cannot learn" in said
+        assert "constant over the samples" not in said  # it is said once, by name
+        assert "'latlon' has the rows of training flight 'latlon'" in said
+
+    def test_several_test_flights_are_scored_together_too(self, metrics_of):
+        metrics = metrics_of("--test", "lateral.csv", "test.csv")
+        apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
+        together = metrics["test_together"]["coefficients"]
+        lateral, test = (of["interval_coverage"] for of in apart)
+        expected = (400 * lateral + 300 * test) / 700
+        assert together["measured"]["CY"]["interval_coverage"] == pytest.approx(expected)
+        assert "truth" not in together  # the lateral flight does not know it
+
+    def test_lags_are_corrected_and_said(self, metrics_of, first_minute, tmp_path):
+        """Vanes and airspeed are 80 ms late."""
+        train = first_minute().train
+        table = train[train["flight"] == "latlon"].filter(regex="(?<!_true)$")
+        for name in ("airspeed", "alpha", "beta"):
+            table[name] = np.interp(table["time"] - 0.08, table["time"], table[name])
+        table.to_csv(tmp_path / "late.csv", index=False)
+        late = [tmp_path / "late.csv"]
+        metrics = metrics_of("--test", "test.csv", "--horizons", "1", train=late)
+        assert metrics["options"]["lags"] == "auto"
+        assert abs(metrics["fit"]["lags"]["air"]["applied"] - 0.08) < 0.01
+        model = load_model(tmp_path / "out" / "model.joblib")
+        assert model.pipeline["lagcorrector"].lags == "auto"
+        assert "air 0.07" in (tmp_path / "out" / "report.html").read_text()
+
 
 class Pressing(io.StringIO):
     """A terminal at which someone presses Ctrl-C when it shows some words."""
@@ -210,6 +271,25 @@ class TestBadInput:
         assert identify(output=folder / name, train=["nowhere.csv"]) == 1
         assert message in the_error()
 
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            (
+                lambda table: table.drop(columns="airspeed"),
+                "lacks the columns 'airspeed'.*pitot tube.*less an estimated wind: give a column",
+            ),
+            (lambda table: table.assign(beta=np.nan), "no row in which all of .*'beta': 400"),
+            (lambda table: table.iloc[:1], "1 usable rows, none beside another"),
+        ],
+    )
+    def test_a_flight_that_nothing_is_learned_from(self, refused, write, change, message):
+        refused(message, "--test", "test.csv", train=[write("f.csv", change)])
+
+    def test_two_flights_of_one_name(self, refused, write):
+        words = "'latlon' in latlon.csv and in .*copy.csv, but expected each once: .* rename one"
+        refused(words, train=["latlon.csv", write("copy.csv")])
+        refused("name a file once", train=["latlon.csv", "./latlon.csv"])
+
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_flights", "short_fits", "no_report")
@@ -256,3 +336,11 @@ def test_examples_draw(name, arguments, tmp_path, capsys):
     example([*arguments, "--output", str(picture)])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert str(picture) in capsys.readouterr().out
+
+
+def test_example_of_a_real_flight_says_that_there_is_no_network(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("https_proxy", "http://127.0.0.1:9")  # nobody listens there
+    runpy.run_path(str(EXAMPLES / "real_flight.py"))["main"]([])
+    assert re.search(r"No log \(.*\)\. Fetch it from\nhttps://", capsys.readouterr().out)
+    assert list(tmp_path.iterdir()) == []

@@ -127,3 +127,20 @@ def test_commands_and_code_of_the_page_run(folder, tmp_path, monkeypatch, comman
 def test_every_command_is_on_the_page():
     section = PAGE.read_text("utf-8").partition("\n## Use the model\n")[2].partition("\n## ")[0]
     assert sorted(re.findall(r"^\| `(\w+)", section, flags=re.MULTILINE)) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_explains_every_option(name, help_of):
+    text = help_of(name)
+    usage, _, rest = text.partition("\n\n")
+    explained = re.findall(r"^  (?:-\w.*?, )?(--[\w-]+|[A-Z]+)[^\n]*?(?:  +|\n +)\S", rest, re.M)
+    assert set(re.findall(r"--[\w-]+", usage)) <= {*explained}
+    reads_a_model = "MODEL" in usage
+    assert ("loading runs code" in " ".join(text.split())) == reads_a_model
+
+
+def test_version(command, capsys):
+    with pytest.raises(SystemExit) as end:
+        command(["--version"])
+    assert end.value.code == 0
+    assert re.fullmatch(r"skdgp \d+\.\d+\.\d+\n", capsys.readouterr().out)

@@ -4,6 +4,7 @@ import io
 import os
 import re
 import sys
+import threading
 import time
 from contextlib import redirect_stderr, redirect_stdout
 
@@ -85,3 +86,35 @@ def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():
             time.sleep(0.01)
     pattern = r"transforming · estimating the air \[####-{6}\] 3 of 8, < \d+ s left · \d+ s"
     assert re.search(pattern, stream.getvalue())
+
+
+class Watched(io.StringIO):
+    """A stream that tells when a stage was written with its seconds."""
+
+    def __init__(self, is_terminal):
+        super().__init__()
+        self.is_terminal = is_terminal
+        self.has_seconds = threading.Event()
+
+    def isatty(self):
+        return self.is_terminal
+
+    def write(self, text):
+        if " · " in text:
+            self.has_seconds.set()
+        return super().write(text)
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_stage_that_lasts_is_shown_with_its_seconds(is_terminal):
+    """The waits end with the event, so their limits, in seconds, only count where the test fails."""
+    stream = Watched(is_terminal)
+    before = {*threading.enumerate()}
+    with Console(stream, period=0.01) as console:
+        (thread,) = {*threading.enumerate()} - before
+        console.stage("flight 'a'")
+        assert stream.has_seconds.wait(30.0)
+    thread.join(30.0)
+    assert not thread.is_alive()
+    assert re.search(r"flight 'a' · \d+ s", stream.getvalue())
+    assert thread.daemon  # a command that fails does not wait for it

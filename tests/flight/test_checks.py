@@ -33,3 +33,7 @@ def test_commands_from_minus_one_to_one_are_warned_of(elevator, rows):
     words = r"surfaces .* up to elevator [^,]*, more than .* commands from -1 to 1, multiply"
     with pytest.warns(UserWarning, match=words):
         coefficients(elevator=np.where(np.arange(1000) < rows, elevator, 0.1), rudder=0.2)
+
+
+def test_deflections_of_thirty_degrees_are_angles():
+    assert len(coefficients(elevator=0.5)) == 1000

@@ -4,11 +4,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
+from skdgp._flight.clock import uniform_grid, unrounded
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.estimation import flights_of
 from skdgp.identification import named_flights
+from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import (
     FlightCheck,
     FlightPathReconstruction,
@@ -74,3 +76,77 @@ def test_rows_of_flights_that_take_turns():
     assert list(rows) == list(dict.fromkeys(flights["flight"]))
     for name, expected in rows.items():
         assert_array_equal(np.flatnonzero(flights["flight"] == name), expected)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize("read", [read_flight, inspect_log])
+def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
+    path = tmp_path / f"log.{suffix}"
+    flights = table(holed(None))
+    flights.to_csv(path, index=False) if suffix == "csv" else flights.to_parquet(path)
+    words = r"60 of 120 rows .* read_flight\(path, flight='name'\) names all"
+    with pytest.raises(FlightReadError, match=words):
+        read(path)
+
+
+def test_time_that_goes_back_within_a_flight_whose_rows_stand_apart_is_told(tmp_path):
+    """Neighbours of different flights say nothing of it."""
+    table = pd.DataFrame({"time": [0.0, 1.0, 0.0, 0.5, 1.0], "flight": list("aabab"), "alpha": 0.1})
+    words = r"Got time 0\.5 s after 1 s at row 3"
+    with pytest.raises(ValueError, match=words):
+        inspect_flight(table)
+    table.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(FlightReadError, match=words):
+        read_flight(tmp_path / "log.csv")
+
+
+def test_rows_that_a_shuffled_kfold_left_out_are_named_as_such():
+    rows = np.sort(default_rng(0).permutation(400)[:320])
+    flight = pd.DataFrame({"time": 0.02 * rows, "alpha": 0.1})
+    with pytest.raises(ValueError, match="shuffled KFold: hold out whole flights"):
+        FlightSmoother(cutoff=2.0).fit_transform(flight)
+
+
+@pytest.mark.parametrize(
+    ("every", "late", "refused"), [(5, 0.45, False), (5, 0.55, True), (20, 0.55, False)]
+)
+def test_a_tenth_of_the_steps_may_be_uneven_by_half(every, late, refused):
+    steps = np.full(400, 0.02)
+    steps[::every] *= 1 + late
+    flight = pd.DataFrame({"time": np.cumsum(steps), "alpha": 0.1})
+    smoother = FlightSmoother(cutoff=2.0).fit(flight)
+    if refused:
+        with pytest.raises(ValueError, match=r"nearly constant rate .*one uniform clock"):
+            smoother.transform(flight)
+    else:
+        assert_allclose(smoother.transform(flight).alpha, 0.1)
+
+
+def test_the_grid_of_uneven_samples_is_uniform():
+    """Rounded times lie on it; beside a missed sample there is a place for it."""
+    even = 7.0 + 0.02 * np.arange(40)
+    rounded = even + default_rng(1).uniform(-2e-4, 2e-4, 40)
+    grid, is_off = uniform_grid(rounded)
+    assert not is_off
+    assert_allclose(np.diff(grid), 0.02, atol=2e-5)
+    assert_allclose(grid, even, atol=2e-4)
+    grid, is_off = uniform_grid(np.delete(even, 13))
+    assert is_off
+    assert_allclose(grid, even)
+
+
+@pytest.mark.parametrize("rate", [30.0, 40.0, 60.0, 128.0])
+@pytest.mark.parametrize("resolution", [0.01, 2.0**-8])
+def test_rounded_times_are_put_on_their_clock(rate, resolution):
+    """As of 10 ms, or of seconds of the day as float32, where the step is no multiple of it."""
+    time = np.arange(0.0, 30.0, 1 / rate)
+    rounded = resolution * np.round(time / resolution)
+    restored, told = unrounded(rounded)
+    is_multiple = np.ptp(np.diff(rounded)) < 1e-9
+    assert (told == 0.0) == is_multiple
+    assert np.abs(restored - time).max() < 0.1 * resolution or is_multiple
+
+
+def test_a_jittered_clock_stays_as_it_is():
+    time = np.arange(0.0, 30.0, 0.025) + default_rng(0).uniform(0, 0.01, 1200)
+    assert unrounded(time)[1] == 0.0

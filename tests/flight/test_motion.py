@@ -69,3 +69,8 @@ def test_a_wave_beyond_it_is_removed_and_one_within_it_is_kept():
     out = smooth(waves, time, cutoff=FittedFilter.up_to(5.0, 2))
     middle = slice(200, -200)
     assert_allclose(out[middle], waves[middle] * [1.0, 0.0], atol=0.01)
+
+
+def test_without_rates_and_surfaces_it_is_unknown():
+    assert motion_band_of(shaken(0.0)[["time"]].assign(alpha=0.1)) == np.inf
+    assert motion_band_of(shaken(0.0).iloc[:60]) == np.inf

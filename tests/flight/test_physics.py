@@ -399,3 +399,89 @@ def test_the_scale_of_the_airspeed_without_gps(ordinary):
     """alpha follows q + az / V."""
     wrong = scaled(ordinary.drop(columns=GPS), {"airspeed": 3.6})
     assert channels_of_each(wrong) == [{"airspeed"}]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda flight: scaled(flight, {"phi": DEGREES}),
+         "phi is probably wrong: the slope of the change of phi over the integral of p is 57."),
+        (lambda flight: flight.assign(psi=flight["psi"] + 0.3),
+         "-0.15 to 0.15: a magnetic heading or a constant sideslip? (t = "),
+        (lambda flight: scaled(flight, {"ax ay az": 1 / GRAVITY}),
+         "the slope of the integral of specific force over the change of velocity less gravity is 0.1"),
+    ],
+)  # fmt: skip
+def test_the_message_says_what_is_over_what_and_usual_causes(flight, change, words):
+    (found,) = contradictions(change(flight))
+    assert words in found.clause
+    assert found.clause.endswith("effective samples)")
+
+
+def test_a_late_servo_is_no_wrong_sign():
+    """Rudder of 2 to 3 Hz, servo 0.15 s late, a third of a period: the slope at lag zero has the wrong sign."""
+    step = 0.025
+    n_late = 6
+    time = step * np.arange(6000)
+    band = signal.butter(2, (2.0, 3.0), "band", fs=1 / step, output="sos")
+    rudder = signal.sosfilt(band, default_rng(0).normal(size=time.size))
+    acceleration = -8.0 * np.roll(rudder, n_late)
+    r = signal.lfilter([step], [1.0, 0.5 * step - 1.0], acceleration)
+    log = pd.DataFrame({"time": time, "airspeed": 15.0, "r": r, "rudder": rudder})[n_late:]
+    assert contradictions(log) == []
+    assert len(contradictions(opposite(log, "rudder"))) == 1
+
+
+def test_a_slower_flight_beside_a_fast_one_has_none():
+    """25 Hz beside 100 Hz: rolls are as long in both."""
+    flights = []
+    for step, size in ((0.01, 0.01), (0.04, 1.0)):
+        time = step * np.arange(round(60 / step))
+        motion = {"phi": size * np.sin(time), "p": size * np.cos(time)}
+        still = dict.fromkeys(("q", "r", "theta"), 1e-6 * np.sin(time))
+        flights.append(pd.DataFrame({"time": time, "flight": f"{step} s", **motion, **still}))
+    assert contradictions(pd.concat(flights, ignore_index=True)) == []
+
+
+def test_noise_has_none(flight):
+    rng = default_rng(0)
+    noise = flight.drop(columns=["time", "flight"])
+    noise[:] = 0.1 * rng.normal(size=noise.shape)
+    noise[["airspeed", "az"]] += [20.0, -9.8]
+    assert contradictions(noise.assign(time=flight["time"])) == []
+
+
+def test_missing_samples_change_nothing(flight):
+    slow = flight.copy()
+    slow.loc[slow.index % 8 > 0, ["v_north", "v_east", "v_down"]] = np.nan
+    slow.loc[100:300, "p"] = np.nan
+    assert contradictions(slow) == []
+    (found,) = contradictions(opposite(slow, "v_down"))
+    assert found.numbers["channels"] == ["v_down"]
+
+
+def test_one_of_several_flights(flight):
+    good = [flight.assign(flight=name) for name in ("a", "b", "c")]
+    wrong = opposite(flight, "beta").assign(flight="d")
+    (found,) = contradictions(pd.concat([*good, wrong], ignore_index=True))
+    assert (found.flight, found.numbers["channels"]) == ("d", ["beta"])
+    assert found.clause.startswith("flight d: beta is probably wrong")
+
+
+def test_signals_without_noise_that_determine_no_slope_at_some_lags():
+    """Rates in degrees of a turn at a constant rate: the roll rate is named."""
+    time = np.arange(0, 120, 0.05)
+    phi = 0.3 * np.sin(0.8 * time)
+    theta = 0.1 * np.sin(0.5 * time)
+    turn = 0.1
+    phi_dot = 0.24 * np.cos(0.8 * time)
+    theta_dot = 0.05 * np.cos(0.5 * time)
+    rates = {
+        "p": phi_dot - turn * np.sin(theta),
+        "q": theta_dot * np.cos(phi) + turn * np.sin(phi) * np.cos(theta),
+        "r": -theta_dot * np.sin(phi) + turn * np.cos(phi) * np.cos(theta),
+    }
+    table = pd.DataFrame({"time": time, "flight": "a", "phi": phi, "theta": theta})
+    table = table.assign(psi=turn * time, airspeed=20 + np.sin(0.3 * time), **rates)
+    assert contradictions(table) == []
+    assert "p" in channels_of(contradictions(scaled(table, {"p q r": DEGREES})))

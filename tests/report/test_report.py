@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
+from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp import DependentGPRegressor
 from skdgp._compute.findings import PlainText
@@ -203,6 +204,10 @@ class TestPage:
         assert plt.get_fignums() == before
         assert plt.rcParams["svg.fonttype"] == setting
 
+    def test_every_colour_variable_is_defined(self, html):
+        defined = re.findall(r"--([a-z]+):", html)
+        assert set(re.findall(r"var\(--([a-z]+)\)", html)) <= set(defined)
+
 
 class TestPictures:
     """SVG files of their own, small and true."""
@@ -314,6 +319,22 @@ class TestWords:
         assert "script" not in page.tags
         assert evil in page.words
 
+    @pytest.mark.parametrize(("factor", "mark"), [(0.1, "▼"), (100, "▲ 100.0")])
+    def test_marks_dishonest_bands(self, no_pictures, factor, mark):
+        flight = result(truth=None)
+        assert mark in words_of(evaluations=[replace(flight, prediction_std=factor * flight.std)])
+
+    def test_says_when_nothing_went_wrong(self, no_pictures):
+        assert "No warning arose" in words_of(verdict=verdict(findings=()))
+
+    def test_says_what_was_done(self, html):
+        words = Page(html).words
+        for piece in (
+            "Brumby, six flights", "04 May 2026, 12:30", "Samples 755 of 14,400", "Mass 45 kg",
+        ):  # fmt: skip
+            assert piece in words
+        assert "Kernel" not in words
+
 
 class TestPoorContent:
     def test_without_matplotlib_the_numbers_remain(self, no_pictures):
@@ -321,3 +342,10 @@ class TestPoorContent:
         assert "img" not in page.tags
         assert 'pip install "skdgp[plot]"' in page.words
         assert page.tags.count("table") == 3  # of uses, errors, and what was done
+
+    def test_an_output_never_observed(self, no_pictures):
+        flight = result(400, truth=None, replay=None)
+        flight.measured[:, 3] = np.nan
+        with pytest.warns(UndefinedMetricWarning, match="never observed"):
+            words = words_of(evaluations=[flight])
+        assert "–" in words

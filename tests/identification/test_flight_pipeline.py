@@ -20,8 +20,9 @@ from skdgp.identification import (
     flight_regressors,
     identify,
 )
-from skdgp.metrics import normalized_rmse
+from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightSmoother
 
 QUICK = {"n_latent": 1, "max_iter": 4, "input_noise": "learned", "random_state": 0}
 
@@ -130,6 +131,27 @@ class TestPredict:
         again = pickle.loads(pickle.dumps(model))
         predicted = model.predict(test_flight, return_std=True)
         assert_allclose(again.predict(test_flight, return_std=True), predicted, rtol=1e-9)
+
+    def test_knows_how_long_the_flights_were(self, model, flights):
+        train = flights.train.groupby("flight", observed=True).head(600)
+        durations = train.groupby("flight", observed=True)["time"].agg(np.ptp)
+        assert model.seconds_ == pytest.approx(durations.sum(), rel=0.01)
+
+    def test_another_regressor_predicts_without_a_band(self, flights, test_flight):
+        train = flights.train[:400]
+        linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
+        linear.fit(train, aerodynamic_coefficients(train, flights.aircraft))
+        assert linear.predict(test_flight).shape == (200, 6)
+        with pytest.raises(TypeError, match="return_std"):
+            linear.predict(test_flight, return_std=True)
+
+    def test_scorers_use_that_band(self, model, flights, test_flight):
+        measured = aerodynamic_coefficients(test_flight, flights.aircraft)
+        mean, std = model.predict(test_flight, return_std=True, include_noise=True)
+        scorer = SCORERS["interval_coverage"]
+        assert scorer(model, test_flight, measured) == pytest.approx(
+            interval_coverage(measured, mean, std)
+        )
 
 
 @pytest.mark.usefixtures("no_mechanics")
@@ -315,3 +337,24 @@ def test_coefficients_are_those_of_the_corrected_airspeed(flights):
     # what is left of the error enters by its square
     assert np.nanmedian(found.measured / right) == pytest.approx(1.0, abs=0.01)
     assert_allclose(result.pipeline.predict(raw), found.mean, rtol=1e-9)
+
+
+def test_fit_transform_removes_the_errors_that_it_finds(flights):
+    too_much = flights.train.assign(airspeed=1.04 * flights.train["airspeed"])
+    steps = make_identification_pipeline(flights.aircraft, reconstruction="passthrough", lags=None)
+    with pytest.warns(UserWarning, match="airspeed"):
+        fitted = steps[:2].fit_transform(too_much)
+    assert fitted["airspeed"].median() == pytest.approx(
+        flights.train["airspeed"].median(), rel=0.005
+    )
+
+
+def test_spikes_are_no_errors_of_the_log(flights):
+    spikes = flights.train.copy()
+    spikes.loc[spikes.index[::300], ["ax", "ay", "az"]] += 500.0
+    spikes.loc[spikes.index[::200], "airspeed"] = 99.0
+    check = FlightCheck()
+    with pytest.warns(FlightDataWarning):
+        checked = check.fit_transform(spikes)
+    assert check.airspeed_scale_.removable() == 0.0
+    assert np.isinf(FlightSmoother().fit(checked).band_)

@@ -12,6 +12,7 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
@@ -26,6 +27,7 @@ from skdgp.identification import (
     ModelFileError,
     identify,
     load_model,
+    named_flights,
     save_model,
 )
 from skdgp.metrics import SCORERS, normalized_rmse
@@ -89,6 +91,23 @@ class TestPipeline:
         search.fit(table, thin_targets(Y, 40), groups=table["flight"])
         assert np.isfinite(search.cv_results_["mean_test_score"]).all()
         assert (search.best_estimator_[-1].drift_variance_ > 0).all()
+
+    def test_a_list_of_regressors_asks_for_no_other_column(self, flights, delta):
+        table, Y = flights()
+        table = table.drop(columns=["beta", "p", "r", "throttle"])
+        model = make_identification_pipeline(
+            delta,
+            regressors=["alpha", "q_hat", "alpha_dot_hat", "elevator"],
+            cutoff=3.0,
+            regressor=LinearRegression(),
+        )
+        assert model.fit(table, Y).predict(table).shape == (600, 2)
+
+    def test_refuses_what_is_no_aircraft(self):
+        with pytest.raises(
+            TypeError, match=r"Got dict for aircraft, but expected .*Aircraft.from_file"
+        ):
+            make_identification_pipeline({"span": 2.6, "chord": 0.55})
 
 
 @pytest.fixture(scope="module")
@@ -233,6 +252,33 @@ class TestIdentify:
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
         assert np.isfinite(flown["airspeed"]).all()
 
+    def test_says_the_weights_of_the_average(self, averaged):
+        result = averaged[0]
+        weights = result.metrics["fit"]["weights"]
+        assert list(weights) == ["joint", "trend"]
+        for name in COEFFICIENTS:
+            assert sum(of[name] for of in weights.values()) == pytest.approx(1.0)
+
+    def test_says_if_the_fit_has_not_converged(self, result, stopped):
+        assert result.metrics["fit"]["converged"] is result.pipeline[-1].converged_
+        assert result.metrics["fit"]["converged"] == ("not converged" not in result.summary())
+        found, folder = stopped
+        words = f"not converged after {result.fit.iterations} iterations: raise max_iter"
+        assert words in found.summary()
+        assert words in (folder / "report.html").read_text(encoding="utf-8")
+
+    def test_names_tables_that_have_no_names(self, example):
+        bare = example[2].drop(columns="flight")
+        assert list(named_flights([bare, bare])) == ["flight 1", "flight 2"]
+        assert list(named_flights(bare, default="test flight")) == ["test flight 1"]
+
+    def test_refuses_a_flight_that_comes_twice(self, example):
+        aircraft, train, test = example
+        with pytest.raises(ValueError, match=r"'lateral' in table 1 and in table 2.*give a dict"):
+            identify([train, train], aircraft, test=test)
+        with pytest.raises(ValueError, match="Got 2 flights in the table 'both'"):
+            identify({"both": train}, aircraft, test=test)
+
 
 @pytest.fixture
 def model_file(fitted, tmp_path, delta):
@@ -327,3 +373,24 @@ class TestModelFile:
             match=r"written with skdgp 0\.0\.1.*scikit-learn 1\.6\.0.*\(installed: .*may differ",
         ):
             assert load_model(model_file).aircraft == delta
+
+    def test_a_single_flipped_bit(self, model_file):
+        """In each byte of the closing line, and many of the model: what loads is what was saved."""
+        data = model_file.read_bytes()
+        n = 8 * len(data)
+        closing = 8 * data.rindex(MAGIC)
+        places = default_rng(0).choice(closing, 30, replace=False)
+        for place in [*places, *range(closing, n, 23)]:
+            flipped = bytearray(data)
+            flipped[place // 8] ^= 1 << place % 8
+            model_file.write_bytes(flipped)
+            with pytest.raises(ModelFileError, match="not a whole skdgp model"):
+                load_model(model_file)
+
+    @pytest.mark.parametrize(("pipeline", "aircraft"), [(QUICK, GLIDER), (None, None)])
+    def test_what_is_no_model_is_not_saved(self, tmp_path, pipeline, aircraft):
+        with pytest.raises(
+            TypeError, match=r"expected a fitted pipeline and its Aircraft: call fit first"
+        ):
+            save_model(tmp_path / "model.joblib", pipeline, aircraft)
+        assert list(tmp_path.iterdir()) == []

@@ -19,8 +19,10 @@ from skdgp.dynamics import (
     as_aerodynamics,
     stability_derivatives,
 )
+from skdgp.estimation import AirspeedScale
+from skdgp.identification import FlightPipeline
 from skdgp.identification._log_errors import CLOCK, CLOCK_STEPS, clock_std, learned_errors
-from skdgp.preprocessing import LagCorrector
+from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -137,3 +139,23 @@ def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
     assert_allclose(table["std"], np.hypot(without["std"], table["std_log"]))
     assert_allclose(table["upper"] - table["lower"], 2 * 1.95996 * table["std"], rtol=1e-4)
     assert "std_aircraft" not in table
+
+
+def test_an_error_of_the_airspeed_counts_twice_in_dynamic_pressure(flown):
+    table, X, slopes = flown
+    fitted = least_squares_of(X, X.to_numpy() @ slopes)
+    assert "airspeed" not in learned_errors(table, AIRCRAFT, X, fitted, None, 0.0)
+    factor = learned_errors(table, AIRCRAFT, X, fitted, None, 0.01)["airspeed"]
+    assert factor.std == 0.02
+    assert factor.powers == {"dynamic pressure": 1.0}
+
+
+def test_the_error_of_the_airspeed_is_removed_from_later_flights(first_minute):
+    flight = first_minute().test[:120]
+    check = FlightCheck()
+    steps = [("flightcheck", check), ("flightpathreconstruction", FlightPathReconstruction())]
+    pipeline = FlightPipeline(steps)
+    known = pipeline.fit_transform(flight)["airspeed"]
+    check.airspeed_scale_ = AirspeedScale(0.05, 0.001)
+    too_much = flight.assign(airspeed=1.05 * flight["airspeed"])
+    assert_allclose(pipeline.transform(too_much)["airspeed"], known)

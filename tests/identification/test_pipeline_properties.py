@@ -207,3 +207,12 @@ def test_a_faulty_table_gives_finite_numbers_or_one_error(
     assert np.isfinite(mean).all()
     assert np.isfinite(std).all()
     assert (std >= 0).all()
+
+
+def test_the_order_of_flights_decides_nothing(learning, pipeline, plain):
+    table, Y = learning
+    rows = np.r_[120:240, 0:120]
+    turned = table.iloc[rows]
+    model = clone(pipeline)
+    got = model.fit(turned, Y.iloc[rows]).predict(turned, return_std=True)
+    assert_allclose(got, np.stack(plain)[:, rows], rtol=1e-6)

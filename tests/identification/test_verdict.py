@@ -261,6 +261,23 @@ class TestSimulation:
         assert found.simulation is None
         assert message in found.simulation_note.numbers["error"]
 
+    def test_the_true_aircraft_follows_from_starts_within_fast_rolls(self):
+        """Doublets of 0.4 s, in whose middle the simulations start."""
+
+        def doublet(time):
+            phase = (time + 0.1) % 4
+            return np.where(phase < 0.4, 0.2 * np.sign(0.2 - phase), 0.0)
+
+        found = errors_of(glide(aileron=doublet)).loc[["phi", "p"]]
+        assert (found["lasts"] == found["horizon"]).all()
+
+    def test_flights_too_short_to_show_their_noise_do_not_narrow_the_limit(self, flight):
+        noise = default_rng(0).normal(0, 0.05, len(flight))
+        noisy = flight.assign(q=flight["q"] + noise)
+        found = errors_of(noisy, noisy[:8], noisy[8:16].reset_index(drop=True)).loc["q", "limit"]
+        assert found == pytest.approx(errors_of(noisy).loc["q", "limit"])
+        assert found == pytest.approx(3 * 0.05, rel=0.2)
+
 
 @pytest.mark.parametrize(
     ("name", "value", "code"),
@@ -328,6 +345,12 @@ class TestCoefficientsThatDoNotVary:
         found = verdict([wide])
         (too_wide,) = [one for one in found.findings if one.code is Code.BANDS_TOO_WIDE]
         assert too_wide.numbers["coverages"]["Cn"] == 1.0
+
+    def test_of_none_there_is_no_error(self):
+        found = verdict([still(evaluation(), *range(6))])
+        assert np.isnan(found.error)
+        assert use(found, PREDICT)[0] == "unknown"
+        assert [one.code for one in found.findings] == [Code.BANDS_TOO_WIDE, Code.NOT_VARYING]
 
 
 def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown_and_has_its_source():
@@ -461,3 +484,54 @@ class TestMechanics:
         assert found.modes is None
         assert [note.code for note in found.notes] == [Code.NO_TRIM]
         assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
+
+    def test_without_trim_and_derivatives_both_are_told(self, flight):
+        heavy = replace(AIRCRAFT, mass=500)
+        found = mechanics_of(flight, train=flight.drop(columns="elevator"), aircraft=heavy)
+        assert found.derivatives.empty
+        assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
+        assert found.to_dict()["note"].startswith("No steady flight was found at ")
+        assert "No derivatives: " in found.to_dict()["note"]
+
+    def test_is_plain_for_json(self, flight):
+        found = mechanics_of(flight).to_dict()
+        assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
+        assert found["modes"]["short period"]["frequency"] > 1
+        assert set(found["simulation"]) == {
+            "airspeed",
+            "alpha",
+            "beta",
+            "phi",
+            "theta",
+            "p",
+            "q",
+            "r",
+        }
+        assert found["trim"]["beyond"] == {}
+        assert found["trim"]["climb"] < 0
+
+
+def test_of_little_flown_a_large_error_says_nothing():
+    training = replace(FIT.training, flown=5.0)
+    found = verdict([evaluation(error=1.5)], fit={"training": training}, trim=None)
+    assert {use.judgement for use in found.uses} == {"unknown"}
+    assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
+
+
+def test_warnings_are_ranked():
+    findings = [ALONE["a"], Finding(Code.NO_ELEVATOR), ALONE["b"]]
+    bad = [
+        evaluation(error=1.2, linear=0.5, inside=False),
+        evaluation("b", error=0.1, inside=False),
+    ]
+    found = verdict(bad, findings=findings, fit={"converged": False})
+    assert list(dict.fromkeys(finding.code for finding in found.findings)) == [
+        Code.LEAST_SQUARES_BETTER,
+        Code.BANDS_TOO_NARROW,
+        Code.FIT_NOT_CONVERGED,
+        Code.LONE_ROWS,
+        Code.NO_ELEVATOR,
+    ]
+    assert found.findings[0].numbers["worse"] == 6
+    assert found.warnings[3].endswith("(1 more of this kind)")
+    assert verdict().warnings == ()

@@ -93,6 +93,25 @@ class TestCleanLogs:
         flights = first_minute()
         assert faults(flights.train) == faults(flights.test) == []
 
+    def test_a_pilot_who_holds_the_stick_and_degrees_are_no_fault(self):
+        """Degrees are left to those who name the unit."""
+        table = log()
+        assert faults(table) == []
+        assert faults(table.assign(alpha=np.rad2deg(table.alpha))) == []
+
+    def test_a_channel_without_noise_is_not_stuck_at_its_extremes(self):
+        table = log()
+        assert faults(table.assign(airspeed=np.float32(30 + np.sin(0.1 * table.time)))) == []
+
+    def test_a_coarse_resolution_in_steady_flight_is_not_stuck(self):
+        """Airspeed rounded to 0.01 m/s, slow and almost without noise, interpolated to another clock."""
+        time = np.arange(0, 60, 0.02)
+        slow = np.arange(0, 60, 0.05)
+        speed = 24.98 + 0.02 * np.sin(0.2 * slow) + 3 * np.exp(-slow / 4)
+        table = pd.DataFrame({"time": time, "airspeed": np.interp(time, slow, speed.round(2))})
+        assert faults(table) == []
+        assert faults(held("airspeed", 150, 249, table)) == [["airspeed", "stuck"]]
+
 
 FAULTS = [
     ("alpha", "stuck", held("alpha", 400, 480), range(401, 481)),
@@ -221,6 +240,11 @@ class TestDownstream:
             warnings.simplefilter("error")
             RegressorSelector(["alpha", "rudder"]).fit(table)  # without targets nothing is learned
 
+    def test_what_is_bridged_is_regressed_on(self):
+        with pytest.warns(FlightDataWarning, match="alpha has impossible values, such as -999"):
+            out = self.steps.fit_transform(spoilt("alpha", [700, 701], -999.0))
+        assert out.alpha.abs().max() < 0.2
+
 
 def attitude_of(table):
     """Return a flight with the attitude that its gyros give, wings about level."""
@@ -237,3 +261,63 @@ def test_an_attitude_that_jumps_without_the_gyros_is_told():
     table.loc[1200:, "theta"] += 0.41
     assert ["theta", "jump"] in faults(table)
     assert_frame_equal(checked(table, "theta jumps by up to 0.4")[["theta"]], table[["theta"]])
+
+
+def test_a_channel_that_is_stuck_again_and_again_is_one_line_with_its_worst():
+    table = held("alpha", 1500, 1560, held("alpha", 800, 950, held("alpha", 400, 480)))
+    match = (
+        r"sortie: alpha is stuck at .* \(20.025 to 23.75 s, 150 samples\).* \(2 more of this kind\)"
+    )
+    checked(table, match)
+
+
+def test_dead_sensors_by_what_cannot_move_without_them():
+    assert faults(log().assign(airspeed=25.0)) == [["airspeed", "constant"]]
+    turns = {"phi": np.sin(log().time), "theta": 0.0, "psi": 0.0}
+    dead = log().assign(p=0.01, q=0.01, r=0.01)
+    assert faults(dead) == []
+    constant = [[name, "constant"] for name in ("p", "q", "r", "theta", "psi")]
+    assert sorted(faults(dead.assign(**turns))) == sorted(constant)
+
+
+@pytest.mark.parametrize(("channel", "length"), [("airspeed", 8), ("p", 1), ("alpha", 4)])
+def test_zeros_in_place_of_missing_samples(channel, length):
+    rows = np.concatenate([np.arange(k, k + length) for k in range(50, 2300, 70)])
+    found = inspect_flight(spoilt(channel, rows, 0.0))
+    assert found[["channel", "kind", "n_samples"]].values.tolist() == [
+        [channel, "spike", len(rows)]
+    ]
+
+
+@pytest.mark.parametrize("channel", ["p", "ax", "beta"])
+def test_a_dead_band_and_a_limit_are_no_missing_samples(channel):
+    values = log()[channel]
+    band = 0.3 * values.std()
+    for limited in (values.where(values.abs() > band, 0.0), values.clip(upper=band)):
+        assert [channel, "spike"] not in faults(log().assign(**{channel: limited}))
+
+
+def test_dropouts_to_the_same_value_are_found_each_time():
+    table = log()
+    for start in (400, 900, 1500):
+        table.loc[start : start + 60, "airspeed"] = 25.0
+    assert faults(table) == [["airspeed", "stuck"]] * 3
+
+
+def test_gaps_of_several_channels_are_told_once():
+    table = log()
+    table.loc[500:540, ["alpha", "beta", "q"]] = np.nan
+    table.loc[900:960, ["beta"]] = np.nan
+    with pytest.warns(FlightDataWarning) as record:
+        FlightCheck().fit_transform(table)
+    (warning,) = record
+    text = str(warning.message)
+    assert text.count("has no value") == 1
+    assert "beta has no value in 2 gap(s)" in text
+    assert "(2 more of this kind: alpha, q)" in text
+
+
+def test_a_turn_to_the_other_side_of_south_is_no_jump():
+    table = attitude_of(log())
+    heading = table["psi"] + np.linspace(0, 20, len(table))
+    assert ["psi", "jump"] not in faults(table.assign(psi=np.angle(np.exp(1j * heading))))

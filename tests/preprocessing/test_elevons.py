@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -44,3 +45,17 @@ def test_logged_controls_yield_to_the_surfaces():
     out = ElevonSplitter().fit_transform(both)
     assert_allclose(out.aileron, (ELEVONS.elevon_left - ELEVONS.elevon_right) / 2)
     assert list(out.columns) == list(both.columns)
+
+
+def test_neither_surfaces_nor_controls():
+    with pytest.raises(ValueError, match=r"'elevon_left' \(nearest: 'elevon_l'\)"):
+        ElevonSplitter().fit(pd.DataFrame({"elevon_l": [0.1], "elevon_r": [0.1], "alpha": [0.0]}))
+    with pytest.raises(ValueError, match="elevon_right"):
+        ElevonSplitter().fit(ELEVONS[["elevon_left"]])
+
+
+def test_mixing_of_the_wrong_shape():
+    with pytest.raises(ValueError, match=r"expected \(n_controls, n_surfaces\) = \(2, 2\)"):
+        ElevonSplitter(mixing=[[1.0, 1.0, 0.0]]).fit(ELEVONS)
+    with pytest.raises(ValueError, match="expected mixing"):
+        ElevonSplitter(surfaces=("a", "b", "c")).fit(ELEVONS)

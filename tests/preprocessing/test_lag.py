@@ -190,6 +190,31 @@ class TestEstimate:
     def test_a_flight_too_short_tells_nothing(self):
         assert remarks(linear_aircraft(0, seconds=9, air=0.05)) == UNSHOWN
 
+    @pytest.mark.filterwarnings("error")
+    def test_a_vane_that_never_moves_says_nothing(self):
+        table = linear_aircraft(0, air=0.06)
+        missing = table.drop(columns="beta")
+        assert_frame_equal(lags_of(table.assign(beta=0.02)), lags_of(missing))
+        assert lags_of(missing).lag["air"] == pytest.approx(0.06, abs=0.01)
+
+    def test_a_linear_model_that_explains_little_still_shows_a_lag(self):
+        """Gusts, which no regressor has, turn the aircraft as much as all that regressors have."""
+        table = linear_aircraft(1, surfaces=0.05, seconds=240)
+        rng = default_rng(1)
+        for name in ("p", "q", "r"):
+            gust = gaussian_filter1d(rng.normal(size=len(table)), 6)
+            gust *= np.std(np.diff(table[name])) / gust.std()
+            table[name] += np.cumsum(gust)
+        lags = found_in(table).loc["surfaces"]
+        assert lags.applied == pytest.approx(0.05, abs=0.01)
+
+    def test_a_log_slower_than_the_band_tells_nothing(self):
+        assert remarks(linear_aircraft(0)[::27]) == UNSHOWN  # 1.5 Hz
+
+    def test_flights_without_inertial_sensors_tell_nothing(self):
+        table = linear_aircraft(0).drop(columns="q")
+        assert_frame_equal(corrected(table), table)
+
 
 class TestTransform:
     def test_clean_flights_pass_unchanged(self, latlon):
@@ -255,6 +280,19 @@ class TestTransform:
     def test_lags_that_cannot_be(self, lags, words):
         with pytest.raises(ValueError, match=words):
             LagCorrector(lags).fit(linear_aircraft(0, seconds=2))
+
+    def test_what_was_late_is_on_time_again(self):
+        lags = lags_of(linear_aircraft(3, air=0.08, surfaces=0.05))
+        assert lags.remark[["air", "surfaces"]].tolist() == ["removed"] * 2
+        spoilt = linear_aircraft(3, surfaces=0.1)
+        truth = linear_aircraft(3)
+        error = corrected(spoilt).elevator - truth.elevator
+        assert error[20:-20].std() < 0.1 * (spoilt.elevator - truth.elevator)[20:-20].std()
+
+    def test_attitude_and_position_are_unknown_beyond_the_end_however_named(self, latlon):
+        for name, lags in (("psi", {"psi": 0.1}), ("psi", {"attitude": 0.1})):
+            assert np.isnan(corrected(latlon, lags)[name].iloc[-1])
+        assert np.isfinite(corrected(latlon, {"alpha": 0.1})["alpha"].iloc[-1])
 
 
 @pytest.mark.parametrize("rate_limit", [2.0, 20.0])

@@ -21,6 +21,7 @@ from skdgp.preprocessing import (
     FlightDataWarning,
     FlightPathReconstruction,
     FlightSmoother,
+    LagCorrector,
 )
 
 GRAVITY = 9.80665
@@ -207,6 +208,12 @@ class TestRecovery:
         parts = table[(table.time < 10) | (table.time > 14)].reset_index(drop=True)
         assert_near(parts, path_of(parts), shares(0.25))
 
+    def test_without_vanes(self):
+        table = flown(40.0)
+        out = path_of(table.drop(columns=["alpha", "beta"]))
+        assert_near(table, out, {"alpha": 0.003, "beta": 0.003})
+        assert {"alpha", "beta", "alpha_dot", "beta_dot"} <= set(out)
+
 
 class TestHonesty:
     def test_parts_of_a_long_flight_bound_the_memory_and_leave_no_seam(self):
@@ -241,6 +248,12 @@ class TestHonesty:
         apart = pd.concat([alone, reconstruction.transform(two)], ignore_index=True)
         assert_frame_equal(both, apart)
 
+    def test_rates_of_change(self):
+        table, _, out = reconstructed()
+        for name in ("alpha", "beta"):
+            truth = CubicSpline(table.time, table[f"{name}_true"])(table.time, 1)
+            assert np.std(out[f"{name}_dot"] - truth) < 0.12 * truth.std()  # gyros as they are
+
 
 class TestIncomplete:
     def test_flights_of_fit_that_lack_a_sensor_pass_as_they_are(self):
@@ -259,6 +272,11 @@ class TestIncomplete:
         assert error(flight, out, "alpha") < 0.7 * error(flight, flight, "alpha")
         assert "alpha_dot" in out
         assert "gust" not in out
+
+    def test_a_sensor_silent_in_one_of_the_flights_is_missing(self):
+        second = flown(20).assign(flight="two", p=np.nan)
+        both = pd.concat([flown(20), second], ignore_index=True)
+        assert fitted(both).missing_ == ["p"]
 
 
 def late(table, names, seconds):
@@ -314,6 +332,30 @@ class TestInconsistent:
         smooth = FlightSmoother().fit_transform(table)
         assert error(table, path, "alpha") > error(table, smooth, "alpha")
 
+    def test_it_is_used_after_correction_of_lags(self):
+        table, _, best = reconstructed(seconds=20.0, gusts=0.3)
+        delayed = late(late(table, ATTITUDE, 0.2), VELOCITY, 0.3)
+        steps = make_pipeline(LagCorrector(), FlightPathReconstruction())
+        out = steps.fit_transform(delayed)
+        assert steps[-1].used_
+        assert_near(table, out, {name: 1.1 * error(table, best, name) for name in AIR})
+
+    def test_one_filtered_sensor_of_air_data_does_not_decide(self):
+        table = flown(25.0, gusts=0.1)
+        mean = table["airspeed"].rolling(9, center=True, min_periods=1).mean()
+        filtered = table.assign(airspeed=mean)
+        reconstruction = fitted(filtered)
+        assert reconstruction.used_
+        assert [found.sensor for found in reconstruction.contradictions_] == ["airspeed"]
+        filtered = filtered.assign(alpha=table["alpha_true"])
+        assert not fitted(filtered).used_
+
+    def test_without_a_vane_there_is_no_choice(self):
+        table = wandering(flown(20.0), ATTITUDE, 0.05).drop(columns="beta")
+        reconstruction = fitted(table)
+        assert reconstruction.used_
+        assert "gyro" in [found.sensor for found in reconstruction.contradictions_]
+
 
 def test_gusts_are_told():
     """A piece of half a second has the gusts of the fit."""
@@ -341,6 +383,11 @@ class TestBadInput:
         out = path_of(flown(1.0)[:rows])
         out = out.drop(columns=["alpha_dot", "beta_dot"] if rows == 1 else [])
         assert np.isfinite(out.select_dtypes("number").to_numpy()).all()
+
+    def test_degrees(self):
+        table = flown(2.0)
+        with pytest.raises(ValueError, match=r"numpy\.deg2rad"):
+            fitted(table.assign(theta=np.rad2deg(table["theta"] + 1.0)))
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import pytest
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
 
-from skdgp.preprocessing import RateNondimensionalizer, RegressorSelector
+from skdgp.preprocessing import FlightSmoother, RateNondimensionalizer, RegressorSelector
 
 CLASSICAL = [
     "alpha",
@@ -113,3 +113,23 @@ def test_holes_are_refused_by_the_names_of_regressors():
 def test_what_cannot_be_selected(regressors, change, match):
     with pytest.raises(ValueError, match=match):
         RegressorSelector(regressors).fit(change(EVERY))
+
+
+@pytest.mark.parametrize(
+    "absent", [["throttle"], ["elevator"], ["rudder"], ["throttle", "aileron", "rudder"]]
+)
+def test_controls_that_the_aircraft_does_not_have(absent):
+    selector = RegressorSelector("classical").fit(EVERY.drop(columns=absent))
+    assert sorted(selector.absent_) == sorted(absent)
+    assert selector.regressors_ == [name for name in CLASSICAL if name not in absent]
+
+
+def test_a_rate_of_change_without_neighbours():
+    flight = pd.concat([EVERY] * 5, ignore_index=True).drop(columns=["alpha_dot", "beta_dot"])
+    flight["time"] = np.r_[0:20, 90, 180:189]
+    with pytest.warns(UserWarning, match="NaN"):
+        made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(
+            flight
+        )
+    with pytest.raises(ValueError, match=r"1 of 30 rows.*'alpha_dot': 1.*isolated rows"):
+        RegressorSelector("classical").fit_transform(made)

@@ -124,6 +124,20 @@ class TestSmooth:
         _, rate = filtered(np.sin(2 * np.pi * 0.8 * time), rounded, cutoff=None)
         assert rms(rate - 1.6 * np.pi * np.cos(2 * np.pi * 0.8 * time)) < 1e-3
 
+    @pytest.mark.parametrize("n", [2, 3, 5, 20, 127])
+    def test_short_flights(self, n):
+        values = np.linspace(1, 2, n)[:, None] * [1.0, 2.0]
+        with pytest.warns(UserWarning, match="too short to tell noise from signal"):
+            assert_array_equal(smooth(values, clock(n)), values)
+        assert np.isfinite(smooth(values, clock(n), cutoff=2.0)).all()
+        _, slope = filtered(values, clock(n), cutoff=None)
+        assert_allclose(slope, [np.array([1, 2]) * RATE / (n - 1)] * n, rtol=1e-9)
+
+    def test_short_stretch_borrows_its_flights_spectrum(self):
+        time, truth, noisy = noisy_sine()
+        late = np.r_[time[:2300], time[2300:] + 10]
+        assert rms((smooth(noisy, late) - truth)[2300:]) < 0.5 * rms((noisy - truth)[2300:])
+
 
 class TestMissing:
     def test_nan_stays_and_does_not_spread(self):
@@ -145,6 +159,13 @@ class TestMissing:
             smoothed, rate = filtered([[1.0, 2.0]], clock(1), cutoff=2.0)
         assert_array_equal(smoothed, [[1.0, 2.0]])
         assert np.isnan(rate).all()
+
+    def test_empty_channel_stays_empty(self):
+        assert np.isnan(smooth(np.full((300, 2), np.nan), clock(300))).all()
+
+    def test_infinite_is_refused(self):
+        with pytest.raises(ValueError, match="1 infinite values"):
+            smooth([0.0, np.inf, 0.0], clock(3))
 
 
 @pytest.mark.parametrize(
@@ -196,3 +217,26 @@ def test_a_flight_of_jsbsim(jsbsim_flight):
     assert (left < [0.65, 0.5, 0.5, 0.9, 0.75] * rms(measured - truth)).all()
     change = smooth(truth, table.time) - truth
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
+
+
+def test_misspelt_columns():
+    with pytest.raises(ValueError, match=r"'time' \(nearest: 'times'\)"):
+        FlightSmoother().fit(flight().rename(columns={"time": "times"}))
+    with pytest.raises(ValueError, match=r"'aplha' \(nearest: 'alpha'\)"):
+        FlightSmoother(columns=["aplha"]).fit(flight())
+
+
+def test_degrees_are_refused_in_fit_and_transform():
+    table = flight().assign(alpha=np.linspace(-1.0, 1.0, 1200))  # rad
+    wrong = table.assign(alpha=np.rad2deg(table["alpha"]))
+    for use in (FlightSmoother().fit, FlightSmoother().fit(table).transform):
+        with pytest.raises(ValueError, match=r"numpy.deg2rad.flight..alpha"):
+            use(wrong)
+
+
+def test_a_missing_column_is_named_once_with_its_flight():
+    smoother = FlightSmoother().fit(flight())
+    words = r"The flight 'two' lacks the columns 'beta'\. Rename"
+    with pytest.raises(ValueError, match=words) as error:
+        smoother.transform(flight("two").drop(columns="beta"))
+    assert str(error.value).count("'beta'") == 1

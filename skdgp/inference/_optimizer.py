@@ -34,7 +34,7 @@ class OptimizerSettings:
     #: Slope by every hyperparameter, in its own unit, below which the point is stationary [nats]
     gradient: float = 1e-3
     #: First, least and largest damping, beyond which rounding hides every rise
-    damping: tuple[float, float, float] = (0.1, 1e-3, 1e6)
+    damping: tuple[float, float, float] = (0.1, 1e-5, 1e6)
     #: Longest step of a hyperparameter: a factor of e^2 of a width
     longest: float = 2.0
     #: Spacing of the grid that steps end on, over the standard error of a hyperparameter, as long as

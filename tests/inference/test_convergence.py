@@ -43,6 +43,8 @@ def changed(X, Y, change):
         return X[order], Y[order], X
     if change == "regressors":
         return X[:, ::-1], Y, X[:, ::-1]
+    if change == "outputs":
+        return X, Y[:, ::-1], X
     if change == "signs":
         return -X, Y, -X
     return X + 1e-12 * rng.normal(size=X.shape), Y, X
@@ -58,10 +60,12 @@ def usual():
     return X, Y, *DependentGPRegressor(random_state=0).fit(X, Y).predict(X, return_std=True)
 
 
-@pytest.mark.parametrize("change", ["rows", "regressors", "signs", "rounding", "seed"])
+@pytest.mark.parametrize("change", ["rows", "regressors", "outputs", "signs", "rounding", "seed"])
 def test_the_same_table_in_another_form_has_the_same_model(usual, change):
     X, Y, mean, std = usual
     Xc, Yc, at = changed(X, Y, change)
     seed = 1 if change == "seed" else 0
     other = DependentGPRegressor(random_state=seed).fit(Xc, Yc).predict(at)
+    if change == "outputs":
+        other = other[:, ::-1]
     assert np.max(np.abs(mean - other) / std) < 0.05

@@ -17,8 +17,11 @@ def coefficients(**channels):
     return aerodynamic_coefficients(table, GLIDER, thrust=None, cutoff=None)
 
 
-def test_an_unwrapped_heading_passes():
-    assert coefficients(psi=np.linspace(0.0, 30.0, 1000)).notna().all(axis=None)
+@pytest.mark.parametrize("missing", [slice(0), slice(1), slice(500, 510), slice(-5, None)])
+def test_an_unwrapped_heading_passes(missing):
+    heading = np.linspace(0.0, 30.0, 1000)
+    heading[missing] = np.nan
+    assert coefficients(psi=heading).notna().all(axis=None)
 
 
 @pytest.mark.parametrize("heading", [np.linspace(0.0, 359.0, 1000), np.full(1000, 90.0)])

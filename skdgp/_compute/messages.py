@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from types import FrameType
 from typing import Any, TypeAlias
@@ -80,6 +82,7 @@ Listener: TypeAlias = Callable[[str, int, float], Any]
 
 _listener: ContextVar[Listener | None] = ContextVar("skdgp_progress", default=None)
 _keeps_best: ContextVar[bool] = ContextVar("skdgp_keeps_best", default=False)
+_pressed = threading.Event()  # Ctrl-C, which the next evaluation takes
 
 
 @contextmanager
@@ -93,8 +96,8 @@ def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
 
     An error that the listener raises leaves ``fit``, as Ctrl-C does. With ``keep_best`` a
     KeyboardInterrupt, by the listener or by Ctrl-C, ends the search instead: ``fit`` returns the
-    best model so far, with a ConvergenceWarning. Do not use it around a search over candidates,
-    whose scores would be of unfinished fits.
+    best model so far, with a ConvergenceWarning. Ctrl-C waits for the next evaluation or stage; a second one
+    does not wait. Do not use it around a search over candidates, whose scores would be of unfinished fits.
 
     Examples
     --------
@@ -109,10 +112,39 @@ def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
     heard = _listener.set(listener)
     token = _keeps_best.set(keep_best)
     try:
-        yield
+        with _waiting_for_evaluations() if keep_best else nullcontext():
+            yield
     finally:
         _keeps_best.reset(token)
         _listener.reset(heard)
+
+
+@contextmanager
+def _waiting_for_evaluations() -> Iterator[None]:
+    """Let Ctrl-C wait for `notify`, where a search can end; a second one, or other threads, do not wait."""
+    is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not is_default or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def press(number, frame):
+        if _pressed.is_set():
+            _raise_if_pressed()
+        _pressed.set()
+
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield
+        _raise_if_pressed()
+    finally:
+        _pressed.clear()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _raise_if_pressed() -> None:
+    if _pressed.is_set():
+        _pressed.clear()
+        raise KeyboardInterrupt
 
 
 def keeps_best() -> bool:
@@ -136,6 +168,7 @@ class Progress(str):
 
 def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("nan")) -> None:
     """Call the listener, if there is one; of a stage that has no evaluations, with 0 and NaN."""
+    _raise_if_pressed()
     listener = _listener.get()
     if listener is not None:
         listener(stage, n_evaluations, log_likelihood)

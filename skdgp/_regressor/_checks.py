@@ -359,10 +359,7 @@ def warn_of_search(
         unscaled = _marked(
             names, (std > SETTINGS.scaled) | ((std > 0) & (std < 1 / SETTINGS.scaled))
         )
-        numbers = {
-            "max_iter": max(max_iter, best.n_iter),
-            "unscaled": unscaled,
-        }
+        numbers = {"max_iter": max_iter, "unscaled": unscaled}
         report(Finding(FitCode.SEARCH_STOPPED, numbers=numbers), SearchWarning)
 
 

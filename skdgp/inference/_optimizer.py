@@ -9,7 +9,8 @@ is
 
 for the hyperparameters that are not at a bound which g points out of. The damping lambda falls after
 steps that raise the likelihood as predicted, and rises after others (Nocedal & Wright 2006,
-algorithm 4.1).
+algorithm 4.1). Steps end on a grid until they promise little: where a likelihood is flat they multiply
+rounding errors, which would choose between its maxima otherwise.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ class OptimizerSettings:
     damping: tuple[float, float, float] = (0.1, 1e-5, 1e6)
     #: Longest step of a hyperparameter: a factor of e^2 of a width
     longest: float = 2.0
-    #: Spacing of the grid that steps end on, over the standard error of a hyperparameter, as long as
-    #: they promise this rise [nats]: so rounding errors, which grow where a likelihood is flat, do not
-    #: choose between its maxima
+    #: Spacing of the grid, over the standard error of a hyperparameter (trials with regressors that
+    #: differ by 1e-12)
     grid: float = 0.05
+    #: Predicted rise [nats] up to which steps do not end on the grid (trials)
     promise: float = 0.01
     #: Fractions of the predicted rise: above which a step is taken, below which the damping rises,
     #: and above which it falls
@@ -116,13 +117,13 @@ def maximize(
             if n_iter == max_iter or stop.is_set():
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
-            end = theta + _step(theta, point, curvature, bounds, damping, settings.longest)
-            for near in (_on_grid(end, point.information, settings), end):
-                end = np.clip(near, *bounds.T)
-                step = end - theta
-                predicted = step @ point.gradient - 0.5 * step @ curvature @ step
-                if predicted > settings.promise:
-                    break
+            target = theta + _step(theta, point, curvature, bounds, damping, settings.longest)
+            end = np.clip(_on_grid(target, point.information, settings), *bounds.T)
+            predicted = _predicted_rise(end - theta, point, curvature)
+            if predicted <= settings.promise:
+                end = np.clip(target, *bounds.T)
+                predicted = _predicted_rise(end - theta, point, curvature)
+            step = end - theta
             other = _evaluated(objective, end) if predicted > 0 else None
             if other is None:
                 damping *= 4.0
@@ -183,8 +184,16 @@ def _step(theta, point, curvature, bounds, damping, longest):
     return np.clip(step, -longest, longest)  # where the likelihood is flat steps are long
 
 
+def _predicted_rise(step, point, curvature):
+    """Return the rise of the likelihood by a step, of its quadratic model."""
+    return step @ point.gradient - 0.5 * step @ curvature @ step
+
+
 def _on_grid(theta, information, settings):
-    """Return the nearest points between the lines of a grid, so that no amplitude is zero."""
+    """Return the centre of the cell of a grid that theta is in, so that no amplitude is zero.
+
+    The spacing is a power of two, as the standard errors have rounding errors too.
+    """
     error = 1.0 / np.sqrt(np.diag(information) + 1.0)
     spacing = np.exp2(np.round(np.log2(settings.grid * error)))
     return spacing * (np.floor(theta / spacing) + 0.5)

@@ -20,10 +20,7 @@ from skdgp.dynamics import (
     trim,
 )
 
-ALPHA, BETA, P, Q, R, ELEVATOR, AILERON, RUDDER = range(8)
-X, Y, Z, L, M, N = range(6)
 AIR = Air(density=1.1, gravity=9.79)
-ALONG, ACROSS = ["u", "w", "q", "theta"], ["v", "p", "r", "phi"]
 EXAMPLE = load_example_flights(duration=1.0)
 BRUMBYS = EXAMPLE.truth
 
@@ -36,46 +33,6 @@ def level(glider):
 @pytest.fixture(scope="module")
 def linear(glider, level):
     return linearize(glider.model(), glider.aircraft, level, air=AIR)
-
-
-def test_entries_are_the_textbooks_dimensional_derivatives(linear, level, glider):
-    """Stevens, Lewis & Johnson 2016, section 4.2; Etkin & Reid 1996, section 4.9: in body axes, wings level."""
-    V, g, theta = 20.0, AIR.gravity, level.theta
-    u, w = level.state[[3, 5]]
-    aircraft, slopes = glider.aircraft, glider.slopes
-    A, B, I = linear.A, linear.B, aircraft.inertia
-    per_mass = 0.5 * AIR.density * V**2 * aircraft.wing_area / aircraft.mass
-    C = level.coefficients[[X, Z]]
-    by_alpha = np.outer(slopes[[X, Z], ALPHA], [-w / V**2, u / V**2])
-    by_pressure = np.outer(C, [2 * u / V**2, 2 * w / V**2])
-    force = per_mass * (by_alpha + by_pressure)
-    assert A.loc[["u", "w"], ["u", "w"]].to_numpy() == pytest.approx(force, rel=1e-8, abs=1e-9)
-    half = np.array([aircraft.span, aircraft.chord, aircraft.span]) / (2 * V)
-    moment = per_mass * aircraft.mass * 2 * V * half  # of a coefficient of 1
-    pitching = moment[1] / I[1, 1] * slopes[M, [ALPHA, Q, ELEVATOR]]
-    expected = {
-        ("u", "q"): -w,
-        ("w", "q"): u + per_mass * slopes[Z, Q] * half[1],
-        ("u", "theta"): -g * np.cos(theta),
-        ("w", "theta"): -g * np.sin(theta),
-        ("q", "w"): pitching[0] * u / V**2,
-        ("q", "q"): pitching[1] * half[1],
-        ("theta", "q"): 1.0,
-        ("v", "phi"): g * np.cos(theta),
-        ("phi", "r"): np.tan(theta),
-    }
-    for entry, value in expected.items():
-        assert A.loc[entry] == pytest.approx(value, rel=1e-8, abs=1e-9), entry
-    across = slopes[:, [BETA, P, R]] * [1 / V, half[0], half[2]]
-    turning = np.linalg.solve(I[::2, ::2], moment[0] * across[[L, N]])
-    expected = np.vstack([per_mass * across[Y] + [0.0, w, -u], turning])
-    found = A.loc[["v", "p", "r"], ["v", "p", "r"]].to_numpy()
-    assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
-    assert_allclose(B.loc["q", "elevator"], pitching[2])
-    assert_allclose(B.loc["w", "elevator"], per_mass * slopes[Z, ELEVATOR])
-    assert_allclose(B.loc["u", "thrust"], 1 / aircraft.mass)
-    for apart in (A.loc[ALONG, ACROSS], A.loc[ACROSS, ALONG]):
-        assert np.abs(apart).max(axis=None) < 1e-9
 
 
 def test_all_states_at_a_turn_are_the_derivative_of_the_motion(aircraft, central_difference):

@@ -9,14 +9,11 @@ from scipy.integrate import solve_ivp
 from skdgp.dynamics import (
     FlightComputer,
     Servos,
-    Simulator,
     frequency_response,
     linearize,
     simulate,
     trim,
 )
-
-STATES = ["p", "q", "r", "phi", "theta", "alpha", "beta", "airspeed"]
 
 
 @pytest.fixture(scope="module")
@@ -73,19 +70,6 @@ def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, lag):
         time = table["time"].to_numpy()
         expected = followed(lambda t: steps_of(t, 0.3), time, lag, 0.03, 5.0)
         assert_allclose(table["aileron"], expected, atol=2e-3)
-
-
-def test_a_simulator_has_the_servos_of_simulate(glider, level):
-    def law(t, state):
-        return level.controls | {"aileron": -0.3 * state["phi"] - 0.1 * state["p"] + 0.02}
-
-    servos = Servos(0.04, 0.033, 2.0)
-    table = flown(glider, level, servos, FlightComputer(law), 0.02, 1.0)
-    simulator = Simulator(glider.model(servos=servos), glider.aircraft, dt=0.02)
-    seen = simulator.reset(level)
-    for row in table.to_dict("records"):
-        assert_allclose([seen[name] for name in STATES], [row[name] for name in STATES], atol=1e-10)
-        seen = simulator.step(law(seen["time"], seen))
 
 
 def test_a_linear_model_has_the_phase_of_the_delay_at_every_frequency(glider, level):

@@ -531,15 +531,15 @@ class TestSimulator:
             readings.append(simulator.reset(START, controls=commands(0.0), random_state=1)["az"])
         assert abs(readings[1] - readings[0]) > 0.1
 
-    @pytest.mark.parametrize("lag", [0.0, 0.1])
+    @pytest.mark.parametrize("servos", [Servos(), Servos(0.1), Servos(0.04, 0.033, 2.0)], ids=str)
     @pytest.mark.parametrize("gain", [0.0, 0.2])
-    def test_steps_are_those_of_a_held_law(self, aircraft, lag, gain, fly, glider):
+    def test_steps_are_those_of_a_held_law(self, aircraft, servos, gain, fly, glider):
         """Accelerometers show the last stage of a step, in a table its end with the next controls."""
 
         def law(t, state):
             return commands(0.0) | {"aileron": -gain * (state["phi"] + 0.25 * state["p"])}
 
-        model, wind = glider.model(servos=Servos(lag=lag)), [1.0, 2.0, 0.0]
+        model, wind = glider.model(servos=servos), [1.0, 2.0, 0.0]
         at_once = fly(model, controls=FlightComputer(law), dt=0.02, duration=1.0, air=wind)
         simulator = Simulator(model, aircraft, dt=0.02, air=wind)
         seen = simulator.reset(START, controls=law(0.0, START))

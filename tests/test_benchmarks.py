@@ -1,4 +1,4 @@
-"""Every benchmark starts, and five run at tiny sizes."""
+"""Every benchmark starts, and four run at tiny sizes."""
 
 import json
 import runpy
@@ -33,7 +33,6 @@ def run(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "methods"),
     [
-        ("likelihood", []),
         ("bands", []),
         ("dependence", []),
         ("comparison", [".", "--methods", "least squares", "skdgp pipeline"]),

@@ -1,7 +1,5 @@
 """What the defaults reach on the shared benchmarks, next to published and simpler methods."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,16 +7,14 @@ from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.inference import BlockSettings, SearchSettings
 from skdgp.io import read_flight
 from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
 
 CONVOLVED_GP = 0.4552  # mean absolute error of Cd, Alvarez & Lawrence (2011)
+pytestmark = [pytest.mark.shared, pytest.mark.slow]
 
 
-@pytest.mark.shared
-@pytest.mark.slow
 def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared_data):
     """Cadmium where nickel and zinc are known. Seeds change the error by 0.001, a tenth of the distance."""
     parts = [
@@ -33,29 +29,17 @@ def test_jura_is_predicted_better_than_by_the_published_convolved_process(shared
     assert np.abs(found - truth).mean() < CONVOLVED_GP
 
 
-@pytest.mark.shared
-@pytest.mark.slow
 def test_another_flight_is_predicted_better_than_by_least_squares(shared_data):
     """On four minutes of a flight at two altitudes, from 100 noisy samples of two minutes at one."""
     folder = shared_data / "flights"
     aircraft = Aircraft.from_file(folder / "viggen_uav.json")
-    train, test = (
-        read_flight(folder / f"viggen_uav_{part}.parquet")
-        for part in ("train_latlon", "test_twoalt")
-    )
-    train = train.iloc[:4800]
-    test = test.iloc[:9600]
+    train = read_flight(folder / "viggen_uav_train_latlon.parquet")[:4800]
+    test = read_flight(folder / "viggen_uav_test_twoalt.parquet")[:9600]
     targets = thin_targets(aerodynamic_coefficients(train, aircraft), 100)
-    model = make_identification_pipeline(aircraft).set_params(dependentgpregressor__random_state=0)
-    transform = model[:-1]
-    regressor = model[-1]
-    search = SearchSettings(blocks=BlockSettings(values=300, most=1), widths=(1.0,), noises=(1.0,))
-    regressor.settings = replace(regressor.settings, search=search)
-    X = np.asarray(transform.fit_transform(train))
-    asked = np.asarray(transform.transform(test))[::10]
-    truth = test[[f"{name}_true" for name in targets]].to_numpy()[::10]
-    learned = targets.notna().all(axis=1).to_numpy()
-    line = LinearRegression().fit(X[learned], targets.to_numpy()[learned])
-    assert normalized_rmse(
-        truth, regressor.fit(X, targets).predict(asked)
-    ) < 0.95 * normalized_rmse(truth, line.predict(asked))
+    model = make_identification_pipeline(aircraft).fit(train, targets)
+    X, asked = (model[:-1].transform(flight) for flight in (train, test))
+    truth = test[[f"{name}_true" for name in targets]]
+    rows = targets.notna().all(axis=1)
+    line = LinearRegression().fit(X[rows], targets[rows])
+    found, linear = (normalized_rmse(truth, fit.predict(asked)) for fit in (model[-1], line))
+    assert found < 0.95 * linear

@@ -72,10 +72,3 @@ def test_a_short_script_runs(stem, scripts, tmp_path):
     (tmp_path / "tmp").mkdir()  # some write there
     command = [sys.executable, str(path)]
     subprocess.run(command, cwd=tmp_path, capture_output=True, check=True, timeout=300)
-
-
-@pytest.mark.shared
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LEFT_BEHIND)
-def test_scripts_that_were_left_behind_are_named(name):
-    pytest.skip(f"{name} {LEFT_BEHIND[name]}")

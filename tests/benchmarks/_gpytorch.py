@@ -1,4 +1,4 @@
-"""GPyTorch's models as its own examples build them: the exact LCM, and sparse variational ones of several outputs."""
+"""GPyTorch's LCM as its own examples build it: exact with gaps, and sparse and variational."""
 
 from __future__ import annotations
 
@@ -10,40 +10,6 @@ from gpytorch.variational import (
     LMCVariationalStrategy,
     VariationalStrategy,
 )
-
-
-class LCM(gpytorch.models.ExactGP):
-    """The linear model of coregionalisation: as many RBF kernels, each with its own coregionalisation of rank 1."""
-
-    def __init__(self, X, Y, likelihood, n_latent):
-        super().__init__(X, Y, likelihood)
-        d = X.shape[1]
-        P = Y.shape[1]
-        self.mean_module = gpytorch.means.MultitaskMean(gpytorch.means.ConstantMean(), num_tasks=P)
-        kernels = [gpytorch.kernels.RBFKernel(ard_num_dims=d) for _ in range(n_latent)]
-        self.covar_module = gpytorch.kernels.LCMKernel(kernels, num_tasks=P, rank=1)
-
-    def forward(self, x):
-        return gpytorch.distributions.MultitaskMultivariateNormal(
-            self.mean_module(x), self.covar_module(x)
-        )
-
-
-def exact_lcm(X, Y, n_latent, *, length_scale=1.0, noise=0.1):
-    """Return model and likelihood at stated hyperparameters, the mixing drawn at random but always alike."""
-    torch.manual_seed(0)
-    X = torch.as_tensor(X, dtype=torch.float64)
-    Y = torch.as_tensor(Y, dtype=torch.float64)
-    likelihood = gpytorch.likelihoods.MultitaskGaussianLikelihood(
-        num_tasks=Y.shape[1], has_global_noise=False
-    )
-    model = LCM(X, Y, likelihood, n_latent).double()
-    likelihood.double().initialize(
-        task_noises=torch.full((Y.shape[1],), noise, dtype=torch.float64)
-    )
-    for kernel in model.covar_module.covar_module_list:
-        kernel.data_covar_module.lengthscale = length_scale
-    return model, likelihood
 
 
 class GappedLCM(gpytorch.models.ExactGP):
@@ -97,21 +63,6 @@ def cholesky():
     return gpytorch.settings.fast_computations(
         covar_root_decomposition=False, log_prob=False, solves=False
     )
-
-
-def likelihood_and_gradient(model, likelihood):
-    """Return a function that evaluates the log marginal likelihood and its gradient once."""
-    model.train()
-    likelihood.train()
-    objective = gpytorch.mlls.ExactMarginalLogLikelihood(likelihood, model)
-
-    def evaluate():
-        model.zero_grad()
-        value = objective(model(*model.train_inputs), model.train_targets)
-        value.backward()
-        return value.item() * model.train_targets.numel()
-
-    return evaluate
 
 
 class Variational(gpytorch.models.ApproximateGP):

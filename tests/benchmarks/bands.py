@@ -69,8 +69,7 @@ def table(runs):
 
 
 def main(words=None):
-    parser = parser_of(__doc__, smoke=True)
-    options = parser.parse_args(words)
+    options = parser_of(__doc__, smoke=True).parse_args(words)
     kept = Kept(options, "bands")
     sizes = {20: 1} if options.smoke else SEEDS
     for name in FUNCTIONS:

@@ -1,6 +1,6 @@
 """Outputs that depend on each other in known ways: what the defaults learn, beside separate processes of scikit-learn.
 
-    python tests/benchmarks/dependence.py --out OUT [--figure PNG]
+    python tests/benchmarks/dependence.py --out OUT
 
 "translated": three copies of a function of one regressor, moved by 0, 1.5 and -1, each with a gap
 of its own. "noisy copies": four multiples of one function of three regressors, of which one has
@@ -159,47 +159,14 @@ def table(runs):
     return [*rows.values()]
 
 
-def draw(path):
-    """Draw two translated outputs with gaps, and what is learned with and without shifts."""
-    from matplotlib.figure import Figure
-
-    rng = np.random.default_rng(7)
-    x = np.sort(rng.uniform(0, 20, 110))
-    points = np.linspace(0, 20, 400)
-    both = waves(rng, np.subtract.outer(np.concatenate([x, points]), SHIFTS[:2]))
-    Y = both[:110] + rng.normal(0, 0.1, (110, 2))
-    Y[(x > 4) & (x < 8), 0] = np.nan
-    Y[(x > 12) & (x < 16), 1] = np.nan
-    fits = {}
-    for method in (defaults, one_structure):
-        fits[method] = method(x[:, None], Y, points[:, None])
-    figure = Figure(figsize=(7.5, 4.2), layout="constrained")
-    for i, axes in enumerate(figure.subplots(2, sharex=True)):
-        mean, std = (values[:, i] for values in fits[defaults])
-        axes.fill_between(points, mean - 1.96 * std, mean + 1.96 * std, alpha=0.25, lw=0)
-        axes.plot(points, mean, label="with shifts, the default")
-        fixed = fits[one_structure][0][:, i]
-        axes.plot(points, fixed, "--", color="C1", label="shifts fixed at zero")
-        axes.plot(points, both[110:, i], ":", color="black", label="truth")
-        axes.plot(x, Y[:, i], ".", color="C3", ms=4, label="samples")
-        axes.set_ylabel(f"output {i + 1}")
-    axes.set_xlabel("regressor")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    figure.savefig(path, dpi=110)
-
-
 def main(words=None):
-    parser = parser_of(__doc__, smoke=True)
-    parser.add_argument("--figure", help="file of the figure on the theory page")
-    options = parser.parse_args(words)
+    options = parser_of(__doc__, smoke=True).parse_args(words)
     kept = Kept(options, "dependence")
     for problem in ["unequal widths"] if options.smoke else PROBLEMS:
         for method in METHODS:
             for seed in list(SEEDS)[: 1 if options.smoke else None]:
                 key = {"problem": problem, "method": method, "seed": seed}
                 kept.run(key, scored, problem, method, seed)
-    if options.figure:
-        draw(options.figure)
     finish(options, "dependence", problems=table(kept.table))
 
 

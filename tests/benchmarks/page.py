@@ -5,7 +5,7 @@ Of small_uav.py, which takes hours, an even sixth is flown.
     python tests/benchmarks/page.py ../shared/data REPOSITORY PUBLISHED --out OUT
 
 REPOSITORY is what pairs.py needs, PUBLISHED what published.py and tabular.py need. Two scripts run
-at a time, on one thread each; the one that measures time comes last, alone. Stopped and started again, it
+at a time, on one thread each. Stopped and started again, it
 goes on after the last run that was finished: OUT holds the runs. Machine, versions, commit and
 tables are then written to docs/results.md, and to other pages with marked tables, between
 ``<!-- NAME:TABLE -->`` and ``<!-- end -->``. It takes some four hours of processor time.
@@ -24,7 +24,6 @@ from pathlib import Path
 
 from _common import ROOT, commit, machine, markdown
 
-TIMED = "likelihood"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -33,7 +32,6 @@ def measured(script, out, without):
     name, arguments = script
     path = out / f"{name}.json"
     start = time.monotonic()
-    threads = {} if name == TIMED else dict.fromkeys(THREADS, "1")
     if not path.exists() and name not in without:
         command = [sys.executable, ROOT / "tests" / "benchmarks" / f"{name}.py", *arguments]
         with (out / f"{name}.txt").open("a") as log:
@@ -41,7 +39,7 @@ def measured(script, out, without):
                 [*map(str, command), "--out", str(out)],
                 stdout=log,
                 stderr=log,
-                env=os.environ | threads | {"PYTHONPATH": str(ROOT)},
+                env=os.environ | dict.fromkeys(THREADS, "1") | {"PYTHONPATH": str(ROOT)},
                 check=False,
             )
     seconds = time.monotonic() - start
@@ -92,8 +90,8 @@ def main(words=None):
     run = partial(measured, out=options.out.absolute(), without=options.without)
     with ThreadPoolExecutor(options.jobs) as pool:
         results = dict(zip(scripts, pool.map(run, scripts.items()), strict=True))
-    results = {name: each for name, each in (results | {TIMED: run((TIMED, []))}).items() if each}
-    failed = [name for name in (*scripts, TIMED) if name not in results]
+    results = {name: each for name, each in results.items() if each}
+    failed = [name for name in scripts if name not in results]
     words = machine() | {"threads": "1 of each script"}
     words["versions"] = ", ".join(f"{name} {v}" for name, v in words["versions"].items())
     results["page"] = {"machine": [words | {"not measured": ", ".join(failed) or None}]}

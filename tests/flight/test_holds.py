@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 
 from skdgp._flight.holds import (
-    between_samples,
     error_between_samples,
     find_holds,
     interpolated_rows,
@@ -42,16 +41,6 @@ def test_rate_and_rows_of_a_held_channel():
 def test_a_channel_that_changes_less_than_once_a_second_is_not_sampled_slowly():
     flights, _ = held(period=60)  # of 1.2 s
     assert not find_holds(flights, [("elevator",)])
-
-
-def test_between_samples_it_is_a_smooth_curve():
-    """Of a sine sampled 31 times in a cycle; the error of a cubic spline is 5 / 384 (2 pi / 31)^4."""
-    flights, fresh = held()
-    column = between_samples(flights, find_holds(flights, [("elevator",)]))["elevator"]
-    inner = slice(fresh[12], fresh[-12])
-    assert_allclose(column[inner], np.sin(2.0 * TIME[inner]), atol=1e-4)
-    samples = fresh[3:-3]
-    assert_allclose(column[samples], np.sin(2.0 * TIME[samples]))
 
 
 def test_error_of_the_curve_is_half_of_the_curvature_between_samples():

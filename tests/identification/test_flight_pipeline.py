@@ -339,16 +339,6 @@ def test_coefficients_are_those_of_the_corrected_airspeed(flights):
     assert_allclose(result.pipeline.predict(raw), found.mean, rtol=1e-9)
 
 
-def test_fit_transform_removes_the_errors_that_it_finds(flights):
-    too_much = flights.train.assign(airspeed=1.04 * flights.train["airspeed"])
-    steps = make_identification_pipeline(flights.aircraft, reconstruction="passthrough", lags=None)
-    with pytest.warns(UserWarning, match="airspeed"):
-        fitted = steps[:2].fit_transform(too_much)
-    assert fitted["airspeed"].median() == pytest.approx(
-        flights.train["airspeed"].median(), rel=0.005
-    )
-
-
 def test_spikes_are_no_errors_of_the_log(flights):
     spikes = flights.train.copy()
     spikes.loc[spikes.index[::300], ["ax", "ay", "az"]] += 500.0

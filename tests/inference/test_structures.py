@@ -115,22 +115,6 @@ def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains():
     assert rich.log_likelihood > simple.log_likelihood - 1.0
 
 
-def test_independent_outputs_do_not_learn_from_each_other():
-    """Without common points nothing says how two outputs depend: bands stay as wide as of one alone."""
-    rng = np.random.default_rng(3)
-    x = np.linspace(0, 10, 80)
-    Y = np.full((80, 2), np.nan)
-    Y[:40, 0] = np.sin(2 * x[:40])
-    Y[40:, 1] = 3 * np.cos(1.5 * x[40:])
-    Y += 0.1 * rng.normal(size=Y.shape)
-    model = DependentGPRegressor(random_state=0).fit(x[:, None], Y)
-    single = DependentGPRegressor(random_state=0).fit(x[:40, None], Y[:40, 0])
-    far = [[8.0]]
-    std = model.predict(far, return_std=True)[1][0, 0]
-    alone = single.predict(far, return_std=True)[1][0]
-    assert std > 0.65 * alone
-
-
 def test_hyperparameters_without_effect_have_no_price():
     """Of 12 a private amplitude of 0.3 % of its output, with its 2 widths, and one width of 2000 deviations."""
     rng = np.random.default_rng(0)

@@ -281,14 +281,6 @@ class TestTransform:
         with pytest.raises(ValueError, match=words):
             LagCorrector(lags).fit(linear_aircraft(0, seconds=2))
 
-    def test_what_was_late_is_on_time_again(self):
-        lags = lags_of(linear_aircraft(3, air=0.08, surfaces=0.05))
-        assert lags.remark[["air", "surfaces"]].tolist() == ["removed"] * 2
-        spoilt = linear_aircraft(3, surfaces=0.1)
-        truth = linear_aircraft(3)
-        error = corrected(spoilt).elevator - truth.elevator
-        assert error[20:-20].std() < 0.1 * (spoilt.elevator - truth.elevator)[20:-20].std()
-
     def test_attitude_and_position_are_unknown_beyond_the_end_however_named(self, latlon):
         for name, lags in (("psi", {"psi": 0.1}), ("psi", {"attitude": 0.1})):
             assert np.isnan(corrected(latlon, lags)[name].iloc[-1])

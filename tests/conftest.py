@@ -23,7 +23,6 @@ from numpy.random import default_rng
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets, design
-from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.identification import FlightMechanics, Identification
 from skdgp.inference import BlockSettings, SearchSettings
@@ -291,8 +290,7 @@ def no_pictures(monkeypatch):
 @pytest.fixture
 def no_mechanics(monkeypatch):
     """Leave trim, derivatives and simulations of identified models out: for tests of other numbers and of files."""
-    left_out = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
-    monkeypatch.setattr(Identification, "mechanics", FlightMechanics(notes=(left_out,)))
+    monkeypatch.setattr(Identification, "mechanics", FlightMechanics())
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.control import _ardupilot, fly
+from skdgp.control import fly
 from skdgp.dynamics import (
     Aerodynamics,
     ScaleFactor,
@@ -343,7 +343,7 @@ def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
 
 @pytest.mark.parametrize("count", [1, 5, 9])
 def test_another_autopilot_flies_after_silence(flown, count, monkeypatch):
-    monkeypatch.setattr(_ardupilot, "HANDOVER", 0.0)
+    monkeypatch.setattr("skdgp.control._ardupilot.HANDOVER", 0.0)
 
     def play(autopilot):
         autopilot.send(count=5)

@@ -10,14 +10,11 @@ from skdgp import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aerodynamics,
-    Air,
     Motion,
     air_velocity,
     euler_to_quaternion,
     stability_derivatives,
 )
-from skdgp.dynamics._linearize import jacobian
-from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
 
 EXAMPLE = load_example_flights(duration=1.0)
 BRUMBY, REGRESSORS, coefficients = EXAMPLE.aircraft, EXAMPLE.regressor_names, EXAMPLE.aerodynamics
@@ -212,85 +209,3 @@ NOWHERE = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevat
 def test_what_has_no_derivatives(state, model, change, controls, match):
     with pytest.raises(ValueError, match=match):
         stability_derivatives(model, BRUMBY, **{"point": state, "controls": controls} | change)
-
-
-LINEAR_NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]
-SLOPES = np.zeros((6, 7))
-SLOPES[0, [0, 5]] = 0.4, 0.02
-SLOPES[1, [1, 4, 6]] = -0.5, 0.2, 0.1
-SLOPES[2, [0, 3, 5]] = -4.5, -0.03, -0.4
-SLOPES[3, [1, 2, 4]] = -0.05, -0.4, 0.1
-SLOPES[4, [0, 3, 5]] = -0.6, -0.12, -1.0
-SLOPES[5, [1, 4, 6]] = 0.08, -0.1, -0.06
-LEVEL = np.array([-0.04, 0.0, -0.25, 0.0, 0.02, 0.0])
-HELD = {"elevator": -0.02, "rudder": 0.03}
-LINEAR = Aerodynamics(
-    lambda X: LEVEL + X @ SLOPES.T, LINEAR_NAMES, slopes=lambda X: np.tile(SLOPES, (len(X), 1, 1))
-)
-
-
-RATES = np.array([0.2, 0.1, 0.15])
-
-
-def state_of(rates=RATES):
-    velocity, attitude = air_velocity(36.0, 0.08, 0.03), euler_to_quaternion(0.3, 0.1, 1.0)
-    return np.concatenate([[0.0, 0.0, -200.0], velocity, attitude, rates])
-
-
-MOTION = Motion(LINEAR, BRUMBY, thrust=None)
-NOW = MOTION.at(state_of(), HELD)
-
-
-def test_scatter_of_slopes_by_rates_leaves_slopes_by_alpha_dot_unknown():
-    """A Cm_q of zero with a deviation by method does not mean that Cm_alpha_dot is zero."""
-    scatter = np.zeros_like(SLOPES)
-    scatter[4, 3], scatter[3, 3] = 0.16, 0.02
-    terms = unsteady_terms(MOTION, NOW, SLOPES, scatter)
-    assert_allclose(terms.slopes[4, 0], RELATIVE_STD[0] * -0.2)
-    assert_allclose(abs(terms.slopes[3, 0]), RELATIVE_STD[0] * 0.02)
-    assert_allclose(terms.slopes[:, 1], unsteady_terms(MOTION, NOW, SLOPES).slopes[:, 1])
-
-
-def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
-    size = 1e-5
-    column = size * np.array([0.0, 0, -1.0, 0, -2.0, 0])
-    named = Aerodynamics(
-        lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*LINEAR_NAMES, "alpha_dot"]
-    )
-    terms = UnsteadyTerms(
-        np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool)
-    )
-    at = state_of(), HELD, ["elevator"]
-    expected = jacobian(Motion(named, BRUMBY, thrust=None), *at)
-    plain = jacobian(MOTION, *at)
-    found = jacobian(MOTION, *at, unsteady=terms)
-    for k in range(2):  # of the motion, of the outputs
-        change = expected[k] - plain[k]
-        own = found[k] - plain[k]
-        assert np.abs(change - own).max() < 2e-2 * np.abs(change).max()
-
-
-def test_unsteady_terms_are_merged_with_the_slopes_by_rates_and_controls():
-    """Without gravity alpha_dot follows from the loads: the model learned its effect with theirs."""
-    motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
-    state, inputs = state_of(), ["elevator", "rudder"]
-    terms = unsteady_terms(motion, motion.at(state, HELD), SLOPES)
-    plain = jacobian(motion, state, HELD, inputs)
-    found = jacobian(motion, state, HELD, inputs, unsteady=terms)
-    by_rates_and_controls = slice(9, None)
-    for k in range(2):  # of the motion, of the outputs
-        same = plain[k][:, by_rates_and_controls]
-        assert found[k][:, by_rates_and_controls] == pytest.approx(same, rel=1e-8, abs=1e-8)
-        assert np.abs(found[k] - plain[k]).max() > 1e-3  # by w the loads turn
-
-
-def test_with_alpha_dot_the_rest_of_it_is_uncertain():
-    slopes = np.column_stack([SLOPES, np.zeros(6), np.zeros(6)])
-    model = Aerodynamics(
-        lambda X: LEVEL + X @ slopes.T, [*LINEAR_NAMES, "alpha_dot", "beta_dot_hat"]
-    )
-    motion = Motion(model, BRUMBY, thrust=None)
-    terms = unsteady_terms(motion, motion.at(state_of(), HELD), slopes)
-    assert not terms.missing.any()
-    assert_allclose(terms.errors[4, 7], [RELATIVE_STD[0] * SLOPES[4, 3], 0.0])
-    assert_allclose(terms.errors[5, 8, 1], RELATIVE_STD[1] * SLOPES[5, 4])

@@ -5,8 +5,6 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.integrate import cumulative_trapezoid, quad
-from scipy.linalg import expm, solve_continuous_lyapunov
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
@@ -23,8 +21,6 @@ from skdgp.dynamics import (
     dryden_wind,
     simulate,
 )
-from skdgp.dynamics._dryden import dryden_system, rolling_gust
-from skdgp.dynamics._path_air import drift_in
 from skdgp.identification import make_identification_pipeline
 
 WIND = ["wind_north", "wind_east", "wind_down"]
@@ -111,19 +107,6 @@ class TestPipeline:
 
 
 class TestDrift:
-    def test_grows_with_the_gusts_up_to_twice_those_of_training(self):
-        """What gusts explain of a variance is proportional to theirs."""
-        drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
-        factors = np.array([0.0, 0.5, 1.0, 2.0])
-        known = learned_in(TRUE, drift)
-        left = [drift_in(TRUE.scaled(k), known).variance[0] / 1e-6 for k in factors]
-        assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
-        assert_allclose(left, [0.0, 0.25, 1.0, 2.0], atol=0.03)
-        # Learned in calm air, all of it is errors of the function
-        calm = learned_in(TRUE.scaled(0.0), drift)
-        for air in (TRUE.scaled(0.0), TRUE, None):
-            assert_allclose(drift_in(air, calm).variance, drift.variance)
-
     def test_draws_have_the_stated_covariance(self):
         drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.array([0.1, 2.0, 0.1, 0.1, 0.1, 0.1]))
         time = np.array([0.0, 0.05, 1.0])
@@ -132,11 +115,6 @@ class TestDrift:
         for k, found in enumerate(np.moveaxis(drawn, -1, 0)):
             expected = drift.variance[k] * np.exp(-lag / drift.memory[k])
             assert_allclose(np.cov(found), expected, atol=0.06)
-
-
-def learned_in(turbulence, drift):
-    """Return a model that was learned in some turbulence."""
-    return learned(drift=drift, turbulence=turbulence._replace(airspeed=SPEED))
 
 
 def coefficients(X):
@@ -228,86 +206,6 @@ class TestSimulate:
 def test_flights_that_show_no_turbulence_are_refused(change, span, match):
     with pytest.raises(ValueError, match=match):
         Turbulence.from_flight(change(flights(TRUE, 1, 200.0, 0.2, seed=3)), span)
-
-
-AIRSPEED, WING = 33.0, 2.6
-LENGTH, INTENSITY = np.array([240.0, 210.0, 130.0]), np.array([1.1, 0.9, 0.7])
-
-
-def span_lag(omega, factor):
-    return 1.0 / (1.0 + factor * WING / (np.pi * AIRSPEED) * 1j * omega)
-
-
-def transfer(name, omega):
-    """MIL-F-8785C, typed from the standard: one noise to one gust."""
-    s, T = 1j * omega, LENGTH / AIRSPEED
-    lag = span_lag(omega, 3 if name in "vr" else 4)
-    if name == "u":
-        return lag * INTENSITY[0] * np.sqrt(2 * T[0]) / (1 + T[0] * s)
-    if name == "p":
-        size = np.sqrt(0.8 * np.pi / (AIRSPEED * LENGTH[2]))
-        return lag * INTENSITY[2] * size * (np.pi * LENGTH[2] / (4 * WING)) ** (1 / 6)
-    k = 1 if name in "vr" else 2
-    across = INTENSITY[k] * np.sqrt(T[k]) * (1 + np.sqrt(3) * T[k] * s) / (1 + T[k] * s) ** 2
-    factor = {"q": -s / AIRSPEED, "r": s / AIRSPEED}.get(name, 1.0)
-    return lag * factor * across
-
-
-# Output and noise of each gust in the linear system
-ROWS = {"u": (0, 0), "v": (1, 1), "w": (2, 2), "p": (6, 3), "q": (7, 2), "r": (8, 1)}
-
-
-def test_rolling_gust_is_the_one_of_the_linear_system():
-    A, B, C = dryden_system(AIRSPEED, LENGTH, INTENSITY, WING)
-    roll = C[6]
-    covariance = solve_continuous_lyapunov(A, -B @ B.T)
-    std, time = rolling_gust(AIRSPEED, WING, INTENSITY[2], LENGTH[2])
-    assert std == pytest.approx(np.sqrt(roll @ covariance @ roll))
-    later = roll @ expm(0.3 * A) @ covariance @ roll
-    longer = 100 * LENGTH
-    A, B, C = dryden_system(AIRSPEED, longer, INTENSITY, WING)
-    rates = C[6:] @ solve_continuous_lyapunov(A, -B @ B.T) @ C[6:].T
-    found = Turbulence(INTENSITY, longer).rates(AIRSPEED, WING)
-    assert_allclose(found, np.sqrt(np.diag(rates)), rtol=0.02)
-    assert later == pytest.approx(std**2 * np.exp(-0.3 / time))
-
-
-@pytest.mark.parametrize("name", ROWS)
-def test_linear_system_is_the_standards_forming_filter(name):
-    A, B, C = dryden_system(AIRSPEED, LENGTH, INTENSITY, WING)
-    row, noise = ROWS[name]
-    for omega in (0.01, 0.2, 1.3, 9.0, 40.0):
-        response = C @ np.linalg.solve(1j * omega * np.eye(9) - A, B)
-        assert_allclose(response[row, noise], transfer(name, omega), rtol=1e-10)
-        assert np.count_nonzero(abs(response[row]) > 1e-15) == 1
-
-
-@pytest.fixture(scope="module")
-def gusts():
-    """Of 200 flights side by side."""
-    scales = np.tile(LENGTH, (200, 1)), np.tile(INTENSITY, (200, 1))
-    return dryden_gusts(6000, 0.025, AIRSPEED, *scales, WING, default_rng(5))
-
-
-@pytest.mark.parametrize("name", ROWS)
-def test_variance_is_the_integral_of_the_spectrum(gusts, name):
-    """Also of the first sample, in which no warm-up hides: 200 flights have a standard error of 10 %."""
-
-    def density(x):
-        return abs(transfer(name, np.exp(x))) ** 2 * np.exp(x) / np.pi
-
-    theory, _ = quad(density, -12, 12, limit=200)
-    signal = np.concatenate([gusts.velocity, gusts.rates], axis=-1)[..., "uvwpqr".index(name)]
-    assert_allclose(np.mean(signal**2), theory, rtol=0.08)
-    assert_allclose(np.mean(signal[0] ** 2), theory, rtol=0.4)
-
-
-def test_acceleration_is_the_slope_of_velocity():
-    """Each is rough, so the trapezia err with the root of the step cubed."""
-    step = 2e-4
-    fine = dryden_gusts(8000, step, AIRSPEED, [LENGTH], [INTENSITY], WING, default_rng(1))
-    climbed = cumulative_trapezoid(fine.acceleration, dx=step, axis=0, initial=0.0)
-    assert_allclose(fine.velocity - fine.velocity[0], climbed, atol=1e-3)
 
 
 def test_a_wind_to_fly_in_has_the_intensities_of_its_height():

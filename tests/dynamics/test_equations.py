@@ -1,0 +1,209 @@
+"""Equations behind derivatives, simulations and gusts: unsteady terms, drift, Dryden's spectra."""
+
+import numpy as np
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose
+from scipy.integrate import cumulative_trapezoid, quad
+from scipy.linalg import expm, solve_continuous_lyapunov
+
+from skdgp.datasets import load_example_flights
+from skdgp.dynamics import (
+    Aerodynamics,
+    Air,
+    Drift,
+    Motion,
+    Turbulence,
+    air_velocity,
+    dryden_gusts,
+    euler_to_quaternion,
+)
+from skdgp.dynamics._dryden import dryden_system, rolling_gust
+from skdgp.dynamics._linearize import jacobian
+from skdgp.dynamics._path_air import drift_in
+from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
+
+BRUMBY = load_example_flights(duration=1.0).aircraft
+LINEAR_NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]
+SLOPES = np.zeros((6, 7))
+SLOPES[0, [0, 5]] = 0.4, 0.02
+SLOPES[1, [1, 4, 6]] = -0.5, 0.2, 0.1
+SLOPES[2, [0, 3, 5]] = -4.5, -0.03, -0.4
+SLOPES[3, [1, 2, 4]] = -0.05, -0.4, 0.1
+SLOPES[4, [0, 3, 5]] = -0.6, -0.12, -1.0
+SLOPES[5, [1, 4, 6]] = 0.08, -0.1, -0.06
+LEVEL = np.array([-0.04, 0.0, -0.25, 0.0, 0.02, 0.0])
+HELD = {"elevator": -0.02, "rudder": 0.03}
+LINEAR = Aerodynamics(
+    lambda X: LEVEL + X @ SLOPES.T, LINEAR_NAMES, slopes=lambda X: np.tile(SLOPES, (len(X), 1, 1))
+)
+
+
+RATES = np.array([0.2, 0.1, 0.15])
+
+
+def state_of(rates=RATES):
+    velocity, attitude = air_velocity(36.0, 0.08, 0.03), euler_to_quaternion(0.3, 0.1, 1.0)
+    return np.concatenate([[0.0, 0.0, -200.0], velocity, attitude, rates])
+
+
+MOTION = Motion(LINEAR, BRUMBY, thrust=None)
+NOW = MOTION.at(state_of(), HELD)
+
+
+def test_scatter_of_slopes_by_rates_leaves_slopes_by_alpha_dot_unknown():
+    """A Cm_q of zero with a deviation by method does not mean that Cm_alpha_dot is zero."""
+    scatter = np.zeros_like(SLOPES)
+    scatter[4, 3], scatter[3, 3] = 0.16, 0.02
+    terms = unsteady_terms(MOTION, NOW, SLOPES, scatter)
+    assert_allclose(terms.slopes[4, 0], RELATIVE_STD[0] * -0.2)
+    assert_allclose(abs(terms.slopes[3, 0]), RELATIVE_STD[0] * 0.02)
+    assert_allclose(terms.slopes[:, 1], unsteady_terms(MOTION, NOW, SLOPES).slopes[:, 1])
+
+
+def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
+    size = 1e-5
+    column = size * np.array([0.0, 0, -1.0, 0, -2.0, 0])
+    named = Aerodynamics(
+        lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*LINEAR_NAMES, "alpha_dot"]
+    )
+    terms = UnsteadyTerms(
+        np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool)
+    )
+    at = state_of(), HELD, ["elevator"]
+    expected = jacobian(Motion(named, BRUMBY, thrust=None), *at)
+    plain = jacobian(MOTION, *at)
+    found = jacobian(MOTION, *at, unsteady=terms)
+    for k in range(2):  # of the motion, of the outputs
+        change = expected[k] - plain[k]
+        own = found[k] - plain[k]
+        assert np.abs(change - own).max() < 2e-2 * np.abs(change).max()
+
+
+def test_unsteady_terms_are_merged_with_the_slopes_by_rates_and_controls():
+    """Without gravity alpha_dot follows from the loads: the model learned its effect with theirs."""
+    motion = Motion(LINEAR, BRUMBY, thrust=None, air=Air(gravity=0.0))
+    state, inputs = state_of(), ["elevator", "rudder"]
+    terms = unsteady_terms(motion, motion.at(state, HELD), SLOPES)
+    plain = jacobian(motion, state, HELD, inputs)
+    found = jacobian(motion, state, HELD, inputs, unsteady=terms)
+    by_rates_and_controls = slice(9, None)
+    for k in range(2):  # of the motion, of the outputs
+        same = plain[k][:, by_rates_and_controls]
+        assert found[k][:, by_rates_and_controls] == pytest.approx(same, rel=1e-8, abs=1e-8)
+        assert np.abs(found[k] - plain[k]).max() > 1e-3  # by w the loads turn
+
+
+def test_with_alpha_dot_the_rest_of_it_is_uncertain():
+    slopes = np.column_stack([SLOPES, np.zeros(6), np.zeros(6)])
+    model = Aerodynamics(
+        lambda X: LEVEL + X @ slopes.T, [*LINEAR_NAMES, "alpha_dot", "beta_dot_hat"]
+    )
+    motion = Motion(model, BRUMBY, thrust=None)
+    terms = unsteady_terms(motion, motion.at(state_of(), HELD), slopes)
+    assert not terms.missing.any()
+    assert_allclose(terms.errors[4, 7], [RELATIVE_STD[0] * SLOPES[4, 3], 0.0])
+    assert_allclose(terms.errors[5, 8, 1], RELATIVE_STD[1] * SLOPES[5, 4])
+
+
+TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
+
+
+def learned_in(turbulence, drift):
+    """Return a model that was learned in some turbulence at 25 m/s."""
+    known = {"drift": drift, "turbulence": turbulence._replace(airspeed=25.0)}
+    return Aerodynamics(lambda X: np.zeros((len(X), 6)), ["alpha"], **known)
+
+
+def test_a_drift_grows_with_the_gusts_up_to_twice_those_of_training():
+    """What gusts explain of a variance is proportional to theirs."""
+    drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
+    factors = np.array([0.0, 0.5, 1.0, 2.0])
+    known = learned_in(TRUE, drift)
+    left = [drift_in(TRUE.scaled(k), known).variance[0] / 1e-6 for k in factors]
+    assert_allclose(np.diff(left[:3]) / np.diff(factors[:3] ** 2), 1 - left[0])
+    assert_allclose(left, [0.0, 0.25, 1.0, 2.0], atol=0.03)
+    # Learned in calm air, all of it is errors of the function
+    calm = learned_in(TRUE.scaled(0.0), drift)
+    for air in (TRUE.scaled(0.0), TRUE, None):
+        assert_allclose(drift_in(air, calm).variance, drift.variance)
+
+
+AIRSPEED, WING = 33.0, 2.6
+LENGTH, INTENSITY = np.array([240.0, 210.0, 130.0]), np.array([1.1, 0.9, 0.7])
+
+
+def span_lag(omega, factor):
+    return 1.0 / (1.0 + factor * WING / (np.pi * AIRSPEED) * 1j * omega)
+
+
+def transfer(name, omega):
+    """MIL-F-8785C, typed from the standard: one noise to one gust."""
+    s, T = 1j * omega, LENGTH / AIRSPEED
+    lag = span_lag(omega, 3 if name in "vr" else 4)
+    if name == "u":
+        return lag * INTENSITY[0] * np.sqrt(2 * T[0]) / (1 + T[0] * s)
+    if name == "p":
+        size = np.sqrt(0.8 * np.pi / (AIRSPEED * LENGTH[2]))
+        return lag * INTENSITY[2] * size * (np.pi * LENGTH[2] / (4 * WING)) ** (1 / 6)
+    k = 1 if name in "vr" else 2
+    across = INTENSITY[k] * np.sqrt(T[k]) * (1 + np.sqrt(3) * T[k] * s) / (1 + T[k] * s) ** 2
+    factor = {"q": -s / AIRSPEED, "r": s / AIRSPEED}.get(name, 1.0)
+    return lag * factor * across
+
+
+# Output and noise of each gust in the linear system
+ROWS = {"u": (0, 0), "v": (1, 1), "w": (2, 2), "p": (6, 3), "q": (7, 2), "r": (8, 1)}
+
+
+def test_rolling_gust_is_the_one_of_the_linear_system():
+    A, B, C = dryden_system(AIRSPEED, LENGTH, INTENSITY, WING)
+    roll = C[6]
+    covariance = solve_continuous_lyapunov(A, -B @ B.T)
+    std, time = rolling_gust(AIRSPEED, WING, INTENSITY[2], LENGTH[2])
+    assert std == pytest.approx(np.sqrt(roll @ covariance @ roll))
+    later = roll @ expm(0.3 * A) @ covariance @ roll
+    longer = 100 * LENGTH
+    A, B, C = dryden_system(AIRSPEED, longer, INTENSITY, WING)
+    rates = C[6:] @ solve_continuous_lyapunov(A, -B @ B.T) @ C[6:].T
+    found = Turbulence(INTENSITY, longer).rates(AIRSPEED, WING)
+    assert_allclose(found, np.sqrt(np.diag(rates)), rtol=0.02)
+    assert later == pytest.approx(std**2 * np.exp(-0.3 / time))
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_linear_system_is_the_standards_forming_filter(name):
+    A, B, C = dryden_system(AIRSPEED, LENGTH, INTENSITY, WING)
+    row, noise = ROWS[name]
+    for omega in (0.01, 0.2, 1.3, 9.0, 40.0):
+        response = C @ np.linalg.solve(1j * omega * np.eye(9) - A, B)
+        assert_allclose(response[row, noise], transfer(name, omega), rtol=1e-10)
+        assert np.count_nonzero(abs(response[row]) > 1e-15) == 1
+
+
+@pytest.fixture(scope="module")
+def gusts():
+    """Of 200 flights side by side."""
+    scales = np.tile(LENGTH, (200, 1)), np.tile(INTENSITY, (200, 1))
+    return dryden_gusts(6000, 0.025, AIRSPEED, *scales, WING, default_rng(5))
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_variance_is_the_integral_of_the_spectrum(gusts, name):
+    """Also of the first sample, in which no warm-up hides: 200 flights have a standard error of 10 %."""
+
+    def density(x):
+        return abs(transfer(name, np.exp(x))) ** 2 * np.exp(x) / np.pi
+
+    theory, _ = quad(density, -12, 12, limit=200)
+    signal = np.concatenate([gusts.velocity, gusts.rates], axis=-1)[..., "uvwpqr".index(name)]
+    assert_allclose(np.mean(signal**2), theory, rtol=0.08)
+    assert_allclose(np.mean(signal[0] ** 2), theory, rtol=0.4)
+
+
+def test_acceleration_is_the_slope_of_velocity():
+    """Each is rough, so the trapezia err with the root of the step cubed."""
+    step = 2e-4
+    fine = dryden_gusts(8000, step, AIRSPEED, [LENGTH], [INTENSITY], WING, default_rng(1))
+    climbed = cumulative_trapezoid(fine.acceleration, dx=step, axis=0, initial=0.0)
+    assert_allclose(fine.velocity - fine.velocity[0], climbed, atol=1e-3)

@@ -35,7 +35,7 @@ from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import FlightTable, by_name
 from skdgp.io._clock import clock_parts, resample, uniform_clock
 from skdgp.io._dataflash import MARK, read_dataflash
-from skdgp.io._instances import Origin, Source, choose, validity_fields
+from skdgp.io._instances import Origin, Source, choose, seconds, validity_fields
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -46,11 +46,11 @@ from skdgp.io._log import (
     Rule,
     Servo,
     full_throws,
+    no_wings,
     read_servos,
     reversed_of,
     with_throws,
 )
-from skdgp.io._resets import RESETS, seconds
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import HEADER, read_ulog
@@ -75,11 +75,8 @@ ARMED = (
     ("actuator_armed", "armed", 1.0),
     ("vehicle_status", "arming_state", 2.0),
     ("STAT", "Armed", 1.0),
-    ("ARM", "ArmState", 1.0),
     ("HEARTBEAT", "armed", 1.0),
 )
-# topics of these that are logged when it changes alone
-ARMING_EVENTS = ("ARM",)
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
 
@@ -107,6 +104,8 @@ class FlightSettings:
     airborne_speed: float = 8.0
     # height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
     clear_height: float = 0.5
+    # rows this near to a reset of an estimator [s] are left out: filters smear the jump; a guess
+    reset_margin: float = 0.25
     # slower for less than this is still flight [s]
     longest_dip: float = 2.0
     # faster for less than this is none [s]
@@ -219,18 +218,11 @@ def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
     on_ground = landed & isinstance(airborne, bool)
     segments = _segments(table, (speeds > speed) & ~on_ground & ~lifted, on_ground)
     remarks = []
-    if airborne is not False:
-        if lifted.any():
-            remarks.append(
-                f"{100 * lifted.mean():.0f} % of the rows are left out of flights: rotors lift the "
-                "VTOL, or it is in transition"
-            )
-        if segments:
-            remarks += [
-                f"{reason}, but the speed is a flight's: if something else moved the surfaces, "
-                "their columns and the throttle are not what flew"
-                for reason in _unarmed(log)
-            ]
+    if airborne is not False and lifted.any():
+        remarks.append(
+            f"{100 * lifted.mean():.0f} % of the rows are left out of flights: rotors lift the "
+            "VTOL, or it is in transition"
+        )
     jumps = attitude_jumps(FlightTable.of(table))
     if len(jumps):
         remarks.append(f"the attitude jumps, so a new flight begins, at {seconds(jumps.tolist())}")
@@ -271,7 +263,7 @@ def _is_clearly_faster(source: Source, first: Source) -> bool:
 def _problem(source: Source, log: Log, rule: Rule) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
-        fields = validity_fields(log, rule)
+        fields = validity_fields(log.instances(rule.topic), rule)
         return f"{source.name} is never valid ({' '.join(fields) or 'no number'})"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
@@ -297,20 +289,14 @@ def _surface(log: Log, name: str, control: Control) -> Source:
         if is_command:  # an engine that is switched off gets no number
             deflection = np.nan_to_num(deflection)
         values = values + weight * deflection
-    note = (
-        "in parts of the full throw" if _is_full_throw(log, name, control) else "by the servo file"
-    )
+    note = "by the servo file"
     if is_command:
         note = "as commanded"
+    elif log.controls.get(name) == control:
+        note = "in parts of the full throw"
     channels = " ".join(servo.channel for servo in servos)
     valid = np.isfinite(values)
     return Source((name,), channels, topic.time[valid], values[valid][:, None], note)
-
-
-def _is_full_throw(log: Log, name: str, control: Control) -> bool:
-    """Return whether a control has the weights of the parameters, of either sign, which know no angles."""
-    named = log.controls.get(name, ())
-    return [abs(weight) for weight, _ in control] == [abs(weight) for weight, _ in named]
 
 
 def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
@@ -462,16 +448,13 @@ def flight_table(flown: FlightLog, name: str, *, airborne: Any) -> pd.DataFrame:
         if len(piece):
             flight = f"{name}#{len(flights) + 1}" if flights else name
             flights.append(piece.assign(flight=flight))
-    if not flights or not flown.log.has_wings:
-        remedy = ""
-        if flown.log.has_wings:
-            remedy = (
-                ": airborne=False (--airborne all) reads all of it, a speed [m/s] in its place all "
-                "above it"
-            )
+    if not flown.log.has_wings:
+        raise FlightReadError(no_wings(flown.log))
+    if not flights:
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
-            f"({no_flight_because(flown)}), but expected a fixed wing in the air{remedy}."
+            f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
+            "(--airborne all) reads all of it, a speed [m/s] in its place all above it."
         )
     return pd.concat(flights, ignore_index=True)
 
@@ -482,7 +465,7 @@ def _cut(table: pd.DataFrame, cuts: Vector) -> list[pd.DataFrame]:
     pieces = []
     edges = [-np.inf, *cuts.tolist(), np.inf]
     for begin, end in pairwise(edges):
-        rows = (time >= begin + RESETS.margin) & (time < end - RESETS.margin)
+        rows = (time >= begin + FLIGHT.reset_margin) & (time < end - FLIGHT.reset_margin)
         if rows.any():
             pieces.append(table[rows])
     return pieces
@@ -545,39 +528,26 @@ def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
 
 def no_flight_because(flown: FlightLog) -> str:
     """Return why a log holds no flight."""
-    if not flown.log.has_wings:
-        return (
-            f"a {flown.log.vehicle}: not for this program; if it has wings, correct the vehicle "
-            "type on the autopilot"
-        )
     part = flown.longest
     channel = "airspeed" if "airspeed" in part.table else "ground speed"
     highest = float(np.nanmax(part.speed, initial=-np.inf))
     is_excluded = part.landed.all() or part.lifted.all()
-    is_slow = np.isfinite(highest) and not (is_excluded and highest > flown.speed)
-    reasons = [
-        (part.landed.all(), "it reports to be landed throughout"),
-        (part.lifted.all(), "rotors lift the VTOL, or it is in transition, throughout"),
-        (channel != "airspeed", "there is no valid airspeed"),
-        (is_slow, f"{channel} never stays above {flown.speed:.3g} m/s (highest {highest:.3g} m/s)"),
-    ]
-    return ", ".join([*_unarmed(part.log), *(text for holds, text in reasons if holds)])
+    is_slow = np.isfinite(highest) and (highest <= flown.speed or not is_excluded)
+    reasons = {
+        "the autopilot was never armed": not _was_armed(part.log),
+        "it reports to be landed throughout": part.landed.all(),
+        "rotors lift the VTOL, or it is in transition, throughout": part.lifted.all(),
+        "there is no valid airspeed": channel != "airspeed",
+        f"{channel} never stays above {flown.speed:.3g} m/s (highest {highest:.3g} m/s)": is_slow,
+    }
+    return ", ".join(reason for reason, holds in reasons.items() if holds)
 
 
-def _unarmed(log: Log) -> list[str]:
-    """Return that the autopilot was never armed, with the field that says so, if it was not.
-
-    What is disarmed after the beginning was armed before.
-    """
-    for name, field, armed in ARMED:
-        topic = log.topics.get(name, NOTHING)
-        if field in topic:
-            first = min(each.time[0] for each in log.topics.values() if len(each))
-            was_disarmed = name in ARMING_EVENTS and topic.time[0] > first + FLIGHT.longest_edge
-            if was_disarmed or (topic[field] == armed).any():
-                return []
-            return [f"the autopilot was never armed: {name}.{field} is never {armed:g}"]
-    return []
+def _was_armed(log: Log) -> bool:
+    """Return whether the autopilot was armed, True where the log does not say."""
+    topics = [(log.topics.get(name, NOTHING), field, armed) for name, field, armed in ARMED]
+    told = [(topic[field] == armed).any() for topic, field, armed in topics if field in topic]
+    return any(told) or not told
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

@@ -10,8 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,7 +45,6 @@ from skdgp.io._log import (
     instance_name,
     last_before,
     numeric_fields,
-    scaled,
     stated_positions,
     turned,
     whole,
@@ -70,8 +68,6 @@ SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 # fields that number instances, in logs that do not say which field does
 INSTANCES = ("I", "Instance", "C")
-# Estimators by AHRS_EKF_TYPE, each with the beginning of its topics; others (DCM, external) log none of them
-ESTIMATORS = {2: "NKF", 3: "XKF"}
 # of a program by its parameter FRAME_CLASS (AP_Motors_Class.h, GCS_MAVLINK_Rover)
 FRAMES = {
     ("ArduRover", 2): "boat", ("Rover", 2): "boat",
@@ -102,8 +98,6 @@ PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
-# parameters of the IMUs that have a lane each, one bit for each; without it, those of the first lanes
-IMU_MASKS = {"XKF4": "EK3_IMU_MASK", "NKF4": "EK2_IMU_MASK"}
 MOST_IMUS = 8
 # field with the parameter that says whether the autopilot uses an IMU
 IMU_USE = "INS_USE"
@@ -129,13 +123,15 @@ ALIASES = {
 def _estimator(name: str, lane: tuple[Use, ...]) -> tuple[Rule, Rule, Rule]:
     """Return the rules for velocity, position and wind of an estimator."""
     return (
-        Rule(EARTH_VELOCITY, f"{name}1", ("VN", "VE", "VD"), used=lane, is_estimate=True),
-        Rule(POSITION, f"{name}1", ("PN", "PE", "PD"), used=lane, is_estimate=True),
+        Rule(EARTH_VELOCITY, f"{name}1", ("VN", "VE", "VD"), used=lane),
+        Rule(POSITION, f"{name}1", ("PN", "PE", "PD"), used=lane),
         Rule(("wind_north", "wind_east"), f"{name}2", ("VWN", "VWE"), used=lane),
     )
 
 
 RULES = (
+    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), preferred=(IMU_USE,)),
+    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), preferred=(IMU_USE,)),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
@@ -190,24 +186,13 @@ TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK, and of tailsitters
 # Q_TAILSIT_MOTMX, drive forward too
 LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
-# servos that tilt motors, forward at the end of their range (ArduPlane/tiltrotor.cpp)
-TILT_SERVOS = (
-    ServoFunction.MOTOR_TILT,
-    ServoFunction.MOTOR_TILT_REAR,
-    ServoFunction.MOTOR_TILT_REAR_LEFT,
-    ServoFunction.MOTOR_TILT_REAR_RIGHT,
-    ServoFunction.MOTOR_TILT_LEFT,
-    ServoFunction.MOTOR_TILT_RIGHT,
-)
-# differential spoilers
-OUTER = (ServoFunction.OUTER_SPOILER_LEFT, ServoFunction.OUTER_SPOILER_RIGHT)
-INNER = (ServoFunction.INNER_SPOILER_LEFT, ServoFunction.INNER_SPOILER_RIGHT)
-FLAPERONS = (ServoFunction.FLAPERON_LEFT, ServoFunction.FLAPERON_RIGHT)
 # angles [rad] of the vehicle against the board: roll, pitch, heading
 TRIM = ("AHRS_TRIM_X", "AHRS_TRIM_Y", "AHRS_TRIM_Z")
-# Weights of a V-tail, left = elevator + rudder, right = elevator - rudder of commands that go up and
-# right (ArduPlane/servos.cpp)
+# Weights of mixed servos, left and right (ArduPlane/servos.cpp). Flaperons: aileron + flap, aileron - flap. V-tails:
+# elevator + rudder, elevator - rudder of commands that go up and right
 MIXES = {
+    "aileron": {ServoFunction.FLAPERON_LEFT: 0.5, ServoFunction.FLAPERON_RIGHT: 0.5},
+    "flap": {ServoFunction.FLAPERON_LEFT: 0.5, ServoFunction.FLAPERON_RIGHT: -0.5},
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
     "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
 }
@@ -226,17 +211,8 @@ class LiftingMode(IntEnum):
     LOITER_ALT_QLAND = 25
 
 
-@dataclass(frozen=True)
-class LiftSettings:
-    """Settings of the search for rows in which rotors lift; guesses."""
-
-    # fraction of the range of pulses above which a motor runs
-    running: float = 0.05
-    # fraction of the range of a servo that tilts motors below which these lift
-    forward: float = 0.9
-
-
-LIFT = LiftSettings()
+# fraction of the range of pulses above which a motor runs; a guess
+RUNNING = 0.05
 
 
 def read_dataflash(path: Path) -> Log:
@@ -345,11 +321,11 @@ def _log(
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=in_vehicle_axes(_rules(topics, parameters, lifting), parameters),
+        rules=in_vehicle_axes(_rules(topics, lifting), parameters),
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=(*remarks, *outputs.remarks, *of_ratio),
+        remarks=(*remarks, *of_ratio),
         landed=(("STAT", "isFlying", 0.0, 0.0),),
         outputs=("RCOU",),
         naming=NAMING,
@@ -459,70 +435,24 @@ def lifting_modes(topic: str, field: str) -> States:
 
 
 def _lifting(outputs: list[Output], parameters: Mapping[str, float]) -> States:
-    """Return channels and their pulses while rotors lift, of motors that lift alone, else of servos that tilt."""
-    tilted = whole(parameters.get("Q_TILT_MASK", 0.0))
-    forward = tilted | whole(parameters.get("Q_TAILSIT_MOTMX", 0.0))
+    """Return channels and their pulses while rotors lift, of motors that lift alone."""
+    forward = whole(parameters.get("Q_TILT_MASK", 0.0)) | whole(
+        parameters.get("Q_TAILSIT_MOTMX", 0.0)
+    )
     low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
     high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
     motors = []
-    tilts = []
-    for n, channel, function, _ in outputs:
-        topic, field = channel.split(".")
-        if function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(function) & 1:
-            motors.append((topic, field, low + LIFT.running * (high - low), np.inf))
-        if function in TILT_SERVOS and tilted:
-            limits = _pulses_short_of(LIFT.forward, parameters, n)
-            tilts.append((topic, field, *limits))
-    return tuple(motors or tilts)
+    for output in outputs:
+        topic, field = output.channel.split(".")
+        if output.function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(output.function) & 1:
+            motors.append((topic, field, low + RUNNING * (high - low), np.inf))
+    return tuple(motors)
 
 
-def _pulses_short_of(
-    fraction: float, parameters: Mapping[str, float], n: int
-) -> tuple[float, float]:
-    """Return the least and the largest pulse of the servo on output n below a fraction of its range."""
-    low, _, high, is_reversed = ServoRange.of(parameters, n)
-    if is_reversed:
-        return high - fraction * (high - low), np.inf
-    return NO_PULSE, low + fraction * (high - low)
-
-
-def _rules(
-    topics: Mapping[str, Topic], parameters: Mapping[str, float], lifting: States
-) -> tuple[Rule, ...]:
-    """Return the rules, without estimators that the autopilot did not fly by, with the engines that run."""
-    used = tuple(_imu_of(lane, parameters) for lane in (*LANE_3, *LANE_2))
-    rules: tuple[Rule, ...] = (
-        _imu_rule(RATES, ("GyrX", "GyrY", "GyrZ"), "GH", used),
-        _imu_rule(SPECIFIC_FORCE, ("AccX", "AccY", "AccZ"), "AH", used),
-        *RULES,
-    )
-    unused = _unused_estimators(topics, parameters)
-    rules = tuple(rule for rule in rules if rule.topic[:3] not in unused)
+def _rules(topics: Mapping[str, Topic], lifting: States) -> tuple[Rule, ...]:
+    """Return the rules, with the engines that run."""
     engines = driving(topics, "RPM", ENGINES, lifting)
-    return (engines_rule("RPM", engines), *rules) if engines else rules
-
-
-def _imu_rule(
-    columns: tuple[str, ...], fields: tuple[str, ...], health: str, used: tuple[Use, ...]
-) -> Rule:
-    """Return the rule for the gyros or the accelerometers of an IMU."""
-    return Rule(columns, "IMU", fields, valid=(health,), used=used, preferred=(IMU_USE,))
-
-
-def _unused_estimators(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> set[str]:
-    """Return the estimators that only ran beside the one in use; none if the log does not say which that is."""
-    if "AHRS_EKF_TYPE" not in parameters:
-        return set()
-    used = ESTIMATORS.get(whole(parameters["AHRS_EKF_TYPE"]), "")
-    if used and f"{used}1" not in topics:
-        return set()
-    return {*ESTIMATORS.values()} - {used}
-
-
-def _imu_of(lane: Use, parameters: Mapping[str, float]) -> Use:
-    """Return where the log says which IMU the lane in use has (NavEKF3::InitialiseFilter)."""
-    mask = whole(parameters.get(IMU_MASKS[lane.topic], 0.0))
-    return lane._replace(instances=tuple(n for n in range(MOST_IMUS) if mask >> n & 1))
+    return (engines_rule("RPM", engines), *RULES) if engines else RULES
 
 
 class _Type:
@@ -617,20 +547,12 @@ class _File:
         return units
 
 
-class SpoilerOption(IntFlag):
-    """Bits of DSPOILER_OPTS."""
-
-    FLYING_WING = 1
-    FULL_SPAN = 2
-
-
 class Outputs(NamedTuple):
     """What the parameters say of the outputs of an autopilot, see `Log`."""
 
     controls: dict[str, Control]
     commands: dict[str, Control]
     lifting: States
-    remarks: tuple[str, ...]
 
 
 def outputs_of(topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Outputs:
@@ -640,12 +562,8 @@ def outputs_of(topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.
     """
     outputs = _logged_outputs(topic, parameters, name)
     servos = _servos_of(outputs, parameters)
-    controls = _spoilers(servos, parameters)
+    controls: dict[str, Control] = {}
     commands: dict[str, Control] = {}
-    remarks: tuple[str, ...] = ()
-    if servos.keys() >= {*FLAPERONS}:
-        flaperons, remarks = _flaperons(servos, topic)
-        controls |= flaperons
     for function in sorted(servos.keys() & SURFACES):
         controls[SURFACES[function]] = ((1.0, servos[function]),)
     for control, weights in MIXES.items():
@@ -654,7 +572,7 @@ def outputs_of(topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
-    return Outputs(controls, commands, _lifting(outputs, parameters), remarks)
+    return Outputs(controls, commands, _lifting(outputs, parameters))
 
 
 class Output(NamedTuple):
@@ -690,76 +608,6 @@ def _servos_of(outputs: list[Output], parameters: Mapping[str, float]) -> dict[i
         group = servos if gets_pulses else silent
         group.setdefault(output.function, _servo(parameters, output))
     return silent | servos
-
-
-def _moves_together(left: Servo, right: Servo, outputs: Topic) -> bool:
-    """Return whether the fast motion of flaperons, by ailerons, is in their sum, as by the parameters.
-
-    Flaps, which are in the other one, move slowly.
-    """
-    commands = [servo.deflection(outputs[servo.field]) for servo in (left, right)]
-    together = np.nanmean(np.abs(np.diff(commands[0] + commands[1])))
-    against = np.nanmean(np.abs(np.diff(commands[0] - commands[1])))
-    return bool(together >= against)
-
-
-def _flaperons(
-    servos: Mapping[int, Servo], outputs: Topic
-) -> tuple[dict[str, Control], tuple[str, ...]]:
-    """Return aileron and flap of flaperons: aileron + flap on the left, aileron - flap on the right.
-
-    Where they move against each other one is mounted against the parameters (ArduPlane/servos.cpp),
-    which a remark says.
-    """
-    left, right = (servos[function] for function in FLAPERONS)
-    sign = 1.0
-    remarks: tuple[str, ...] = ()
-    if not _moves_together(left, right, outputs):
-        sign = -1.0
-        remarks = (
-            f"flaperons {left.channel} and {right.channel} move against each other: the aileron is "
-            "half their difference, as if the right one were mounted against SERVOn_REVERSED",
-        )
-    aileron = ((0.5, left), (0.5 * sign, right))
-    flap = ((0.5, left), (-0.5 * sign, right))
-    return {"aileron": aileron, "flap": flap}, remarks
-
-
-def _spoilers(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> dict[str, Control]:
-    """Return the controls of differential spoilers (ArduPlane/servos.cpp).
-
-    Outer spoilers are -+ aileron + rudder of one side, inner ones the rudder against it; of a flying
-    wing with its elevator. The rudder appears in the sum and in the difference of each pair, and cancels
-    when both pairs are added.
-    """
-    if not servos.keys() >= {*OUTER}:
-        return {}
-    options = SpoilerOption(whole(parameters.get("DSPOILER_OPTS", 3.0)))
-    outer = _halves(servos, OUTER, -0.5, 0.5)
-    aileron = outer
-    elevator = _halves(servos, OUTER, -0.5, -0.5)
-    controls: dict[str, Control] = {}
-    if servos.keys() >= {*INNER}:
-        inner = _halves(servos, INNER, -0.5, 0.5)
-        aileron = (*outer, *inner)
-        elevator = (*elevator, *_halves(servos, INNER, -0.5, -0.5))
-        controls["rudder"] = scaled(inner, 2.0)
-        if SpoilerOption.FULL_SPAN in options:
-            aileron = scaled(aileron, 0.5)
-            elevator = scaled(elevator, 0.5)
-            controls["rudder"] = (*scaled(outer, -1.0), *inner)
-    controls["aileron"] = aileron
-    if SpoilerOption.FLYING_WING in options:
-        controls["elevator"] = elevator
-    return controls
-
-
-def _halves(
-    servos: Mapping[int, Servo], pair: tuple[int, int], of_left: float, of_right: float
-) -> Control:
-    """Return the weighted servos of a pair of functions."""
-    left, right = pair
-    return ((of_left, servos[left]), (of_right, servos[right]))
 
 
 def _servo(parameters: Mapping[str, float], output: Output) -> Servo:

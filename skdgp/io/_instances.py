@@ -1,4 +1,4 @@
-"""Choice among the instances of a sensor: the one that the autopilot used at each time, else a healthy one."""
+"""Choice among the instances of a sensor: one for the whole log, healthy, and used by the autopilot."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Indices, Mask, Matrix, Vector
-from skdgp._flight.clock import CLOCK
+from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.frames import without_sign_changes
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
@@ -22,18 +21,13 @@ from skdgp.io._log import (
     engines_note,
     last_before,
 )
-from skdgp.io._resets import reset_times, seconds
 
-# weights of the choice: a valid sample counts before the autopilot's choice, this before a flag
-VALID_WEIGHT = 4
-USED_WEIGHT = 2
 # columns whose instances are engines, and allocators, in place of redundant sensors
 ENGINES = ("propeller_speed",)
 COMMANDS = ("throttle",)
-# beyond any counter of resets, of which instances have one each
-COUNTERS = 1e6
-# of a choice where the log says that no instance was used
-NONE = -1
+
+# a reset of an estimator is a step beyond so many times what 95 % of the steps are; a guess
+JUMP = 4.0
 
 
 class Origin(NamedTuple):
@@ -54,7 +48,7 @@ class Source(NamedTuple):
     remark: str = ""
     # times [s] of resets
     cuts: tuple[float, ...] = ()
-    # number of the instance, the most used one of several
+    # number of the instance
     instance: int = 0
 
     @property
@@ -80,18 +74,15 @@ class Readings(NamedTuple):
     preferred: Vector
     # 0 where resets are not logged
     counter: Vector
+    # fraction of the time in which the autopilot used it
+    used: float
 
     @property
-    def health(self) -> tuple[bool, float, bool, float]:
-        """Order of instances: valid readings, the autopilot's flag, readings that move."""
+    def health(self) -> tuple[float, bool, float]:
+        """Order of instances: valid readings, twice if they were used, that move, the autopilot's flag."""
         share = float(self.valid.mean())
         moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
-        return share > 0, round(share, 2), bool(moves), float(self.preferred.mean())
-
-    @property
-    def step(self) -> float:
-        """The usual step [s], infinite of a single reading."""
-        return usual_step(np.diff(self.time)) if len(self.time) > 1 else np.inf
+        return round(share * (1 + self.used), 2), bool(moves), float(self.preferred.mean())
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:
@@ -106,10 +97,10 @@ def is_valid(topic: Topic, rule: Rule) -> Mask:
     return valid
 
 
-def validity_fields(log: Log, rule: Rule) -> list[str]:
+def validity_fields(instances: list[Instance], rule: Rule) -> list[str]:
     """Return the fields that say whether a source is a measurement, with their values where these are limited."""
     texts = []
-    for instance in log.instances(rule.topic):
+    for instance in instances:
         texts += [field for field in rule.valid if field in instance.topic]
         for field, _, _ in rule.within:
             if field in instance.topic:
@@ -120,68 +111,66 @@ def validity_fields(log: Log, rule: Rule) -> list[str]:
 
 def choose(log: Log, rule: Rule) -> Source | None:
     """Return the source of a rule's columns, or None if the log has none of its fields."""
-    readings = []
+    instances = []
     for instance in log.instances(rule.topic):
         if all(field in instance.topic for field in rule.fields):
-            readings.append(_readings(instance, rule))
-    if not readings:
+            instances.append(instance)
+    if not instances:
         return None
+    if rule.columns == COMMANDS:
+        instances = instances[:1]
+    use = _use(log, rule, instances)
+    readings = [_readings(log, instance, rule, use) for instance in instances]
     if rule.columns == ENGINES and len(readings) > 1:
         return _mean_engine(log, rule, readings)
-    if rule.columns == COMMANDS:
-        readings = readings[:1]
-    readings.sort(key=lambda reading: reading.health, reverse=True)
-    return _source_of(log, rule, readings)
+    return _source_of(rule, readings, use)
 
 
-def _source_of(log: Log, rule: Rule, readings: list[Readings]) -> Source:
-    """Return the source by the chosen readings of instances, best first."""
-    times = np.unique(np.concatenate([reading.time for reading in readings]))
-    used, use = _used(log, rule, readings, times)
-    chosen = _chosen(readings, used, times, any(reading.is_measurement for reading in rule.used))
-    names = _names(readings, chosen)
+def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
+    """Return the source by the healthiest instance."""
+    best = max(readings, key=lambda reading: reading.health)
+    time, values, counter = (part[best.valid] for part in (best.time, best.values, best.counter))
+    name = _words(rule, [best.instance.name])
     note = _joined(", ", rule.note, _note(readings, use))
-    first = min(reading.instance for reading in readings).name
-    remarks = ["" if names == [first] else f"{rule.words} of {_words(rule, names)} ({note})"]
-    remarks.append(_unmeasured(log, rule, readings))
-    time, values, counter = _merged(readings, chosen, times)
+    is_first = best is readings[0]
+    remarks = ["" if is_first else f"{rule.words} of {name} ({note})", _unmeasured(rule, best)]
     if rule.columns == QUATERNION:
         values = without_sign_changes(values)
-    cuts = reset_times(time, values, counter) if rule.resets or rule.is_estimate else []
+    cuts = reset_times(time, values, counter) if rule.resets else []
     if cuts:
         remarks.append(
             f"{rule.words}: resets of the estimator, so a new flight begins, at {seconds(cuts)}"
         )
-    most = int(np.argmax(np.bincount(chosen[chosen != NONE], minlength=1)))
     return Source(
         columns=rule.columns,
-        name=_words(rule, names),
+        name=name,
         time=time,
         values=values,
         note=note,
         remark=_joined("; ", *remarks),
         cuts=tuple(cuts),
-        instance=readings[most].instance.number,
+        instance=best.instance.number,
     )
+
+
+def reset_times(time: Vector, values: Matrix, counter: Vector) -> list[float]:
+    """Return the times at which a counter (n,) changes and the values (n, k) jump."""
+    sizes = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    if not len(sizes):
+        return []
+    is_jump = sizes > JUMP * np.quantile(sizes, 0.95)
+    return time[1:][is_jump & (np.diff(counter) != 0)].tolist()
+
+
+def seconds(times: list[float]) -> str:
+    """Return the first times as text."""
+    more = f" and {len(times) - 5} more" if len(times) > 5 else ""
+    return ", ".join(f"{time:.1f} s" for time in times[:5]) + more
 
 
 def _joined(separator: str, *texts: str) -> str:
     """Return the texts that are not empty, joined."""
     return separator.join(filter(None, texts))
-
-
-def _merged(
-    readings: list[Readings], chosen: Indices, times: Vector
-) -> tuple[Vector, Matrix, Vector]:
-    """Return times, values and counters of resets of the chosen valid readings, in order of time."""
-    parts = []
-    for place, reading in enumerate(readings):
-        rows = reading.valid & (chosen[last_before(times, reading.time)] == place)
-        counter = reading.counter[rows] + COUNTERS * place
-        parts.append((reading.time[rows], reading.values[rows], counter))
-    time, values, counter = map(np.concatenate, zip(*parts, strict=True))
-    order = np.argsort(time, kind="stable")
-    return time[order], values[order], counter[order]
 
 
 def _words(rule: Rule, names: list[str]) -> str:
@@ -225,93 +214,65 @@ def _speed_in_flight(log: Log, engine: Readings) -> float:
     return float(np.mean(np.abs(engine.values[drives]))) if drives.any() else 0.0
 
 
-def _readings(instance: Instance, rule: Rule) -> Readings:
+def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:
     topic = instance.topic
     n = len(topic)
     values = rule.convert(topic.columns(rule.fields))
     valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
+    used = np.zeros(n)
+    if use is not None:
+        numbers = _numbers(log, use, topic.time)
+        used = numbers == _number(instance, use)
+        if use.is_measurement:
+            valid &= np.isin(numbers, [_number(each, use) for each in log.instances(rule.topic)])
     preferred = np.zeros(n)
     for field in rule.preferred:
         if field in topic:
             preferred = np.maximum(preferred, np.clip(np.nan_to_num(topic[field]), 0.0, 1.0))
     counter = topic[rule.resets] if rule.resets in topic else np.zeros(n)
-    return Readings(instance, topic.time, values, valid, preferred, counter)
+    return Readings(instance, topic.time, values, valid, preferred, counter, float(used.mean()))
 
 
-def _used(
-    log: Log, rule: Rule, readings: list[Readings], times: Vector
-) -> tuple[Indices | None, str]:
-    """Return the place among the readings that the autopilot used at each time, None if it does not say."""
+def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
+    """Return where the log says which of the instances the autopilot used, None if it does not."""
     for use in rule.used:
-        numbers = _numbers(log, use, times)
-        if numbers is None:
-            continue
-        places = np.full(len(times), NONE)
-        for place, reading in enumerate(readings):
-            number: float = reading.instance.number + use.first
-            if reading.instance.number in use.instances:
-                number = use.instances.index(reading.instance.number)
-            elif use.instances:
-                number = NONE
-            if use.match in reading.instance.topic:
-                number = float(reading.instance.topic[use.match][0])
-            places[numbers == number] = place
-        if use.is_measurement or (places != NONE).any():
-            return places, use.words
-    return None, ""
-
-
-def _numbers(log: Log, use: Use, times: Vector) -> Vector | None:
-    """Return the number of the instance that was used at each time, None if the log does not say."""
-    if not use.topic:
-        value = log.parameters.get(use.field)
-        return None if value is None else np.full(len(times), value)
-    for instance in log.instances(use.topic, least=1):
-        if use.field in instance.topic:
-            return instance.topic[use.field][last_before(instance.topic.time, times)]
+        numbers = _numbers(log, use, instances[0].topic.time)
+        is_told = np.isin(numbers, [_number(instance, use) for instance in instances]).any()
+        if len(numbers) and (use.is_measurement or is_told):
+            return use
     return None
 
 
-def _chosen(
-    readings: list[Readings], used: Indices | None, times: Vector, is_measurement: bool
-) -> Indices:
-    """Return the place among the readings, best first, of the chosen one at each time."""
-    scores = np.zeros((len(readings), len(times)))
-    for place, reading in enumerate(readings):
-        last = last_before(reading.time, times)
-        age = times - reading.time[last]
-        is_fresh = np.abs(age) <= CLOCK.gap * reading.step
-        scores[place] = VALID_WEIGHT * (reading.valid[last] & is_fresh) + (
-            reading.preferred[last] > 0
-        )
-        if used is not None:
-            scores[place] += USED_WEIGHT * (used == place)
-    chosen = scores.argmax(axis=0)
-    if is_measurement and used is not None:
-        chosen[used == NONE] = NONE
-    return chosen
+def _number(instance: Instance, use: Use) -> float:
+    """Return the number that an instance has where its use is told."""
+    if use.match in instance.topic:
+        return float(instance.topic[use.match][0])
+    return instance.number + use.first
 
 
-def _names(readings: list[Readings], chosen: Indices) -> list[str]:
-    """Return the names of the chosen instances, in the order of their first choice."""
-    present, first = np.unique(chosen, return_index=True)
-    order = np.argsort(first)
-    places = [place for place in present[order] if place != NONE] or [0]
-    return [readings[place].instance.name for place in places]
+def _numbers(log: Log, use: Use, times: Vector) -> Vector:
+    """Return the number of the instance that was used at each time, none if the log does not say."""
+    if not use.topic:
+        value = log.parameters.get(use.field)
+        return np.empty(0) if value is None else np.full(len(times), value)
+    for instance in log.instances(use.topic, least=1):
+        if use.field in instance.topic:
+            return instance.topic[use.field][last_before(instance.topic.time, times)]
+    return np.empty(0)
 
 
-def _note(readings: list[Readings], use: str) -> str:
+def _note(readings: list[Readings], use: Use | None) -> str:
     """Return how the source was chosen, nothing where there is no choice."""
     if len(readings) < 2:
         return ""
-    return f"of {len(readings)}, " + (f"used by the autopilot: {use}" if use else "the healthiest")
+    words = "the healthiest" if use is None else f"used by the autopilot: {use.words}"
+    return f"of {len(readings)}, {words}"
 
 
-def _unmeasured(log: Log, rule: Rule, readings: list[Readings]) -> str:
+def _unmeasured(rule: Rule, reading: Readings) -> str:
     """Return a remark on messages of a source that the log does not call measurements."""
-    valid = np.concatenate([reading.valid for reading in readings])
-    if not rule.within or valid.all():
+    if not rule.within or reading.valid.all():
         return ""
-    name = readings[0].instance.name
-    fields = " ".join(validity_fields(log, rule))
-    return f"{name} is left out where it is no measurement, {100 * (1 - valid.mean()):.0f} % of it ({fields})"
+    fields = " ".join(validity_fields([reading.instance], rule))
+    missing = 100 * (1 - reading.valid.mean())
+    return f"{reading.instance.name} is left out where it is no measurement, {missing:.0f} % of it ({fields})"

@@ -26,7 +26,7 @@ EQUIVALENT = "equivalent_airspeed"
 # pulses shorter than this [us] move no servo: an output that is switched off
 NO_PULSE = 500.0
 NOT_FLYING_ON_WINGS = (
-    "multicopter", "helicopter", "rover", "boat", "submarine", "airship", "antenna tracker",
+    "multicopter", "helicopter", "rover", "boat", "submarine", "airship", "antenna tracker", "tailsitter",
 )  # fmt: skip
 # mean speed of an engine that runs, over that of the fastest; a guess
 LEAST_SPEED = 0.1
@@ -117,8 +117,6 @@ class Use(NamedTuple):
     match: str = ""
     #: Whether a number of no instance means that nothing was measured
     is_measurement: bool = False
-    #: Instances that the numbers 0, 1, ... stand for, where these are of estimators in place of sensors
-    instances: tuple[int, ...] = ()
 
     @property
     def words(self) -> str:
@@ -168,8 +166,6 @@ class Rule(NamedTuple):
         confidence from 0 to 1.
     resets : str
         Counter of an estimator's resets.
-    is_estimate : bool
-        Whether each instance is an estimator, which differ by more than noise.
     """
 
     columns: tuple[str, ...]
@@ -182,7 +178,6 @@ class Rule(NamedTuple):
     used: tuple[Use, ...] = ()
     preferred: tuple[str, ...] = ()
     resets: str = ""
-    is_estimate: bool = False
 
     @property
     def words(self) -> str:
@@ -335,32 +330,14 @@ def rows_in(states: States, topics: Mapping[str, Topic], time: Vector) -> Mask:
     return rows
 
 
-def in_flight_axes(rules: Iterable[Rule]) -> tuple[Rule, ...]:
-    """Return rules of a tailsitter, whose body axes are those of hover, for its axes in forward flight.
-
-    Forward is then along -z, and down along x (FixedwingRateControl.cpp of PX4).
-    """
-    return _converted(rules, {RATES: _swapped, SPECIFIC_FORCE: _swapped, QUATERNION: _pitched})
-
-
 def turned(rules: Iterable[Rule], rotation: Matrix, note: str) -> tuple[Rule, ...]:
     """Return rules whose inertial sensors are turned by a rotation (3, 3), from axes of the board to body axes."""
     if np.allclose(rotation, np.eye(3), atol=1e-9):
         return tuple(rules)
     turn = partial(_rotated, rotation)
-    return _converted(rules, {RATES: turn, SPECIFIC_FORCE: turn}, note)
-
-
-def _converted(
-    rules: Iterable[Rule],
-    turns: Mapping[tuple[str, ...], Callable[[Matrix], Matrix]],
-    note: str = "",
-) -> tuple[Rule, ...]:
-    """Return rules that convert their columns further, which a note says."""
     converted = []
     for rule in rules:
-        turn = turns.get(rule.columns)
-        if turn is not None:
+        if rule.columns in (RATES, SPECIFIC_FORCE):
             convert = partial(_in_turn, rule.convert, turn)
             rule = rule._replace(convert=convert, note=rule.note or note)
         converted.append(rule)
@@ -379,33 +356,17 @@ def _rotated(rotation: Matrix, vectors: Matrix) -> Matrix:
     return vectors @ rotation.T
 
 
-def _swapped(vectors: Matrix) -> Matrix:
-    """Return vectors (n, 3) in axes of hover in axes of forward flight."""
-    x, y, z = vectors.T
-    return np.column_stack([-z, y, x])
-
-
-def _pitched(quaternions: Matrix) -> Matrix:
-    """Return attitudes of the axes of hover as of the axes of forward flight, a turn by 90 degrees about y."""
-    w, x, y, z = quaternions.T
-    return np.column_stack([w - y, x - z, y + w, z + x]) / np.sqrt(2)
-
-
 def stated_positions(
-    parameters: Mapping[str, float], names: Sequence[str], sits_on_tail: bool = False
+    parameters: Mapping[str, float], names: Sequence[str]
 ) -> dict[int, StatedPosition]:
     """Return the position of each instance of the inertial sensors that the parameters ``names`` _X, _Y, _Z state.
 
-    Zeros, the default of autopilots, state nothing, and so do two of three. The axes of a
-    tailsitter are turned to forward flight.
+    Zeros, the default of autopilots, state nothing, and so do two of three.
     """
     positions = {}
     for number, name in enumerate(names):
-        position = np.array([[parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ"]])
-        if sits_on_tail:
-            position = _swapped(position)
-        if np.isfinite(position).all() and position.any():
-            x, y, z = position[0].tolist()
+        x, y, z = (parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ")
+        if np.isfinite([x, y, z]).all() and any((x, y, z)):
             positions[number] = StatedPosition(f"{name}_X _Y _Z", (x, y, z))
     return positions
 
@@ -587,13 +548,18 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     return throws
 
 
+def no_wings(log: Log) -> str:
+    """Return the message that a vehicle does not fly on wings."""
+    return (
+        f"Got a log of a {log.vehicle}, but expected a fixed wing: if it has wings, correct the vehicle "
+        "type on the autopilot."
+    )
+
+
 def lacking_servos(log: Log) -> str:
     """Return the message that nothing in a log tells which outputs move surfaces."""
     if not log.has_wings:
-        return (
-            f"Got a log of a {log.vehicle}, but expected a fixed wing: if it has wings, correct the vehicle "
-            "type on the autopilot."
-        )
+        return no_wings(log)
     logged = [name for name in log.outputs if name in log.topics]
     outputs = "" if logged else f"some of {list(log.outputs)} and "
     return (

@@ -45,7 +45,6 @@ from skdgp.io._log import (
     density_at,
     driving,
     engines_rule,
-    in_flight_axes,
     instance_name,
     last_before,
     milli,
@@ -77,8 +76,6 @@ UNKNOWN_TRIM = (
     "the parameters AHRS_TRIM_X and _Y are not in the telemetry: accelerometers that are turned against the "
     "attitude by 0.05 rad change CX by 0.05 CL (fetch the parameters while the ground station records)"
 )
-# MAV_TYPE of tailsitters, with two rotors, four, and any
-TAILSITTERS = (19, 20, 23)
 # MAV_MODE_FLAG_SAFETY_ARMED of base_mode
 ARMED = 128
 # MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, and the fields that have its bit
@@ -165,7 +162,6 @@ def read_tlog(path: Path) -> Log:
     beats = by_name.get("HEARTBEAT", {}).values()
     is_px4 = any(beat.autopilot == PX4 for beat in beats)
     vehicles = [MAV_TYPES[beat.type] for beat in beats if beat.type in MAV_TYPES]
-    sits_on_tail = is_px4 and any(beat.type in TAILSITTERS for beat in beats)
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
@@ -190,11 +186,11 @@ def read_tlog(path: Path) -> Log:
     return Log(
         kind="MAVLink telemetry",
         topics=topics,
-        rules=in_flight_axes(rules) if sits_on_tail else rules,
+        rules=rules,
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicle,
-        remarks=(*damage(skipped), *others, *outputs.remarks, *of_trim),
+        remarks=(*damage(skipped), *others, *of_trim),
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
         naming=PX4_NAMING if is_px4 else f"{NAMING} (fetch them while the ground station records)",
@@ -202,7 +198,7 @@ def read_tlog(path: Path) -> Log:
         aliases=ALIASES,
         lifting=lifting,
         commands=outputs.commands,
-        sensor_positions=stated_positions(parameters, positions, sits_on_tail),
+        sensor_positions=stated_positions(parameters, positions),
         sensor_tilt=TILT_STD if of_trim else 0.0,
     )
 

@@ -6,10 +6,8 @@ Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as p
 from __future__ import annotations
 
 import io
-from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,7 +34,6 @@ from skdgp.io._log import (
     driving,
     engines_rule,
     from_rpm,
-    in_flight_axes,
     in_force,
     instance_name,
     milli,
@@ -48,23 +45,10 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35"
-# bytes before each message
-HEAD_SIZE = 3
-
-
-@dataclass(frozen=True)
-class ULogLimits:
-    """Limits of reads and of what is logged."""
-
-    # beyond one read for each byte: a sound file has two for each message
-    spare_reads: int = 1000
-    # microseconds from sampling to publishing, at most
-    latest: int = 1_000_000
-    # outputs beyond zero by less than this fraction of their range are at zero; a guess
-    at_zero: float = 0.01
-
-
-LIMITS = ULogLimits()
+# microseconds from sampling to publishing, at most
+LATEST = 1_000_000
+# beyond one for each byte
+SPARE_READS = 1000
 MAV_TYPES = {
     1: "fixed wing",
     10: "rover",
@@ -72,6 +56,7 @@ MAV_TYPES = {
     12: "submarine",
     **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"),
     **dict.fromkeys(range(19, 26), "VTOL"),
+    **dict.fromkeys((19, 20, 23), "tailsitter"),
 }
 VEHICLE_TYPES = {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}
 
@@ -96,25 +81,13 @@ PITOT = tuple(
 LANE = (Use("estimator_selector_status", "primary_instance"),)
 
 
-def _device(name, match="device_id"):
+def _device(name):
     """Return where the identifier of the sensor in use is logged."""
     return (
-        Use("sensor_selection", f"{name}_device_id", match=match),
-        Use("estimator_selector_status", f"{name}_device_id", match=match),
-        Use("sensors_status_imu", f"{name}_device_id_primary", match=match),
+        Use("sensor_selection", f"{name}_device_id", match="device_id"),
+        Use("estimator_selector_status", f"{name}_device_id", match="device_id"),
+        Use("sensors_status_imu", f"{name}_device_id_primary", match="device_id"),
     )
-
-
-def _per_second(integrals: Matrix) -> Matrix:
-    """Return the means of three channels of their integrals over a time [us], the last column."""
-    return integrals[:, :3] / (1e-6 * integrals[:, 3:])
-
-
-def _integrated(columns: tuple[str, ...], name: str, sensor: str) -> Rule:
-    """Return the rule for gyros or accelerometers whose integrals are logged."""
-    fields = (*_xyz(f"delta_{name}"), f"delta_{name}_dt")
-    used = _device(sensor, f"{sensor}_device_id")
-    return Rule(columns, "vehicle_imu", fields, _per_second, used=used)
 
 
 def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
@@ -168,11 +141,9 @@ RULES = (
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
     Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
     Rule(RATES, "sensor_gyro", ("x", "y", "z"), used=_device("gyro")),
-    _integrated(RATES, "angle", "gyro"),
     Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
     Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
-    _integrated(SPECIFIC_FORCE, "velocity", "accel"),
     Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=ATTITUDE_RESETS),
     Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=ATTITUDE_RESETS),
     Rule(
@@ -243,10 +214,10 @@ LIFTING = (
     ("vehicle_status", "in_transition_mode", 1, 1),
     ("vehicle_status", "vehicle_type", 1, 1),
 )
-# VT_TYPE of tailsitters and tiltrotors, whose thrust is along -z (tailsitter.cpp, tiltrotor.cpp)
-TILTING = (0, 1)
-TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
+# VT_TYPE of tailsitters, whose body axes are those of hover, and of tiltrotors, whose thrust is along -z
 TAILSITTER = 0
+TILTROTOR = 1
+TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
@@ -266,15 +237,10 @@ SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elev
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
 # Left and right flaps
 FLAPS = (9, 10)
-# Airbrake, left and right spoiler
-SPOILERS = (11, 17, 18)
-# Left and right ailerons, which are flaperons with a CA_SV_CSn_FLAP
-AILERONS = (1, 2)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
-TORQUES = {"aileron": ("R", 1.0), "elevator": ("P", -1.0), "rudder": ("Y", -1.0)}
-# The same of tailsitters, whose torques are about the axes of hover
-HOVER_TORQUES = {"aileron": ("Y", -1.0), "elevator": ("P", -1.0), "rudder": ("R", -1.0)}
+TORQUES = {"aileron": ("TRQ_R", 1.0), "elevator": ("TRQ_P", -1.0), "rudder": ("TRQ_Y", -1.0)}
+SCALES = ("TRQ_R", "TRQ_P", "TRQ_Y", "FLAP")
 # Fields of actuator_controls, and full throws: more elevator and rudder turn against our sign
 CONTROLS = {"aileron": (0, UP), "elevator": (1, DOWN), "rudder": (2, DOWN)}
 # Flaps, spoilers and airbrakes of actuator_controls, which open from zero (ActuatorControls.msg)
@@ -313,13 +279,10 @@ def read_ulog(path: Path) -> Log:
     for data_set in log.data_list:
         if "timestamp" in data_set.data:
             name = instance_name(data_set.name, data_set.multi_id)
-            topics[name] = _topic(data_set, file.places[data_set.msg_id])
+            topics[name] = _topic(data_set)
     if not topics:
-        raise FlightReadError(
-            f"Got a ULog of {len(data)} bytes without any data, but expected messages: was it cut "
-            "off?"
-        )
-    remarks = damage(len(data) - file.end, file.cut)
+        raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")
+    remarks = damage(len(data) - file.end)
     if log.file_corruption:
         remarks = ("parts of the file could not be read and were skipped", *remarks)
     parameters = _parameters(log, topics)
@@ -339,12 +302,8 @@ def px4_log(
     vehicle = _vehicle(topics, parameters)
     is_vtol = vehicle == "VTOL"
     lifting = LIFTING if is_vtol else ()
-    sits_on_tail = is_vtol and _sits_on_tail(topics, parameters)
-    tilts = sits_on_tail or (is_vtol and parameters.get("VT_TYPE") in TILTING)
-    rules = _rules(topics, lifting, tilts)
-    rules = _in_body_axes(rules, parameters)
-    if sits_on_tail:
-        rules = in_flight_axes(rules)
+    tilts = is_vtol and parameters.get("VT_TYPE") == TILTROTOR
+    rules = _in_body_axes(_rules(topics, lifting, tilts), parameters)
     return Log(
         kind=kind,
         topics=topics,
@@ -356,10 +315,10 @@ def px4_log(
         landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
         outputs=OUTPUTS,
         naming=NAMING,
-        controls=_controls(topics, parameters, sits_on_tail),
+        controls=_controls(topics, parameters),
         lifting=lifting,
         commands={} if is_vtol else _commands(topics, parameters),
-        sensor_positions=stated_positions(parameters, IMU_POSITIONS, sits_on_tail),
+        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
 
 
@@ -403,38 +362,28 @@ def _mean_motor(commands: Matrix) -> Matrix:
 
 
 class _File(io.BytesIO):
-    """A file that notes where data messages end, how far it was read, and whether a read was cut short."""
+    """A file that notes how far it was read, and ends where pyulog reads damaged places again and again."""
 
     def __init__(self, data: bytes):
         super().__init__(data)
-        self.places: defaultdict[int, list[int]] = defaultdict(list)
         self.end = 0
-        self.cut = False
-        self._reads_left = len(data) + LIMITS.spare_reads
-        self._is_data = False
+        # a sound file has two for each message
+        self._reads_left = len(data) + SPARE_READS
 
     def read(self, size: int | None = -1) -> bytes:
-        """Return the next bytes; raise EOFError if pyulog reads the same place without an end."""
+        """Return the next bytes; raise EOFError after more reads than bytes."""
         self._reads_left -= 1
         if self._reads_left < 0:
             raise EOFError("most of it is damaged")
         content = super().read(size)
         self.end = self.tell()
-        self.cut = len(content) < (size or 0) and (bool(content) or size != HEAD_SIZE)
-        if self._is_data and not self.cut:
-            self.places[int.from_bytes(content[:2], "little")].append(self.end)
-        self._is_data = size == HEAD_SIZE and content[2:] == b"D"
         return content
 
 
-def _topic(data_set: Any, places: list[int]) -> Topic:
-    """Return the messages of a topic; places are approximate where pyulog refused messages."""
+def _topic(data_set: Any) -> Topic:
+    """Return the messages of a topic, in the order of publishing."""
     fields = numeric_fields(data_set.data)
-    time = sampled(data_set.name, fields) * 1e-6
-    order = np.array(places, dtype=float)
-    if len(order) != len(time):
-        order = np.linspace(order[0], order[-1], len(time))
-    return Topic(time, order, fields)
+    return Topic(sampled(data_set.name, fields) * 1e-6, fields["timestamp"] * 1e-6, fields)
 
 
 def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
@@ -443,7 +392,7 @@ def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
     if "timestamp_sample" not in fields or name.startswith("actuator"):
         return published
     sampled = fields["timestamp_sample"]
-    believed = (sampled > 0) & (sampled <= published) & (published - sampled < LIMITS.latest)
+    believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
     return np.where(believed, sampled, published)
 
 
@@ -460,22 +409,16 @@ def _parameters(log: Any, topics: Mapping[str, Topic]) -> dict[str, float]:
 def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> str | None:
     """Return the kind of vehicle by its status, or by a parameter of ground stations."""
     status = topics.get("vehicle_status", NOTHING)
+    if "is_vtol_tailsitter" in status and status["is_vtol_tailsitter"].any():
+        return "tailsitter"
     if "is_vtol" in status and status["is_vtol"].any():
-        return "VTOL"
+        return "tailsitter" if parameters.get("VT_TYPE") == TAILSITTER else "VTOL"
     for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES)):
         if field in status:
             vehicle = names.get(whole(np.median(status[field])))
             if vehicle is not None:
                 return vehicle
     return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
-
-
-def _sits_on_tail(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> bool:
-    """Return whether a VTOL is a tailsitter, by its status or the parameter."""
-    status = topics.get("vehicle_status", NOTHING)
-    if "is_vtol_tailsitter" in status:
-        return bool(status["is_vtol_tailsitter"].any())
-    return parameters.get("VT_TYPE") == TAILSITTER
 
 
 class Surface(NamedTuple):
@@ -485,14 +428,8 @@ class Surface(NamedTuple):
     number: int
     #: TYPE
     kind: int
-    #: TRQ_R, TRQ_P and TRQ_Y
-    torques: dict[str, float]
-    #: FLAP, None in versions without it
-    flap: float | None
-    #: SPOIL
-    spoiler: float
-    #: Values of its output
-    values: Vector
+    #: TRQ_R, TRQ_P, TRQ_Y and FLAP
+    scales: dict[str, float]
 
     def servo(self, inputs: tuple[float, ...], throws: tuple[float, ...]) -> Servo:
         """Return the servo with deflections at some values of the output."""
@@ -507,52 +444,52 @@ def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> l
     for n in range(min(count, MOST_SURFACES)):
         if f"control[{n}]" in outputs:
             name = f"CA_SV_CS{n}"
-            surface = Surface(
-                number=n,
-                kind=whole(parameters.get(f"{name}_TYPE", 0.0)),
-                torques={axis: parameters.get(f"{name}_TRQ_{axis}", 0.0) for axis in "RPY"},
-                flap=parameters.get(f"{name}_FLAP"),
-                spoiler=parameters.get(f"{name}_SPOIL", 1.0),
-                values=outputs[f"control[{n}]"],
-            )
-            surfaces.append(surface)
+            kind = whole(parameters.get(f"{name}_TYPE", 0.0))
+            scales = {key: parameters.get(f"{name}_{key}", 0.0) for key in SCALES}
+            surfaces.append(Surface(n, kind, scales))
     return surfaces
 
 
-def _controls(
-    topics: Mapping[str, Topic], parameters: Mapping[str, float], sits_on_tail: bool
-) -> dict[str, Control]:
+def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
     """Return the servos of control allocation, else of a plane mixed by fixed rules.
 
     The torques of control allocation mix any number of surfaces in any way; elevons are then mixed.
-    The fixed rules of tailsitters changed with the version.
     """
     surfaces = _surfaces(topics, parameters)
-    mixed = _mixed_controls(surfaces, HOVER_TORQUES if sits_on_tail else TORQUES)
-    mixed |= _flaps(surfaces) | _airbrakes(surfaces)
-    controls = _single_controls(surfaces)
-    if not controls and not sits_on_tail:
-        controls = _fixed_controls(topics)
+    mixed = _mixed_controls(surfaces) | _flaps(surfaces)
+    controls = _single_controls(surfaces) or _fixed_controls(topics)
     if mixed:
         for name in ELEVONS:
             controls.pop(name, None)
     return controls | mixed
 
 
-def _mixed_controls(
-    surfaces: list[Surface], axes: Mapping[str, tuple[str, float]]
-) -> dict[str, Control]:
+def _mixed_controls(surfaces: list[Surface]) -> dict[str, Control]:
     """Return the controls that several surfaces share, weighted by their torques about axes, with a sign."""
     mixed = [surface for surface in surfaces if surface.kind in MIXED_TYPES]
     controls: dict[str, Control] = {}
-    for control, (axis, sign) in axes.items():
-        total = sum(abs(surface.torques[axis]) for surface in mixed)
+    for control, (axis, sign) in TORQUES.items():
+        total = sum(abs(surface.scales[axis]) for surface in mixed)
         if 0 < total < np.inf:
-            weights = [(sign * surface.torques[axis] / total, surface) for surface in mixed]
+            weights = [(sign * surface.scales[axis] / total, surface) for surface in mixed]
             controls[control] = tuple(
                 (weight, surface.servo(UP, UP)) for weight, surface in weights if weight
             )
     return controls
+
+
+def _flaps(surfaces: list[Surface]) -> dict[str, Control]:
+    """Return the mean f of the flaps, 0 to 1, whose outputs are (2 f - 1) CA_SV_CSn_FLAP.
+
+    See ActuatorEffectivenessControlSurfaces.cpp; versions without the parameter have none.
+    """
+    servos = []
+    for surface in surfaces:
+        scale = surface.scales["FLAP"]
+        if surface.kind in FLAPS and scale:
+            throws = OPENING if scale > 0 else OPENING[::-1]
+            servos.append(surface.servo((-abs(scale), abs(scale)), throws))
+    return {"flap": tuple((1 / len(servos), servo) for servo in servos)} if servos else {}
 
 
 def _single_controls(surfaces: list[Surface]) -> dict[str, Control]:
@@ -578,64 +515,6 @@ def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
                     controls[surface] = ((1.0, servo),)
             return controls
     return {}
-
-
-def _flaps(surfaces: list[Surface]) -> dict[str, Control]:
-    """Return the mean of the flaps, 0 to 1.
-
-    Their outputs are (2 f - 1) CA_SV_CSn_FLAP, in versions without this parameter f on the left
-    and -f on the right (ActuatorEffectivenessControlSurfaces.cpp). Of flaperons, too, the mean is f,
-    as rolling turns them apart; they need the parameter, and version 1.16 moves them by f CA_SV_CSn_FLAP.
-    """
-    flaperons = [each for each in surfaces if each.kind in AILERONS and each.flap]
-    flaps = [each for each in surfaces if each.kind in FLAPS and each.flap != 0]
-    ends = []
-    for surface in sorted(flaps + (flaperons if _turn_apart(flaperons) else [])):
-        opened = 1.0 if surface.kind == FLAPS[0] else -1.0
-        end = (0.0, opened) if surface.flap is None else (-surface.flap, surface.flap)
-        ends.append((surface, end))
-    return _opening("flap", ends, may_close_at_zero=not flaps)
-
-
-def _turn_apart(flaperons: list[Surface]) -> bool:
-    """Return whether rolling does not change the mean of the flaperons over their CA_SV_CSn_FLAP."""
-    parts = [surface.torques["R"] / (surface.flap or 1.0) for surface in flaperons]
-    return bool(parts) and abs(sum(parts)) < 1e-3 * sum(map(abs, parts))
-
-
-def _airbrakes(surfaces: list[Surface]) -> dict[str, Control]:
-    """Return the mean of airbrakes and spoilers, 0 to 1.
-
-    Their outputs are s CA_SV_CSn_SPOIL, and of spoilers since version 1.16 (2 s - 1) CA_SV_CSn_SPOIL.
-    """
-    ends = []
-    for surface in surfaces:
-        scale = surface.spoiler
-        if surface.kind in SPOILERS and scale:
-            ends.append((surface, (-scale, scale)))
-    return _opening("spoiler", ends, may_close_at_zero=True)
-
-
-def _opening(
-    name: str, ends: list[tuple[Surface, tuple[float, float]]], *, may_close_at_zero: bool
-) -> dict[str, Control]:
-    """Return a control as the mean of surfaces with an output each where they are closed and where they are open.
-
-    With ``may_close_at_zero`` they are closed at zero in versions whose outputs never go beyond it.
-    """
-    if not ends:
-        return {}
-    closes_at_zero = False
-    if may_close_at_zero:
-        openings = [surface.values / opened for surface, (_, opened) in ends]
-        lowest = np.nanmin(np.mean(openings, axis=0), initial=np.inf)
-        closes_at_zero = lowest > -LIMITS.at_zero
-    servos = []
-    for surface, (closed, opened) in ends:
-        inputs = (0.0, opened) if closes_at_zero else (closed, opened)
-        throws = OPENING if opened > 0 else OPENING[::-1]
-        servos.append(surface.servo((min(inputs), max(inputs)), throws))
-    return {name: tuple((1 / len(servos), servo) for servo in servos)}
 
 
 def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:

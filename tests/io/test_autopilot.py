@@ -197,13 +197,16 @@ class TestFlights:
         log.topic("vehicle_local_position", self.t, z=-100.0 - 0.2 * np.maximum(self.t - 20, 0))
         assert read(log).time.min() == pytest.approx(22.5, abs=0.1)
 
-    def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, told, log):
+    def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, told, dataflash):
+        def log(airspeed, t):
+            log = dataflash("ArduPlane V4.5.1").gyros(t, t % 1)
+            return log.topic("ARSP", t, Airspeed=airspeed + 0 * t)
+
         t = np.arange(100, 140, 0.05)
         again = log(25.0, t - 95)
         messages = again.parts()[-len(again.data) :]
-        table = told(
-            r"set back 1 times \(from 139.9 s to 5.0 s\)", bytes(log(20.0, t)) + b"".join(messages)
-        )
+        words = r"set back 1 times \(from 139.9 s to 5.0 s\)"
+        table = told(words, bytes(log(20.0, t)) + b"".join(messages), "log.bin")
         assert_allclose(spans(table), [[100.0, 140.0], [5.0, 45.0]], atol=0.2)
         assert_allclose(table.groupby("flight").airspeed.median(), [20.0, 25.0], atol=0.2)
 
@@ -294,7 +297,7 @@ class TestSharedLogs:
     @pytest.fixture
     def table(self, shared_data):
         path = shared_data / "logs" / "fw_system_id_log_altitude_1_HITL.ulg"
-        with pytest.warns(FlightDataWarning, match="563 of distance_sensor"):
+        with pytest.warns(FlightDataWarning, match="39 % is impossible"):
             return read_flight(path)
 
     def test_a_flight(self, table):
@@ -401,25 +404,7 @@ class TestOnTheGround:
     def test_what_the_autopilot_says_comes_first(self, refused, log):
         refused(r"found \(the autopilot was never armed.*landed", log)
 
-    @pytest.mark.parametrize(("time", "was_armed"), [(0.0, False), (25.0, True)])
-    def test_a_log_that_begins_armed_and_ends_disarmed(
-        self, read, told, dataflash, time, was_armed
-    ):
-        """ArduPilot logs changes alone."""
-        log = dataflash("ArduPlane V4.5.1").topic("ARM", [time], ArmState=("B", 0))
-        log.topic("ARSP", self.t, Airspeed=20.0 + np.sin(self.t))
-        log.gyros(self.t, np.sin(self.t))
-        if was_armed:
-            read(log)
-        else:
-            told("never armed", log)
-
     def test_a_speed_finds_the_flight_of_the_summary_too(self, write, log):
         path = write(log)
         assert inspect_log(path).flights.empty
         assert len(inspect_log(path, airborne=6.0).flights) == 1
-
-    def test_a_speed_overrides_the_flag_and_who_flew_is_asked(self, refused, told, log):
-        refused("no flight was found", log, airborne=30.0)
-        table = told("never armed.*are not what flew", log, airborne=6.0)
-        assert len(table) == len(self.t)

@@ -46,10 +46,12 @@ class TestSummary:
         log = ulog(MAV_TYPE=2)
         quad = write(log.gyros(t, np.sin(t)))
         refusal = inspect_log(quad).remarks[-1]
-        assert "multicopter: not for this program" in refusal
+        assert "a multicopter, but expected a fixed wing" in refusal
         assert "airborne" not in refusal
         for airborne in (True, False):
-            with pytest.raises(FlightReadError, match="a multicopter: not for this program"):
+            with pytest.raises(
+                FlightReadError, match="a log of a multicopter, but expected a fixed wing"
+            ):
                 read_flight(quad, airborne=airborne)
 
     def test_columns_of_unknown_names_are_one_line(self, write):

@@ -31,20 +31,6 @@ def is_in_forward_flight_alone(table):
     return abs(table.time.min() - TRANSITION) < 0.2 and table.time.max() > 39
 
 
-@pytest.mark.parametrize("is_reversed", [0.0, 1.0])
-@pytest.mark.parametrize("function", [41.0, 45.0, 75.0])
-def test_motors_that_all_tilt(told, vtol, function, is_reversed):
-    """They run throughout; the servo that tilts them goes to the end of its range."""
-    tilt = {"SERVO9_FUNCTION": function, "SERVO9_REVERSED": is_reversed}
-    ends = {"SERVO9_MIN": 1000.0, "SERVO9_MAX": 2000.0}
-    log = vtol(Q_TILT_MASK=15.0, **MOTORS, **tilt, **ends)
-    fraction = np.where(HOVERS, 0.4, 1.0)
-    pulse = 2000 - 1000 * fraction if is_reversed else 1000 + 1000 * fraction
-    log.topic("RCOU", SLOW, **RUNNING, C9=("H", pulse))
-    table = told("rotors lift", log)
-    assert is_in_forward_flight_alone(table)
-
-
 @pytest.mark.parametrize(
     ("parameters", "outputs"),
     [

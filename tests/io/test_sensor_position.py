@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
 from skdgp.io import inspect_log
 
@@ -44,17 +43,6 @@ def test_of_px4(read, ulog):
     assert_is_placed(table)
 
 
-def test_of_a_tailsitter_in_its_axes_of_forward_flight(read, ulog):
-    """Axes of hover are turned by 90 degrees about y."""
-    to_hover = Rotation.from_euler("y", 90, degrees=True)
-    place = to_hover.apply(PLACE).tolist()
-    log = ulog(VT_TYPE=0, MAV_TYPE=20, **parameters("EKF2_IMU_POS", place))
-    log.topic("vehicle_acceleration", T, xyz=to_hover.apply(FORCE))
-    log.topic("vehicle_status", T[::5], is_vtol=np.ones(len(T[::5]), bool))
-    table = read(log, airborne=False)
-    assert_is_placed(table)
-
-
 def test_of_telemetry(tlog, read):
     mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
     plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
@@ -75,17 +63,6 @@ def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):
     table = read(log, "log.bin", airborne=False)
     assert table["az"].notna().any()
     assert_allclose(table[POSITION], 0.0)
-
-
-def test_of_the_imu_that_the_autopilot_used(told, dataflash):
-    log = dataflash(**parameters("INS_POS1", (1.0, 1.0, 1.0)), **parameters("INS_POS2"))
-    for number in range(2):
-        inertial(log, number)
-    log.topic("XKF4", T[::5], PI=("B", 1))
-    table = told(
-        r"IMU#1\..* \(of 2, used by the autopilot: XKF4\.PI", log, "log.bin", airborne=False
-    )
-    assert_is_placed(table)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (np.nan, 0.1, 0.1)])

@@ -153,31 +153,6 @@ def test_reversed_outputs(parse, dataflash):
     assert ends == {"elevon_left": 1.0, "elevon_right": -1.0}
 
 
-@pytest.mark.parametrize("is_full_span", [False, True])
-@pytest.mark.parametrize("is_flying_wing", [False, True])
-@pytest.mark.parametrize(("aileron", "elevator", "rudder"), [(0.2, 0.1, 0.3), (-0.1, -0.2, -0.4)])
-def test_differential_spoilers(
-    read, dataflash, is_full_span, is_flying_wing, aileron, elevator, rudder
-):
-    """The autopilot raises the outer and lowers the inner spoiler of the side that it yaws to."""
-    wing = np.array([-aileron, aileron]) + elevator * is_flying_wing
-    side = abs(rudder) * np.array([rudder < 0, rudder > 0])
-    outer = wing + side
-    inner = wing * is_full_span - side
-    outputs = dict(zip((16, 17, 86, 87), [*outer, *inner], strict=True))
-    parameters = {f"SERVO{n}_FUNCTION": float(f) for n, f in enumerate(outputs, start=1)}
-    log = dataflash(**parameters, DSPOILER_OPTS=float(is_flying_wing + 2 * is_full_span))
-    pulses = {f"C{n}": ("H", 1500 + 400 * v) for n, v in enumerate(outputs.values(), start=1)}
-    log.topic("RCOU", np.arange(0, 10, 0.05), **pulses)
-    row = read(log, servos="full throw", airborne=False).iloc[50]
-    assert_allclose(row["aileron"], aileron, atol=1e-3)
-    assert_allclose(row["rudder"], -rudder, atol=1e-3)  # to the left is positive
-    if is_flying_wing:
-        assert_allclose(row["elevator"], -elevator, atol=1e-3)  # down is positive
-    else:
-        assert "elevator" not in row or np.isnan(row["elevator"])
-
-
 PAGE = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
 
 

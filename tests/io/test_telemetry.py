@@ -80,13 +80,6 @@ def test_damage_costs_only_itself(tlog, read):
     assert len(table) > 0.95 * len(read(tlog))
 
 
-def test_a_vehicle_that_was_never_armed(told, mavlink, with_sent):
-    """Its heartbeats are left out, and one without the flag (128) follows each attitude."""
-    beat = mavlink.MAVLink_heartbeat_message(1, 3, 1, 0, 0, 3)
-    log = with_sent("ATTITUDE", lambda _: [beat], without="HEARTBEAT")
-    told("never armed: HEARTBEAT.armed is never 1, but", log)
-
-
 def test_of_two_vehicles_one_is_read(tlog, read, told, mavlink):
     attitude = mavlink.MAVLink_attitude_message(15000, 0, 0, 0, 0, 0, 0)
     second = attitude.pack(mavlink.MAVLink(None, srcSystem=7, srcComponent=1))

@@ -103,9 +103,7 @@ class TestDamage:
         first = len(b"".join(messages[:3]))
         for length in range(first, len(whole)):
             log = read(whole[:length])
-            rest = (length - first) % len(messages[-1])
             assert times(log) == list(range(1, 2 + (length - first) // len(messages[-1])))
-            assert log.remarks == ("the file ends within a message: it was cut off",) * bool(rest)
         for length in range(first):
             with pytest.raises(FlightReadError, match="without any data"):
                 read(whole[:length])

@@ -323,9 +323,7 @@ class Code(Kind):
         "accelerometers, and at gusts without vanes.",
     )
     # causes of the parts of the standard deviation of a derivative
-    STD_RANDOM = "errors that last"
-    STD_METHOD = "gusts, or noise of the regressors"
-    STD_LOG = "times of channels, position of sensors, airspeed"
+    STD_ERRORS = "gusts, noise of the regressors, or errors of the log"
     STD_POSTERIOR = "few or small inputs"
 
     # simulation

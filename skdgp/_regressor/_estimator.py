@@ -24,9 +24,8 @@ from skdgp.inference import (
     Paths,
     PosteriorWithErrors,
     check_spread,
-    function_errors,
+    errors_by_input_noise,
     misfit_variance,
-    no_errors,
     residual_drift,
 )
 from skdgp.kernels import as_multi_output, has_prior_paths
@@ -253,6 +252,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         time: Any = None,
         flight: Any = None,
         slopes: KnownSlopes | None = None,
+        errors: FunctionErrors | None = None,
     ) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
 
@@ -284,6 +284,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             Slopes by the regressors that another source knows better than these samples. A linear
             function is added to the targets, so that their slopes by least squares are these; with
             the errors of the source.
+        errors : FunctionErrors or None
+            Errors of the function that these samples do not show, in units of X and y. They add to
+            its covariance.
 
         Returns
         -------
@@ -314,7 +317,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         before = dict(vars(self))
         try:
             X, Y, clock, noise = self._checked(X, y, time, flight)
-            self._learn(X, Y, clock, slopes, noise)
+            self._learn(X, Y, clock, slopes, errors, noise)
         except BaseException:  # a refused fit changes nothing
             self.__dict__ = before
             raise
@@ -375,7 +378,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             settings=self.settings,
         )
 
-    def _learn(self, X, Y, clock, slopes, noise):
+    def _learn(self, X, Y, clock, slopes, errors, noise):
         """Set the fitted attributes."""
         recipe = self._recipe(clock is not None)
         _check_memory(recipe, int(np.isfinite(Y).sum()))
@@ -386,8 +389,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self._set_hyperparameters(fit)
         self._warn_of_fit(fit, X, Z)
         self._set_noise(fit, X, Z, clock, known_noise)
-        flight = None if clock is None else clock[:, 1]
-        self.posterior_ = self._with_errors(fit, flight, recipe.time_series)
+        self.posterior_ = self._with_errors(fit, errors, recipe.time_series)
 
     def _normalised(self, X, Y, slopes, weights):
         """Return the centred and scaled targets, with known slopes."""
@@ -443,19 +445,18 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.noise_variance_ = white * self.scale_**2
         self.drift_variance_ = variance * self.scale_**2
 
-    def _with_errors(self, fit, flight, time_series):
-        """Return the posterior with errors of the function."""
+    def _with_errors(self, fit, further, time_series):
+        """Return the posterior with errors of the function: by noise, of known slopes, and further ones."""
         posterior, learned = fit
-        if time_series:
-            misfit = self.misfit_variance_ / self.scale_**2
-            errors = function_errors(posterior, misfit, learned.input_std, flight)
-        elif self._slopes is not None:
-            errors = no_errors(posterior.data)
-        else:
+        if not time_series and self._slopes is None and further is None:
             return posterior
+        errors = errors_by_input_noise(posterior, learned.input_std if time_series else None)
         if self._slopes is not None:
             errors = self._slopes.replaced(errors)
-        return PosteriorWithErrors(posterior, errors)
+        if further is not None:
+            unscaled = np.zeros(self.n_features_in_), np.ones(self.n_features_in_)
+            errors = errors.joined(further.in_units(*unscaled, 1 / self.scale_))
+        return PosteriorWithErrors(posterior, errors, self.misfit_variance_ / self.scale_**2)
 
     # -- predictions: y = center_ + scale_ z for the normalised outputs z
     # ------------------------------------
@@ -559,8 +560,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def function_errors(self) -> FunctionErrors | None:
         """Return the errors of the function that the posterior alone does not hold, part of every prediction.
 
-        In units of the outputs. See docs/theory.md; None without ``time``
-        and known slopes.
+        In units of the outputs. See docs/theory.md; None without ``time``, known slopes and further
+        ``errors``.
 
         Examples
         --------

@@ -217,7 +217,7 @@ class Recipe:
             fit = self._sparse(learned, samples, self.n_inducing, rng)
             if fit.posterior.neglected_variance <= self.settings.least_neglected:
                 return fit
-        return fit_exact(learned, samples.data)
+        return fit_exact(learned, samples.data, self.time_series)
 
     def _of_many(self, learned, samples, rng):
         """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""
@@ -244,7 +244,7 @@ class Recipe:
         of_exact = BlockSettings(values=settings.exact_values, most=1)
         (rows,) = blocks_of_rows(samples.X, samples.Z, of_exact)
         few = samples.of_rows(rows)
-        return fit_exact(fit.learned, few.data), few
+        return fit_exact(fit.learned, few.data, self.time_series), few
 
     def _can_neglect(self, learned):
         """Return whether the variance that inducing variables neglect is known, and decides."""

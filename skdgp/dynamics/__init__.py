@@ -30,7 +30,6 @@ from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._aircraft import check_aircraft as check_aircraft
 from skdgp.dynamics._aircraft import with_sensor_position as with_sensor_position
 from skdgp.dynamics._derivatives import stability_derivatives
-from skdgp.dynamics._drawn import drawn_functions as drawn_functions
 from skdgp.dynamics._dryden import Gusts as Gusts
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import rolling_gust as rolling_gust
@@ -99,7 +98,6 @@ from skdgp.dynamics._servos import limited_change as limited_change
 from skdgp.dynamics._servos import ramp_weights as ramp_weights
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
-from skdgp.dynamics._size_errors import PRESSURE as PRESSURE
 from skdgp.dynamics._size_errors import ScaleFactor
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trajectories import farthest_beyond as farthest_beyond

@@ -93,8 +93,7 @@ class Aerodynamics:
     units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md.
     errors : mapping of str to ScaleFactor, optional
-        Errors of the log that the model was learned from, which linear models and paths of
-        simulations have too, and of the propeller's thrust.
+        Error of the propeller's thrust that the model was learned with.
     servos : Servos, optional
         From the commands of a simulation to the surfaces, which are the regressors; by default ideal.
     learned : Coefficients, optional
@@ -451,7 +450,7 @@ class Coefficients:
 
     def _in_units(self, errors: Any) -> Any:
         """Return errors of the outputs as functions of the regressors in units and order of a flight."""
-        units = np.ones(len(errors.discrepancy))
+        units = np.ones(errors.weights.shape[-1])
         return errors.in_units(self.shift, self.scale, units).of_outputs(self.order)
 
     def drift(self) -> Drift | None:

@@ -17,7 +17,7 @@ from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
-from skdgp.dynamics._size_errors import errors_of_log, errors_of_sizes
+from skdgp.dynamics._size_errors import errors_of_sizes
 from skdgp.dynamics._trim import Trim
 from skdgp.dynamics._unsteady import ROTATION_OF, std_of_biases, unsteady_terms
 
@@ -80,15 +80,12 @@ def stability_derivatives(
         with columns ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``,
         ``regressor``, and ``per``, the unit of the regressor. ``perturbation`` is s in this unit,
         absent for local slopes (``attrs["slopes"]`` tells which). ``std`` is the standard deviation
-        over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too, and
-        by errors of the log. Of a model learned from flights its square is the sum of the squares of
+        over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too. Of a
+        model learned from flights its square is the sum of the squares of
 
-        - ``std_random``: errors correlated between samples and between outputs, estimated block by
-          block,
-        - ``std_method``: difference to the slopes of a polynomial with past regressors as
-          instruments, and how far noise of the regressors flattens a slope,
-        - ``std_log``: errors of the log that its flights do not show: times of the channels,
-          position of the sensors, scale of the airspeed,
+        - ``std_errors``: how far noise of the regressors and rates of the air flatten a slope, and
+          errors of the log that its flights do not show: times of the channels, position of the
+          sensors, scale of the airspeed; without vanes errors of the filter's derivatives,
         - ``std_posterior``: the rest.
 
         Without a time series ``std_posterior`` is all; a model without a posterior of skdgp has no
@@ -143,8 +140,6 @@ def stability_derivatives(
     if n_paths and motion.aerodynamics.is_uncertain:
         columns |= _standard_deviations(motion, now, frame, terms, n_paths, random_state)
     columns |= _errors_of_sizes(motion, frame, terms)
-    if "std" in columns and "std_log" in columns:
-        columns["std"] = np.hypot(columns["std"], columns["std_log"])
     table = frame.table(values, columns)
     table.attrs["slopes"] = "local" if frame.perturbation is None else "over the perturbation"
     return table
@@ -166,48 +161,37 @@ def _standard_deviations(
     if model.learned is None:
         return {"std": std}
     errors = model.learned.function_errors
-    std_random = std_method = np.zeros_like(std)
+    std_errors = np.zeros_like(std)
     if errors is not None:
-        std_random, std_method = (frame.std(part) for part in _parts(errors, now.regressors))
+        values = errors.linear(now.regressors[None])[:, 0, :, None]
+        slopes = np.moveaxis(errors.slopes(), -1, 0)
+        std_errors = frame.std(np.concatenate([values, slopes], axis=-1))
     # the part that the errors of the function do not explain
-    std_posterior = np.sqrt(np.maximum(std**2 - (std_random**2 + std_method**2), 0.0))
+    std_posterior = np.sqrt(np.maximum(std**2 - std_errors**2, 0.0))
     unsteady = unsteady_terms(motion, now, terms[:, 1:], std_of_biases(errors)).errors
     merged = np.abs(frame(np.pad(np.moveaxis(unsteady, -1, 0), ((0, 0), (0, 0), (1, 0)))))
     return {
         "std": std,
         "std_posterior": std_posterior,
-        "std_random": std_random,
-        "std_method": std_method,
+        "std_errors": std_errors,
         "std_merged": np.hypot(*merged),
         "merged": _largest(merged, frame.merged_names()),
     }
 
 
-def _parts(errors: Any, X: Array) -> list[Array]:
-    """Return random errors and biases of a function at regressors (d,), (k, 6, 1 + d) each."""
-    parts = []
-    for values, slopes in errors.parts(X[None]):
-        part = np.concatenate([values[0][:, None], slopes[0]], axis=1)
-        parts.append(np.moveaxis(part, -1, 0))
-    return parts
-
-
 def _errors_of_sizes(motion: Motion, frame: _Frame, terms: Array) -> dict[str, np.ndarray]:
-    """Return the effect of errors of the log and of the aircraft's sizes, and names of the largest of the latter."""
+    """Return the effect of errors of the aircraft's sizes, and names of the largest."""
     aircraft = motion.aircraft
     factors = {**(aircraft.deviations or {}), **motion.aerodynamics.errors}
+    if not factors:
+        return {}
     errors = errors_of_sizes(factors, aircraft.inertia, motion.regressors, terms)
     magnitudes = np.abs(frame(errors))
-    names = np.array(list(factors), dtype=object)
-    is_of_log = np.isin(names, list(errors_of_log(motion.aerodynamics.errors)))
-    columns = {}
-    if is_of_log.any():
-        columns["std_log"] = np.linalg.norm(magnitudes[is_of_log], axis=0)
-    if not is_of_log.all():
-        size_errors = magnitudes[~is_of_log]
-        columns["std_aircraft"] = np.linalg.norm(size_errors, axis=0)
-        columns["aircraft"] = _largest(size_errors, names[~is_of_log, None, None])
-    return columns
+    names = np.array(list(factors), dtype=object)[:, None, None]
+    return {
+        "std_aircraft": np.linalg.norm(magnitudes, axis=0),
+        "aircraft": _largest(magnitudes, names),
+    }
 
 
 def _largest(magnitudes: Array, names: np.ndarray) -> np.ndarray:

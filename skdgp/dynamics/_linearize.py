@@ -33,7 +33,6 @@ from skdgp._flight.frames import (
 from skdgp._flight.tables import by_name
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import WITHOUT_SERVOS, Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
@@ -373,7 +372,7 @@ def _drawn(
 ) -> tuple[Motion, UnsteadyTerms | None]:
     """Return the motion with functions drawn from the posterior in place of the model, and their unsteady terms."""
     model = motion.aerodynamics
-    motion_of_paths = motion.with_aerodynamics(drawn_functions(motion, n_paths, random_state))
+    motion_of_paths = motion.with_aerodynamics(model.sample(n_paths, random_state))
     if model.learned is None:
         return motion_of_paths, None
     slopes = model.gradient(now.regressors)

@@ -17,7 +17,6 @@ from skdgp._flight.checks import check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._drawn import drawn_functions
 from skdgp.dynamics._dryden import gust_stream
 from skdgp.dynamics._inputs import (
     StepClock,
@@ -89,8 +88,7 @@ def simulate(
         flights. ``Air(gusts=None)`` is calm.
     n_paths : int, optional
         Number of functions drawn from the posterior to fly instead of the mean, each for a whole
-        flight, with the errors of the log that the model was learned from. Their spread is the
-        uncertainty of the trajectory.
+        flight. Their spread is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
         Of the paths.
     thrust : "auto" or None, default="auto"
@@ -160,7 +158,7 @@ def simulate(
     else:
         path_air = paths_air(given_air, air_schedule, motion, clock, states, n_paths, random_state)
         air_schedule, drift, air_text = path_air
-        drawn = drawn_functions(motion, n_paths, random_state, rounded=True)
+        drawn = motion.aerodynamics.sample(n_paths, random_state, rounded=True)
         motion = motion.with_aerodynamics(drawn)
         states = np.tile(states, (n_paths, 1, 1))
         if drift is not None:
@@ -270,7 +268,7 @@ class Simulator:
             )
         motion = self._mean_motion
         if random_state is not None:
-            drawn = drawn_functions(motion, 1, random_state, rounded=True)
+            drawn = motion.aerodynamics.sample(1, random_state, rounded=True)
             motion = motion.with_aerodynamics(drawn)
         self.motion = motion
         self.time = 0.0

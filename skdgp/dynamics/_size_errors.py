@@ -13,16 +13,14 @@ from skdgp._flight.checks import check_number
 
 MOMENTS = ("Ixx", "Iyy", "Izz")
 PRODUCT = "Ixz"
-PRESSURE = "dynamic pressure"
 # A measured force coefficient is m f / (qbar S), a moment coefficient I omega_dot / (qbar S b) but
 # for products of inertia and gyroscopic moments: powers of the quantities in each
-FORCE_POWERS = {"mass": 1.0, "wing_area": -1.0, PRESSURE: -1.0}
-MOMENT_POWERS = {"wing_area": -1.0, PRESSURE: -1.0}
+FORCE_POWERS = {"mass": 1.0, "wing_area": -1.0}
 POWERS = {
     **dict.fromkeys(COEFFICIENTS[:3], FORCE_POWERS),
-    "Cl": {"Ixx": 1.0, "span": -1.0, **MOMENT_POWERS},
-    "Cm": {"Iyy": 1.0, "chord": -1.0, **MOMENT_POWERS},
-    "Cn": {"Izz": 1.0, "span": -1.0, **MOMENT_POWERS},
+    "Cl": {"Ixx": 1.0, "span": -1.0, "wing_area": -1.0},
+    "Cm": {"Iyy": 1.0, "chord": -1.0, "wing_area": -1.0},
+    "Cn": {"Izz": 1.0, "span": -1.0, "wing_area": -1.0},
 }
 
 
@@ -35,12 +33,12 @@ class ScaleFactor:
     std : float
         Relative standard deviation.
     powers : mapping of str to float
-        Powers of the factor in each quantity: mass, wing_area, span, chord, Ixx, Iyy, Izz, dynamic
-        pressure, and full throws of controls. An error of 1 % of the aspect ratio b^2 / S is one of
+        Powers of the factor in each quantity: mass, wing_area, span, chord, Ixx, Iyy, Izz, and full
+        throws of controls. An error of 1 % of the aspect ratio b^2 / S is one of
         -1 % of ``wing_area`` and, as c = S / b, of -1 % of ``chord``. The product Ixz has no size
         to be relative to: its errors are of sqrt(Ixx Izz).
     source : str
-        Source of the estimate; "" of an error of the log that a model was learned from.
+        Source of the estimate.
     added : mapping of str to float
         Of a learned model, an error that adds to its coefficients, such as an error of the thrust:
         the change by an error of 100 %, of coefficients and their slopes by regressors, "CX",
@@ -61,11 +59,6 @@ class ScaleFactor:
 
 def _floats(values: Mapping) -> dict[str, float]:
     return {str(name): float(value) for name, value in values.items()}
-
-
-def errors_of_log(errors: Mapping[str, ScaleFactor]) -> dict[str, ScaleFactor]:
-    """Return the errors of a learned model that are those of its log."""
-    return {name: factor for name, factor in errors.items() if not factor.source}
 
 
 def errors_of_sizes(
@@ -121,9 +114,9 @@ def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str
 def _powers_of_slope(regressor: str) -> dict[str, float]:
     """Return the powers of quantities in the slope by a regressor: p b / 2V, p_dot (b / 2V)^2, or a control."""
     if regressor in ACCELERATION_LENGTHS:
-        return {ACCELERATION_LENGTHS[regressor]: -2.0, PRESSURE: 1.0}
+        return {ACCELERATION_LENGTHS[regressor]: -2.0}
     if regressor in RATE_LENGTHS:
-        return {RATE_LENGTHS[regressor]: -1.0, PRESSURE: 0.5}
+        return {RATE_LENGTHS[regressor]: -1.0}
     return {regressor: -1.0}
 
 

@@ -71,8 +71,8 @@ def unsteady_terms(
 
 
 def std_of_biases(errors: Any) -> Array | float:
-    """Return the standard deviation of the biases of slopes, (6, d), by the errors of a function; 0 without them."""
-    return 0.0 if errors is None else np.linalg.norm(errors.slopes()[1], axis=-1)
+    """Return the standard deviation of slopes, (6, d), by the errors of a function; 0 without them."""
+    return 0.0 if errors is None else np.linalg.norm(errors.slopes(), axis=-1)
 
 
 def _units(motion: Motion, now: Instant) -> Array:

@@ -29,7 +29,6 @@ from skdgp.dynamics import (
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.inference import (
     ExactPosterior,
-    FunctionErrors,
     Posterior,
     PosteriorWithErrors,
     SinglePosterior,
@@ -213,7 +212,7 @@ def _moved_trend(own: Vector, center: Vector) -> Matrix:
 
 def _all_parts(posterior: Posterior) -> tuple[Vector, tuple[Part, ...]]:
     """Return the common centre of the trends, and the parts of all components, one for each output."""
-    errors = posterior.errors if isinstance(posterior, PosteriorWithErrors) else None
+    errors = posterior if isinstance(posterior, PosteriorWithErrors) else None
     center = _trend_of(posterior.members[0].kernel)[0]
     parts: list[Part] = []
     for member, weights in zip(posterior.members, posterior.mixture, strict=True):
@@ -222,12 +221,14 @@ def _all_parts(posterior: Posterior) -> tuple[Vector, tuple[Part, ...]]:
     return center, tuple(parts)
 
 
-def _parts(posterior: SinglePosterior, errors: FunctionErrors | None, center: Vector) -> list[Part]:
+def _parts(
+    posterior: SinglePosterior, errors: PosteriorWithErrors | None, center: Vector
+) -> list[Part]:
     """Return the parts of a single posterior, one for each output, with trends about a common centre.
 
     A trend about another centre has the functions M p, p = (1, z - center). So its weights are
     M^T v, and the roots of its prior and explained covariance M^T R and M^T T. Errors of the
-    function add to the prior: their linear terms further columns, their discrepancy a variance.
+    function add to the prior: linear ones further columns, the discrepancy a variance.
     """
     kernels = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in kernels if not isinstance(term, ConvolvedGaussian)]
@@ -259,13 +260,14 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None, center: Ve
     return moved_parts
 
 
-def _with_errors(part: Part, errors: FunctionErrors, i: int, center: Vector) -> Part:
+def _with_errors(part: Part, posterior: PosteriorWithErrors, i: int, center: Vector) -> Part:
     """Return the part of output i with the errors of the function in its prior."""
+    errors = posterior.errors
     linear = _moved_trend(errors.centre, center).T @ errors.weights[:, :, i].T
     return replace(
         part,
         trend_prior=_square_root(np.hstack([part.trend_prior, linear])),
-        prior_variance=part.prior_variance + float(errors.discrepancy[i]),
+        prior_variance=part.prior_variance + float(posterior.discrepancy[i]),
     )
 
 

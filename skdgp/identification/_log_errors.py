@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     COEFFICIENTS,
     HAT,
+    RATES,
     SENSOR_POSITION,
     SPECIFIC_FORCE,
     SURFACES,
@@ -23,9 +24,10 @@ from skdgp._flight.clock import Clock, median_step
 from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, sensor_position
 from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import has_values, numeric
-from skdgp.dynamics import PRESSURE, Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
+from skdgp.dynamics import Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
 from skdgp.identification._least_squares import linear_terms
+from skdgp.inference import FunctionErrors
 
 # Standard deviation of the time of a channel against the inertial sensors, by its motion between
 # samples [steps of the log], and prior of this time [s] (guess)
@@ -42,21 +44,21 @@ def learned_errors(
     least_squares: Mapping[str, Mapping[str, float]],
     lags: pd.DataFrame | None,
     airspeed_std: float,
-) -> dict[str, ScaleFactor]:
-    """Return the errors of coefficients learned from flights, by errors of the log.
+) -> FunctionErrors:
+    """Return the errors of coefficients that a model of regressors (n, d) learns from flights, by errors of the log.
 
     Errors are the times of surfaces and vanes, after the removal of ``lags`` (`LagCorrector.lags_`),
     the position of the inertial sensors, the airspeed, of relative error ``airspeed_std``, and the
     angles between the inertial sensors and the axes of the attitude. Without vanes all but the last
-    are parameters of the filter.
+    are parameters of the filter. The model learns each change of the coefficients as the nearest
+    linear function.
     """
-    added = _by_accelerations(flights, aircraft, regressors)
+    changes = _by_accelerations(flights, aircraft)
     if has_values(flights, *VANES):
-        added = _by_clocks(flights, regressors, least_squares, lags) | added
-    factors = {name: ScaleFactor(1.0, added=effect) for name, effect in added.items()}
-    if airspeed_std and has_values(flights, *VANES):
-        factors["airspeed"] = ScaleFactor(2 * airspeed_std, {PRESSURE: 1.0})
-    return factors
+        intercept, slopes = linear_terms(least_squares)
+        changes += _by_clocks(flights, regressors, slopes, lags)
+        changes.append(airspeed_std * _by_airspeed(regressors, intercept, slopes))
+    return learned_as(changes, regressors)
 
 
 def thrust_errors(
@@ -75,43 +77,49 @@ def thrust_errors(
         -np.hstack([force, moment / aircraft.moment_lengths])
         / dynamic_load(flights, aircraft)[:, None]
     )
-    added = learned_as(missing, regressors)
+    (weights,) = learned_as([missing], regressors).weights
+    endings = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
+    added = {}
+    for ending, values in zip(endings, weights.tolist(), strict=True):
+        added |= {C + ending: value for C, value in zip(COEFFICIENTS, values, strict=True)}
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
 
 
-def learned_as(changes: Matrix, regressors: pd.DataFrame) -> dict[str, float]:
-    """Return what changes of the coefficients (n, 6) add to these at their mean, and to their slopes.
-
-    A model learns the changes as the nearest linear function of its regressors.
-    """
-    is_sampled = np.isfinite(changes).all(axis=1) & np.isfinite(regressors).all(axis=1)
-    changes = changes[is_sampled]
-    linear = LinearRegression().fit(regressors[is_sampled], changes)
-    added = dict(zip(COEFFICIENTS, changes.mean(axis=0).tolist(), strict=True))
-    for name, slopes in zip(regressors, linear.coef_.T.tolist(), strict=True):
-        for coefficient, slope in zip(COEFFICIENTS, slopes, strict=True):
-            added[f"{coefficient}_{str(name).removesuffix(HAT)}"] = slope
-    return added
+def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionErrors:
+    """Return changes of the coefficients, (n, 6) each, as the nearest linear functions of regressors (n, d)."""
+    X = regressors.to_numpy()
+    centre = np.nanmean(X, axis=0)
+    weights = np.zeros((len(changes), X.shape[1] + 1, len(COEFFICIENTS)))
+    for weight, change in zip(weights, changes, strict=True):
+        is_sampled = np.isfinite(change).all(axis=1) & np.isfinite(X).all(axis=1)
+        linear = LinearRegression().fit(X[is_sampled] - centre, change[is_sampled])
+        weight[:] = np.vstack([linear.intercept_, linear.coef_.T])
+    return FunctionErrors(weights, centre)
 
 
 def _by_clocks(
-    table: pd.DataFrame,
-    regressors: pd.DataFrame,
-    least_squares: Mapping[str, Mapping[str, float]],
-    lags: pd.DataFrame | None,
-) -> dict[str, dict[str, float]]:
-    """Return the effects of one standard deviation of the time of each group of channels."""
+    table: pd.DataFrame, regressors: pd.DataFrame, slopes: Matrix, lags: pd.DataFrame | None
+) -> list[Matrix]:
+    """Return the changes (n, 6) by one standard deviation of the time of each group of channels."""
     time = table["time"].to_numpy(float)
     flight = table.get("flight")
     step = median_step(time, Clock.of(time, flight).segments)
-    _, slopes = linear_terms(least_squares)
     rates = differentiate(regressors.to_numpy(), time, flight=flight, cutoff=None)
-    effects = {}
+    changes = []
     for group, names in CHANNELS_OF_CLOCK.items():
         is_of_group = np.isin(regressors.columns, names)
-        changes = clock_std(lags, group, step) * rates[:, is_of_group] @ slopes[is_of_group]
-        effects[f"time of {group}"] = learned_as(changes, regressors)
-    return effects
+        changes.append(clock_std(lags, group, step) * rates[:, is_of_group] @ slopes[is_of_group])
+    return changes
+
+
+def _by_airspeed(regressors: pd.DataFrame, intercept: Vector, slopes: Matrix) -> Matrix:
+    """Return the change (n, 6) by an airspeed that is too large by its own size, to first order.
+
+    Coefficients fall with its square, and non-dimensional rates with itself.
+    """
+    X = regressors.to_numpy()
+    is_rate = np.isin(regressors.columns, [f"{name}{HAT}" for name in RATES])
+    return -2.0 * (intercept + X @ slopes) + X[:, is_rate] @ slopes[is_rate]
 
 
 def clock_std(lags: pd.DataFrame | None, group: str, step: float) -> float:
@@ -125,14 +133,12 @@ def clock_std(lags: pd.DataFrame | None, group: str, step: float) -> float:
     return float(np.hypot(remaining_error(lag, std, CLOCK, applied != 0), least))
 
 
-def _by_accelerations(
-    table: pd.DataFrame, aircraft: Aircraft, regressors: pd.DataFrame
-) -> dict[str, dict[str, float]]:
-    """Return the effects of one standard deviation of position and angles of the inertial sensors.
+def _by_accelerations(table: pd.DataFrame, aircraft: Aircraft) -> list[Matrix]:
+    """Return the changes (n, 6) by one standard deviation of position and angles of the inertial sensors.
 
     A rotation by a small vector e adds e x f to the specific force f.
     """
-    accelerations = {}
+    accelerations = []
     if has_values(table, *VANES):
         is_known = np.isfinite(sensor_position(table)).all()
         errors = KNOWN_ARM if is_known else AIR_SENSOR_ERRORS
@@ -140,18 +146,14 @@ def _by_accelerations(
         for axis, name in zip(np.eye(3), SENSOR_POSITION, strict=True):
             _, std = errors[f"arm_{name[-1]}"]
             by_arm = acceleration_by_rotation(spin, rates, np.broadcast_to(std * axis, rates.shape))
-            accelerations[name.replace("_", " ")] = -by_arm
+            accelerations.append(-by_arm)
     if has_values(table, "sensor_tilt", *SPECIFIC_FORCE):
         std = np.nanmax(table["sensor_tilt"])
-        for axis, name in zip(np.eye(3), ("roll", "pitch"), strict=False):
-            by_tilt = np.cross(std * axis, numeric(table, SPECIFIC_FORCE))
-            accelerations[f"{name} of the inertial sensors"] = by_tilt
+        for axis in np.eye(3)[:2]:  # roll and pitch
+            accelerations.append(np.cross(std * axis, numeric(table, SPECIFIC_FORCE)))
     load = dynamic_load(table, aircraft)[:, None]
-    effects = {}
-    for name, acceleration in accelerations.items():
-        force = aircraft.mass * acceleration / load
-        effects[name] = learned_as(np.hstack([force, np.zeros_like(force)]), regressors)
-    return effects
+    forces = [aircraft.mass * acceleration / load for acceleration in accelerations]
+    return [np.hstack([force, np.zeros_like(force)]) for force in forces]
 
 
 def dynamic_load(table: pd.DataFrame, aircraft: Aircraft) -> Vector:

@@ -33,8 +33,7 @@ from skdgp.identification._record import TrainingRecord
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
 DERIVATIVE = (
     *("value", "std", "lower", "upper", "perturbation", "per"),
-    *("std_random", "std_method", "std_log", "std_posterior"),
-    *("std_merged", "std_aircraft", "aircraft"),
+    *("std_errors", "std_posterior", "std_merged", "std_aircraft", "aircraft"),
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -31,7 +32,13 @@ from skdgp.estimation import prior_deviations, without_airspeed_error
 from skdgp.identification._calibration import RegressionCalibration
 from skdgp.identification._least_squares import fit_least_squares
 from skdgp.identification._log_errors import learned_errors, thrust_errors
-from skdgp.inference import KnownSlopes
+from skdgp.inference import (
+    FunctionErrors,
+    KnownSlopes,
+    attenuation,
+    errors_of_slopes,
+    linear_slopes,
+)
 from skdgp.metrics import check_scored
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
@@ -293,8 +300,7 @@ class FlightPipeline(Pipeline):
         Intercept and slopes of each of the six coefficients by least squares of the same rows, in
         units; empty of other targets.
     errors_ : dict of str to ScaleFactor
-        Errors of the log, and of the propeller's thrust, that flights do not show, and their effect
-        on the coefficients.
+        Error of the propeller's thrust, which flights do not show, and its effect on the coefficients.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -343,17 +349,21 @@ class FlightPipeline(Pipeline):
             flights = table
         self._learn_flights(flights)
         of_air = self._slopes_of_air(regressors, y)
-        known = self._errors_by_gusts(regressors, y) if of_air is None else of_air
-        last.fit(regressors, y, **self._facts_for_last(table, known) | parameters)
+        if is_of_coefficients(y):
+            named = named_regressors(self, regressors)
+            self.least_squares_ = fit_least_squares(named, y)
+            if self.thrust is not None and self._knows_loads(flights):
+                self.errors_ = thrust_errors(flights, self.aircraft, named)
+        facts = self._facts_for_last(table, of_air)
+        errors = self._function_errors(flights, regressors, y, has_vanes=of_air is None)
+        if errors is not None:
+            facts["errors"] = errors
+        last.fit(regressors, y, **facts | parameters)
         if of_air is not None:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
             self.calibration_ = RegressionCalibration.of_residuals(
                 regressors, residuals, self._without_effect()
             )
-        if is_of_coefficients(y):
-            named = named_regressors(self, regressors)
-            self.least_squares_ = fit_least_squares(named, y)
-            self.errors_ = self._errors(flights, named)
         return self
 
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
@@ -416,44 +426,62 @@ class FlightPipeline(Pipeline):
             return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
         return None
 
-    def _errors_by_gusts(self, X: Matrix, y: Any) -> KnownSlopes | None:
-        """Return the errors of slopes by the rates of the air, whose size follows from the gusts of the flights.
+    def _function_errors(
+        self, flights: pd.DataFrame, X: Matrix, y: Any, has_vanes: bool
+    ) -> FunctionErrors | None:
+        """Return the errors of the function of X (n, d) that the samples do not show, for a last step that uses them.
 
-        None without vanes, or for a last step that does not use them.
+        By errors of the log, and, of flights with vanes, by the rates of the air.
         """
-        turbulence, aircraft = self.turbulence_, self.aircraft
-        is_used = isinstance(self[-1], DependentGPRegressor)
-        if turbulence is None or aircraft is None or not is_used:
+        if not isinstance(self[-1], DependentGPRegressor):
             return None
+        parts = []
+        if has_vanes and self.turbulence_ is not None:
+            parts.append(self._errors_by_air(self.turbulence_, X, y))
+        if self.least_squares_ and self._knows_loads(flights):
+            parts.append(self._errors_of_log(flights, X))
+        return reduce(FunctionErrors.joined, parts) if parts else None
+
+    def _knows_loads(self, flights: pd.DataFrame) -> bool:
+        """Return whether aircraft and flights give the loads of coefficients."""
+        needed = ("time", "airspeed", "density", *RATES)
+        return self.aircraft is not None and has_values(flights, *needed)
+
+    def _errors_by_air(self, turbulence: Turbulence, X: Matrix, y: Any) -> FunctionErrors:
+        """Return the errors by rates of the air, noise of the regressors whose size follows from the gusts."""
+        aircraft: Any = self.aircraft  # flights of a known one show turbulence
         airspeed: Any = turbulence.airspeed  # of flights it is known
         std = turbulence.rates(airspeed, aircraft.span) * aircraft.moment_lengths / (2 * airspeed)
         of_rates = dict(zip((f"{name}{HAT}" for name in RATES), std, strict=True))
         of_regressors = np.array([of_rates.get(name, 0.0) for name in regressor_names(self)])
-        return KnownSlopes.unknown(X, np.asarray(y), of_regressors / self._scale(X.shape[1]))
+        scaled = of_regressors / self._scale(X.shape[1])
+        complete = X[np.isfinite(X).all(axis=1)]
+        errors = [attenuation(complete, scaled, slopes) for slopes in linear_slopes(X, y)]
+        return errors_of_slopes(np.array(errors), complete.mean(axis=0))
+
+    def _errors_of_log(self, flights: pd.DataFrame, X: Matrix) -> FunctionErrors:
+        """Return the errors by the log that its flights do not show."""
+        aircraft: Any = self.aircraft  # it gives the loads
+        corrector = step_of(self, LagCorrector)
+        check = step_of(self, FlightCheck)
+        errors = learned_errors(
+            flights,
+            aircraft,
+            named_regressors(self, X),
+            self.least_squares_,
+            None if corrector is None else corrector.lags_,
+            0.0 if check is None else check.airspeed_scale_.left(),
+        )
+        scaler = step_of(self, StandardScaler)
+        if scaler is None:
+            return errors
+        # X = (x - mean) / scale
+        return errors.in_units(-scaler.mean_ / scaler.scale_, 1 / scaler.scale_, np.ones(6))
 
     def _scale(self, d: int) -> Vector:
         """Return the units (d,) of the scaled regressors."""
         scaler = step_of(self, StandardScaler)
         return np.ones(d) if scaler is None else scaler.scale_
-
-    def _errors(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> dict[str, ScaleFactor]:
-        """Return the errors of checked flights that these do not show, for which the aircraft has to be known."""
-        needed = ("time", "airspeed", "density", *RATES)
-        if self.aircraft is None or not has_values(flights, *needed):
-            return {}
-        corrector = step_of(self, LagCorrector)
-        check = step_of(self, FlightCheck)
-        errors = learned_errors(
-            flights,
-            self.aircraft,
-            regressors,
-            self.least_squares_,
-            None if corrector is None else corrector.lags_,
-            0.0 if check is None else check.airspeed_scale_.left(),
-        )
-        if self.thrust is not None:
-            errors |= thrust_errors(flights, self.aircraft, regressors)
-        return errors
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
         """Learn duration, turbulence and smoothing of checked flights."""

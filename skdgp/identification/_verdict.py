@@ -32,7 +32,7 @@ VANES_OF = {"CZ": "alpha", "CY": "beta"}
 # Kinds of modes that a controller of attitude works in
 FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
 # Parts of the standard deviation of a derivative
-PARTS = (Code.STD_RANDOM, Code.STD_METHOD, Code.STD_LOG, Code.STD_POSTERIOR)
+PARTS = (Code.STD_ERRORS, Code.STD_POSTERIOR)
 # Regressors that are known only after a flight
 ACCELERATION_REGRESSORS = {
     *SPECIFIC_FORCE,

@@ -11,7 +11,7 @@ clock     time and flight number of each value, (n, 2)
 drift     the part of the noise that is correlated in time
 misfit    the model discrepancy: the error of the function that residuals show where flights come back to the same
           regressors
-errors    of the function beyond the posterior: by correlated noise, biases, and the discrepancy
+errors    of the function beyond the posterior: linear functions, by noise of the regressors and errors of the log
 ========  =============================================================================================================
 
 Names imported as themselves are not part of the public interface: other folders of the package use
@@ -28,15 +28,15 @@ from skdgp.inference._blocks import BlockSettings as BlockSettings
 from skdgp.inference._blocks import blocks_of_rows as blocks_of_rows
 from skdgp.inference._blocks import leaves as leaves
 from skdgp.inference._drift import residual_drift as residual_drift
-from skdgp.inference._errors import FunctionErrors, PosteriorWithErrors
-from skdgp.inference._errors import function_errors as function_errors
-from skdgp.inference._errors import no_errors as no_errors
+from skdgp.inference._errors import FunctionErrors, KnownSlopes, PosteriorWithErrors, attenuation
+from skdgp.inference._errors import errors_by_input_noise as errors_by_input_noise
+from skdgp.inference._errors import errors_of_slopes as errors_of_slopes
+from skdgp.inference._errors import linear_slopes as linear_slopes
 from skdgp.inference._fit import Fit as Fit
 from skdgp.inference._fit import average as average
 from skdgp.inference._fit import check_inducing as check_inducing
 from skdgp.inference._fit import fit_exact, fit_sparse
 from skdgp.inference._fit import mixture_of as mixture_of
-from skdgp.inference._known_slopes import KnownSlopes
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import Likelihood as Likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
@@ -69,6 +69,7 @@ __all__ = [
     "Posterior",
     "PosteriorWithErrors",
     "SparsePosterior",
+    "attenuation",
     "fit_exact",
     "fit_sparse",
     "log_likelihood",

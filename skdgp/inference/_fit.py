@@ -43,8 +43,8 @@ SETTINGS = SparseSettings()
 class Fit(NamedTuple):
     """An ExactPosterior, SparsePosterior or AveragePosterior, and its hyperparameters.
 
-    A sparse posterior uses a larger noise than ``learned`` where the errors of neighbouring samples
-    are correlated.
+    A posterior uses a larger noise than ``learned`` where the errors of neighbouring samples are
+    correlated.
     """
 
     posterior: Posterior
@@ -55,19 +55,41 @@ class Fit(NamedTuple):
         return self._replace(learned=self.learned._replace(interrupted=True))
 
 
-def fit_exact(learned: Hyperparameters, data: Data) -> Fit:
+def fit_exact(learned: Hyperparameters, data: Data, ordered: bool = False) -> Fit:
     """Return the exact posterior of observed values at hyperparameters that a search has found.
 
     ``data`` are with exact regressors, and known noise; noise of the regressors that was learned is
-    added. The few weights of a trend are all that there is to know of it, so it has the sparse form,
-    which is then exact, and small.
+    added. Both are larger in the posterior of a time series (``ordered``), whose neighbours have
+    correlated errors.
+    """
+    posterior = _exact_posterior(learned, data)
+    if ordered:
+        residuals = [
+            y - posterior.predict(x)[:, i]
+            for i, (x, y) in enumerate(zip(data.X, data.y, strict=True))
+        ]
+        inflation = np.array([autocorrelation_time(e) for e in residuals])
+        std = learned.input_std
+        larger = learned._replace(
+            noise=learned.noise * inflation,
+            input_std=None if std is None else np.sqrt(inflation)[:, None] * std,
+        )
+        posterior = _exact_posterior(larger, data)
+    return Fit(posterior, learned)
+
+
+def _exact_posterior(learned: Hyperparameters, data: Data) -> SinglePosterior:
+    """Return the exact posterior.
+
+    The few weights of a trend are all that there is to know of it, so it has the sparse form, which
+    is then exact, and small.
     """
     kernel = learned.kernel
-    if kernel.n_processes:
-        return Fit(ExactPosterior(kernel, learned.noise, learned.noisy(data)), learned)
     data = learned.noisy(data)
+    if kernel.n_processes:
+        return ExactPosterior(kernel, learned.noise, data)
     features = inducing_features(kernel, data.X[0][:1])
-    return Fit(SparsePosterior(kernel, features, learned.noise, data), learned)
+    return SparsePosterior(kernel, features, learned.noise, data)
 
 
 def fit_sparse(
@@ -328,7 +350,7 @@ def _of_part(whole, X, Y, loading, ordered, part, known) -> Fit:
         blocks = blocks_of_rows(X, Y, time_series=ordered)
         learned = with_best_noise(learned, data, blocks, X, Y, known)
     if is_exact:
-        posterior = fit_exact(learned._replace(input_std=None), data).posterior
+        posterior = fit_exact(learned._replace(input_std=None), data, ordered).posterior
         return Fit(posterior, learned)
     features = of_terms(whole.posterior.features, part)
     data = Data.from_table(X, Y, known.loading)

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 
 from skdgp._compute.linalg import column_scale
-from skdgp._compute.typing import Matrix, Predictor, Vector
+from skdgp._compute.typing import Indices, Matrix, Predictor, Vector
 
 
 @dataclass(frozen=True)
@@ -21,8 +20,6 @@ class MisfitSettings:
     rows: int = 15000
     #: Nearest samples that are looked at
     candidates: int = 40
-    #: Most neighbours of a sample
-    neighbours: int = 8
     #: Errors of samples that are farther apart in time have independent noise [s]
     largest_lag: float = 10.0
     #: Parts of the time series whose means show the standard error of the whole
@@ -46,11 +43,10 @@ def misfit_variance(
     error as their mean. With the mean m of n products and its standard error s, the least that they
     show is
 
-    .. math:: v_i = \max(0, m_i - s_i), \quad
-              m_i = \frac{1}{n} \sum_a e_{ia} \frac{1}{|N_a|} \sum_{b \in N_a} e_{ib}.
+    .. math:: v_i = \max(0, m_i - s_i), \quad m_i = \frac{1}{n} \sum_a e_{ia} e_{ib}.
 
-    :math:`N_a` are at most 8 of the 40 samples nearest to a, by regressors over their standard
-    deviations; a sample without such neighbours does not count. s is the scatter over 16 parts of
+    b is the nearest of the 40 samples nearest to a, by regressors over their standard deviations; a
+    sample without one does not count. s is the scatter over 16 parts of
     the time series; it is multiplied by :math:`\sqrt 2`, since two parts share the products of their
     samples. For the right model the mean product is the negative posterior covariance, so v is zero
     but by chance. It is positive where the function has kinks or jumps that the kernel's widths
@@ -78,7 +74,7 @@ def misfit_variance(
     >>> from skdgp.inference import misfit_variance
     >>> rng = np.random.default_rng(0)
     >>> x, time = rng.uniform(-1, 1, (4000, 1)), np.arange(4000.0)
-    >>> y = np.abs(x) + rng.normal(0, 0.5, x.shape)
+    >>> y = np.abs(x) + rng.normal(0, 0.3, x.shape)
     >>> line = LinearRegression().fit(x, y)
     >>> misfit = misfit_variance(line, x, y, np.column_stack([time, 0 * time]))
     >>> float(np.sqrt(misfit[0]).round(1)), float(np.std(np.abs(x) - line.predict(x)).round(1))
@@ -87,34 +83,25 @@ def misfit_variance(
     rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
     rows = rows[:: -(-len(rows) // settings.rows)]
     X = X[rows]
-    residual = Y[rows] - posterior.predict(X)
-    neighbours = _neighbours(X, clock[rows], settings)
-
-    observed = np.isfinite(residual)
-    error = np.where(observed, residual, 0.0)
-    total = neighbours @ error
-    count = neighbours @ observed.astype(float)
-    mean, std_error = np.zeros((2, Y.shape[1]))
-    for i in range(Y.shape[1]):
-        paired = observed[:, i] & (count[:, i] > 0)
-        if paired.sum() >= settings.parts:
-            products = error[paired, i] * total[paired, i] / count[paired, i]
-            mean[i] = products.mean()
-            std_error[i] = _standard_error(products, settings.parts)
-    return np.maximum(0.0, mean - std_error)
+    error = Y[rows] - posterior.predict(X)
+    first, second = _pairs(X, clock[rows], settings)
+    variance = np.zeros(Y.shape[1])
+    for i, products in enumerate((error[first] * error[second]).T):
+        products = products[np.isfinite(products)]
+        if len(products) >= settings.parts:
+            variance[i] = max(0.0, products.mean() - _standard_error(products, settings.parts))
+    return variance
 
 
-def _neighbours(X: Matrix, clock: Matrix, settings: MisfitSettings) -> Any:
-    """Return the matrix (n, n) that is one for the nearest samples with independent noise."""
-    n = len(X)
+def _pairs(X: Matrix, clock: Matrix, settings: MisfitSettings) -> tuple[Indices, Indices]:
+    """Return samples, and the nearest one of each that has independent noise, among its nearest ones."""
     time, flight = clock.T
     scaled = X / column_scale(X)
-    near: Any = KDTree(scaled).query(scaled, k=min(settings.candidates, n))[1]
+    near: Any = KDTree(scaled).query(scaled, k=min(settings.candidates, len(X)))[1]
     later = np.abs(time[near] - time[:, None]) > settings.largest_lag
     apart = later | (flight[near] != flight[:, None])
-    first = apart & (np.cumsum(apart, axis=1) <= settings.neighbours)
-    sample, place = np.nonzero(first)
-    return csr_array((np.ones(len(sample)), (sample, near[sample, place])), shape=(n, n))
+    first = np.flatnonzero(apart.any(axis=1))
+    return first, near[first, apart[first].argmax(axis=1)]
 
 
 def _standard_error(products: Vector, n_parts: int) -> float:

@@ -128,6 +128,7 @@ class Prepared(NamedTuple):
     seconds: float
     asked: dict
     derivatives: dict | None  #: Aircraft, place, airspeed and known derivatives
+    errors: object  #: Of the function, which the samples do not show
 
 
 def flights_of(name, air, data):
@@ -156,7 +157,8 @@ def prepared(name, air, steps, targets, data, _commit):
         asked[where] = rows_of(pipeline, flight, aircraft, loads, is_known=name not in REAL)
     derivatives = None if name in REAL else derivatives_of(name, aircraft, flown)
     X = np.asarray(pipeline[:-1].transform(log))
-    return Prepared(pipeline, X, Y, clock, pipeline.seconds_, asked, derivatives)
+    errors = pipeline._function_errors(pipeline[:1].transform(log), X, Y, has_vanes=True)
+    return Prepared(pipeline, X, Y, clock, pipeline.seconds_, asked, derivatives, errors)
 
 
 def rows_of(pipeline, flight, aircraft, loads, is_known):
@@ -198,26 +200,16 @@ def fitted(variant, flights, seed):
     options = {"random_state": seed, **variant.regressor}
     if variant.kernel is not None:
         options["kernel"] = kernel_of(**variant.kernel)
-    facts = dict(flights.clock)
-    by_gusts = flights.pipeline._errors_by_gusts(flights.X, Y)
-    if by_gusts is not None:
-        facts["slopes"] = by_gusts
-    return DependentGPRegressor(**options).fit(flights.X, Y, **facts)
-
-
-def with_errors(model, **changed):
-    """Return a model with other errors of the function."""
-    posterior = model.posterior_
-    return with_posterior(
-        model, PosteriorWithErrors(posterior.posterior, posterior.errors._replace(**changed))
-    )
+    return DependentGPRegressor(**options).fit(flights.X, Y, **flights.clock, errors=flights.errors)
 
 
 def with_mixture(model, mixture):
     """Return a model with other weights (K, P) of its components."""
     posterior = model.posterior_
     average = AveragePosterior(posterior.members, mixture)
-    return with_posterior(model, PosteriorWithErrors(average, posterior.errors))
+    return with_posterior(
+        model, PosteriorWithErrors(average, posterior.errors, posterior.discrepancy)
+    )
 
 
 def with_posterior(model, posterior):
@@ -229,22 +221,22 @@ def with_posterior(model, posterior):
 
 def without_errors(model):
     """Yield the name of each source of error, and the model without it."""
-    errors = model.posterior_.errors
+    posterior, errors = model.posterior_.posterior, model.posterior_.errors
+    misfit = model.posterior_.discrepancy
     d = model.n_features_in_
     sources = {
-        "block errors": ("random", slice(None)),
-        "gusts": ("method", slice(0, 1)),
-        "attenuation": ("method", slice(1, 1 + d)),
-        "rates of the air": ("method", slice(1 + d, None)),
+        "attenuation": slice(0, d),
+        "rates of the air": slice(d, 2 * d),
+        "errors of the log": slice(2 * d, None),
+        "errors of the function": slice(None),
     }
-    for source, (kind, place) in sources.items():
-        terms = getattr(errors, kind).copy()
-        terms[place] = 0.0
-        yield f"without {source}", with_errors(model, **{kind: terms})
-    nothing = np.zeros_like(errors.discrepancy)
-    yield "without misfit", with_errors(model, discrepancy=nothing)
-    zero = {kind: np.zeros_like(getattr(errors, kind)) for kind in ("random", "method")}
-    yield "without errors of the function", with_errors(model, discrepancy=nothing, **zero)
+    for source, place in sources.items():
+        weights = errors.weights.copy()
+        weights[place] = 0.0
+        others = PosteriorWithErrors(posterior, errors._replace(weights=weights), misfit)
+        yield f"without {source}", with_posterior(model, others)
+    others = PosteriorWithErrors(posterior, errors, np.zeros_like(misfit))
+    yield "without misfit", with_posterior(model, others)
 
 
 def with_weights(model):

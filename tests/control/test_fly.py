@@ -5,7 +5,6 @@ import socket
 import struct
 import threading
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from numpy.testing import assert_allclose
 from skdgp.control import fly
 from skdgp.dynamics import (
     Aerodynamics,
-    ScaleFactor,
     Servos,
     SimulationWarning,
     Turbulence,
@@ -110,20 +108,6 @@ def test_the_lines_have_what_ardupilot_asks_for(flown, n_pulses):
         assert_allclose(said["attitude"][1], np.arcsin(2 * (w * y - x * z)), atol=1e-12)
 
     assert flown(play).steps == 1
-
-
-def test_a_path_has_errors_of_the_log(flown, glider):
-    error = ScaleFactor(0.1, added={"CZ": 1.0})
-    uncertain = replace(glider.model(), errors={"log": error})
-    forces = []
-
-    def play(autopilot):
-        autopilot.send((0,) * 16)
-        forces.append(autopilot.send((0,) * 16)["imu"]["accel_body"][2])
-
-    for model in (glider.model(), uncertain):
-        flown(play, model=model, path=3)
-    assert abs(forces[1] - forces[0]) > 0.1
 
 
 def test_tells_when_it_leaves_what_was_learned(flown, glider):

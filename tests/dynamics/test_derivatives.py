@@ -189,7 +189,7 @@ class TestDeviations:
         rows = table.index[table["regressor"].isin(LEARNED)][: 6 * 3]
         ratio = table.loc[rows, "std"].to_numpy() / std.ravel()
         assert_allclose(ratio, np.ones(18), atol=5 / np.sqrt(2 * n_paths))
-        parts = table[["std_posterior", "std_random", "std_method"]]
+        parts = table[["std_posterior", "std_errors"]]
         assert (parts.loc[rows] >= 0).all(axis=None)
         whole = np.sqrt((parts**2).sum(axis=1)).to_numpy()
         assert (whole > 0.999 * table["std"].to_numpy()).all()

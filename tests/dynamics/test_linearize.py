@@ -1,7 +1,5 @@
 """Linear models against differences of the motion, textbooks and simulations; refusals."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,7 +10,6 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Motion,
-    ScaleFactor,
     Servos,
     euler_to_quaternion,
     linearize,
@@ -156,20 +153,3 @@ class TestServos:
             assert_allclose(matrix["thrust"], at_once.loc[matrix.index, "thrust"])
         columns = ["eigenvalue", "frequency", "damping", "time_constant"]
         assert_frame_equal(late.modes()[columns], linear.modes()[columns])
-
-
-def test_paths_have_the_errors_of_the_log(level, glider):
-    """An aileron whose effect is known to 10 % moves the roll rate of paths by 10 %, and nothing else."""
-    throw = {"throw": ScaleFactor(0.1, {"aileron": 1.0})}
-    uncertain = replace(glider.model(), errors=throw)
-    options = {"air": AIR, "n_paths": 400}
-    exact = linearize(glider.model(), glider.aircraft, level, **options)
-    found = linearize(uncertain, glider.aircraft, level, **options)
-    assert_allclose(found.paths.A, exact.paths.A, rtol=1e-9, atol=1e-9)
-    rate, aileron = found.A.index.get_loc("p"), found.B.columns.get_loc("aileron")
-    ratio = found.paths.B[:, rate, aileron] / exact.paths.B[:, rate, aileron]
-    assert_allclose(ratio.mean(), 1.0, atol=0.02)
-    assert_allclose(ratio.std(), 0.1, rtol=0.1)
-    of_size = replace(glider.aircraft, deviations=throw)
-    shared = linearize(glider.model(), of_size, level, **options)
-    assert_allclose(shared.paths.B, exact.paths.B, rtol=1e-9, atol=1e-9)

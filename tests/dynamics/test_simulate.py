@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from pandas.testing import assert_frame_equal
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
@@ -15,14 +14,12 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Drift,
     FlightComputer,
     Propeller,
-    ScaleFactor,
     Servos,
     SimulationWarning,
     Simulator,
@@ -460,77 +457,8 @@ class TestEnsembles:
         assert_allclose(paths.std(axis=1).iloc[10:], expected[10:], rtol=0.1)
         assert_allclose(paths.mean(axis=1), V, atol=4 * expected[-1] / np.sqrt(1000))
 
-    def test_each_path_has_errors_of_the_log_for_the_whole_flight(self, fly, glider):
-        """Here of 0.02 and 0.3 elevator in Cm, and -1 alpha in CZ, times 0.1 e: the first row shows e."""
-        added = {"Cm": 0.02, "Cm_elevator": 0.3, "CZ_alpha": -1.0}
-        uncertain = replace(certain(glider), errors={"log": ScaleFactor(0.1, added=added)})
-        options = {"duration": 0.5, "n_paths": 200}
-        paths = fly(uncertain, **options)
-        starts = paths.groupby("path").first()
-        elevator = commands(0.0)["elevator"]
-        change = starts["Cm"].to_numpy() - fly(duration=0.1)["Cm"].iloc[0]
-        draws = change / (0.1 * (0.02 + 0.3 * elevator))
-        assert_allclose([draws.mean(), draws.std()], [0.0, 1.0], atol=0.25)
-        for k in (0, 1):
-            size = 0.1 * draws[k]
-            slopes = glider.slopes.copy()
-            slopes[4, 5] += 0.3 * size
-            slopes[2, 0] -= size
-            level = glider.level.copy()
-            level[4] += 0.02 * size
-            alone = fly(glider._replace(level=level).model(slopes), duration=0.5)
-            assert_allclose(paths.loc[paths["path"] == k, STATES], alone[STATES], atol=1e-8)
-        assumed = {"thrust": ScaleFactor(0.1, source="size of the propeller", added=added)}
-        of_thrust = replace(certain(glider), errors=assumed)
-        assert_frame_equal(fly(of_thrust, **options), fly(certain(glider), **options))
-
-    def test_paths_of_a_wrong_airspeed_have_other_coefficients_and_rates(
-        self, aircraft, fly, glider
-    ):
-        """Coefficients are over the dynamic pressure, and rates over its root."""
-        factor = ScaleFactor(0.02, {"dynamic pressure": 1.0})
-        uncertain = replace(certain(glider), errors={"airspeed": factor})
-        options = {"duration": 0.1, "n_paths": 50}
-        found = fly(uncertain, **options).groupby("path").first()
-        exact = fly(duration=0.1).iloc[0]
-        error = found["CX"] / exact["CX"] - 1  # CX does not depend on rates
-        assert_allclose(error.std(), 0.02, rtol=0.3)
-        by_rate = -9.0 * START["q"] * aircraft.chord / (2 * START["airspeed"])
-        expected = (1 + error) * (exact["Cm"] - 0.5 * error * by_rate)
-        assert_allclose(found["Cm"], expected, rtol=1e-9)
-
-    def test_errors_of_the_log_are_about_the_mean_of_the_rows(self, fly, glider):
-        """A path of a learned model with errors, less the same path without."""
-        rng = default_rng(2)
-        rows = pd.DataFrame(rng.normal(0.1, 0.1, (80, 8)), columns=glider.names)
-        rows["airspeed"] = 22.0
-        C = glider.level + rows[glider.names].to_numpy() @ glider.slopes.T
-        model = make_pipeline(
-            RegressorSelector(glider.names),
-            StandardScaler(),
-            DependentGPRegressor(structure="trend", random_state=0),
-        ).fit(rows, C + 0.01 * rng.normal(size=C.shape))
-        added = {"CX": 0.1, "Cm_elevator": 0.3}
-        uncertain = replace(as_aerodynamics(model), errors={"log": ScaleFactor(0.1, added=added)})
-        options = {"duration": 0.1, "n_paths": 5}
-        exact = fly(model, **options).groupby("path").first()
-        found = fly(uncertain, **options).groupby("path").first()
-        draws = (found["CX"] - exact["CX"]) / 0.01
-        assert np.ptp(draws) > 0.5
-        off_mean = commands(0.0)["elevator"] - rows["elevator"].mean()
-        assert_allclose(found["Cm"] - exact["Cm"], 0.03 * draws * off_mean, atol=1e-6)
-
 
 class TestSimulator:
-    def test_an_episode_has_errors_of_the_log(self, aircraft, glider):
-        error = ScaleFactor(0.1, added={"CZ": 1.0})
-        uncertain = replace(certain(glider), errors={"log": error})
-        readings = []
-        for model in (certain(glider), uncertain):
-            simulator = Simulator(model, aircraft)
-            readings.append(simulator.reset(START, controls=commands(0.0), random_state=1)["az"])
-        assert abs(readings[1] - readings[0]) > 0.1
-
     @pytest.mark.parametrize("servos", [Servos(), Servos(0.1), Servos(0.04, 0.033, 2.0)], ids=str)
     @pytest.mark.parametrize("gain", [0.0, 0.2])
     def test_steps_are_those_of_a_held_law(self, aircraft, servos, gain, fly, glider):

@@ -77,8 +77,7 @@ IDENTIFIED = "identified"
 
 def with_discrepancy(regressor, variance):
     """Give a regressor that learned from a time series a discrepancy of these variances (6,)."""
-    posterior = regressor.posterior_
-    posterior.errors = posterior.errors._replace(discrepancy=variance / regressor.scale_**2)
+    regressor.posterior_.discrepancy = variance / regressor.scale_**2
     regressor.misfit_variance_ = variance
 
 

@@ -1,7 +1,5 @@
 """Errors of a log: what they make of a linear model that is learned from it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,14 +12,13 @@ from sklearn.linear_model import LinearRegression
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
     Aircraft,
-    ScaleFactor,
     aerodynamic_coefficients,
     as_aerodynamics,
-    stability_derivatives,
 )
 from skdgp.estimation import AirspeedScale
-from skdgp.identification import FlightPipeline
+from skdgp.identification import FlightPipeline, make_identification_pipeline
 from skdgp.identification._log_errors import CLOCK, CLOCK_STEPS, clock_std, learned_errors
+from skdgp.identification._pipeline import named_regressors
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
@@ -56,20 +53,18 @@ def least_squares_of(X, Y):
     return table.to_dict()
 
 
-def effect(errors, name):
-    """Return what one standard deviation of an error adds to the slopes, (6, regressors)."""
-    added = errors[name].added
-    columns = [column.removesuffix("_hat") for column in REGRESSORS]
-    return np.array([[added[f"{C}_{x}"] for x in columns] for C in COEFFICIENTS])
+def slopes_of(errors, k):
+    """Return what one standard deviation of the k-th error adds to the slopes, (6, regressors)."""
+    return errors.weights[k, 1:].T
 
 
 def test_tilted_sensors_change_forces_by_what_is_added(flown):
     """Sensors whose nose is 0.03 rad low read less of gravity forward; a log that states the tilt adds nothing."""
     table, X, slopes = flown
     known = least_squares_of(X, X.to_numpy() @ slopes)
-    name = "pitch of the inertial sensors"
-    assert name not in learned_errors(table, AIRCRAFT, X, known, None, 0.0)
+    without = learned_errors(table, AIRCRAFT, X, known, None, 0.0)
     errors = learned_errors(table.assign(sensor_tilt=0.03), AIRCRAFT, X, known, None, 0.0)
+    assert len(errors.weights) == len(without.weights) + 2  # roll and pitch
     turned = Rotation.from_euler("y", 0.03).apply(table[["ax", "ay", "az"]])
     tilted = table.assign(**dict(zip(["ax", "ay", "az"], turned.T, strict=True)))
     forces = [
@@ -77,14 +72,14 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
         for t in (tilted, table)
     ]
     change = LinearRegression().fit(X, forces[0] - forces[1]).coef_
-    assert_allclose(effect(errors, name)[:3], change, atol=2e-3)
+    assert_allclose(slopes_of(errors, 4)[:3], change, atol=2e-3)
 
 
 @pytest.mark.parametrize(
-    ("group", "channels"),
-    [("surfaces", ["elevator", "aileron", "rudder"]), ("air", ["alpha", "beta"])],
+    ("group", "channels", "k"),
+    [("surfaces", ["elevator", "aileron", "rudder"], 3), ("air", ["alpha", "beta"], 4)],
 )
-def test_late_channels_change_slopes_by_what_is_added(flown, group, channels):
+def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k):
     table, X, slopes = flown
     Y = X.to_numpy() @ slopes
     errors = learned_errors(table, AIRCRAFT, X, least_squares_of(X, Y), None, 0.0)
@@ -94,7 +89,7 @@ def test_late_channels_change_slopes_by_what_is_added(flown, group, channels):
         later[name] = X[name] - late * np.gradient(X[name], STEP, edge_order=2)
     change = LinearRegression().fit(later, Y).coef_ - slopes.T
     std = clock_std(None, group, STEP)
-    expected = effect(errors, f"time of {group}") / std * late
+    expected = slopes_of(errors, k) / std * late
     assert_allclose(change, expected, atol=0.03 * np.abs(expected).max())
 
 
@@ -105,7 +100,7 @@ def test_sensors_elsewhere_change_slopes_by_what_is_added(flown):
     position = {"sensor_position_x": 0.0, "sensor_position_y": 0.0, "sensor_position_z": 0.03}
     there = aerodynamic_coefficients(table.assign(**position), AIRCRAFT, thrust=None, cutoff=None)
     change = LinearRegression().fit(X, there - Y).coef_
-    got = effect(errors, "sensor position z")
+    got = slopes_of(errors, 2)
     assert_allclose(got, change, atol=0.02 * np.abs(change).max())
 
 
@@ -118,36 +113,43 @@ def test_a_lag_that_is_known_leaves_no_more_than_motion_between_samples():
     assert clock_std(lags.lags_, "air", STEP) == pytest.approx(np.hypot(CLOCK, least))
 
 
-def test_they_are_part_of_the_standard_deviation_of_derivatives(flown):
+def test_an_airspeed_that_is_too_large_scales_coefficients_and_slopes(flown):
+    """Coefficients are over the dynamic pressure, and non-dimensional rates over the airspeed."""
     table, X, slopes = flown
-    X = X.iloc[::20]
-    Y = X.to_numpy() @ slopes + 0.01 * default_rng(1).normal(size=(len(X), 6))
-    model = DependentGPRegressor(structure="trend", input_noise=None, random_state=0).fit(X, Y)
-    state = np.array([0, 0, -100, 20, 0, 0, 1, 0, 0, 0, 0, 0, 0])
-    factor = ScaleFactor(0.1, {"dynamic pressure": 1.0})
-    controls = dict.fromkeys(["elevator", "aileron", "rudder"], 0.0)
-    tables = []
-    for errors in ({}, {"airspeed": factor}):
-        uncertain = replace(as_aerodynamics(model), errors=errors)
-        tables.append(
-            stability_derivatives(uncertain, AIRCRAFT, state, controls, thrust=None, random_state=0)
-        )
-    without, table = tables
-    # a non-dimensional rate contains the airspeed, too
-    relative = table["regressor"].isin(["p", "q", "r"]).map({True: 0.05, False: 0.1})
-    assert_allclose(table["std_log"], relative * table["value"].abs(), rtol=1e-6)
-    assert_allclose(table["std"], np.hypot(without["std"], table["std_log"]))
-    assert_allclose(table["upper"] - table["lower"], 2 * 1.95996 * table["std"], rtol=1e-4)
-    assert "std_aircraft" not in table
+    level = np.linspace(0.1, 0.6, 6)
+    fitted = least_squares_of(X, level + X.to_numpy() @ slopes)
+    error = 1e-4
+    rates = X.columns.isin(["p_hat", "q_hat", "r_hat"])
+    later = X / np.where(rates, 1 + error, 1.0)
+    Y = (level + X.to_numpy() @ slopes) / (1 + error) ** 2
+    change = least_squares_of(later, Y)
+    errors = learned_errors(table, AIRCRAFT, X, fitted, None, error)
+    for j, name in enumerate(COEFFICIENTS):
+        expected = np.array([change[name][x] - fitted[name][x] for x in REGRESSORS])
+        assert_allclose(errors.weights[-1, 1:, j], expected, rtol=1e-3)
+    mean = level + X.mean().to_numpy() @ slopes
+    assert_allclose(errors.weights[-1, 0], -2 * error * mean, atol=error * 0.01)
 
 
-def test_an_error_of_the_airspeed_counts_twice_in_dynamic_pressure(flown):
+def test_a_model_has_them_in_its_band(flown):
+    """In units before the scaler, of which the model learns."""
     table, X, slopes = flown
-    fitted = least_squares_of(X, X.to_numpy() @ slopes)
-    assert "airspeed" not in learned_errors(table, AIRCRAFT, X, fitted, None, 0.0)
-    factor = learned_errors(table, AIRCRAFT, X, fitted, None, 0.01)["airspeed"]
-    assert factor.std == 0.02
-    assert factor.powers == {"dynamic pressure": 1.0}
+    Y = pd.DataFrame(X.to_numpy() @ slopes + 0.01, columns=COEFFICIENTS)
+    model = make_identification_pipeline(
+        AIRCRAFT,
+        regressors=REGRESSORS,
+        cutoff=None,
+        lags=None,
+        reconstruction="passthrough",
+        regressor=DependentGPRegressor(structure="trend", input_noise=None, random_state=0),
+    )
+    model.set_params(flightcheck="passthrough", flightsmoother="passthrough").fit(table, Y)
+    named = named_regressors(model, model[:-1].transform(table))
+    expected = learned_errors(table, AIRCRAFT, named, model.least_squares_, None, 0.0)
+    found = as_aerodynamics(model).learned.function_errors
+    at = named.to_numpy()[:9]
+    assert (found.variance(at) >= expected.variance(at) * (1 - 1e-6)).all()
+    assert found.variance(at).max() < 3 * expected.variance(at).max()
 
 
 def test_the_error_of_the_airspeed_is_removed_from_later_flights(first_minute):

@@ -13,7 +13,6 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
-    ScaleFactor,
     dryden_wind,
     simulate,
     stability_derivatives,
@@ -232,11 +231,6 @@ class TestSimulation:
         known = errors_of(gusty.assign(**felt))
         assert still["lasts"].min() < 1
         assert not still["wind_known"].any()
-        # errors of the log are no gusts
-        errors = {"log": ScaleFactor(1.0, added={"CZ": 1.0, "Cm": 0.2})}
-        uncertain = replace(glider(-1.0), errors=errors)
-        of_log = mechanics_of(unknown, model=uncertain).simulation
-        assert_frame_equal(of_log, still)
         assert known["wind_known"].all()
         assert (known["lasts"] >= 4 * still["lasts"].min()).all()
         turns = gusty.assign(psi=gusty["psi"] + 4 * np.pi, **felt)  # after two turns of heading
@@ -354,7 +348,7 @@ class TestCoefficientsThatDoNotVary:
 
 
 def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown_and_has_its_source():
-    parts = {"std_random": 0.02, "std_method": 0.01, "std_posterior": 0.2}
+    parts = {"std_errors": 0.02, "std_posterior": 0.2}
     found = verdict(derivatives=with_derivative("CY_beta", 0.1, 0.2, **parts))
     assert use(found, CONTROL) == ("no", {Code.SIGNS_UNKNOWN})
     assert found.findings[0].numbers["causes"] == {"CY_beta": Code.STD_POSTERIOR}
@@ -390,7 +384,7 @@ BIASED = still(evaluation(), 5)
 BIASED = replace(BIASED, mean=BIASED.mean + np.array([0, 0, 0, 0, 0, 1.0]))
 SHORT = simulated([4.0, 0.5])
 WIDE = pd.DataFrame(
-    {"value": -1.0, "std": 0.5, "std_random": 0.1, "std_method": 0.48, "std_posterior": 0.1},
+    {"value": -1.0, "std": 0.5, "std_errors": 0.49, "std_posterior": 0.1},
     index=["Cm_elevator"],
 )
 ANGLES = pd.DataFrame({"value": -4.5, "std": 0.1}, index=["CZ_alpha"])
@@ -459,7 +453,7 @@ def test_the_cause_of_a_wide_band_is_named():
     (_, _, control) = verdict(derivatives=WIDE).uses
     (uncertain,) = control.findings
     assert uncertain.numbers["widths"] == {"Cm_elevator": pytest.approx(0.98, abs=0.01)}
-    assert uncertain.numbers["causes"] == {"Cm_elevator": Code.STD_METHOD}
+    assert uncertain.numbers["causes"] == {"Cm_elevator": Code.STD_ERRORS}
     assert "Cm_elevator 98 %, by Cm_elevator gusts" in control.reason
 
 

@@ -6,9 +6,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import (
-    function_errors,
-)
+from skdgp.inference import FunctionErrors, attenuation
 
 N_DRAWN = 700
 # Relative error of a standard deviation of so many draws, five of its own
@@ -56,21 +54,44 @@ def test_deviations_covariances_and_samples_are_of_one_distribution(
     assert_allclose(np.cov(off.T), cov / np.outer(std, std), atol=2 * WITHIN)
 
 
-def test_discrepancy_is_in_the_units_of_the_outputs(series):
+def test_further_errors_add_to_the_covariance_and_the_paths_in_units_of_the_outputs(series):
+    """About any centre, of a time series and of other samples."""
     X, Y, time = series
-    model = DependentGPRegressor(structure="trend", random_state=0).fit(X, Y, time=time)
-    assert model.misfit_variance_[0] > 0  # the kink
-    errors = model.function_errors()
-    assert_allclose(errors.discrepancy, model.misfit_variance_)
-    linear = np.sum(errors.linear(X[:3]) ** 2, axis=0)
-    assert_allclose(errors.variance(X[:3]), linear + model.misfit_variance_)
+    weights = default_rng(1).normal(size=(3, 3, 2)) * [1.0, 10.0]
+    further = FunctionErrors(weights, np.array([0.3, -2.0]))
+    for clock in ({}, {"time": time}):
+        model = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
+        before = model.fit(X, Y, **clock).predict(X[:3], return_cov=True)[1]
+        after = model.fit(X, Y, **clock, errors=further).predict(X[:3], return_cov=True)[1]
+        assert_allclose(after - before, further.covariance(X[:3]), rtol=1e-6)
+        assert_allclose(model.function_errors().variance(X), further.variance(X))
+        drawn = model.sample_paths(N_DRAWN, random_state=0)(X[:1]).std(axis=0)[0]
+        assert_allclose(drawn, np.sqrt(np.diag(after)[::3]), rtol=WITHIN)
 
 
-def line_of(x, Y, noise_variance=1.0, **options):
-    """Return a model of a linear function with known noise, and the errors of the function."""
-    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=noise_variance)
-    posterior = model.fit(x, Y).posterior_
-    return model, function_errors(posterior, np.zeros(Y.shape[1]), **options)
+def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
+    """Slope 2 by the truth, 40 % of the variance is noise: least squares finds 1.2 (Fuller 1987)."""
+    rng = default_rng(6)
+    truth, error = rng.normal(size=(2, 20000, 1)) * np.sqrt([[[0.6]], [[0.4]]])
+    x, y = truth + error, 2 * truth
+    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1)
+    slope = model.fit(x, y).predict_gradient(x[:1])[0, 0]
+    assert slope[0] == pytest.approx(1.2, rel=0.05)
+    assert attenuation(x, np.sqrt([0.4]), slope)[0] == pytest.approx(0.8, rel=0.05)
+
+
+def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes():
+    """Noise with the given variance flattens the slope of its regressor and moves those of correlated ones."""
+    rng = default_rng(0)
+    n, std = 200_000, 0.5
+    exact = rng.normal(size=(n, 2)) @ [[1.0, 0.8], [0.0, 0.6]]
+    X = exact + rng.normal(size=(n, 2)) * [std, 0.0]
+    for truth in ([-0.4, 0.2], [1.0, 0.0]):
+        found = np.linalg.lstsq(X, exact @ truth)[0]
+        errors = attenuation(X, np.array([std, 0.0]), found)
+        assert_allclose(found + errors.sum(axis=1), truth, atol=0.01)
+        large = attenuation(X, np.array([10.0, 0.0]), found)
+        assert_allclose(large[0, 0], found[0])
 
 
 @pytest.mark.parametrize("memory", [0.01, 4.0])
@@ -86,39 +107,3 @@ def test_slopes_of_a_line_err_as_stated(wandering, memory):
         spread = model.sample_paths(200, random_state=0).gradient(x[:1])[:, 0].std(axis=0)
         ratios.append((model.predict_gradient(x[:1])[0] - truth) / spread)
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4
-
-
-def flown_in_gusts(wandering, memory):
-    """Return rate and stick, and a load of -1 times the rate, the stick and a gust, (9000, 2) and (9000, 1).
-
-    The load turns the rate, so its lasting error is in the rate, and least squares finds too little
-    damping.
-    """
-    rng = default_rng(3)
-    gust, stick, rate = wandering(rng, 9000, memory), wandering(rng, 9000, 20), np.zeros(9000)
-    for t in range(1, 9000):
-        rate[t] = 0.7 * rate[t - 1] + 0.3 * stick[t - 1] + 0.3 * gust[t - 1]
-    return np.column_stack([rate, stick]), (-rate + stick + gust)[:, None]
-
-
-@pytest.mark.parametrize("memory", [1.5, 3.0])
-def test_errors_by_method_hold_what_gusts_take_from_the_damping(wandering, memory):
-    x, load = flown_in_gusts(wandering, memory)
-    model, errors = line_of(x, load)
-    missing = abs(model.predict_gradient(x[:1])[0, 0, 0] + 1)
-    by_method = np.abs(errors.slopes()[1][0, 0, 0]) * model.scale_[0]
-    assert missing > 0.1
-    assert 0.4 * missing < by_method < 1.5 * missing
-
-
-def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
-    """Slope 2 by the truth, 40 % of the variance is noise: least squares finds 1.2 (Fuller 1987)."""
-    rng = default_rng(6)
-    truth, error = rng.normal(size=(2, 20000, 1)) * np.sqrt([[[0.6]], [[0.4]]])
-    x, y = truth + error, 2 * truth
-    model, errors = line_of(x, y, 0.1, input_std=np.sqrt([0.4]))
-    slope = model.predict_gradient(x[:1])[0, 0, 0]
-    attenuation = errors.slopes()[1][0, 0, 1] * model.scale_[0]
-    assert slope == pytest.approx(1.2, rel=0.05)
-    # to first order in the noise
-    assert attenuation == pytest.approx(0.4 * slope, rel=0.05)

@@ -22,7 +22,6 @@ from skdgp.control import (
 from skdgp.control import fly as fly_model
 from skdgp.control import margins as margins_of
 from skdgp.dynamics import Turbulence, linearize
-from skdgp.identification import named_flights, usable_flights_of_model
 
 
 def margins(run: Run) -> None:
@@ -40,7 +39,6 @@ def margins(run: Run) -> None:
     loops = autopilot_loops(options.params, dict(options.full))
     model, thrust = read_model_to_fly(options)
     warn_unfit(model, "design a controller", "Do not set gains by these margins.")
-    flight = _logged(options, model) if options.flight else None
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude, thrust)
     run.console.stage("margins")
@@ -54,7 +52,7 @@ def margins(run: Run) -> None:
         delay=options.delay,
         perturbation=None if options.slopes == "local" else "flown",
     )
-    now = margins_of(linear, loops, flight=flight)
+    now = margins_of(linear, loops)
     servos = linear.servos
     late = f"servos behind the logged commands {servos.words}; {1e3 * options.delay:.0f} ms more before (--delay)"
     texts = [f"margins now, at {options.airspeed:g} m/s: {late}", _margin_text(now)]
@@ -83,22 +81,13 @@ def margins(run: Run) -> None:
         texts += ["", f"no gains are suggested: {error}"]
     else:
         gains = _gains_of(loops, suggested)
-        then = margins_of(linear, suggested, flight=flight)
+        then = margins_of(linear, suggested)
         texts += _suggestion_texts(options, gains, then)
         files["suggested.csv"] = csv_writer(gains)
         numbers |= {"gains": gains.to_dict("records"), "margins_suggested": _records(then)}
     if run.folder is not None:
         texts.append(wrote(run.write(files, "margins.json", numbers)))
     run.print("\n".join(texts), numbers)
-
-
-def _logged(options: Any, model: Any) -> pd.DataFrame:
-    """Return the logs, with the controls of the model in place of elevons."""
-    named = named_flights(options.flight, **opt.reading(options, model))
-    usable = usable_flights_of_model(model.pipeline, named, model.aircraft)
-    flight = model.pipeline.corrected(pd.concat([flown.table for flown in usable.values()]))
-    mixer = model.pipeline.named_steps.get("elevonsplitter", "passthrough")
-    return flight if isinstance(mixer, str) else mixer.transform(flight)
 
 
 def _suggestion_texts(options: Any, gains: pd.DataFrame, then: pd.DataFrame) -> list[str]:
@@ -128,9 +117,7 @@ def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
 
 def _margin_text(table: pd.DataFrame) -> str:
     """Return margins as text."""
-    shown = table.copy()
-    if shown["excited"].isna().all():
-        shown = shown.drop(columns="excited")
+    shown = table.drop(columns="excited")
     numbers = shown.select_dtypes(float).columns
     for name in numbers:
         form = "{:.0%}" if name == "probability" else "{:.3g}"
@@ -166,8 +153,7 @@ def fly(run: Run) -> None:
 
     def ready() -> None:
         run.console.end_stage()
-        place = f"{options.address}:{options.port}"
-        run.console.print_error(f"waiting for ArduPilot at {place}; Ctrl-C ends")
+        run.console.print_error(f"waiting for ArduPilot at port {options.port}; Ctrl-C ends")
 
     flown = fly_model(
         model.pipeline,
@@ -180,7 +166,6 @@ def fly(run: Run) -> None:
         wind=options.wind,
         gusts=_gusts_of(options, model),
         thrust=thrust,
-        address=options.address,
         port=options.port,
         wait=options.wait,
         seconds=options.seconds or np.inf,
@@ -226,7 +211,7 @@ COMMANDS: opt.Commands = {
     margins: {
         "": {
             **opt.shared("model", "--aircraft", "--airspeed", "--altitude", "--paths"),
-            **opt.shared("--seed", "--output", *opt.LOG),
+            **opt.shared("--seed", "--output"),
             "--params": {
                 "metavar": "FILE",
                 "required": True,
@@ -248,11 +233,6 @@ COMMANDS: opt.Commands = {
                 "choices": ["flown", "local"],
                 "default": "flown",
                 "help": "over the motion flown, or of small oscillations (default: flown)",
-            },
-            "--flight": {
-                "metavar": "LOG",
-                "nargs": "+",
-                "help": "logs that tell whether the crossovers were excited",
             },
             "--gain-margin": {
                 "metavar": "DB",
@@ -315,11 +295,6 @@ COMMANDS: opt.Commands = {
                 "type": opt.positive("seconds"),
                 "default": 60.0,
                 "help": "longest silence of the autopilot [s] (default: 60)",
-            },
-            "--address": {
-                "metavar": "IP",
-                "default": "127.0.0.1",
-                "help": "of this program (default: 127.0.0.1)",
             },
             "--port": {
                 "metavar": "N",

@@ -109,7 +109,7 @@ def identify(run: Run) -> None:
         options.train,
         _aircraft(run, options.train[0]),
         options.test,
-        thrust=opt.none_of(options.thrust),
+        thrust=None if options.thrust == "none" else options.thrust,
         external_forces=options.external_forces,
         reading=opt.reading(options),
     )
@@ -160,7 +160,7 @@ def demo(run: Run) -> None:
 
     For example:
       skdgp demo
-      skdgp demo --samples 250 --inference exact -o quick
+      skdgp demo --samples 250 -o quick
     """
     run.console.stage("simulating the example flights")
     example = load_example_flights()
@@ -172,23 +172,8 @@ def demo(run: Run) -> None:
 def _identify(run, train, aircraft, test, title=None, **loads):
     """Learn a model with the options of the command line, write it and print its summary."""
     options = run.options
-    parameters = {
-        "n_latent": options.latents,
-        "max_iter": options.max_iter,
-        "n_inducing": options.inducing,
-    }
-    regressor = DependentGPRegressor(
-        structure=options.structure,
-        trend=opt.none_of(options.trend),
-        inference=options.inference,
-        input_noise=opt.none_of(options.input_noise),
-        random_state=options.seed,
-        **without_nones(parameters),
-    )
-    steps = {
-        "reconstruction": "passthrough" if options.reconstruction == "none" else "auto",
-        "lags": opt.none_of(options.lags),
-    }
+    parameters = without_nones({"max_iter": options.max_iter})
+    regressor = DependentGPRegressor(random_state=options.seed, **parameters)
     with listening(run.console.progress, keep_best=True):
         result = identify_flights(
             train,
@@ -196,7 +181,6 @@ def _identify(run, train, aircraft, test, title=None, **loads):
             test=test,
             regressors=options.regressors,
             regressor=regressor,
-            pipeline=steps,
             samples=options.samples,
             horizons=options.horizons,
             **loads,
@@ -231,12 +215,10 @@ def validate(run: Run) -> None:
       skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
-    loads = without_nones({"thrust": options.thrust, "external_forces": options.external_forces})
-    loads = {name: opt.none_of(value) for name, value in loads.items()}
     with listening(run.console.progress):
         model = read_model(options)
         result = validate_flights(
-            model, options.flight, horizons=options.horizons, reading=opt.reading(options), **loads
+            model, options.flight, horizons=options.horizons, reading=opt.reading(options)
         )
         _finish(run, result)
 
@@ -245,21 +227,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     "--samples": {
         "metavar": "N|all",
         "type": opt.at_least(2, "all"),
-        "help": "rows to learn from (default: all, at most 30,000; 755 with --inference exact)",
-    },
-    "--inference": {
-        "choices": ["auto", "exact", "sparse"],
-        "default": "auto",
-        "help": (
-            "exact conditions on every row, in time that grows with their cube; sparse "
-            "on inducing variables, in time that grows with the rows (default: auto, "
-            "exact up to a thousand values, which are rows times six)"
-        ),
-    },
-    "--inducing": {
-        "metavar": "N",
-        "type": opt.at_least(1),
-        "help": "inducing inputs of sparse inference",
+        "help": "rows to learn from (default: all, at most 30,000)",
     },
     "--regressors": {
         "metavar": "SET",
@@ -270,47 +238,6 @@ LEARNING: dict[str, dict[str, Any]] = {
             "too), paper (accelerations too), or columns such as "
             "alpha,beta,q_hat,elevator (default: quasi-steady)"
         ),
-    },
-    "--reconstruction": {
-        "choices": ["auto", "none"],
-        "default": "auto",
-        "help": (
-            "auto reconstructs the path of each flight from all its sensors, where the "
-            "log holds accelerations, attitude, ground velocity and airspeed that agree; "
-            "none smooths channel by channel (default: auto)"
-        ),
-    },
-    "--lags": {
-        "choices": ["auto", "none"],
-        "default": "auto",
-        "help": (
-            "auto corrects lags of air data, surfaces, attitude and GPS that the flights show "
-            "(default: auto)"
-        ),
-    },
-    "--input-noise": {
-        "choices": ["auto", "learned", "none"],
-        "default": "auto",
-        "help": "noise of the regressors (default: auto, learned from a time series)",
-    },
-    "--structure": {
-        "choices": ["average", "joint", "trend"],
-        "default": "average",
-        "help": (
-            "trend: the trend alone; joint: with processes; average: their mean, weighted by how they "
-            "predict of blocks of the training flights that are held out in turn "
-            "(default: average)"
-        ),
-    },
-    "--trend": {
-        "choices": ["linear", "constant", "none"],
-        "default": "linear",
-        "help": "linear extrapolates beyond the data (default: linear)",
-    },
-    "--latents": {
-        "metavar": "M",
-        "type": opt.at_least(0),
-        "help": "latents that the outputs share (default: 2)",
     },
     "--max-iter": {
         "metavar": "N",
@@ -360,8 +287,18 @@ COMMANDS: opt.Commands = {
                 "help": "flights to judge the model on (default: the last, or the last quarter "
                 "of one with more than half of all rows, is held out)",
             },
-            **opt.shared("--thrust", default="auto"),
-            **opt.shared("--external-forces", default=[]),
+            "--thrust": {
+                "choices": ["auto", "none"],
+                "default": "auto",
+                "help": "what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
+                "the coefficients",
+            },
+            "--external-forces": {
+                "metavar": "NAME",
+                "nargs": "+",
+                "default": [],
+                "help": "further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
+            },
             **opt.shared(*opt.LOG, "--horizons"),
             **opt.shared(
                 "--output",
@@ -385,7 +322,6 @@ COMMANDS: opt.Commands = {
     validate: {
         "": {
             **opt.shared("model", "flight", "--aircraft", *opt.LOG, "--horizons", "--output"),
-            **opt.shared("--thrust", "--external-forces"),
         },
     },
 }

@@ -183,16 +183,6 @@ SHARED: dict[str, dict[str, Any]] = {
         **AXIS_VALUES,
         "help": "deflections [rad] at full output (default: of the aircraft file)",
     },
-    "--thrust": {
-        "choices": ["auto", "none"],
-        "help": "what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
-        "the coefficients",
-    },
-    "--external-forces": {
-        "metavar": "NAME",
-        "nargs": "+",
-        "help": "further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
-    },
 }
 # Options of every command
 COMMON: dict[str, dict[str, Any]] = {
@@ -218,11 +208,6 @@ def add_command(commands: Any, run: Callable, options: Mapping[str, Mapping[str,
         target = parser.add_argument_group(title) if title else parser
         for name, keywords in group.items():
             target.add_argument(*["-o"] * (name == "--output"), name, **keywords)
-
-
-def none_of(word: Any) -> Any:
-    """Return None for "none"."""
-    return None if word == "none" else word
 
 
 def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:

@@ -218,9 +218,9 @@ def plan(run: Run) -> None:
     """Choose the manoeuvres of the next flight: those that lower the errors of a goal most in the given time.
 
     Doublets, 3-2-1-1s and multisines are simulated from a trim of the model in calm air. Each is made
-    smaller or left out if its response, with --margin, leaves the limits. These are the range of the
-    training flights, with --growth, unless given. The controls are open loop during a manoeuvre;
-    return to the trim in the pause after it.
+    smaller or left out if its response leaves the limits. These are the range of the training flights,
+    with --growth, unless given (others in Python, skdgp.design.Envelope). The controls are open loop
+    during a manoeuvre; return to the trim in the pause after it.
 
     Writes into DIR, all or none, and removes a script there that an earlier plan wrote:
       plan.csv       time [s] and deviations from trim of the axes [rad, throttle 0 to 1], at 50 Hz
@@ -239,16 +239,7 @@ def plan(run: Run) -> None:
     full = dict(options.full)
     if full:  # the search takes long
         surface_mixes([axis for axis in axes if axis != "throttle"], full)
-    envelope = Envelope(
-        alpha=options.alpha,
-        beta=options.beta,
-        load_factor=options.load_factor,
-        bank=options.max_bank,
-        airspeed=options.speeds,
-        altitude=options.floor,
-        growth=float(options.growth),
-        margin=options.margin,
-    )
+    envelope = Envelope(bank=options.max_bank, altitude=options.floor, growth=float(options.growth))
     run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
     altitude = options.altitude
@@ -318,8 +309,7 @@ def export(run: Run) -> None:
     jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives its full deflections
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi
 
-    All files are written into DIR, or none. A model of sparse inference with fewer inducing inputs is smaller:
-    identify --inference sparse --inducing 50.
+    All files are written into DIR, or none. A model of sparse inference with fewer inducing inputs is smaller.
 
     For example:
       skdgp export results/model.joblib --to portable -o portable
@@ -352,7 +342,6 @@ def _export_text(folder: str, numbers: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-RANGE: dict[str, Any] = {"metavar": ("LOW", "HIGH"), "type": opt.number(), "nargs": 2}
 COMMANDS: opt.Commands = {
     predict: {
         "": {
@@ -420,16 +409,6 @@ COMMANDS: opt.Commands = {
                 "help": "part of its range by which a quantity may leave its range in training; inf: no "
                 "limit (default: 0.2)",
             },
-            "--margin": {
-                "metavar": "X",
-                "type": opt.from_zero(),
-                "default": 0.3,
-                "help": "fraction by which responses may exceed the model's (default: 0.3)",
-            },
-            "--alpha": {**RANGE, "help": "[rad]"},
-            "--beta": {**RANGE, "help": "[rad]"},
-            "--load-factor": {**RANGE, "help": "of -az / g"},
-            "--speeds": {**RANGE, "help": "[m/s]"},
         },
     },
     export: {

@@ -31,7 +31,7 @@ from skdgp.inference import (
 from skdgp.kernels import as_multi_output, has_prior_paths
 
 FIT_REMEDY = (
-    "Use inference='sparse' (--inference sparse) or fewer values: "
+    "Use inference='sparse' or fewer values: "
     "skdgp.model_selection.thin_targets(Y, 755) (--samples 755) keeps 755 samples spread over the flight."
 )
 PREDICT_REMEDY = "Use fewer samples at a time, or return_std=True, which needs no joint covariance."

@@ -16,13 +16,13 @@ from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics
 from skdgp.preprocessing import RateNondimensionalizer
 
-# Limited quantities, and the options of the command line that limit them
+# Limited quantities, and the options of the command line, or arguments, that limit them
 OPTIONS = {
-    "alpha": "--alpha",
-    "beta": "--beta",
-    "load_factor": "--load-factor",
+    "alpha": "Envelope(alpha=...)",
+    "beta": "Envelope(beta=...)",
+    "load_factor": "Envelope(load_factor=...)",
     "bank": "--max-bank",
-    "airspeed": "--speeds",
+    "airspeed": "Envelope(airspeed=...)",
     "altitude": "--floor",
 }
 QUANTITIES = tuple(OPTIONS)

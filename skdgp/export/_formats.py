@@ -74,6 +74,6 @@ def export_model(
         raise ValueError(
             f"Got a model of {portable.nbytes / 1e6:.0f} MB, but expected at most {LARGEST / 1e6:.0f} MB for the "
             f"format {to}: learn with sparse inference of fewer inducing inputs, inference='sparse' and n_inducing "
-            "(identify --inference sparse --inducing 50)."
+            "(in Python inference='sparse', n_inducing=50)."
         )
     return write(Path(folder), portable)

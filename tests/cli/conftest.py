@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 import pytest
 
-QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
+QUICK = ["--samples", "40", "--max-iter", "3"]
 
 
 @pytest.fixture(scope="session")

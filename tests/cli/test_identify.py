@@ -21,7 +21,7 @@ from skdgp.identification import load_model
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 OUTPUTS = {"model.joblib", "metrics.json", "report.html"}
-QUICK = ["--samples", "40", "--max-iter", "3", "--latents", "1", "--structure", "joint"]
+QUICK = ["--samples", "40", "--max-iter", "3"]
 
 
 def assert_only_stopped(messages):
@@ -100,7 +100,7 @@ class TestIdentify:
         monkeypatch.undo()  # flight mechanics are among the metrics
         monkeypatch.chdir(folder)
         printed = identified[1].stdout.splitlines()
-        regressor = DependentGPRegressor(n_latent=1, max_iter=3, random_state=0, structure="joint")
+        regressor = DependentGPRegressor(max_iter=3, random_state=0)
         options = {"samples": 40, "horizons": [1.0], "regressor": regressor}
         with warnings.catch_warnings():
             warnings.simplefilter("default")

@@ -42,7 +42,6 @@ def usage_error(command, capsys):
     [
         ("demo --samples 1", "got 1, but expected a whole number, 2 or more, or all"),
         (f"demo --seed {'9' * 400}", "but expected a whole number"),
-        ("demo --inference magic", "invalid choice: 'magic'"),
         ("demo --horizons 1 nan", "got nan, but expected seconds > 0"),
         ("demo --sampels 40", "unrecognized arguments: --sampels 40"),
         ("identify a --mass 3+--1", "but expected a number > 0, or with its standard deviation"),
@@ -94,7 +93,7 @@ def test_examples_of_the_help_are_right(name, help_of):
 
 
 QUICK = {
-    "identify": ["--samples", "40", "--latents", "1", "--structure", "joint"],
+    "identify": ["--samples", "40"],
     "derivatives": ["--paths", "4"],
     "plan": shlex.split("--seconds 10 --axes rudder --limits rudder=0.1 --growth 2"),
 }

@@ -219,7 +219,7 @@ def test_a_plan_expects_less_and_its_record_is_plain(ask):
         ),
         (
             {"seconds": 7.0, "limits": {"elevator": 1.5}},
-            "every manoeuvre leaves .* by alpha .*--alpha",
+            "every manoeuvre leaves .* by alpha .*Envelope.alpha=",
         ),
     ],
 )

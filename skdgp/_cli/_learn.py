@@ -70,7 +70,7 @@ def identify(run: Run) -> None:
      2. The path of each flight is reconstructed from all its sensors, and a dependent Gaussian
         process learns all six coefficients at once from --samples rows.
      3. On flights it has not seen its coefficients are compared with the measured ones, and the
-        aircraft is simulated from measured states, restarted every --horizons seconds.
+        aircraft is simulated from measured states, restarted every --horizon seconds.
 
     Writes into DIR, all or none:
       report.html    tables and pictures; open it in a browser, print it
@@ -182,7 +182,7 @@ def _identify(run, train, aircraft, test, title=None, **loads):
             regressors=options.regressors,
             regressor=regressor,
             samples=options.samples,
-            horizons=options.horizons,
+            horizon=options.horizon,
             **loads,
         )
         _finish(run, replace(result, title=title or result.title))
@@ -205,20 +205,20 @@ def validate(run: Run) -> None:
     """Judge a model on flights that it has not seen, as identify does on its test flights.
 
     Its coefficients are compared with the measured ones, and the aircraft is simulated from measured
-    states, restarted every --horizons seconds. Prints the scores and whether the aircraft has
+    states, restarted every --horizon seconds. Prints the scores and whether the aircraft has
     changed since the flights of the model, and with -o writes report.html
     and metrics.json into DIR, all or none.
 
     For example:
       skdgp validate results/model.joblib thursday.csv
-      skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizons 5
+      skdgp validate results/model.joblib thursday.csv friday.csv -o validation --horizon 5
       skdgp validate results/model.joblib thursday.csv --aircraft heavier.json --json
     """
     options = run.options
     with listening(run.console.progress):
         model = read_model(options)
         result = validate_flights(
-            model, options.flight, horizons=options.horizons, reading=opt.reading(options)
+            model, options.flight, horizon=options.horizon, reading=opt.reading(options)
         )
         _finish(run, result)
 
@@ -272,7 +272,7 @@ COMMANDS: opt.Commands = {
     },
     demo: {
         "": {
-            **opt.shared("--horizons"),
+            **opt.shared("--horizon"),
             **opt.shared("--output", default="skdgp-demo", help="folder (default: skdgp-demo)"),
         },
         "model": LEARNING,
@@ -299,7 +299,7 @@ COMMANDS: opt.Commands = {
                 "default": [],
                 "help": "further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
             },
-            **opt.shared(*opt.LOG, "--horizons"),
+            **opt.shared(*opt.LOG, "--horizon"),
             **opt.shared(
                 "--output",
                 default="skdgp-results",
@@ -321,7 +321,7 @@ COMMANDS: opt.Commands = {
     },
     validate: {
         "": {
-            **opt.shared("model", "flight", "--aircraft", *opt.LOG, "--horizons", "--output"),
+            **opt.shared("model", "flight", "--aircraft", *opt.LOG, "--horizon", "--output"),
         },
     },
 }

@@ -146,13 +146,11 @@ SHARED: dict[str, dict[str, Any]] = {
         "metavar": "FILE",
         "help": "the aircraft, JSON or TOML, as with another mass (default: the model's)",
     },
-    "--horizons": {
+    "--horizon": {
         "metavar": "S",
         "type": positive("seconds"),
-        "nargs": "+",
-        "default": [2.0, 10.0],
-        "help": "seconds between restarts, the longest of simulations, the shortest of the figure of "
-        "replayed coefficients (default: 2 10)",
+        "default": 10.0,
+        "help": "seconds after which simulations start again (default: 10)",
     },
     "--seed": {
         "metavar": "N",

@@ -247,7 +247,6 @@ class Code(Kind):
     )
 
     # fit and scores
-    FIT_NOT_CONVERGED = "the fit has not converged: raise max_iter"
     BANDS_TOO_NARROW = "95 % bands are too narrow: they hold {coverages:.0%} of the measured values"
     BANDS_TOO_WIDE = "95 % bands are too wide: they hold {coverages:.1%} of the measured values"
     BANDS_DO_NOT_HOLD = (
@@ -345,4 +344,4 @@ class Code(Kind):
         "",
         NOTE,
     )
-    NOT_SIMULATED = "{error}", "", NOTE
+    NOT_SIMULATED = "no simulation: {error}", "", NOTE

@@ -17,8 +17,6 @@ from skdgp.identification._pipeline import (
 from skdgp.identification._prepare import check_identified as check_identified
 from skdgp.identification._prepare import usable_flights_of_model as usable_flights_of_model
 from skdgp.identification._record import FitRecord as FitRecord
-from skdgp.identification._record import TrainingRecord as TrainingRecord
-from skdgp.identification._record import flown_seconds as flown_seconds
 from skdgp.identification._thresholds import THRESHOLDS
 from skdgp.identification._verdict import Use as Use
 from skdgp.identification._verdict import Verdict

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -22,10 +22,10 @@ from skdgp._flight.channels import (
 from skdgp._flight.motion_band import band_limited
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import aerodynamic_coefficients, band_filter, replay
-from skdgp.identification._learn import LearnedModel
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, band_filter, replay
 from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._pipeline import (
+    FlightPipeline,
     band_of,
     named_regressors,
     transformed,
@@ -37,6 +37,7 @@ from skdgp.metrics import (
     normalized_rmse,
 )
 
+REPLAY_HORIZON = 2.0  # seconds from restart to restart of a replay
 MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
 
 
@@ -62,10 +63,10 @@ class Evaluation:
         Where standard deviations were computed; between them they are interpolated.
     regressors : (n, d)
         Inputs of the last step of the pipeline.
+    baseline : (n, 6)
+        Coefficients that least squares on the same rows predict.
     truth : (n, 6), optional
         Noise-free coefficients of a simulation.
-    baseline : (n, 6), optional
-        Coefficients that least squares on the same rows predict.
     replay : DataFrame, optional
         States integrated from the predicted coefficients along ``table``.
     """
@@ -81,8 +82,8 @@ class Evaluation:
     prediction_std: Matrix
     rows: Indices
     regressors: Matrix
+    baseline: Matrix
     truth: Matrix | None = None
-    baseline: Matrix | None = None
     replay: pd.DataFrame | None = None
 
     @cached_property
@@ -119,10 +120,8 @@ def _scores(
     table = pd.DataFrame(index=list(COEFFICIENTS))
     table["median_relative_error"] = median_relative_error(expected, mean, **each)
     table["normalized_rmse"] = normalized_rmse(expected, mean, **each)
-    baselines = [flight.baseline for flight in flights if flight.baseline is not None]
-    if len(baselines) == len(flights):
-        linear = np.concatenate(baselines)
-        table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
+    linear = np.concatenate([flight.baseline for flight in flights])
+    table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
     has_std = np.zeros(len(mean), dtype=bool)
     begin = 0
     for flight in flights:
@@ -153,11 +152,16 @@ def score_table(flights: Sequence[Evaluation]) -> pd.DataFrame:
     return table
 
 
-def evaluate(name: str, flight: FlightTable, model: LearnedModel) -> Evaluation:
-    """Predict a checked flight and replay it."""
+def evaluate(
+    name: str,
+    flight: FlightTable,
+    pipeline: FlightPipeline,
+    aircraft: Aircraft,
+    options: Mapping[str, Any],
+) -> Evaluation:
+    """Predict a checked flight and replay it; ``options`` are those of the model."""
     notify(f"evaluating {name}")
-    loads = {key: model.options[key] for key in ("thrust", "external_forces")}
-    pipeline = model.pipeline
+    loads = {key: options[key] for key in ("thrust", "external_forces")}
     X, noise_ratio, motion = transformed(pipeline, flight)
     corrected = pipeline.corrected(flight.table)
     checked = replace(flight, table=corrected)
@@ -166,11 +170,11 @@ def evaluate(name: str, flight: FlightTable, model: LearnedModel) -> Evaluation:
         states = corrected.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))
     band = band_of(pipeline)
     measured = aerodynamic_coefficients(
-        checked, model.aircraft, cutoff="auto" if np.isinf(band) else band_filter(band), **loads
+        checked, aircraft, cutoff="auto" if np.isinf(band) else band_filter(band), **loads
     )
     # with the noise of the fit, which the bands contain
     measured_as_in_fit = aerodynamic_coefficients(
-        checked, model.aircraft, cutoff=pipeline.coefficient_filter_, **loads
+        checked, aircraft, cutoff=pipeline.coefficient_filter_, **loads
     )
     regressor = pipeline[-1]
     mean = pipeline.mean_of_rows(X, noise_ratio)
@@ -178,8 +182,7 @@ def evaluate(name: str, flight: FlightTable, model: LearnedModel) -> Evaluation:
     std = _interpolated_std(regressor, X, noise_ratio, rows)
     replayed = None
     if {*EULER, *EARTH_VELOCITY} <= {*corrected.columns}:  # from which the integration starts
-        horizon = min(model.options["horizons"])
-        replayed = replay(checked, model.aircraft, mean, horizon=horizon, **loads)
+        replayed = replay(checked, aircraft, mean, horizon=REPLAY_HORIZON, **loads)
     return Evaluation(
         name=name,
         time=corrected["time"].to_numpy(float),
@@ -193,7 +196,7 @@ def evaluate(name: str, flight: FlightTable, model: LearnedModel) -> Evaluation:
         rows=rows,
         regressors=X,
         truth=_truth(corrected, band),
-        baseline=_baseline(model, X),
+        baseline=_baseline(pipeline, X),
         replay=replayed,
     )
 
@@ -222,9 +225,7 @@ def _truth(table: pd.DataFrame, band: float) -> Matrix | None:
     return band_limited(table[names].to_numpy(float), table, band)
 
 
-def _baseline(model: LearnedModel, X: Matrix) -> Matrix | None:
-    """Return the coefficients (n, 6) by least squares on the rows of the fit, where it is known."""
-    if model.fit.training is None:
-        return None
-    intercepts, slopes = linear_terms(model.fit.training.least_squares)
-    return intercepts + named_regressors(model.pipeline, X).to_numpy() @ slopes
+def _baseline(pipeline: FlightPipeline, X: Matrix) -> Matrix:
+    """Return the coefficients (n, 6) by least squares on the rows of the fit."""
+    intercepts, slopes = linear_terms(pipeline.least_squares_)
+    return intercepts + named_regressors(pipeline, X).to_numpy() @ slopes

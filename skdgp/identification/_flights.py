@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
@@ -199,11 +198,6 @@ def named_flights(
             by_name[name] = flight.named(name)
             origin[name] = place
     return by_name
-
-
-def tables_of(flights: Flights) -> dict[str, pd.DataFrame]:
-    """Return the tables of flights by name."""
-    return {name: flight.table for name, flight in flights.items()}
 
 
 def copies(flights: Flights, others: Flights) -> dict[str, str]:

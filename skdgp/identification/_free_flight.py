@@ -36,7 +36,7 @@ SMOOTHED_START = 0.25
 MOST_STARTS = 60  # guess
 TIMES = 20  # parts of the simulated time over which errors are averaged (guess)
 SHOWN_PATHS = 30  # of the simulation that the report draws (guess)
-LEAST_PART = 0.95  # least duration of a part of a flight over the longest horizon (guess)
+LEAST_PART = 0.95  # least duration of a part of a flight over the horizon (guess)
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Part:
 class FreeFlight:
     """Simulations of parts of test flights with the recorded controls, from their measured states.
 
-    They fly in the estimated wind and gusts, else in still air, and start again every longest
-    horizon. ``options`` are of `identify`: thrust, external_forces and horizons. Raises ValueError
+    They fly in the estimated wind and gusts, else in still air, and start again every
+    horizon. ``options`` are of `identify`: thrust, external_forces and horizon. Raises ValueError
     if the flights cannot be simulated.
     """
 
@@ -75,7 +75,7 @@ class FreeFlight:
         self.aircraft = aircraft
         self.tables = tables
         self.thrust = options["thrust"]
-        self.parts = _parts(tables, max(options["horizons"]))
+        self.parts = _parts(tables, options["horizon"])
         self.knows_wind = all(_knows_wind(part.flown) for part in self.parts)
 
     def errors(self) -> pd.DataFrame:

@@ -32,7 +32,7 @@ from skdgp.identification._model_file import save_model
 from skdgp.identification._record import FitRecord
 from skdgp.identification._verdict import Verdict, judge
 
-FORMAT = 3  # of the metrics
+FORMAT = 4  # of the metrics
 MOST_WARNINGS = 3  # in the summary
 
 
@@ -45,9 +45,9 @@ class Identification:
     pipeline, aircraft : Pipeline, Aircraft
         Fitted, a raw flight table in, six coefficients out; and its aircraft.
     options : dict
-        Options of `identify`, given or chosen, and ``horizons``.
+        Options of `identify`, given or chosen, and the ``horizon``.
     fit : FitRecord
-        Likelihood, noise and findings of the fit; samples and time in ``fit.training``.
+        Likelihood, noise and findings of the fit; samples and time.
     train : dict of str to DataFrame
         Usable rows of the training flights; empty for a model that existed before.
     evaluations : list of Evaluation
@@ -96,10 +96,9 @@ class Identification:
         return flight_mechanics(
             self.pipeline,
             self.aircraft,
-            list(self.train.values()),
-            self.evaluations,
+            self.fit.conditions,
+            [flight.states for flight in self.evaluations],
             self.options,
-            self.fit.training,
         )
 
     @cached_property

@@ -1,30 +1,48 @@
-"""The workflow from flights to an evaluated model."""
+"""The workflow from flights to an evaluated model.
+
+Equations of "the paper" are those of Hemakumara & Sukkarieh (2011).
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_findings, report
+from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor, FitCode
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._changed import Changes, changes_in_flights
 from skdgp.identification._evaluate import evaluate
-from skdgp.identification._flights import named_flights, tables_of
+from skdgp.identification._flights import named_flights, train_and_test
 from skdgp.identification._identification import Identification
-from skdgp.identification._learn import LearnedModel, checked_regressor, learn
 from skdgp.identification._model_file import options_of
+from skdgp.identification._pipeline import FlightPipeline, make_identification_pipeline
 from skdgp.identification._prepare import (
+    MEASURED,
     as_aircraft,
     assumptions,
-    prepare,
+    has_mixed_surfaces,
+    loads_of,
+    names_of,
+    regressor_columns,
+    usable_flights,
     usable_flights_of_model,
+    with_position_of,
 )
-from skdgp.identification._record import TrainingRecord, fit_record
+from skdgp.identification._record import FitRecord, fit_record
+from skdgp.io import FULL_THROW, reversed_of
+from skdgp.preprocessing import FlightPathReconstruction
+
+#: Units of the controls of a log without their scale
+FULL_THROW_UNITS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
 
 
 def identify(
@@ -36,7 +54,7 @@ def identify(
     regressor: DependentGPRegressor | None = None,
     pipeline: Mapping[str, Any] | None = None,
     samples: int | str | None = None,
-    horizons: Sequence[float] = (2.0, 10.0),
+    horizon: float = 10.0,
     reading: Mapping[str, Any] | None = None,
     **loads: Any,
 ) -> Identification:
@@ -68,8 +86,8 @@ def identify(
     samples : int, "all" or None
         Rows to learn from, spread over the flights. None: all, at most 30,000, or 755 by exact
         inference.
-    horizons : sequence of float
-        Seconds from restart to restart: the shortest of the replay, the longest of the simulation.
+    horizon : float
+        Seconds after which simulations of test flights start again from measured states.
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight`: ``rename`` for tables, the others for logs of
         autopilots; by default ``{"servos": "full throw"}``.
@@ -105,43 +123,98 @@ def identify(
     ...     test=example.test,
     ...     samples=40,
     ...     regressor=DependentGPRegressor(structure="trend", random_state=0),
-    ...     horizons=[2.0],
+    ...     horizon=2.0,
     ... )
-    >>> result.fit.training.samples, sorted(result.metrics["test"])
+    >>> result.fit.samples, sorted(result.metrics["test"])
     (40, ['two_altitudes'])
     >>> mean, std = result.pipeline.predict(example.test[:400], return_std=True)
     >>> mean.shape
     (400, 6)
     """
     regressor = checked_regressor(regressor)
+    names = names_of(regressors)
+    options = dict(pipeline or {})
     with recorded_findings() as findings:
         notify("reading")
-        prepared = prepare(
-            flights, test, aircraft, regressors=regressors, reading=reading or {}, **loads
-        )
-        model = learn(
-            prepared,
+        train, tests, servos = train_and_test(flights, test, names, MEASURED, **reading or {})
+        aircraft = with_position_of(as_aircraft(aircraft), train)
+        units = FULL_THROW_UNITS if reversed_of(servos) is not None else None
+        columns = regressor_columns([flight.table for flight in train.values()], names)
+        train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
+        tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
+        learned_from = FlightTable.together(train.values())
+        given = loads_of(learned_from.table, aircraft, names, **loads)
+        if units is not None:
+            report(Finding(Code.FULL_THROWS))
+        if not has_mixed_surfaces(learned_from.table):
+            options.setdefault("mixer", "passthrough")
+        model = make_identification_pipeline(
+            aircraft,
             regressors=regressors,
             regressor=regressor,
-            steps=pipeline or {},
             samples=samples,
-            horizons=horizons,
+            control_units=units,
+            **given,
+            **options,
         )
-        evaluations = [evaluate(name, flight, model) for name, flight in prepared.test.items()]
+        _fit(model, learned_from, aircraft, given)
+        fit = fit_record(model)
+        if fit.lags_corrected:
+            numbers = {"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands}
+            report(Finding(Code.LAGS_CORRECTED, numbers=numbers))
+        chosen = _options(model, fit) | given | {"horizon": horizon}
+        if units is not None:
+            chosen["servos"] = servos
+        evaluations = [
+            evaluate(name, flight, model, aircraft, chosen) for name, flight in tests.items()
+        ]
     return Identification(
-        title=f"{model.aircraft.name}: aerodynamic coefficients",
-        aircraft=model.aircraft,
-        pipeline=model.pipeline,
-        options=model.options,
-        fit=model.fit,
-        train={
-            name: model.pipeline.corrected(table)
-            for name, table in tables_of(prepared.train).items()
-        },
+        title=f"{aircraft.name}: aerodynamic coefficients",
+        aircraft=aircraft,
+        pipeline=model,
+        options=chosen,
+        fit=fit,
+        train={name: model.corrected(flight.table) for name, flight in train.items()},
         evaluations=evaluations,
         findings=_named_once(findings),
-        assumptions=assumptions(model.aircraft, model.pipeline.errors_, findings),
+        assumptions=assumptions(aircraft, model.errors_, findings),
     )
+
+
+def checked_regressor(regressor: DependentGPRegressor | None) -> DependentGPRegressor:
+    """Return the regressor, by default one of seed 0; raise TypeError if it is of another kind."""
+    if regressor is None:
+        return DependentGPRegressor(random_state=0)
+    if not isinstance(regressor, DependentGPRegressor):
+        raise TypeError(
+            f"Got {type(regressor).__name__} as the regressor, but expected a "
+            "DependentGPRegressor: fit other regressors with make_identification_pipeline."
+        )
+    return regressor
+
+
+def _fit(
+    model: FlightPipeline, flights: FlightTable, aircraft: Aircraft, loads: Mapping[str, Any]
+) -> None:
+    """Fit a pipeline to the coefficients of checked flights, at their airspeed without its error."""
+    notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
+    scale = airspeed_scale(flights.table)
+    table = without_airspeed_error(flights.table, scale.removable())
+    Y = aerodynamic_coefficients(replace(flights, table=table), aircraft, **loads)
+    notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
+    model.fit(replace(flights, airspeed_scale=scale), Y)
+
+
+def _options(pipeline: FlightPipeline, fit: FitRecord) -> dict[str, Any]:
+    """Return the options of the steps of a pipeline, given or chosen."""
+    reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
+    return {
+        **pipeline[-1].get_params(deep=False),
+        "samples": fit.samples,
+        "regressors": pipeline["regressorselector"].regressors,
+        "reconstruction": "auto" if reconstructs else "none",
+        "lags": pipeline["lagcorrector"].lags,
+    }
 
 
 def validate(
@@ -149,7 +222,7 @@ def validate(
     flights: Any,
     *,
     aircraft: Aircraft | str | os.PathLike | None = None,
-    horizons: Sequence[float] = (2.0, 10.0),
+    horizon: float = 10.0,
     reading: Mapping[str, Any] | None = None,
     **loads: Any,
 ) -> Identification:
@@ -164,7 +237,7 @@ def validate(
     flights : as of :func:`identify`
     aircraft : Aircraft or path, optional
         In place of the model's, such as with another mass.
-    horizons, reading
+    horizon, reading
         As of :func:`identify`; logs are read with the model's servos by default.
     **loads
         ``thrust`` and ``external_forces``, where they differ from the model's fit.
@@ -175,7 +248,7 @@ def validate(
         Without training flights; with the changes of the aircraft, see `changes_of`.
     """
     options = options_of(model) | loads
-    options["horizons"] = list(horizons)
+    options["horizon"] = horizon
     reading = dict(reading or {})
     reading["servos"] = reading.get("servos") or options.get("servos")
     with recorded_findings() as findings:
@@ -186,26 +259,31 @@ def validate(
         for name in usable:
             if name in model.get("flights", []):
                 report(Finding(Code.ALREADY_LEARNED, flight=name))
-        training = TrainingRecord.from_dict(model.get("fit", {}))
-        learned = LearnedModel(
-            pipeline=model.pipeline,
-            aircraft=aircraft,
-            fit=fit_record(model.pipeline, training),
-            options=options,
-        )
-        evaluations = [evaluate(name, flight, learned) for name, flight in usable.items()]
+        evaluations = [
+            evaluate(name, flight, model.pipeline, aircraft, options)
+            for name, flight in usable.items()
+        ]
         changes = changes_in_flights(model.pipeline, evaluations, aircraft, options)
     return Identification(
-        title=f"{learned.aircraft.name}: a model on other flights",
-        aircraft=learned.aircraft,
-        pipeline=learned.pipeline,
+        title=f"{aircraft.name}: a model on other flights",
+        aircraft=aircraft,
+        pipeline=model.pipeline,
         options=options,
-        fit=learned.fit,
+        fit=fit_record(model.pipeline),
         train={},
         evaluations=evaluations,
         changes=changes,
-        findings=_named_once(findings),
+        findings=_named_once([*_of_search(model.pipeline[-1]), *findings]),
     )
+
+
+def _of_search(regressor: DependentGPRegressor) -> list[Finding]:
+    """Return the findings of the search of a regressor that was fitted before."""
+    if regressor.converged_:
+        return []
+    if regressor.interrupted_:
+        return [Finding(FitCode.FIT_INTERRUPTED)]
+    return [Finding(FitCode.SEARCH_STOPPED, numbers={"max_iter": regressor.max_iter})]
 
 
 def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -25,9 +25,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._free_flight import FreeFlight
-from skdgp.identification._record import TrainingRecord
 
 # Facts of a trim and columns of derivatives in metrics.json
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
@@ -55,9 +53,7 @@ class FlightMechanics:
     simulated : tuple of DataFrame, optional
         Paths of a simulated part of a test flight, their mean, and the flight.
     notes : tuple of Finding
-        Why trim, modes or derivatives are missing.
-    simulation_note : Finding, optional
-        Why the simulation is missing.
+        Why trim, modes, derivatives or the simulation are missing.
     """
 
     trim: Trim | None = None
@@ -66,7 +62,6 @@ class FlightMechanics:
     simulation: pd.DataFrame | None = None
     simulated: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame] | None = None
     notes: tuple[Finding, ...] = ()
-    simulation_note: Finding | None = None
 
     @property
     def mode_kinds(self) -> pd.Index:
@@ -76,12 +71,7 @@ class FlightMechanics:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units and radians."""
-        plain: dict[str, Any] = {
-            "note": " ".join(note.text for note in self.notes),
-            "simulation_note": "",
-        }
-        if self.simulation_note is not None:
-            plain["simulation_note"] = self.simulation_note.text
+        plain: dict[str, Any] = {"notes": [note.text for note in self.notes]}
         if self.trim is not None:
             trim = pd.Series(vars(self.trim))[[*TRIM]].to_dict()
             beyond = {name: list(values) for name, values in self.trim.beyond.items()}
@@ -103,61 +93,42 @@ class FlightMechanics:
 def flight_mechanics(
     pipeline: Pipeline | Aerodynamics,
     aircraft: Aircraft,
-    train: Sequence[pd.DataFrame],
-    test: Sequence[Evaluation],
+    conditions: Mapping[str, float],
+    flights: Sequence[pd.DataFrame],
     options: Mapping[str, Any],
-    training: TrainingRecord | None = None,
 ) -> FlightMechanics:
-    """Return trim, derivatives and modes at the median airspeed and density flown, and a simulation of test flights.
+    """Return trim, derivatives and modes at the ``conditions`` of the fit, and a simulation of test flights.
 
-    Without a thrust the flight is a glide. Where there is no trim, derivatives are at the median of
-    the flights.
+    Without a thrust the flight is a glide. Where there is no trim, derivatives are at the conditions.
     """
-    tables = [flight.table for flight in test]
-    # a model that existed before is judged where it was learned
-    known = training.conditions if training is not None and not train else {}
-    if known:
-        flown = pd.Series(known, dtype=float)
-    else:
-        flown = pd.concat(train or tables).median(numeric_only=True)
+    flown = pd.Series(conditions, dtype=float)
     airspeed = float(flown["airspeed"])
     thrust = options["thrust"]
-    conditions: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
+    given: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
     state, controls = _median_state(flown)
     notes = []
     steady: Any = None
     try:
         climb = None if thrust is None else 0.0
         altitude = float(np.nan_to_num(flown.get("altitude", 0.0)))
-        steady = trim(pipeline, aircraft, airspeed, altitude=altitude, climb=climb, **conditions)
+        steady = trim(pipeline, aircraft, airspeed, altitude=altitude, climb=climb, **given)
         state, controls = steady.state, steady.controls
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
     point = aircraft, state, controls
-    linear: dict[str, Any] = {}
+    computed: dict[str, Any] = {}
     try:
-        derivatives = stability_derivatives(pipeline, *point, **conditions)
-        modes = None if steady is None else _modes(pipeline, point, conditions)
-        linear = {"derivatives": derivatives, "modes": modes}
+        derivatives = stability_derivatives(pipeline, *point, **given)
+        modes = None if steady is None else _modes(pipeline, point, given)
+        computed = {"derivatives": derivatives, "modes": modes}
     except ValueError as error:
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
-    simulations = _simulations(pipeline, aircraft, [flight.states for flight in test], options)
-    return FlightMechanics(trim=steady, notes=tuple(notes), **linear, **simulations)
-
-
-def _simulations(
-    pipeline: Pipeline | Aerodynamics,
-    aircraft: Aircraft,
-    states: Sequence[pd.DataFrame],
-    options: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return errors of simulations of test flights and one of these, or why there is none."""
     try:
-        free = FreeFlight(pipeline, aircraft, states, options)
-        return {"simulation": free.errors(), "simulated": free.example()}
+        free = FreeFlight(pipeline, aircraft, flights, options)
+        computed |= {"simulation": free.errors(), "simulated": free.example()}
     except ValueError as error:
-        finding = Finding(Code.NOT_SIMULATED, numbers={"error": str(error)})
-        return {"simulation_note": finding}
+        notes.append(Finding(Code.NOT_SIMULATED, numbers={"error": str(error)}))
+    return FlightMechanics(trim=steady, notes=tuple(notes), **computed)
 
 
 def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:

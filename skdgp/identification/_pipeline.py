@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_consistent_length, check_is_fitted
 
 from skdgp._compute.statistics import r2_of_observed
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.smoothing import FittedFilter
 from skdgp._flight.tables import FlightTable, has_values
@@ -289,8 +290,16 @@ class FlightPipeline(Pipeline):
 
     Attributes
     ----------
-    seconds_ : float or None
-        Duration of the flights of the fit [s], without gaps; None without ``time``.
+    seconds_ : float
+        Duration of the flights of the fit [s], without gaps.
+    flights_ : dict of str to int
+        Rows of each of them.
+    conditions_ : dict of str to float
+        Medians of their columns.
+    n_observed_, n_learned_ : int
+        Rows with a target, and those of them that the last step learns from.
+    fit_time_ : float
+        Duration of the fit [s].
     turbulence_ : Turbulence or None
         Of the flights of the fit, where they show it.
     coefficient_filter_ : FittedFilter or "auto"
@@ -333,7 +342,10 @@ class FlightPipeline(Pipeline):
 
         ``params`` are as of scikit-learn's ``Pipeline``.
         """
-        y = self.thinned(X, y)
+        began = time.monotonic()
+        self.n_observed_ = _n_observed(y)
+        y = self._thinned(y)
+        self.n_learned_ = _n_observed(y)
         table = X.table if isinstance(X, FlightTable) else X
         self.calibration_ = None
         self.least_squares_: dict[str, dict[str, float]] = {}
@@ -364,6 +376,7 @@ class FlightPipeline(Pipeline):
             self.calibration_ = RegressionCalibration.of_residuals(
                 regressors, residuals, self._without_effect()
             )
+        self.fit_time_ = round(time.monotonic() - began, 3)
         return self
 
     def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
@@ -371,8 +384,8 @@ class FlightPipeline(Pipeline):
         check = step_of(self, FlightCheck)
         return X if check is None else without_airspeed_error(X, check.airspeed_scale_.removable())
 
-    def thinned(self, X: Any, y: Any) -> Any:
-        """Return targets y (n, P) of flights X of which as many rows as ``samples`` says are observed."""
+    def _thinned(self, y: Any) -> Any:
+        """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""
         samples = self.samples
         if samples is None and y is not None:
             samples = self._usual_samples(y)
@@ -381,7 +394,7 @@ class FlightPipeline(Pipeline):
     def _usual_samples(self, y: Any) -> int | None:
         """Return how many rows to learn from by default; None for all that have a target."""
         last = self.steps[-1][1]
-        observed = np.isfinite(np.asarray(y, dtype=float)).reshape(len(y), -1).any(axis=1)
+        observed = _is_observed(y)
         if not isinstance(last, DependentGPRegressor) or observed.mean() < ROWS.chosen:
             return None
         if last.inference == "exact":
@@ -484,8 +497,13 @@ class FlightPipeline(Pipeline):
         return np.ones(d) if scaler is None else scaler.scale_
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
-        """Learn duration, turbulence and smoothing of checked flights."""
-        self.seconds_ = duration(flights)
+        """Learn duration, conditions, turbulence and smoothing of checked flights."""
+        clock = FlightTable.of(flights).clock
+        steps = np.diff(clock.time)
+        self.seconds_ = float(len(flights) * np.median(steps[steps > 0]))
+        self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
+        medians = flights.median(numeric_only=True)
+        self.conditions_ = {str(name): float(value) for name, value in medians.items()}
         self.turbulence_ = None
         self.coefficient_filter_: FittedFilter | str = "auto"
         with suppress(KeyError, TypeError, ValueError):  # columns that are missing
@@ -545,13 +563,14 @@ class FlightPipeline(Pipeline):
         return self.calibration_(regressors, noise_ratio)
 
 
-def duration(flights: Any) -> float | None:
-    """Return the duration of flights without gaps [s], None without ``time``."""
-    if "time" not in flights:
-        return None
-    steps = np.diff(flights["time"].to_numpy(float))
-    forward = steps[steps > 0]
-    return float(len(flights) * np.median(forward)) if forward.size else None
+def _n_observed(y: Any) -> int:
+    """Return the number of rows with any target."""
+    return 0 if y is None else int(_is_observed(y).sum())
+
+
+def _is_observed(y: Any) -> Array:
+    """Return which rows have any target, (n,)."""
+    return np.isfinite(np.asarray(y, dtype=float)).reshape(len(y), -1).any(axis=1)
 
 
 def is_of_coefficients(y: Any) -> bool:

@@ -1,4 +1,4 @@
-"""First stage of an identification: checked training and test flights, and assumptions.
+"""Checks of the flights of an identification, and its assumptions.
 
 Flights are checked here, once; behind this stage they are without faults and have their usable rows.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -45,10 +45,8 @@ from skdgp.dynamics import (
     propeller_speed_of,
     with_sensor_position,
 )
-from skdgp.estimation import airspeed_scale
-from skdgp.identification._flights import Flights, train_and_test
+from skdgp.identification._flights import Flights
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
-from skdgp.io import reversed_of
 from skdgp.preprocessing import clean
 
 # columns that the coefficients follow from
@@ -66,79 +64,6 @@ POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
 ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PreparedFlights:
-    """Flights of an identification.
-
-    Attributes
-    ----------
-    train, test : dict of str to FlightTable
-        Usable rows of the flights to learn from, and to be tested on, with the airspeed as logged.
-    flights : FlightTable
-        The training flights in one table.
-    aircraft : Aircraft
-    servos : object
-        What gave the surfaces.
-    loads : dict
-        ``thrust`` and ``external_forces`` of the inverse dynamics.
-    """
-
-    train: Flights
-    test: Flights
-    flights: FlightTable
-    aircraft: Aircraft
-    servos: Any
-    loads: dict[str, Any]
-
-    @property
-    def has_full_throws(self) -> bool:
-        """Whether surfaces are in parts of their full throw."""
-        return reversed_of(self.servos) is not None
-
-
-def prepare(
-    flights: Any,
-    test: Any,
-    aircraft: Aircraft | str | os.PathLike,
-    *,
-    regressors: str | Sequence[str],
-    reading: Mapping[str, Any],
-    thrust: str | None = "auto",
-    external_forces: Sequence[str] = (),
-) -> PreparedFlights:
-    """Read and check flights; parameters and errors: see `identify`.
-
-    Warns of faults, contradictions and assumptions.
-    """
-    aircraft = as_aircraft(aircraft)
-    names = names_of(regressors)
-    train, test_flights, servos = train_and_test(flights, test, names, MEASURED, **reading)
-    columns = regressor_columns([flight.table for flight in train.values()], names)
-    aircraft = _with_position_of(aircraft, train)
-    in_radians = reversed_of(servos) is None
-    usable_train = usable_flights(train, aircraft, names, columns, in_radians=in_radians)
-    usable_test = usable_flights(test_flights, aircraft, names, columns, in_radians=in_radians)
-    together = FlightTable.together(usable_train.values())
-    together = replace(together, airspeed_scale=airspeed_scale(together.table))
-    if thrust == "auto" and _lacks_thrust(usable_train, aircraft):
-        thrust = None
-        if (together.table["throttle"] > 0).any():
-            report(Finding(Code.THRUST_IN_COEFFICIENTS))
-    if thrust is None:
-        warn_of_engine(together.table, names)
-    prepared = PreparedFlights(
-        train=usable_train,
-        test=usable_test,
-        flights=together,
-        aircraft=aircraft,
-        servos=servos,
-        loads={"thrust": thrust, "external_forces": list(external_forces)},
-    )
-    if prepared.has_full_throws:
-        report(Finding(Code.FULL_THROWS))
-    return prepared
-
-
 def as_aircraft(aircraft: Any) -> Aircraft:
     """Return the aircraft, read from a file where a path is given."""
     is_path = isinstance(aircraft, str | os.PathLike)
@@ -148,6 +73,12 @@ def as_aircraft(aircraft: Any) -> Aircraft:
 def names_of(regressors: str | Sequence[str]) -> Sequence[str]:
     """Return the names of regressors, those of a set where its name is given."""
     return REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
+
+
+def has_mixed_surfaces(table: pd.DataFrame) -> bool:
+    """Return whether flights have elevator and aileron, or elevons."""
+    columns = {*table.columns}
+    return {*MIXED} <= columns or not columns.isdisjoint(ELEVONS)
 
 
 def regressor_columns(tables: Iterable[pd.DataFrame], regressors: Sequence[str]) -> list[str]:
@@ -246,7 +177,7 @@ def check_identified(pipeline: Pipeline) -> None:
         )
 
 
-def _with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
+def with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
     """Return the aircraft with the one position of the inertial sensors that all flights state, if it has none.
 
     A model then has it for flights that state none.
@@ -305,17 +236,29 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
     return flights.part(complete[continuous]).named(flight)
 
 
-def _lacks_thrust(flights: Flights, aircraft: Aircraft) -> bool:
-    """Return whether all flights have a throttle, and nothing gives the thrust that it sets."""
-    for flight in flights.values():
-        has_thrust = not {*THRUST_COLUMNS}.isdisjoint(flight.table)
-        has_propeller = propeller_speed_of(aircraft.propeller, flight.table) is not None
-        if has_thrust or has_propeller or "throttle" not in flight.table:
-            return False
-    return True
+def loads_of(
+    table: pd.DataFrame,
+    aircraft: Aircraft,
+    regressors: Sequence[str],
+    thrust: str | None = "auto",
+    external_forces: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Return the loads of flights that are no part of the coefficients; warn where the thrust is one.
+
+    It is where the flights have a throttle, and nothing gives the thrust that this sets.
+    """
+    has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
+    has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
+    if thrust == "auto" and "throttle" in table and not (has_thrust or has_propeller):
+        thrust = None
+        if (table["throttle"] > 0).any():
+            report(Finding(Code.THRUST_IN_COEFFICIENTS))
+    if thrust is None:
+        _warn_of_engine(table, regressors)
+    return {"thrust": thrust, "external_forces": list(external_forces)}
 
 
-def warn_of_engine(table: pd.DataFrame, regressors: Sequence[str]) -> None:
+def _warn_of_engine(table: pd.DataFrame, regressors: Sequence[str]) -> None:
     """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
     varied = [name for name in ENGINE_COLUMNS if name in table and table[name].nunique() > 1]
     if varied and not {*varied} & {*regressors}:

@@ -2,62 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.findings import Code, Finding
-from skdgp.identification._pipeline import regressor_names, step_of
+from skdgp.identification._pipeline import FlightPipeline, regressor_names, step_of
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
-
-
-def flown_seconds(tables: Iterable[pd.DataFrame]) -> float:
-    """Return the duration of flights together [s]."""
-    return sum(float(np.ptp(table["time"])) for table in tables)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainingRecord:
-    """Data and duration of a fit.
-
-    Parameters
-    ----------
-    samples, samples_available : int
-        Rows learned from, and rows with a coefficient.
-    seconds : float
-        Duration of the fit.
-    least_squares : mapping of str to mapping of str to float
-        By coefficient ``intercept`` and slopes of the linear model of the same rows.
-    flights : mapping of str to int
-        Rows of each training flight.
-    conditions : mapping of str to float
-        Medians of the columns of the training flights, where derivatives are judged; empty of
-        models that do not know them.
-    flown : float, optional
-        Duration of the training flights [s]; None of models that do not know it.
-    """
-
-    samples: int
-    samples_available: int
-    seconds: float
-    least_squares: Mapping[str, Mapping[str, float]]
-    flights: Mapping[str, int]
-    conditions: Mapping[str, float] = field(default_factory=dict)
-    flown: float | None = None
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> TrainingRecord | None:
-        """Return the record in plain values, as of a model file; None if these lack it."""
-        names = {entry.name for entry in fields(cls)}
-        if not values.keys() >= names - {"conditions", "flown"}:
-            return None
-        return cls(**{name: values[name] for name in names & values.keys()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +43,16 @@ class FitRecord:
         Whether flight paths are reconstructed, and why; None without this step.
     lags : mapping of str to mapping of str to object
         By group the rows of `skdgp.preprocessing.LagCorrector.lags_`.
-    training : TrainingRecord, optional
-        None of a model that was not learned by `skdgp.identification.identify`.
+    samples, samples_available : int
+        Rows learned from, and rows with a coefficient.
+    seconds, flown : float
+        Duration of the fit, and of the training flights without gaps [s].
+    flights : mapping of str to int
+        Rows of each training flight.
+    conditions : mapping of str to float
+        Medians of the columns of the training flights, where derivatives are judged.
+    least_squares : mapping of str to mapping of str to float
+        By coefficient ``intercept`` and slopes of the linear model of the same rows.
     """
 
     inference: str
@@ -102,17 +66,21 @@ class FitRecord:
     doubts: Sequence[Finding]
     reconstruction: Finding | None
     lags: Mapping[str, Mapping[str, Any]]
-    training: TrainingRecord | None = None
+    samples: int
+    samples_available: int
+    seconds: float
+    flown: float
+    flights: Mapping[str, int]
+    conditions: Mapping[str, float]
+    least_squares: Mapping[str, Mapping[str, float]]
 
     @property
     def summary(self) -> str:
         """Duration, samples and likelihood of the fit, and whether it converged."""
-        text = f"log likelihood {self.log_marginal_likelihood:.1f}"
-        training = self.training
-        if training is not None:
-            state = "interrupted" if self.interrupted else "fitted"
-            samples = f"{training.samples} of {training.samples_available} samples"
-            text = f"{state} in {training.seconds:.1f} s on {samples}, {text}"
+        state = "interrupted" if self.interrupted else "fitted"
+        samples = f"{self.samples} of {self.samples_available} samples"
+        likelihood = f"log likelihood {self.log_marginal_likelihood:.1f}"
+        text = f"{state} in {self.seconds:.1f} s on {samples}, {likelihood}"
         if not self.converged:
             text += f"; not converged after {self.iterations} iterations: raise max_iter"
         return text
@@ -136,10 +104,10 @@ class FitRecord:
         values = asdict(self)
         values["doubts"] = [doubt.text for doubt in self.doubts]
         values["reconstruction"] = self.reconstruction.clause if self.reconstruction else None
-        return values | (values.pop("training") or {})
+        return values
 
 
-def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> FitRecord:
+def fit_record(pipeline: FlightPipeline) -> FitRecord:
     """Return what a fitted pipeline shows of its fit."""
     regressor = pipeline[-1]
     doubts = []
@@ -164,7 +132,13 @@ def fit_record(pipeline: Pipeline, training: TrainingRecord | None = None) -> Fi
         doubts=doubts,
         reconstruction=reconstruction,
         lags=lags_of(pipeline),
-        training=training,
+        samples=pipeline.n_learned_,
+        samples_available=pipeline.n_observed_,
+        seconds=pipeline.fit_time_,
+        flown=pipeline.seconds_,
+        flights=pipeline.flights_,
+        conditions=pipeline.conditions_,
+        least_squares=pipeline.least_squares_,
     )
 
 

@@ -16,6 +16,7 @@ from skdgp._compute.findings import Severity, clauses_of, texts_of
 from skdgp._compute.statistics import half_width
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, SPECIFIC_FORCE
 from skdgp._flight.findings import Code, Finding
+from skdgp._regressor import FitCode
 from skdgp.identification._evaluate import Evaluation, scores
 from skdgp.identification._mechanics import FlightMechanics
 from skdgp.identification._record import FitRecord
@@ -71,7 +72,8 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("no", (Code.SIZES_QUESTIONED,)),
         ("unknown", (Code.TOO_LITTLE_FLOWN,)),
         ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN)),
-        ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES, Code.CONTROLS_MISSING)),
+        ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES)),
+        ("no", (Code.CONTROLS_MISSING,)),
         ("no", (Code.CONTROLS_TOO_UNCERTAIN, Code.BANDS_DO_NOT_HOLD, Code.TRIM_BEYOND)),
         ("partly", (Code.TESTED_ON_COPY, Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
         ("partly", (Code.ACCELERATIONS_AS_REGRESSORS,)),
@@ -140,9 +142,9 @@ class Verdict:
         return float(self.scores[COVERAGE].mean())
 
     @property
-    def least_squares_error(self) -> float | None:
+    def least_squares_error(self) -> float:
         """Error of a linear model of the same rows."""
-        return float(self.varying[LINEAR_NRMSE].mean()) if LINEAR_NRMSE in self.scores else None
+        return float(self.varying[LINEAR_NRMSE].mean())
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -154,8 +156,6 @@ class Verdict:
         text = f"error {self.error:.3f} of the spread, {100 * self.coverage:.1f} % in 95 % bands"
         if self.unvarying:
             text += f" (errors without {' '.join(self.unvarying)})"
-        if self.least_squares_error is None:
-            return text
         return (
             f"{text}; least squares on the same rows has an error of {self.least_squares_error:.3f}"
         )
@@ -185,6 +185,7 @@ def judge(
     table = scores(evaluations)["measured"]
     unvarying = _not_varying(evaluations, table)
     varying = table.drop(index=unvarying)
+    warnings = [finding for finding in findings if finding.severity is Severity.WARNING]
     # the costliest first
     every = [
         *_doubts(fit, findings),
@@ -192,10 +193,11 @@ def judge(
         *_against_least_squares(varying),
         *_band_findings(table),
         *_if_any(Code.NOT_VARYING, names=unvarying),
-        *([] if fit.converged else [Finding(Code.FIT_NOT_CONVERGED)]),
-        *(finding for finding in findings if finding.severity is Severity.WARNING),
+        *(finding for finding in warnings if isinstance(finding.code, FitCode)),
+        *(finding for finding in warnings if not isinstance(finding.code, FitCode)),
         *_training_findings(fit),
         *_error_findings(varying, _by_construction(evaluations, fit)),
+        *mechanics.notes,
         *_simulation_findings(mechanics),
         *_control_findings(mechanics, varying),
     ]
@@ -237,14 +239,10 @@ def _training_findings(fit: FitRecord) -> list[Finding]:
     """Return the findings of too few seconds or rows, and of regressors that are known only after a flight."""
     accelerations = sorted(ACCELERATION_REGRESSORS & set(fit.regressors))
     findings = _if_any(Code.ACCELERATIONS_AS_REGRESSORS, names=accelerations)
-    training = fit.training
-    if training is None:
-        return findings
-    seconds = np.inf if training.flown is None else training.flown
-    rows_by_regressor = training.samples / len(fit.regressors)
-    if seconds < THRESHOLDS.flown or rows_by_regressor < THRESHOLDS.rows:
+    rows_by_regressor = fit.samples / len(fit.regressors)
+    if fit.flown < THRESHOLDS.flown or rows_by_regressor < THRESHOLDS.rows:
         numbers = {
-            "seconds": seconds,
+            "seconds": fit.flown,
             "each": rows_by_regressor,
             "least_seconds": THRESHOLDS.flown,
             "least_rows": THRESHOLDS.rows,
@@ -310,7 +308,7 @@ def _simulation_findings(mechanics: FlightMechanics) -> list[Finding]:
     """Return how long each state of a simulation stays near the flights."""
     table = mechanics.simulation
     if table is None:
-        return [] if mechanics.simulation_note is None else [mechanics.simulation_note]
+        return []
     lasts = table["lasts"].sort_values()
     seconds = float(lasts.min())
     horizon = float(table["horizon"].min())
@@ -331,10 +329,10 @@ def _simulation_findings(mechanics: FlightMechanics) -> list[Finding]:
 
 def _control_findings(mechanics: FlightMechanics, varying: pd.DataFrame) -> list[Finding]:
     """Return what a controller depends on: trim, derivatives by the controls, fast modes, errors of the moments."""
-    findings = list(mechanics.notes)
+    findings = []
     widths = _half_widths(mechanics)
     if mechanics.trim is None or widths.empty:
-        return findings or [Finding(Code.CONTROLS_MISSING)]
+        return [Finding(Code.CONTROLS_MISSING)]
     wide = widths[~(widths <= THRESHOLDS.band)]
     causes = _largest_parts(mechanics.derivatives, wide.index)
     findings += _if_any(Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict(), causes=causes)
@@ -391,11 +389,9 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
 def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
     """Return the warning that least squares predicts better, if it does."""
     means = varying.mean()
-    limit = (1 + THRESHOLDS.tie) * means.get(LINEAR_NRMSE, np.inf)
-    worse = []
-    if LINEAR_NRMSE in varying:
-        is_worse = varying[NRMSE] > (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
-        worse = list(varying.index[is_worse])
+    limit = (1 + THRESHOLDS.tie) * means[LINEAR_NRMSE]
+    is_worse = varying[NRMSE] > (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
+    worse = list(varying.index[is_worse])
     if (worse and len(worse) >= len(varying) / 2) or means[NRMSE] > limit:
         numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
         return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]

@@ -294,8 +294,6 @@ def _modes(modes: pd.DataFrame) -> pd.DataFrame:
 def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
     """Return how long a free simulation follows the test flights, and one flight with its bands."""
     parts = []
-    if mechanics.simulation_note is not None:
-        parts.append(paragraphs([f"Not simulated: {mechanics.simulation_note.clause}."]))
     if mechanics.simulation is not None:
         errors = mechanics.simulation.copy()
         units = [display_unit(str(name)) for name in errors.index]

@@ -59,7 +59,7 @@ def identified(folder, once, cut_short, command):
             "identify",
             *flights,
             *QUICK,
-            "--horizons",
+            "--horizon",
             "1",
             "-o",
             str(results / "deep" / "er"),

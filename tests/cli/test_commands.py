@@ -139,7 +139,7 @@ class TestValidate:
     def test_says_what_identify_and_changed_say(
         self, run, identified, model, tmp_path, no_pictures
     ):
-        said = run("validate", "test.csv", "--horizons", "1")
+        said = run("validate", "test.csv", "--horizon", "1")
         found = changed(model, "test.csv").derivatives.droplevel("flight")
         (of_flight,) = said["changed"]["derivatives"].values()
         for name, change in of_flight.items():
@@ -160,7 +160,7 @@ class TestValidate:
 
     def test_needs_no_folder_and_no_facts(self, command, model, tmp_path, capsys):
         bare = save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
-        assert command(["validate", str(bare), "test.csv", "--horizons", "1"]) == 0
+        assert command(["validate", str(bare), "test.csv", "--horizon", "1"]) == 0
         said = capsys.readouterr()
         # but for the stages that take long
         assert all(line.startswith("evaluating ") for line in said.err.splitlines())
@@ -168,7 +168,7 @@ class TestValidate:
         assert files(tmp_path) == {"bare.joblib"}
 
     def test_of_what_it_learned_from_is_remarked_on(self, command, path, capsys):
-        assert command(["validate", path, "latlon.csv", "--horizons", "1"]) == 0
+        assert command(["validate", path, "latlon.csv", "--horizon", "1"]) == 0
         assert "The model learned from a flight 'latlon'" in capsys.readouterr().err
 
 

@@ -101,7 +101,7 @@ class TestIdentify:
         monkeypatch.chdir(folder)
         printed = identified[1].stdout.splitlines()
         regressor = DependentGPRegressor(max_iter=3, random_state=0)
-        options = {"samples": 40, "horizons": [1.0], "regressor": regressor}
+        options = {"samples": 40, "horizon": 1.0, "regressor": regressor}
         with warnings.catch_warnings():
             warnings.simplefilter("default")
             warnings.showwarning = lambda *_: None
@@ -150,7 +150,7 @@ class TestIdentify:
 
     def test_a_mass_and_a_span_instead_of_a_file(self, command, tmp_path, capsys):
         """The aircraft is the estimate, named by the log."""
-        words = ["identify", "latlon.csv", "--test", "test.csv", *QUICK, "--horizons", "1"]
+        words = ["identify", "latlon.csv", "--test", "test.csv", *QUICK, "--horizon", "1"]
         sizes = shlex.split("--mass 45+-0.5 --span 2.8 --kind 'flying wing' --propeller 16x8")
         assert command([*words, *sizes, "-o", str(tmp_path / "out")]) == 0
         assert "assumed, as nothing was told:" in capsys.readouterr().out
@@ -201,7 +201,7 @@ class TestIdentify:
             table[name] = np.interp(table["time"] - 0.08, table["time"], table[name])
         table.to_csv(tmp_path / "late.csv", index=False)
         late = [tmp_path / "late.csv"]
-        metrics = metrics_of("--test", "test.csv", "--horizons", "1", train=late)
+        metrics = metrics_of("--test", "test.csv", "--horizon", "1", train=late)
         assert metrics["options"]["lags"] == "auto"
         assert abs(metrics["fit"]["lags"]["air"]["applied"] - 0.08) < 0.01
         model = load_model(tmp_path / "out" / "model.joblib")
@@ -297,7 +297,7 @@ class TestBadInput:
 def test_demo_is_honest(command, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     output = tmp_path / "skdgp-demo"
-    assert command(["demo", "--samples", "100", "--max-iter", "15", "--horizons", "2"]) == 0
+    assert command(["demo", "--samples", "100", "--max-iter", "15", "--horizon", "2"]) == 0
     assert_only_stopped(capsys.readouterr().err.splitlines())
     assert {path.name for path in output.iterdir()} == OUTPUTS
     (flight,) = json.loads((output / "metrics.json").read_text())["test"].values()

@@ -94,7 +94,7 @@ def identified(once, first_minute, cut_short):
         regressor = DependentGPRegressor(
             inference="sparse", n_inducing=12, n_latent=1, max_iter=10, random_state=0
         )
-        options = {"test": test, "samples": 120, "regressor": regressor, "horizons": [1.0]}
+        options = {"test": test, "samples": 120, "regressor": regressor, "horizon": 1.0}
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
             found = identify(train, data.aircraft, **options)

@@ -139,7 +139,7 @@ def test_a_table_without_thrust():
     """
     flight = table()
     flight["ax"] += 20 * flight["throttle"] / UNKNOWN.mass
-    found = quietly(flight, UNKNOWN, samples=100, horizons=[1.0])
+    found = quietly(flight, UNKNOWN, samples=100, horizon=1.0)
     assert "throttle" in found.fit.regressors
     assert found.options["thrust"] is None
     assert "servos" not in found.options
@@ -154,7 +154,7 @@ def test_a_table_without_thrust():
 
 @pytest.mark.usefixtures("no_mechanics")
 def test_of_an_engine_that_never_ran_no_thrust_is_assumed():
-    found = quietly(table().assign(throttle=0.0), UNKNOWN, samples=60, horizons=[1.0])
+    found = quietly(table().assign(throttle=0.0), UNKNOWN, samples=60, horizon=1.0)
     assert found.options["thrust"] is None
     assert "THRUST_IN_COEFFICIENTS" not in codes(found.findings)
     assert "throttle" not in found.fit.regressors
@@ -165,7 +165,7 @@ def test_nothing_was_assumed_of_what_was_told():
     inertia = np.diag([0.1, 0.15, 0.2])
     told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=inertia)
     flight = table().assign(thrust_x=1.0)
-    assert quietly(flight, told, samples=60, horizons=[1.0]).assumptions == ()
+    assert quietly(flight, told, samples=60, horizon=1.0).assumptions == ()
 
 
 @pytest.fixture(scope="module")
@@ -244,7 +244,7 @@ def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_min
     right = flight.pop("elevon_right")
     opposite = flight.drop(columns="psi").assign(aileron=(right - left) / 2)
     found = quietly(
-        {"one": opposite}, data.aircraft, test=opposite[:200], samples=60, horizons=[1.0]
+        {"one": opposite}, data.aircraft, test=opposite[:200], samples=60, horizon=1.0
     )
     (contradiction,) = [each for each in found.findings if each.code.name == "CONTRADICTION"]
     assert contradiction.numbers["channels"] == ["aileron"]

@@ -161,7 +161,7 @@ def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     train = train.reset_index(drop=True)
     regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
     options = {"regressor": regressor, "samples": 200}
-    learn = partial(identify, aircraft=aircraft, test=test_flight, horizons=[1.0], **options)
+    learn = partial(identify, aircraft=aircraft, test=test_flight, horizon=1.0, **options)
     found = learn(train).pipeline
     Y = aerodynamic_coefficients(train, aircraft)
     model = make_identification_pipeline(aircraft, **options)
@@ -185,7 +185,7 @@ class TestLeastSquares:
         test = flights.test.iloc[:400]
         regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
         result = identify(
-            train, flights.aircraft, test=test, samples=120, regressor=regressor, horizons=[2.0]
+            train, flights.aircraft, test=test, samples=120, regressor=regressor, horizon=2.0
         )
         targets = aerodynamic_coefficients(train, flights.aircraft)
         targets = thin_targets(targets, 120)
@@ -330,7 +330,7 @@ def test_coefficients_are_those_of_the_corrected_airspeed(flights):
             samples=100,
             regressor=DependentGPRegressor(structure="trend", max_iter=1, random_state=0),
             pipeline={"reconstruction": "passthrough", "lags": None},
-            horizons=[2.0],
+            horizon=2.0,
         )
     (found,) = result.evaluations
     right = aerodynamic_coefficients(test, flights.aircraft).to_numpy()

@@ -120,7 +120,7 @@ def example(first_minute):
 def result(example, cut_short):
     aircraft, train, test = example
     with pytest.warns((FewRowsWarning, ConvergenceWarning)), cut_short():
-        found = identify(train, aircraft, test=test, samples=40, regressor=QUICK, horizons=[1.0])
+        found = identify(train, aircraft, test=test, samples=40, regressor=QUICK, horizon=1.0)
     assert found.metrics["flight_mechanics"]["derivatives"]
     return found
 
@@ -133,7 +133,7 @@ def averaged(example, cut_short):
     tables = {name: table.drop(columns="flight") for name, table in flights}
     stages = []
     with listening(lambda stage, *_: stages.append(stage)), pytest.warns() as shown, cut_short():
-        found = identify(tables, aircraft, samples=40, regressor=AVERAGE, horizons=[1.0])
+        found = identify(tables, aircraft, samples=40, regressor=AVERAGE, horizon=1.0)
     return found, stages, shown
 
 
@@ -164,8 +164,8 @@ class TestIdentify:
         names = ("median_relative_error", "normalized_rmse", "interval_coverage")
         scores = np.array([of[name] for name in names]) * [100, 1, 100]
         assert_allclose(np.array(shown, dtype=float), scores, atol=0.051)
-        assert result.fit.training.samples == result.options["samples"] == 40
-        assert result.fit.training.flights == {"lateral": 400, "latlon": 400}
+        assert result.fit.samples == result.options["samples"] == 40
+        assert result.fit.flights == {"lateral": 400, "latlon": 400}
         assert not of_code(result, "HELD_OUT_FLIGHT")
 
     def test_saves_what_load_model_reads(self, stopped, example):
@@ -187,7 +187,7 @@ class TestIdentify:
         found, stages, shown = averaged
         (held_out,) = of_code(found, "HELD_OUT_FLIGHT")
         assert held_out.flight == "latlon"
-        assert list(found.fit.training.flights) == ["lateral"]
+        assert list(found.fit.flights) == ["lateral"]
         assert list(found.metrics["test"]) == ["latlon"]
         assert {" ".join(str(one.message).split()) for one in shown} == set(found.messages)
         for words in ("No test flight was named", "Got 40 rows"):
@@ -207,11 +207,11 @@ class TestIdentify:
     def test_holds_out_the_last_quarter_of_a_flight_that_has_most_rows(self, example):
         aircraft, train, _ = example
         most = train[(train["flight"] != "lateral") | (train["time"] < 5)]
-        found = identify(most, aircraft, samples=40, regressor=QUICK, horizons=[1.0])
+        found = identify(most, aircraft, samples=40, regressor=QUICK, horizon=1.0)
         (held_out,) = of_code(found, "HELD_OUT_QUARTER")
         assert held_out.flight == "latlon"
         learned = {"lateral": 200, "latlon, first three quarters": 300}
-        assert found.fit.training.flights == learned
+        assert found.fit.flights == learned
 
     @pytest.mark.parametrize(
         ("change", "error", "message"),
@@ -240,7 +240,7 @@ class TestIdentify:
     def test_an_unknown_thrust_is_part_of_the_coefficients(self, example):
         aircraft, train, test = example
         lost = [name for name in train if name.startswith("thrust")]
-        options = {"samples": 40, "regressor": QUICK, "horizons": [1.0], "thrust": None}
+        options = {"samples": 40, "regressor": QUICK, "horizon": 1.0, "thrust": None}
         found = identify(
             train.drop(columns=lost),
             replace(aircraft, propeller=None),

@@ -9,6 +9,7 @@ from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
 
 from skdgp._flight.findings import Code, Finding
+from skdgp._regressor import FitCode
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
@@ -23,12 +24,11 @@ from skdgp.identification import (
     FitRecord,
     FlightMechanics,
     Identification,
-    TrainingRecord,
 )
 
 AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-SETTINGS = {"thrust": None, "external_forces": [], "horizons": [2.0, 4.0]}
+SETTINGS = {"thrust": None, "external_forces": [], "horizon": 4.0}
 FIT = FitRecord(
     inference="exact",
     weights={},
@@ -41,13 +41,13 @@ FIT = FitRecord(
     doubts=[],
     reconstruction=None,
     lags={},
-    training=TrainingRecord(
-        samples=1000,
-        samples_available=1000,
-        seconds=1.0,
-        least_squares={},
-        flights={},
-    ),
+    samples=1000,
+    samples_available=1000,
+    seconds=1.0,
+    flown=100.0,
+    flights={},
+    conditions={},
+    least_squares={},
 )
 
 
@@ -177,10 +177,9 @@ def use(found, purpose):
 def mechanics_of(*tables, train=None, **options):
     """Return the mechanics of a model that flies like these tables, or not."""
     tested = [replace(evaluation(n=2), table=table, states=table) for table in tables]
-    fit = replace(FIT, training=None)
-    return identification(
-        [train if train is not None else tables[0]], tested, fit=fit, **options
-    ).mechanics
+    conditions = (tables[0] if train is None else train).median(numeric_only=True)
+    fit = replace(FIT, conditions=conditions.to_dict())
+    return identification(tables, tested, fit=fit, **options).mechanics
 
 
 def errors_of(*tables, elevator=-1.0):
@@ -204,11 +203,10 @@ def test_least_squares_that_is_better_is_a_warning():
 
 @pytest.mark.parametrize(
     ("flown", "samples", "fit"),
-    [(60.0, 1000, "yes"), (29.0, 1000, "unknown"), (60.0, 79, "unknown"), (None, 1000, "yes")],
+    [(60.0, 1000, "yes"), (29.0, 1000, "unknown"), (60.0, 79, "unknown")],
 )
 def test_little_flown_or_few_rows_leave_it_open(flown, samples, fit):
-    training = replace(FIT.training, flown=flown, samples=samples)
-    uses = verdict(fit={"training": training}).uses
+    uses = verdict(fit={"flown": flown, "samples": samples}).uses
     assert {use.judgement for use in uses} == {fit}
 
 
@@ -253,7 +251,7 @@ class TestSimulation:
     def test_says_what_it_cannot_fly(self, flight, change, settings, message):
         found = mechanics_of(change(flight), train=flight, **settings)
         assert found.simulation is None
-        assert message in found.simulation_note.numbers["error"]
+        assert message in found.notes[-1].numbers["error"]
 
     def test_the_true_aircraft_follows_from_starts_within_fast_rolls(self):
         """Doublets of 0.4 s, in whose middle the simulations start."""
@@ -402,7 +400,7 @@ def modes(name):
 
 BLIND = replace(errors(0.7), table=errors().table[["time"]])
 HIDDEN = SHORT.assign(wind_known=False)
-LITTLE = {"training": replace(FIT.training, flown=5.0)}
+LITTLE = {"flown": 5.0}
 BEYOND = replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})
 RATES = {"regressors": ["p_hat", "elevator"]}
 USES = [
@@ -421,7 +419,7 @@ USES = [
     (SIMULATE, {"simulation": simulated([2.5, 4.0])}, "partly", {Code.FOLLOWS_SHORTLY}),
     (SIMULATE, {"simulation": SHORT}, "no", {Code.FOLLOWS_TOO_SHORTLY}),
     (SIMULATE, {"simulation": HIDDEN}, "unknown", {Code.GUSTS_HIDE_ERRORS}),
-    (SIMULATE, {"simulation": None, "simulation_note": NO_ALPHA}, "unknown", {Code.NOT_SIMULATED}),
+    (SIMULATE, {"simulation": None, "notes": (NO_ALPHA,)}, "unknown", {Code.NOT_SIMULATED}),
     (SIMULATE, {"simulation": None}, "unknown", set()),
     (SIMULATE, {"fit": AX}, "no", {Code.ACCELERATIONS_AS_REGRESSORS}),
     (SIMULATE, {"fit": AX | LITTLE}, "no", {Code.ACCELERATIONS_AS_REGRESSORS}),
@@ -484,8 +482,9 @@ class TestMechanics:
         found = mechanics_of(flight, train=flight.drop(columns="elevator"), aircraft=heavy)
         assert found.derivatives.empty
         assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
-        assert found.to_dict()["note"].startswith("No steady flight was found at ")
-        assert "No derivatives: " in found.to_dict()["note"]
+        notes = found.to_dict()["notes"]
+        assert notes[0].startswith("No steady flight was found at ")
+        assert any(note.startswith("No derivatives: ") for note in notes)
 
     def test_is_plain_for_json(self, flight):
         found = mechanics_of(flight).to_dict()
@@ -506,23 +505,23 @@ class TestMechanics:
 
 
 def test_of_little_flown_a_large_error_says_nothing():
-    training = replace(FIT.training, flown=5.0)
-    found = verdict([evaluation(error=1.5)], fit={"training": training}, trim=None)
+    found = verdict([evaluation(error=1.5)], fit={"flown": 5.0}, trim=None)
     assert {use.judgement for use in found.uses} == {"unknown"}
     assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
 
 
 def test_warnings_are_ranked():
-    findings = [ALONE["a"], Finding(Code.NO_ELEVATOR), ALONE["b"]]
+    stopped = Finding(FitCode.SEARCH_STOPPED, numbers={"max_iter": 300})
+    findings = [ALONE["a"], Finding(Code.NO_ELEVATOR), ALONE["b"], stopped]
     bad = [
         evaluation(error=1.2, linear=0.5, inside=False),
         evaluation("b", error=0.1, inside=False),
     ]
-    found = verdict(bad, findings=findings, fit={"converged": False})
+    found = verdict(bad, findings=findings)
     assert list(dict.fromkeys(finding.code for finding in found.findings)) == [
         Code.LEAST_SQUARES_BETTER,
         Code.BANDS_TOO_NARROW,
-        Code.FIT_NOT_CONVERGED,
+        FitCode.SEARCH_STOPPED,
         Code.LONE_ROWS,
         Code.NO_ELEVATOR,
     ]

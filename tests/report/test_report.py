@@ -102,6 +102,7 @@ def result(n=800, **changes):
         "prediction_std": 2 * std,
         "rows": np.arange(n),
         "regressors": mean,
+        "baseline": mean,
         "truth": mean + 0.01 * rng.normal(size=(n, 6)),
         "table": flight,
         "states": flight,

@@ -164,7 +164,7 @@ class TestValidate:
         said = capsys.readouterr()
         # but for the stages that take long
         assert all(line.startswith("evaluating ") for line in said.err.splitlines())
-        assert said.out.startswith("brumby: log likelihood")
+        assert said.out.startswith("brumby: fitted in ")
         assert files(tmp_path) == {"bare.joblib"}
 
     def test_of_what_it_learned_from_is_remarked_on(self, command, path, capsys):

@@ -243,9 +243,7 @@ def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_min
     left = flight.pop("elevon_left")
     right = flight.pop("elevon_right")
     opposite = flight.drop(columns="psi").assign(aileron=(right - left) / 2)
-    found = quietly(
-        {"one": opposite}, data.aircraft, test=opposite[:200], samples=60, horizon=1.0
-    )
+    found = quietly({"one": opposite}, data.aircraft, test=opposite[:200], samples=60, horizon=1.0)
     (contradiction,) = [each for each in found.findings if each.code.name == "CONTRADICTION"]
     assert contradiction.numbers["channels"] == ["aileron"]
     assert contradiction.flight == "one"

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn import config_context
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import r2_score
@@ -56,16 +55,7 @@ class TestFlightsAreGroups:
 
     TIME = np.tile(0.1 * np.arange(20), 3)
 
-    def drifts(self, flights, model, params, routing=False, **more):
-        """Return the drift of the fit to each pair of flights."""
-        X, Y, _ = flights
-        options = {"cv": LeaveOneGroupOut(), "scoring": SCORERS["neg_normalized_rmse"]}
-        options |= {"return_estimator": True, "error_score": "raise", "params": params}
-        with config_context(enable_metadata_routing=routing):
-            scores = cross_validate(model, X, Y["CZ"], **options, **more)
-        return np.array([fitted.drift_variance_ for fitted in scores["estimator"]])
-
-    def test_both_get_them_with_and_without_metadata_routing(self, flights):
+    def test_both_get_them(self, flights):
         """Flights that are told apart have clocks that may start again; of one they would not."""
         X, Y, flight = flights
         model = quick(structure="trend", n_latent=None)
@@ -75,12 +65,11 @@ class TestFlightsAreGroups:
             clock = {"time": self.TIME[rows], "flight": flight[rows]}
             expected.append(clone(model).fit(X[rows], Y["CZ"][rows], **clock).drift_variance_)
         params = {"time": self.TIME, "flight": flight}
-        plain = self.drifts(flights, model, params, groups=flight)
-        assert_allclose(plain, expected, rtol=1e-6)
-        with config_context(enable_metadata_routing=True):
-            model.set_fit_request(time=True, flight="groups")
-        params = {"time": self.TIME, "groups": flight}
-        assert_allclose(self.drifts(flights, model, params, True), expected, rtol=1e-6)
+        options = {"cv": LeaveOneGroupOut(), "scoring": SCORERS["neg_normalized_rmse"]}
+        options |= {"return_estimator": True, "error_score": "raise", "params": params}
+        scores = cross_validate(model, X, Y["CZ"], groups=flight, **options)
+        found = [fitted.drift_variance_ for fitted in scores["estimator"]]
+        assert_allclose(found, expected, rtol=1e-6)
 
 
 class TestFreshProcess:

@@ -191,7 +191,7 @@ def test_at_the_gain_margin_an_oscillation_of_the_closed_loops_lasts(linear, num
     found = margins(linear, loops)["value"][loops[number].name]["gain"]
     kept = linear.A.columns.drop(["north", "east", "down", "psi"])
     A, B = linear.A.loc[kept, kept].to_numpy(), linear.B.loc[kept]
-    s = 1j * np.geomspace(1.0, 50.0, 20_000)
+    s = 1j * np.geomspace(1.0, 50.0, 8000)
 
     def smallest(factor):
         """Return the least size of the determinant over w, over its size without loops."""

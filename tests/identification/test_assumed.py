@@ -39,7 +39,7 @@ WAVES = [
 ]
 
 
-def table(n=400):
+def table(n=240):
     """Return a flight without thrust and attitude."""
     t = np.arange(n) * 0.05
     k = np.arange(len(WAVES))

@@ -62,7 +62,7 @@ def changes(model, flights, change=0.0, **options):
     return changes_of(model, unexplained)
 
 
-def several(make, *arguments, n=12):
+def several(make, *arguments, n=8):
     """Return flights by their seeds."""
     return {str(seed): make(seed, *arguments) for seed in range(1, n + 1)}
 
@@ -244,7 +244,7 @@ def test_constant_errors_of_sensors_are_no_change(model):
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):
     """The fit leaves no residual where a single block determines a weight, so blocks show no error."""
-    assert most_alarms(changes(model, several(flight_with_one_pulse, n=20))) < 0.2
+    assert most_alarms(changes(model, several(flight_with_one_pulse))) < 0.2
     assert p_value(model, flight_with_one_pulse(21, change=1.0)) < 0.01
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from skdgp import DependentGPRegressor
 from skdgp.inference import FunctionErrors, attenuation
 
-N_DRAWN = 700
+N_DRAWN = 300
 # Relative error of a standard deviation of so many draws, five of its own
 WITHIN = 5 / np.sqrt(2 * N_DRAWN)
 

@@ -42,6 +42,14 @@ class TestVariance:
         assert found[0] == pytest.approx(np.mean((truth - 0.5 * x - 0.4) ** 2), rel=0.15)
         assert variance_of(np.abs, x, y)[0] < 0.02 * NOISE**2
 
+    def test_units_of_regressors_do_not_matter(self):
+        X = default_rng(0).uniform(-1, 1, (2000, 2))
+        y = np.abs(X[:, :1]) + X[:, 1:]
+        found, expected = (
+            variance_of(lambda x: 0 * x[:, :1], X * [1.0, unit], y) for unit in (1e3, 1.0)
+        )
+        assert found == pytest.approx(expected)
+
     def test_does_not_count_neighbours_in_time(self):
         """All samples of a log of 8 s are near in time, so nothing is known; of two flights something is."""
         x, y, _ = log_of(np.abs)

@@ -9,7 +9,7 @@ from pandas.testing import assert_frame_equal
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import welch
+from scipy.signal import lfilter, welch
 
 from skdgp.dynamics import Aircraft
 from skdgp.preprocessing import LagCorrector
@@ -292,22 +292,16 @@ def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limi
     """Turns w' = -a w + b d, behind servos of 40 ms that move steps of many sizes at up to some 5 rad/s."""
     rng = default_rng(0)
     step = 0.004
-    n = 40000
-    commands = np.empty((n, 2))
-    for j in range(2):
-        k = 0
-        while k < n:
-            held = int(rng.uniform(0.15, 0.8) / step)
-            commands[k : k + held, j] = 0.08 * rng.normal()
-            k += held
-    turn = np.zeros((n, 2))
+    n = 20000
+    held = (rng.uniform(0.15, 0.8, (n // 37, 2)) / step).astype(int)
+    sizes = 0.08 * rng.normal(size=held.shape)
+    commands = np.stack([np.repeat(*each)[:n] for each in zip(sizes.T, held.T, strict=True)], -1)
     delta = np.zeros((n, 2))
     for k in range(n - 1):
         rate = np.clip((commands[k] - delta[k]) / 0.04, -rate_limit, rate_limit)
         delta[k + 1] = delta[k] + step * rate
-        turn[k + 1] = turn[k] + step * (
-            -np.array([10.0, 6.0]) * turn[k] + np.array([100.0, 60.0]) * delta[k]
-        )
+    turn = np.stack([lfilter([0, 10 * a * step], [1, a * step - 1], d)
+                     for a, d in zip((10.0, 6.0), delta.T, strict=True)], -1)  # fmt: skip
     rows = slice(None, None, 5)
     table = pd.DataFrame(commands[rows], columns=["aileron", "elevator"])
     table["time"] = step * np.arange(n)[rows]

@@ -20,7 +20,15 @@ from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
 from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
-from skdgp.dynamics import LATERAL, LONGITUDINAL, UNUSED, LinearModel, frequency_response, transfer
+from skdgp.dynamics import (
+    LATERAL,
+    LONGITUDINAL,
+    UNUSED,
+    LinearModel,
+    Matrices,
+    frequency_response,
+    transfer,
+)
 
 # Range [rad/s] and number of frequencies, and their number in a search for gains
 FREQUENCIES = (0.02, 1000.0)
@@ -327,18 +335,20 @@ def _sign(linear, control, rate):
 
 def _responses(linear, loops, s, unused=UNUSED) -> Array:
     """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first."""
-    late = np.exp(-s * (linear.delay + linear.servos.delay))[:, None, None]
     inputs = _inputs(linear, loops)
-    models = [linear]
+    models: list[Any] = [Matrices(linear.A, linear.B, linear.C, linear.D, linear.servos.delay)]
     if linear.paths is not None:
-        p = linear.paths
-        models += [LinearModel(*each) for each in zip(p.A, p.B, p.C, p.D, strict=True)]
+        models += [Matrices(*each) for each in zip(*linear.paths, strict=True)]
+    responses = []
     # one by one: the resolvents of all would fill the memory
-    return np.array([_of_matrices(model, linear, inputs, s, unused) * late for model in models])
+    for model in models:
+        late = np.exp(-s * (linear.delay + model.delay))[:, None, None]
+        responses.append(_of_matrices(model, linear, inputs, s, unused) * late)
+    return np.array(responses)
 
 
 def _of_matrices(
-    matrices: LinearModel,
+    matrices: Matrices | LinearModel,
     linear: LinearModel,
     inputs: Matrix,
     s: Vector,

@@ -55,6 +55,7 @@ from skdgp.dynamics._inverse import band_filter as band_filter
 from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
 from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
+from skdgp.dynamics._linearize import Matrices as Matrices
 from skdgp.dynamics._linearize import transfer as transfer
 from skdgp.dynamics._modes import LATERAL as LATERAL
 from skdgp.dynamics._modes import LONGITUDINAL as LONGITUDINAL

@@ -27,6 +27,7 @@ from skdgp._flight.clock import true_runs
 from skdgp._flight.spectra import cross_spectra
 from skdgp._flight.tables import FlightTable, interpolated, unwrapped
 from skdgp.dynamics._linearize import LinearModel, transfer
+from skdgp.dynamics._motion import WITHOUT_SERVOS
 
 # Longest and shortest window [s], and windows that a record shall hold
 WINDOW = 20.0
@@ -196,13 +197,14 @@ def _of_model(
     rows = linear.C.index.get_indexer(outputs)[:, None]
     columns = linear.B.columns.get_indexer(inputs)
     s: Any = 1j * frequency
-    late = np.exp(-s[:, None, None] * linear.servo_delays[columns])
+    has_servo = ~np.isin(inputs, [*WITHOUT_SERVOS])
 
-    def response(A: Any, B: Any, C: Any, D: Any) -> Array:
+    def response(A: Any, B: Any, C: Any, D: Any, delay: Any) -> Array:
+        late = np.exp(-s[:, None, None] * has_servo * np.asarray(delay)[..., None, None, None])
         H = transfer(A, B, C, D, linear.A.index, s)[..., rows, columns] * late
         return np.moveaxis(H, -3, -1)
 
-    H = response(linear.A, linear.B, linear.C, linear.D)
+    H = response(linear.A, linear.B, linear.C, linear.D, linear.servos.delay)
     phase = np.rad2deg(np.angle(H))
     of_model = {"model_gain": _decibels(H), "model_phase": phase}
     if linear.paths is not None:

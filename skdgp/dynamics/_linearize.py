@@ -34,7 +34,7 @@ from skdgp._flight.tables import by_name
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import WITHOUT_SERVOS, Instant, Motion, check_settled
+from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import IDEAL, Servos
 from skdgp.dynamics._trim import Trim
@@ -57,12 +57,13 @@ UNUSED = ("north", "east", "down", "psi")
 
 
 class Matrices(NamedTuple):
-    """A, B, C and D of linear models, arrays (..., :, :)."""
+    """A, B, C and D of linear models, arrays (..., :, :), and the delays of their servos, (...) [s]."""
 
     A: Array
     B: Array
     C: Array
     D: Array
+    delay: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,18 +78,12 @@ class LinearModel:
     B: Any
     C: Any
     D: Any
-    #: A, B, C, D of each path of the posterior, arrays (n_paths, ...)
+    #: A, B, C, D and delay of the servos of each path of the posterior, arrays (n_paths, ...)
     paths: Matrices | None = None
     airspeed: float = np.nan  #: Of the flight [m/s]
     density: float = np.nan  #: Of its air [kg/m^3]
     delay: float = 0.0  #: Of the commands before they are logged [s]
     servos: Servos = IDEAL  #: Behind the logged commands; their lag is in A and B
-
-    @property
-    def servo_delays(self) -> Array:
-        """Delay of the servo of each input [s], (n_inputs,)."""
-        has_servo = [name not in WITHOUT_SERVOS for name in self.B.columns]
-        return np.where(has_servo, self.servos.delay, 0.0)
 
     def modes(self) -> pd.DataFrame:
         r"""Return a row for each mode: its name, how fast it is, how it is damped.
@@ -139,7 +134,8 @@ def linearize(
     n_paths : int
         Number of posterior functions to linearise too, at the same point, for ``paths`` and the spread
         of the modes; with the other errors that
-        :func:`skdgp.dynamics.stability_derivatives` names, of the log too.
+        :func:`skdgp.dynamics.stability_derivatives` names, of the log too, and with the errors of
+        lag and delay of the servos.
     random_state : int, RandomState instance or None
         Of the paths.
     thrust, air
@@ -193,11 +189,14 @@ def linearize(
     engine = thrust_control(aircraft, thrust)
     if engine in controls and engine not in inputs:
         inputs.append(engine)
-    mean = _matrices(motion, state, controls, inputs)
+    servos = motion.aerodynamics.servos
+    mean = _matrices(motion, state, controls, inputs, servos.lag, servos.delay)
     paths = None
     if n_paths:
         drawn, unsteady = _drawn(motion, now, n_paths, random_state)
-        paths = _matrices(drawn, np.tile(state, (n_paths, 1)), controls, inputs, unsteady)
+        lags, delays = servos.drawn(n_paths, separate_generator(random_state, 7))
+        states = np.tile(state, (n_paths, 1))
+        paths = _matrices(drawn, states, controls, inputs, lags, delays, unsteady)
     positions = [f"{name}_position" for name in _lagging(motion, inputs)]
     names = [*LINEAR_STATES, *positions]
     outputs = [*names, *OUTPUTS]
@@ -210,7 +209,7 @@ def linearize(
         airspeed=float(now.airspeed),
         density=float(now.density),
         delay=float(delay),
-        servos=motion.aerodynamics.servos,
+        servos=servos,
     )
 
 
@@ -226,9 +225,11 @@ def _matrices(
     state: Array,
     controls: Mapping,
     inputs: Sequence[str],
+    lag: Array | float,
+    delay: Array | float,
     unsteady: UnsteadyTerms | None = None,
 ) -> Matrices:
-    """Return A, B, C, D at states (..., 13)."""
+    """Return A, B, C, D at states (..., 13), behind servos of lags and delays (...)."""
     x_dot_z, y_z, now = jacobian(motion, state, controls, inputs, unsteady)
     check_settled(now)
     if not np.isfinite(x_dot_z).all():
@@ -236,7 +237,7 @@ def _matrices(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
     lagging = [name in _lagging(motion, inputs) for name in inputs]
-    return _with_servos(x_dot_z, y_z, lagging, motion.aerodynamics.servos.lag)
+    return Matrices(*_with_servos(x_dot_z, y_z, lagging, np.asarray(lag)), np.asarray(delay))
 
 
 def jacobian(
@@ -337,8 +338,10 @@ def _steps(zC: Array, airspeed: Array) -> Array:
     return steps
 
 
-def _with_servos(x_dot_z: Array, y_z: Array, lagging: Sequence[bool], lag: float) -> Matrices:
-    r"""Return the matrices of the motion by commands, from slopes (..., m, 12 + k) by rigid body and controls.
+def _with_servos(
+    x_dot_z: Array, y_z: Array, lagging: Sequence[bool], lag: Array
+) -> tuple[Array, Array, Array, Array]:
+    r"""Return A, B, C, D of the motion by commands, from slopes (..., m, 12 + k) by rigid body and controls.
 
     The surfaces have the deflections :math:`\delta` and the commands :math:`E u`. The states are
     :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
@@ -354,17 +357,16 @@ def _with_servos(x_dot_z: Array, y_z: Array, lagging: Sequence[bool], lag: float
     commands = np.hstack([np.zeros((len(E), n_states)), E])
     controls = np.hstack([E.T, np.eye(n_inputs) - E.T @ E])
     x_and_controls = block_diag(np.eye(n_body), controls)
-    # Each path has the same servos.
     n_paths = x_dot_z.shape[:-2]
     rates = np.zeros((*n_paths, *x_and_delta.shape))
     rates[..., :n_body, :] = x_dot_z @ x_and_controls
-    rates[..., n_body:, :] = (commands - delta) / lag
+    rates[..., n_body:, :] = (commands - delta) / lag[..., None, None]
     outputs = np.zeros((*n_paths, n_states + len(OUTPUTS), n_states + n_inputs))
     outputs[..., :n_states, :] = x_and_delta
     outputs[..., n_states:, :] = y_z @ x_and_controls
     A, B = np.split(rates, [n_states], axis=-1)
     C, D = np.split(outputs, [n_states], axis=-1)
-    return Matrices(A, B, C, D)
+    return A, B, C, D
 
 
 def _drawn(

@@ -13,6 +13,8 @@ from skdgp._compute.typing import Array
 Deflections = Mapping[str, Any]
 # Durations that are equal but for rounding [s]
 ROUNDING = 1e-9
+# Lag of the fastest servos [s]; guess
+LEAST_LAG = 0.01
 
 
 class Ramp(NamedTuple):
@@ -53,17 +55,21 @@ class Servos:
         :math:`\tau` [s], with half of the time for which the autopilot holds a command.
     rate_limit : float, default=inf
         R, in the unit of the surfaces per second, [rad/s].
+    lag_std, delay_std : float, default=0.0
+        Standard deviations [s]. A longer lag looks like a longer delay, so the errors are opposite.
 
     Examples
     --------
     >>> from skdgp.dynamics import Servos
     >>> Servos(lag=0.04, delay=0.03)
-    Servos(lag=0.04, delay=0.03, rate_limit=inf)
+    Servos(lag=0.04, delay=0.03, rate_limit=inf, lag_std=0.0, delay_std=0.0)
     """
 
     lag: float = 0.0
     delay: float = 0.0
     rate_limit: float = np.inf
+    lag_std: float = 0.0
+    delay_std: float = 0.0
 
     @property
     def are_ideal(self) -> bool:
@@ -73,18 +79,31 @@ class Servos:
     @property
     def words(self) -> str:
         """Lag, delay and, if there is one, rate limit as text."""
-        text = f"lag {1e3 * self.lag:.0f} ms, delay {1e3 * self.delay:.0f} ms"
+        lag, lag_std, delay, delay_std = (
+            f"{1e3 * seconds:.0f}"
+            for seconds in (self.lag, self.lag_std, self.delay, self.delay_std)
+        )
+        text = f"lag {lag} ± {lag_std} ms, delay {delay} ± {delay_std} ms"
         if np.isfinite(self.rate_limit):
             text += f", at most {self.rate_limit:.2g} rad/s"
         return text
 
     def completed(self, others: Servos) -> Servos:
         """Return these servos with what only ``others`` have, such as a lag."""
-        return Servos(
-            self.lag or others.lag,
-            self.delay or others.delay,
-            min(self.rate_limit, others.rate_limit),
-        )
+        lag = self if self.lag else others
+        delay = self if self.delay else others
+        limit = min(self.rate_limit, others.rate_limit)
+        return Servos(lag.lag, delay.delay, limit, lag.lag_std, delay.delay_std)
+
+    def drawn(self, n_paths: int, random_state: Any) -> tuple[Array, Array]:
+        """Return lags, of servos that have one at least 10 ms, and delays (n_paths,) [s], with their errors."""
+        errors = np.random.default_rng(random_state).standard_normal(n_paths)
+        fastest = min(self.lag, LEAST_LAG)
+        # reflected there: what a lag cannot be shorter it may be longer
+        lags = fastest + np.abs(self.lag + errors * self.lag_std - fastest)
+        if self.lag_std > 0:
+            errors = (lags - self.lag) / self.lag_std
+        return lags, np.maximum(self.delay - errors * self.delay_std, 0.0)
 
     def at_rest(self, commands: Deflections) -> ServoState:
         """Return the state of servos that have had these ``commands`` for long."""

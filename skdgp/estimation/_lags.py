@@ -58,6 +58,13 @@ ATTITUDE = ("phi", "theta")
 # angles of the flow by the motion of the aircraft alone
 MOTION = ("alpha_of_motion", "beta_of_motion")
 ACCELERATIONS = tuple(f"{name}_dot" for name in RATES)
+# Largest lag and delay of servos, over the lag without servos, and number of lags that are tried
+LONGEST_LAG = 3.5
+LONGEST_DELAY = 1.5
+N_SERVO_LAGS = 29
+# Factor by which correlated residuals make differences of twice the log likelihood too large: errors over their
+# standard deviations are then 0.8, 0.8, 0.8 and 1.2, of a flying wing with four pairs of lag and delay
+INFLATION = 3.0
 PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 """Constants of a path by group of channels."""
 
@@ -428,8 +435,10 @@ def _most_likely_servos(
 
     They maximise the likelihood of the part of the responses that earlier commands explain
     (instrumental variables: Söderström & Stoica 1989, section 8.1), as noise of the rates would make
-    the lag of servos smaller. Without evidence of a delay the lag without one is removed: slow inputs
-    tell it better than either. Both get the standard deviation of ``surfaces``, the lag without servos.
+    the lag of servos smaller. Lag and delay replace each other: their errors are opposite, and their standard
+    deviations are of the profile likelihood over the lag, whose logarithm counts a third, as residuals are
+    correlated. Without evidence of a delay the lag without one is removed: slow inputs tell it better
+    than either. What is removed is judged by the standard deviation of ``surfaces``, the lag without servos.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
     instruments = [segment.earlier_surfaces(settings) for segment in segments]
@@ -438,40 +447,42 @@ def _most_likely_servos(
         return _servo_loss(segments, instruments, lags, settings)
 
     largest = settings.largest
+    options = {"xatol": settings.precision}
     alone = optimize.minimize_scalar(
-        lambda servo_lag: loss(np.array([servo_lag, 0.0])),
-        bounds=(0.0, largest),
-        options={"xatol": settings.precision},
+        lambda servo_lag: loss(np.array([servo_lag, 0.0])), bounds=(0.0, largest), options=options
     )
-    # the loss has several minima: lag and delay replace each other
     early = abs(surfaces.value)
-    scan = [np.linspace(0.0, end * early, n) for end, n in settings.servo_scan]
-    pairs = np.stack(np.meshgrid(*scan, indexing="ij"), axis=-1).reshape(-1, 2)
-    first = pairs[np.argmin([loss(pair) for pair in pairs])]
-    both = optimize.minimize(
-        loss,
-        first,
-        method="Nelder-Mead",
-        bounds=[(0.0, largest)] * 2,
-        options={
-            "initial_simplex": first + 0.5 * settings.fine * np.array([[0, 0], [1, 0], [0, 1]]),
-            "xatol": settings.precision,
-            "fatol": np.inf,
-        },
-    )
-    servo_lag, delay = both.x.tolist()
+    latest = min(LONGEST_DELAY * early, largest)
+
+    def with_delay(servo_lag: float) -> tuple[float, float]:
+        """Return the most likely delay behind a lag, and the loss."""
+        best = optimize.minimize_scalar(
+            lambda delay: loss(np.array([servo_lag, delay])), bounds=(0.0, latest), options=options
+        )
+        return float(best.x), float(best.fun)
+
+    # the loss has several minima: lag and delay replace each other
+    scan = np.linspace(0.0, min(LONGEST_LAG * early, largest), N_SERVO_LAGS)
+    delays, losses = np.transpose([with_delay(servo_lag) for servo_lag in scan])
+    servo_lag = float(_minimum(scan, losses))
+    delay, least = with_delay(servo_lag)
+    weights = np.exp(-0.5 * (losses - losses.min()) / INFLATION)
+    weights /= weights.sum()
+    lag_std = float(np.sqrt(weights @ (scan - servo_lag) ** 2))
+    delay_std = float(np.sqrt(weights @ (delays - delay) ** 2))
     std = surfaces.std
     removed, removed_delay = servo_lag, removable(Lag(delay, std), settings)
-    if not removed_delay or alone.fun - both.fun < settings.delay_evidence:
+    if not removed_delay or alone.fun - least < settings.delay_evidence:
         removed, removed_delay = float(alone.x), 0.0
     is_significant = removable(Lag(removed, std), settings) or removed_delay
     if not is_significant or removed + settings.precision >= largest:
         return None
-    limited = _limited_servos(segments, instruments, both.x, settings)
+    best = np.array([servo_lag, delay])
+    limited = _limited_servos(segments, instruments, best, settings)
     if limited is not None:
         servo_lag, rate_limit = limited
-        return Lag(servo_lag, std, servo_lag, rate_limit), Lag(-delay, std, -delay)
-    return Lag(servo_lag, std, removed), Lag(-delay, std, -removed_delay)
+        return Lag(servo_lag, lag_std, servo_lag, rate_limit), Lag(-delay, delay_std, -delay)
+    return Lag(servo_lag, lag_std, removed), Lag(-delay, delay_std, -removed_delay)
 
 
 def _limited_servos(

@@ -105,8 +105,6 @@ class LagSettings:
     # delays of 30 to 60 ms gain 260 to 440, limits that are reached 60 to 196, others 3, vibration 18 at most;
     # trials on four aircraft
     delay_evidence: float = 40.0
-    # first scan over lag and delay of servos: ends over the lag without servos, and numbers of values
-    servo_scan: tuple[tuple[float, int], ...] = ((3.5, 15), (1.5, 7))
     # lags and limits of the rate that are scanned, over the lag and the largest rate without a limit
     limited_lags: tuple[float, ...] = (1.0, 0.75, 0.5)
     limits: tuple[float, ...] = (0.8, 0.62, 0.47, 0.37, 0.28, 0.22, 0.17, 0.13, 0.1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, cast
 
@@ -87,6 +87,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     points = samples
     if simulated.limits is not None:
         points = np.vstack([samples, simulated.limits])
+    servos = simulated.servos
     model = PortableModel(
         regressors=_regressors(pipeline, simulated, aircraft),
         outputs=tuple(regressor.output_names_),
@@ -101,7 +102,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         noise_variance=np.asarray(regressor.noise_variance_),
         input_covariance=regressor.input_covariance_ * np.multiply.outer(scale, scale),
         limits=np.stack([points.min(axis=0), points.max(axis=0)]),
-        servos=np.array(astuple(simulated.servos)),
+        servos=np.array([servos.lag, servos.delay, servos.rate_limit]),
         provenance=plain(facts | {"inference": regressor.inference_}),
         reference=_reference(behind, samples, simulated.regressors),
     )

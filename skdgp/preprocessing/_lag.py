@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from numbers import Real
 from typing import Any
 
@@ -129,7 +130,13 @@ class LagCorrector(TableTransformer):
         """Servos between the logged commands and the surfaces, ideal where surfaces are logged."""
         lag = float(self.lags_["lag"].get("servos", 0.0))
         early = -float(self.lags_["lag" if lag else "applied"].get("surfaces", 0.0))
-        return Servos(lag=lag, delay=max(0.0, early), rate_limit=self.rate_limit_)
+        servos = Servos(lag, max(0.0, early), self.rate_limit_)
+        stds = self.lags_["std"].fillna(0.0)
+        if not stds.get("servos", 0.0) > 0.0:
+            return servos
+        return replace(
+            servos, lag_std=float(stds["servos"]), delay_std=float(stds.get("surfaces", 0.0))
+        )
 
     def _fit_table(self, table):
         check_columns(table, ["time"])

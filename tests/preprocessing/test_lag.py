@@ -118,6 +118,7 @@ class TestEstimate:
         assert corrector.lags_.applied["surfaces"] == pytest.approx(-delay, abs=0.01)
         assert corrector.servos_.lag == pytest.approx(servos, abs=0.01)
         assert corrector.servos_.delay == pytest.approx(delay, abs=0.01)
+        assert 0.0 < corrector.servos_.delay_std < corrector.servos_.lag_std < 0.02
         error = (out.elevator - truth.elevator)[40:-40].std()
         assert error < 0.2 * (table.elevator - truth.elevator)[40:-40].std()
 

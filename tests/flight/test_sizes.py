@@ -11,7 +11,6 @@ from skdgp._flight.findings import Code
 from skdgp._flight.physics import question_of_sizes
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
-from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft
 
 FOOT = 0.3048
@@ -28,8 +27,13 @@ PUBLISHED = {
 NAMES = ("mass", "wing_area", "span", "chord")
 INERTIA = ("Ixx", "Iyy", "Izz")
 DERIVATIVES = ("CZ_alpha", "Cl_p", "Cm_q", "Cn_r")
-EXAMPLE = load_example_flights(duration=30.0)
-FLIGHTS = FlightTable.of(EXAMPLE.train)
+
+
+@pytest.fixture(scope="module")
+def train(first_minute):
+    """Return half a minute of flights of an aircraft of 45 kg and 2.8 m."""
+    train = first_minute().train
+    return train[train["time"] < 30.0].reset_index(drop=True)
 
 
 def published(name):
@@ -74,9 +78,9 @@ def test_the_aircraft_is_judged_when_it_is_read():
         Aircraft.from_dict(sizes | {"inertia": inertia.tolist()})
 
 
-def test_flights_of_the_right_sizes_ask_nothing():
-    for aircraft in (EXAMPLE.aircraft, Aircraft.estimate(45.0, 2.8, kind="delta")):
-        assert aircraft.question_of_sizes(FLIGHTS) is None
+def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):
+    for aircraft in (first_minute().aircraft, Aircraft.estimate(45.0, 2.8, kind="delta")):
+        assert aircraft.question_of_sizes(FlightTable.of(train)) is None
 
 
 @pytest.mark.parametrize(
@@ -89,18 +93,18 @@ def test_flights_of_the_right_sizes_ask_nothing():
         (45.0, 2.8, 3.6, r"airspeed 3\d.* m/s \(.* km/h\)"),
     ],
 )
-def test_flights_ask_for_the_wrong_size(mass, span, factor, asked):
+def test_flights_ask_for_the_wrong_size(mass, span, factor, asked, train):
     """The lift that carried an aircraft has a slope of a wing only with its mass, wing and airspeed."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FindingWarning)
         aircraft = Aircraft.estimate(mass, span, kind="delta")
-    flights = FlightTable.of(EXAMPLE.train.assign(airspeed=factor * EXAMPLE.train["airspeed"]))
+    flights = FlightTable.of(train.assign(airspeed=factor * train["airspeed"]))
     assert re.search(asked, aircraft.question_of_sizes(flights).text)
 
 
-def test_a_noisy_vane_accuses_no_size():
+def test_a_noisy_vane_accuses_no_size(first_minute, train):
     """Noise of alpha attenuates the slope, and the reverse regression bounds it."""
     rng = np.random.default_rng(0)
-    noise = 3 * EXAMPLE.train["alpha"].std() * rng.standard_normal(len(EXAMPLE.train))
-    noisy = EXAMPLE.train.assign(alpha=EXAMPLE.train["alpha"] + noise)
-    assert EXAMPLE.aircraft.question_of_sizes(FlightTable.of(noisy)) is None
+    noise = 3 * train["alpha"].std() * rng.standard_normal(len(train))
+    noisy = train.assign(alpha=train["alpha"] + noise)
+    assert first_minute().aircraft.question_of_sizes(FlightTable.of(noisy)) is None

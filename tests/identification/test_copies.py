@@ -5,18 +5,11 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from sklearn.utils import Bunch
 
 from skdgp import listening
-from skdgp.datasets import load_example_flights
 from skdgp.identification import identify
 
-EXAMPLE = load_example_flights(duration=20.0)
-NAMES = ("lateral", "latlon")
-TRAIN = {
-    name: EXAMPLE.train[EXAMPLE.train["flight"] == name].drop(columns="flight") for name in NAMES
-}
-TEST = EXAMPLE.test.drop(columns="flight")
-LATER = TRAIN["latlon"].assign(time=TRAIN["latlon"]["time"] + 1000.0)
 SENSORS = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
 
 
@@ -29,41 +22,59 @@ def stop(stage, *_):
         raise Stopped
 
 
-def said_of(train, test):
+@pytest.fixture(scope="module")
+def flights(first_minute):
+    """Return the aircraft, two training flights, one of them also by a later clock, and a test flight, of 20 s."""
+    data = first_minute()
+    train = data.train[data.train["time"] < 20.0]
+    tables = {name: table.drop(columns="flight") for name, table in train.groupby("flight")}
+    lateral, latlon = (tables[name].reset_index(drop=True) for name in ("lateral", "latlon"))
+    return Bunch(
+        aircraft=data.aircraft,
+        train={"lateral": lateral, "latlon": latlon},
+        test=data.test[data.test["time"] < 20.0].drop(columns="flight"),
+        later=latlon.assign(time=latlon["time"] + 1000.0),
+    )
+
+
+def said_of(aircraft, train, test):
     """Return what identify says of flights before it learns anything."""
     with warnings.catch_warnings(record=True) as shown, listening(stop), suppress(Stopped):
         warnings.simplefilter("always")
-        identify(train, EXAMPLE.aircraft, test=test)
+        identify(train, aircraft, test=test)
     return " ".join(str(warning.message) for warning in shown)
 
 
 def part(rows):
-    return LATER.iloc[rows].reset_index(drop=True)
+    return lambda flights: flights.later.iloc[rows].reset_index(drop=True)
 
 
-def telemetry():
+def telemetry(flights):
     """Other samples, at a fifth of the rate, with noise of their own; the clock is the vehicle's."""
-    slow = TRAIN["latlon"].iloc[3:900:5].reset_index(drop=True)
+    slow = flights.train["latlon"].iloc[3:800:5].reset_index(drop=True)
     slow[SENSORS] += np.random.default_rng(0).normal(0.0, 0.01, (len(slow), len(SENSORS)))
     return slow
 
 
-def test_other_flights_are_no_copies():
-    assert "has the rows" not in said_of(TRAIN, {"test": TEST})
+def test_other_flights_are_no_copies(flights):
+    said = said_of(flights.aircraft, flights.train, {"test": flights.test})
+    assert "has the rows" not in said
 
 
-@pytest.mark.parametrize("copy", [part(slice(100, 600)), part(slice(None, None, 2)), telemetry()])
-def test_a_copied_test_flight_beside_another_is_left_out(copy):
-    said = said_of(TRAIN, {"again": copy, "test": TEST})
+@pytest.mark.parametrize("copy", [part(slice(100, 600)), part(slice(None, None, 2)), telemetry])
+def test_a_copied_test_flight_beside_another_is_left_out(flights, copy):
+    test = {"again": copy(flights), "test": flights.test}
+    said = said_of(flights.aircraft, flights.train, test)
     assert "'again' has the rows of training flight 'latlon', and is left out" in said
 
 
-def test_a_training_flight_that_comes_twice_counts_once():
-    said = said_of({**TRAIN, "again": LATER}, {"test": TEST})
+def test_a_training_flight_that_comes_twice_counts_once(flights):
+    train = {**flights.train, "again": flights.later}
+    said = said_of(flights.aircraft, train, {"test": flights.test})
     assert "'latlon' has the rows of flight 'again'" in said
 
 
-def test_a_copy_alone_is_told():
-    said = said_of(TRAIN, {"again": LATER})
+def test_a_copy_alone_is_told(flights):
+    said = said_of(flights.aircraft, flights.train, {"again": flights.later})
     assert "'again' has the rows of training flight 'latlon'" in said
     assert "left out" not in said

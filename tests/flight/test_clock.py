@@ -6,7 +6,6 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp._flight.clock import uniform_grid, unrounded
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.estimation import flights_of
 from skdgp.identification import named_flights
@@ -120,33 +119,3 @@ def test_a_tenth_of_the_steps_may_be_uneven_by_half(every, late, refused):
             smoother.transform(flight)
     else:
         assert_allclose(smoother.transform(flight).alpha, 0.1)
-
-
-def test_the_grid_of_uneven_samples_is_uniform():
-    """Rounded times lie on it; beside a missed sample there is a place for it."""
-    even = 7.0 + 0.02 * np.arange(40)
-    rounded = even + default_rng(1).uniform(-2e-4, 2e-4, 40)
-    grid, is_off = uniform_grid(rounded)
-    assert not is_off
-    assert_allclose(np.diff(grid), 0.02, atol=2e-5)
-    assert_allclose(grid, even, atol=2e-4)
-    grid, is_off = uniform_grid(np.delete(even, 13))
-    assert is_off
-    assert_allclose(grid, even)
-
-
-@pytest.mark.parametrize("rate", [30.0, 40.0, 60.0, 128.0])
-@pytest.mark.parametrize("resolution", [0.01, 2.0**-8])
-def test_rounded_times_are_put_on_their_clock(rate, resolution):
-    """As of 10 ms, or of seconds of the day as float32, where the step is no multiple of it."""
-    time = np.arange(0.0, 30.0, 1 / rate)
-    rounded = resolution * np.round(time / resolution)
-    restored, told = unrounded(rounded)
-    is_multiple = np.ptp(np.diff(rounded)) < 1e-9
-    assert (told == 0.0) == is_multiple
-    assert np.abs(restored - time).max() < 0.1 * resolution or is_multiple
-
-
-def test_a_jittered_clock_stays_as_it_is():
-    time = np.arange(0.0, 30.0, 0.025) + default_rng(0).uniform(0, 0.01, 1200)
-    assert unrounded(time)[1] == 0.0

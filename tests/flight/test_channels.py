@@ -1,0 +1,165 @@
+"""Channels of a flight: their clock, samples that are repeated, and the band of the motion."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.random import default_rng
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import signal
+from scipy.interpolate import CubicSpline
+
+from skdgp._flight.clock import uniform_grid, unrounded
+from skdgp._flight.holds import (
+    error_between_samples,
+    find_holds,
+    interpolated_rows,
+)
+from skdgp._flight.motion_band import motion_band_of, vibrates_beyond
+from skdgp._flight.smoothing import FittedFilter, smooth
+from skdgp._flight.tables import FlightTable
+
+
+def test_the_grid_of_uneven_samples_is_uniform():
+    """Rounded times lie on it; beside a missed sample there is a place for it."""
+    even = 7.0 + 0.02 * np.arange(40)
+    rounded = even + default_rng(1).uniform(-2e-4, 2e-4, 40)
+    grid, is_off = uniform_grid(rounded)
+    assert not is_off
+    assert_allclose(np.diff(grid), 0.02, atol=2e-5)
+    assert_allclose(grid, even, atol=2e-4)
+    grid, is_off = uniform_grid(np.delete(even, 13))
+    assert is_off
+    assert_allclose(grid, even)
+
+
+@pytest.mark.parametrize("rate", [30.0, 40.0, 60.0, 128.0])
+@pytest.mark.parametrize("resolution", [0.01, 2.0**-8])
+def test_rounded_times_are_put_on_their_clock(rate, resolution):
+    """As of 10 ms, or of seconds of the day as float32, where the step is no multiple of it."""
+    time = np.arange(0.0, 30.0, 1 / rate)
+    rounded = resolution * np.round(time / resolution)
+    restored, told = unrounded(rounded)
+    is_multiple = np.ptp(np.diff(rounded)) < 1e-9
+    assert (told == 0.0) == is_multiple
+    assert np.abs(restored - time).max() < 0.1 * resolution or is_multiple
+
+
+def test_a_jittered_clock_stays_as_it_is():
+    time = np.arange(0.0, 30.0, 0.025) + default_rng(0).uniform(0, 0.01, 1200)
+    assert unrounded(time)[1] == 0.0
+
+
+STEP, PERIOD, N = 0.02, 5, 2000  # 10 Hz in a log of 50 Hz
+TIME = 30.0 + STEP * np.arange(N)
+
+
+def held(period=PERIOD):
+    """Return flights of a channel sampled every ``period`` rows, which begins and ends steadily, and of noise."""
+    fresh = np.arange(2, N, period)
+    rows = np.maximum(np.searchsorted(fresh, np.arange(N), side="right") - 1, 0)
+    samples = np.sin(2.0 * TIME[fresh])
+    samples[:3], samples[-3:] = samples[3], samples[-4]
+    slow = samples[rows]
+    table = pd.DataFrame({"time": TIME, "elevator": slow, "p": default_rng(0).normal(size=N)})
+    return FlightTable.of(table), fresh
+
+
+def test_rate_and_rows_of_a_held_channel():
+    """Also of samples that are equal: between changes the clock goes on."""
+    flights, fresh = held()
+    (hold,) = find_holds(flights, [("elevator",), ("p",)])
+    assert hold.names == ["elevator"]
+    assert hold.rate == pytest.approx(1 / (PERIOD * STEP), rel=0.02)
+    assert_array_equal(np.flatnonzero(~hold.repeated), fresh)
+
+
+def test_a_channel_that_changes_less_than_once_a_second_is_not_sampled_slowly():
+    flights, _ = held(period=60)  # of 1.2 s
+    assert not find_holds(flights, [("elevator",)])
+
+
+def test_error_of_the_curve_is_half_of_the_curvature_between_samples():
+    """And a parabola: of a channel x^2, whose second differences are 2."""
+    samples = np.arange(0, 41, 4)
+    number = np.arange(41) / 4
+    error = error_between_samples(TIME[:41], number**2, samples)
+    fraction = number % 1
+    expected = 1.0 - (2 * fraction - 1) ** 2
+    assert_allclose(error[8:-8], expected[8:-8], atol=1e-12)
+    assert_allclose(error[samples], 0.0, atol=1e-12)
+
+
+def test_a_channel_of_splines_shows_its_samples():
+    knots = np.arange(1, N, PERIOD)
+    values = default_rng(1).normal(size=len(knots))
+    rows = np.arange(knots[0], knots[-1] + 1)
+    curve = CubicSpline(TIME[knots], values)(TIME[rows])
+    found = interpolated_rows(TIME[rows], curve)
+    assert_array_equal(found, knots - knots[0])
+    assert interpolated_rows(TIME, default_rng(2).normal(size=N)) is None
+
+
+RATE = 40.0
+NAMES = ["p", "q", "r", "elevator"]
+
+
+def shaken(size):
+    """Return motion below 4 Hz, with a vibration of the rates whose frequency changes, 8 to 14 Hz."""
+    rng = default_rng(2)
+    n = 4800
+    window = signal.windows.hann(20)
+    motion = signal.fftconvolve(rng.normal(size=(n, 4)), window[:, None], "same", axes=0)
+    table = pd.DataFrame(motion, columns=NAMES).assign(time=np.arange(n) / RATE)
+    frequency = 11 + 3 * np.sin(0.2 * table["time"])
+    wave = np.sin(2 * np.pi * np.cumsum(frequency) / RATE)
+    for name in ("p", "q", "r"):
+        table[name] += size * table[name].std() * wave
+    return table
+
+
+@pytest.mark.parametrize(("vibration", "noise"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+def test_vibration_of_the_rates_and_noise_of_the_surfaces_do_not_widen_it(vibration, noise):
+    table = shaken(vibration)
+    table["elevator"] += noise * table["elevator"].std() * default_rng(0).normal(size=len(table))
+    assert 1.5 < motion_band_of(table) < 5.0
+
+
+def test_forces_beyond_it_are_vibration():
+    table = shaken(1.0)
+    rng = default_rng(1)
+    band = motion_band_of(table)
+    for name in ("ax", "ay", "az"):
+        table[name] = table["elevator"] + 0.5 * table["elevator"].std() * rng.normal(
+            size=len(table)
+        )
+    assert not vibrates_beyond(table, band)
+    shaking = table["p"] - shaken(0.0)["p"]
+    table["ax"] += 3 * shaking
+    assert not vibrates_beyond(table, band)
+    table["az"] += 3 * shaking
+    assert vibrates_beyond(table, band)
+
+
+def test_an_equation_of_channels_remains_true():
+    """Force by elevator and rate, beside a vibration that both inertial sensors feel."""
+    calm = shaken(0.0)
+    table = shaken(1.0)
+    force = 2.0 * calm["elevator"] - 3.0 * calm["p"] + 5 * (table["p"] - calm["p"])
+    columns = np.column_stack([table["elevator"], table["p"], force])
+    band = motion_band_of(table)
+    out = smooth(columns, table["time"], cutoff=FittedFilter.up_to(band, 3))
+    slopes, *_ = np.linalg.lstsq(out[:, :2], out[:, 2], rcond=None)
+    assert_allclose(slopes, [2.0, -3.0], rtol=0.01)
+
+
+def test_a_wave_beyond_it_is_removed_and_one_within_it_is_kept():
+    time = np.arange(4800) / RATE
+    waves = np.sin(2 * np.pi * np.outer(time, [2.0, 12.0]))
+    out = smooth(waves, time, cutoff=FittedFilter.up_to(5.0, 2))
+    middle = slice(200, -200)
+    assert_allclose(out[middle], waves[middle] * [1.0, 0.0], atol=0.01)
+
+
+def test_without_rates_and_surfaces_it_is_unknown():
+    assert motion_band_of(shaken(0.0)[["time"]].assign(alpha=0.1)) == np.inf
+    assert motion_band_of(shaken(0.0).iloc[:60]) == np.inf

@@ -136,8 +136,8 @@ class Multisine:
     --------
     >>> from skdgp.design import multisine
     >>> signal = multisine(10.0, range(2, 12), rms=0.03)
-    >>> print(f"{signal.relative_peak_factor:.1f}")
-    1.3
+    >>> print(f"{signal.peak / signal.rms:.1f}")
+    1.9
     """
 
     duration: float
@@ -197,11 +197,6 @@ class Multisine:
     def period(self) -> float:
         """Shortest period of a sine [s]."""
         return self.duration / max(self.harmonics)
-
-    @property
-    def relative_peak_factor(self) -> float:
-        r""":math:`(\max s - \min s) / (2\sqrt 2\,\mathrm{rms})`, which is 1 for a single sine."""
-        return float(np.ptp(self._sampled()) / (2.0 * np.linalg.norm(self.amplitudes)))
 
     def scaled(self, factor: float) -> Self:
         """Return it multiplied by a factor."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pandas as pd
 
@@ -12,16 +10,8 @@ from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.smoothing import FittedFilter, motion_band, power_beyond, smooth
 from skdgp._flight.tables import has_values, numeric
 
-
-@dataclass(frozen=True)
-class BandSettings:
-    """The band in which coefficients and regressors are compared."""
-
-    #: Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second
-    least: float = 5.0
-
-
-BAND = BandSettings()
+# Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second
+LEAST_BAND = 5.0
 
 
 def vibration_band(table: pd.DataFrame) -> float:
@@ -32,7 +22,7 @@ def vibration_band(table: pd.DataFrame) -> float:
     """
     if not has_values(table, "time", *SPECIFIC_FORCE, *VANES):
         return np.inf
-    band = max(motion_band_of(table), BAND.least)
+    band = max(motion_band_of(table), LEAST_BAND)
     return band if vibrates_beyond(table, band) else np.inf
 
 

@@ -147,22 +147,6 @@ LAWS_OF_MOTION = (
 )
 
 
-def check_radians(table: pd.DataFrame, names: Iterable[str]) -> None:
-    """Raise a ValueError if a column of ``names``, angles and rates, is too large for radians; absent ones pass."""
-    for name in names:
-        if name not in table:
-            continue
-        most = FASTEST_RATE
-        if name in LARGEST_ANGLE:
-            most = LARGEST_ANGLE[name] + ANGLE_NOISE
-        values = np.abs(table[name].to_numpy(float, na_value=np.nan))
-        top = np.max(values, initial=0.0, where=np.isfinite(values))
-        if top > most and not is_unwrapped(table, name):
-            unit = "rad/s" if name in RATES else "radians"
-            expected = f"{unit}, at most {most:.4g}"
-            raise degrees_error(f"{name} up to {top:g}", expected, f"flight[{name!r}]", name)
-
-
 def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueError:
     """Return the error of an angle or a rate that is too large for radians."""
     return ValueError(
@@ -223,21 +207,21 @@ def check_units(flights: FlightTable) -> None:
 
     A hundredth of the values may be faults. Warn of surfaces in radians that are probably commands.
     """
-    _check_angles(flights)
+    check_radians(flights.table)
     for law in LAWS:
         law.check(flights)
     if FULL_THROW not in flights.table:
         _warn_of_commands(flights)
 
 
-def _check_angles(flights: FlightTable) -> None:
-    """Raise ValueError if angles or rates are in degrees."""
+def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
+    """Raise ValueError if angles or rates of ``names`` are in degrees; absent ones pass."""
     degrees: dict[str, float] = {}
     shifted: dict[str, float] = {}
-    for name, usual in USUAL.items():
-        sizes = np.abs(flights.column(name))
+    for name in USUAL.keys() & {*names} & {*table.columns}:
+        sizes = np.abs(table[name].to_numpy(float, na_value=np.nan))
         top = _quantile(sizes, 0.99)
-        if top > usual and not is_unwrapped(flights.table, name):
+        if top > USUAL[name] and not is_unwrapped(table, name):
             degrees[name] = round(top, 1)
             middle = _quantile(sizes, 0.5)
             if middle > LARGEST_MIDDLE and name not in WRAPPED:

@@ -365,9 +365,10 @@ def with_stated_position(
     for source in sources:
         stated = log.sensor_positions.get(source.instance)
         if source.columns == SPECIFIC_FORCE and stated is not None:
-            columns = dict(zip(SENSOR_POSITION, stated.position, strict=True))
+            words, position = stated
+            columns = dict(zip(SENSOR_POSITION, position, strict=True))
             table = _in_order(table.assign(**columns))
-            origin = origin | dict.fromkeys(SENSOR_POSITION, Origin(stated.words, np.nan))
+            origin = origin | dict.fromkeys(SENSOR_POSITION, Origin(words, np.nan))
         if source.columns == SPECIFIC_FORCE and log.sensor_tilt:
             table = _in_order(table.assign(sensor_tilt=log.sensor_tilt))
             origin = origin | {"sensor_tilt": Origin("not stated by the log", np.nan)}

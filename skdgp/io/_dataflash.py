@@ -176,9 +176,7 @@ TURNED = (
     ServoFunction.ELEVON_RIGHT,
 )
 NAMING = "the parameters SERVOn_FUNCTION"
-MOST_SERVOS = 32
-# messages of outputs 15 to 18 and 19 to 32, which follow RCOU
-FURTHER_OUTPUTS = ("RCO2", "RCO3")
+MOST_SERVOS = 16
 # speeds [rpm] of a message of two engines
 ENGINES = ("rpm1", "rpm2")
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
@@ -312,12 +310,10 @@ def _log(
     topics = topics | _imus(topics, parameters)
     airspeeds, of_ratio = _airspeeds(topics, parameters, defined)
     topics = topics | airspeeds
-    if "RCOU" in topics:
-        topics = topics | {"RCOU": _all_outputs(topics)}
-    outputs = outputs_of(topics.get("RCOU", NOTHING), parameters)
+    controls, commands, lifts = outputs_of(topics.get("RCOU", NOTHING), parameters)
     lifting: States = ()
     if vehicle == "VTOL":
-        lifting = outputs.lifting or lifting_modes("MODE", "ModeNum")
+        lifting = lifts or lifting_modes("MODE", "ModeNum")
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
@@ -329,10 +325,10 @@ def _log(
         landed=(("STAT", "isFlying", 0.0, 0.0),),
         outputs=("RCOU",),
         naming=NAMING,
-        controls=outputs.controls,
+        controls=controls,
         aliases=ALIASES,
         lifting=lifting,
-        commands=outputs.commands,
+        commands=commands,
         sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
 
@@ -399,18 +395,6 @@ def _values_of(parameter: str, defined: Messages) -> tuple[Vector, Vector]:
             rows.append((1e-6 * time, value))
     times, values = np.reshape(sorted(rows), (-1, 2)).T
     return times, values
-
-
-def _all_outputs(topics: Mapping[str, Topic]) -> Topic:
-    """Return RCOU with the outputs of the messages that follow each."""
-    outputs = topics["RCOU"]
-    fields: dict[str, np.ndarray] = {}
-    for name in FURTHER_OUTPUTS[::-1]:
-        further = topics.get(name, NOTHING)
-        if len(further):
-            following = np.searchsorted(further.order, outputs.order)
-            fields |= further.select(np.minimum(following, len(further) - 1)).fields
-    return outputs.with_fields(**fields | outputs.fields)
 
 
 def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | None:
@@ -547,18 +531,12 @@ class _File:
         return units
 
 
-class Outputs(NamedTuple):
-    """What the parameters say of the outputs of an autopilot, see `Log`."""
+def outputs_of(
+    topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
+) -> tuple[dict[str, Control], dict[str, Control], States]:
+    """Return controls, commands and lifting of a `Log`, of outputs whose channels n have a ``name``.
 
-    controls: dict[str, Control]
-    commands: dict[str, Control]
-    lifting: States
-
-
-def outputs_of(topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}") -> Outputs:
-    """Return the surfaces by SERVOn_FUNCTION and the mixed ones, the engines of a twin, and motors that lift.
-
-    ``name`` is the channel of output n.
+    Surfaces are by SERVOn_FUNCTION, single and mixed, commands are the engines of a twin, and motors lift.
     """
     outputs = _logged_outputs(topic, parameters, name)
     servos = _servos_of(outputs, parameters)
@@ -572,7 +550,7 @@ def outputs_of(topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
-    return Outputs(controls, commands, _lifting(outputs, parameters))
+    return controls, commands, _lifting(outputs, parameters)
 
 
 class Output(NamedTuple):

@@ -225,15 +225,6 @@ States: TypeAlias = tuple[tuple[str, str, float, float], ...]
 Control: TypeAlias = tuple[tuple[float, Servo], ...]
 
 
-class StatedPosition(NamedTuple):
-    """Position of the inertial sensors by the parameters of an autopilot."""
-
-    #: Names of the parameters
-    words: str
-    #: Forward, right, down of the origin of the body axes, the centre of gravity [m]
-    position: tuple[float, float, float]
-
-
 @dataclass(frozen=True)
 class Log:
     """A log of an autopilot.
@@ -268,8 +259,9 @@ class Log:
         Topic, field and its limits while rotors carry a VTOL, or in transition; none of other vehicles.
     commands : dict of str to Control
         Outputs that need no angles: the throttle of the left less the right engine.
-    sensor_positions : dict of int to StatedPosition
-        Of the inertial sensors, by the number of their instance, where the parameters state it.
+    sensor_positions : dict of int to (str, tuple of float)
+        Names of the parameters and position of the inertial sensors, forward, right, down of the origin of the
+        body axes, the centre of gravity [m], by the number of their instance, where the parameters state it.
     sensor_tilt : float
         Standard deviation of their roll and pitch against the attitude [rad]; zero where it is known.
     """
@@ -288,7 +280,7 @@ class Log:
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     lifting: States = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
-    sensor_positions: Mapping[int, StatedPosition] = field(default_factory=dict)
+    sensor_positions: Mapping[int, tuple[str, tuple[float, ...]]] = field(default_factory=dict)
     sensor_tilt: float = 0.0
 
     @property
@@ -358,7 +350,7 @@ def _rotated(rotation: Matrix, vectors: Matrix) -> Matrix:
 
 def stated_positions(
     parameters: Mapping[str, float], names: Sequence[str]
-) -> dict[int, StatedPosition]:
+) -> dict[int, tuple[str, tuple[float, ...]]]:
     """Return the position of each instance of the inertial sensors that the parameters ``names`` _X, _Y, _Z state.
 
     Zeros, the default of autopilots, state nothing, and so do two of three.
@@ -367,7 +359,7 @@ def stated_positions(
     for number, name in enumerate(names):
         x, y, z = (parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ")
         if np.isfinite([x, y, z]).all() and any((x, y, z)):
-            positions[number] = StatedPosition(f"{name}_X _Y _Z", (x, y, z))
+            positions[number] = (f"{name}_X _Y _Z", (x, y, z))
     return positions
 
 

@@ -9,7 +9,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +19,8 @@ from skdgp._compute.messages import warn
 from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
 
-
-@dataclass(frozen=True)
-class TableLimits:
-    """Limits of files, above those of any flight; guesses."""
-
-    most_columns: int = 10_000
-
-
-LIMITS = TableLimits()
+# columns, above those of any flight; a guess
+MOST_COLUMNS = 10_000
 TO_SI = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
     "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),
@@ -73,9 +65,9 @@ def reading(path: str | os.PathLike) -> Iterator[None]:
 
 def check_width(n_columns: int) -> None:
     """Raise a FlightReadError if a table has too many columns."""
-    if n_columns > LIMITS.most_columns:
+    if n_columns > MOST_COLUMNS:
         raise FlightReadError(
-            f"Got {n_columns} columns, but expected at most {LIMITS.most_columns}: keep those of "
+            f"Got {n_columns} columns, but expected at most {MOST_COLUMNS}: keep those of "
             "the flight, with a row for each sample."
         )
 

@@ -170,12 +170,14 @@ def read_tlog(path: Path) -> Log:
         # estimated on board, as the autopilot does not use the sensor
         hud = topics["VFR_HUD"]
         topics["VFR_HUD"] = hud.with_fields(**{PITOT: np.zeros(len(hud), dtype=bool)})
-    outputs = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
+    controls, commands, lifts = outputs_of(
+        topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw"
+    )
     vehicle = _vehicle(topics, vehicles, parameters)
     lifting: States = ()
     if vehicle == "VTOL":
         modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
-        lifting = (HOVER, *(outputs.lifting or modes))
+        lifting = (HOVER, *(lifts or modes))
     rules = _rules(topics, lifting)
     of_trim: tuple[str, ...] = ()
     if not is_px4:
@@ -194,10 +196,10 @@ def read_tlog(path: Path) -> Log:
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
         naming=PX4_NAMING if is_px4 else f"{NAMING} (fetch them while the ground station records)",
-        controls=outputs.controls,
+        controls=controls,
         aliases=ALIASES,
         lifting=lifting,
-        commands=outputs.commands,
+        commands=commands,
         sensor_positions=stated_positions(parameters, positions),
         sensor_tilt=TILT_STD if of_trim else 0.0,
     )

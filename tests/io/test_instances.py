@@ -218,13 +218,12 @@ class TestVehicles:
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
 
-    def test_a_v_tail_on_outputs_of_two_messages(self, plane, surfaces):
+    def test_a_v_tail(self, plane, surfaces):
         """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""
-        log = plane(SERVO5_FUNCTION=79.0, SERVO15_FUNCTION=80.0, SERVO15_REVERSED=1.0)
+        log = plane(SERVO5_FUNCTION=79.0, SERVO6_FUNCTION=80.0, SERVO6_REVERSED=1.0)
         up = 0.3 * np.sin(SLOW)
         right = 0.2 * np.cos(SLOW)
-        log.topic("RCOU", SLOW, C5=pulse(up + right))
-        log.topic("RCO2", SLOW + 1e-4, C15=pulse(right - up))
+        log.topic("RCOU", SLOW, C5=pulse(up + right), C6=pulse(right - up))
         table = surfaces(log)
         assert_wave(table, "elevator", -0.3)
         assert_allclose(table.rudder, -0.2 * np.cos(table.time), atol=0.01)

@@ -230,7 +230,7 @@ def test_degrees_are_refused_in_fit_and_transform():
     table = flight().assign(alpha=np.linspace(-1.0, 1.0, 1200))  # rad
     wrong = table.assign(alpha=np.rad2deg(table["alpha"]))
     for use in (FlightSmoother().fit, FlightSmoother().fit(table).transform):
-        with pytest.raises(ValueError, match=r"numpy.deg2rad.flight..alpha"):
+        with pytest.raises(ValueError, match="these look like degrees"):
             use(wrong)
 
 

@@ -147,12 +147,6 @@ class Mistake:
         return Finding(Code.TURNED_TOGETHER, self.flight, numbers=numbers)
 
 
-class Confirmation(NamedTuple):
-    """Channels that an equality confirms."""
-
-    channels: tuple[str, ...]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Equality:
     """Kinematics make y and x equal: the slope is 1, at a lag of no more than usual."""
@@ -168,8 +162,8 @@ class Equality:
     usual_lag: float = PHYSICS.usual_lag
     least_t: float = PHYSICS.least_t
 
-    def judge(self, signals: Signals) -> Contradiction | Confirmation | None:
-        """Return what flights say of the relation, None if they decide nothing."""
+    def judge(self, signals: Signals) -> Contradiction | Relation | None:
+        """Return the contradiction of flights, or the relation that they confirm, None if they decide nothing."""
         slopes = self.relation.slopes(signals)
         best = _best(slopes, self.noise)
         if best is None or 0.0 not in slopes:
@@ -180,7 +174,7 @@ class Equality:
         if late is not None and (is_equal or best.correlation > PHYSICS.lagged_correlation):
             return late
         if is_equal:
-            return Confirmation(self.relation.channels)
+            return self.relation
         return self._of_wrong_scale(slopes[0.0], best.size, signals)
 
     def _late(self, slopes: dict[float, Slope]) -> Contradiction | None:

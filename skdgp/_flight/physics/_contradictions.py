@@ -11,10 +11,10 @@ import numpy as np
 from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import dead_channels
 from skdgp._flight.physics._checks import (
-    Confirmation,
     Contradiction,
     Exchange,
     Mistake,
+    Relation,
     Sign,
 )
 from skdgp._flight.physics._list import (
@@ -73,7 +73,7 @@ def _causes_in(signals: Signals) -> list[Contradiction]:
     unequal = [item for item in judgements if isinstance(item, Contradiction)]
     confirmed: set[str] = set()
     for judgement in judgements:
-        if isinstance(judgement, Confirmation):
+        if isinstance(judgement, Relation):
             confirmed.update(judgement.channels)
     # others may be consequences of the first
     contradictions = [

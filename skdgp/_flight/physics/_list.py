@@ -29,7 +29,13 @@ from skdgp._flight.physics._checks import (
     Sign,
 )
 from skdgp._flight.physics._regression import Regression
-from skdgp._flight.physics._settings import LAGS, PHYSICS
+from skdgp._flight.physics._settings import (
+    AIRSPEED_LAGS,
+    KINEMATIC_LAGS,
+    PHYSICS,
+    SURFACE_LAGS,
+    VANE_LAGS,
+)
 from skdgp._flight.physics._signals import Signals
 
 FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
@@ -49,7 +55,7 @@ def _relation_of_integral(
         y=f"the change of {name}",
         x=f"the integral of {rate}",
         regression=regression,
-        lags=LAGS.kinematic,
+        lags=KINEMATIC_LAGS,
     )
 
 
@@ -67,7 +73,7 @@ def _equality_of_level_force(channels: tuple[str, ...], axis: int) -> Equality:
         y="the change of velocity",
         x="the integral of specific force and gravity",
         regression=partial(equations.level_force, axis=axis),
-        lags=LAGS.kinematic,
+        lags=KINEMATIC_LAGS,
     )
     return Equality(relation=relation, noise=0.5, vibrates=True)
 
@@ -89,7 +95,7 @@ ALPHA = Relation(
     y="the change of alpha",
     x="the integral of q + (az + g) / V",
     regression=equations.alpha_by_motion,
-    lags=LAGS.vane,
+    lags=VANE_LAGS,
 )
 BETA = Relation(
     channels=("beta",),
@@ -97,7 +103,7 @@ BETA = Relation(
     y="the change of beta",
     x="the integral of p alpha - r + (ay + g) / V",
     regression=equations.beta_by_motion,
-    lags=LAGS.vane,
+    lags=VANE_LAGS,
 )
 FALL = Relation(
     channels=("airspeed",),
@@ -117,7 +123,7 @@ AIRSPEED = Relation(
     y="the ground velocity less a steady wind",
     x="airspeed",
     regression=equations.velocity_along,
-    lags=(*LAGS.kinematic, *LAGS.airspeed),
+    lags=(*KINEMATIC_LAGS, *AIRSPEED_LAGS),
 )
 # a magnetic heading, or one of another zero, turns the velocity
 COURSE = Relation(
@@ -197,7 +203,7 @@ def _sign_of_accelerometer(name: str, axis: int) -> Sign:
         y="the change of velocity less the other forces",
         x=f"the integral of {name}",
         regression=partial(equations.force_of_one_sensor, axis=axis),
-        lags=LAGS.kinematic,
+        lags=KINEMATIC_LAGS,
     )
     return Sign(relation=relation, admissible=POSITIVE, noise=0.05)
 
@@ -212,7 +218,7 @@ def _relation_of_response(name: str, effects: tuple[str, ...]) -> Relation:
         x=x,
         regression=partial(equations.response, name=name, effects=effects),
         beside=tuple(effect for effect in effects[1:] if effect in VANES),
-        lags=LAGS.surface if x in ALL_SURFACES else (0.0,),
+        lags=SURFACE_LAGS if x in ALL_SURFACES else (0.0,),
         unit="1/m^2" if name in RATES else "1/m",
     )
 

@@ -58,18 +58,11 @@ class PhysicsSettings:
     possible_lag_without_angle: float = 1 / 8
 
 
-@dataclass(frozen=True)
-class Lags:
-    """Lags that are tried [s], positive where y is late against x."""
-
-    kinematic: tuple[float, ...] = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
-    # further ones of the airspeed, which gusts reach before the aircraft follows
-    airspeed: tuple[float, ...] = (-1.4, 1.4, -1.8, 1.8, -2.2, 2.2, -2.6, 2.6, -3.0, 3.0)
-    # of vanes
-    vane: tuple[float, ...] = (0.0, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
-    # of surfaces, whose servos are late
-    surface: tuple[float, ...] = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)
-
-
 PHYSICS = PhysicsSettings()
-LAGS = Lags()
+# Lags that are tried [s], positive where y is late against x
+KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
+# further ones of the airspeed, which gusts reach before the aircraft follows
+AIRSPEED_LAGS = (-1.4, 1.4, -1.8, 1.8, -2.2, 2.2, -2.6, 2.6, -3.0, 3.0)
+VANE_LAGS = (0.0, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
+# of surfaces, whose servos are late
+SURFACE_LAGS = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15)

@@ -79,16 +79,6 @@ def inert(glider, **options):
     return glider._replace(level=np.zeros(6)).model(0.0 * glider.slopes, **options)
 
 
-def certain(glider):
-    """Return the model whose paths are all the same function."""
-    model = glider.model()
-
-    def paths(n_paths, random_state):
-        return model.function, model.gradient
-
-    return replace(model, sampler=paths)
-
-
 def table_of(duration, step=0.001):
     t = np.arange(0, duration + step / 2, step)
     return pd.DataFrame({"time": t, **commands(t)})

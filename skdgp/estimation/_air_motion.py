@@ -7,7 +7,7 @@ In order: records of the flights with their paths (``_air_records.py``), search 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -230,7 +230,6 @@ def estimate_air_motion(
     table: pd.DataFrame,
     aircraft: Aircraft,
     *,
-    terms: Mapping[str, Sequence[str]] | None = None,
     thrust: str | None = "auto",
     known: AirMotion | None = None,
     settings: AirSettings = AIR_SETTINGS,
@@ -276,9 +275,6 @@ def estimate_air_motion(
     aircraft : Aircraft
         Its position of the inertial sensors, or the one in the table, is taken to be right to 1 cm
         (across 5 mm). Unknown, it is estimated within 3 cm of the centre of gravity (across 1 cm).
-    terms : mapping of str to sequence of str, optional
-        Terms of CX ... Cn, of 0, alpha, alpha2, beta, p, q, r, thrust and surfaces; by default all but
-        alpha2, which only CX has, and CX by thrust. Without CX the axial force is taken as measured, see ``thrust``.
     thrust : str or None, default="auto"
         As in `skdgp.dynamics.aerodynamic_coefficients`. Where it is None, or nothing gives it, the
         measured axial force takes the place of thrust and CX, whose derivatives are not estimated.
@@ -302,7 +298,7 @@ def estimate_air_motion(
     check_radians(table, (*EULER, *RATES, *VANES))
     table = with_sensor_position(table, aircraft)
     table = _with_elevator_and_aileron(with_own_clocks(table))
-    priors = _wide_priors(table, terms) if known is None else _held_priors(known)
+    priors = _wide_priors(table) if known is None else _held_priors(known)
     if thrust is None or not priors.has_drag or not _has_thrust(table, aircraft):
         # the measured axial force takes the place of thrust and CX
         thrust = None
@@ -363,7 +359,7 @@ class _Priors(NamedTuple):
 
     @property
     def has_drag(self) -> bool:
-        """Whether there are derivatives of CX."""
+        """Whether there are derivatives of CX, which an aircraft of unknown thrust lacks."""
         return "CX" in map(coefficient_of, self.derivatives)
 
     def without_thrust(self) -> _Priors:
@@ -379,10 +375,10 @@ class _Priors(NamedTuple):
         return Parameters.of(shared, FLIGHT_CONSTANTS, n_flights, n_held)
 
 
-def _wide_priors(table: pd.DataFrame, terms: Mapping[str, Sequence[str]] | None) -> _Priors:
+def _wide_priors(table: pd.DataFrame) -> _Priors:
     """Return priors of an aircraft of which nothing is known."""
     surfaces = [name for name in SURFACES if _moves(table, name)]
-    derivatives = derivatives_of(ALL_TERMS if terms is None else terms, surfaces)
+    derivatives = derivatives_of(ALL_TERMS, surfaces)
     constants = dict(AIRCRAFT_CONSTANTS)
     if np.isfinite(sensor_position(table)).all():
         constants |= KNOWN_ARM

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from skdgp._compute.linalg import output_scale
 from skdgp._compute.typing import Indices, Matrix, Vector
@@ -28,8 +27,8 @@ class DriftSettings:
     model_error: float = 0.3
     #: Interval, over the median one, above which a record ends
     longest_gap: float = 4.0
-    #: Number of starting memories
-    n_starts: int = 4
+    #: Values of variance and memory that are tried
+    n_values: int = 150
 
 
 SETTINGS = DriftSettings()
@@ -122,27 +121,16 @@ def fit_drift_to_integrals(
     target = np.log(squares[usable] / (1 - horizons / flown))
     weight = 1 / (settings.model_error**2 + 2 * horizons / flown)
 
-    def loss(theta):
-        variance, memory = np.exp(theta)
-        white = (power - variance) * step * horizons
-        drift = _integrated_drift(variance, memory, horizons)
-        return weight @ (np.log(drift + white) - target) ** 2
-
-    bounds = np.log([(least, power), (step, longest)])
-    optima = []
-    log_memories = np.linspace(np.log(step), np.log(longest), settings.n_starts + 1)[:-1]
-    for log_memory in log_memories:
-        start = (np.log(0.5 * power), log_memory)
-        optima.append(minimize(loss, start, method="L-BFGS-B", bounds=[*bounds]))
-    best = min(optima, key=lambda optimum: optimum.fun)
-    variance, memory = np.exp(best.x)
-    return Drift(max(power - variance, least), variance, memory)
-
-
-def _integrated_drift(variance: float, memory: float, horizons: Vector) -> Vector:
-    """Return the variances of the integral of a drift over horizons."""
+    # a grid, as the loss has several minima
+    variance = np.geomspace(least, power, settings.n_values)[:, None, None]
+    memory = np.geomspace(step, longest, settings.n_values)[:, None]
     ratio = horizons / memory
-    return 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
+    drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
+    white = (power - variance) * step * horizons
+    loss = (np.log(drift + white) - target) ** 2 @ weight
+    i, j = np.unravel_index(loss.argmin(), loss.shape)
+    best = float(variance[i, 0, 0])
+    return Drift(max(power - best, least), best, float(memory[j, 0]))
 
 
 class _Record(NamedTuple):

@@ -421,17 +421,6 @@ def test_unknown_thrust_is_a_measured_force_and_leaves_drag_unknown():
     assert_array_equal(np.isnan(value[:, 0]), [True, False])
 
 
-def test_without_terms_of_drag_the_axial_force_is_no_measurement_of_aerodynamics():
-    flight = flown("calm", 4.0)
-    settings = AirSettings(max_passes=1)
-    linear = ["0", "alpha", "beta", "p", "q", "r", *SURFACES]
-    terms = dict.fromkeys(["CY", "CZ", "Cl", "Cm", "Cn"], linear)
-    found = flight.estimate(terms=terms, settings=settings)
-    without = flight.estimate(thrust=None, settings=settings)
-    assert_frame_equal(found.derivatives, without.derivatives)
-    assert_frame_equal(found.air, without.air)
-
-
 def test_diverged_estimate_is_told_in_plain_words_and_bands_are_wide():
     """No step has a solution."""
     flight = in_gusts()._replace(table=in_gusts().table[:500])

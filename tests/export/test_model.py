@@ -29,8 +29,10 @@ def test_equals_the_pipeline(case, noise):
     expected.assert_mean(case.model.predict(case.X))
 
 
-def test_slopes_are_those_of_the_simulation(case):
-    assert case.model.regressor_names == as_aerodynamics(case.pipeline).regressors
+def test_slopes_and_limits_are_those_of_the_simulation(case):
+    simulated = as_aerodynamics(case.pipeline)
+    assert case.model.regressor_names == simulated.regressors
+    assert_allclose(case.model.limits, simulated.limits, rtol=1e-9)
     case.assert_slopes(case.model.predict_gradient(case.X))
 
 

@@ -1,6 +1,7 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
-from skdgp.identification._changed import Changes, FlightResiduals, changes_of
+from skdgp.identification._changed import Changes
+from skdgp.identification._changed import changes_of as changes_of
 from skdgp.identification._evaluate import Evaluation as Evaluation
 from skdgp.identification._evaluate import score_table as score_table
 from skdgp.identification._evaluate import scores as scores
@@ -25,12 +26,10 @@ __all__ = [
     "THRESHOLDS",
     "Changes",
     "FlightPipeline",
-    "FlightResiduals",
     "Identification",
     "ModelFileError",
     "Verdict",
     "changed",
-    "changes_of",
     "flight_regressors",
     "identify",
     "load_model",

@@ -245,7 +245,7 @@ def validate(
     Returns
     -------
     Identification
-        Without training flights; with the changes of the aircraft, see `changes_of`.
+        Without training flights; with the changes of the aircraft.
     """
     options = options_of(model) | loads
     options["horizon"] = horizon
@@ -294,6 +294,6 @@ def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 def changed(model: Bunch, flights: Any) -> Changes:
     """Return whether the aircraft of a model has changed in flights that the model did not learn from.
 
-    The changes of `validate`, by `changes_of`; parameters and errors as there.
+    The changes of `validate`; parameters and errors as there.
     """
     return cast("Changes", validate(model, flights).changes)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from sklearn.base import clone
 
 from skdgp import DependentGPRegressor, listening
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
@@ -15,7 +16,8 @@ from skdgp.export import portable_model, write_c
 from skdgp.identification import identify, load_model, validate
 from skdgp.report import save_report
 
-QUICK = DependentGPRegressor(structure="trend", random_state=0)
+LINE = DependentGPRegressor(structure="trend", random_state=0)
+QUICK = clone(LINE).set_params(max_iter=2, input_noise=None)
 UNKNOWN = Aircraft.estimate(3.0, 1.8)
 KNOWN = Aircraft.estimate(3.0, 1.8, propeller={"diameter": 0.3, "thrust_coefficients": [0.1]})
 # Of a stable aircraft, of its dampings, and of its controls
@@ -109,11 +111,11 @@ def codes(findings):
     return {finding.code.name for finding in findings}
 
 
-def quietly(*flights, **options):
+def quietly(*flights, regressor=QUICK, **options):
     """Return what identify finds; its warnings are among its messages."""
     with warnings.catch_warnings(record=True):
         warnings.simplefilter("always")
-        return identify(*flights, regressor=QUICK, **options)
+        return identify(*flights, regressor=regressor, **options)
 
 
 @pytest.mark.usefixtures("no_mechanics")
@@ -175,7 +177,7 @@ def log(shared_data):
 
 @pytest.fixture(scope="module")
 def found(log):
-    return quietly(log, Aircraft.estimate(3.2, 1.6))
+    return quietly(log, Aircraft.estimate(3.2, 1.6), regressor=LINE)
 
 
 @pytest.mark.shared

@@ -183,7 +183,9 @@ class TestLeastSquares:
         """Refitted here by scikit-learn on what the regressor got."""
         train = flights.train.iloc[:500]
         test = flights.test.iloc[:400]
-        regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
+        regressor = DependentGPRegressor(
+            structure="trend", max_iter=1, input_noise=None, random_state=0
+        )
         result = identify(
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizon=2.0
         )

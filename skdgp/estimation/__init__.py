@@ -10,11 +10,12 @@ from skdgp.estimation._air_parameters import prior_deviations
 from skdgp.estimation._airspeed_scale import UNKNOWN_SCALE as UNKNOWN_SCALE
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._airspeed_scale import without_airspeed_error as without_airspeed_error
-from skdgp.estimation._contradictions import SensorContradiction, contradictions
 from skdgp.estimation._lags import Lag, estimate_lags, removable
 from skdgp.estimation._path import (
     CALIBRATED,
     PathEstimate,
+    SensorContradiction,
+    contradictions,
     estimate_path,
     overlapping_parts,
 )

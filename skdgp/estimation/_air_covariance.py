@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import VANES
 from skdgp.estimation._air_fit import AirFit, FittedRecord
-from skdgp.estimation._air_linearization import LEARNED_BIASES, means_of_neighbours
+from skdgp.estimation._air_linearization import means_of_neighbours
 from skdgp.estimation._air_parameters import ARM, SENSOR_CONSTANTS, STATE_TERMS, Sums
 from skdgp.estimation._kalman import surface_covariance
 
@@ -67,20 +66,9 @@ def inflate(covariance: Matrix, factor: float) -> Matrix:
 
 def add_model_error(covariance: Matrix, derivatives: Vector, fraction: float) -> Matrix:
     """Return the covariance with independent errors of the derivatives, the first parameters, by a linear model."""
-    return _add_to_first(covariance, np.diag((fraction * derivatives) ** 2))
-
-
-def add_scale_error(covariance: Matrix, slopes: Vector, fraction: float) -> Matrix:
-    """Return the covariance with a relative error that all slopes by one angle share."""
-    error = fraction * slopes
-    return _add_to_first(covariance, np.outer(error, error))
-
-
-def _add_to_first(covariance: Matrix, added: Matrix) -> Matrix:
-    """Return the covariance with a covariance (n, n) added to that of the first n parameters."""
-    n = len(added)
+    n = len(derivatives)
     total = covariance.copy()
-    total[:n, :n] += added
+    total[:n, :n] += np.diag((fraction * derivatives) ** 2)
     return total
 
 
@@ -176,19 +164,7 @@ def widened(covariance: Matrix, fit: AirFit, fitted: list[FittedRecord], misfit:
     covariance = inflate(covariance, surface_factor(fit, fitted))
     if fit.vibrates:
         covariance = inflate(covariance, fit.settings.vibrating)
-    return with_model_errors(covariance, fit)
-
-
-def with_model_errors(covariance: Matrix, fit: AirFit) -> Matrix:
-    """Return the covariance with errors of a linear model, and of the scale of angles without a vane."""
-    settings = fit.settings
-    covariance = add_model_error(covariance, fit.derivatives, settings.model_error)
-    for vane in VANES:
-        place = LEARNED_BIASES[f"{vane}_bias"]
-        if not any(record.sampled[place] for record in fit.records):
-            slopes = fit.layout.is_by(vane) * fit.derivatives
-            covariance = add_scale_error(covariance, slopes, settings.angle_error)
-    return covariance
+    return add_model_error(covariance, fit.derivatives, fit.settings.model_error)
 
 
 def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:

@@ -259,8 +259,7 @@ def estimate_air_motion(
     larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
     samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
     Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
-    added. All slopes by alpha, and all by beta, share an error of 2 % of the scale of the angle. A delay of the
-    servos of 0 ± 5 ms beside their lag moves all parameters.
+    added. A delay of the servos of 0 ± 5 ms beside their lag moves all parameters.
     Where surfaces hardly move a term, so that errors of path and sensors make most of its motion,
     ``std`` approaches ``prior_std``.
 

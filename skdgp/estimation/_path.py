@@ -44,7 +44,9 @@ from skdgp.estimation._sensors import (
     MEAN_WIND,
     PATH_CONSTANTS,
     PATH_NOISE,
+    READINGS_OF,
     FlightSensors,
+    noise_by_differences,
 )
 from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
@@ -328,3 +330,38 @@ def overlapping_parts(
         inner = slice(first - start, last - start)
         parts.append((part, inner))
     return parts
+
+
+class SensorContradiction(NamedTuple):
+    """A sensor whose residuals along the path exceed its white noise, standard deviations [SI]."""
+
+    sensor: str
+    residual: float
+    noise: float
+    # whether the readings show less noise than any sensor, so that the residual tells nothing of it
+    is_smoothed: bool = False
+
+
+INERTIAL = ("gyro", "accelerometer")
+
+
+def contradictions(
+    flights: Sequence[FlightSensors],
+    residuals: Mapping[str, float],
+    settings: PathSettings = PATH_SETTINGS,
+) -> list[SensorContradiction]:
+    """Return the sensors whose residuals along the path exceed their white noise by a ratio.
+
+    The ratio is ``air_ratio`` or ``inertial_ratio`` of the settings. ``residuals`` are the noises
+    of `PathEstimate.noise` [SI]; white noise is estimated from third differences of the readings.
+    A sensor that shows hardly any was smoothed, so its noise is not known.
+    """
+    contradicted = []
+    for sensor, columns in READINGS_OF.items():
+        largest = settings.inertial_ratio if sensor in INERTIAL else settings.air_ratio
+        residual = residuals[sensor]
+        noise = noise_by_differences(flights, columns)
+        is_smoothed = noise < settings.least_noise * PATH_NOISE[sensor]
+        if residual > largest * noise:
+            contradicted.append(SensorContradiction(sensor, residual, noise, is_smoothed))
+    return contradicted

@@ -232,8 +232,6 @@ class AirSettings:
     # standard deviation by effects that the model lacks, over a derivative; each of six aircraft left
     # out in turn, docs/preprocessing.md
     model_error: float = 0.04
-    # standard deviation of the scale of alpha, and of beta, by a wrong spectrum of gusts; likewise
-    angle_error: float = 0.02
     # errors of the path [m/s], rates [rad/s] and surfaces [rad] that look like motion; guesses
     velocity_error: float = 0.02
     rate_error: float = 0.002

@@ -28,7 +28,13 @@ from skdgp.inference._blocks import BlockSettings as BlockSettings
 from skdgp.inference._blocks import blocks_of_rows as blocks_of_rows
 from skdgp.inference._blocks import leaves as leaves
 from skdgp.inference._drift import residual_drift as residual_drift
-from skdgp.inference._errors import FunctionErrors, KnownSlopes, PosteriorWithErrors, attenuation
+from skdgp.inference._errors import (
+    FunctionErrors,
+    KnownSlopes,
+    PosteriorWithErrors,
+    attenuation,
+    misfit_variance,
+)
 from skdgp.inference._errors import errors_by_input_noise as errors_by_input_noise
 from skdgp.inference._errors import errors_of_slopes as errors_of_slopes
 from skdgp.inference._errors import linear_slopes as linear_slopes
@@ -40,7 +46,6 @@ from skdgp.inference._fit import mixture_of as mixture_of
 from skdgp.inference._likelihood import Data, log_likelihood
 from skdgp.inference._likelihood import Likelihood as Likelihood
 from skdgp.inference._likelihood import TileSettings as TileSettings
-from skdgp.inference._misfit import misfit_variance
 from skdgp.inference._noise import KnownNoise as KnownNoise
 from skdgp.inference._objective import Objective as Objective
 from skdgp.inference._optimizer import Optimum as Optimum

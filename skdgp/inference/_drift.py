@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,26 +11,18 @@ from skdgp._compute.linalg import output_scale
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp.inference._posterior import Posterior
 
-
-@dataclass(frozen=True)
-class DriftSettings:
-    """How white noise and drift are fitted to the integrals of residuals."""
-
-    #: Smallest variance, over the variance of the output
-    least_variance: float = 1e-6
-    #: Longest time over which residuals are integrated [s]
-    longest_horizon: float = 10.0
-    #: Number of times over which they are integrated
-    n_horizons: int = 12
-    #: Relative error of the model, of the variances of integrals (guess)
-    model_error: float = 0.3
-    #: Interval, over the median one, above which a record ends
-    longest_gap: float = 4.0
-    #: Values of variance and memory that are tried
-    n_values: int = 150
-
-
-SETTINGS = DriftSettings()
+LEAST_VARIANCE = 1e-6
+"""Smallest variance, over the variance of the output."""
+LONGEST_HORIZON = 10.0
+"""Longest time over which residuals are integrated [s]."""
+N_HORIZONS = 12
+"""Number of times over which they are integrated."""
+MODEL_ERROR = 0.3
+"""Relative error of the model, of the variances of integrals; guess."""
+LONGEST_GAP = 4.0
+"""Interval, over the median one, above which a record ends."""
+N_VALUES = 150
+"""Values of variance and correlation time that are tried."""
 
 
 class Drift(NamedTuple):
@@ -47,7 +38,6 @@ def residual_drift(
     X: Matrix,
     Y: Matrix,
     clock: Matrix,
-    settings: DriftSettings = SETTINGS,
 ) -> Matrix:
     """Return white noise and drift estimated from the residuals of a posterior.
 
@@ -59,7 +49,6 @@ def residual_drift(
         NaN where an output was not observed.
     clock : ndarray (n, 2)
         Time and flight number of each sample.
-    settings : DriftSettings
 
     Returns
     -------
@@ -70,19 +59,17 @@ def residual_drift(
     residual = Y - posterior.predict(X)
     drifts = []
     for e, scale in zip(residual.T, output_scale(Y), strict=True):
-        least = settings.least_variance * scale**2
+        least = LEAST_VARIANCE * scale**2
         observed = np.isfinite(e)
         if observed.sum() > 2:
-            drift = fit_drift_to_integrals(e[observed], clock[observed], least, settings)
+            drift = fit_drift_to_integrals(e[observed], clock[observed], least)
         else:
             drift = Drift(least, least, 1.0)
         drifts.append(drift)
     return np.transpose(drifts)
 
 
-def fit_drift_to_integrals(
-    residual: Vector, clock: Matrix, least: float, settings: DriftSettings
-) -> Drift:
+def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> Drift:
     r"""Return sigma^2, tau^2 and T of white noise plus drift, fitted to the integrals of the residuals (n,) over time.
 
     A simulated flight integrates the errors of the coefficients, so the estimate is judged by
@@ -104,26 +91,24 @@ def fit_drift_to_integrals(
     """
     order = np.lexsort(clock.T)
     residual = residual[order]
-    records, step = _records(clock[order], settings)
+    records, step = _records(clock[order])
     lengths = [np.ptp(record.time) for record in records]
     longest = max(max(lengths), 2 * step)
     flown = sum(lengths)
     power = max(float(np.mean(residual**2)), 10 * least)
 
-    horizons = np.geomspace(
-        2 * step, max(min(longest, settings.longest_horizon), 2 * step), settings.n_horizons
-    )
+    horizons = np.geomspace(2 * step, max(min(longest, LONGEST_HORIZON), 2 * step), N_HORIZONS)
     squares = _mean_squared_integrals(residual, records, horizons)
     usable = (squares > 0) & (horizons < flown)
     if not usable.any():  # nothing shows a drift
         return Drift(power, least, step)
     horizons = horizons[usable]
     target = np.log(squares[usable] / (1 - horizons / flown))
-    weight = 1 / (settings.model_error**2 + 2 * horizons / flown)
+    weight = 1 / (MODEL_ERROR**2 + 2 * horizons / flown)
 
     # a grid, as the loss has several minima
-    variance = np.geomspace(least, power, settings.n_values)[:, None, None]
-    memory = np.geomspace(step, longest, settings.n_values)[:, None]
+    variance = np.geomspace(least, power, N_VALUES)[:, None, None]
+    memory = np.geomspace(step, longest, N_VALUES)[:, None]
     ratio = horizons / memory
     drift = 2 * variance * memory**2 * (ratio + np.expm1(-ratio))
     white = (power - variance) * step * horizons
@@ -140,14 +125,14 @@ class _Record(NamedTuple):
     time: Vector
 
 
-def _records(clock: Matrix, settings: DriftSettings) -> tuple[list[_Record], float]:
+def _records(clock: Matrix) -> tuple[list[_Record], float]:
     """Return the records of samples in order, and the median sample interval."""
     time, flight = clock.T
     same = flight[1:] == flight[:-1]
     steps = np.diff(time)
     moving = steps[same & (steps > 0)]
     step = float(np.median(moving)) if len(moving) else 1.0
-    ends = ~same | (steps > settings.longest_gap * step)
+    ends = ~same | (steps > LONGEST_GAP * step)
     rows = np.split(np.arange(len(time)), 1 + np.flatnonzero(ends))
     return [_Record(part, time[part]) for part in rows], step
 

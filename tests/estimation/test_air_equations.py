@@ -16,7 +16,6 @@ from skdgp.estimation._air_covariance import (
     add_attenuation,
     add_delay_error,
     add_model_error,
-    add_scale_error,
     correlated_scatter,
     inflate,
     misfit_of,
@@ -407,13 +406,11 @@ def test_misfit_is_at_least_one():
     assert_allclose(inflate(COVARIANCE, 2.5), 6.25 * COVARIANCE)
 
 
-def test_errors_of_the_model_are_independent_and_those_of_an_angle_are_common():
+def test_errors_of_the_model_are_independent():
     derivatives = np.array([2.0, -3.0])
     error = np.zeros((3, 3))
     error[:2, :2] = np.diag([0.04, 0.09])
     assert_allclose(add_model_error(COVARIANCE, derivatives, 0.1) - COVARIANCE, error)
-    error[:2, :2] = [[0.04, -0.06], [-0.06, 0.09]]
-    assert_allclose(add_scale_error(COVARIANCE, derivatives, 0.1) - COVARIANCE, error)
 
 
 def test_parameters_without_evidence_have_the_variance_of_their_prior():

@@ -65,8 +65,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         values are estimated from the data. None: for a time series ``ConvolvedGaussian(n_latent,
         covariance_type="tied")`` with ``parameter_bounds={"length_scale": "spacing"}``. For other
         data and ``structure="average"``, independent outputs, length scales that the outputs share,
-        and ``ConvolvedGaussian(n_latent)`` are compared, each also with shifts where separate fits of
-        the outputs show them; their mixture has Akaike weights (docs/theory.md, structures). A
+        and ``ConvolvedGaussian(n_latent)`` are compared, the likeliest also with shifts where separate
+        fits of the outputs show them; their mixture has Akaike weights (docs/theory.md, structures). A
         kernel of scikit-learn is wrapped in ``Coregionalized``; with ``optimizer=None`` it is the
         covariance of each output, as it stands.
     n_latent : int or None
@@ -90,12 +90,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         values through inducing variables, in linear time and constant memory; it estimates the
         correlation of neighbouring errors of a time series. Both learn hyperparameters from at most
         three blocks of 1000 values, whose likelihoods add up. "auto" is "exact" up to 1000 observed
-        values of a time series, and "sparse" for more. Without ``time`` it is "exact" up to 6000,
-        but above 1500 "sparse" where the inducing inputs leave at most 0.003 of the noise variance
-        unexplained (Burt, Rasmussen & van der Wilk 2020), so that errors are within 1 % of exact
-        ones. Of N > 6000 it is "sparse" where up to four times as many inducing inputs leave at most
-        0.003 (N / 6000)^2, or 0.3, else "exact" on 6000 of the values. The result is in
-        ``inference_``.
+        values of a time series, and "sparse" for more. Without ``time`` it is "exact" up to 6000. Of
+        N > 6000 it is "sparse" where up to four times as many inducing inputs leave at most
+        0.003 (N / 6000)^2, or 0.3, of the noise variance unexplained (Burt, Rasmussen & van der Wilk
+        2020), else "exact" on 6000 of the values. The result is in ``inference_``.
     n_inducing : int
         Inducing inputs of each latent process in sparse inference; "auto" may take more.
     input_noise : {"auto", "learned"}, array (d,) or None
@@ -163,8 +161,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Whether the search was interrupted inside ``listening(..., keep_best=True)``.
     converged_ : bool
         Whether the search ended at a stationary point of the likelihood of all values that it learned
-        from, with slopes of at most 0.001 nats by each hyperparameter in its own unit, or at bounds.
-        If not, ``fit`` warns.
+        from, with slopes of at most 0.001 nats for a standard error of each hyperparameter, or at
+        bounds. If not, ``fit`` warns.
     center_, scale_ : ndarray (P,)
         The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str

@@ -43,10 +43,8 @@ class RegressorSettings:
     exact_values: int = 6000
     #: The same of a time series
     exact_time_series_values: int = 1000
-    #: Observed values above which inference="auto" tries inducing variables: exact inference takes long
-    sparse_values: int = 1500
     #: Largest prior variance that inducing variables leave unexplained, over the noise variance,
-    #: where exact inference on all values is possible: errors are within 1 % of exact ones
+    #: of little more values than exact inference takes: errors are within 1 % of exact ones
     least_neglected: float = 0.003
     #: The same where it is possible on a small part of the values; it grows with their number squared
     most_neglected: float = 0.3
@@ -200,7 +198,7 @@ class Recipe:
             rng = check_random_state(seeds[1])  # the same inducing inputs for all
             samples = _Samples(X, Z, data, known)
             if is_exact:
-                fit = self._of_few(found[k], samples, rng)
+                fit = fit_exact(found[k], data, self.time_series)
             else:
                 fit, samples = self._of_many(found[k], samples, rng)
             if self._averages and not fit.learned.interrupted:
@@ -209,15 +207,6 @@ class Recipe:
             if fit.learned.interrupted:
                 return fits[0].cut_short()
         return mixture_of(fits, weights[likeliest].tolist())
-
-    def _of_few(self, learned, samples, rng):
-        """Return the fit of samples that exact inference can take all of."""
-        is_large = samples.data.n_values > self.settings.sparse_values
-        if is_large and self.inference == "auto" and self._can_neglect(learned):
-            fit = self._sparse(learned, samples, self.n_inducing, rng)
-            if fit.posterior.neglected_variance <= self.settings.least_neglected:
-                return fit
-        return fit_exact(learned, samples.data, self.time_series)
 
     def _of_many(self, learned, samples, rng):
         """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""

@@ -32,7 +32,7 @@ from skdgp.inference._likelihood import Likelihood
 class OptimizerSettings:
     """When a maximisation has converged, and how steps are damped."""
 
-    #: Slope by every hyperparameter, in its own unit, below which the point is stationary [nats]
+    #: Slope by every hyperparameter, for its standard error, below which the point is stationary [nats]
     gradient: float = 1e-3
     #: First, least and largest damping, beyond which rounding hides every rise
     damping: tuple[float, float, float] = (0.1, 1e-5, 1e6)
@@ -162,7 +162,8 @@ def _free(theta: Vector, gradient: Vector, bounds: Matrix) -> Mask:
 
 def _is_stationary(theta, point, bounds, settings):
     free = _free(theta, point.gradient, bounds)
-    return bool(np.all(np.abs(point.gradient[free]) <= settings.gradient))
+    error = _standard_errors(point.information)
+    return bool(np.all(np.abs(point.gradient * error)[free] <= settings.gradient))
 
 
 def _step(theta, point, curvature, bounds, damping, longest):
@@ -184,6 +185,11 @@ def _step(theta, point, curvature, bounds, damping, longest):
     return np.clip(step, -longest, longest)  # where the likelihood is flat steps are long
 
 
+def _standard_errors(information):
+    """Return the standard error of each hyperparameter beside known others, at most one unit."""
+    return 1.0 / np.sqrt(np.diag(information) + 1.0)
+
+
 def _predicted_rise(step, point, curvature):
     """Return the rise of the likelihood by a step, of its quadratic model."""
     return step @ point.gradient - 0.5 * step @ curvature @ step
@@ -194,8 +200,7 @@ def _on_grid(theta, information, settings):
 
     The spacing is a power of two, as the standard errors have rounding errors too.
     """
-    error = 1.0 / np.sqrt(np.diag(information) + 1.0)
-    spacing = np.exp2(np.round(np.log2(settings.grid * error)))
+    spacing = np.exp2(np.round(np.log2(settings.grid * _standard_errors(information))))
     return spacing * (np.floor(theta / spacing) + 0.5)
 
 

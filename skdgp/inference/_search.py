@@ -146,11 +146,11 @@ def search(
     *,
     known: KnownNoise = UNKNOWN,
 ) -> list[Hyperparameters]:
-    """Return hyperparameters of each kernel of a list, and of those with shifts.
+    """Return hyperparameters of each kernel of a list, and of one with shifts.
 
-    Simple kernels are first. With ``options.shifts`` the same kernels with shifts follow, where
-    separate fits correlate more with shifts. Without an optimizer the first kernel keeps its
-    values, and noise that is not known is estimated for it.
+    Simple kernels are first. With ``options.shifts`` the likeliest of those with shared latents follows
+    with shifts, where separate fits correlate more with shifts. Without an optimizer the first kernel
+    keeps its values, and noise that is not known is estimated for it.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def search(
     Returns
     -------
     list of Hyperparameters
-        Of the kernels, then of those with shifts.
+        Of the kernels, then of the one with shifts.
     """
     keep_freed_memory()
     rows = blocks_of_rows(X, Y, options.settings.blocks, options.time_series)
@@ -184,9 +184,10 @@ def search(
         found = found_shifts(alone.kernels, alone.noise, X, Y)
         if found is not None:
             shift, aligned = found
-            for kernel in filter(has_shared_latents, kernels):
-                end = problem.end_of(with_shifts(kernel, shift, X), alone, [], aligned)
-                ends.append(end._replace(price=end.price + price_of_shifts(shift)))
+            shared = [k for k, kernel in enumerate(kernels) if has_shared_latents(kernel)]
+            likeliest = kernels[max(shared, key=lambda k: ends[k].score())]
+            end = problem.end_of(with_shifts(likeliest, shift, X), alone, [], aligned)
+            ends.append(end._replace(price=end.price + price_of_shifts(shift)))
     loading = problem.known.loading
     return [end._replace(loading=loading, interrupted=problem.stop.is_set()) for end in ends]
 

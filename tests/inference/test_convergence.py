@@ -54,7 +54,7 @@ def changed(X, Y, change):
 def usual():
     """Return a table, and what is predicted from it of its rows."""
     rng = default_rng(3)
-    X = rng.normal(size=(80, 4))
+    X = rng.normal(size=(50, 3))
     Y = np.column_stack([np.sin(X[:, 0]) + X[:, 1], X[:, 0] * X[:, 2]])
     Y += rng.normal(0, 0.1, Y.shape)
     return X, Y, *DependentGPRegressor(random_state=0).fit(X, Y).predict(X, return_std=True)

@@ -2,7 +2,7 @@
 After the model
 ===============
 
-Learn the example aircraft, compare it with its log by frequency, tune an autopilot, and fly it::
+Learn the example aircraft, tune an autopilot, and fly it::
 
     python examples/after_the_model.py
 
@@ -23,13 +23,11 @@ from skdgp.dynamics import (
     Air,
     FlightComputer,
     aerodynamic_coefficients,
-    frequency_response,
     linearize,
     simulate,
     trajectory_bands,
     trim,
 )
-from skdgp.preprocessing import ElevonSplitter
 
 FULL = {"aileron": 0.42, "elevator": 0.42}
 SLOW_GAINS = {
@@ -103,10 +101,6 @@ def main(arguments=None):
 
     steady = trim(model, aircraft, AIRSPEED, altitude=ALTITUDE)
     linear = linearize(model, aircraft, steady, n_paths=options.paths, delay=DELAY)
-    log = ElevonSplitter().fit_transform(flights.train)
-    responses = frequency_response(
-        log, ["elevator", "aileron", "rudder"], ["p", "q"], linear=linear
-    )
 
     loops = autopilot_loops(SLOW_GAINS, FULL)
     print("margins before\n", margins(linear, loops).round(2), "\n")
@@ -118,15 +112,8 @@ def main(arguments=None):
         fly(model, aircraft, chosen, steady, linear, options.paths) for chosen in (loops, better)
     )
 
-    figure = Figure(figsize=(10, 4.5), layout="constrained")
-    frequency, bank = figure.subplots(1, 2)
-    roll = responses.loc[("p", "aileron")].query("excited")
-    w = roll.index.to_numpy()
-    frequency.fill_between(w, roll["model_gain_lower"], roll["model_gain_upper"], alpha=0.3)
-    frequency.plot(w, roll["model_gain"], label="model, 95 %")
-    frequency.plot(w, roll["gain"], "k.", label="log")
-    frequency.set(xscale="log", xlabel="frequency [rad/s]", ylabel="aileron to p [dB]")
-    frequency.legend(loc="lower left")
+    figure = Figure(figsize=(6, 4.5), layout="constrained")
+    bank = figure.subplots()
     for bands, name in ((before, "gains before"), (after, "gains suggested")):
         low, high = np.rad2deg(bands["phi_low"]), np.rad2deg(bands["phi_high"])
         bank.fill_between(bands["time"], low, high, alpha=0.3)

@@ -117,7 +117,7 @@ def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
 
 def _margin_text(table: pd.DataFrame) -> str:
     """Return margins as text."""
-    shown = table.drop(columns="excited")
+    shown = table.copy()
     numbers = shown.select_dtypes(float).columns
     for name in numbers:
         form = "{:.0%}" if name == "probability" else "{:.3g}"

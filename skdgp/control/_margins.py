@@ -16,9 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
-from skdgp._flight.tables import FlightTable
 from skdgp.control._loops import LOOP_AXES, Loop
 from skdgp.dynamics import (
     LATERAL,
@@ -26,7 +24,6 @@ from skdgp.dynamics import (
     UNUSED,
     LinearModel,
     Matrices,
-    frequency_response,
     transfer,
 )
 
@@ -52,21 +49,15 @@ ROUNDS = 10
 
 
 class Margins(NamedTuple):
-    """Of one loop: gain [dB], phase [deg], sensitivity, and crossovers [rad/s]; of the mean, then of each path."""
+    """Of one loop: gain [dB], phase [deg], sensitivity, and crossover [rad/s]; of the mean, then of each path."""
 
     gain: Vector
     phase: Vector
     sensitivity: Vector
     crossover: Vector
-    phase_crossover: Vector
 
 
-def margins(
-    linear: LinearModel,
-    loops: Sequence[Loop],
-    *,
-    flight: Any = None,
-) -> pd.DataFrame:
+def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     r"""Return the margins of each loop, opened at its control with the other loops closed.
 
     The gain margin is the smallest rise of all gains of the loop, and the phase margin the smallest
@@ -82,9 +73,6 @@ def margins(
         Of :func:`skdgp.dynamics.linearize`, with ``n_paths`` for intervals and ``delay``.
     loops : sequence of Loop
         Of `autopilot_loops`.
-    flight : DataFrame, optional
-        A log, which tells whether the crossovers were excited: whether the response of the rate there counts
-        by :func:`skdgp.dynamics.frequency_response`. A margin where nothing was excited is a guess of the model.
 
     Returns
     -------
@@ -92,14 +80,13 @@ def margins(
         Rows (loop, quantity) with the quantities ``gain`` [dB], ``phase`` [deg], ``sensitivity`` and
         ``crossover`` [rad/s]; columns ``value``, of the mean, ``lower`` and ``upper``, which hold 90 % of the
         paths, ``probability`` that the gain margin is at least 6 dB, the phase margin 45 deg, and the
-        sensitivity at most 2, and ``excited``, empty without a flight. ``attrs["unstable"]`` has the modes by
+        sensitivity at most 2. ``attrs["unstable"]`` has the modes by
         which the closed loops are unstable, with the fractions of the paths, or of the mean.
 
     Raises
     ------
     ValueError
-        If a loop has a control that the linear model has not, the linear model has no airspeed or density,
-        or the flight lacks a channel or is too short for spectra.
+        If a loop has a control that the linear model has not, or the linear model has no airspeed or density.
 
     Examples
     --------
@@ -127,11 +114,10 @@ def margins(
     transfer = _of_loops(responses, linear, loops, s)
     stability = _Stability.of(linear, loops, N_FREQUENCIES)
     unstable = stability.unstable(linear, loops)
-    excited = {} if flight is None else _excited_bands(linear, loops, flight)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable[:, k])
-        rows += _rows(loop, loop_margins, excited.get(loop.name))
+        rows += _rows(loop, loop_margins)
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
     table.attrs["unstable"] = stability.causes(linear, loops)
     return table
@@ -507,12 +493,11 @@ def _margins_of(transfer: Matrix, w: Vector) -> Margins:
         # where the angle rises, a larger gain makes a mode stable
         crossings = np.concatenate([_falls(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
         gains = -np.interp(crossings, places, of_size)
-        gain, phase_crossover = _smallest(gains[gains > 0], crossings[gains > 0])
-        rows.append([gain, phase, crossover, phase_crossover])
-    gain, phase, *crossings_of_both = np.transpose(rows)
-    crossover, phase_crossover = np.exp(np.interp(crossings_of_both, places, np.log(w)))
+        rows.append([gains[gains > 0].min(initial=np.inf), phase, crossover])
+    gain, phase, crossings = np.transpose(rows)
+    crossover = np.exp(np.interp(crossings, places, np.log(w)))
     sensitivity = (1 / np.abs(1 + transfer)).max(axis=-1)
-    return Margins(gain, phase, sensitivity, crossover, phase_crossover)
+    return Margins(gain, phase, sensitivity, crossover)
 
 
 def _smallest(values, places):
@@ -556,7 +541,7 @@ def _marked(loop_margins: Margins, unstable) -> Margins:
     )
 
 
-def _rows(loop, loop_margins, excited):
+def _rows(loop, loop_margins):
     """Return the rows of one loop from the margins of the mean and of the paths."""
     required = {
         "gain": lambda x: x >= GAIN,
@@ -576,30 +561,5 @@ def _rows(loop, loop_margins, excited):
             row |= {"lower": float(low), "upper": float(high)}
         if paths and meets is not None:
             row["probability"] = float(np.mean(meets(values)))
-        where = loop_margins.phase_crossover if quantity == "gain" else loop_margins.crossover
-        row["excited"] = None if excited is None else _is_excited(excited, where[0])
         rows.append(row)
     return rows
-
-
-def _excited_bands(linear, loops, flight) -> dict[str, pd.Series]:
-    """Return by loop whether a flight shows the response of its rate, over the frequencies [rad/s] of bands."""
-    table = FlightTable.of(flight, [loop.control for loop in loops]).table
-    inputs = [name for name in linear.B.columns if name in table]
-    is_still = constant_columns(table[inputs].to_numpy(dtype=float))
-    moved = [name for name, still in zip(inputs, is_still, strict=True) if not still]
-    rates = [LOOP_AXES[loop.name][0] for loop in loops]
-    excited = frequency_response(flight, moved, rates)["excited"]
-    bands = {}
-    for loop, rate in zip(loops, rates, strict=True):
-        is_moved = loop.control in moved
-        bands[loop.name] = excited[rate, loop.control] if is_moved else pd.Series([False], [1.0])
-    return bands
-
-
-def _is_excited(excited: pd.Series, frequency: float) -> bool | None:
-    """Return whether the band nearest to a frequency counts; None without a frequency."""
-    if not np.isfinite(frequency):
-        return None
-    w = excited.index.to_numpy(dtype=float)
-    return bool(excited.iloc[np.argmin(np.abs(np.log(w / frequency)))] and frequency <= w[-1])

@@ -35,7 +35,6 @@ from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import rolling_gust as rolling_gust
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
-from skdgp.dynamics._frequency import frequency_response
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._inputs import StepClock as StepClock
 from skdgp.dynamics._integrate import (
@@ -129,7 +128,6 @@ __all__ = [
     "dryden_wind",
     "euler_to_matrix",
     "euler_to_quaternion",
-    "frequency_response",
     "linearize",
     "ned_to_body",
     "propeller_loads",

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq
-from scipy.signal import lsim
 
 from skdgp.control import autopilot_loops, margins, read_parameters, suggest_gains
 from skdgp.dynamics import linearize, trim
@@ -397,34 +396,6 @@ def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
         autopilot_loops(parameters, full)
 
 
-def test_what_the_log_moved_is_excited(glider):
-    """A sweep up to 12 rad/s, gusts and noise of the gyro: the crossover is excited, the phase crossover is not."""
-    linear = only_roll(glider)
-    time = np.arange(0.0, 80.0, 0.02)
-    aileron = 0.1 * np.sin(time * (0.5 + 11.5 * time / 160.0))
-    rng = np.random.default_rng(0)
-    a, g = -linear.A.loc["p", "p"], linear.B.loc["p", "aileron"]
-    _, rate, _ = lsim(([[-a]], [[g]], [[1.0]], [[0.0]]), aileron, time)
-    rate = rate + rng.normal(0.0, 0.01, len(time))
-    flight = pd.DataFrame({"time": time, "aileron": aileron, "elevator": 0.0, "p": rate})
-    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 0.68}, {"aileron": 0.42})
-    found = margins(linear, [loop], flight=flight).loc["roll"]
-    assert found["value"]["crossover"] < 11.0
-    assert found["excited"].to_dict() == {
-        "gain": False, "phase": True, "sensitivity": True, "crossover": True
-    }  # fmt: skip
-    faster = margins(linear, [loop.scaled(2.0)], flight=flight).loc["roll"]
-    assert faster["value"]["crossover"] > 14.0
-    assert not faster["excited"].any()
-    still = margins(linear, [loop], flight=flight.assign(aileron=0.1, elevator=aileron))
-    assert not still["excited"].any()
-    with pytest.raises(ValueError, match="aileron"):
-        margins(linear, [loop], flight=flight.drop(columns="aileron"))
-    assert margins(linear, [loop], flight=flight[:400])["excited"].notna().all()
-    with pytest.raises(ValueError, match=r"Got records of 1.0 s"):
-        margins(linear, [loop], flight=flight[:50])
-
-
 def test_an_unstable_roll_loop_is_not_the_pitch_loops(with_spiral):
     """The elevator does not move the spiral, which a weak roll loop leaves unstable."""
     loops = autopilot_loops(PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}, FULL)
@@ -568,4 +539,3 @@ def test_paths_have_intervals_and_probabilities(linear):
     assert (found["lower"] <= found["value"])["roll"].all()
     assert (found["value"] <= found["upper"])["roll"].all()
     assert found["probability"].drop("crossover", level="quantity").between(0, 1).all()
-    assert found["excited"].isna().all()

@@ -1,7 +1,6 @@
 """Servos with delay, lag and rate limit, against independent solutions of T d'(t) = c(t - tau) - d(t), |d'| <= R."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
@@ -9,8 +8,6 @@ from scipy.integrate import solve_ivp
 from skdgp.dynamics import (
     FlightComputer,
     Servos,
-    frequency_response,
-    linearize,
     simulate,
     trim,
 )
@@ -70,25 +67,3 @@ def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, lag):
         time = table["time"].to_numpy()
         expected = followed(lambda t: steps_of(t, 0.3), time, lag, 0.03, 5.0)
         assert_allclose(table["aileron"], expected, atol=2e-3)
-
-
-def test_a_linear_model_has_the_phase_of_the_delay_at_every_frequency(glider, level):
-    """Of its response beside the flight's: minus w tau for surfaces, nothing for the thrust."""
-    rng = np.random.default_rng(0)
-    names = ["aileron", "thrust"]
-    table = pd.DataFrame(rng.normal(size=(4000, 4)), columns=[*names, "p", "u"])
-    table["time"] = 0.01 * np.arange(len(table))
-    responses = []
-    for delay in (0.0, 0.03):
-        model = glider.model(servos=Servos(0.04, delay))
-        linear = linearize(model, glider.aircraft, level, delay=0.05)
-        assert_allclose(linear.A.loc["aileron_position", "aileron_position"], -25.0)
-        responses.append(frequency_response(table, names, ["p", "u"], linear=linear))
-    turn = (responses[1]["model_phase"] - responses[0]["model_phase"]).unstack("input")
-    w = turn.index.get_level_values("frequency")
-    for output in ("p", "u"):
-        of_output = turn.loc[output]
-        expected = np.rad2deg(-0.03 * w.unique())
-        assert_allclose((of_output["aileron"] - expected + 180) % 360, 180.0, atol=1e-6)
-        assert_allclose((of_output["thrust"] + 180) % 360, 180.0, atol=1e-6)
-    assert_allclose(responses[0]["model_gain"], responses[1]["model_gain"], atol=1e-9)

@@ -37,8 +37,8 @@ class Air:
         if the model knows it. None: calm air.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
-        coefficients that change slowly, as the residuals of the training flights did; smaller in
-        calmer air, if the model knows the turbulence of its flights. False: the uncertainty of the
+        coefficients that change slowly, as the residuals of the training flights did beyond what
+        their turbulence explains, if the model knows it. False: the uncertainty of the
         aircraft alone.
     density : float or callable, optional
         [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.

@@ -196,8 +196,10 @@ class Integrator:
         *_, middle, last = (stage.regressors for stage in stages)
         distance = last - tangent.regressors
         is_far = tangent.is_far(distance)
-        if not is_far and tangent.steps + 1 < self._stride:
-            return 0.0, tangent._replace(steps=tangent.steps + 1)
+        n_steps = tangent.steps + 1
+        is_near = bool((np.abs(distance) <= tangent.reach).all())
+        if is_near and n_steps < self._stride:
+            return 0.0, tangent._replace(steps=n_steps)
         coefficients = self.motion.evaluated(last)
         if is_far:
             # Simpson's rule; the error is zero at the beginning, and at the end, without a tangent
@@ -205,7 +207,7 @@ class Integrator:
             change = self.dt * self.motion.response(stages[-1], (2.0 / 3.0) * halfway)
             return change, self._tangent(last, coefficients)
         error = coefficients - tangent.linear(distance)
-        change = 0.5 * self._stride * self.dt * self.motion.response(stages[-1], error)
+        change = 0.5 * n_steps * self.dt * self.motion.response(stages[-1], error)
         if tangent.age + 1 >= self._renewal:
             return change, self._tangent(last, coefficients)
         return change, tangent.moved(last, coefficients)

@@ -99,7 +99,7 @@ def check_settled(instant: Instant) -> None:
 class Tangent(NamedTuple):
     """Coefficients near regressors x_0 where they are known, C(x) = C_0 + J (x - x_0).
 
-    Where regressors are farther than ``reach`` the model is evaluated: controls jump.
+    Where regressors change by more than ``reach`` a step the model is evaluated: controls jump.
     """
 
     model: Callable
@@ -119,7 +119,7 @@ class Tangent(NamedTuple):
 
     def is_far(self, change: Array) -> bool:
         """Return whether any regressors are out of reach, by their ``change`` x - x_0 (..., d)."""
-        return bool((np.abs(change) > self.reach).any())
+        return bool((np.abs(change) > (1 + self.steps) * self.reach).any())
 
     def linear(self, change: Array) -> Array:
         """Return C_0 + J (x - x_0), (..., 6), by the ``change`` x - x_0 (..., d)."""
@@ -352,7 +352,7 @@ class Motion:
     def tangent(self, X: Array, coefficients: Array, reach: float) -> Tangent:
         """Return the tangent of the model at regressors (..., d), where it has these ``coefficients`` (..., 6).
 
-        It holds for controls that change by at most ``reach`` of their ranges.
+        It holds for controls that change by at most ``reach`` of their ranges in a step.
         """
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
         slopes = self.aerodynamics.gradient(np.where(finite, X, 0.0))

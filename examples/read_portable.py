@@ -23,7 +23,7 @@ class Model:
             self.head = json.loads(file["model.json"])
             self.arrays = {name: file[name] for name in file.files if name != "model.json"}
         found = self.head["format"], self.head["version"]
-        if found != ("skdgp portable model", 8):
+        if found != ("skdgp portable model", 9):
             raise ValueError(f"Got {path} of the format {found}.")
 
     def regressors(self, table):

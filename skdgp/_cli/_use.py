@@ -304,7 +304,7 @@ def warn_unfit(model: Mapping[str, Any], purpose: str, advice: str) -> None:
 def export(run: Run) -> None:
     """Write a model in a form that other programs read, without Python or without pickle.
 
-    portable  model.npz: arrays and JSON, no code; skdgp.export.load_portable and examples/read_portable.py read it
+    portable  model.npz: arrays and JSON, no code; examples/read_portable.py reads it with NumPy alone
     c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
     jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives its full deflections
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi

@@ -2,8 +2,7 @@
 
 from skdgp.export._c import write_c
 from skdgp.export._casadi import casadi_function
-from skdgp.export._file import PortableFileError, load_portable, save_portable
-from skdgp.export._formats import FORMATS, export_model
+from skdgp.export._formats import FORMATS, export_model, save_portable
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.export._pipeline import portable_model
@@ -11,7 +10,6 @@ from skdgp.export._pipeline import portable_model
 __all__ = [
     "FORMATS",
     "Part",
-    "PortableFileError",
     "PortableModel",
     "Readout",
     "Reference",
@@ -19,7 +17,6 @@ __all__ = [
     "Term",
     "casadi_function",
     "export_model",
-    "load_portable",
     "portable_model",
     "save_portable",
     "write_c",

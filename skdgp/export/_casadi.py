@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,9 @@ import numpy as np
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
-from skdgp.export._model import Arithmetic, PortableModel
+from skdgp.export._model import Part, PortableModel, Term
+
+ROUNDING = float(np.finfo(float).eps)
 
 
 def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
@@ -41,19 +45,31 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
         away = ca.repmat(u, len(centres), 1) - centres
         return ca.sum2(away**2).T
 
-    def columns(values: list[Any]) -> Any:
-        return ca.horzcat(*values)
+    def functions(term: Term) -> Any:
+        return term.gain * ca.exp(-0.5 * squared_distances(z @ term.root, term.centres))
 
-    arithmetic = Arithmetic(ca.exp, ca.fmax, columns, squared_distances)
+    def moments(part: Part) -> tuple[Any, Any]:
+        """Return normalised mean and variance, by the formulas of `Part`."""
+        groups = _groups(part)
+        g = ca.horzcat(z[:, :0], *[sum(map(functions, group)) for group in groups])
+        used = [place for group in groups for place in _places(group[0])]
+        mean = p @ part.trend_weights + g @ part.readout.weights[used]
+        half = p @ part.trend_root
+        first = part.trend_root.shape[1] - len(part.readout.weights)
+        explained = ca.horzcat(half[:, :first], half[:, first:] + g @ part.readout.root[used])
+        prior = part.prior_variance + ca.sumsqr(p @ part.trend_prior)
+        return mean, ca.fmax(prior - ca.sumsqr(explained), ROUNDING * prior)
+
     x = ca.MX.sym("x", len(model.regressors))
     z = (x.T - model.shift[None]) / model.scale[None]
     p = ca.horzcat(1, z - model.trend_center[None])
     means = []
     variances = []
     for i in range(len(model.outputs)):
-        mean, variance = model.moments(i, z, p, not mean_only, arithmetic)
+        components = [(weight, *moments(part)) for weight, part in model.components(i)]
+        mean = sum(weight * own_mean for weight, own_mean, _ in components)
         means.append(mean)
-        variances.append(variance)
+        variances.append(sum(w * (nu + (mu - mean) ** 2) for w, mu, nu in components))
     scale = ca.DM(model.output_scale)
     mean = ca.DM(model.center) + scale * ca.vertcat(*means)
     if mean_only:
@@ -61,6 +77,17 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     std = scale * ca.sqrt(ca.vertcat(*variances))
     results = [mean, std, ca.jacobian(mean, x)]
     return ca.Function("aero", [x], results, ["x"], ["mean", "std", "jacobian"])
+
+
+def _groups(part: Part) -> list[list[Term]]:
+    """Return the terms of a part in the order of the basis; the terms of a group add up."""
+    first = attrgetter("first")
+    return [list(group) for _, group in groupby(sorted(part.terms, key=first), key=first)]
+
+
+def _places(term: Term) -> range:
+    """Return the entries of the basis that the functions of a term add to."""
+    return range(term.first, term.first + len(term.centres))
 
 
 def write_casadi(folder: Path, model: PortableModel) -> list[Path]:

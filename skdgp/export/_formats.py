@@ -2,22 +2,56 @@
 
 from __future__ import annotations
 
+import io
+import json
 import os
+import zipfile
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from sklearn.utils import Bunch
 
+from skdgp._compute.files import write_atomically
 from skdgp.export._c import write_c
 from skdgp.export._casadi import write_casadi
-from skdgp.export._file import save_portable
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
 
 # Compilers and simulators take no larger source in reasonable time [bytes]
 LARGEST = 2**26
+
+FORMAT = "skdgp portable model"
+VERSION = 9
+HEAD = "model.json"
+
+
+def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
+    """Write a portable model into one file, which appears whole or not at all, and return its path.
+
+    The file is an uncompressed zip archive, which ``numpy.load`` opens: ``model.json`` and one
+    ``.npy`` for each array. Raises TypeError if ``model`` is no `PortableModel`.
+    """
+    if not isinstance(model, PortableModel):
+        raise TypeError(
+            f"Got {type(model).__name__} to save, but expected a PortableModel: make one with "
+            "skdgp.export.portable_model(pipeline, aircraft)."
+        )
+    head = {"format": FORMAT, "version": VERSION, "content_hash": model.content_hash}
+    text = json.dumps(head | model.head(), indent=1, allow_nan=False)
+
+    def write(temporary: Path) -> None:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+            # Members have the same time always, so that equal models are equal files
+            archive.writestr(zipfile.ZipInfo(HEAD), text)
+            for name, array in model.arrays().items():
+                data = io.BytesIO()
+                np.save(data, np.ascontiguousarray(array), allow_pickle=False)
+                archive.writestr(zipfile.ZipInfo(f"{name}.npy"), data.getbuffer())
+
+    return write_atomically(path, write)
 
 
 def write_portable(folder: Path, model: PortableModel) -> list[Path]:
@@ -50,7 +84,7 @@ def export_model(
     ----------
     folder : path-like
     model : Bunch or PortableModel
-        What :func:`skdgp.identification.load_model` or :func:`load_portable` returns.
+        What :func:`skdgp.identification.load_model` or :func:`portable_model` returns.
     to : str
         Name of the format.
     full : mapping of str to float, optional

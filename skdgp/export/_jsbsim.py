@@ -19,7 +19,6 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_full_deflection
-from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp.dynamics import Aircraft, Propeller
 from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
@@ -64,22 +63,6 @@ SOURCES = {
     "aileron": ("fcs/left-aileron-pos-rad", 1.0),
     "rudder": ("fcs/rudder-pos-rad", 1.0),
 }
-# Wheels, and ends of the body: name, place in spans (x forward, y right, z down from the centre of gravity),
-# fraction of the weight and compression at rest [m], friction across and along; guesses, and tyres on a dry
-# runway (Raymer 2018, table 17.1). A nose wheel that turns freely has no friction across.
-WHEELS = (
-    ("nose wheel", (0.2, 0.0, 0.1), 1 / 6, 0.02, 0.03, 0.03),
-    ("left wheel", (-0.04, -0.15, 0.1), 5 / 12, 0.02, 0.6, 0.03),
-    ("right wheel", (-0.04, 0.15, 0.1), 5 / 12, 0.02, 0.6, 0.03),
-)
-BODY = (
-    ("nose", (0.2, 0.0, 0.0), 1.0, 0.1, 0.4, 0.4),
-    ("tail", (-0.4, 0.0, 0.0), 1.0, 0.1, 0.4, 0.4),
-    ("left tip", (0.0, -0.5, 0.0), 1.0, 0.1, 0.4, 0.4),
-    ("right tip", (0.0, 0.5, 0.0), 1.0, 0.1, 0.4, 0.4),
-)
-# Damping ratio of their springs with the mass that rests on them
-CONTACT_DAMPING = 0.7
 ACCELERATIONS = ("p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 # Of a function: other functions, a property or a number
 Operand: TypeAlias = "Element[Any] | str | float"
@@ -95,7 +78,7 @@ def write_jsbsim(
 
     ``jsbsim.FGFDMExec(str(folder)).load_model(NAME)`` loads ``folder/aircraft/NAME/NAME.xml``, NAME
     the name of the aircraft. A coefficient is its posterior mean: a constant, a linear function and
-    Gaussian functions. The aircraft stands on three wheels, whose places are guessed from its span. The thrust is of
+    Gaussian functions. It has no gear: add ``ground_reactions``. The thrust is of
     ``aircraft.propeller`` at ``fcs/throttle-cmd-norm``, which JSBSim's trim finds, or at
     ``fcs/propeller_speed`` [rad/s]; without a propeller the throttle's command is the fraction of
     ``full["thrust"]``, or the thrust is the property ``external_reactions/thrust/magnitude`` [lbf], which
@@ -132,7 +115,6 @@ def write_jsbsim(
     path = Path(folder, "aircraft", name, f"{name}.xml")
     root = _skeleton(name, model, full)
     _add_thrust(root, model.aircraft, full)
-    _add_contacts(root, model.aircraft)
     _add_controls(root, model, full)
     _add_aerodynamics(root, model)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -251,30 +233,6 @@ def _add_thrust(root: Element, aircraft: Aircraft, full: Mapping[str, float]) ->
         moment.insert(0, _function("propulsion/torque-lbsft", torque))
     else:
         reactions.remove(moment)
-
-
-def _add_contacts(root: Element, aircraft: Aircraft) -> None:
-    """Add wheels and the ends of the body, so that the aircraft stands on the ground."""
-    ground = _part(root, "ground_reactions")
-    for name, place, fraction, sink, across, along in (*WHEELS, *BODY):
-        mass = fraction * aircraft.mass
-        stiffness = mass * STANDARD_GRAVITY / sink
-        x, y, z = np.multiply(place, aircraft.span).tolist()
-        values = {
-            "name": name,
-            "type": "BOGEY" if z > 0.0 else "STRUCTURE",
-            # x aft, z up
-            "x": -x,
-            "y": y,
-            "z": -z,
-            "across": across,
-            "rolling": along,
-            # 360: it turns freely
-            "steer": 360.0 if z > 0.0 and across == along else 0.0,
-            "stiffness": stiffness,
-            "damping": 2.0 * CONTACT_DAMPING * np.sqrt(stiffness * mass),
-        }
-        ground.append(_filled("contact.xml", values))
 
 
 def _propeller(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, cast
@@ -73,8 +73,8 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     >>> model = portable_model(pipeline, glider)
     >>> model
     PortableModel(CX, CY, CZ, Cl, Cm, Cn of alpha, q_hat)
-    >>> model.predict({"alpha": [0.05], "q": [0.02], "airspeed": [12.0]}).round(2)
-    array([[ 0.01,  0.02, -0.2 ,  0.02, -0.03,  0.01]])
+    >>> model.columns
+    ('alpha', 'q', 'airspeed')
     """
     check_aircraft(aircraft)
     regressor = _fitted_regressor(pipeline)
@@ -104,7 +104,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         limits=np.stack([points.min(axis=0), points.max(axis=0)]),
         servos=np.array([servos.lag, servos.delay, servos.rate_limit]),
         provenance=plain(facts | {"inference": regressor.inference_}),
-        reference=_reference(behind, samples, simulated.regressors),
+        reference=_reference(behind, samples, simulated),
     )
     _check_names(model)
     return model
@@ -135,17 +135,17 @@ def _check_names(model: PortableModel) -> None:
         )
 
 
-def _reference(behind: list[Any], samples: Matrix, names: Sequence[str]) -> Reference:
+def _reference(behind: list[Any], samples: Matrix, model: Aerodynamics) -> Reference:
     """Return the predictions of the steps behind the choice of regressors, at and near some samples (n, d)."""
     rows = np.linspace(0, len(samples) - 1, REFERENCE_ROWS).astype(int)
     X = samples[rows]
     moves = np.random.default_rng(0).standard_normal(X[1::2].shape)
     X[1::2] += REFERENCE_STEP * samples.std(axis=0) * moves
     is_of_table = hasattr(behind[0], "feature_names_in_")
-    table = pd.DataFrame(X, columns=list(names)) if is_of_table else X
+    table = pd.DataFrame(X, columns=list(model.regressors)) if is_of_table else X
     fitted = make_pipeline(*behind)
     mean, std = fitted.predict(table, return_std=True, include_input_noise=False)
-    return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1))
+    return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1), model.gradient(X))
 
 
 def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, as_aerodynamics
-from skdgp.export import portable_model
+from skdgp.export import portable_model, save_portable
 from skdgp.identification import identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
@@ -139,6 +139,13 @@ def example():
         return module
 
     return load
+
+
+@pytest.fixture
+def read(example, tmp_path):
+    """Return a function of a portable model: its file, as the example reads it."""
+    reader = example("read_portable")
+    return lambda model: reader.Model(save_portable(tmp_path / "model.npz", model))
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.dynamics import Aerodynamics, Air, Aircraft, Propeller, ThrustLine, trim
+from skdgp.dynamics import Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
@@ -61,9 +61,8 @@ def density(fdm):
     return fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
 
 
-def trimmed(fdm, model, **options):
-    aerodynamics = Aerodynamics(model.predict, model.regressor_names)
-    return trim(aerodynamics, model.aircraft, air=Air(density=density(fdm)), **options)
+def trimmed(fdm, pipeline, aircraft, **options):
+    return trim(pipeline, aircraft, air=Air(density=density(fdm)), **options)
 
 
 def of_aircraft(model, **changes):
@@ -159,12 +158,12 @@ def test_surfaces_follow_commands_with_delay_and_lag_of_the_servos(load, portabl
 
 
 @pytest.mark.parametrize("propeller", [None, PROPELLER])
-def test_trim_is_that_of_jsbsim(load, portable_of, propeller):
+def test_trim_is_that_of_jsbsim(load, fitted, portable_of, propeller):
     """JSBSim's full trim, to 0.001 ft/s^2, from controls at zero; with a propeller it finds the throttle."""
     model = of_aircraft(portable_of("trend"), propeller=propeller)
     fdm = load(model)
     placed(fdm, model, np.zeros(6))
-    expected = trimmed(fdm, model, airspeed=AIRSPEED)
+    expected = trimmed(fdm, fitted("trend").pipeline, model.aircraft, airspeed=AIRSPEED)
     if propeller is None:
         fdm["external_reactions/thrust/magnitude"] = expected.controls["thrust"] / POUND_FORCE
     fdm["simulation/do_simple_trim"] = 1

@@ -55,7 +55,7 @@ class Evaluation:
         The same with states and wind of the reconstructed path, where the flight was reconstructed.
     measured, mean, std : (n, 6)
         Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
-        noise.
+        noise and without the errors of the log.
     measured_as_in_fit, prediction_std : (n, 6)
         Coefficients measured with the noise of the fit, and standard deviations of such measurements.
         ``measured`` is smoothed by the spectra of the flight, and so has more or less noise.
@@ -180,6 +180,8 @@ def evaluate(
     mean = pipeline.mean_of_rows(X, noise_ratio)
     rows = std_rows(len(corrected))
     std = _interpolated_std(regressor, X, noise_ratio, rows)
+    if pipeline.log_errors_ is not None:  # which the measured coefficients have, too
+        std = np.sqrt(np.maximum(std**2 - pipeline.log_errors_.variance(X), 0.0))
     replayed = None
     if {*EULER, *EARTH_VELOCITY} <= {*corrected.columns}:  # from which the integration starts
         replayed = replay(checked, aircraft, mean, horizon=REPLAY_HORIZON, **loads)

@@ -310,6 +310,9 @@ class FlightPipeline(Pipeline):
         units; empty of other targets.
     errors_ : dict of str to ScaleFactor
         Error of the propeller's thrust, which flights do not show, and its effect on the coefficients.
+    log_errors_ : FunctionErrors or None
+        Errors of the log among the errors of the last step's function. Coefficients measured by the same
+        sensors have them, too.
     calibration_ : RegressionCalibration or None
         Added by ``predict`` to the function of the last step, where its slopes were estimated apart
         from the samples, as in flights without vanes. Simulations, derivatives and exports use the
@@ -350,6 +353,7 @@ class FlightPipeline(Pipeline):
         self.calibration_ = None
         self.least_squares_: dict[str, dict[str, float]] = {}
         self.errors_: dict[str, ScaleFactor] = {}
+        self.log_errors_: FunctionErrors | None = None
         first, others = self[:1], self[1:-1]
         flights = first.fit_transform(X, y)
         regressors = np.asarray(others.fit_transform(flights, y))
@@ -452,7 +456,8 @@ class FlightPipeline(Pipeline):
         if has_vanes and self.turbulence_ is not None:
             parts.append(self._errors_by_air(self.turbulence_, X, y))
         if self.least_squares_ and self._knows_loads(flights):
-            parts.append(self._errors_of_log(flights, X))
+            self.log_errors_ = self._errors_of_log(flights, X)
+            parts.append(self.log_errors_)
         return reduce(FunctionErrors.joined, parts) if parts else None
 
     def _knows_loads(self, flights: pd.DataFrame) -> bool:

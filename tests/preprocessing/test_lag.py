@@ -143,7 +143,7 @@ class TestEstimate:
         assert found.lag + found.delay == pytest.approx(servos + delay, abs=0.02)
 
     def test_attitude_and_gps_are_found_by_kinematics(self, latlon):
-        spoilt = late(latlon[:2400], attitude=0.06, gps=-0.05)
+        spoilt = late(latlon[:1400], attitude=0.06, gps=-0.05)
         lags = lags_of(spoilt.assign(time=spoilt["time"] + 5000.0))  # of a clock started long ago
         assert abs(lags.lag["attitude"] - 0.06) < 0.005
         assert abs(lags.lag["gps"] + 0.05) < 0.005
@@ -151,7 +151,7 @@ class TestEstimate:
 
     def test_sensors_ahead_of_the_centre_of_gravity_are_not_late(self, latlon):
         """Wherever their position is stated: a lag of GPS would be their rotation."""
-        flight = latlon[:2400]
+        flight = latlon[:1200]
         ahead = Aircraft.estimate(mass=45.0, span=2.8, sensor_position=(0.5, 0.0, 0.0))
         turning = flight[["p", "q", "r"]].to_numpy()
         spin = np.gradient(turning, flight["time"], axis=0)

@@ -50,7 +50,6 @@ from skdgp.dynamics._integrate import (
     fly_record as fly_record,
 )
 from skdgp.dynamics._inverse import aerodynamic_coefficients
-from skdgp.dynamics._inverse import band_filter as band_filter
 from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
 from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize

@@ -173,15 +173,10 @@ def coefficient_filter(flight: pd.DataFrame) -> FittedFilter:
     )
 
 
-def band_filter(highest: float) -> FittedFilter:
-    """Return the cutoff of `aerodynamic_coefficients` that passes all frequencies up to a highest one [Hz]."""
-    return FittedFilter.up_to(highest, len(SMOOTHED))
-
-
 def _filter_of_vibration(flight: pd.DataFrame) -> FittedFilter | None:
     """Return the filter that removes the vibration of flights, None where they do not vibrate."""
     band = vibration_band(flight)
-    return band_filter(band) if np.isfinite(band) else None
+    return FittedFilter.up_to(band, len(SMOOTHED)) if np.isfinite(band) else None
 
 
 def _channels(flight: pd.DataFrame) -> Matrix:

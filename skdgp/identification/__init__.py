@@ -2,6 +2,7 @@
 
 from skdgp.identification._changed import Changes
 from skdgp.identification._changed import changes_of as changes_of
+from skdgp.identification._evaluate import THRESHOLDS
 from skdgp.identification._evaluate import Evaluation as Evaluation
 from skdgp.identification._evaluate import score_table as score_table
 from skdgp.identification._evaluate import scores as scores
@@ -18,7 +19,6 @@ from skdgp.identification._pipeline import (
 from skdgp.identification._prepare import check_identified as check_identified
 from skdgp.identification._prepare import usable_flights_of_model as usable_flights_of_model
 from skdgp.identification._record import FitRecord as FitRecord
-from skdgp.identification._thresholds import THRESHOLDS
 from skdgp.identification._verdict import Use as Use
 from skdgp.identification._verdict import Verdict
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -22,7 +22,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.motion_band import band_limited
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, band_filter, replay
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
 from skdgp.identification._least_squares import linear_terms
 from skdgp.identification._pipeline import (
     FlightPipeline,
@@ -41,6 +41,30 @@ REPLAY_HORIZON = 2.0  # seconds from restart to restart of a replay
 MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
 
 
+class Thresholds(NamedTuple):
+    """What counts as good enough (docs/judging.md, with the sources)."""
+
+    # Largest error over the spread of the coefficients: Theil's coefficient is then 0.27, and 0.25
+    # to 0.3 count as good agreement (Jategaonkar 2006, chapter 11).
+    error: float = 0.5
+    coverage: float = 0.90  # smallest share of measured values in a 95 % band (guess)
+    # Smallest share of measured values in a 95 % band of each coefficient for a controller: bands of
+    # derivatives are of the same model (guess)
+    held: float = 0.80
+    widest: float = 0.99  # larger share, which marks bands as too wide (guess)
+    # Largest half-width of a 95 % band over its value: a gain margin of 6 dB (MIL-F-9490D) bears
+    # half the gain.
+    band: float = 0.5
+    seconds: float = 1.0  # shortest simulation that is of use [s] (guess)
+    # Least seconds and rows for each regressor to learn from: below, the uses are unknown (guesses)
+    flown: float = 30.0
+    rows: float = 10.0
+    tie: float = 0.02  # errors that differ by less than this share are equal (guess)
+
+
+THRESHOLDS = Thresholds()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
     """Predictions for one flight and their replay.
@@ -54,11 +78,10 @@ class Evaluation:
     states : DataFrame
         The same with states and wind of the reconstructed path, where the flight was reconstructed.
     measured, mean, std : (n, 6)
-        Measured CX CY CZ Cl Cm Cn, NaN = not observed; estimated ones, and their deviations without
-        noise and without the errors of the log.
-    measured_as_in_fit, prediction_std : (n, 6)
-        Coefficients measured with the noise of the fit, and standard deviations of such measurements.
-        ``measured`` is smoothed by the spectra of the flight, and so has more or less noise.
+        Measured CX CY CZ Cl Cm Cn with the smoothing of the fit, NaN = not observed; estimated ones,
+        and their deviations without noise and without the errors of the log.
+    prediction_std : (n, 6)
+        Standard deviations of such measurements.
     rows : ndarray of int
         Where standard deviations were computed; between them they are interpolated.
     regressors : (n, d)
@@ -78,7 +101,6 @@ class Evaluation:
     measured: Matrix
     mean: Matrix
     std: Matrix
-    measured_as_in_fit: Matrix
     prediction_std: Matrix
     rows: Indices
     regressors: Matrix
@@ -98,19 +120,17 @@ def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
     Metrics of bands are of the rows where standard deviations were computed.
     """
     measured = [flight.measured for flight in flights]
-    in_bands = [flight.measured_as_in_fit for flight in flights]
     bands = [flight.prediction_std for flight in flights]
-    against = {"measured": _scores(flights, measured, in_bands, bands)}
+    against = {"measured": _scores(flights, measured, bands)}
     truth = [flight.truth for flight in flights if flight.truth is not None]
     if len(truth) == len(flights):
-        against["truth"] = _scores(flights, truth, truth, [flight.std for flight in flights])
+        against["truth"] = _scores(flights, truth, [flight.std for flight in flights])
     return against
 
 
 def _scores(
     flights: Sequence[Evaluation],
     reference: Sequence[Matrix],
-    in_bands: Sequence[Matrix],
     std: Sequence[Matrix],
 ) -> pd.DataFrame:
     """Return coefficients by metrics: errors against a reference, and how bands hold values."""
@@ -127,7 +147,7 @@ def _scores(
     for flight in flights:
         has_std[begin + flight.rows] = True
         begin += len(flight.mean)
-    bands = np.concatenate(in_bands)[has_std], mean[has_std], np.concatenate(std)[has_std]
+    bands = expected[has_std], mean[has_std], np.concatenate(std)[has_std]
     table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
     table["interval_coverage"] = interval_coverage(*bands, **each)
     return table
@@ -168,12 +188,7 @@ def evaluate(
     states = corrected
     if motion is not None:  # beside the logged inputs
         states = corrected.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))
-    band = band_of(pipeline)
     measured = aerodynamic_coefficients(
-        checked, aircraft, cutoff="auto" if np.isinf(band) else band_filter(band), **loads
-    )
-    # with the noise of the fit, which the bands contain
-    measured_as_in_fit = aerodynamic_coefficients(
         checked, aircraft, cutoff=pipeline.coefficient_filter_, **loads
     )
     regressor = pipeline[-1]
@@ -191,13 +206,12 @@ def evaluate(
         table=corrected,
         states=states,
         measured=measured.to_numpy(),
-        measured_as_in_fit=measured_as_in_fit.to_numpy(),
         mean=mean,
         std=std,
         prediction_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=X,
-        truth=_truth(corrected, band),
+        truth=_truth(corrected, band_of(pipeline)),
         baseline=_baseline(pipeline, X),
         replay=replayed,
     )

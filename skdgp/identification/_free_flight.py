@@ -25,14 +25,11 @@ from skdgp.dynamics import (
     as_aerodynamics,
     simulate,
 )
-from skdgp.identification._thresholds import THRESHOLDS
+from skdgp.identification._evaluate import THRESHOLDS
 
 STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # of no wind and no heading
 # of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
 STEP = 0.05
-# Time over which measured states are smoothed by a parabola to start from [s], so that a sample's
-# noise is not flown (guess). Their mean lags a roll of 0.1 s by its whole size.
-SMOOTHED_START = 0.25
 MOST_STARTS = 60  # guess
 TIMES = 20  # parts of the simulated time over which errors are averaged (guess)
 SHOWN_PATHS = 30  # of the simulation that the report draws (guess)
@@ -163,7 +160,7 @@ def _parts(tables: Sequence[pd.DataFrame], horizon: float) -> list[Part]:
         segments += _segments(table)
     lengths = [np.ptp(segment["time"]) for segment in segments]
     if segments:
-        horizon = min(horizon, float(np.median(lengths)) - SMOOTHED_START / 2)
+        horizon = min(horizon, float(np.median(lengths)))
     parts: list[Part] = []
     if horizon > 2 * STEP:
         for segment in segments:
@@ -186,26 +183,15 @@ def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
 
 
 def _parts_of(segment: pd.DataFrame, horizon: float) -> Iterator[Part]:
-    """Yield the parts of a segment whose states are known; the start is smoothed around the first row."""
-    half_start = SMOOTHED_START / 2
+    """Yield the parts of a segment whose states are known."""
     names = [*STATES, "psi"] if _knows_wind(segment) else [*STATES]
     time = segment["time"].to_numpy(float)
-    last = time[-1] - LEAST_PART * horizon
-    for begin in np.arange(time[0] + half_start, last, horizon):
+    for begin in np.arange(time[0], time[-1] - LEAST_PART * horizon, horizon):
         flown = segment[(time >= begin) & (time <= begin + horizon)]
         if len(flown) < 3 or not np.isfinite(numeric(flown, STATES)).all():
             continue
-        since = time - flown["time"].iloc[0]
-        near = np.abs(since) <= half_start
-        start: Any = pd.Series(_smoothed(since[near], numeric(segment[near], names)), index=names)
+        flown = flown.assign(time=flown["time"] - flown["time"].iloc[0]).reset_index(drop=True)
+        start = flown.loc[0, names].copy()
         if "psi" in start:
             start["psi"] = wrapped(start["psi"])  # the flight turns more than once
-        yield Part(
-            start, flown.assign(time=flown["time"] - flown["time"].iloc[0]).reset_index(drop=True)
-        )
-
-
-def _smoothed(time: Vector, values: Matrix) -> Vector:
-    """Return the values (k,) at time zero of parabolas through samples (n, k), of lines through two."""
-    degree = min(2, len(time) - 1)
-    return np.polyfit(time, values, degree)[-1]
+        yield Part(start, flown)

@@ -1,13 +1,15 @@
-"""Least squares of the rows that a model is learned from, with which it is compared."""
+"""Linear models by least squares of the rows that a model is learned from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from sklearn.linear_model import LinearRegression
 
+from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 
@@ -27,3 +29,43 @@ def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Mat
     """Return intercepts (6,) and slopes (d, 6) of `fit_least_squares`."""
     table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
     return table.loc["intercept"].to_numpy(), table.drop("intercept").to_numpy()
+
+
+class RegressionCalibration(NamedTuple):
+    r"""Linear function that turns a function into the mean coefficients of logged rows.
+
+    Regressors of a logged row are estimates. The mean of y, given an estimate x, is not the
+    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With A and b by least
+    squares of the residuals of the training rows, it is
+
+    .. math:: \mathrm{E}[y \mid x] = f(x) + \rho \, (b + A^T x),
+
+    where :math:`\rho` is the variance of the noise of the regressors over its value in the training
+    flights, at most one: more noise than that was never compared.
+    """
+
+    intercept: Vector  # (P,)
+    slopes: Matrix  # (d, P)
+
+    @classmethod
+    def of_residuals(
+        cls, X: Matrix, residuals: Matrix, without_effect: Matrix | None = None
+    ) -> RegressionCalibration:
+        """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown.
+
+        Regressors ``without_effect`` (P, d) get no slope.
+        """
+        P, d = residuals.shape[1], X.shape[1]
+        design = np.column_stack([np.ones(len(X)), X])
+        used = np.ones((P, 1 + d), dtype=bool)
+        if without_effect is not None:
+            used[:, 1:] = np.logical_not(without_effect)
+        coefficients = np.zeros((P, 1 + d))
+        for residual, columns, weights in zip(residuals.T, used, coefficients, strict=True):
+            weights[columns] = least_squares(design[:, columns], residual)
+        return cls(coefficients[:, 0], coefficients[:, 1:].T)
+
+    def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:
+        """Return what is added to the function (n, P), at ratios (n,) of the variance of noise."""
+        fraction = np.minimum(noise_ratio, 1.0)
+        return fraction[:, None] * (self.intercept + X @ self.slopes)

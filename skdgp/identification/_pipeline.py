@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import reduce
 from typing import Any, TypeVar, cast
 
@@ -17,7 +16,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_consistent_length, check_is_fitted
 
 from skdgp._compute.statistics import r2_of_observed
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.smoothing import FittedFilter
 from skdgp._flight.tables import FlightTable, has_values
@@ -30,8 +29,7 @@ from skdgp.dynamics import (
     coefficient_filter,
 )
 from skdgp.estimation import prior_deviations, without_airspeed_error
-from skdgp.identification._calibration import RegressionCalibration
-from skdgp.identification._least_squares import fit_least_squares
+from skdgp.identification._least_squares import RegressionCalibration, fit_least_squares
 from skdgp.identification._log_errors import learned_errors, thrust_errors
 from skdgp.inference import (
     FunctionErrors,
@@ -56,19 +54,10 @@ DIFFERENTIATED = (*VANES, *RATES)
 Step = TypeVar("Step")
 
 
-@dataclass(frozen=True)
-class RowSettings:
-    """How many rows of the flights a model is learned from by default."""
-
-    #: Of exact inference, which takes a minute
-    exact: int = 755
-    #: Of sparse inference: ten minutes at 50 Hz
-    most: int = 30000
-    #: Targets of a smaller fraction of the rows were chosen before; faults leave more
-    chosen: float = 0.5
-
-
-ROWS = RowSettings()
+# Rows that a model is learned from by default, of exact inference, which takes a minute, and of sparse
+# inference: ten minutes at 50 Hz
+MOST_EXACT = 755
+MOST_SPARSE = 30000
 
 
 def make_identification_pipeline(
@@ -279,8 +268,7 @@ class FlightPipeline(Pipeline):
         For errors of the log and turbulence.
     samples : int, "all" or None
         Rows to learn from, spread over those that have a target. None: all, at most 30,000, or 755
-        by exact inference; all of another regressor than ``DependentGPRegressor``, and of targets
-        that `thin_targets` has chosen, which are observed in less than half of the rows.
+        by exact inference.
     thrust : str or None, default="auto"
         As of :func:`make_identification_pipeline`.
     control_units : mapping of str to str, optional
@@ -391,19 +379,12 @@ class FlightPipeline(Pipeline):
     def _thinned(self, y: Any) -> Any:
         """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""
         samples = self.samples
-        if samples is None and y is not None:
-            samples = self._usual_samples(y)
-        return y if y is None or samples in (None, "all") else thin_targets(y, cast("int", samples))
-
-    def _usual_samples(self, y: Any) -> int | None:
-        """Return how many rows to learn from by default; None for all that have a target."""
-        last = self.steps[-1][1]
-        observed = _is_observed(y)
-        if not isinstance(last, DependentGPRegressor) or observed.mean() < ROWS.chosen:
-            return None
-        if last.inference == "exact":
-            return ROWS.exact
-        return ROWS.most if observed.sum() > ROWS.most else None
+        if y is None or samples == "all":
+            return y
+        if samples is None:
+            is_exact = getattr(self.steps[-1][1], "inference", None) == "exact"
+            samples = MOST_EXACT if is_exact else MOST_SPARSE
+        return thin_targets(y, cast("int", samples))
 
     def _facts_for_last(self, X: pd.DataFrame, known: KnownSlopes | None) -> dict[str, Any]:
         """Return clock and known slopes of flights X as parameters of the last step, if it uses them."""
@@ -570,12 +551,9 @@ class FlightPipeline(Pipeline):
 
 def _n_observed(y: Any) -> int:
     """Return the number of rows with any target."""
-    return 0 if y is None else int(_is_observed(y).sum())
-
-
-def _is_observed(y: Any) -> Array:
-    """Return which rows have any target, (n,)."""
-    return np.isfinite(np.asarray(y, dtype=float)).reshape(len(y), -1).any(axis=1)
+    if y is None:
+        return 0
+    return int(np.isfinite(np.asarray(y, dtype=float)).reshape(len(y), -1).any(axis=1).sum())
 
 
 def is_of_coefficients(y: Any) -> bool:

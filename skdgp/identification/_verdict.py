@@ -17,10 +17,9 @@ from skdgp._compute.statistics import half_width
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, SPECIFIC_FORCE
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import FitCode
-from skdgp.identification._evaluate import Evaluation, scores
+from skdgp.identification._evaluate import THRESHOLDS, Evaluation, scores
 from skdgp.identification._mechanics import FlightMechanics
 from skdgp.identification._record import FitRecord
-from skdgp.identification._thresholds import THRESHOLDS
 
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
 USUAL_SIGNS = {

@@ -245,8 +245,6 @@ class RegressorSelector(TableTransformer):
     ----------
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         Named set, or columns in order.
-    extra : sequence of str, default=()
-        Columns to add to a named set, such as ``["airspeed"]``.
     engine : bool, default=False
         Whether the thrust is part of the targets: of flights with a throttle a named set then gets
         those of throttle and airspeed that explain targets on rows held out.
@@ -280,7 +278,6 @@ class RegressorSelector(TableTransformer):
 
     _parameter_constraints: dict = {
         "regressors": [StrOptions(set(REGRESSOR_SETS)), list, tuple, np.ndarray],
-        "extra": [list, tuple, np.ndarray],
         "engine": ["boolean"],
     }
 
@@ -291,11 +288,9 @@ class RegressorSelector(TableTransformer):
         self,
         regressors: Any = "quasi-steady",
         *,
-        extra: Sequence[str] = (),
         engine: bool = False,
     ) -> None:
         self.regressors = regressors
-        self.extra = extra
         self.engine = engine
 
     def fit(self, X: Any, y: Any = None) -> Self:
@@ -340,7 +335,6 @@ class RegressorSelector(TableTransformer):
         self.absent_ = []
         is_set = isinstance(self.regressors, str)
         chosen = self._from_set(table) if is_set else list(self.regressors)
-        chosen += [name for name in self.extra if name not in chosen]
         twice = sorted({name for name in chosen if chosen.count(name) > 1})
         if twice or not chosen:
             raise ValueError(

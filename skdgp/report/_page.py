@@ -339,7 +339,7 @@ def _figures(result: Evaluation) -> str:
     rows = liveliest_rows(result.time, result.mean)
     display = TimeHistoryDisplay.from_predictions(
         result.time[rows],
-        result.measured_as_in_fit[rows],
+        result.measured[rows],
         result.mean[rows],
         result.prediction_std[rows],
         truth=None if result.truth is None else result.truth[rows],

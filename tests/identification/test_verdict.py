@@ -99,7 +99,6 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
         name=name,
         time=time,
         measured=measured,
-        measured_as_in_fit=measured,
         mean=measured + error * noise,
         baseline=measured + linear * noise,
         std=np.sqrt(prediction_std**2 - 0.01**2),  # of the function; the noise is small
@@ -316,9 +315,7 @@ def still(flight, *outputs):
     std = np.sqrt(flight.prediction_std**2 + noise**2)
     measured = spread * flight.measured
     mean = measured + flight.mean - flight.measured
-    return replace(
-        flight, measured=measured, measured_as_in_fit=measured, mean=mean, prediction_std=std
-    )
+    return replace(flight, measured=measured, mean=mean, prediction_std=std)
 
 
 class TestCoefficientsThatDoNotVary:

@@ -48,11 +48,6 @@ def test_named_sets(name, columns):
     assert_frame_equal(selector.transform(EVERY), EVERY[columns])
 
 
-def test_extra_columns_come_last_once():
-    selector = RegressorSelector("classical", extra=["airspeed", "alpha"]).fit(EVERY)
-    assert selector.regressors_ == [*CLASSICAL, "airspeed"]
-
-
 def test_nondimensional_rates_take_the_place_of_rates():
     table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(EVERY)
     chosen = RegressorSelector("classical").fit(table).regressors_
@@ -128,8 +123,6 @@ def test_a_rate_of_change_without_neighbours():
     flight = pd.concat([EVERY] * 5, ignore_index=True).drop(columns=["alpha_dot", "beta_dot"])
     flight["time"] = np.r_[0:20, 90, 180:189]
     with pytest.warns(UserWarning, match="NaN"):
-        made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(
-            flight
-        )
+        made = FlightSmoother(cutoff=None, columns=[], derivatives=["alpha", "beta"]).fit_transform(flight)
     with pytest.raises(ValueError, match=r"1 of 30 rows.*'alpha_dot': 1.*isolated rows"):
         RegressorSelector("classical").fit_transform(made)

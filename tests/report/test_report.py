@@ -96,7 +96,6 @@ def result(n=800, **changes):
         "name": "test",
         "time": flight["time"].to_numpy(),
         "measured": mean + 0.02 * rng.normal(size=(n, 6)),
-        "measured_as_in_fit": mean + 0.02 * rng.normal(size=(n, 6)),
         "mean": mean,
         "std": std,
         "prediction_std": 2 * std,
@@ -291,7 +290,7 @@ class TestWords:
         for values in (flight.measured, flight.truth):
             for error in normalized_rmse(values, flight.mean, multioutput="raw_values"):
                 assert f"{error:.3g}" in words
-        moments = flight.measured_as_in_fit, flight.mean, flight.prediction_std
+        moments = flight.measured, flight.mean, flight.prediction_std
         for held in interval_coverage(*moments, multioutput="raw_values"):
             assert f"{100 * held:.1f}" in words
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from skdgp.dynamics import Air, Aircraft, ThrustLine, simulate
 
@@ -59,3 +60,17 @@ def true_coefficients(flown):
 @pytest.fixture(scope="session")
 def gravity():
     return GRAVITY
+
+
+@pytest.fixture(scope="session")
+def followed():
+    """Return a function to the deflections of servos by a command, a function of time, of an independent solver."""
+
+    def followed(command, times, lag, delay=0.0, rate_limit=np.inf):
+        def rate(t, delta):
+            return np.clip((command(max(t - delay, 0.0)) - delta) / lag, -rate_limit, rate_limit)
+
+        ends = (0, times[-1])
+        return solve_ivp(rate, ends, [command(0.0)], t_eval=times, max_step=1e-3, rtol=1e-6).y[0]
+
+    return followed

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
 
 from skdgp.dynamics import (
     FlightComputer,
@@ -29,19 +28,9 @@ def steps_of(time, size=0.05):
     return size * wave[np.floor(np.asarray(time) / 0.1 + 1e-6).astype(int).clip(0, 19)]
 
 
-def followed(command, times, lag, delay, rate_limit=np.inf):
-    """Return deflections of servos that start at rest."""
-
-    def rate(t, delta):
-        return np.clip((command(max(t - delay, 0.0)) - delta) / lag, -rate_limit, rate_limit)
-
-    solved = solve_ivp(rate, (0, times[-1]), [0.0], t_eval=times, max_step=1e-3, rtol=1e-6)
-    return solved.y[0]
-
-
 @pytest.mark.parametrize("dt", [0.02, 0.0125])
 @pytest.mark.parametrize("delay", [0.0, 0.007, 0.02, 0.033, 0.1])
-def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, delay, dt):
+def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, followed, delay, dt):
     def law(t, state):
         return level.controls | {"aileron": float(steps_of(t))}
 
@@ -55,7 +44,7 @@ def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, de
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.04])
-def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, lag):
+def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, followed, lag):
     def law(t, state):
         return level.controls | {"aileron": float(steps_of(t, 0.3))}
 

@@ -213,15 +213,6 @@ class TestRegressors:
             fly(model, controls={"elevator": 0.0}, duration=1.0, thrust=None)
 
 
-def followed(commanded, time, **options):
-    """Return deflections (n, k) of T d(delta)/dt = command - delta with T = 0.08 s, by an independent solver."""
-    solved = solve_ivp(
-        lambda t, delta: (commanded(t) - delta) / 0.08, (0, time[len(time) - 1]), commanded(0.0),
-        t_eval=time, rtol=1e-9, atol=1e-12, **options,
-    )  # fmt: skip
-    return solved.y.T
-
-
 class TestControls:
     def test_a_table_a_function_and_tables_for_each_start_are_the_same_flight(self, fly):
         by_function = fly(dt=0.02, duration=1.0)
@@ -236,7 +227,9 @@ class TestControls:
         assert np.abs(second["theta"] - first["theta"]).max() > 0.01
 
     @pytest.mark.parametrize("dt", [0.02, 0.01])
-    def test_surfaces_follow_a_feedback_law_with_the_lag_of_the_servos(self, dt, fly, glider):
+    def test_surfaces_follow_a_feedback_law_with_the_lag_of_the_servos(
+        self, dt, fly, followed, glider
+    ):
         """Against an independent solution of T d(delta)/dt = law - delta along the flight: second order in dt."""
 
         def law(t, state):
@@ -244,10 +237,9 @@ class TestControls:
 
         flown = fly(glider.model(servos=Servos(lag=0.08)), controls=law, dt=dt, duration=3.0)
         time = flown["time"].to_numpy()
-        aileron = followed(
-            CubicSpline(time, -0.4 * flown[["phi"]] - 0.1 * flown[["p"]].to_numpy()), time
-        )
-        assert_allclose(flown[["aileron"]], aileron, atol=4e-4 * (dt / 0.02) ** 2)
+        asked = CubicSpline(time, -0.4 * flown["phi"] - 0.1 * flown["p"])
+        aileron = followed(asked, time, 0.08)
+        assert_allclose(flown["aileron"], aileron, atol=4e-4 * (dt / 0.02) ** 2)
         expected = fly(controls=flown[["time", *commands(0.0)]], dt=dt)
         assert_allclose(flown[STATES], expected[STATES], atol=4e-3 * (dt / 0.02) ** 2)
         at_once = fly(controls=law, dt=dt, duration=3.0)

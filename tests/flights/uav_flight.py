@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, euler_to_matrix
 
 DENSITY = 1.2
 GRAVITY = 9.80665
@@ -147,7 +147,7 @@ class Fleet:
         """Return d state / dt (velocity, rates, angles), and loads with air data and ground velocity."""
         v = state[:, :3]
         w = state[:, 3:6]
-        R = rotation(state[:, 6:])
+        R = euler_to_matrix(*state[:, 6:].T)
         air = v - np.einsum("nji,nj->ni", R, wind)
         V = np.sqrt((air**2).sum(axis=1))
         alpha = np.arctan2(air[:, 2], air[:, 0])
@@ -186,15 +186,6 @@ class Fleet:
 def cross(a, b):
     """Return a x b (n, 3)."""
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
-
-
-def rotation(angles):
-    """Return matrices (n, 3, 3), body to NED."""
-    sf, st, sp = np.sin(angles).T
-    cf, ct, cp = np.cos(angles).T
-    rows = [[ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp],
-            [ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp], [-st, sf * ct, cf * ct]]  # fmt: skip
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def vibration(rng, throttle, dt):

@@ -1,11 +1,16 @@
 """Flights of a delta wing with a throttle and two elevons."""
 
+import warnings
+from contextlib import suppress
+
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
 
+from skdgp import listening
 from skdgp.dynamics import Aircraft
+from skdgp.identification import identify
 
 INERTIA = np.diag([1.1, 2.3, 3.1])
 
@@ -45,3 +50,24 @@ def flights(delta):
         return table, pd.DataFrame({"CZ": CZ, "Cm": Cm}) + rng.normal(0, [0.01, 0.003], (2 * n, 2))
 
     return flights
+
+
+class Stopped(Exception):
+    """Raised where the flights are read and checked."""
+
+
+@pytest.fixture(scope="session")
+def said_of():
+    """Return a function to what identify says of flights before it learns anything."""
+
+    def stop(stage, *_):
+        if stage == "coefficients":
+            raise Stopped
+
+    def said_of(*flights, **options):
+        with warnings.catch_warnings(record=True) as shown, listening(stop), suppress(Stopped):
+            warnings.simplefilter("always")
+            identify(*flights, **options)
+        return " ".join(str(warning.message) for warning in shown)
+
+    return said_of

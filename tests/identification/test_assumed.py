@@ -1,7 +1,6 @@
 """What identify assumes where nothing is said: thrust, sizes, surfaces that are missing."""
 
 import warnings
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from sklearn.base import clone
 
-from skdgp import DependentGPRegressor, listening
+from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import portable_model, write_c
 from skdgp.identification import identify, load_model, validate
@@ -51,23 +50,6 @@ def table(n=240):
     return pd.DataFrame(waves, columns=WAVES).assign(time=t, **speed)
 
 
-class Stopped(Exception):
-    """Raised where the flights are read and checked."""
-
-
-def stop(stage, *_):
-    if stage == "coefficients":
-        raise Stopped
-
-
-def said_of(flight, aircraft=UNKNOWN, **options):
-    """Return what identify says of a flight before it learns anything."""
-    with warnings.catch_warnings(record=True) as shown, listening(stop), suppress(Stopped):
-        warnings.simplefilter("always")
-        identify(flight, aircraft, **options)
-    return " ".join(str(warning.message) for warning in shown)
-
-
 class TestThrust:
     @pytest.mark.parametrize(
         ("columns", "aircraft", "thrust", "lacks"),
@@ -80,7 +62,7 @@ class TestThrust:
             ([], UNKNOWN, None, False),
         ],
     )
-    def test_is_unknown_where_nothing_gives_it(self, columns, aircraft, thrust, lacks):
+    def test_is_unknown_where_nothing_gives_it(self, columns, aircraft, thrust, lacks, said_of):
         flight = table(200).assign(**dict.fromkeys(columns, 1.0))
         said = said_of(flight, aircraft, thrust=thrust)
         assert ("Neither columns (thrust, or thrust_x, thrust_y, thrust_z)" in said) is lacks
@@ -98,7 +80,7 @@ class TestThrust:
 
 
 @pytest.mark.parametrize(("stated", "differs"), [(0.3, True), (0.805, False), (0.0, False)])
-def test_two_positions_of_the_inertial_sensors(stated, differs):
+def test_two_positions_of_the_inertial_sensors(stated, differs, said_of):
     """Zero is the centre of gravity, to which the forces of a simulation refer."""
     placed = replace(UNKNOWN, sensor_position=(0.8, 0.0, 0.0))
     position = dict.fromkeys(("sensor_position_y", "sensor_position_z"), 0.0)
@@ -225,17 +207,18 @@ class TestALogAMassAndASpan:
         assert "full throw" in page
 
 
-def test_a_surface_of_another_name():
+def test_a_surface_of_another_name(said_of):
     flight = table(200).rename(columns={"elevator": "de"})
     with pytest.raises(ValueError, match=r"did you mean 'de'\?.*--rename de=elevator"):
         identify(flight, UNKNOWN)
-    assert "elevator" not in said_of(flight, regressors=["alpha", "aileron"])
+    assert "elevator" not in said_of(flight, UNKNOWN, regressors=["alpha", "aileron"])
 
 
-def test_no_elevator():
+def test_no_elevator(said_of):
     flight = table(200).drop(columns="elevator")
-    assert "without an elevator" in said_of(flight)
-    assert "without an elevator" not in said_of(flight.assign(elevon_left=0.1, elevon_right=0.1))
+    assert "without an elevator" in said_of(flight, UNKNOWN)
+    both = flight.assign(elevon_left=0.1, elevon_right=0.1)
+    assert "without an elevator" not in said_of(both, UNKNOWN)
 
 
 @pytest.mark.usefixtures("no_mechanics")

@@ -1,25 +1,10 @@
 """A flight that is given twice teaches nothing the second time, and tells nothing as a test."""
 
-import warnings
-from contextlib import suppress
-
 import numpy as np
 import pytest
 from sklearn.utils import Bunch
 
-from skdgp import listening
-from skdgp.identification import identify
-
 SENSORS = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
-
-
-class Stopped(Exception):
-    """Raised where the flights are read and checked."""
-
-
-def stop(stage, *_):
-    if stage == "coefficients":
-        raise Stopped
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +22,6 @@ def flights(first_minute):
     )
 
 
-def said_of(aircraft, train, test):
-    """Return what identify says of flights before it learns anything."""
-    with warnings.catch_warnings(record=True) as shown, listening(stop), suppress(Stopped):
-        warnings.simplefilter("always")
-        identify(train, aircraft, test=test)
-    return " ".join(str(warning.message) for warning in shown)
-
-
 def part(rows):
     return lambda flights: flights.later.iloc[rows].reset_index(drop=True)
 
@@ -56,25 +33,25 @@ def telemetry(flights):
     return slow
 
 
-def test_other_flights_are_no_copies(flights):
-    said = said_of(flights.aircraft, flights.train, {"test": flights.test})
+def test_other_flights_are_no_copies(flights, said_of):
+    said = said_of(flights.train, flights.aircraft, test={"test": flights.test})
     assert "has the rows" not in said
 
 
 @pytest.mark.parametrize("copy", [part(slice(100, 600)), part(slice(None, None, 2)), telemetry])
-def test_a_copied_test_flight_beside_another_is_left_out(flights, copy):
+def test_a_copied_test_flight_beside_another_is_left_out(flights, copy, said_of):
     test = {"again": copy(flights), "test": flights.test}
-    said = said_of(flights.aircraft, flights.train, test)
+    said = said_of(flights.train, flights.aircraft, test=test)
     assert "'again' has the rows of training flight 'latlon', and is left out" in said
 
 
-def test_a_training_flight_that_comes_twice_counts_once(flights):
+def test_a_training_flight_that_comes_twice_counts_once(flights, said_of):
     train = {**flights.train, "again": flights.later}
-    said = said_of(flights.aircraft, train, {"test": flights.test})
+    said = said_of(train, flights.aircraft, test={"test": flights.test})
     assert "'latlon' has the rows of flight 'again'" in said
 
 
-def test_a_copy_alone_is_told(flights):
-    said = said_of(flights.aircraft, flights.train, {"again": flights.later})
+def test_a_copy_alone_is_told(flights, said_of):
+    said = said_of(flights.train, flights.aircraft, test={"again": flights.later})
     assert "'again' has the rows of training flight 'latlon'" in said
     assert "left out" not in said

@@ -20,7 +20,6 @@ them.
 
 from skdgp._compute.statistics import autocorrelation_time as autocorrelation_time
 from skdgp.inference._average import AveragePosterior
-from skdgp.inference._average import AverageSettings as AverageSettings
 from skdgp.inference._average import held_out as held_out
 from skdgp.inference._average import stacked as stacked
 from skdgp.inference._average import training_inputs as training_inputs

@@ -1,13 +1,9 @@
-r"""The average of posteriors of parts of one kernel, weighted by their predictions of held-out blocks.
+r"""The average of posteriors of parts of one kernel, weighted by their errors of held-out blocks.
 
-The mixture of posteriors with fewer and fewer terms, at the hyperparameters that one search found,
-has the weights
-
-.. math:: w_i = \arg\max_w \sum_n \log \sum_k w_k\, e^{-c_k / n} p_k(y_{in} \mid \text{other blocks})
-
-for each output i: stacking (Yao, Vehtari, Simpson & Gelman 2018), where c is zero for the trend and
-two nats for each regressor for a process, whose hyperparameters the same rows have determined.
-The weights have a Dirichlet prior (``stacked``), and those below 5 % are set to zero.
+The mixture of the posteriors of all terms and of the trend, at the hyperparameters that one search
+found, has the mean :math:`w m_1 + (1 - w) m_2` of each output. Its weight is the one whose errors of
+held-out blocks are smallest (stacked regressions: Breiman 1996), as far as the rows tell
+(``stacked``), and weights below 5 % are set to zero.
 """
 
 from __future__ import annotations
@@ -22,6 +18,7 @@ from scipy.special import softmax
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import constant_columns
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.inference._blocks import leaves
 from skdgp.inference._likelihood import Data
@@ -47,10 +44,10 @@ class AverageSettings:
     complete: float = 0.95
     #: Smaller weights are set to zero: such a component lies outside the 95 % band, yet widens it
     least_weight: float = 0.05
-    #: Rows that the prior of the weights is worth, for each component (benchmark `bands`)
-    prior_rows: float = 3.0
-    #: Steps of expectation maximisation for the weights
-    n_steps: int = 200
+    #: Values of a weight over which its density is summed
+    grid: int = 1001
+    #: Mean square that counts as zero, over the one of all errors
+    rounding: float = 1e-12
 
 
 SETTINGS = AverageSettings()
@@ -191,9 +188,10 @@ def held_out_weights(
     loading: Array | None,
     ordered: bool = False,
 ) -> Matrix:
-    """Return the weights (K, P) of posteriors with these noises (P,) from their predictions of held-out blocks.
+    """Return the weights (2, P) of two posteriors with these noises (P,) from their errors of held-out blocks.
 
-    Blocks of rows that are ``ordered`` in time are contiguous, others are spread everywhere.
+    Blocks of rows that are ``ordered`` in time are contiguous, others are spread everywhere. Errors
+    are over the root mean square of the posteriors' standard deviations.
     """
     step = max(-(-len(X) // SETTINGS.rows), -(-members[0].size // SETTINGS.values))
     n = len(X[::step])
@@ -203,41 +201,41 @@ def held_out_weights(
     for member, noise in zip(members, noises, strict=True):
         predictions.append(held_out(member, noise, X, Y, step, loading, block))
     means, variances = np.array(predictions).swapaxes(0, 1)
+    errors = (Y[::step] - means) / np.sqrt(variances.mean(axis=0))
     cost = SETTINGS.nats * np.sum(~constant_columns(X))
     weights = np.empty((len(members), Y.shape[1]))
-    for i, y in enumerate(Y[::step].T):
-        error = y - means[..., i]
-        is_complete = np.isfinite(error).all(axis=0)
-        error = error[:, is_complete]
-        variance = variances[..., i][:, is_complete]
-        scores = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
-        scores[:-1] -= cost / max(scores.shape[1], 1)
-        weights[:, i] = stacked(scores)
+    for i in range(Y.shape[1]):
+        is_complete = np.isfinite(errors[..., i]).all(axis=0)
+        weights[:, i] = stacked(errors[:, is_complete, i], cost, ordered)
     weights[weights < SETTINGS.least_weight] = 0.0
     return weights / weights.sum(axis=0)
 
 
-def stacked(scores: Matrix, settings: AverageSettings = SETTINGS) -> Vector:
-    """Return the weights (K,) of components with log densities (K, n); without rows the last has all.
+def stacked(errors: Matrix, cost: float, ordered: bool = False) -> Vector:
+    r"""Return the weights (2,) of two components with the ``errors`` (2, n) of held-out values.
 
-    Weights that few rows decide vary by chance. A Dirichlet prior is worth K ``prior_rows`` rows,
-    shared in proportion to :math:`e^{-z_k}`: the score of component k is :math:`z_k` standard
-    errors below that of the best one. Like pseudo-BMA+ (the same paper) it takes the uncertainty of
-    the scores into account.
+    The error of the mixture's mean is :math:`e_w = w e_1 + (1 - w) e_2`. The first component pays
+    ``cost`` nats, and the weight is the mean of w from 0 to 1 with the density
+
+    .. math:: p(w) \propto \exp\left(-\frac{1}{\tau} \left(\frac{\sum_n e_{wn}^2}{2 \sigma^2}
+              + c\, w\right)\right),
+
+    where :math:`\sigma^2` is the least mean square of :math:`e_w`, and :math:`\tau` its autocorrelation
+    time where the rows are ``ordered`` in time, else 1. Rows that tell nothing give equal weights. Of
+    components that are equal, and without rows, the second has all.
     """
-    K, n = scores.shape
-    if n == 0:
-        return np.eye(K)[-1]
-    shortfall = scores[scores.sum(axis=1).argmax()] - scores
-    error = np.maximum(np.sqrt(n) * shortfall.std(axis=1), 1.0)
-    prior = K * settings.prior_rows * softmax(-shortfall.sum(axis=1) / error)
-    weights = np.full(K, 1.0 / K)
-    for _ in range(settings.n_steps):  # expectation maximisation
-        with np.errstate(divide="ignore"):
-            component = softmax(scores + np.log(weights)[:, None], axis=0)
-        rows = component.sum(axis=1) + prior
-        weights = rows / rows.sum()
-    return weights
+    difference = errors[1] - errors[0]
+    information = difference @ difference
+    if information == 0.0:
+        return np.array([0.0, 1.0])
+    best = difference @ errors[1] / information
+    residual = errors[1] - best * difference
+    variance = np.mean(residual**2) + SETTINGS.rounding * np.mean(errors**2)
+    tau = autocorrelation_time(residual) if ordered else 1.0
+    w = np.linspace(0.0, 1.0, SETTINGS.grid)
+    squares = information * (w - best) ** 2  # beyond the least sum of squares
+    weight = w @ softmax(-(squares / (2.0 * variance) + cost * w) / tau)
+    return np.array([weight, 1.0 - weight])
 
 
 def held_out(

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.optimize import minimize
-from scipy.special import logsumexp, softmax
+from scipy.special import softmax
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor, listening
 from skdgp.inference import (
     AveragePosterior,
-    AverageSettings,
     Data,
     ExactPosterior,
     SearchOptions,
@@ -138,31 +136,41 @@ def test_a_kernel_without_a_trend_is_no_average(data):
 
 
 class TestStacking:
-    """The weights maximise the log density of the mixture plus that of their prior."""
+    """The weights are the mean of their posterior, with a uniform prior from 0 to 1."""
 
-    @pytest.mark.parametrize("n", [20, 200])
-    @pytest.mark.parametrize("prior_rows", [0.5, 3.0])
-    def test_maximise(self, n, prior_rows):
-        offset = np.array([[0.8], [0.0], [-0.2]])  # the first is the best
-        scores = default_rng(0).normal(size=(3, n)) + offset
-
-        # rows of the prior, by the distances from the best in standard errors
-        shortfall = scores[0] - scores
-        distance = shortfall.sum(axis=1) / np.maximum(np.sqrt(n) * shortfall.std(axis=1), 1.0)
-        rows = 3 * prior_rows * softmax(-distance)
-
-        def loss(z):
-            log_weights = z - logsumexp(z)
-            density = logsumexp(scores + log_weights[:, None], axis=0).sum()
-            return -density - rows @ log_weights
-
-        best = softmax(minimize(loss, np.zeros(3), tol=1e-12).x)
-        found = stacked(scores, AverageSettings(prior_rows=prior_rows))
+    @pytest.mark.parametrize("repeats", [1, 25])
+    @pytest.mark.parametrize("cost", [0.0, 5.0])
+    @pytest.mark.parametrize("scale", [0.05, 0.3, 3.0])
+    def test_are_the_posterior_mean(self, scale, cost, repeats):
+        """Rows of a time series that repeat count once, and the cost as often as they."""
+        rng = default_rng(0)
+        difference, noise = rng.normal(size=(2, 40))
+        trend = noise + 0.8 * scale * difference
+        errors = np.array([trend - scale * difference, trend])
+        found = stacked(errors.repeat(repeats, axis=1), repeats * cost, ordered=repeats > 1)
         assert found.sum() == pytest.approx(1.0)
-        assert_allclose(found, best, atol=1e-3)
+
+        w = np.linspace(0.0, 1.0, 20001)[:, None]
+        slope, *_ = np.linalg.lstsq(scale * difference[:, None], trend, rcond=None)
+        variance = np.mean((trend - slope * scale * difference) ** 2)
+        squares = np.sum((w * errors[0] + (1 - w) * errors[1]) ** 2, axis=1)
+        density = softmax(-squares / (2 * variance) - cost * w[:, 0])
+        # the autocorrelation time of repeated rows is found from the rows
+        assert found[0] == pytest.approx(density @ w[:, 0], abs=1e-3 if repeats == 1 else 0.05)
+
+    @pytest.mark.parametrize("best", [-50.0, 0.0, 1.0, 50.0])
+    def test_without_doubt_one_has_all(self, best):
+        difference = default_rng(0).normal(size=50)
+        errors = np.array([(best - 1.0) * difference, best * difference])
+        assert stacked(errors, 10.0)[0] == pytest.approx(np.clip(best, 0.0, 1.0), abs=1e-5)
+
+    def test_rows_that_tell_nothing_give_equal_weights(self):
+        rng = default_rng(0)
+        errors = rng.normal(size=(1, 30)) + 1e-4 * rng.normal(size=(2, 30))
+        assert_allclose(stacked(errors, 0.0), 0.5, atol=0.01)
 
     def test_without_rows_the_trend_has_all(self):
-        assert_array_equal(stacked(np.empty((3, 0))), [0.0, 0.0, 1.0])
+        assert_array_equal(stacked(np.empty((2, 0)), 10.0), [0.0, 1.0])
 
 
 def predictions(fit, X, Y):

@@ -15,8 +15,6 @@ from numpy.random import default_rng
 from sklearn.exceptions import UndefinedMetricWarning
 
 from skdgp import DependentGPRegressor
-from skdgp._compute.findings import PlainText
-from skdgp._flight.findings import Finding
 from skdgp.identification import Evaluation, FlightMechanics, Use, Verdict
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.plotting import EffectsDisplay
@@ -120,7 +118,9 @@ def effects():
 
 
 def said(text):
-    return Finding(PlainText.MESSAGE, numbers={"text": text})
+    """Return a stand-in for a finding."""
+    numbers = {"text": text}
+    return SimpleNamespace(code=None, channel=None, numbers=numbers, text=text, clause=text)
 
 
 def verdict(error=0.131, coverage=0.972, linear=0.191, **changes):

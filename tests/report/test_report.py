@@ -199,7 +199,7 @@ class TestPage:
     def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self):
         before = plt.get_fignums()
         setting = plt.rcParams["svg.fonttype"]
-        content = {"evaluations": [result(100, replay=None)], "train": {}}
+        content = {"evaluations": [], "train": {"train": table(100)}}
         assert render(**content) == render(**content)
         assert plt.get_fignums() == before
         assert plt.rcParams["svg.fonttype"] == setting

@@ -20,7 +20,6 @@ from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.excitation import Wavetrain, wavetrain
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.tables import interpolated
-from skdgp.design._choice import Choice, information, variances
 from skdgp.design._envelope import (
     OPTIONS,
     UNLIMITED,
@@ -54,6 +53,8 @@ WORTH = 0.002
 VAGUE = 1e-8
 # Information of a manoeuvre below which motion is rounding
 UNMOVED = 1e-6
+# Rounding of sums of seconds
+ROUNDING = 1e-6
 # Longest flight [s], and deflection that no surface has [rad]
 MOST_SECONDS = 1800.0
 MOST_DEFLECTION = 0.5 * np.pi
@@ -405,9 +406,38 @@ def _chosen(
         known += information(model.learned.training_rows())
     places = _derivative_places(model)
     slopes = [1 + places[name] for name in goal]  # behind the constant
-    choice = Choice(informations, seconds, known, slopes, time)
-    chosen = choice.best()
-    return chosen if choice.gain(chosen) - choice.gain([]) >= WORTH else []
+
+    def gain(chosen: list[int]) -> float:
+        """Return the mean of minus the logarithm of the errors of the goal; minus infinity beyond the time."""
+        if seconds[chosen].sum() > time + ROUNDING:
+            return -np.inf
+        fisher = known + sum(informations[k] for k in chosen)
+        return float(-0.5 * np.mean(np.log(variances(fisher)[slopes])))
+
+    # greedy: exchanges of single manoeuvres afterwards would lower errors by 1 %
+    chosen: list[int] = []
+    while True:
+        gains = np.array([gain([*chosen, k]) for k in range(len(seconds))])
+        if np.isneginf(gains).all():
+            return chosen if gain(chosen) - gain([]) >= WORTH else []
+        chosen.append(int(np.argmax((gains - gain(chosen)) / seconds)))
+
+
+def information(X: Matrix) -> Matrix:
+    """Return the Fisher information (1 + d, 1 + d) of rows X (n, d) for noise of unit variance.
+
+    It concerns a constant and the slopes of a coefficient that is linear in the regressors. The
+    noise of a coefficient is a factor of all its variances, so the information serves all six.
+    """
+    rows = np.column_stack([np.ones(len(X)), X])
+    return rows.T @ rows
+
+
+def variances(fisher: Matrix) -> Vector:
+    """Return the variances (1 + d,) of constant and slopes by their information."""
+    scale = np.sqrt(np.diag(fisher))
+    inverse = np.linalg.inv(fisher / np.outer(scale, scale))
+    return np.diag(inverse) / scale**2
 
 
 def _errors(before: pd.Series, model: Aerodynamics, rows: Matrix) -> pd.DataFrame:

@@ -15,7 +15,6 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from skdgp._compute.files import text_writer, write_atomically
-from skdgp._compute.messages import warn
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.checks import check_full_deflection
@@ -83,7 +82,8 @@ def write_jsbsim(
     ``fcs/propeller_speed`` [rad/s]; without a propeller the throttle's command is the fraction of
     ``full["thrust"]``, or the thrust is the property ``external_reactions/thrust/magnitude`` [lbf], which
     JSBSim's trim does not move. Raises ValueError if the model lacks a
-    coefficient, a regressor is an acceleration, or ``full`` names another control or is no number > 0.
+    coefficient, a regressor is an acceleration, a full deflection is not known or no number > 0, or ``full`` names
+    another control.
 
     Parameters
     ----------
@@ -92,19 +92,13 @@ def write_jsbsim(
     model : PortableModel
     full : mapping of str to float, optional
         Deflections of elevator, aileron and rudder at a command of 1, in the unit of the control,
-        [rad] unless it is "full throw". Default: the ``full_deflections`` of the aircraft, or 1 of
+        [rad] unless it is "full throw". Default: the ``full_deflections`` of the aircraft, and 1 of
         a control in parts of its full throw. Without a propeller also the ``thrust`` [N] at full throttle.
 
     Returns
     -------
     list of Path
         The files.
-
-    Warns
-    -----
-    UserWarning
-        If no full deflection of a control is known. A command of 1 is then the largest deflection
-        of the flights, so gains tuned in JSBSim are too large for servos that throw more.
     """
     if lacking := [name for name in COEFFICIENTS if name not in model.outputs]:
         raise ValueError(
@@ -125,7 +119,7 @@ def write_jsbsim(
 
 
 def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[str, float]:
-    """Return the deflections at a command of 1: given, of the aircraft, or the largest flown with a warning."""
+    """Return the deflections at a command of 1, given or of the aircraft; ValueError if one is not known."""
     units = _units(model)
     commands = units if model.aircraft.propeller is not None else units | {"thrust": "N"}
     for name, value in full.items():
@@ -137,18 +131,13 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
         check_full_deflection(name, value, unit=commands[name])
     by_unit = {name: 1.0 for name, unit in units.items() if unit == FULL_THROW}
     known = {**(model.aircraft.full_deflections or {}), **by_unit, **full}
-    largest = np.abs(model.limits).max(axis=0).tolist()
-    flown = dict(zip(model.regressor_names, largest, strict=True))
-    unknown = {name: flown[name] for name in units if name not in known}
-    if unknown:
-        example = " ".join(f"{name}=..." for name in unknown)
-        warn(
-            "Got no full deflections, so a command of 1 is the largest deflection of the flights: "
-            f"{_listed(unknown, units)}. Gains tuned with it are too large for servos that throw more: "
-            f"give full (--full {example})."
+    if lacking := [name for name in units if name not in known]:
+        raise ValueError(
+            f"Got no full deflection of {', '.join(lacking)}, but expected those at a command of 1 [rad]: give "
+            f"full (--full {' '.join(f'{name}=...' for name in lacking)})."
         )
     given = {name: float(value) for name, value in full.items()}
-    return {name: float(known.get(name, flown[name])) for name in units} | given
+    return {name: float(known[name]) for name in units} | given
 
 
 def _units(model: PortableModel) -> dict[str, str]:

@@ -79,17 +79,15 @@ def test_coefficients_are_those_of_the_pipeline(written, load):
 
 
 def test_a_command_of_1_is_the_full_deflection(load, portable_of):
-    """Of the argument, else of the aircraft, else the largest of the flights, with a warning; 1 of parts of it."""
+    """Of the argument, else of the aircraft; 1 of parts of it."""
     model = of_aircraft(portable_of("trend"), full_deflections={"aileron": 0.5, "elevator": 0.4})
     assert load(model, FULL) is not None
-    largest = np.abs(model.limits).max(axis=0)[-1]
-    with pytest.warns(
-        UserWarning, match=f"largest deflection of the flights: rudder {largest:.4g} rad"
-    ):
-        fdm = load(model, {"elevator": 0.42})
-    assert deflections(fdm, model) == pytest.approx([0.42, 0.5, largest])
+    with pytest.raises(ValueError, match="Got no full deflection of rudder"):
+        load(model, {"elevator": 0.42})
+    fdm = load(model, {"elevator": 0.42, "rudder": 0.3})
+    assert deflections(fdm, model) == pytest.approx([0.42, 0.5, 0.3])
     text = Path(fdm.get_root_dir(), "aircraft", "uav", "uav.xml").read_text()
-    assert f"command of 1: elevator 0.42 rad, aileron 0.5 rad, rudder {largest:.4g} rad." in text
+    assert "command of 1: elevator 0.42 rad, aileron 0.5 rad, rudder 0.3 rad." in text
 
     parts = [
         replace(each, unit="full throw" if each.name in FULL else each.unit)

@@ -51,7 +51,6 @@ HARMONIC_DEFAULTS = {
     "MODE": 1.0,
     "FM_RAT": 1.0,
 }
-STATIC_DEFAULTS = {"FREQ": 80.0, "BW": 20.0, "ATT": 15.0}
 FILTER_DEFAULTS = {"NOTCH_Q": 2.0, "NOTCH_ATT": 40.0}
 # Tracking modes of a harmonic notch: of a fixed frequency, and by the throttle
 FIXED, BY_THROTTLE = 0, 1
@@ -68,14 +67,13 @@ DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d")
 COMMENT = re.compile(r"#.*|//.*|\[[^\]]*\]")
 # Vehicle and component before the name, in files of QGroundControl
 VEHICLE = re.compile(r"(\d+)\s+\d+\s+[A-Z]")
-# Beginnings of the names that control laws use, and of gains of multicopters
+# Beginnings of the names that control laws use
 OF_LAWS = (
     *("FW_", "IMU_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "AIRSPEED_M", "ARSPD_FBW_M"),
     *("KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH", "FILT"),
 )
 OF_PX4 = ("FW_RR_", "FW_PR_", "FW_YR_")
 OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
-OF_COPTERS = ("MC_", "ATC_RAT_")
 # Limits of integrators and of commanded rates, the turn's pitch rate, and what chooses rates of sampling: none of
 # them changes a small oscillation about level flight
 WITHOUT_EFFECT = re.compile(
@@ -250,7 +248,7 @@ def autopilot_loops(
         gains and time constants ``FW_RR_*``, ``FW_PR_*``, ``FW_YR_*``, ``FW_R_TC``, ``FW_P_TC``, the rudder's
         ``FW_RLL_TO_YAW_FF``, filters ``IMU_GYRO_*``, airspeeds ``FW_AIRSPD_*``. ArduPilot Plane 4.1 and newer:
         ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``,
-        filters ``FILTn_*``, ``INS_GYRO_FILTER``, ``INS_HNTCH_*``, ``INS_HNTC2_*`` and ``INS_NOTCH_*``, airspeeds
+        filters ``FILTn_*``, ``INS_GYRO_FILTER``, ``INS_HNTCH_*`` and ``INS_HNTC2_*``, airspeeds
         ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION``,
         ``MIXING_GAIN`` and ``MIXING_OFFSET``.
     full : mapping of str to float
@@ -326,14 +324,9 @@ def _no_gains(given: Mapping[str, float]) -> ValueError:
             "Got the gains RLL2SRV_P or PTCH2SRV_P of ArduPilot before 4.1, but expected RLL_RATE_P and "
             "PTCH_RATE_P: the older firmware has another control law."
         )
-    if copter := [name for name in given if name.startswith(OF_COPTERS)]:
-        return ValueError(
-            f"Got {copter[0]}, a gain of a multicopter, but expected FW_RR_P or FW_PR_P of PX4, or RLL_RATE_P or "
-            "PTCH_RATE_P of ArduPilot Plane: save the parameters of the aeroplane."
-        )
     return ValueError(
         f"Got parameters without gains of a rate loop ({len(given)} in all), but expected FW_RR_P or FW_PR_P "
-        "of PX4, or RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane."
+        "of PX4, or RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane, not those of a multicopter."
     )
 
 
@@ -380,9 +373,9 @@ def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop]
     FF is inside the loop of the attitude.
     """
     notches = []
-    for n, former in enumerate((("IMU_GYRO_NF_FREQ", "IMU_GYRO_NF_BW"), ("", ""))):
-        frequency = value(f"IMU_GYRO_NF{n}_FRQ", former[0])
-        if frequency > 0 and (width := value(f"IMU_GYRO_NF{n}_BW", former[1])) > 0:
+    for n in range(2):
+        frequency = value(f"IMU_GYRO_NF{n}_FRQ")
+        if frequency > 0 and (width := value(f"IMU_GYRO_NF{n}_BW")) > 0:
             notches.append(Notch(frequency, frequency / width))
     common = {
         **_px4_scaling(value),
@@ -452,7 +445,7 @@ def _ardupilot_loops(
     }
     unit = np.rad2deg(1.0) / ARDUPILOT_FULL
     loops = []
-    prefixes = []
+    prefixes = ["INS_NOTCH_ENABLE"]  # before 4.2
     for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
         if LOOP_AXES[name][2] not in full:
             continue
@@ -526,9 +519,6 @@ def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float
             following[f"{group}_MODE"] = settings["MODE"]
             lowest *= settings["FM_RAT"] if settings["MODE"] == BY_THROTTLE else 1.0
         notches += _harmonics(settings, int(value(f"{group}_OPTS")), lowest)
-    if value("INS_NOTCH_ENABLE"):
-        settings = value.group("INS_NOTCH", STATIC_DEFAULTS)
-        notches += _notch(settings["FREQ"], settings["BW"], settings["ATT"])
     return tuple(notches), following
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -63,7 +63,7 @@ LONGEST_LAG = 3.5
 LONGEST_DELAY = 1.5
 N_SERVO_LAGS = 29
 # Factor by which correlated residuals make differences of twice the log likelihood too large: errors over their
-# standard deviations are then 0.8, 0.8, 0.8 and 1.2, of a flying wing with four pairs of lag and delay
+# standard deviations were then 0.8, 0.8, 0.8 and 1.2, of a flying wing with four pairs of lag and delay
 INFLATION = 3.0
 PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
 """Constants of a path by group of channels."""
@@ -437,8 +437,8 @@ def _most_likely_servos(
     (instrumental variables: Söderström & Stoica 1989, section 8.1), as noise of the rates would make
     the lag of servos smaller. Lag and delay replace each other: their errors are opposite, and their standard
     deviations are of the profile likelihood over the lag, whose logarithm counts a third, as residuals are
-    correlated. Without evidence of a delay the lag without one is removed: slow inputs tell it better
-    than either. What is removed is judged by the standard deviation of ``surfaces``, the lag without servos.
+    correlated, and of ``surfaces``, the lag without servos, which alone decides what is removed. Without
+    evidence of a delay the lag without one is removed: slow inputs tell it better than either.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
     instruments = [segment.earlier_surfaces(settings) for segment in segments]
@@ -447,7 +447,7 @@ def _most_likely_servos(
         return _servo_loss(segments, instruments, lags, settings)
 
     largest = settings.largest
-    options = {"xatol": settings.precision}
+    options: dict[str, Any] = {"xatol": settings.precision}
     alone = optimize.minimize_scalar(
         lambda servo_lag: loss(np.array([servo_lag, 0.0])), bounds=(0.0, largest), options=options
     )
@@ -468,9 +468,9 @@ def _most_likely_servos(
     delay, least = with_delay(servo_lag)
     weights = np.exp(-0.5 * (losses - losses.min()) / INFLATION)
     weights /= weights.sum()
-    lag_std = float(np.sqrt(weights @ (scan - servo_lag) ** 2))
-    delay_std = float(np.sqrt(weights @ (delays - delay) ** 2))
     std = surfaces.std
+    lag_std = float(np.sqrt(weights @ (scan - servo_lag) ** 2 + std**2))
+    delay_std = float(np.sqrt(weights @ (delays - delay) ** 2 + std**2))
     removed, removed_delay = servo_lag, removable(Lag(delay, std), settings)
     if not removed_delay or alone.fun - least < settings.delay_evidence:
         removed, removed_delay = float(alone.x), 0.0

@@ -84,7 +84,8 @@ def found_shifts(
         gain[better] = higher[better]
         shift[better] = 0.0
         shift[better, k] = best[better]
-    reference = int(gain.sum(axis=1).argmax())
+    # of two that only each other's shift explains, the one that is better known, in any order of the outputs
+    reference = int(np.lexsort((-noise, gain.sum(axis=1).round(6)))[-1])
     relative = shift[reference] - shift[reference, 0]
     if not relative.any():
         return None
@@ -164,5 +165,10 @@ def _correlations(
 
 
 def price_of_shifts(shift: Matrix) -> float:
-    """Return what a likelihood pays for shifts (P, d), each chosen among several before the search [nats]."""
-    return float(np.count_nonzero(shift) * np.log(SETTINGS.n_lags))
+    """Return what a likelihood pays for shifts (P, d), each chosen among several before the search [nats].
+
+    Along a regressor the outputs that have another shift than most others pay.
+    """
+    n_alike = [np.unique(along, return_counts=True)[1].max() for along in shift.T]
+    n_chosen = shift.size - sum(n_alike)
+    return float(n_chosen * np.log(SETTINGS.n_lags))

@@ -79,7 +79,7 @@ def thrust_errors(
     )
     (weights,) = learned_as([missing], regressors).weights
     endings = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
-    added = {}
+    added: dict[str, float] = {}
     for ending, values in zip(endings, weights.tolist(), strict=True):
         added |= {C + ending: value for C, value in zip(COEFFICIENTS, values, strict=True)}
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}

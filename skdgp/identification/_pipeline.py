@@ -356,8 +356,9 @@ class FlightPipeline(Pipeline):
         if is_of_coefficients(y):
             named = named_regressors(self, regressors)
             self.least_squares_ = fit_least_squares(named, y)
+            aircraft: Any = self.aircraft
             if self.thrust is not None and self._knows_loads(flights):
-                self.errors_ = thrust_errors(flights, self.aircraft, named)
+                self.errors_ = thrust_errors(flights, aircraft, named)
         facts = self._facts_for_last(table, of_air)
         errors = self._function_errors(flights, regressors, y, has_vanes=of_air is None)
         if errors is not None:

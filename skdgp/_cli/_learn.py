@@ -284,8 +284,8 @@ COMMANDS: opt.Commands = {
             "--test": {
                 "metavar": "TEST",
                 "nargs": "+",
-                "help": "flights to judge the model on (default: the last, or the last quarter "
-                "of one with more than half of all rows, is held out)",
+                "help": "flights to judge the model on (default: the last of several, or the last "
+                "quarter of one, is held out)",
             },
             "--thrust": {
                 "choices": ["auto", "none"],

@@ -152,8 +152,7 @@ class Code(Kind):
         "no test flight was named: the last flight, {flight}, is held out and tested on"
     )
     HELD_OUT_QUARTER = (
-        "no test flight was named: the last quarter of {flight}, which has most of the rows, is held out "
-        "and tested on"
+        "no test flight was named: the last quarter of {flight} is held out and tested on"
     )
     OTHER_VERSIONS = (
         "got {path}, written with {differences}: its predictions may differ",
@@ -182,9 +181,8 @@ class Code(Kind):
     )
     AIR_NOT_CONVERGED = (
         "the estimate of the motion of the air did not converge",
-        "[Channels contradict each other: {contradictions}.]"
-        "[{agrees:The channels agree by physics. Give longer flights with inputs of every surface, and look at "
-        "vibration of the accelerometers, and whether velocity and attitude are of one estimator.}]",
+        "Give longer flights with inputs of every surface, and look at channels that contradict each other, at "
+        "vibration of the accelerometers, and whether velocity and attitude are of one estimator.",
     )
     AIR_NOT_ESTIMATED = "{error}"
     COUPLINGS_FOUND = (
@@ -215,9 +213,8 @@ class Code(Kind):
     NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
     PATHS_NOT_CONVERGED = (
         "the paths of these flights did not converge: {flights:short}",
-        "[Channels contradict each other: {contradictions}.]"
-        "[{agrees:The channels agree by physics. Look at vibration, resets of the attitude, or a velocity of another "
-        "source.}]",
+        "Look at channels that contradict each other, vibration, resets of the attitude, or a velocity of another "
+        "source.",
         DOUBT,
     )
     PATHS_RECONSTRUCTED = (

@@ -123,6 +123,12 @@ class Aircraft:
         """The inverse of the inertia tensor, (3, 3) [1/(kg m^2)]."""
         return np.linalg.inv(self.inertia)
 
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Mass, lengths, area and moments of inertia by name."""
+        sizes = {name: vars(self)[name] for name in QUANTITIES}
+        return sizes | dict(zip(MOMENTS, self.inertia.diagonal().tolist(), strict=True))
+
     def question_of_sizes(
         self,
         flights: FlightTable | None = None,
@@ -133,14 +139,13 @@ class Aircraft:
         Flights tell the lift that carries it, and ``derivatives`` of a model (``value``, ``std``)
         its lift slope and damping.
         """
-        sizes = {name: vars(self)[name] for name in QUANTITIES}
-        sizes |= dict(zip(MOMENTS, self.inertia.diagonal().tolist(), strict=True))
+        sizes = self.sizes
         stds: dict[str, float] = {}
         if flights is not None:
             flown, stds = sizes_in_flight(flights, self.mass, self.wing_area)
             sizes |= flown
             for name in flown.keys() & {"CL", "CZ_alpha"}:
-                of_area = abs(flown[name]) * self._relative_std("wing_area")
+                of_area = abs(flown[name]) * self.relative_std("wing_area")
                 stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
         if derivatives is not None and len(derivatives):
             names = [str(name) for name in derivatives.index]
@@ -154,7 +159,7 @@ class Aircraft:
             estimated.add("chord")
         return question_of_sizes(sizes, stds, estimated)
 
-    def _relative_std(self, size: str) -> float:
+    def relative_std(self, size: str) -> float:
         """Return the relative standard deviation of a size by errors of all causes."""
         factors = (self.deviations or {}).values()
         return float(

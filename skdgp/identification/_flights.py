@@ -41,8 +41,8 @@ def train_and_test(
 ) -> tuple[Flights, Flights, Any]:
     """Return flights to learn from, flights to be tested on, each once, and what gave their surfaces.
 
-    Without test flights the last of several is held out; of a flight with more than half of all
-    rows, such as a single one, the last quarter is. Warns of that, of slow logs, and of copies.
+    Without test flights the last of several is held out, of a single one the last quarter. Warns of
+    that, of slow logs, and of copies.
     """
     given = [*items_of(flights), *([] if test is None else items_of(test))]
     servos = _servos_for(reading.get("servos"), given, regressors)
@@ -106,16 +106,13 @@ def _without_last(flights: Flights) -> tuple[Flights, Flights, Finding]:
     """Return training and test flights, and what is held out."""
     *earlier, last = flights
     flight = flights[last]
-    n_total = sum(len(flight.time) for flight in flights.values())
-    others = {name: flights[name] for name in earlier}
-    if 2 * len(flight.time) <= n_total:
-        return others, {last: flight}, Finding(Code.HELD_OUT_FLIGHT, flight=last)
+    if earlier:
+        learned = {name: flights[name] for name in earlier}
+        return learned, {last: flight}, Finding(Code.HELD_OUT_FLIGHT, flight=last)
     rows = np.arange(len(flight.time))
-    split = round(0.75 * len(rows))
-    first = f"{last}, first three quarters"
-    rest = f"{last}, last quarter"
-    learned = {**others, first: flight.part(rows[:split]).named(first)}
-    tested = {rest: flight.part(rows[split:]).named(rest)}
+    first, rest = np.split(rows, [round(0.75 * len(rows))])
+    parts = {f"{last}, first three quarters": first, f"{last}, last quarter": rest}
+    (learned, tested) = ({name: flight.part(of).named(name)} for name, of in parts.items())
     return learned, tested, Finding(Code.HELD_OUT_QUARTER, flight=last)
 
 

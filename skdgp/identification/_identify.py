@@ -75,8 +75,8 @@ def identify(
     aircraft : Aircraft or path
         A path ends in .json or .toml.
     test : as flights, optional
-        Test flights. By default the last training flight is held out, or its last quarter if it
-        has more than half of all rows.
+        Test flights. By default the last of several training flights, or the last quarter of a
+        single one, is held out.
     regressors : str or sequence of str
         As of :func:`make_identification_pipeline`.
     regressor : DependentGPRegressor, optional
@@ -224,7 +224,6 @@ def validate(
     aircraft: Aircraft | str | os.PathLike | None = None,
     horizon: float = 10.0,
     reading: Mapping[str, Any] | None = None,
-    **loads: Any,
 ) -> Identification:
     """Judge a model that exists on flights.
 
@@ -239,16 +238,13 @@ def validate(
         In place of the model's, such as with another mass.
     horizon, reading
         As of :func:`identify`; logs are read with the model's servos by default.
-    **loads
-        ``thrust`` and ``external_forces``, where they differ from the model's fit.
 
     Returns
     -------
     Identification
         Without training flights; with the changes of the aircraft.
     """
-    options = options_of(model) | loads
-    options["horizon"] = horizon
+    options = options_of(model) | {"horizon": horizon}
     reading = dict(reading or {})
     reading["servos"] = reading.get("servos") or options.get("servos")
     with recorded_findings() as findings:

@@ -48,21 +48,10 @@ class RegressionCalibration(NamedTuple):
     slopes: Matrix  # (d, P)
 
     @classmethod
-    def of_residuals(
-        cls, X: Matrix, residuals: Matrix, without_effect: Matrix | None = None
-    ) -> RegressionCalibration:
-        """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown.
-
-        Regressors ``without_effect`` (P, d) get no slope.
-        """
-        P, d = residuals.shape[1], X.shape[1]
+    def of_residuals(cls, X: Matrix, residuals: Matrix) -> RegressionCalibration:
+        """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown."""
         design = np.column_stack([np.ones(len(X)), X])
-        used = np.ones((P, 1 + d), dtype=bool)
-        if without_effect is not None:
-            used[:, 1:] = np.logical_not(without_effect)
-        coefficients = np.zeros((P, 1 + d))
-        for residual, columns, weights in zip(residuals.T, used, coefficients, strict=True):
-            weights[columns] = least_squares(design[:, columns], residual)
+        coefficients = np.array([least_squares(design, residual) for residual in residuals.T])
         return cls(coefficients[:, 0], coefficients[:, 1:].T)
 
     def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:

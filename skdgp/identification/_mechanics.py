@@ -27,12 +27,8 @@ from skdgp.dynamics import (
 )
 from skdgp.identification._free_flight import FreeFlight
 
-# Facts of a trim and columns of derivatives in metrics.json
+# Facts of a trim in metrics.json
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
-DERIVATIVE = (
-    *("value", "std", "lower", "upper", "perturbation", "per"),
-    *("std_errors", "std_posterior", "std_merged", "std_aircraft", "aircraft"),
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +72,7 @@ class FlightMechanics:
             trim = pd.Series(vars(self.trim))[[*TRIM]].to_dict()
             beyond = {name: list(values) for name, values in self.trim.beyond.items()}
             plain["trim"] = trim | {"beyond": beyond}
-        plain["derivatives"] = self.derivatives.filter(DERIVATIVE).to_dict("index")
+        plain["derivatives"] = self.derivatives.to_dict("index")
         modes = self.modes
         if modes is not None:
             modes = modes.drop(columns="eigenvalue")

@@ -252,8 +252,7 @@ class FlightPipeline(Pipeline):
 
     - ``fit`` learns from some of the rows (``samples``), which keep the clock of the flights;
     - a :class:`skdgp.DependentGPRegressor` at the end gets ``time`` and ``flight`` of each row, and
-      the slopes that steps before it know: of the motion of the air, without vanes, and zeros of
-      throttle and airspeed that explain nothing;
+      the slopes that the motion of the air shows without vanes;
     - ``predict(flight, return_std=True)`` includes the noise of the regressors, which is larger in
       rougher air, see :func:`flight_regressors`.
 
@@ -366,9 +365,7 @@ class FlightPipeline(Pipeline):
         last.fit(regressors, y, **facts | parameters)
         if of_air is not None:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
-            self.calibration_ = RegressionCalibration.of_residuals(
-                regressors, residuals, self._without_effect()
-            )
+            self.calibration_ = RegressionCalibration.of_residuals(regressors, residuals)
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
 
@@ -392,9 +389,6 @@ class FlightPipeline(Pipeline):
         if not isinstance(self[-1], DependentGPRegressor):
             return {}
         facts: dict[str, Any] = {}
-        without_effect = self._without_effect()
-        if without_effect is not None and without_effect.any():
-            known = KnownSlopes.with_zeros(known, without_effect)
         if known is not None:
             facts["slopes"] = known
         if "time" in X:
@@ -402,11 +396,6 @@ class FlightPipeline(Pipeline):
             if "flight" in X:
                 facts["flight"] = np.asarray(X["flight"])
         return facts
-
-    def _without_effect(self) -> Matrix | None:
-        """Return which regressors of an engine are of no use to an output (P, d), None without a choice."""
-        selector = step_of(self, RegressorSelector)
-        return None if selector is None else selector.without_effect_
 
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
         """Return the slopes that the motion of the air shows, for a last step that uses them.

@@ -37,7 +37,6 @@ from skdgp._flight.tables import FlightTable, numeric
 from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
-    MOMENTS,
     QUANTITIES,
     Aircraft,
     ScaleFactor,
@@ -288,17 +287,9 @@ def assumptions(
 
 def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, float]]:
     """Return value and standard deviation of each size that is uncertain, by name and unit."""
-    values = {
-        "mass": aircraft.mass,
-        "wing_area": aircraft.wing_area,
-        "span": aircraft.span,
-        "chord": aircraft.chord,
-        **dict(zip(MOMENTS, aircraft.inertia.diagonal().tolist(), strict=True)),
-    }
-    factors = (aircraft.deviations or {}).values()
     sizes = {}
-    for name, value in values.items():
-        std = float(np.linalg.norm([f.std * f.powers.get(name, 0.0) for f in factors]))
+    for name, value in aircraft.sizes.items():
+        std = aircraft.relative_std(name)
         if std:
             label = f"{name.replace('_', ' ')} [{QUANTITIES.get(name, 'kg m^2')}]"
             sizes[label] = value, std * value

@@ -166,15 +166,6 @@ class KnownSlopes(NamedTuple):
         )
         return cls(value, errors)
 
-    @classmethod
-    def with_zeros(cls, slopes: KnownSlopes | None, is_zero: Matrix) -> KnownSlopes:
-        """Return slopes, if any, of which those in ``is_zero`` (P, d) are zero where they are not known."""
-        if slopes is None:
-            nothing = np.zeros((*is_zero.shape, 1))
-            slopes = cls(np.full(is_zero.shape, np.nan), nothing)
-        learned = is_zero & np.isnan(slopes.value)
-        return cls(np.where(learned, 0.0, slopes.value), slopes.errors)
-
     @property
     def known(self) -> Array:
         """Whether a slope is known, (P, d, 1)."""

@@ -259,8 +259,6 @@ class RegressorSelector(TableTransformer):
         Range of each regressor over the rows of ``fit`` that have a target.
     ranges_ : dict of str to tuple of float
         Range of each flight channel of the table over these rows.
-    without_effect_ : ndarray of bool (P, d) or None
-        Which of throttle and airspeed each target does not need, by ``engine``.
 
     Warns
     -----
@@ -282,7 +280,6 @@ class RegressorSelector(TableTransformer):
     }
 
     regressors_: list[str]
-    without_effect_: Matrix | None
 
     def __init__(
         self,
@@ -319,9 +316,7 @@ class RegressorSelector(TableTransformer):
             return
         names = list(dict.fromkeys([*self.regressors_, "airspeed"]))
         check_columns(table, names)
-        choice = engine_regressors(names, numeric(table, names), targets)
-        self.regressors_ = choice.names
-        self.without_effect_ = choice.without_effect
+        self.regressors_ = engine_regressors(names, numeric(table, names), targets)
 
     def _warn_of_constant(self, values):
         """Warn of regressors that vary by less than a billionth of themselves."""
@@ -346,7 +341,6 @@ class RegressorSelector(TableTransformer):
         if truth:
             report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}))
         self.regressors_ = chosen
-        self.without_effect_ = None
 
     def _transform_table(self, table):
         check_columns(table, self.regressors_)

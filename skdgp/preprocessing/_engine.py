@@ -1,16 +1,15 @@
-"""Regressors of a thrust that nothing gives: throttle and airspeed, for the coefficients that need them."""
+"""Regressors of a thrust that nothing gives: throttle and airspeed, where the coefficients need them."""
 
 from __future__ import annotations
 
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from sklearn.linear_model import Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 
 # Regressors of a thrust that nothing gives
 ENGINE_REGRESSORS = ("throttle", "airspeed")
@@ -25,27 +24,12 @@ MOST_BLOCKS = 0.6
 LEAST_ERROR = 0.01
 
 
-class EngineRegressors(NamedTuple):
-    """The regressors of a set, with those that an unknown thrust needs.
+def engine_regressors(names: list[str], X: Matrix, Y: Matrix) -> list[str]:
+    """Return a set of regressors, with those of throttle and airspeed that the coefficients need.
 
-    Attributes
-    ----------
-    names : list of str
-    without_effect : ndarray of bool (P, d)
-        Whether a regressor of throttle and airspeed is of no use to an output.
-    """
-
-    names: list[str]
-    without_effect: Matrix
-
-
-def engine_regressors(names: list[str], X: Matrix, Y: Matrix) -> EngineRegressors:
-    """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
-
-    For each coefficient each choice of the two is judged by the errors of a linear model on blocks of
-    consecutive rows that are held out in turn. More regressors are taken if they lower the error as
-    a whole, and in most blocks. A coefficient that does not need a regressor of another one has no
-    slope by it: throttle explains the thrust in CX and may lead CZ astray.
+    Each choice of the two is judged by the errors of linear models on blocks of consecutive rows that
+    are held out in turn. More regressors are taken if they lower the error as a whole, and in most
+    blocks.
 
     Parameters
     ----------
@@ -59,25 +43,17 @@ def engine_regressors(names: list[str], X: Matrix, Y: Matrix) -> EngineRegressor
     is_learned = np.isfinite(np.column_stack([X, Y])).all(axis=1)
     X, Y = X[is_learned], Y[is_learned]
     if len(Y) < N_BLOCKS * len(names):  # too few to judge
-        return EngineRegressors(names, np.zeros((Y.shape[1], len(names)), bool))
-    fixed = [name for name in names if name not in ENGINE_REGRESSORS]
+        return names
     engine = [name for name in ENGINE_REGRESSORS if name in names]
-    choices: list[tuple[str, ...]] = []
-    for size in range(len(engine) + 1):
-        choices += combinations(engine, size)
+    choices = []
     errors = []
-    for choice in choices:
-        columns = [names.index(name) for name in (*fixed, *choice)]
-        errors.append(_held_out_errors(X[:, columns], Y))
-    needed = []
-    for of_output in np.transpose(errors, (2, 0, 1)):
-        needed.append(choices[_best_choice(of_output)])
-    unneeded = {*engine}.difference(*needed)
-    chosen = [name for name in names if name not in unneeded]
-    without_effect = np.zeros((len(needed), len(chosen)), bool)
-    for useless, choice in zip(without_effect, needed, strict=True):
-        useless[:] = np.isin(chosen, [name for name in engine if name not in choice])
-    return EngineRegressors(chosen, without_effect)
+    for size in range(len(engine) + 1):
+        for choice in combinations(engine, size):
+            columns = [name in choice or name not in engine for name in names]
+            choices.append(columns)
+            errors.append(_held_out_errors(X[:, columns], Y))
+    chosen = choices[_best_choice(np.array(errors))]
+    return [name for name, is_chosen in zip(names, chosen, strict=True) if is_chosen]
 
 
 def _best_choice(errors: Matrix) -> int:
@@ -91,8 +67,8 @@ def _best_choice(errors: Matrix) -> int:
     return best
 
 
-def _held_out_errors(X: Matrix, Y: Matrix) -> Matrix:
-    """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
+def _held_out_errors(X: Matrix, Y: Matrix) -> Vector:
+    """Return the errors (blocks,) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
     spread = np.std(Y, axis=0)
     unit = np.where(spread > 0, spread, 1.0)
     blocks = np.arange(len(Y)) * N_BLOCKS // len(Y)
@@ -100,6 +76,6 @@ def _held_out_errors(X: Matrix, Y: Matrix) -> Matrix:
     for block in range(N_BLOCKS):
         held_out = blocks == block
         model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
-        residuals = model.predict(X[held_out]) - Y[held_out]
-        errors.append(np.sqrt(np.mean(residuals**2, axis=0)) / unit)
+        residuals = (model.predict(X[held_out]) - Y[held_out]) / unit
+        errors.append(np.sqrt(np.mean(residuals**2)))
     return np.maximum(errors, LEAST_ERROR)

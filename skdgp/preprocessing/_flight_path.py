@@ -23,7 +23,6 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.physics import find_contradictions
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable, by_name, has_values, numeric
 from skdgp._flight.units import check_radians
@@ -247,7 +246,7 @@ class FlightPathReconstruction(TableTransformer):
         is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
         self.used_ = not found or is_filtered or not has_vanes
         if self.used_:
-            self._warn_of_diverged(parts, table)
+            self._warn_of_diverged(parts)
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
@@ -281,7 +280,7 @@ class FlightPathReconstruction(TableTransformer):
                 table, aircraft, thrust=self.thrust, known=known, settings=settings
             )
             if not motion.converged:
-                cause = Finding(Code.AIR_NOT_CONVERGED, numbers=_agreement(table))
+                cause = Finding(Code.AIR_NOT_CONVERGED)
         except ValueError as error:
             cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
         if cause is None:
@@ -321,7 +320,7 @@ class FlightPathReconstruction(TableTransformer):
         """Return the columns of flights by their most likely paths."""
         flights = []
         parts = self._estimated_paths(table, self.noise_std_, learn=GUSTS)
-        self._warn_of_diverged(parts, table)
+        self._warn_of_diverged(parts)
         for part in parts:
             columns: dict[str, Any] = path_columns(part.estimate.path, part.sensors)
             columns["gust"] = self.gust_std_
@@ -375,19 +374,12 @@ class FlightPathReconstruction(TableTransformer):
             parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
         return parts
 
-    def _warn_of_diverged(self, parts: Sequence[FlightPart], table: pd.DataFrame) -> None:
+    def _warn_of_diverged(self, parts: Sequence[FlightPart]) -> None:
         """Warn of flights whose paths are used and did not converge."""
         diverged = [str(part.name) for part in parts if not part.estimate.converged]
         if diverged:
             numbers = {"flights": list(dict.fromkeys(diverged))}
-            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers | _agreement(table)))
-
-
-def _agreement(table: pd.DataFrame) -> dict[str, Any]:
-    """Return the contradictions of flights, and whether there are none."""
-    contradictions = find_contradictions(FlightTable.of(table))
-    found = [contradiction.finding for contradiction in contradictions]
-    return {"contradictions": found, "agrees": not found}
+            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
 
 
 def _tell_of_aircraft(motion: AirMotion) -> None:

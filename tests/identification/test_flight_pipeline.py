@@ -236,8 +236,6 @@ def test_of_throttle_and_airspeed_those_become_regressors_that_explain_the_coeff
     assert len(chosen) == 8 + len(expected)
     slopes = model[-1].predict_gradient(np.zeros((1, len(chosen))))[0, :, 8:]
     assert (np.abs(slopes[0]) > 1).all()
-    # the thrust is in the first coefficient alone: the others have no slope by it
-    assert (np.abs(slopes[1:]) < 0.02).all()
 
 
 def shaken(flight):

@@ -188,15 +188,3 @@ def test_an_attenuated_slope_is_restored_in_the_mean():
     points = np.array([[-1.0], [2.0]])
     mean = 2 * points + calibration(points, np.ones(2))
     assert_allclose(mean, 1.6 * points, rtol=0.02, atol=0.02)
-
-
-def test_regressors_without_effect_get_no_slope():
-    rng = default_rng(2)
-    X = rng.normal(size=(60, 2))
-    residuals = np.column_stack([X @ [1.0, 2.0], X @ [3.0, 4.0]])
-    without_effect = np.array([[False, True], [False, False]])
-    calibration = RegressionCalibration.of_residuals(X, residuals, without_effect)
-    assert calibration.slopes[1, 0] == 0.0
-    assert_allclose(calibration.slopes[:, 1], [3.0, 4.0])
-    alone = np.polynomial.Polynomial.fit(X[:, 0], residuals[:, 0], 1).convert().coef
-    assert_allclose([calibration.intercept[0], calibration.slopes[0, 0]], alone)

@@ -36,20 +36,6 @@ def test_least_squares_of_corrected_targets_has_the_known_slopes():
     assert_allclose(KNOWN.corrected(X, Y).mean(axis=0), Y.mean(axis=0))
 
 
-@pytest.mark.parametrize("known", [None, KNOWN])
-def test_regressors_without_effect_are_left_out_of_least_squares(known):
-    X, Y = samples()
-    is_zero = np.array([[False, True, False], [False, False, True]])
-    zeros = KnownSlopes.with_zeros(known, is_zero)
-    found = LinearRegression().fit(X, zeros.corrected(X, Y)).coef_
-    assert_allclose(found[is_zero], 0.0, atol=1e-12)
-    if known is None:
-        restricted = LinearRegression().fit(X[:, [0, 2]], Y[:, 0])
-        assert_allclose(found[0, [0, 2]], restricted.coef_)
-    else:
-        assert_allclose(found[0, [0, 2]], [1.5, 0.7])
-
-
 @pytest.mark.parametrize(("log", "trend"), [(True, "linear"), (False, None)])
 def test_model_has_the_known_slopes_and_their_errors(log, trend):
     X, Y = samples()

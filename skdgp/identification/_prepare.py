@@ -27,7 +27,6 @@ from skdgp._flight.channels import (
     THRUST_COLUMNS,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
-from skdgp._flight.checks import check_columns
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding, with_codes
@@ -112,9 +111,8 @@ def usable_flights(
     needed = [name for name in columns if name not in INTERCHANGEABLE]
     checked = {}
     for name, flight in flights.items():
-        check_columns(flight.table, needed)
         cleaned = clean(flight)
-        check_flight(cleaned.table, ())
+        check_flight(cleaned.table, needed)
         _check_surfaces(name, cleaned.table, in_radians)
         for finding in cleaned.findings or ():
             report(finding, FlightDataWarning)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from itertools import combinations
 from numbers import Real
 from typing import Any, Self
 
 import numpy as np
 import pandas as pd
+from sklearn.linear_model import Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
@@ -31,7 +35,6 @@ from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import numeric
 from skdgp._flight.units import check_airspeed
 from skdgp.dynamics import Mixing
-from skdgp.preprocessing._engine import engine_regressors
 from skdgp.preprocessing._table import (
     TableTransformer,
     as_pandas,
@@ -44,6 +47,15 @@ CONTROLS = ("throttle", *SURFACES)
 # Standard deviation [rad, or a fraction] from which an auxiliary control is one of a named set; a guess
 LEAST_MOTION = 0.01
 ELEVON_MIXING = ((0.5, 0.5), (0.5, -0.5))
+# Regressors of a thrust that nothing gives
+ENGINE_REGRESSORS = ("throttle", "airspeed")
+N_BLOCKS = 5  # of consecutive rows, which are held out in turn
+# least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
+LEAST_GAIN = 0.02
+# fraction of the blocks, at least, in which it lowers the error; a guess
+MOST_BLOCKS = 0.6
+# smaller errors of a linear model, over the spread, are equal
+LEAST_ERROR = 0.01
 
 
 class ElevonSplitter(TableTransformer):
@@ -389,3 +401,62 @@ class RegressorSelector(TableTransformer):
 def _truth(names: Iterable[Any]) -> list[str]:
     """Return the names of columns with the noise-free truth of a simulation."""
     return [name for name in names if str(name).endswith(TRUTH_SUFFIX)]
+
+
+def engine_regressors(names: list[str], X: Matrix, Y: Matrix) -> list[str]:
+    """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
+
+    For each coefficient each choice of the two is judged by the errors of a linear model on blocks of
+    consecutive rows that are held out in turn. More regressors are taken if they lower the error as
+    a whole, and in most blocks.
+
+    Parameters
+    ----------
+    names : list of str
+        The set, with throttle and airspeed.
+    X : ndarray (n, d)
+        Regressors by these names.
+    Y : ndarray (n, P)
+        Coefficients, NaN where not to be learned from.
+    """
+    is_learned = np.isfinite(np.column_stack([X, Y])).all(axis=1)
+    X, Y = X[is_learned], Y[is_learned]
+    if len(Y) < N_BLOCKS * len(names):  # too few to judge
+        return names
+    engine = [name for name in ENGINE_REGRESSORS if name in names]
+    choices: list[tuple[str, ...]] = []
+    for size in range(len(engine) + 1):
+        choices += combinations(engine, size)
+    errors = []
+    for choice in choices:
+        columns = [name in choice or name not in engine for name in names]
+        errors.append(_held_out_errors(X[:, columns], Y))
+    unneeded = {*engine}
+    for of_output in np.transpose(errors, (2, 0, 1)):
+        unneeded -= {*choices[_best_choice(of_output)]}
+    return [name for name in names if name not in unneeded]
+
+
+def _best_choice(errors: Matrix) -> int:
+    """Return the place of the best choice by errors (choices, blocks), which grow in size."""
+    best = 0
+    for place in range(1, len(errors)):
+        gain = 1 - np.sqrt(np.mean(errors[place] ** 2) / np.mean(errors[best] ** 2))
+        is_mostly_better = np.mean(errors[place] < errors[best]) >= MOST_BLOCKS
+        if gain > LEAST_GAIN and is_mostly_better:
+            best = place
+    return best
+
+
+def _held_out_errors(X: Matrix, Y: Matrix) -> Matrix:
+    """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
+    spread = np.std(Y, axis=0)
+    unit = np.where(spread > 0, spread, 1.0)
+    blocks = np.arange(len(Y)) * N_BLOCKS // len(Y)
+    errors = []
+    for block in range(N_BLOCKS):
+        held_out = blocks == block
+        model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
+        residuals = model.predict(X[held_out]) - Y[held_out]
+        errors.append(np.sqrt(np.mean(residuals**2, axis=0)) / unit)
+    return np.maximum(errors, LEAST_ERROR)

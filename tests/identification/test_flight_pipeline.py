@@ -194,7 +194,8 @@ class TestLeastSquares:
         rows = targets.notna().all(axis=1).to_numpy()
         X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
         linear = LinearRegression().fit(X[rows], targets[rows])
-        measured = aerodynamic_coefficients(test, flights.aircraft)
+        smoothing = result.pipeline.coefficient_filter_
+        measured = aerodynamic_coefficients(test, flights.aircraft, cutoff=smoothing)
         expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T

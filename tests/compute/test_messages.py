@@ -11,7 +11,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import cross_val_score
 
 from skdgp import DependentGPRegressor, listening
-from skdgp._compute.findings import texts_of
+from skdgp._compute.findings import clauses_of, texts_of
 from skdgp._compute.messages import (
     FindingWarning,
     recorded_findings,
@@ -49,6 +49,13 @@ def test_parts_of_a_text_whose_values_are_unknown_are_left_out():
     of_lag = numbers | {"lag": 0.3, "causes": ["a magnetic heading"]}
     text = Finding(Code.CONTRADICTION, "a", numbers=of_lag).text
     assert text == f"flight a: {begin}{lag}: a magnetic heading?{end}."
+
+
+def test_findings_of_one_kind_are_one_clause_with_the_channels_of_the_others():
+    numbers = {"begin": 0.0, "last": 1.0, "samples": 2}
+    found = [Finding(Code.NEVER_MEASURED, channel=name, numbers=numbers) for name in ("q", "beta")]
+    told = "q has no value (0 to 1 s, 2 samples) (1 more of this kind: beta)"
+    assert clauses_of(found) == told
 
 
 def test_the_advice_of_a_cause_follows_the_statement():

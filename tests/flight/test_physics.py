@@ -412,23 +412,6 @@ def test_the_scale_of_the_airspeed_without_gps(ordinary):
     assert channels_of_each(wrong) == [{"airspeed"}]
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda flight: scaled(flight, {"phi": DEGREES}),
-         "phi is probably wrong: the slope of the change of phi over the integral of p is 57."),
-        (lambda flight: flight.assign(psi=flight["psi"] + 0.3),
-         "-0.15 to 0.15: a magnetic heading or a constant sideslip? (t = "),
-        (lambda flight: scaled(flight, {"ax ay az": 1 / GRAVITY}),
-         "the slope of the integral of specific force over the change of velocity less gravity is 0.1"),
-    ],
-)  # fmt: skip
-def test_the_message_says_what_is_over_what_and_usual_causes(flight, change, words):
-    (found,) = contradictions(change(flight))
-    assert words in found.clause
-    assert found.clause.endswith("effective samples)")
-
-
 def test_a_late_servo_is_no_wrong_sign():
     """Rudder of 2 to 3 Hz, servo 0.15 s late, a third of a period: the slope at lag zero has the wrong sign."""
     step = 0.025

@@ -263,14 +263,6 @@ def test_an_attitude_that_jumps_without_the_gyros_is_told():
     assert_frame_equal(checked(table, "theta jumps by up to 0.4")[["theta"]], table[["theta"]])
 
 
-def test_a_channel_that_is_stuck_again_and_again_is_one_line_with_its_worst():
-    table = held("alpha", 1500, 1560, held("alpha", 800, 950, held("alpha", 400, 480)))
-    match = (
-        r"sortie: alpha is stuck at .* \(20.025 to 23.75 s, 150 samples\).* \(2 more of this kind\)"
-    )
-    checked(table, match)
-
-
 def test_dead_sensors_by_what_cannot_move_without_them():
     assert faults(log().assign(airspeed=25.0)) == [["airspeed", "constant"]]
     turns = {"phi": np.sin(log().time), "theta": 0.0, "psi": 0.0}
@@ -302,19 +294,6 @@ def test_dropouts_to_the_same_value_are_found_each_time():
     for start in (400, 900, 1500):
         table.loc[start : start + 60, "airspeed"] = 25.0
     assert faults(table) == [["airspeed", "stuck"]] * 3
-
-
-def test_gaps_of_several_channels_are_told_once():
-    table = log()
-    table.loc[500:540, ["alpha", "beta", "q"]] = np.nan
-    table.loc[900:960, ["beta"]] = np.nan
-    with pytest.warns(FlightDataWarning) as record:
-        FlightCheck().fit_transform(table)
-    (warning,) = record
-    text = str(warning.message)
-    assert text.count("has no value") == 1
-    assert "beta has no value in 2 gap(s)" in text
-    assert "(2 more of this kind: alpha, q)" in text
 
 
 def test_a_turn_to_the_other_side_of_south_is_no_jump():

@@ -13,7 +13,8 @@ from skdgp._flight.excitation import (
 from skdgp.design._envelope import Envelope
 from skdgp.design._library import RATE as RATE
 from skdgp.design._planner import Plan, plan
-from skdgp.design._script import ardupilot_script, surface_mixes
+from skdgp.design._script import ardupilot_script
+from skdgp.design._script import surface_mixes as surface_mixes
 
 __all__ = [
     "Envelope",
@@ -26,7 +27,6 @@ __all__ = [
     "multisine",
     "orthogonal_multisines",
     "plan",
-    "surface_mixes",
     "three_two_one_one",
     "wavetrain",
 ]

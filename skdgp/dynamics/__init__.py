@@ -7,17 +7,13 @@ Names imported as themselves are not part of the public interface: other folders
 them.
 """
 
-from skdgp._flight.frames import (
-    air_data,
-    air_velocity,
-    body_to_ned,
-    euler_to_matrix,
-    euler_to_quaternion,
-    ned_to_body,
-    quaternion_to_euler,
-    quaternion_to_matrix,
-    standard_density,
-)
+from skdgp._flight.frames import air_data, quaternion_to_euler, standard_density
+from skdgp._flight.frames import air_velocity as air_velocity
+from skdgp._flight.frames import body_to_ned as body_to_ned
+from skdgp._flight.frames import euler_to_matrix as euler_to_matrix
+from skdgp._flight.frames import euler_to_quaternion as euler_to_quaternion
+from skdgp._flight.frames import ned_to_body as ned_to_body
+from skdgp._flight.frames import quaternion_to_matrix as quaternion_to_matrix
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aerodynamics import Drift as Drift
 from skdgp.dynamics._aerodynamics import Mixing as Mixing
@@ -37,18 +33,10 @@ from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
 from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._inputs import StepClock as StepClock
-from skdgp.dynamics._integrate import (
-    REASONS as REASONS,
-)
-from skdgp.dynamics._integrate import (
-    Trajectories as Trajectories,
-)
-from skdgp.dynamics._integrate import (
-    channels as channels,
-)
-from skdgp.dynamics._integrate import (
-    fly_record as fly_record,
-)
+from skdgp.dynamics._integrate import REASONS as REASONS
+from skdgp.dynamics._integrate import Trajectories as Trajectories
+from skdgp.dynamics._integrate import channels as channels
+from skdgp.dynamics._integrate import fly_record as fly_record
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
 from skdgp.dynamics._linearize import UNUSED as UNUSED
@@ -61,37 +49,19 @@ from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion
 from skdgp.dynamics._propeller import Propeller, ThrustLine
 from skdgp.dynamics._replay import replay as replay
-from skdgp.dynamics._rigid_body import (
-    ATTITUDE as ATTITUDE,
-)
-from skdgp.dynamics._rigid_body import (
-    RATES as RATES,
-)
-from skdgp.dynamics._rigid_body import (
-    STATE_NAMES,
-    aerodynamic_loads,
-    propeller_loads,
-    propulsive_loads,
-    rigid_body_derivative,
-)
-from skdgp.dynamics._rigid_body import (
-    VELOCITY as VELOCITY,
-)
-from skdgp.dynamics._rigid_body import (
-    dynamic_pressure as dynamic_pressure,
-)
-from skdgp.dynamics._rigid_body import (
-    gyroscopic_moment as gyroscopic_moment,
-)
-from skdgp.dynamics._rigid_body import (
-    propeller_speed_of as propeller_speed_of,
-)
-from skdgp.dynamics._rigid_body import (
-    rk4_step as rk4_step,
-)
-from skdgp.dynamics._rigid_body import (
-    thrust_control as thrust_control,
-)
+from skdgp.dynamics._rigid_body import ATTITUDE as ATTITUDE
+from skdgp.dynamics._rigid_body import RATES as RATES
+from skdgp.dynamics._rigid_body import STATE_NAMES
+from skdgp.dynamics._rigid_body import VELOCITY as VELOCITY
+from skdgp.dynamics._rigid_body import aerodynamic_loads as aerodynamic_loads
+from skdgp.dynamics._rigid_body import dynamic_pressure as dynamic_pressure
+from skdgp.dynamics._rigid_body import gyroscopic_moment as gyroscopic_moment
+from skdgp.dynamics._rigid_body import propeller_loads as propeller_loads
+from skdgp.dynamics._rigid_body import propeller_speed_of as propeller_speed_of
+from skdgp.dynamics._rigid_body import propulsive_loads as propulsive_loads
+from skdgp.dynamics._rigid_body import rigid_body_derivative as rigid_body_derivative
+from skdgp.dynamics._rigid_body import rk4_step as rk4_step
+from skdgp.dynamics._rigid_body import thrust_control as thrust_control
 from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._servos import limited_change as limited_change
 from skdgp.dynamics._servos import ramp_weights as ramp_weights
@@ -119,21 +89,11 @@ __all__ = [
     "Trim",
     "Turbulence",
     "aerodynamic_coefficients",
-    "aerodynamic_loads",
     "air_data",
-    "air_velocity",
     "as_aerodynamics",
-    "body_to_ned",
     "dryden_wind",
-    "euler_to_matrix",
-    "euler_to_quaternion",
     "linearize",
-    "ned_to_body",
-    "propeller_loads",
-    "propulsive_loads",
     "quaternion_to_euler",
-    "quaternion_to_matrix",
-    "rigid_body_derivative",
     "simulate",
     "stability_derivatives",
     "standard_density",

@@ -4,17 +4,12 @@ from skdgp.export._c import write_c
 from skdgp.export._casadi import casadi_function
 from skdgp.export._formats import FORMATS, export_model, save_portable
 from skdgp.export._jsbsim import write_jsbsim
-from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
+from skdgp.export._model import PortableModel
 from skdgp.export._pipeline import portable_model
 
 __all__ = [
     "FORMATS",
-    "Part",
     "PortableModel",
-    "Readout",
-    "Reference",
-    "Regressor",
-    "Term",
     "casadi_function",
     "export_model",
     "portable_model",

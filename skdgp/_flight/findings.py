@@ -70,10 +70,11 @@ class Code(Kind):
         " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)",
         "[{is_turned:A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas.}]",
     )
-    TURNED_TOGETHER = (
-        "[flight {flight}: ]{channels: and } have the other sign together[, as in axes {axes}]",
-        "Body axes are forward, right, down: change the sign of each.[{from_east:The heading counts from north "
-        "to the right: write pi/2 - psi.}]",
+    CHANNELS_TOGETHER = (
+        "[flight {flight}: ]channels are wrong together[; other sign: {turned:, }][; exchanged: {exchanged:, }]"
+        "[; as in axes {axes}]",
+        "Body axes are forward, right, down, those of the earth north, east, down.[{from_east: The "
+        "heading counts from north to the right: write pi/2 - psi.}]",
     )
     LARGE_SURFACES = (
         "got surfaces in rad up to {largest:.2f}, more than most servos reach",

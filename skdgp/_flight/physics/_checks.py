@@ -119,32 +119,47 @@ class Mistake:
     """A mistake of several channels at once, which hide each other."""
 
     #: Channels that have the other sign
-    channels: tuple[str, ...]
-    #: Axes in which they have it, empty of a pair
+    turned: tuple[str, ...] = ()
+    #: Pairs of channels that stand for each other
+    exchanged: tuple[tuple[str, str], ...] = ()
+    #: Axes in which they do, empty of a pair
     axes: str = ""
     #: Whether the heading counts from east
     from_east: bool = False
     #: None for all flights together
     flight: Any = None
 
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All channels."""
+        return (*self.turned, *sum(self.exchanged, ()))
+
+    def of(self, signals: Signals) -> Mistake:
+        """Return the mistake of the channels that the signals have."""
+        turned = tuple(name for name in self.turned if name in signals)
+        exchanged = tuple(pair for pair in self.exchanged if {*pair} <= signals.channels.keys())
+        return replace(self, turned=turned, exchanged=exchanged)
+
     def undone(self, signals: Signals) -> Signals:
         """Return the signals without the mistake."""
-        channels = dict(signals.channels)
-        for name in channels.keys() & {*self.channels}:
-            channels[name] = -channels[name]
+        for first, second in self.exchanged:
+            signals = signals.exchanged(first, second)
+        channels = signals.channels | {name: -signals[name] for name in self.turned}
         if self.from_east and "psi" in channels:
             channels["psi"] = np.pi / 2 + channels["psi"]
         return replace(signals, channels=channels)
 
-    def of(self, signals: Signals) -> Mistake:
-        """Return the mistake of the channels that the signals have."""
-        return replace(self, channels=tuple(n for n in self.channels if n in signals.channels))
-
     @property
     def finding(self) -> Finding:
         """The finding of the channels."""
-        numbers = {"channels": list(self.channels), "axes": self.axes, "from_east": self.from_east}
-        return Finding(Code.TURNED_TOGETHER, self.flight, numbers=numbers)
+        numbers = {
+            "channels": list(self.channels),
+            "turned": list(self.turned) or None,
+            "exchanged": [" and ".join(pair) for pair in self.exchanged] or None,
+            "axes": self.axes,
+            "from_east": self.from_east,
+        }
+        return Finding(Code.CHANNELS_TOGETHER, self.flight, numbers=numbers)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,20 +55,28 @@ def find_contradictions(flights: FlightTable) -> list[Contradiction | Mistake]:
 def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
     """Return the contradictions of all rows together, or the mistake without which there is none."""
     signals = signals_of(flights, CHANNELS)
-    causes = _causes_in(signals)
-    accused = {name for cause in causes for name in cause.channels}
-    is_turned = any(cause.relation is TURNING for cause in causes)
-    if is_turned or len(accused) >= PHYSICS.several:
-        for mistake in MISTAKES:
-            if not _causes_in(mistake.undone(signals)):
-                return [mistake.of(signals)]
+    contradictions, confirmed = _contradictions_in(signals)
+    causes = _causes(contradictions, confirmed)
+    is_turned = any(each.relation is TURNING for each in contradictions)
+    are_several = is_turned or len(contradictions) >= PHYSICS.several
+    doubted = {name for each in contradictions for name in each.channels}
+    for mistake in (each.of(signals) for each in MISTAKES if are_several):
+        is_possible = len(mistake.channels) > 1 and not doubted.isdisjoint(mistake.channels)
+        if is_possible and _are_sound(mistake.undone(signals)):
+            return [mistake]
     if {*ELEVONS} <= {*flights.table.columns}:
         return [_of_elevons(contradiction) for contradiction in causes]
     return [*causes]
 
 
-def _causes_in(signals: Signals) -> list[Contradiction]:
-    """Return the contradictions of signals that follow from no other."""
+def _are_sound(signals: Signals) -> bool:
+    """Return whether no check contradicts the signals."""
+    checks = (EARTH_AXES, *EQUALITIES, *SIGNS, *EXCHANGES, HEADING)
+    return not any(isinstance(check.judge(signals), Contradiction) for check in checks)
+
+
+def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:
+    """Return all contradictions of signals, and the channels that an equality confirms."""
     judgements = [check.judge(signals) for check in EQUALITIES]
     unequal = [item for item in judgements if isinstance(item, Contradiction)]
     confirmed: set[str] = set()
@@ -83,7 +91,7 @@ def _causes_in(signals: Signals) -> list[Contradiction]:
         *_contradicted(EXCHANGES, signals),
         *_contradicted([HEADING], signals),
     ]
-    return _causes(contradictions, confirmed)
+    return contradictions, confirmed
 
 
 def _contradicted(checks: Iterable[Sign | Exchange], signals: Signals) -> list[Contradiction]:

@@ -325,9 +325,6 @@ def _alternative_in_earth_axes(axis: int) -> Alternative:
 EARTH_AXES = Exchange(_alternative_in_earth_axes(0), _alternative_in_earth_axes(1))
 EXCHANGES = (
     Exchange(
-        _alternative_with_exchanged(PITCH, "q", "r"), _alternative_with_exchanged(YAW, "q", "r")
-    ),
-    Exchange(
         _alternative_with_exchanged(NORTH, "v_north", "v_east"),
         _alternative_with_exchanged(EAST, "v_north", "v_east"),
     ),
@@ -347,14 +344,17 @@ EXCHANGES = (
 BODY_TURNED = ("q", "r", "ay", "az")
 NAVIGATION_TURNED = ("v_east", "v_down", "east", "down")
 LEFT_UP = "forward, left, up (ROS)"
+HORIZONTAL = (("v_north", "v_east"), ("north", "east"))
 MISTAKES = (
-    Mistake(channels=("q", "theta")),
-    Mistake(channels=("p", "phi")),
-    Mistake(channels=("r", "psi")),
-    Mistake(channels=BODY_TURNED, axes=LEFT_UP),
-    Mistake(channels=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP),
-    Mistake(channels=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP, from_east=True),
-    Mistake(channels=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
+    Mistake(turned=("q", "theta")),
+    Mistake(turned=("p", "phi")),
+    Mistake(turned=("r", "psi")),
+    Mistake(exchanged=(("q", "r"),)),
+    Mistake(exchanged=HORIZONTAL, turned=("v_down", "down"), axes="east, north, up"),
+    Mistake(turned=BODY_TURNED, axes=LEFT_UP),
+    Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP),
+    Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP, from_east=True),
+    Mistake(turned=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
 RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS, HEADING)]

@@ -45,7 +45,7 @@ class PhysicsSettings:
     # the same of vanes against the motion: gusts lead it (54 simulated flights)
     usual_vane_lag: float = 0.15
     least_vane_t: float = 10.0
-    # channels that are accused before a mistake of several at once is looked for
+    # contradictions from which on a mistake of several channels at once is looked for
     several: int = 3
     # least correlation at a lag that is a contradiction, whatever the slope (guess)
     lagged_correlation: float = 0.5

@@ -154,6 +154,14 @@ def test_exchanged_channels_are_found(flight, pair):
     assert named <= {*pair}
 
 
+@pytest.mark.parametrize("degrees", [0.0, 5.0, -5.0])
+def test_a_constant_error_of_alpha_is_found_by_the_velocity_through_the_air(flight, degrees):
+    found = contradictions(flight.assign(alpha=flight["alpha"] + np.deg2rad(degrees)))
+    assert channels_of(found) == ({"alpha"} if degrees else set())
+    for finding in found:
+        assert finding.numbers["slope"] == pytest.approx(np.deg2rad(degrees), abs=0.02)
+
+
 EXCHANGED = np.array([[0.0, 1.0], [1.0, 0.0]])
 FAULTS = {
     "elevons exchanged": (mixed(EXCHANGED), "elevon_left elevon_right"),

@@ -30,6 +30,8 @@ EQUAL = Interval(1 / 1.5, 1.5, "1")
 GUSTY = Interval(-0.5, 1.5, "0 to 1")
 # of the sine of the angle from heading to course through the air; a sideslip that stays is smaller
 AHEAD = Interval(-0.15, 0.15, "-0.15 to 0.15")
+# of the angle of attack less that by the ground velocity; mean updrafts are smaller parts of V (guess)
+LEVEL = Interval(-0.05, 0.05, "-0.05 to 0.05")
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 NONE = Interval(0.0, 0.0, "0")

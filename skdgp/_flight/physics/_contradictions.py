@@ -22,8 +22,8 @@ from skdgp._flight.physics._list import (
     EARTH_AXES,
     EQUALITIES,
     EXCHANGES,
-    HEADING,
     MISTAKES,
+    OFFSETS,
     SIGNS,
     TURNING,
 )
@@ -71,7 +71,7 @@ def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
 
 def _are_sound(signals: Signals) -> bool:
     """Return whether no check contradicts the signals."""
-    checks = (EARTH_AXES, *EQUALITIES, *SIGNS, *EXCHANGES, HEADING)
+    checks = (EARTH_AXES, *EQUALITIES, *SIGNS, *EXCHANGES, *OFFSETS)
     return not any(isinstance(check.judge(signals), Contradiction) for check in checks)
 
 
@@ -89,7 +89,7 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
         *_contradicted(EXCHANGES, signals),
-        *_contradicted([HEADING], signals),
+        *_contradicted(OFFSETS, signals),
     ]
     return contradictions, confirmed
 

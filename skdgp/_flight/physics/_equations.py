@@ -99,6 +99,12 @@ def course_through_the_air(flight: Signals) -> Regression:
     return Regression(ground, airspeed, [*wind, direction[:, 2], late])
 
 
+def incidence_through_the_air(flight: Signals) -> Regression:
+    """Return V alpha less the ground velocity along z in a steady wind, which a constant error of alpha makes."""
+    ground, wind = _velocity_terms(flight, 2)
+    return Regression(flight["airspeed"] * flight["alpha"] - ground, flight["airspeed"], wind)
+
+
 def velocity_across(flight: Signals, angle: str) -> Regression:
     """Return the terms of the component along y or z, where the air velocity is about V beta or V alpha.
 

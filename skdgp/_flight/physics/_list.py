@@ -18,6 +18,7 @@ from skdgp._flight.physics import _equations as equations
 from skdgp._flight.physics._checks import (
     AHEAD,
     GUSTY,
+    LEVEL,
     NEGATIVE,
     POSITIVE,
     Alternative,
@@ -133,6 +134,14 @@ COURSE = Relation(
     x="airspeed",
     regression=equations.course_through_the_air,
     causes=("a magnetic heading", "a constant sideslip"),
+)
+INCIDENCE = Relation(
+    channels=("alpha",),
+    uses=(*EULER, *EARTH_VELOCITY, "airspeed"),
+    y="V alpha less the normal ground velocity",
+    x="airspeed",
+    regression=equations.incidence_through_the_air,
+    causes=("a constant error of alpha, or of theta",),
 )
 # without lags: gravity hardly varies, and the vertical force tells them
 GRAVITY = Relation(
@@ -268,8 +277,11 @@ SIGNS = (
     _sign_of_drive("thrust_x", 0.0, "1/kg"),
 )
 
-HEADING = Sign(relation=COURSE, admissible=AHEAD, noise=3.0)
-"""Judged last, as a heading of another zero explains no wrong sign."""
+OFFSETS = (
+    Sign(relation=COURSE, admissible=AHEAD, noise=3.0),
+    Sign(relation=INCIDENCE, admissible=LEVEL, noise=3.0),
+)
+"""Judged last, as an angle of another zero explains no wrong sign."""
 
 
 # -- exchanges
@@ -357,6 +369,6 @@ MISTAKES = (
     Mistake(turned=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
-RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS, HEADING)]
+RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS, *OFFSETS)]
 CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[relation.needs for relation in RELATIONS]))
 """Channels that the checks use."""

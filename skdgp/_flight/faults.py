@@ -1,4 +1,4 @@
-"""Detection and removal of faults in a flight log.
+"""Detection and removal of faults in a flight log, and of rows on the ground.
 
 A sensor with noise hardly ever repeats a value. If a share p of all runs of equal values is longer
 than the usual length, a run of k times this length has the probability p^(k-1). Each
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import FindingWarning
+from skdgp._compute.messages import FindingWarning, report
 from skdgp._compute.typing import Indices, Mask, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
@@ -454,3 +454,39 @@ def usual_spacing(values: Vector) -> float:
     if sampled.size < 2:
         return 1.0
     return float(np.quantile(np.diff(sampled), 0.9))
+
+
+# Below this fraction of a fast airspeed, its 95 % quantile, no wing carries: the lift coefficient would be 16
+# times as large. From there the aircraft rolls up to the second fraction.
+STANDING = 0.25
+ROLLING = 0.5
+SHORTEST = 2.0  # [s] on the ground
+
+
+def on_ground(flights: FlightTable) -> Mask:
+    """Return which rows (n,) stand or roll on the ground, none without an airspeed."""
+    airspeed = flights.column("airspeed")
+    ground = np.zeros(len(airspeed), dtype=bool)
+    for rows in flights.clock.rows.values():
+        speed = airspeed[rows]
+        measured = speed[np.isfinite(speed)]
+        if not measured.size:
+            continue
+        fast = float(np.quantile(measured, 0.95))
+        time = flights.time[rows]
+        for run in true_runs(speed < ROLLING * fast):
+            standing = true_runs(speed[run] < STANDING * fast)
+            seconds = [np.ptp(time[run][part]) for part in standing]
+            ground[rows[run]] = max(seconds, default=0.0) >= SHORTEST
+    return ground
+
+
+def without_ground(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Return the rows of flights that fly; warn of the others, by the name of the table."""
+    ground = on_ground(FlightTable.of(table))
+    if not ground.any():
+        return table
+    report(Finding(Code.ON_GROUND, flight=name, numbers={"percent": 100 * ground.mean()}))
+    flown = table[~ground].reset_index(drop=True)
+    flown.attrs = table.attrs
+    return flown

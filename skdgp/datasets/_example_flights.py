@@ -27,9 +27,8 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.tables import by_name
-from skdgp.datasets._autopilot import ALPHA, FlightControls
+from skdgp.datasets._autopilot import ALPHA, FLIGHT_PLANS, FlightControls, FlightPlan
 from skdgp.datasets._brumby import BRUMBY, BRUMBY_AERODYNAMICS, REGRESSORS, brumby_coefficients
-from skdgp.datasets._plans import FLIGHT_PLANS, FlightPlan
 from skdgp.dynamics import (
     GustyAir,
     Instant,

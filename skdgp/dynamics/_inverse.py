@@ -24,9 +24,8 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.motion_band import vibration_band
 from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
-from skdgp._flight.smoothing import FittedFilter, differentiate, smooth
+from skdgp._flight.smoothing import FittedFilter, differentiate, smooth, vibration_band
 from skdgp._flight.tables import FlightTable, by_name, numeric
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft, with_sensor_position

@@ -11,7 +11,7 @@ covariance C has the eigenvalues :math:`\lambda_1 \le ... \le \lambda_6`. Readin
 :math:`\lambda_5 > \lambda_{min}`, and above the others, :math:`\lambda_5 > r \lambda_4`, and where two directions
 make most of every channel. These are the
 two common factors of the third differences (Lawley & Maxwell 1971), or eigenvectors of what the path shows.
-With vanes, `skdgp._flight.motion_band` instead leaves out the frequencies of a vibration.
+With vanes, `skdgp._flight.smoothing` instead leaves out the frequencies of a vibration.
 """
 
 from __future__ import annotations

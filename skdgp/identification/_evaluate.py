@@ -19,7 +19,7 @@ from skdgp._flight.channels import (
     EULER,
     TRUTH_SUFFIX,
 )
-from skdgp._flight.motion_band import band_limited
+from skdgp._flight.smoothing import band_limited
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay

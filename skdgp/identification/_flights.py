@@ -21,9 +21,9 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.checks import check_table, suggestions
+from skdgp._flight.faults import without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
-from skdgp._flight.ground import without_ground
 from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 

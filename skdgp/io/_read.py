@@ -24,9 +24,8 @@ from skdgp._flight.checks import (
     unknown_columns_message,
 )
 from skdgp._flight.clock import flight_codes, unrounded
-from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults
+from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults, without_ground
 from skdgp._flight.findings import Code, Finding, texts_of
-from skdgp._flight.ground import without_ground
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units

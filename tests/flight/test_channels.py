@@ -14,8 +14,7 @@ from skdgp._flight.holds import (
     find_holds,
     interpolated_rows,
 )
-from skdgp._flight.motion_band import motion_band_of, vibrates_beyond
-from skdgp._flight.smoothing import FittedFilter, smooth
+from skdgp._flight.smoothing import FittedFilter, motion_band_of, smooth, vibrates_beyond
 from skdgp._flight.tables import FlightTable
 
 

@@ -337,6 +337,9 @@ def _alternative_in_earth_axes(axis: int) -> Alternative:
 EARTH_AXES = Exchange(_alternative_in_earth_axes(0), _alternative_in_earth_axes(1))
 EXCHANGES = (
     Exchange(
+        _alternative_with_exchanged(PITCH, "q", "r"), _alternative_with_exchanged(YAW, "q", "r")
+    ),
+    Exchange(
         _alternative_with_exchanged(NORTH, "v_north", "v_east"),
         _alternative_with_exchanged(EAST, "v_north", "v_east"),
     ),
@@ -361,7 +364,6 @@ MISTAKES = (
     Mistake(turned=("q", "theta")),
     Mistake(turned=("p", "phi")),
     Mistake(turned=("r", "psi")),
-    Mistake(exchanged=(("q", "r"),)),
     Mistake(exchanged=HORIZONTAL, turned=("v_down", "down"), axes="east, north, up"),
     Mistake(turned=BODY_TURNED, axes=LEFT_UP),
     Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP),

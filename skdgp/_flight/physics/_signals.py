@@ -10,8 +10,8 @@ import numpy as np
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ELEVONS, EULER, POSITION, by_elevons
 from skdgp._flight.clock import median_step, n_rows
+from skdgp._flight.faults import on_ground
 from skdgp._flight.frames import euler_to_matrix
-from skdgp._flight.ground import on_ground
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, without_repeats
 from skdgp._flight.physics._settings import PHYSICS
 from skdgp._flight.tables import FlightTable

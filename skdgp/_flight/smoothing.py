@@ -26,7 +26,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy import interpolate, ndimage, optimize, signal
-from scipy.signal import stft
 from scipy.signal.windows import hann
 
 from skdgp._compute.messages import warn
@@ -376,12 +375,12 @@ def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
         return None
     step = median_step(group.time, group.runs)
     half = min(_window_rows(step), longest // 4) // 2
-    runs = [group.columns[run].T for run in group.runs]
-    frequency, power, n_windows = cross_spectra(runs, step, 2 * half)
+    runs = [group.columns[run] for run in group.runs]
+    frequency, power, n_windows = power_spectra(runs, step, 2 * half)
     largest = np.abs(group.columns[np.r_[tuple(group.runs)]]).max(axis=0)
     return Spectrum(
         frequency=frequency,
-        channel_power=np.einsum("mii->mi", power).real,
+        channel_power=power,
         # each sample is in four windows
         averages=0.375 * n_windows,
         rounding=2 * step * (1e-9 * largest) ** 2,
@@ -486,40 +485,29 @@ def convolve(columns: Matrix, response: Matrix) -> Matrix:
     return signal.oaconvolve(padded, response, mode="valid", axes=0)
 
 
-def cross_spectra(records: Sequence[Array], step: float, size: int) -> tuple[Vector, Array, int]:
-    """Return frequencies [Hz] (m,), one-sided densities (m, c, c) and the number of their windows.
+def power_spectra(runs: Sequence[Matrix], step: float, size: int) -> tuple[Vector, Matrix, int]:
+    """Return frequencies [Hz] (m,), one-sided powers (m, k) of channels, and the number of their windows (Welch 1967).
 
-    Parameters
-    ----------
-    records : sequence of ndarray (c, n)
-        Channels at even steps; those shorter than a window are left out.
-    step : float
-        Of the samples [s].
-    size : int
-        Samples of a window.
-
-    Returns
-    -------
-    frequency, density, n_windows
-        The density S_ij is the mean of x_i conj(x_j).
+    Runs (n, k) at even steps [s] that are shorter than a window are left out. Windows by Hann overlap by half and
+    lose their trends; they are counted from either end of a run, so that no sample is left over.
     """
     options: Any = {"fs": 1.0 / step, "window": hann(size), "nperseg": size, "scaling": "psd"}
-    options |= {"detrend": "linear", "boundary": None, "padded": False}
+    options |= {"detrend": "linear", "boundary": None, "padded": False, "axis": 0}
     total: Any = 0.0
     n_windows = 0
-    for record in records:
-        n_left_over = (record.shape[1] - size) % (size - size // 2)
-        for part in (record, record[:, n_left_over:]):
-            if part.shape[1] >= size:
-                frequency, _, waves = stft(part, **options)
-                total = total + np.einsum("ift,jft->fij", waves, waves.conj())
+    for run in runs:
+        n_left_over = (len(run) - size) % (size - size // 2)
+        for part in (run, run[n_left_over:]):
+            if len(part) >= size:
+                frequency, _, waves = signal.stft(part, **options)
+                total = total + np.sum(np.abs(waves) ** 2, axis=-1)
                 n_windows += waves.shape[-1]
-    density = 2.0 * total / n_windows
+    power = 2.0 * total / n_windows
     # there is no wave of negative frequency beside these
-    density[0] /= 2.0
+    power[0] /= 2.0
     if size % 2 == 0:
-        density[-1] /= 2.0
-    return frequency, density, n_windows
+        power[-1] /= 2.0
+    return frequency, power, n_windows
 
 
 # Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second

@@ -355,7 +355,7 @@ def stated_positions(
 
     Zeros, the default of autopilots, state nothing, and so do two of three.
     """
-    positions = {}
+    positions: dict[int, tuple[str, tuple[float, ...]]] = {}
     for number, name in enumerate(names):
         x, y, z = (parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ")
         if np.isfinite([x, y, z]).all() and any((x, y, z)):

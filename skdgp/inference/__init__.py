@@ -31,9 +31,9 @@ from skdgp.inference._errors import (
     FunctionErrors,
     KnownSlopes,
     PosteriorWithErrors,
-    attenuation,
     misfit_variance,
 )
+from skdgp.inference._errors import attenuation as attenuation
 from skdgp.inference._errors import errors_by_input_noise as errors_by_input_noise
 from skdgp.inference._errors import errors_of_slopes as errors_of_slopes
 from skdgp.inference._errors import linear_slopes as linear_slopes
@@ -73,7 +73,6 @@ __all__ = [
     "Posterior",
     "PosteriorWithErrors",
     "SparsePosterior",
-    "attenuation",
     "fit_exact",
     "fit_sparse",
     "log_likelihood",

@@ -447,7 +447,7 @@ def _most_likely_servos(
         return _servo_loss(segments, instruments, lags, settings)
 
     largest = settings.largest
-    options: dict[str, Any] = {"xatol": settings.precision}
+    options: Any = {"xatol": settings.precision}
     alone = optimize.minimize_scalar(
         lambda servo_lag: loss(np.array([servo_lag, 0.0])), bounds=(0.0, largest), options=options
     )

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
@@ -194,21 +193,8 @@ MIXES = {
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
     "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
 }
-
-
-class LiftingMode(IntEnum):
-    """Modes in which rotors lift a VTOL (ArduPlane/mode.h)."""
-
-    QSTABILIZE = 17
-    QHOVER = 18
-    QLOITER = 19
-    QLAND = 20
-    QRTL = 21
-    QAUTOTUNE = 22
-    QACRO = 23
-    LOITER_ALT_QLAND = 25
-
-
+# numbers of the modes QSTABILIZE to QACRO and LOITER_ALT_QLAND, in which rotors lift a VTOL (ArduPlane/mode.h)
+LIFTING_MODES = (*range(17, 24), 25)
 # fraction of the range of pulses above which a motor runs; a guess
 RUNNING = 0.05
 
@@ -415,7 +401,7 @@ def in_vehicle_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) ->
 
 def lifting_modes(topic: str, field: str) -> States:
     """Return the field of the mode, and its numbers while rotors lift a VTOL."""
-    return tuple((topic, field, float(mode), float(mode)) for mode in LiftingMode)
+    return tuple((topic, field, float(mode), float(mode)) for mode in LIFTING_MODES)
 
 
 def _lifting(outputs: list[Output], parameters: Mapping[str, float]) -> States:

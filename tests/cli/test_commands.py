@@ -155,7 +155,7 @@ class TestValidate:
         table = pd.read_csv("test.csv")
         table["ay"] += 0.2
         assert changed(model, table).p_values["CY"].item() > 0.05
-        table["ay"] += 2.0
+        table["ay"] *= 2.0
         assert changed(model, table).p_values["CY"].item() < 0.01
 
     def test_needs_no_folder_and_no_facts(self, command, model, tmp_path, capsys):

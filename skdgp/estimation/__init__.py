@@ -7,7 +7,6 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations
-from skdgp.estimation._airspeed_scale import UNKNOWN_SCALE as UNKNOWN_SCALE
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._airspeed_scale import without_airspeed_error as without_airspeed_error
 from skdgp.estimation._lags import Lag, estimate_lags, removable

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,11 +106,6 @@ class Evaluation:
     baseline: Matrix
     truth: Matrix | None = None
     replay: pd.DataFrame | None = None
-
-    @cached_property
-    def scores(self) -> dict[str, pd.DataFrame]:
-        """The :func:`scores` of this flight."""
-        return scores([self])
 
 
 def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:

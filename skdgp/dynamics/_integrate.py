@@ -50,8 +50,10 @@ LONGEST_STRIDE = 0.06
 # Time for which slopes are kept [s]: errors of the states are then at most 2 % of the spread of the paths of a
 # large UAV in gusts, 0.6 % in calm air
 SLOPES_KEPT = 0.3
-# Largest change of a control in a step, over its training range, that slopes account for
+# Largest change of a control in a step, over its training range, that slopes account for, and largest change
+# until the paths are evaluated again, over the one in a step
 REACH = 0.02
+STEADY = 0.5
 
 
 def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
@@ -197,7 +199,7 @@ class Integrator:
         distance = last - tangent.regressors
         is_far = tangent.is_far(distance)
         n_steps = tangent.steps + 1
-        is_near = bool((np.abs(distance) <= tangent.reach).all())
+        is_near = bool((np.abs(distance) <= STEADY * tangent.reach).all())
         if is_near and n_steps < self._stride:
             return 0.0, tangent._replace(steps=n_steps)
         coefficients = self.motion.evaluated(last)

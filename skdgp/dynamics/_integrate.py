@@ -47,8 +47,8 @@ STAGE_LIMIT = 1e9
 # Steps from one evaluation of paths to the next, and the longest time between them [s]
 STRIDE = 3
 LONGEST_STRIDE = 0.06
-# Time for which slopes are kept [s]: errors of the states are then at most 2 % of the spread of the paths of a
-# large UAV in gusts, 0.6 % in calm air
+# Time for which slopes are kept [s]: errors of the states are then 1 to 2.5 % of the spread of the paths of a
+# large UAV, of one in ten more than 2 to 6 %
 SLOPES_KEPT = 0.3
 # Largest change of a control in a step, over its training range, that slopes account for, and largest change
 # until the paths are evaluated again, over the one in a step

@@ -105,16 +105,6 @@ def incidence_through_the_air(flight: Signals) -> Regression:
     return Regression(flight["airspeed"] * flight["alpha"] - ground, flight["airspeed"], wind)
 
 
-def velocity_across(flight: Signals, angle: str) -> Regression:
-    """Return the terms of the component along y or z, where the air velocity is about V beta or V alpha.
-
-    Gusts move the vane alone, so it is the response.
-    """
-    airspeed = flight["airspeed"]
-    ground, wind = _velocity_terms(flight, {"beta": 1, "alpha": 2}[angle])
-    return Regression(airspeed * flight[angle], ground, [*wind, airspeed])
-
-
 def _velocity_terms(flight: Signals, axis: int) -> tuple[Vector, list[Vector]]:
     """Return the ground velocity along a body axis, and its slopes by wind north and east."""
     direction = flight.rotation[:, :, axis]  # of the axis, in earth axes

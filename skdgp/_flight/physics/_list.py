@@ -192,18 +192,6 @@ EQUALITIES = (
 # -- signs
 
 
-def _sign_of_vane(name: str, x: str) -> Sign:
-    """Return the check of a vane by the ground velocity across the body axis."""
-    relation = Relation(
-        channels=(name,),
-        uses=(*EULER, *EARTH_VELOCITY, "airspeed"),
-        y=f"V {name}",
-        x=x,
-        regression=partial(equations.velocity_across, angle=name),
-    )
-    return Sign(relation=relation, admissible=GUSTY, noise=0.5)
-
-
 def _sign_of_accelerometer(name: str, axis: int) -> Sign:
     """Return the check of one accelerometer by the ground velocity."""
     relation = Relation(
@@ -257,8 +245,6 @@ def _sign_of_drive(name: str, noise: float, unit: str) -> Sign:
 
 
 SIGNS = (
-    _sign_of_vane("beta", "the lateral ground velocity less a wind"),
-    _sign_of_vane("alpha", "the normal ground velocity less a wind"),
     Sign(relation=FALL, admissible=GUSTY, noise=0.003),
     _sign_of_accelerometer("ax", axis=0),
     _sign_of_accelerometer("ay", axis=1),

@@ -1,4 +1,4 @@
-"""Propeller and thrust line: thrust and torque of the engine, measured on a bench or usual of a size."""
+"""Propeller and thrust line: thrust and torque of the engine, given or usual of a size."""
 
 from __future__ import annotations
 
@@ -8,18 +8,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
-from skdgp._flight.checks import (
-    check_choice,
-    check_columns,
-    check_number,
-    check_numbers,
-    check_table,
-)
+from skdgp._flight.checks import check_choice, check_number, check_numbers
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, cross
 
 # Fit of thrust and torque of propellers of two blades to diameter and pitch: least squares of the wind-tunnel
@@ -61,8 +54,6 @@ class Propeller:
     rotation : {1, -1}
         1 turns clockwise seen from behind, and its torque rolls the aircraft left; -1 the other
         way.
-    max_advance_ratio : float, optional
-        Largest advance ratio that was measured; flights beyond it get a warning.
     speed_range : pair of float, optional
         Propeller speeds [rad/s] at throttle 0 and 1, in proportion between them: with it throttle
         is a control, and gives the thrust of flights without propeller_speed.
@@ -81,7 +72,6 @@ class Propeller:
     thrust_coefficients: Sequence[float]
     torque_coefficients: Sequence[float] = ()
     rotation: int = 1
-    max_advance_ratio: float | None = None
     speed_range: Sequence[float] | None = None
     load_std: float = 0.0
 
@@ -93,9 +83,6 @@ class Propeller:
         self._set("thrust_coefficients", tuple(thrust.tolist()))
         torque = check_numbers("torque_coefficients", self.torque_coefficients, 0, 1, 2, 3)
         self._set("torque_coefficients", tuple(torque.tolist()))
-        if self.max_advance_ratio is not None:
-            largest = check_number("max_advance_ratio", self.max_advance_ratio)
-            self._set("max_advance_ratio", largest)
         if self.speed_range is not None:
             idle, full = check_numbers("speed_range", self.speed_range, 2).tolist()
             if not 0 <= idle < full:
@@ -136,72 +123,6 @@ class Propeller:
         """Return the torque [N m] ON THE AIRCRAFT about the thrust direction (opposite to the rotation)."""
         load = self._load(self.torque_coefficients, 5, propeller_speed, airspeed, density)
         return -self.rotation * load
-
-    def advance_ratio(self, propeller_speed: ArrayLike, airspeed: ArrayLike) -> np.ndarray:
-        """Return J = V / (n D) = 2 pi V / (Omega D), infinite where the propeller stands still."""
-        tip_speed = np.asarray(propeller_speed, dtype=float) * self.diameter / (2.0 * np.pi)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(airspeed, dtype=float) / tip_speed
-
-    @classmethod
-    def from_table(
-        cls,
-        table: pd.DataFrame,
-        diameter: float,
-        *,
-        pitch: float | None = None,
-        rotation: int = 1,
-    ) -> Propeller:
-        """Fit the propeller to a bench table by least squares in newtons.
-
-        Warns if the table is static and no pitch is given: thrust in flight is then overstated.
-
-        Parameters
-        ----------
-        table : pandas.DataFrame
-            Columns ``propeller_speed`` [rad/s] and ``thrust`` [N]; where measured also ``airspeed``
-            [m/s], ``density`` [kg/m^3] (else 1.225) and ``torque`` [N m].
-        diameter : float
-            D [m].
-        pitch : float, optional
-            Geometric pitch [m] (a "20 x 10" propeller: 10 inches). For a static table C_T = c_0 (1
-            - J D / pitch), zero where the blades do not slip: a rule of thumb, true zero-thrust
-            advance ratios are often higher.
-        rotation : {1, -1}
-            1 turns clockwise seen from behind.
-
-        Examples
-        --------
-        >>> import pandas as pd
-        >>> from skdgp.dynamics import Propeller
-        >>> bench = pd.DataFrame({"propeller_speed": [200.0, 400.0, 600.0], "thrust": [7.76, 31.02, 69.81]})
-        >>> propeller = Propeller.from_table(bench, diameter=0.5, pitch=0.4)
-        >>> [round(c, 3) for c in propeller.thrust_coefficients]
-        [0.1, -0.125]
-        """
-        values = _bench_values(table)
-        is_static = not values["airspeed"].any()
-        if is_static and pitch is None:
-            warn(
-                "The bench table holds no airspeed > 0, so thrust in flight is overstated. Add rows "
-                "measured in a wind tunnel, or give pitch=... [m]: the thrust then falls to zero at "
-                "the advance ratio pitch / diameter."
-            )
-        # T / D^4 and Q / D^5 are c_0 rho n^2 + c_1 rho n (V / D) + c_2 rho (V / D)^2
-        n = values["propeller_speed"] / (2.0 * np.pi)
-        advance = values["airspeed"] / diameter
-        terms = [n**2] if is_static else [n**2, n * advance, advance**2]
-        basis = values[["density"]].to_numpy() * np.stack(terms, axis=-1)
-        thrust = _least_squares(basis, values["thrust"] / diameter**4)
-        torque = []
-        if "torque" in values:
-            torque = _least_squares(basis, values["torque"] / diameter**5)
-        largest = None
-        if not is_static:
-            largest = float(np.max(advance / n))
-        elif pitch is not None:
-            thrust.append(-thrust[0] * diameter / pitch)
-        return cls(diameter, thrust, torque, rotation, max_advance_ratio=largest)
 
     @classmethod
     def from_size(
@@ -282,33 +203,6 @@ def _warn_beyond(name: str, value: float, measured: tuple[float, float]) -> None
             f"Got a propeller with {name} {value:.2g}, but its thrust is estimated from others with "
             f"{low:g} to {high:g}: its error may be larger than stated."
         )
-
-
-def _bench_values(table: pd.DataFrame) -> pd.DataFrame:
-    """Return propeller speed, airspeed, density and the loads of a bench table as floats."""
-    loads = ["thrust", "torque"] if "torque" in table else ["thrust"]
-    check_columns(check_table(table), ["propeller_speed", *loads], what="bench table")
-    defaults = {"airspeed": 0.0, "density": SEA_LEVEL_DENSITY}
-    filled = pd.DataFrame({**defaults, **table}, index=table.index)
-    values = filled[["propeller_speed", "airspeed", "density", *loads]].astype(float)
-    is_positive = (values[["propeller_speed", "density"]] > 0).all(axis=None)
-    if not (is_positive and (values["airspeed"] >= 0).all() and np.isfinite(values).all(axis=None)):
-        raise ValueError(
-            "Got a bench table with NaN, or with propeller_speed <= 0, airspeed < 0 or density <= 0: "
-            "drop those rows or fix the units [rad/s, m/s, kg/m^3]."
-        )
-    return values
-
-
-def _least_squares(basis: Array, target: ArrayLike) -> list[float]:
-    """Return the coefficients of a basis (rows, k); raise ValueError if the rows do not determine them."""
-    solution, _, rank, _ = np.linalg.lstsq(basis, np.asarray(target), rcond=None)
-    if rank < basis.shape[1]:
-        raise ValueError(
-            f"The bench table's {len(basis)} rows do not determine c_0, c_1 and c_2: measure at 3 "
-            "or more advance ratios."
-        )
-    return solution.tolist()
 
 
 @dataclass(frozen=True, eq=False)

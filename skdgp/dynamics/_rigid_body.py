@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.checks import check_columns
@@ -188,7 +187,7 @@ def propeller_loads(
     propeller = aircraft.propeller
     if propeller is None:
         raise ValueError(
-            f"{aircraft!r} has no propeller: give propeller=Propeller.from_table(bench, diameter) to "
+            f"{aircraft!r} has no propeller: give propeller=Propeller.from_size(diameter, pitch) to "
             "Aircraft."
         )
     thrust = propeller.thrust(propeller_speed, airspeed, density)
@@ -227,27 +226,11 @@ def propulsive_loads(
         lacking = "no propeller_speed [rad/s]" if aircraft.propeller else "no propeller"
         raise ValueError(
             "The thrust is unknown: there is neither thrust_x, thrust_y, thrust_z nor thrust [N], and "
-            f"{lacking}. Add them, or Propeller.from_table(bench, diameter) to the aircraft and "
+            f"{lacking}. Add them, or Propeller.from_size(diameter, pitch) to the aircraft and "
             "propeller_speed, or throttle with speed_range=(idle, full); or say thrust=None "
             "(--thrust none) for a glider, or to leave an unknown thrust in the coefficients."
         )
-    if isinstance(values, pd.DataFrame):
-        _warn_beyond_bench(aircraft.propeller, speed, airspeed)
     return propeller_loads(aircraft, speed, airspeed, values["density"])
-
-
-def _warn_beyond_bench(propeller: Any, speed: Array, airspeed: Array) -> None:
-    """Warn of samples whose advance ratio exceeds the largest one of the bench table."""
-    largest = propeller.max_advance_ratio
-    if largest is None:
-        return
-    is_beyond = propeller.advance_ratio(speed, airspeed)[speed > 0] > 1.05 * largest
-    if is_beyond.any():
-        warn(
-            f"In {100 * is_beyond.mean():.0f} % of the samples the propeller's advance ratio exceeds the "
-            f"largest one on the bench ({largest:.2f}): the thrust there is an extrapolation. Measure "
-            "at higher airspeed, or give thrust columns."
-        )
 
 
 def propeller_speed_of(propeller: Propeller | None, values: Mapping | pd.DataFrame) -> Array | None:

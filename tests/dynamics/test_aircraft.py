@@ -18,7 +18,7 @@ GOOD = {
     "span": 2.8,
     "chord": 2.1,
     "thrust_line": {"position": [-1.2, 0.0, -0.1], "direction": [2.0, 0.0, 0.0]},
-    "propeller": {"diameter": 0.7, "thrust_coefficients": [0.1, -0.05], "max_advance_ratio": 0.9},
+    "propeller": {"diameter": 0.7, "thrust_coefficients": [0.1, -0.05]},
     "full_deflections": {"elevator": 0.42, "rudder": 0.35},
     "sensor_position": [0.35, 0.0, -0.12],
 }

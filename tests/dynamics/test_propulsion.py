@@ -1,6 +1,5 @@
-"""Thrust line and propeller: equation 7 by hand, bench tables given back, usual propellers."""
+"""Thrust line and propeller: equation 7 by hand, usual propellers."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -26,13 +25,6 @@ TRUE = Propeller(
 )
 
 
-def bench(airspeeds=(0.0, 8.0, 16.0), densities=(1.2, 1.1)):
-    states = itertools.product(np.linspace(200, 700, 6), airspeeds, densities)
-    table = pd.DataFrame(states, columns=["propeller_speed", "airspeed", "density"])
-    thrust, torque = (load(*table.to_numpy().T) for load in (TRUE.thrust, TRUE.torque))
-    return table.assign(thrust=thrust, torque=-TRUE.rotation * torque)
-
-
 def flight(**columns):
     return pd.DataFrame({"airspeed": [20.0, 21.0], "density": 1.1, **columns})
 
@@ -46,20 +38,12 @@ def test_equation_7_by_hand():
     assert_allclose(moment, [-0.6 - 1.6, -4.6, -0.8 + 1.2], atol=1e-14)
 
 
-def test_a_table_with_airspeed_gives_the_propeller_back():
-    fitted = Propeller.from_table(bench(), diameter=0.5, rotation=-1)
-    assert_allclose(fitted.thrust_coefficients, TRUE.thrust_coefficients, atol=1e-12)
-    assert_allclose(fitted.torque_coefficients, TRUE.torque_coefficients, atol=1e-12)
-    assert_allclose(fitted.max_advance_ratio, 2 * np.pi * 16 / (200 * 0.5))
-
-
 def test_thrust_is_the_advance_ratio_formula():
     omega, airspeed, rho = 400.0, 12.0, 1.15
     n = omega / (2 * np.pi)
     j = airspeed / (n * 0.5)
     expected = rho * n**2 * 0.5**4 * (0.11 - 0.04 * j - 0.09 * j**2)
     assert_allclose(TRUE.thrust(omega, airspeed, rho), expected, rtol=1e-13)
-    assert_allclose(TRUE.advance_ratio(omega, airspeed), j)
 
 
 def test_torque_turns_the_aircraft_against_the_propeller():
@@ -67,20 +51,6 @@ def test_torque_turns_the_aircraft_against_the_propeller():
     assert clockwise.torque(300.0, 0.0) < 0, (
         "a propeller clockwise from behind rolls the aircraft left"
     )
-
-
-def test_a_static_table_says_that_it_is_one():
-    static = bench(airspeeds=(0.0,)).drop(columns=["airspeed"])
-    with pytest.warns(UserWarning, match="no airspeed > 0.*is overstated"):
-        fitted = Propeller.from_table(static, diameter=0.5)
-    assert_allclose(fitted.thrust_coefficients, [0.11], atol=1e-12)
-
-
-def test_a_static_table_with_pitch_loses_its_thrust_at_the_pitch_speed():
-    fitted = Propeller.from_table(bench(airspeeds=(0.0,)), diameter=0.5, pitch=0.4)
-    n = 300.0 / (2 * np.pi)
-    assert_allclose(fitted.thrust(300.0, n * 0.4), 0.0, atol=1e-12)
-    assert_allclose(fitted.thrust(300.0, 0.0), TRUE.thrust(300.0, 0.0))
 
 
 def test_propeller_thrust_of_a_flight(aircraft):
@@ -95,21 +65,9 @@ def test_propeller_thrust_of_a_flight(aircraft):
     assert_allclose(propeller_loads(powered, *state), (force, moment))
 
 
-def test_beyond_the_bench_is_warned_of(aircraft):
-    propeller = Propeller(0.5, (0.1, -0.05), max_advance_ratio=0.2)
-    with pytest.warns(
-        UserWarning, match=r"100 % of the samples .* exceeds the largest one on the bench \(0.20\)"
-    ):
-        propulsive_loads(flight(propeller_speed=500.0), replace(aircraft, propeller=propeller))
-
-
 @pytest.mark.parametrize(("ask", "words"), [
     (lambda a: ThrustLine(direction=(0, 0, 0)), "length zero"),
     (lambda a: ThrustLine(position=(1, 2, np.nan)), "3 finite numbers"),
-    (lambda a: Propeller.from_table(bench().drop(columns="thrust"), diameter=0.5), "lacks the columns 'thrust'"),
-    (lambda a: Propeller.from_table(bench().assign(propeller_speed=0.0), diameter=0.5), "propeller_speed <= 0"),
-    (lambda a: Propeller.from_table(bench().assign(thrust=np.nan), diameter=0.5), "with NaN"),
-    (lambda a: Propeller.from_table(bench().iloc[[0, 2]], diameter=0.5), "do not determine"),
     (lambda a: Propeller(0.0, (0.1,)), "diameter"),
     (lambda a: Propeller(0.5, ()), "thrust_coefficients"),
     (lambda a: Propeller(0.5, (1, 2, 3, 4)), "thrust_coefficients"),

@@ -381,26 +381,17 @@ def _most_likely_lag(
 def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
     """Return the lag of vanes behind the motion of the aircraft, which explains them but for gusts.
 
-    It is that of the least sum n log RSS of alpha and beta over their motion. With residuals e and
-    slopes g of the fitted response by time, in units of the residuals, its variance is the sum of
-    (g e)^2 over that of g^2 squared, with the autocorrelation time of g e; gusts add an error in proportion to
-    the part of the vanes that is not explained.
+    It is that of the least sum n log RSS of alpha and beta over their motion.
     """
     pairs = [(segment, *pair) for segment in segments for pair in zip(VANES, MOTION, strict=True)]
     pairs = [pair for pair in pairs if {*pair[1:]} <= pair[0].splines.keys()]
     if not pairs:
         return UNKNOWN
 
-    def fit(segment: _Segment, vane: str, motion: str, lag: float) -> tuple[Vector, Vector]:
-        """Return response and fitted response (n,)."""
-        y = segment.channels([vane], lag)[:, 0]
-        x = segment.channels([motion])[:, 0]
-        return y, x * (x @ y) / (x @ x)
-
     def loss(lag: float) -> float:
         total = 0.0
         for pair in pairs:
-            y, fitted = fit(*pair, lag)
+            y, fitted = _fitted_to_motion(*pair, lag)
             total += len(y) * float(np.log(np.sum((y - fitted) ** 2) / (y @ y)))
         return total
 
@@ -409,11 +400,32 @@ def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
     lag = float(_minimum(steps, np.array([loss(step) for step in steps])))
     if not steps[0] < lag < steps[-1]:
         return UNKNOWN
+    return Lag(lag, _std_behind_motion(pairs, lag, settings))
+
+
+def _fitted_to_motion(
+    segment: _Segment, vane: str, motion: str, lag: float
+) -> tuple[Vector, Vector]:
+    """Return a vane and its fit to the motion (n,)."""
+    y = segment.channels([vane], lag)[:, 0]
+    x = segment.channels([motion])[:, 0]
+    return y, x * (x @ y) / (x @ x)
+
+
+def _std_behind_motion(
+    pairs: list[tuple[_Segment, str, str]], lag: float, settings: LagSettings
+) -> float:
+    """Return the standard deviation of a lag of vanes behind the motion [s].
+
+    With residuals e and slopes g of the fitted response by time, in units of the residuals, its variance is the
+    sum of (g e)^2 over that of g^2 squared, with the autocorrelation time of g e; gusts add an error in
+    proportion to the part of the vanes that is not explained.
+    """
     variance = 0.0
     information = 0.0
     unexplained = 0.0
     for pair in pairs:
-        y, fitted = fit(*pair, lag)
+        y, fitted = _fitted_to_motion(*pair, lag)
         time = pair[0].time
         e = y - fitted
         g = np.gradient(fitted, time[1] - time[0])
@@ -425,7 +437,7 @@ def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
         unexplained += float(g @ g) / scale * float(e @ e) / float(y @ y)
     of_residuals = settings.lack_of_motion * np.sqrt(variance) / information
     of_gusts = settings.error_by_gusts * unexplained / information
-    return Lag(float(lag), float(np.hypot(of_residuals, of_gusts)))
+    return float(np.hypot(of_residuals, of_gusts))
 
 
 def _most_likely_servos(
@@ -443,46 +455,58 @@ def _most_likely_servos(
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
     instruments = [segment.earlier_surfaces(settings) for segment in segments]
 
-    def loss(lags: Vector) -> float:
-        return _servo_loss(segments, instruments, lags, settings)
+    def loss(servo_lag: float, delay: float) -> float:
+        return _servo_loss(segments, instruments, np.array([servo_lag, delay]), settings)
 
-    largest = settings.largest
-    options: Any = {"xatol": settings.precision}
-    alone = optimize.minimize_scalar(
-        lambda servo_lag: loss(np.array([servo_lag, 0.0])), bounds=(0.0, largest), options=options
-    )
-    early = abs(surfaces.value)
-    latest = min(LONGEST_DELAY * early, largest)
-
-    def with_delay(servo_lag: float) -> tuple[float, float]:
-        """Return the most likely delay behind a lag, and the loss."""
-        best = optimize.minimize_scalar(
-            lambda delay: loss(np.array([servo_lag, delay])), bounds=(0.0, latest), options=options
-        )
-        return float(best.x), float(best.fun)
-
-    # the loss has several minima: lag and delay replace each other
-    scan = np.linspace(0.0, min(LONGEST_LAG * early, largest), N_SERVO_LAGS)
-    delays, losses = np.transpose([with_delay(servo_lag) for servo_lag in scan])
-    servo_lag = float(_minimum(scan, losses))
-    delay, least = with_delay(servo_lag)
-    weights = np.exp(-0.5 * (losses - losses.min()) / INFLATION)
-    weights /= weights.sum()
-    std = surfaces.std
-    lag_std = float(np.sqrt(weights @ (scan - servo_lag) ** 2 + std**2))
-    delay_std = float(np.sqrt(weights @ (delays - delay) ** 2 + std**2))
-    removed, removed_delay = servo_lag, removable(Lag(delay, std), settings)
-    if not removed_delay or alone.fun - least < settings.delay_evidence:
-        removed, removed_delay = float(alone.x), 0.0
-    is_significant = removable(Lag(removed, std), settings) or removed_delay
-    if not is_significant or removed + settings.precision >= largest:
+    (scan, delays, losses), best = _servo_profile(loss, abs(surfaces.value), settings)
+    servo_lag, delay, least = best
+    alone, loss_alone = _least(lambda lag: loss(lag, 0.0), settings.largest, settings)
+    removed, removed_delay = servo_lag, removable(Lag(delay, surfaces.std), settings)
+    if not removed_delay or loss_alone - least < settings.delay_evidence:
+        removed, removed_delay = alone, 0.0
+    is_significant = removable(Lag(removed, surfaces.std), settings) or removed_delay
+    if not is_significant or removed + settings.precision >= settings.largest:
         return None
-    best = np.array([servo_lag, delay])
-    limited = _limited_servos(segments, instruments, best, settings)
+    lag_std = _std_of_profile(scan, servo_lag, losses, surfaces.std)
+    delay_std = _std_of_profile(delays, delay, losses, surfaces.std)
+    rate_limit = np.inf
+    limited = _limited_servos(segments, instruments, np.array([servo_lag, delay]), settings)
     if limited is not None:
         servo_lag, rate_limit = limited
-        return Lag(servo_lag, lag_std, servo_lag, rate_limit), Lag(-delay, delay_std, -delay)
-    return Lag(servo_lag, lag_std, removed), Lag(-delay, delay_std, -removed_delay)
+        removed, removed_delay = servo_lag, delay
+    return Lag(servo_lag, lag_std, removed, rate_limit), Lag(-delay, delay_std, -removed_delay)
+
+
+def _servo_profile(
+    loss: Callable[[float, float], float], early: float, settings: LagSettings
+) -> tuple[Matrix, tuple[float, float, float]]:
+    """Return lags with their most likely delays and losses, (3, n), and the best, of surfaces ``early`` [s]."""
+    latest = min(LONGEST_DELAY * early, settings.largest)
+
+    def with_delay(servo_lag: float) -> tuple[float, float]:
+        return _least(lambda delay: loss(servo_lag, delay), latest, settings)
+
+    # the loss has several minima: lag and delay replace each other
+    scan = np.linspace(0.0, min(LONGEST_LAG * early, settings.largest), N_SERVO_LAGS)
+    delays, losses = np.transpose([with_delay(servo_lag) for servo_lag in scan])
+    servo_lag = float(_minimum(scan, losses))
+    return np.stack([scan, delays, losses]), (servo_lag, *with_delay(servo_lag))
+
+
+def _std_of_profile(values: Vector, best: float, losses: Vector, std: float) -> float:
+    """Return the standard deviation of a parameter, (n,) along a profile of losses, with one [s] besides."""
+    weights = np.exp(-0.5 * (losses - losses.min()) / INFLATION)
+    weights /= weights.sum()
+    return float(np.sqrt(weights @ (values - best) ** 2 + std**2))
+
+
+def _least(
+    loss: Callable[[float], float], largest: float, settings: LagSettings
+) -> tuple[float, float]:
+    """Return the time up to the ``largest`` [s] with the least loss, and the loss."""
+    options: Any = {"xatol": settings.precision}
+    found = optimize.minimize_scalar(loss, bounds=(0.0, largest), options=options)
+    return float(found.x), float(found.fun)
 
 
 def _limited_servos(

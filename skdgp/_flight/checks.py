@@ -192,11 +192,14 @@ def check_numbers(name: str, values: object, *sizes: int, unit: str = "") -> Arr
 
 def _lacking(needed: Iterable[str], names: list[str]) -> str:
     """Return the missing names, each with the nearest one there is; empty if none is missing."""
+    unknown = [name for name in names if name not in CHANNELS]
+    meant = {channel: name for name, channel in suggestions(unknown, names).items()}
     hints = []
     for name in dict.fromkeys(needed):
         if name not in names:
             hint = repr(name)
-            for near in get_close_matches(name, names, n=1, cutoff=0.75):
-                hint += f" (nearest: {near!r})"
+            near = [meant[name]] if name in meant else get_close_matches(name, names, 1, 0.75)
+            if near:
+                hint += f" (nearest: {near[0]!r})"
             hints.append(hint)
     return ", ".join(hints)

@@ -105,11 +105,6 @@ class Code(Kind):
         "(by rows: {missing})",
         "Bring slow sensors to the clock of the others if these are many.",
     )
-    SENSOR_POSITIONS_DIFFER = (
-        "flight {flight!r} states inertial sensors {distance:.2g} m from where the aircraft of the model has "
-        "them (the centre of gravity, if it states no position)",
-        "The flight's position counts. Correct the wrong one, or learn the model again.",
-    )
     SLOW_CHANNELS = (
         "channels have slower clocks than the log [Hz]: {rates:.3g}",
         "A repeated sample counts once, and controls are splines between samples.",
@@ -299,7 +294,7 @@ class Code(Kind):
         NOTE,
     )
     CONTROLS_TOO_UNCERTAIN = (
-        "not known well enough, half of the 95 % interval over the value: {widths:.0%}[, by {causes}]",
+        "not known well enough, half of the 95 % interval over the value: {widths:.0%}",
         "",
         NOTE,
     )
@@ -311,7 +306,7 @@ class Code(Kind):
     )
     TRIM_BEYOND = "the trim is outside the flown range in {names}", "", NOTE
     SIGNS_UNKNOWN = (
-        "the signs of these derivatives are not known, as their 95 % bands hold zero: {values:+.2g}[, by {causes}]",
+        "the signs of these derivatives are not known, as their 95 % bands hold zero: {values:+.2g}",
         "Fly larger inputs of every surface.",
     )
     WRONG_SIGNS = (
@@ -319,9 +314,6 @@ class Code(Kind):
         "Look at the signs of the log's surfaces and rates, at the place and the signs of the "
         "accelerometers, and at gusts without vanes.",
     )
-    # causes of the parts of the standard deviation of a derivative
-    STD_ERRORS = "gusts, noise of the regressors, or errors of the log"
-    STD_POSTERIOR = "few or small inputs"
 
     # simulation
     ACCELERATIONS_AS_REGRESSORS = (

@@ -11,16 +11,13 @@ import numpy as np
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     ALL_SURFACES,
-    CHANNELS,
     ELEVONS,
     EULER,
-    MIXED,
     RATES,
     SPECIFIC_FORCE,
-    SURFACES,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
-from skdgp._flight.checks import check_table, suggestions
+from skdgp._flight.checks import check_table
 from skdgp._flight.faults import without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
@@ -54,8 +51,9 @@ def train_and_test(
         1 / np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1
     ]
     findings = []
+    columns = set().union(*(flight.table.columns for flight in train.values()))
     # other regressors take its effect
-    if "elevator" in _lacking_surfaces(train, regressors):
+    if "elevator" in regressors and columns.isdisjoint(("elevator", *ELEVONS)):
         findings.append(Finding(Code.NO_ELEVATOR))
     if rates and min(rates) < SLOWEST:
         findings.append(Finding(Code.SLOW_LOG, numbers={"rate": float(min(rates))}))
@@ -76,30 +74,6 @@ def train_and_test(
     for finding in findings:
         report(finding)
     return train, tested, servos
-
-
-def _lacking_surfaces(flights: Flights, regressors: Sequence[str]) -> list[str]:
-    """Return the surfaces that flights lack; raise ValueError if a column of another name seems to hold one."""
-    columns: dict[str, None] = {}
-    for flight in flights.values():
-        columns |= dict.fromkeys(flight.table.columns)
-    available = {*columns}
-    if available & {*ELEVONS}:
-        available |= {*MIXED}
-    lacking = [name for name in SURFACES if name in regressors and name not in available]
-    unknown = [name for name in columns if name not in CHANNELS]
-    meant = {}
-    for name, channel in suggestions(unknown, columns).items():
-        if channel in lacking:
-            meant[name] = channel
-    if meant:
-        renaming = " ".join(f"{name}={channel}" for name, channel in meant.items())
-        raise ValueError(
-            f"Got flights without {' and '.join(meant.values())}: did you mean "
-            f"{' and '.join(map(repr, meant))}? Rename the columns in the table, or by --rename "
-            f"{renaming} (reading={{'rename': {meant}}})."
-        )
-    return lacking
 
 
 def _without_last(flights: Flights) -> tuple[Flights, Flights, Finding]:

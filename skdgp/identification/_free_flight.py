@@ -32,7 +32,6 @@ STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)  # of no wind and
 STEP = 0.05
 MOST_STARTS = 60  # guess
 TIMES = 20  # parts of the simulated time over which errors are averaged (guess)
-SHOWN_PATHS = 30  # of the simulation that the report draws (guess)
 LEAST_PART = 0.95  # least duration of a part of a flight over the horizon (guess)
 
 
@@ -84,7 +83,7 @@ class FreeFlight:
         passes the limit, at most ``horizon``; ``wind_known``, whether the wind and its gusts were
         estimated.
         """
-        flown = self._simulated(self.parts)
+        flown = self._simulated()
         simulated = numeric(flown, STATES).reshape(len(self.parts), -1, len(STATES))
         elapsed = flown["time"].to_numpy()[: simulated.shape[1]]
         measured = np.array([_at(elapsed, part.flown) for part in self.parts])
@@ -110,17 +109,9 @@ class FreeFlight:
         errors["wind_known"] = self.knows_wind
         return errors
 
-    def example(self) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
-        """Return simulated paths of the part in the middle, their mean, and the flight."""
-        middle = self.parts[len(self.parts) // 2]
-        mean = self._simulated([middle])
-        paths = mean
-        if self.model.is_uncertain:
-            paths = self._simulated([middle], n_paths=SHOWN_PATHS)
-        return paths, mean, middle.flown
-
-    def _simulated(self, parts: Sequence[Part], **options: Any) -> pd.DataFrame:
-        """Return a simulation of parts of flights with their controls, in their air."""
+    def _simulated(self) -> pd.DataFrame:
+        """Return a simulation of the parts with their controls, in their air."""
+        parts = self.parts
         density = np.nanmedian(np.concatenate([part.flown["density"] for part in parts]))
         wind = [part.flown[["time", *WIND]] for part in parts] if self.knows_wind else None
         not_inputs = [*STATES, *WIND, "flight", "psi"]
@@ -138,7 +129,6 @@ class FreeFlight:
                 duration=min(float(table["time"].iloc[-1]) for table in inputs),
                 thrust=self.thrust,
                 air=Air(wind, density=float(density)),
-                **options,
             )
 
 

@@ -269,17 +269,8 @@ def validate(
         train={},
         evaluations=evaluations,
         changes=changes,
-        findings=_named_once([*_of_search(model.pipeline[-1]), *findings]),
+        findings=_named_once(findings),
     )
-
-
-def _of_search(regressor: DependentGPRegressor) -> list[Finding]:
-    """Return the findings of the search of a regressor that was fitted before."""
-    if regressor.converged_:
-        return []
-    if regressor.interrupted_:
-        return [Finding(FitCode.FIT_INTERRUPTED)]
-    return [Finding(FitCode.SEARCH_STOPPED, numbers={"max_iter": regressor.max_iter})]
 
 
 def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -46,8 +46,6 @@ class FlightMechanics:
     simulation : DataFrame, optional
         By state ``spread``, ``limit``, ``error`` at the end, how long it ``lasts`` and its
         ``horizon`` [s], and whether the wind with its gusts was known (``wind_known``).
-    simulated : tuple of DataFrame, optional
-        Paths of a simulated part of a test flight, their mean, and the flight.
     notes : tuple of Finding
         Why trim, modes, derivatives or the simulation are missing.
     """
@@ -56,7 +54,6 @@ class FlightMechanics:
     derivatives: pd.DataFrame = field(default_factory=pd.DataFrame)
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
-    simulated: tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame] | None = None
     notes: tuple[Finding, ...] = ()
 
     @property
@@ -120,8 +117,7 @@ def flight_mechanics(
     except ValueError as error:
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
     try:
-        free = FreeFlight(pipeline, aircraft, flights, options)
-        computed |= {"simulation": free.errors(), "simulated": free.example()}
+        computed["simulation"] = FreeFlight(pipeline, aircraft, flights, options).errors()
     except ValueError as error:
         notes.append(Finding(Code.NOT_SIMULATED, numbers={"error": str(error)}))
     return FlightMechanics(trim=steady, notes=tuple(notes), **computed)

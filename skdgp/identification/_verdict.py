@@ -5,7 +5,7 @@ A new limit is a kind of finding, a function that finds it, and its place in `LI
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +31,6 @@ CONTROL_DERIVATIVES = ("Cm_elevator", "Cl_aileron", "Cn_rudder")
 VANES_OF = {"CZ": "alpha", "CY": "beta"}
 # Kinds of modes that a controller of attitude works in
 FAST_MODES = ("short period", "Dutch roll", "roll", "roll-spiral")
-# Parts of the standard deviation of a derivative
-PARTS = (Code.STD_ERRORS, Code.STD_POSTERIOR)
 # Regressors that are known only after a flight
 ACCELERATION_REGRESSORS = {
     *SPECIFIC_FORCE,
@@ -333,8 +331,7 @@ def _control_findings(mechanics: FlightMechanics, varying: pd.DataFrame) -> list
     if mechanics.trim is None or widths.empty:
         return [Finding(Code.CONTROLS_MISSING)]
     wide = widths[~(widths <= THRESHOLDS.band)]
-    causes = _largest_parts(mechanics.derivatives, wide.index)
-    findings += _if_any(Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict(), causes=causes)
+    findings += _if_any(Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict())
     findings += _if_any(Code.TRIM_BEYOND, names=list(mechanics.trim.beyond))
     errors = varying[NRMSE].reindex(["Cl", "Cm", "Cn"])
     poor = errors[errors > THRESHOLDS.error]
@@ -356,17 +353,6 @@ def _half_widths(mechanics: FlightMechanics) -> pd.Series:
     return half_width(0.95) * bands["std"] / bands["value"].abs()
 
 
-def _largest_parts(derivatives: pd.DataFrame, names: Iterable[str]) -> dict[str, Code]:
-    """Return by derivative the part of its standard deviation that makes up more than half of the variance."""
-    largest = {}
-    parts = [part for part in PARTS if part.label in derivatives]
-    for name in derivatives.index.intersection(pd.Index(names)):
-        squares = [derivatives[part.label].loc[name] ** 2 for part in parts]
-        if squares and max(squares) > 0.5 * sum(squares):
-            largest[name] = parts[int(np.argmax(squares))]
-    return largest
-
-
 def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
     """Return the findings of derivatives whose sign is, or may be, other than on a conventional stable aircraft.
 
@@ -378,10 +364,9 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
     wrong = derivatives["value"].reindex(signed.index[signed < 0])
     is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
     unknown = wrong[~is_known]
-    causes = _largest_parts(derivatives, unknown.index)
     return [
         *_if_any(Code.WRONG_SIGNS, values=wrong[is_known].to_dict()),
-        *_if_any(Code.SIGNS_UNKNOWN, values=unknown.to_dict(), causes=causes),
+        *_if_any(Code.SIGNS_UNKNOWN, values=unknown.to_dict()),
     ]
 
 

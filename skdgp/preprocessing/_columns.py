@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 from itertools import combinations
 from numbers import Real
 from typing import Any, Self
@@ -29,7 +28,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     rate_factor,
 )
-from skdgp._flight.checks import check_columns
+from skdgp._flight.checks import check_columns, suggestions, unknown_columns
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import numeric
@@ -384,11 +383,9 @@ class RegressorSelector(TableTransformer):
         names = [name + HAT if name + HAT in table else name for name in names]
         if ELEVONS[0] in table:
             check_columns(table, MIXED)
-        have = {*map(str, table.columns)}
-        measured = have - {*_truth(have)}
+        misspelt = suggestions(unknown_columns(table), table.columns).values()
         for name in present(CONTROLS, names):
-            is_misspelt = get_close_matches(name, measured, n=1, cutoff=0.85)
-            if name not in table and not is_misspelt:
+            if name not in table and name not in misspelt:
                 self.absent_.append(name)
         if {*SURFACES} <= {*self.absent_}:
             check_columns(table, SURFACES)

@@ -46,7 +46,6 @@ SHOWN_FLIGHTS = 3
 EXCERPT = 15.0  # length of the look at a flight [s] (guess)
 
 TRIM = ("airspeed", "altitude", "density", "alpha", "theta", "phi", "climb")
-SIMULATED = ("airspeed", "alpha", "phi", "theta", "p", "q")
 SYMMETRIC, ASYMMETRIC = ("CL", "CD", "Cm"), ("CY", "Cl", "Cn")
 JUDGEMENTS = {"yes": "✓ yes", "partly": "◐ partly", "no": "✗ no", "unknown": "? not known"}
 DERIVATIVES = (
@@ -63,10 +62,6 @@ SIMULATION = (
     "Simulation of the test flights with the recorded controls, started again from measured states "
     "every horizon [s], in the wind and gusts where these are known, else in still air: spread in the "
     "flights, limit, root mean square error at the end, and how long [s] it lasts below its limit."
-)
-SIMULATED_FLIGHT = (
-    "One of these simulations. The band holds 95 % of the aircraft that the model allows, in the "
-    "same air: gusts that no sensor shows are not in it."
 )
 SCORES = (
     "Errors of the coefficients. ▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too "
@@ -142,7 +137,7 @@ def _sections(result: Identification, effects: EffectsDisplay | None, draw: bool
         section("What was assumed", bullets(result.assumed)),
         "" if draw else paragraphs([NO_FIGURES]),
         _mechanics(result.mechanics),
-        _simulation(result.mechanics, draw),
+        _simulation(result.mechanics),
         *_flights(result.evaluations, draw),
         section("Effects", figure(effects, EFFECTS)) if draw and effects is not None else "",
         _flown(result) if draw else "",
@@ -291,24 +286,15 @@ def _modes(modes: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(shown).T
 
 
-def _simulation(mechanics: FlightMechanics, draw: bool) -> str:
-    """Return how long a free simulation follows the test flights, and one flight with its bands."""
-    parts = []
-    if mechanics.simulation is not None:
-        errors = mechanics.simulation.copy()
-        units = [display_unit(str(name)) for name in errors.index]
-        sizes = ["spread", "limit", "error"]
-        errors[sizes] *= np.array([[factor] for factor, _ in units])
-        names = [f"{name} [{unit}]" for name, (_, unit) in zip(errors.index, units, strict=True)]
-        parts.append(table(errors.set_axis(names), SIMULATION))
-    if draw and mechanics.simulated is not None:
-        paths, mean, flown = mechanics.simulated
-        names = [name for name in SIMULATED if name in flown]
-        display = TimeHistoryDisplay.from_trajectories(
-            paths, flown, mean=mean, columns=names, ax=False
-        )
-        parts.append(figure(display, SIMULATED_FLIGHT))
-    return section("Simulation", *parts)
+def _simulation(mechanics: FlightMechanics) -> str:
+    """Return how long a free simulation follows the test flights."""
+    if mechanics.simulation is None:
+        return ""
+    errors = mechanics.simulation.copy()
+    units = [display_unit(str(name)) for name in errors.index]
+    errors[["spread", "limit", "error"]] *= np.array([[factor] for factor, _ in units])
+    names = [f"{name} [{unit}]" for name, (_, unit) in zip(errors.index, units, strict=True)]
+    return section("Simulation", table(errors.set_axis(names), SIMULATION))
 
 
 def _flights(flights: list[Evaluation], draw: bool) -> list[str]:

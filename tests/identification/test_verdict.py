@@ -342,12 +342,10 @@ class TestCoefficientsThatDoNotVary:
         assert [one.code for one in found.findings] == [Code.BANDS_TOO_WIDE, Code.NOT_VARYING]
 
 
-def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown_and_has_its_source():
-    parts = {"std_errors": 0.02, "std_posterior": 0.2}
-    found = verdict(derivatives=with_derivative("CY_beta", 0.1, 0.2, **parts))
+def test_a_wrong_sign_that_the_band_does_not_exclude_is_unknown():
+    found = verdict(derivatives=with_derivative("CY_beta", 0.1, 0.2))
     assert use(found, CONTROL) == ("no", {Code.SIGNS_UNKNOWN})
-    assert found.findings[0].numbers["causes"] == {"CY_beta": Code.STD_POSTERIOR}
-    assert "CY_beta +0.1, by CY_beta few or small inputs." in found.warnings[0]
+    assert "CY_beta +0.1." in found.warnings[0]
 
 
 def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
@@ -444,12 +442,11 @@ def test_what_a_model_may_be_used_for_and_why(purpose, parts, judgement, codes):
     assert use(verdict(**parts), purpose) == (judgement, codes)
 
 
-def test_the_cause_of_a_wide_band_is_named():
+def test_how_wide_a_band_is_is_told():
     (_, _, control) = verdict(derivatives=WIDE).uses
     (uncertain,) = control.findings
     assert uncertain.numbers["widths"] == {"Cm_elevator": pytest.approx(0.98, abs=0.01)}
-    assert uncertain.numbers["causes"] == {"Cm_elevator": Code.STD_ERRORS}
-    assert "Cm_elevator 98 %, by Cm_elevator gusts" in control.reason
+    assert "Cm_elevator 98 %" in control.reason
 
 
 class TestMechanics:

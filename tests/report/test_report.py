@@ -170,10 +170,7 @@ WAVE = np.sin(1.3 * TIME)
 @pytest.fixture(scope="module")
 def html(effects):
     """Return a report with all kinds of figures."""
-    mean = pd.DataFrame({"time": TIME, "phi": WAVE, "start": 0, "ended": ""})
-    paths = pd.concat(mean.assign(path=k, phi=WAVE + 0.2 * (k - 5)) for k in range(10))
-    simulated = paths, mean, mean
-    return render(effects=effects, mechanics=FlightMechanics(simulated=simulated))
+    return render(effects=effects)
 
 
 class TestPage:

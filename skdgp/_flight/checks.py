@@ -116,6 +116,12 @@ def check_columns(table: pd.DataFrame, needed: Iterable[str], *, what: str = "fl
     )
 
 
+def check_spelling(table: pd.DataFrame, names: Iterable[str]) -> None:
+    """Raise a ValueError if a table lacks one of the names, and a column of no known name seems to be it."""
+    meant = suggestions(unknown_columns(table), table.columns).values()
+    check_columns(table, [name for name in names if name in meant])
+
+
 def check_names(needed: Iterable[str], available: Iterable[str], what: str) -> None:
     """Raise a ValueError that names what ``available`` lacks of the ``needed`` names, and the nearest ones."""
     names = [str(name) for name in available]

@@ -6,42 +6,33 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 """
 
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
-from skdgp.estimation._air_parameters import prior_deviations
+from skdgp.estimation._air_parameters import prior_deviations as prior_deviations
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._airspeed_scale import without_airspeed_error as without_airspeed_error
-from skdgp.estimation._lags import Lag, estimate_lags, removable
-from skdgp.estimation._path import (
-    CALIBRATED,
-    PathEstimate,
-    SensorContradiction,
-    contradictions,
-    estimate_path,
-    overlapping_parts,
-)
+from skdgp.estimation._lags import Lag, estimate_lags
+from skdgp.estimation._lags import removable as removable
+from skdgp.estimation._path import CALIBRATED as CALIBRATED
+from skdgp.estimation._path import RECONSTRUCTED as RECONSTRUCTED
+from skdgp.estimation._path import PathEstimate, SensorContradiction, estimate_path
+from skdgp.estimation._path import air_columns as air_columns
+from skdgp.estimation._path import contradictions as contradictions
+from skdgp.estimation._path import overlapping_parts as overlapping_parts
+from skdgp.estimation._path import path_columns as path_columns
 from skdgp.estimation._path_equations import FlightPath
-from skdgp.estimation._reconstruction import RECONSTRUCTED, air_columns, path_columns
 from skdgp.estimation._sensors import AIR_SENSOR_ERRORS as AIR_SENSOR_ERRORS
-from skdgp.estimation._sensors import (
-    GUSTS,
-    PATH_CHANNELS,
-    PATH_NOISE,
-    FlightSensors,
-    NamedFlight,
-    flights_of,
-    missing_channels,
-)
+from skdgp.estimation._sensors import GUSTS as GUSTS
 from skdgp.estimation._sensors import KNOWN_ARM as KNOWN_ARM
-from skdgp.estimation._servos import delayed_surfaces
+from skdgp.estimation._sensors import PATH_CHANNELS as PATH_CHANNELS
+from skdgp.estimation._sensors import PATH_NOISE as PATH_NOISE
+from skdgp.estimation._sensors import FlightSensors, flights_of
+from skdgp.estimation._sensors import NamedFlight as NamedFlight
+from skdgp.estimation._sensors import missing_channels as missing_channels
+from skdgp.estimation._servos import delayed_surfaces as delayed_surfaces
+from skdgp.estimation._servos import without_lag as without_lag
 from skdgp.estimation._settings import AirSettings, LagSettings, PathSettings
-from skdgp.estimation._shift import without_lag
 from skdgp.estimation._vibration import vibration_covariance as vibration_covariance
 
 __all__ = [
-    "CALIBRATED",
-    "GUSTS",
-    "PATH_CHANNELS",
-    "PATH_NOISE",
-    "RECONSTRUCTED",
     "AirMotion",
     "AirSettings",
     "AirspeedScale",
@@ -49,22 +40,12 @@ __all__ = [
     "FlightSensors",
     "Lag",
     "LagSettings",
-    "NamedFlight",
     "PathEstimate",
     "PathSettings",
     "SensorContradiction",
-    "air_columns",
     "airspeed_scale",
-    "contradictions",
-    "delayed_surfaces",
     "estimate_air_motion",
     "estimate_lags",
     "estimate_path",
     "flights_of",
-    "missing_channels",
-    "overlapping_parts",
-    "path_columns",
-    "prior_deviations",
-    "removable",
-    "without_lag",
 ]

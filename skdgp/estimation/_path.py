@@ -1,4 +1,4 @@
-r"""The most likely path of a flight and the noise of its sensors (flight-path reconstruction).
+r"""The most likely path of a flight, the noise of its sensors and its columns (flight-path reconstruction).
 
 States, measurements and their equations stand in ``_path_equations.py``. Gauss-Newton steps on the path
 alternate with Foerstner's estimate of the variance components (Foerstner 1979): with the residuals e
@@ -21,9 +21,21 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicSpline
 
 from skdgp._compute.typing import Indices, Matrix, Vector
-from skdgp._flight.channels import LEAST_GUST
+from skdgp._flight.channels import (
+    AIR_DATA,
+    EARTH_VELOCITY,
+    EULER,
+    LEAST_GUST,
+    RATES,
+    SPECIFIC_FORCE,
+    WIND,
+)
+from skdgp._flight.frames import air_data, rotation_to_euler
+from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._least_squares import Equations, GaussianPrior, Posterior, solve
 from skdgp.estimation._path_equations import (
     ATTITUDE_LAG,
@@ -52,6 +64,10 @@ from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
 
 CALIBRATED = (*INERTIAL_BIASES, *MEAN_WIND)
 """Constants that are estimated where sensors have no lags."""
+ANGLE_RATES = ("alpha_dot", "beta_dot")
+MOTION_COLUMNS = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
+RECONSTRUCTED = (*AIR_DATA, *ANGLE_RATES, *MOTION_COLUMNS)
+"""Columns of a reconstructed flight."""
 PRIOR_STD = np.array(list(PATH_CONSTANTS.values()))
 """Prior standard deviations of all constants (c,), of means of zero."""
 
@@ -365,3 +381,41 @@ def contradictions(
         if residual > largest * noise:
             contradicted.append(SensorContradiction(sensor, residual, noise, is_smoothed))
     return contradicted
+
+
+def path_columns(path: FlightPath, sensors: FlightSensors) -> dict[str, Vector]:
+    """Return the columns `RECONSTRUCTED` (n,) by a flight's path, SI units and radians."""
+    air = np.column_stack(air_data(path.air_velocity()))
+    euler = rotation_to_euler(path.attitude)
+    force, rate = path.inertial(sensors)
+    return _columns(sensors, air, np.hstack([rate, force, euler, path.velocity, path.wind()]))
+
+
+def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
+    """Return reconstructed columns (n,) of a flight by ``air``, its n rows of `AirMotion.air`.
+
+    Between the rows that records contain values are interpolated; rates of alpha and beta [rad/s]
+    are the derivatives of cubic splines.
+    """
+    motion = air[[*AIR_DATA, *MOTION_COLUMNS]].reset_index(drop=True)
+    euler = motion[[*EULER]].dropna()
+    # angles of thinned rows: between pi and -pi is pi, not zero
+    motion.loc[euler.index, [*EULER]] = np.unwrap(euler.to_numpy(), axis=0)
+    values = interpolate_missing(sensors.time, motion.to_numpy())
+    return _columns(sensors, values[:, : len(AIR_DATA)], values[:, len(AIR_DATA) :])
+
+
+def _columns(sensors: FlightSensors, air: Matrix, motion: Matrix) -> dict[str, Vector]:
+    """Return the columns `RECONSTRUCTED` by air data (n, 3) and motion (n, k)."""
+    columns = np.hstack([air, angle_rates(sensors, air), motion])
+    return dict(zip(RECONSTRUCTED, columns.T, strict=True))
+
+
+def angle_rates(sensors: FlightSensors, air: Matrix) -> Matrix:
+    """Return the rates of change of alpha and beta (n, 2) by air data (n, 3), NaN of single samples."""
+    rates = np.full((len(air), 2), np.nan)
+    for rows in sensors.segments():
+        if len(rows) > 1:
+            time = sensors.time[rows]
+            rates[rows] = CubicSpline(time, air[rows, 1:])(time, 1)
+    return rates

@@ -15,9 +15,10 @@ from skdgp._flight.channels import (
     EULER,
     RATES,
     SPECIFIC_FORCE,
+    SURFACES,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
-from skdgp._flight.checks import check_table
+from skdgp._flight.checks import check_spelling, check_table
 from skdgp._flight.faults import without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
@@ -51,7 +52,10 @@ def train_and_test(
         1 / np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1
     ]
     findings = []
-    columns = set().union(*(flight.table.columns for flight in train.values()))
+    columns = set()
+    for flight in train.values():
+        check_spelling(flight.table, [name for name in SURFACES if name in regressors])
+        columns |= {*flight.table.columns}
     # other regressors take its effect
     if "elevator" in regressors and columns.isdisjoint(("elevator", *ELEVONS)):
         findings.append(Finding(Code.NO_ELEVATOR))

@@ -28,7 +28,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     rate_factor,
 )
-from skdgp._flight.checks import check_columns, suggestions, unknown_columns
+from skdgp._flight.checks import check_columns, check_spelling
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import numeric
@@ -383,10 +383,8 @@ class RegressorSelector(TableTransformer):
         names = [name + HAT if name + HAT in table else name for name in names]
         if ELEVONS[0] in table:
             check_columns(table, MIXED)
-        misspelt = suggestions(unknown_columns(table), table.columns).values()
-        for name in present(CONTROLS, names):
-            if name not in table and name not in misspelt:
-                self.absent_.append(name)
+        check_spelling(table, present(CONTROLS, names))
+        self.absent_ = [name for name in present(CONTROLS, names) if name not in table]
         if {*SURFACES} <= {*self.absent_}:
             check_columns(table, SURFACES)
         for name in present(AUXILIARY, table):

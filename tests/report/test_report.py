@@ -163,10 +163,6 @@ def words_of(**changes):
     return Page(render(**changes)).words
 
 
-TIME = np.arange(400) / 10.0
-WAVE = np.sin(1.3 * TIME)
-
-
 @pytest.fixture(scope="module")
 def html(effects):
     """Return a report with all kinds of figures."""

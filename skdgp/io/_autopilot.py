@@ -70,13 +70,6 @@ BEGINNINGS: dict[bytes, Callable[[Path], Log]] = {
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
-# fields that say whether motors may run, and their value then
-ARMED = (
-    ("actuator_armed", "armed", 1.0),
-    ("vehicle_status", "arming_state", 2.0),
-    ("STAT", "Armed", 1.0),
-    ("HEARTBEAT", "armed", 1.0),
-)
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
 
@@ -527,20 +520,12 @@ def no_flight_because(flown: FlightLog) -> str:
     is_excluded = part.landed.all() or part.lifted.all()
     is_slow = np.isfinite(highest) and (highest <= flown.speed or not is_excluded)
     reasons = {
-        "the autopilot was never armed": not _was_armed(part.log),
         "it reports to be landed throughout": part.landed.all(),
         "rotors lift the VTOL, or it is in transition, throughout": part.lifted.all(),
         "there is no valid airspeed": channel != "airspeed",
         f"{channel} never stays above {flown.speed:.3g} m/s (highest {highest:.3g} m/s)": is_slow,
     }
     return ", ".join(reason for reason, holds in reasons.items() if holds)
-
-
-def _was_armed(log: Log) -> bool:
-    """Return whether the autopilot was armed, True where the log does not say."""
-    topics = [(log.topics.get(name, NOTHING), field, armed) for name, field, armed in ARMED]
-    told = [(topic[field] == armed).any() for topic, field, armed in topics if field in topic]
-    return any(told) or not told
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

@@ -76,8 +76,6 @@ UNKNOWN_TRIM = (
     "the parameters AHRS_TRIM_X and _Y are not in the telemetry: accelerometers that are turned against the "
     "attitude by 0.05 rad change CX by 0.05 CL (fetch the parameters while the ground station records)"
 )
-# MAV_MODE_FLAG_SAFETY_ARMED of base_mode
-ARMED = 128
 # MAV_SYS_STATUS_SENSOR_DIFFERENTIAL_PRESSURE, and the fields that have its bit
 PRESSURE_SENSOR = 16
 SENSOR_SETS = ("onboard_control_sensors_present", "onboard_control_sensors_health")
@@ -220,11 +218,9 @@ def _system(messages: list[Any]) -> tuple[int, list[str]]:
 
 
 def _topics(by_name: Mapping[str, dict[int, Any]]) -> dict[str, Topic]:
-    """Return the topics, with fields on whether the autopilot was armed and a sensor measured the airspeed."""
+    """Return the topics, with a field on whether a sensor measured the airspeed."""
     attitude = _clock(by_name["ATTITUDE"])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
-    if "HEARTBEAT" in topics:
-        topics["HEARTBEAT"] = _with_armed(topics["HEARTBEAT"])
     if {"VFR_HUD", "SYS_STATUS"} <= topics.keys():
         topics["VFR_HUD"] = _with_pitot(topics["VFR_HUD"], topics["SYS_STATUS"])
     return topics
@@ -264,13 +260,6 @@ def _with_pitch_trim(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -
 
 def _shifted_attitude(shift: Vector, angles: Matrix) -> Matrix:
     return _attitude(angles + shift)
-
-
-def _with_armed(beats: Topic) -> Topic:
-    """Return the heartbeats with a field that says whether the autopilot was armed."""
-    modes = beats.fields["base_mode"].astype(int)
-    is_armed = (modes & ARMED) > 0
-    return beats.with_fields(armed=is_armed)
 
 
 def _with_pitot(hud: Topic, status: Topic) -> Topic:

@@ -12,7 +12,7 @@ whose slopes then come out unbiased (Carroll et al. 2006, section 4.2), and wron
 target keeps a gain of one up to that frequency.
 
 A filter that both sides of a linear equation pass leaves the equation true (Klein & Morelli 2006,
-chapter 7): `FittedFilter` for targets and regressors of flights that vibrate.
+chapter 7): `without_vibration` for targets and regressors of flights that vibrate.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.checks import check_number
 from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
-from skdgp._flight.tables import has_values, interpolated, numeric
+from skdgp._flight.tables import has_values, numeric
 
 
 @dataclass(frozen=True)
@@ -70,87 +70,11 @@ LowPass: TypeAlias = Callable[[Matrix, float], Matrix]
 """Filter of equidistant channels (n, k) of a rate [Hz]."""
 
 
-@dataclass(frozen=True)
-class FittedFilter:
-    """A filter without delay of some channels, which leaves the same part of the noise in all flights.
-
-    Attributes
-    ----------
-    frequency : (m,) array [Hz]
-    gain : (m, k) array
-        Interpolated between frequencies; beyond the last, that of the last.
-    """
-
-    frequency: Vector
-    gain: Matrix
-
-    @classmethod
-    def up_to(cls, highest: float, n_channels: int) -> FittedFilter:
-        """Return the filter that passes all frequencies up to a highest one [Hz]."""
-        frequency = np.array([0.0, highest, np.nextafter(highest, np.inf)])
-        return cls(frequency, np.repeat([[1.0], [1.0], [0.0]], n_channels, axis=1))
-
-    @classmethod
-    def of_flights(
-        cls,
-        values: ArrayLike,
-        time: ArrayLike,
-        *,
-        flight: ArrayLike | None = None,
-        shrink: bool | Sequence[bool] = True,
-    ) -> FittedFilter:
-        """Return the smoother "auto" of channels (n, k) of flights, its gains of root mean square; see `smooth`.
-
-        The gain of a channel that was not sampled is one.
-        """
-        columns, clock = _checked(values, time, flight)
-        shrinks = np.broadcast_to(shrink, columns.shape[1])
-        fits = []
-        for group in _channel_groups(columns, clock):
-            fits.append((group, cls._of_flight(group, shrinks[group.channels])))
-        finest = min((fitted.frequency[1] for _, fitted in fits), default=1.0)
-        highest = max((fitted.frequency[-1] for _, fitted in fits), default=1.0)
-        frequency = np.linspace(0.0, highest, 1 + round(highest / finest))
-        square = np.zeros((len(frequency), columns.shape[1]))
-        n_samples = np.zeros(columns.shape[1])
-        for group, fitted in fits:
-            n = sum(group.lengths)
-            square[:, group.channels] += n * fitted.at(frequency) ** 2
-            n_samples[group.channels] += n
-        is_sampled = n_samples > 0
-        gain = np.ones_like(square)
-        gain[:, is_sampled] = np.sqrt(square[:, is_sampled] / n_samples[is_sampled])
-        return cls(frequency, gain)
-
-    @classmethod
-    def _of_flight(cls, group: ChannelGroup, shrinks: NDArray[np.bool_]) -> FittedFilter:
-        """Return the smoother of one flight, of gain one where no run shows a spectrum."""
-        spectrum = _flight_spectrum(group)
-        if spectrum is None:
-            return cls(np.array([0.0, 1.0]), np.ones((2, len(group.channels))))
-        return cls(spectrum.frequency, _separate_gain(spectrum, shrinks))
-
-    def of_channels(self, channels: Sequence[int] | Indices) -> FittedFilter:
-        """Return the filter of some of the channels."""
-        return FittedFilter(self.frequency, self.gain[:, channels])
-
-    def at(self, frequency: ArrayLike) -> Matrix:
-        """Return the gains at frequencies [Hz], (n, k)."""
-        wanted = np.asarray(frequency, dtype=float)
-        return interpolated(wanted, self.frequency, self.gain)
-
-    def __call__(self, columns: Matrix, rate: float) -> Matrix:
-        """Return equidistant channels (n, k) of a rate [Hz], filtered."""
-        size = 2 * (_window_rows(1 / rate) // 2)
-        gain = self.at(np.fft.rfftfreq(size, 1 / rate))
-        return convolve(columns, impulse_response(gain))
-
-
 def smooth(
     values: ArrayLike,
     time: ArrayLike,
     *,
-    cutoff: float | str | FittedFilter | None = "auto",
+    cutoff: float | str | LowPass | None = "auto",
     flight: ArrayLike | None = None,
     shrink: bool | Sequence[bool] = True,
     derivative: bool = False,
@@ -165,7 +89,7 @@ def smooth(
     ``cutoff`` is the corner frequency [Hz] of a forward-backward Butterworth filter (gain 1/2
     there); "auto", the Wiener smoother of the channel's spectrum over its flight, which needs a
     segment of 128 samples, else it leaves the channel as it is and, unless ``is_quiet``, warns; a
-    `FittedFilter`; or None, no smoothing.
+    filter of columns of a rate [Hz]; or None, no smoothing.
     Without ``shrink``, of all channels or one for each, the gain of a channel alone is one up to the last
     frequency at which signal is as strong as noise: more noise stays, but no signal is lost there,
     as the targets of a regression need it. With ``derivative`` their rates of change are returned,
@@ -176,7 +100,7 @@ def smooth(
     """
     columns, clock = _checked(values, time, flight)
     shrinks = np.broadcast_to(shrink, columns.shape[1])
-    if not isinstance(cutoff, str | FittedFilter | None):
+    if not (callable(cutoff) or isinstance(cutoff, str | None)):
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
     groups = list(_channel_groups(columns, clock))
@@ -335,14 +259,12 @@ def low_pass(columns: Array, rate: float, cutoff: float, *, order: int = 2) -> A
 
 def _filter_of(
     group: ChannelGroup,
-    cutoff: float | str | FittedFilter | None,
+    cutoff: float | str | LowPass | None,
     shrinks: NDArray[np.bool_],
 ) -> LowPass | None:
     """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
-    if cutoff is None:
-        return None
-    if isinstance(cutoff, FittedFilter):
-        return cutoff.of_channels(group.channels)
+    if cutoff is None or callable(cutoff):
+        return cutoff
     if not isinstance(cutoff, str):
         return partial(low_pass, cutoff=cutoff)
     spectrum = _flight_spectrum(group)
@@ -558,5 +480,16 @@ def band_limited(values: Matrix, table: pd.DataFrame, band: float) -> Matrix:
     if np.isinf(band):
         return values
     time = numeric(table, ["time"])[:, 0]
-    cutoff = FittedFilter.up_to(band, values.shape[1])
-    return smooth(values, time, flight=table.get("flight"), cutoff=cutoff)
+    return smooth(values, time, flight=table.get("flight"), cutoff=without_vibration(band))
+
+
+def without_vibration(band: float) -> LowPass | str:
+    """Return the smoothing of flights that vibrate beyond a band [Hz]; "auto" if it is infinite."""
+    if np.isinf(band):
+        return "auto"
+
+    def filtered(columns: Matrix, rate: float) -> Matrix:
+        is_below = band < 0.49 * rate
+        return low_pass(columns, rate, band, order=8) if is_below else columns
+
+    return filtered

@@ -38,7 +38,6 @@ from skdgp.dynamics._integrate import Trajectories as Trajectories
 from skdgp.dynamics._integrate import channels as channels
 from skdgp.dynamics._integrate import fly_record as fly_record
 from skdgp.dynamics._inverse import aerodynamic_coefficients
-from skdgp.dynamics._inverse import coefficient_filter as coefficient_filter
 from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
 from skdgp.dynamics._linearize import Matrices as Matrices

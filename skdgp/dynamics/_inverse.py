@@ -16,7 +16,6 @@ from skdgp._flight.channels import (
     RATES,
     SPECIFIC_FORCE,
 )
-from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import (
     POSSIBLE,
     FlightDataWarning,
@@ -25,7 +24,13 @@ from skdgp._flight.faults import (
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
-from skdgp._flight.smoothing import FittedFilter, differentiate, smooth, vibration_band
+from skdgp._flight.smoothing import (
+    LowPass,
+    differentiate,
+    smooth,
+    vibration_band,
+    without_vibration,
+)
 from skdgp._flight.tables import FlightTable, by_name, numeric
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft, with_sensor_position
@@ -46,7 +51,7 @@ def aerodynamic_coefficients(
     flight: pd.DataFrame | FlightTable,
     aircraft: Aircraft,
     *,
-    cutoff: float | str | FittedFilter | None = "auto",
+    cutoff: float | str | LowPass | None = "auto",
     thrust: str | None = "auto",
     external_forces: Sequence[str] = (),
     ignore: Iterable[str] = (),
@@ -157,27 +162,6 @@ def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
     return mass
 
 
-def coefficient_filter(flight: pd.DataFrame) -> FittedFilter:
-    """Return the smoothing of ``cutoff="auto"`` of flights without faults, as a cutoff for other flights.
-
-    "auto" leaves as much noise as the motion of each flight asks for. Coefficients that pass
-    through the smoothing of the training flights have their noise, which a band of new
-    measurements contains.
-
-    Raises ValueError if a column is missing.
-    """
-    check_columns(flight, NEEDED)
-    return _filter_of_vibration(flight) or FittedFilter.of_flights(
-        _channels(flight), shrink=SHRINKS, **_clock(flight)
-    )
-
-
-def _filter_of_vibration(flight: pd.DataFrame) -> FittedFilter | None:
-    """Return the filter that removes the vibration of flights, None where they do not vibrate."""
-    band = vibration_band(flight)
-    return FittedFilter.up_to(band, len(SMOOTHED)) if np.isfinite(band) else None
-
-
 def _channels(flight: pd.DataFrame) -> Matrix:
     """Return the channels that are smoothed, (n, 10), NaN where not measured."""
     return numeric(flight.reindex(columns=SMOOTHED), SMOOTHED)
@@ -188,18 +172,16 @@ def _clock(flight: pd.DataFrame) -> dict[str, Any]:
 
 
 def _smoothed(
-    flight: pd.DataFrame, cutoff: float | str | FittedFilter | None
+    flight: pd.DataFrame, cutoff: float | str | LowPass | None
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
     clock = _clock(flight)
     channels = _channels(flight)
     if isinstance(cutoff, str) and cutoff == "auto":
-        cutoff = _filter_of_vibration(flight) or cutoff
+        cutoff = without_vibration(vibration_band(flight))
     smoothed = smooth(channels, cutoff=cutoff, shrink=SHRINKS, **clock)
     measured = flight.assign(**by_name(SMOOTHED, smoothed))
     if {*RATE_DERIVATIVES} <= {*flight}:
         return measured, numeric(measured, RATE_DERIVATIVES)
     rates = [SMOOTHED.index(name) for name in RATES]
-    if isinstance(cutoff, FittedFilter):
-        cutoff = cutoff.of_channels(rates)
     return measured, differentiate(channels[:, rates], cutoff=cutoff, shrink=False, **clock)

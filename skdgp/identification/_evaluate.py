@@ -18,7 +18,7 @@ from skdgp._flight.channels import (
     EULER,
     TRUTH_SUFFIX,
 )
-from skdgp._flight.smoothing import band_limited
+from skdgp._flight.smoothing import band_limited, without_vibration
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
@@ -182,9 +182,8 @@ def evaluate(
     states = corrected
     if motion is not None:  # beside the logged inputs
         states = corrected.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))
-    measured = aerodynamic_coefficients(
-        checked, aircraft, cutoff=pipeline.coefficient_filter_, **loads
-    )
+    band = band_of(pipeline)
+    measured = aerodynamic_coefficients(checked, aircraft, cutoff=without_vibration(band), **loads)
     regressor = pipeline[-1]
     mean = pipeline.mean_of_rows(X, noise_ratio)
     rows = std_rows(len(corrected))
@@ -205,7 +204,7 @@ def evaluate(
         prediction_std=np.sqrt(std**2 + regressor.noise_variance_),
         rows=rows,
         regressors=X,
-        truth=_truth(corrected, band_of(pipeline)),
+        truth=_truth(corrected, band),
         baseline=_baseline(pipeline, X),
         replay=replayed,
     )

@@ -18,7 +18,6 @@ from sklearn.utils.validation import check_consistent_length, check_is_fitted
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
-from skdgp._flight.smoothing import FittedFilter
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
@@ -26,7 +25,6 @@ from skdgp.dynamics import (
     ScaleFactor,
     Turbulence,
     check_aircraft,
-    coefficient_filter,
 )
 from skdgp.estimation import prior_deviations, without_airspeed_error
 from skdgp.identification._least_squares import RegressionCalibration, fit_least_squares
@@ -289,9 +287,6 @@ class FlightPipeline(Pipeline):
         Duration of the fit [s].
     turbulence_ : Turbulence or None
         Of the flights of the fit, where they show it.
-    coefficient_filter_ : FittedFilter or "auto"
-        Smoothing of the coefficients of the fit by `aerodynamic_coefficients`, with which those of
-        other flights have the same noise; "auto" where channels are missing.
     least_squares_ : dict of str to dict
         Intercept and slopes of each of the six coefficients by least squares of the same rows, in
         units; empty of other targets.
@@ -481,9 +476,6 @@ class FlightPipeline(Pipeline):
         medians = flights.median(numeric_only=True)
         self.conditions_ = {str(name): float(value) for name, value in medians.items()}
         self.turbulence_ = None
-        self.coefficient_filter_: FittedFilter | str = "auto"
-        with suppress(KeyError, TypeError, ValueError):  # columns that are missing
-            self.coefficient_filter_ = coefficient_filter(flights)
         if self.aircraft is not None:
             with suppress(TypeError, ValueError):  # short flights, or columns that are missing
                 self.turbulence_ = Turbulence.from_flight(flights, self.aircraft.span)

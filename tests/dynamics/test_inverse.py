@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy import signal
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, coefficient_filter
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
@@ -110,27 +110,6 @@ def test_smoothing_does_not_shrink_a_signal_that_hardly_exceeds_its_noise():
         CX = aerodynamic_coefficients(flight, GLIDER, thrust=None)["CX"]
         slopes.append(np.polyfit(true, CX, 1)[0])
     assert np.mean(slopes) == pytest.approx(1.0, abs=0.05)
-
-
-def test_flights_by_the_smoothing_of_a_flight_have_its_noise():
-    """By their own spectra, a calm and a lively flight have noise of different size."""
-    calm, of_calm = surge(default_rng(0), 0.3, 6000, highest=0.5)
-    lively, of_lively = surge(default_rng(1), 3.0, 6000, highest=8.0)
-    together = pd.concat([calm.assign(flight="calm"), lively.assign(flight="lively")])
-    cutoffs = {"own": "auto"}
-    for name, flights in {"calm": calm, "lively": lively, "together": together}.items():
-        cutoffs[name] = coefficient_filter(flights)
-    variance = {}
-    for name, cutoff in cutoffs.items():
-        left = []
-        for flight, true in ((calm, of_calm), (lively, of_lively)):
-            CX = aerodynamic_coefficients(flight, GLIDER, thrust=None, cutoff=cutoff)["CX"]
-            left.append(np.var(CX - true))
-        variance[name] = left
-    assert variance["own"][1] > 4 * variance["own"][0]
-    assert variance["lively"] == pytest.approx([variance["own"][1]] * 2, rel=0.1)
-    assert variance["calm"][0] == pytest.approx(variance["own"][0])
-    assert variance["together"][0] == pytest.approx(np.mean(variance["own"]), rel=0.1)
 
 
 def test_a_mass_that_falls_is_that_of_each_row(simulated, aircraft, true_coefficients):

@@ -14,7 +14,7 @@ from skdgp._flight.holds import (
     find_holds,
     interpolated_rows,
 )
-from skdgp._flight.smoothing import FittedFilter, motion_band_of, smooth, vibrates_beyond
+from skdgp._flight.smoothing import band_limited, motion_band_of, vibrates_beyond
 from skdgp._flight.tables import FlightTable
 
 
@@ -146,7 +146,7 @@ def test_an_equation_of_channels_remains_true():
     force = 2.0 * calm["elevator"] - 3.0 * calm["p"] + 5 * (table["p"] - calm["p"])
     columns = np.column_stack([table["elevator"], table["p"], force])
     band = motion_band_of(table)
-    out = smooth(columns, table["time"], cutoff=FittedFilter.up_to(band, 3))
+    out = band_limited(columns, table, band)
     slopes, *_ = np.linalg.lstsq(out[:, :2], out[:, 2], rcond=None)
     assert_allclose(slopes, [2.0, -3.0], rtol=0.01)
 
@@ -154,7 +154,7 @@ def test_an_equation_of_channels_remains_true():
 def test_a_wave_beyond_it_is_removed_and_one_within_it_is_kept():
     time = np.arange(4800) / RATE
     waves = np.sin(2 * np.pi * np.outer(time, [2.0, 12.0]))
-    out = smooth(waves, time, cutoff=FittedFilter.up_to(5.0, 2))
+    out = band_limited(waves, pd.DataFrame({"time": time}), 5.0)
     middle = slice(200, -200)
     assert_allclose(out[middle], waves[middle] * [1.0, 0.0], atol=0.01)
 

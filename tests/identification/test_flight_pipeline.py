@@ -194,8 +194,7 @@ class TestLeastSquares:
         rows = targets.notna().all(axis=1).to_numpy()
         X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
         linear = LinearRegression().fit(X[rows], targets[rows])
-        smoothing = result.pipeline.coefficient_filter_
-        measured = aerodynamic_coefficients(test, flights.aircraft, cutoff=smoothing)
+        measured = aerodynamic_coefficients(test, flights.aircraft)
         expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
         (name,) = result.metrics["test"]
         of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T

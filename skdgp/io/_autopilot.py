@@ -111,36 +111,19 @@ TABLE = TableSettings()
 FLIGHT = FlightSettings()
 
 
-class Part(NamedTuple):
-    """Part of a log between two restarts of its clock, with the topics of this part."""
-
-    log: Log
-    table: pd.DataFrame
-    # of each row: speed [m/s]; whether it is reported as landed; whether rotors lift a VTOL
-    speed: Vector
-    landed: Mask
-    lifted: Mask
-    # rows of each flight
-    segments: list[slice]
-    # times [s] of all resets
-    cuts: Vector
-    origin: dict[str, Origin]
-    remarks: list[str]
-
-
 class FlightLog(NamedTuple):
-    """A log resampled to one clock: its parts, the origin of each column, and remarks."""
+    """A log, or a part of it between two restarts of its clock, resampled to one clock."""
 
+    # with the topics of the longest part
     log: Log
-    parts: list[Part]
+    # of the longest part
+    table: pd.DataFrame
+    flights: list[pd.DataFrame]
+    # of each column
     origin: dict[str, Origin]
-    speed: float
     remarks: list[str]
-
-    @property
-    def longest(self) -> Part:
-        """The part with most rows."""
-        return max(self.parts, key=lambda part: len(part.table))
+    # why it holds no flight
+    reasons: str
 
 
 def is_log(path: object) -> bool:
@@ -187,15 +170,21 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
             "log these topics."
         )
+    flights: list[pd.DataFrame] = []
     origin: dict[str, Origin] = {}
     remarks = [*log.remarks, *remarks]
     for part in parts:
+        flights += part.flights
         origin |= part.origin
         remarks += part.remarks
-    return FlightLog(log, parts, origin, speed, list(dict.fromkeys(remarks)))
+    longest = max(parts, key=lambda part: len(part.table))
+    remarks = list(dict.fromkeys(remarks))
+    return longest._replace(flights=flights, origin=origin, remarks=remarks)
 
 
-def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any) -> Part | None:
+def _part(
+    log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
+) -> FlightLog | None:
     """Return a part of a log on one clock, None if it has no source of a column."""
     sources, useless = find_sources(log, controls)
     if not sources:
@@ -208,7 +197,6 @@ def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
     lifted = log.lifts(time)
     # a speed that is given counts whatever the autopilot reports
     on_ground = landed & isinstance(airborne, bool)
-    segments = _segments(table, (speeds > speed) & ~on_ground & ~lifted, on_ground)
     remarks = []
     if airborne is not False and lifted.any():
         remarks.append(
@@ -219,7 +207,13 @@ def _part(log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
     if len(jumps):
         remarks.append(f"the attitude jumps, so a new flight begins, at {seconds(jumps.tolist())}")
     cuts = np.unique([*jumps, *(cut for source in sources for cut in source.cuts)])
-    return Part(log, table, speeds, landed, lifted, segments, cuts, origin, remarks + useless)
+    flights = _cut(table, cuts)
+    if airborne is not False:
+        segments = _segments(table, (speeds > speed) & ~on_ground & ~lifted, on_ground)
+        pieces = [piece for rows in segments for piece in _cut(table.iloc[rows], cuts)]
+        flights = list(map(_trimmed, pieces))
+    reasons = _no_flight_because(table, speeds, speed, landed, lifted)
+    return FlightLog(log, table, flights, origin, remarks + useless, reasons)
 
 
 def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source], list[str]]:
@@ -419,18 +413,10 @@ def with_specific_force(
 # -- flights in a log
 
 
-def flight_table(flown: FlightLog, name: str, *, airborne: Any) -> pd.DataFrame:
+def flight_table(flown: FlightLog, name: str) -> pd.DataFrame:
     """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
-    pieces = []
-    for part in flown.parts:
-        if airborne is False:
-            pieces += _cut(part.table, part.cuts)
-            continue
-        for rows in part.segments:
-            for piece in _cut(part.table.iloc[rows], part.cuts):
-                pieces.append(_trimmed(piece))
     flights: list[pd.DataFrame] = []
-    for piece in pieces:
+    for piece in flown.flights:
         if len(piece):
             flight = f"{name}#{len(flights) + 1}" if flights else name
             flights.append(piece.assign(flight=flight))
@@ -439,7 +425,7 @@ def flight_table(flown: FlightLog, name: str, *, airborne: Any) -> pd.DataFrame:
     if not flights:
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
-            f"({no_flight_because(flown)}), but expected a fixed wing in the air: airborne=False "
+            f"({flown.reasons}), but expected a fixed wing in the air: airborne=False "
             "(--airborne all) reads all of it, a speed [m/s] in its place all above it."
         )
     return pd.concat(flights, ignore_index=True)
@@ -512,18 +498,19 @@ def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     return flight[(time >= begin) & (time <= end)]
 
 
-def no_flight_because(flown: FlightLog) -> str:
-    """Return why a log holds no flight."""
-    part = flown.longest
-    channel = "airspeed" if "airspeed" in part.table else "ground speed"
-    highest = float(np.nanmax(part.speed, initial=-np.inf))
-    is_excluded = part.landed.all() or part.lifted.all()
-    is_slow = np.isfinite(highest) and (highest <= flown.speed or not is_excluded)
+def _no_flight_because(
+    table: pd.DataFrame, speeds: Vector, least: float, landed: Mask, lifted: Mask
+) -> str:
+    """Return why rows with these speeds (n,) hold no flight, which is faster than ``least`` [m/s]."""
+    channel = "airspeed" if "airspeed" in table else "ground speed"
+    highest = float(np.nanmax(speeds, initial=-np.inf))
+    is_excluded = landed.all() or lifted.all()
+    is_slow = np.isfinite(highest) and (highest <= least or not is_excluded)
     reasons = {
-        "it reports to be landed throughout": part.landed.all(),
-        "rotors lift the VTOL, or it is in transition, throughout": part.lifted.all(),
+        "it reports to be landed throughout": landed.all(),
+        "rotors lift the VTOL, or it is in transition, throughout": lifted.all(),
         "there is no valid airspeed": channel != "airspeed",
-        f"{channel} never stays above {flown.speed:.3g} m/s (highest {highest:.3g} m/s)": is_slow,
+        f"{channel} never stays above {least:.3g} m/s (highest {highest:.3g} m/s)": is_slow,
     }
     return ", ".join(reason for reason, holds in reasons.items() if holds)
 

@@ -92,9 +92,6 @@ PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
-MOST_IMUS = 8
-# field with the parameter that says whether the autopilot uses an IMU
-IMU_USE = "INS_USE"
 # field with the parameter that says whether the autopilot uses an airspeed sensor
 AIRSPEED_USE = "ARSPD_USE"
 # its parameters by the names of the topic: whether it is used (2: without throttle alone), and the ratio of V^2 to
@@ -124,8 +121,8 @@ def _estimator(name: str, lane: tuple[Use, ...]) -> tuple[Rule, Rule, Rule]:
 
 
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), preferred=(IMU_USE,)),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), preferred=(IMU_USE,)),
+    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",)),
+    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",)),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
@@ -283,7 +280,6 @@ def _log(
     parameters = in_force(defined.texts("Name"), defined.numbers("Value"), times, topics)
     firmware = _firmware(messages.get("MSG", NO_MESSAGES).texts("Message"))
     vehicle = vehicle_of(VEHICLES.get(firmware.split(" ")[0]), parameters)
-    topics = topics | _imus(topics, parameters)
     airspeeds, of_ratio = _airspeeds(topics, parameters, defined)
     topics = topics | airspeeds
     controls, lifts = outputs_of(topics.get("RCOU", NOTHING), parameters)
@@ -314,20 +310,6 @@ def _firmware(texts: list[str]) -> str:
         if text.split(" ")[0] in VEHICLES:
             return text
     return "ArduPilot"
-
-
-def _imus(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Topic]:
-    """Return the messages of the IMUs with their parameters INS_USE, INS_USE2, and so on."""
-    numbers = {name: k for k, name in enumerate(ALIASES["IMU"], start=2)}
-    for k in range(MOST_IMUS):
-        numbers[instance_name("IMU", k)] = k + 1
-    imus = {}
-    for name in numbers.keys() & topics.keys():
-        topic = topics[name]
-        suffix = str(numbers[name]).removeprefix("1")
-        is_used = np.full(len(topic), parameters.get(f"{IMU_USE}{suffix}", 1.0))
-        imus[name] = topic.with_fields(**{IMU_USE: is_used})
-    return imus
 
 
 def _airspeeds(

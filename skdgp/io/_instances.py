@@ -222,9 +222,11 @@ def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Read
     used = np.zeros(n)
     if use is not None:
         numbers = _numbers(log, use, topic.time)
-        used = numbers == _number(instance, use)
+        used = numbers == instance.number + use.first
         if use.is_measurement:
-            valid &= np.isin(numbers, [_number(each, use) for each in log.instances(rule.topic)])
+            valid &= np.isin(
+                numbers, [each.number + use.first for each in log.instances(rule.topic)]
+            )
     preferred = np.zeros(n)
     for field in rule.preferred:
         if field in topic:
@@ -237,17 +239,10 @@ def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
     """Return where the log says which of the instances the autopilot used, None if it does not."""
     for use in rule.used:
         numbers = _numbers(log, use, instances[0].topic.time)
-        is_told = np.isin(numbers, [_number(instance, use) for instance in instances]).any()
+        is_told = np.isin(numbers, [instance.number + use.first for instance in instances]).any()
         if len(numbers) and (use.is_measurement or is_told):
             return use
     return None
-
-
-def _number(instance: Instance, use: Use) -> float:
-    """Return the number that an instance has where its use is told."""
-    if use.match in instance.topic:
-        return float(instance.topic[use.match][0])
-    return instance.number + use.first
 
 
 def _numbers(log: Log, use: Use, times: Vector) -> Vector:

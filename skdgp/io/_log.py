@@ -113,8 +113,6 @@ class Use(NamedTuple):
     field: str
     #: Number in the field of the instance 0
     first: int = 0
-    #: Field of the instances that holds their number
-    match: str = ""
     #: Whether a number of no instance means that nothing was measured
     is_measurement: bool = False
 

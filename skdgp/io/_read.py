@@ -144,7 +144,7 @@ def read_flight(
 def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(read_log(path), servos=servos, airborne=airborne)
     name = path.stem if flight is None else flight
-    table = flight_table(flown, name, airborne=airborne)
+    table = flight_table(flown, name)
     if reversed_of(servos) is not None:
         table[IN_FULL_THROWS] = 1.0
     table = _as_flight(table)
@@ -407,17 +407,17 @@ def inspect_log(
                 lacking = [str(error)]
         flown = on_one_clock(log, servos=servos, airborne=airborne)
     try:
-        table = flight_table(flown, path.stem, airborne=airborne)
+        table = flight_table(flown, path.stem)
         faults = _faults(table, aircraft)
     except FlightReadError as error:
-        table = flown.longest.table[:0].assign(flight="")
+        table = flown.table[:0].assign(flight="")
         faults = [str(error)]
     return LogSummary(
         path=str(path),
         format=flown.log.kind,
         firmware=flown.log.firmware,
         vehicle=flown.log.vehicle,
-        topics=_topics(flown.longest.log.topics),
+        topics=_topics(flown.log.topics),
         columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
         flights=_flights(table),
         remarks=(*flown.remarks, *lacking, *faults),

@@ -79,15 +79,6 @@ PITOT = tuple(
 LANE = (Use("estimator_selector_status", "primary_instance"),)
 
 
-def _device(name):
-    """Return where the identifier of the sensor in use is logged."""
-    return (
-        Use("sensor_selection", f"{name}_device_id", match="device_id"),
-        Use("estimator_selector_status", f"{name}_device_id", match="device_id"),
-        Use("sensors_status_imu", f"{name}_device_id_primary", match="device_id"),
-    )
-
-
 def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
     """Return the rules for the velocity of a local position."""
     return (
@@ -138,10 +129,10 @@ RULES = (
     Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
     Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(RATES, "sensor_gyro", ("x", "y", "z"), used=_device("gyro")),
+    Rule(RATES, "sensor_gyro", ("x", "y", "z")),
     Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
     Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
-    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z"), used=_device("accel")),
+    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z")),
     Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=ATTITUDE_RESETS),
     Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=ATTITUDE_RESETS),
     Rule(

@@ -132,20 +132,6 @@ class TestPX4:
         table = read(log, airborne=False)
         assert_allclose(table.p, chosen, atol=0.11)
 
-    def test_a_selection_that_is_logged_once(self, told, ulog):
-        log = ulog()
-        for number in range(2):
-            device = ("int32_t", 100 + number)
-            rates = {axis: np.sin(T) + number for axis in "xyz"}
-            log.topic("sensor_gyro", T, instance=number, device_id=device, **rates)
-        log.topic("sensor_selection", SLOW[:1], gyro_device_id=("int32_t", np.array([101])))
-        table = told(
-            r"sensor_gyro#1\..* \(of 2, used by the autopilot: sensor_selection",
-            log,
-            airborne=False,
-        )
-        assert_wave(table[10:-10], "p", 1.0, mean=1.0)
-
     @pytest.mark.parametrize("begin", [25, 0])
     def test_a_sensor_of_little_confidence(self, told, px4, begin):
         """It fails in flight, or is worse throughout."""
@@ -339,38 +325,6 @@ class TestVehicles:
         log.topic("RCOU", SLOW, C1=("H", 0), C5=pulse(0.3 * np.sin(SLOW)))
         table = surfaces(log)
         assert_wave(table, "aileron", 0.3, atol=0.005)
-
-
-class TestInertialSensors:
-    @pytest.mark.parametrize("name", ["IMU2", "IMU"])
-    def test_an_imu_that_the_autopilot_does_not_use(self, told, dataflash, name):
-        """The first has INS_USE 0, and no lane of an estimator is logged."""
-        log = dataflash(INS_USE=0.0, INS_USE2=1.0)
-        for number in range(2):
-            instance = {"I": ("B", number)} if name == "IMU" else {}
-            log.gyros(T + number * 1e-4, number, name if number else "IMU", **instance)
-        table = told("of 2, the healthiest", log, airborne=False)
-        assert_allclose(table.p, 1.0)
-
-    @pytest.mark.parametrize(
-        ("topic", "field"),
-        [
-            ("sensor_selection", "gyro_device_id"),
-            ("estimator_selector_status", "gyro_device_id"),
-            ("sensors_status_imu", "gyro_device_id_primary"),
-        ],
-    )
-    def test_the_gyro_in_use_of_px4(self, told, ulog, topic, field):
-        """By its identifier."""
-        log = ulog()
-        for number in range(2):
-            device = ("uint32_t", 100 + number)
-            rates = np.full((len(T), 3), 1.0 + number)
-            axes = dict(zip("xyz", rates.T, strict=True))
-            log.topic("sensor_gyro", T, instance=number, device_id=device, **axes)
-        log.topic(topic, SLOW, **{field: ("uint32_t", 101)})
-        table = told(f"used by the autopilot: {topic}.{field}", log, airborne=False)
-        assert_allclose(table.p, 2.0, rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator
 
@@ -122,7 +121,7 @@ class Trim:
 def trim(
     model: Aerodynamics | BaseEstimator,
     aircraft: Aircraft,
-    airspeed: ArrayLike,
+    airspeed: float,
     *,
     altitude: float = 0.0,
     climb: float | None = 0.0,
@@ -130,7 +129,7 @@ def trim(
     fixed: Mapping[str, float] | None = None,
     thrust: str | None = "auto",
     air: Any = None,
-) -> Trim | list[Trim]:
+) -> Trim:
     r"""Return the steady flight of an aircraft at an airspeed.
 
     Six accelerations vanish and the flight path has its angle (Stevens, Lewis & Johnson 2016,
@@ -153,8 +152,8 @@ def trim(
     ----------
     model, aircraft
         As for :func:`skdgp.dynamics.simulate`.
-    airspeed : float or array-like of shape (n,)
-        [m/s]; several give a list of trims.
+    airspeed : float
+        [m/s].
     altitude : float
         [m]; a climb is steady at the density of this altitude.
     climb : float or None
@@ -172,7 +171,7 @@ def trim(
 
     Returns
     -------
-    Trim or list of Trim
+    Trim
 
     Examples
     --------
@@ -193,9 +192,7 @@ def trim(
     (0.264, 0.268)
     """
     motion = Motion(model, aircraft, thrust=thrust, air=air)
-    airspeeds = np.asarray(airspeed, dtype=float)
-    if airspeeds.ndim > 1 or not np.all(np.isfinite(airspeeds) & (airspeeds > 0)):
-        raise ValueError(f"Got airspeed={airspeed!r}, but expected one or more numbers > 0 [m/s].")
+    airspeed = check_number("airspeed", airspeed, unit="m/s")
     values = dict(fixed or {})
     conditions = {
         "altitude": altitude,
@@ -205,12 +202,7 @@ def trim(
         "beta": values.pop("beta", None),
     }
     steady = SteadyFlight(motion, conditions, values)
-    trims = []
-    solution = None
-    for speed in np.atleast_1d(airspeeds).tolist():
-        solution = steady.solve(speed, near=solution)
-        trims.append(_trim_of(steady, solution, speed))
-    return trims if airspeeds.ndim else trims[0]
+    return _trim_of(steady, steady.solve(airspeed), airspeed)
 
 
 def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
@@ -337,15 +329,13 @@ class SteadyFlight:
             return low - margin, high + margin
         return UNKNOWN_LIMITS.get(name, (-DEFLECTION, DEFLECTION))
 
-    def solve(self, airspeed: float, near: Array | None = None) -> Array:
-        """Return the values of the unknowns, searched first ``near`` the solution of another flight."""
+    def solve(self, airspeed: float) -> Array:
+        """Return the values of the unknowns."""
         low, high = np.array(list(self.limits.values())).T
         margin = 1e-6 * np.minimum(high - low, 1.0)
-        starts = [self._start(airspeed, fraction) for fraction in STARTS]
-        if near is not None:
-            starts.insert(0, near)
         best: Any = None
-        for start in starts:
+        for fraction in STARTS:
+            start = self._start(airspeed, fraction)
             solution = least_squares(
                 self.residual,
                 np.clip(start, low + margin, high - margin),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -90,27 +90,22 @@ def input_bands(table: pd.DataFrame, axes: Iterable[str]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-def library(
-    bands: pd.DataFrame,
-    limits: Mapping[str, float],
-    widths: Sequence[float],
-    multisines: Sequence[float],
-) -> dict[str, Inputs]:
+def library(bands: pd.DataFrame, limits: Mapping[str, float]) -> dict[str, Inputs]:
     """Return manoeuvres by name, as large as the limits of the axes allow."""
     manoeuvres: dict[str, Inputs] = {}
     for axis, limit in limits.items():
-        manoeuvres |= _pulses(axis, limit, bands.loc[axis], widths)
-        manoeuvres |= _multisines({axis: limit}, bands.loc[[axis]], multisines)
+        manoeuvres |= _pulses(axis, limit, bands.loc[axis])
+        manoeuvres |= _multisines({axis: limit}, bands.loc[[axis]])
     if len(limits) > 1:
-        manoeuvres |= _multisines(limits, bands, multisines)
+        manoeuvres |= _multisines(limits, bands)
     return manoeuvres
 
 
-def _pulses(axis: str, limit: float, band: Any, widths: Sequence[float]) -> dict[str, Inputs]:
+def _pulses(axis: str, limit: float, band: Any) -> dict[str, Inputs]:
     """Return doublets and 3-2-1-1s of an axis, with pulses that the autopilot can set."""
     shortest = 0.5 * Wavetrain.samples_per_period / RATE
     pulses: dict[str, Inputs] = {}
-    for factor in widths:
+    for factor in WIDTHS:
         width = max(factor * band["doublet"], shortest)
         pulses[f"{axis} doublet {width:.2f} s"] = {axis: doublet(width, limit)}
         width = max(factor * band["three_two_one_one"], shortest)
@@ -118,14 +113,12 @@ def _pulses(axis: str, limit: float, band: Any, widths: Sequence[float]) -> dict
     return pulses
 
 
-def _multisines(
-    limits: Mapping[str, float], bands: pd.DataFrame, durations: Sequence[float]
-) -> dict[str, Inputs]:
+def _multisines(limits: Mapping[str, float], bands: pd.DataFrame) -> dict[str, Inputs]:
     """Return multisines on some axes at once, up to a frequency that the autopilot can set."""
     low = float(bands["lowest"].min())
     high = min(float(bands["highest"].max()), RATE / Wavetrain.samples_per_period)
     multisines: dict[str, Inputs] = {}
-    for duration in durations:
+    for duration in MULTISINES:
         n = int(np.floor(high * duration)) - int(np.ceil(low * duration)) + 1
         tones = min(MOST_TONES, n // len(limits))
         if tones > 1:

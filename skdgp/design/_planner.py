@@ -28,7 +28,7 @@ from skdgp.design._envelope import (
     common_range,
     regressors_of,
 )
-from skdgp.design._library import MULTISINES, RESPONSE, ROW_STEP, WIDTHS, input_bands, library
+from skdgp.design._library import RESPONSE, ROW_STEP, input_bands, library
 from skdgp.design._rehearsal import Rehearsal, Rehearsed
 from skdgp.dynamics import (
     Aerodynamics,
@@ -148,8 +148,6 @@ def plan(
     limits: Mapping[str, float] | None = None,
     envelope: Envelope | None = None,
     thrust: Any = "auto",
-    widths: Sequence[float] = WIDTHS,
-    multisines: Sequence[float] = MULTISINES,
 ) -> Plan:
     r"""Return the flight that teaches most about derivatives in a given time, inside an envelope.
 
@@ -193,10 +191,6 @@ def plan(
         By default that which was flown, and a fifth more; no lower than was flown.
     thrust
         As for :func:`skdgp.dynamics.simulate`.
-    widths : sequence of float
-        Widths of pulses, in units of the one that the modes suggest.
-    multisines : sequence of float
-        Durations of multisines [s].
 
     Returns
     -------
@@ -235,7 +229,7 @@ def plan(
         notify("planning: library", 0, 0.0)
         modes = linearize(model, aircraft, trim, thrust=thrust).modes()
         bands = input_bands(modes, amplitudes)
-        available = rehearsal.inside(library(bands, amplitudes, widths, multisines), time, pause)
+        available = rehearsal.inside(library(bands, amplitudes), time, pause)
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
         rows = [_rows(item, aircraft, aerodynamics) for item in available]
         durations = np.array([item.duration for item in available])

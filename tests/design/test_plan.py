@@ -14,7 +14,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
-from skdgp.design import Envelope, plan
+from skdgp.design import Envelope, _library, plan
 from skdgp.design._planner import _errors as expected_errors
 from skdgp.dynamics import (
     Air,
@@ -34,14 +34,21 @@ FLOWN = {
 }
 LIMITS = {"elevator": 0.06}
 LIMITED = Envelope(alpha=(-0.03, 0.055))
-FEW = {"widths": (1.0,), "multisines": ()}
 OPTIONS = {
     "axes": ["elevator"],
     "limits": LIMITS,
     "goal": ["Cm_q"],
     "seconds": 8.0,
-    **FEW,
 }
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few():
+    """Plan with few manoeuvres, to be fast."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_library, "WIDTHS", (1.0,))
+        patch.setattr(_library, "MULTISINES", ())
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +81,10 @@ def ask(model, uav, point):
 @pytest.fixture(scope="module")
 def planned(ask):
     goal = ["Cm_alpha", "Cm_q"]
-    return ask(goal=goal, seconds=14.0, widths=(1.0, 2.5), multisines=(5.0, 10.0), envelope=LIMITED)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_library, "WIDTHS", (1.0, 2.5))
+        patch.setattr(_library, "MULTISINES", (5.0, 10.0))
+        return ask(goal=goal, seconds=14.0, envelope=LIMITED)
 
 
 def test_the_time_and_the_limits_are_kept(planned):

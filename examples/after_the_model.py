@@ -21,7 +21,6 @@ from skdgp.control import autopilot_loops, margins, suggest_gains
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Air,
-    FlightComputer,
     aerodynamic_coefficients,
     linearize,
     simulate,
@@ -73,7 +72,7 @@ class Autopilot:
 
 def fly(model, aircraft, loops, steady, linear, n_paths):
     """Return bands of flights with a step of the bank angle, each of another aircraft of the posterior."""
-    law = FlightComputer(Autopilot(loops, steady, linear))
+    law = Autopilot(loops, steady, linear)
     calm = Air(gusts=None, drift=False)
     options = {"dt": STEP, "duration": 6.0, "air": calm, "n_paths": n_paths}
     return trajectory_bands(simulate(model, aircraft, steady, law, **options))

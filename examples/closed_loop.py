@@ -23,7 +23,6 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.design import Envelope, doublet, plan, wavetrain
 from skdgp.dynamics import (
-    FlightComputer,
     aerodynamic_coefficients,
     dryden_wind,
     simulate,
@@ -64,8 +63,7 @@ def fly(truth, aircraft, train, seconds, seed):
         return dict(surfaces)
 
     wind = dryden_wind(seconds, SPEED, 140.0, wind_at_6m=4.0, span=aircraft.span, random_state=seed)
-    autopilot = FlightComputer(controls)
-    flight = simulate(truth, aircraft, steady, autopilot, STEP, duration=seconds, air=wind)
+    flight = simulate(truth, aircraft, steady, controls, STEP, duration=seconds, air=wind)
     flight = flight.iloc[::2].reset_index(drop=True)
     flight["propeller_speed"] = aircraft.propeller.speed_at(flight["throttle"])
     rng = np.random.default_rng(seed)

@@ -31,7 +31,6 @@ from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import rolling_gust as rolling_gust
 from skdgp.dynamics._estimated_sizes import KINDS as KINDS
 from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
-from skdgp.dynamics._inputs import FlightComputer
 from skdgp.dynamics._inputs import StepClock as StepClock
 from skdgp.dynamics._integrate import REASONS as REASONS
 from skdgp.dynamics._integrate import Trajectories as Trajectories
@@ -77,7 +76,6 @@ __all__ = [
     "Aerodynamics",
     "Air",
     "Aircraft",
-    "FlightComputer",
     "LinearModel",
     "Propeller",
     "ScaleFactor",

@@ -70,15 +70,6 @@ def tables_of(*sources: Any) -> list[pd.DataFrame]:
     return tables
 
 
-class FlightComputer(NamedTuple):
-    """A feedback law that is asked once a step, as in a flight computer: ``simulate(..., FlightComputer(law))``.
-
-    By itself a law is asked at every stage of a step, as if it acted without a delay.
-    """
-
-    law: Callable  #: (t, state) to controls by name
-
-
 def wind_schedule(wind: Any, clock: StepClock, n_starts: int) -> AirAt:
     """Return a function (stage, state) to the air, None where it is still."""
     if wind is None:
@@ -105,10 +96,8 @@ def control_schedule(
     ``names`` of controls choose columns of a table, which may be a whole log; ``observe()``
     returns what a feedback law sees.
     """
-    if isinstance(controls, FlightComputer):
-        return _HeldLaw(controls.law, clock)
     if callable(controls):
-        return lambda step, stage, observe: controls(clock.stages[stage], observe())
+        return _HeldLaw(controls, clock)
     if isinstance(controls, Mapping):
         constants = _constants(controls, n_starts)
         return lambda step, stage, observe: constants
@@ -136,7 +125,7 @@ def _constants(controls: Mapping, n_starts: int) -> dict[str, Array]:
 
 
 class _HeldLaw:
-    """A feedback law that is asked at the beginning of a step, and held to its end."""
+    """A feedback law that is asked once a step, as in a flight computer, and held to the end of the step."""
 
     def __init__(self, law: Callable, clock: StepClock):
         self.law = law

@@ -29,36 +29,25 @@ def paths_air(
     states: Array,
     n_paths: int,
     random_state: Any,
-) -> tuple[AirAt, Drift | None, str]:
-    """Return the air with gusts that paths from states (n_starts, 13) meet, the drift, and a sentence on the gusts."""
-    met, text = met_turbulence(described, air, motion, states)
+) -> tuple[AirAt, Drift | None]:
+    """Return the air with gusts that paths from states (n_starts, 13) meet, and the drift."""
+    met = met_turbulence(described, air, motion, states)
     drift = None
     if described.drift:
         drift = drift_in_still_air(motion.aerodynamics)
     if met is not None and np.any(met.intensity):
         air = gusty_air(described, met, air, motion, clock, states, n_paths, random_state)
-    return air, drift, text
+    return air, drift
 
 
-def met_turbulence(
-    described: Air, air: AirAt, motion: Motion, states: Array
-) -> tuple[Turbulence | None, str]:
-    """Return the turbulence to fly in, None if unknown, and a sentence about it."""
+def met_turbulence(described: Air, air: AirAt, motion: Motion, states: Array) -> Turbulence | None:
+    """Return the turbulence to fly in, None if unknown."""
     if described.gusts is None:
-        return STILL, "Air without gusts, as asked."
+        return STILL
     if isinstance(described.gusts, Turbulence):
-        return described.gusts, f"Gusts {_sizes(described.gusts)}, as described."
+        return described.gusts
     of_wind = _turbulence_of_wind(described, airspeeds(states, air), motion.aircraft.span)
-    if of_wind is not None:
-        return of_wind, f"Gusts as those of the wind, {_sizes(of_wind)}."
-    flown = motion.aerodynamics.turbulence
-    if flown is None:
-        return None, (
-            "No gusts are drawn, but errors as in the training flights: their turbulence is not known."
-        )
-    return flown, (
-        f"Gusts as in the training flights, {_sizes(flown)}: nothing else is said of the air."
-    )
+    return motion.aerodynamics.turbulence if of_wind is None else of_wind
 
 
 def _turbulence_of_wind(described: Air, speeds: Vector, span: float) -> Turbulence | None:
@@ -70,12 +59,6 @@ def _turbulence_of_wind(described: Air, speeds: Vector, span: float) -> Turbulen
         return Turbulence.from_wind(winds, speeds if len(winds) > 1 else speeds.mean(), span)
     except TooShort:
         return None
-
-
-def _sizes(turbulence: Turbulence) -> str:
-    """Return the intensities in words."""
-    u, v, w = turbulence.intensity
-    return f"{u:.2g}, {v:.2g}, {w:.2g} m/s (u, v, w)"
 
 
 def gusty_air(

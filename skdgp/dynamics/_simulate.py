@@ -76,8 +76,8 @@ def simulate(
         gives the thrust. Surfaces are commands, which the servos follow with the delay and the lag
         that the model has learned. A table with ``time`` [s], its first row the start (linear between rows; a
         list: one for each start); constants by name; or a feedback law, a function (t, state) to
-        values by name, where ``state`` maps the names of channels to arrays, ``state["phi"]``; or
-        ``FlightComputer(law)``, which asks it once a step.
+        values by name, where ``state`` maps the names of channels to arrays, ``state["phi"]``: it is
+        asked once a step, as a flight computer.
     dt : float, default=0.02
         Time step [s].
     duration : float, optional
@@ -105,7 +105,6 @@ def simulate(
         regressor farthest outside its training range, or ""; ``ended``, why the trajectory is over,
         or "": its rows are then NaN.
         Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
-        ``attrs["air"]`` describes the gusts.
 
     Raises
     ------
@@ -147,7 +146,6 @@ def simulate(
     commands = control_schedule(controls, clock, names, len(starts))
     states = initial_states(starts, partial(air_schedule, 0))
     drifts = None
-    air_text = ""
     if n_paths is None:
         if isinstance(given_air.gusts, Turbulence):
             raise ValueError(
@@ -156,8 +154,9 @@ def simulate(
         # a single start has no axis
         states = states[0] if len(states) == 1 else states
     else:
-        path_air = paths_air(given_air, air_schedule, motion, clock, states, n_paths, random_state)
-        air_schedule, drift, air_text = path_air
+        air_schedule, drift = paths_air(
+            given_air, air_schedule, motion, clock, states, n_paths, random_state
+        )
         drawn = motion.aerodynamics.sample(n_paths, random_state, rounded=True)
         motion = motion.with_aerodynamics(drawn)
         states = np.tile(states, (n_paths, 1, 1))
@@ -168,9 +167,7 @@ def simulate(
     warn_of(record, motion, farthest)
     table_times = [float(table["time"].iloc[0]) for table in tables_of(controls)]
     first_times = np.broadcast_to(table_times or 0.0, len(starts))
-    table = trajectory_table(record, motion, farthest, first_times)
-    table.attrs["air"] = air_text
-    return table
+    return trajectory_table(record, motion, farthest, first_times)
 
 
 class Simulator:

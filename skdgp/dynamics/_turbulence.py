@@ -55,8 +55,6 @@ class Turbulence(NamedTuple):
     >>> light = Turbulence.low_altitude(height=100.0, wind_at_6m=7.7)
     >>> light.intensity.round(2), light.length.round(0)
     (array([1.06, 1.06, 0.77]), array([263., 263., 100.]))
-    >>> light.scaled(0.5).intensity.round(2)
-    array([0.53, 0.53, 0.38])
     """
 
     intensity: Array  #: (3,) [m/s]
@@ -189,10 +187,6 @@ class Turbulence(NamedTuple):
         q = sigma_w * np.sqrt(3 * np.pi / (8 * span * length_w))
         r = sigma_v * np.sqrt(np.pi / (2 * span * length_v))
         return np.array([p, q, r])
-
-    def scaled(self, factor: float) -> Turbulence:
-        """Return turbulence of the same lengths with ``factor`` times the intensity."""
-        return self._replace(intensity=factor * np.asarray(self.intensity))
 
 
 class TooShort(ValueError):

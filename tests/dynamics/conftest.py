@@ -1,6 +1,7 @@
 """An aircraft with a full inertia tensor, and a smooth flight of it in wind with known coefficients."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -40,7 +41,9 @@ def commands(t, state=None):
 def flown(aircraft, glider):
     """One flight of 6 s at 100 Hz: every angle, rate and product of inertia in play, air not at rest."""
     air = Air([3.0, -2.0, 0.7], density=1.1, gravity=GRAVITY)
-    return simulate(glider.model(), aircraft, START, commands, dt=0.01, duration=5.99, air=air)
+    t = np.arange(0.0, 6.0, 0.005)
+    schedule = pd.DataFrame({"time": t, **commands(t)})
+    return simulate(glider.model(), aircraft, START, schedule, dt=0.01, duration=5.99, air=air)
 
 
 @pytest.fixture(scope="session")

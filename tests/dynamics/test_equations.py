@@ -119,7 +119,9 @@ def test_a_drift_is_what_gusts_of_training_do_not_explain():
     """All of it after flights in calm air, none after gusts, and all where these are not known."""
     drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
     for factor, fraction in ((0.0, 1.0), (1.0, 0.0)):
-        left = drift_in_still_air(learned_in(TRUE.scaled(factor), drift))
+        left = drift_in_still_air(
+            learned_in(TRUE._replace(intensity=factor * TRUE.intensity), drift)
+        )
         assert_allclose(left.variance, fraction * drift.variance, atol=3e-8)
     assert drift_in_still_air(Aerodynamics(np.sin, ["alpha"], drift=drift)) is drift
 

@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.dynamics import (
-    FlightComputer,
     Servos,
     simulate,
     trim,
@@ -34,7 +33,7 @@ def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, fo
     def law(t, state):
         return level.controls | {"aileron": float(steps_of(t))}
 
-    table = flown(glider, level, Servos(0.04, delay), FlightComputer(law), dt)
+    table = flown(glider, level, Servos(0.04, delay), law, dt)
     time = table["time"].to_numpy()
 
     def held(t):
@@ -49,7 +48,7 @@ def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, followed, la
         return level.controls | {"aileron": float(steps_of(t, 0.3))}
 
     servos = Servos(lag, 0.03, rate_limit=5.0)
-    table = flown(glider, level, servos, FlightComputer(law), 0.005, 1.5)
+    table = flown(glider, level, servos, law, 0.005, 1.5)
     rate = np.abs(np.diff(table["aileron"])) / 0.005
     assert rate.max() == pytest.approx(5.0)
     if lag:

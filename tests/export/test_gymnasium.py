@@ -5,7 +5,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
-from skdgp.dynamics import Air, FlightComputer, simulate, trim
+from skdgp.dynamics import Air, simulate, trim
 
 checker = pytest.importorskip(
     "gymnasium.utils.env_checker", reason="runs the example: pip install gymnasium"
@@ -27,7 +27,9 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(example, fitted):
     calm = Air(gusts=None, drift=False)
 
     def flown(controls):
-        loop = FlightComputer(lambda time, state: controls)
+        def loop(time, state):
+            return controls
+
         rows = simulate(
             model, uav, steady, loop, 0.02, duration=0.18, n_paths=1, air=calm, random_state=path
         )

@@ -58,7 +58,6 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
     restarts = _restarts(time)
     parts = []
     n_wrong: Counter[str] = Counter()
-    n_disordered = 0
     for run in slices(restarts, len(time)):
         first, last = order[run][[0, -1]]
         low, high = _valid_times(time[run])
@@ -67,17 +66,14 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
             logged = topic.select((topic.order >= first) & (topic.order <= last))
             valid = logged.select((logged.time >= low) & (logged.time <= high))
             n_wrong[name] += len(logged) - len(valid)
-            n_disordered += int((np.diff(valid.time) < 0).sum())
             if len(valid):
                 part[name] = _increasing(valid)
         parts.append(part)
-    return parts, _remarks(time, restarts, n_wrong, n_disordered)
+    return parts, _remarks(time, restarts, n_wrong)
 
 
-def _remarks(
-    time: Vector, restarts: list[int], n_wrong: Counter[str], n_disordered: int
-) -> list[str]:
-    """Return remarks on restarts of a clock, of these the first, on wrong times and on disorder."""
+def _remarks(time: Vector, restarts: list[int], n_wrong: Counter[str]) -> list[str]:
+    """Return remarks on restarts of a clock, of these the first, and on wrong times."""
     remarks = []
     if restarts:
         steps = [f"from {time[row - 1]:.1f} s to {time[row]:.1f} s" for row in restarts[:4]]
@@ -89,8 +85,6 @@ def _remarks(
         remarks.append(
             f"{n_wrong.total()} of {len(time)} messages have a time that cannot be ({most} of {name})"
         )
-    if n_disordered:
-        remarks.append(f"{n_disordered} messages stand out of order in time, and were sorted")
     return remarks
 
 

@@ -88,8 +88,7 @@ STANDARD = "standard atmosphere at the measured pressure"
 # the lane of the estimator, and the sensor, that the autopilot used (AP_NavEKF3, AP_Airspeed)
 LANE_3 = (Use("XKF4", "PI"),)
 LANE_2 = (Use("NKF4", "PI"),)
-PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
-BAROMETER = (Use("", "BARO_PRIMARY"), Use("", "GND_PRIMARY"))
+PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
 # field with the parameter that says whether the autopilot uses an airspeed sensor
@@ -140,7 +139,7 @@ RULES = (
     ),
     Rule(("altitude",), "POS", ("Alt",)),
     Rule(("altitude",), "GPS", ("Alt",), within=FIX, preferred=("U",)),
-    Rule(("density",), "BARO", ("Press",), density_at, ("H", "Health"), STANDARD, used=BAROMETER),
+    Rule(("density",), "BARO", ("Press",), density_at, ("H", "Health"), STANDARD),
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),

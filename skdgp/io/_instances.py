@@ -175,15 +175,7 @@ def _joined(separator: str, *texts: str) -> str:
 
 def _words(rule: Rule, names: list[str]) -> str:
     """Return the name of a source: its instances and fields."""
-    return f"{' and '.join(names[:3])}.{_field_words(rule.fields)}"
-
-
-def _field_words(fields: tuple[str, ...]) -> str:
-    """Return the names of fields, of an array q[0..3]."""
-    first, last = fields[0], fields[-1]
-    if len(fields) > 1 and first.endswith("[0]") and last.endswith("]"):
-        return f"{first[:-1]}..{last.split('[')[1]}"
-    return " ".join(fields)
+    return f"{' and '.join(names[:3])}.{' '.join(rule.fields)}"
 
 
 def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
@@ -247,9 +239,6 @@ def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
 
 def _numbers(log: Log, use: Use, times: Vector) -> Vector:
     """Return the number of the instance that was used at each time, none if the log does not say."""
-    if not use.topic:
-        value = log.parameters.get(use.field)
-        return np.empty(0) if value is None else np.full(len(times), value)
     for instance in log.instances(use.topic, least=1):
         if use.field in instance.topic:
             return instance.topic[use.field][last_before(instance.topic.time, times)]

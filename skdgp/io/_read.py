@@ -49,8 +49,6 @@ TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".parquet": read_parquet,
     ".pq": read_parquet,
 }
-TIME_OF_DAY = r"\d{1,2}:\d\d:\d\d(\.\d+)?"
-DAY = 86400.0  # [s]
 # of the printed summary of a log [characters]
 WIDTH = 110
 PathLike: TypeAlias = "str | os.PathLike[str]"
@@ -261,14 +259,10 @@ def _as_numbers(table: pd.DataFrame) -> dict[str, np.ndarray]:
 
 
 def _as_seconds(time: pd.Series) -> pd.Series:
-    """Return durations as seconds, dates (ISO 8601) and times of day from the first row on, numbers as they are."""
+    """Return durations as seconds, dates (ISO 8601) from the first row on, numbers as they are."""
     if pd.api.types.is_object_dtype(time) or pd.api.types.is_string_dtype(time):
         # ISO 8601 has either decimal mark
         time = time.map(lambda cell: cell.replace(",", ".") if isinstance(cell, str) else cell)
-        if time.astype(str).str.fullmatch(TIME_OF_DAY).all():
-            seconds = pd.to_timedelta(time).dt.total_seconds()
-            days = (seconds.diff() < -0.5 * DAY).cumsum()
-            return seconds + DAY * days - seconds.iloc[0]
         try:
             time = pd.to_datetime(time, format="ISO8601", utc=True)
         except (ValueError, TypeError):

@@ -116,9 +116,7 @@ def _no_numbers(column: pd.Series, bad: np.ndarray) -> FlightReadError:
     unit = CHANNELS[base_name(str(column.name))].unit
     remedy = "leave missing values empty, write no separators of thousands, and one decimal mark"
     if column.name == "time":
-        remedy = (
-            "write seconds, dates as 2024-05-03T12:00:00.25 (ISO 8601), times of day as 12:00:00.25"
-        )
+        remedy = "write seconds, or dates as 2024-05-03T12:00:00.25 (ISO 8601)"
     if isinstance(cell, str) and _usual_spelling(cell).lower() in UNITS:
         remedy = f"write the unit into the header, '{column.name} [{cell.strip()}]'"
     return FlightReadError(

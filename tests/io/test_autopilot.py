@@ -72,7 +72,7 @@ class TestEveryChannelComesBack:
         table = read(px4)
         assert not set(SURFACES) & set(table)  # without a servo file
         sources = table.attrs["sources"]
-        assert sources["p"] == "vehicle_angular_velocity.xyz[0..2]"
+        assert sources["p"] == "vehicle_angular_velocity.xyz[0] xyz[1] xyz[2]"
         assert sources["airspeed"] == "airspeed.true_airspeed_m_s"
         sources = read(ardupilot, "log.bin").attrs["sources"]
         assert sources["airspeed"] == "ARSP.Airspeed (equivalent; true by density)"
@@ -342,8 +342,7 @@ class TestStamps:
     def test_messages_out_of_order_are_sorted(self, recorded):
         time = np.arange(500) * 0.02
         time[[100, 101, 102]] = time[[102, 100, 101]]
-        with pytest.warns(FlightDataWarning, match="1 messages stand out of order"):
-            table = recorded(time, time)
+        table = recorded(time, time)
         assert_allclose(table["p"], table["time"], atol=1e-5)
 
     @pytest.mark.parametrize("n", [2, 30, 60])

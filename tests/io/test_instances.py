@@ -80,15 +80,6 @@ class TestArduPilot:
         table = told("of 2, the healthiest", log, airborne=False)
         assert_is_the_true_airspeed(table)
 
-    def test_the_primary_of_the_parameters(self, told, plane):
-        """The other one, which is called healthy too, reads less by a third."""
-        log = plane(ARSPD_PRIMARY=1.0)
-        log.topic("ARSP", SLOW, Airspeed=12.0, Health=("B", 1))
-        log.topic("ASP2", SLOW + 1e-3, Airspeed=TRUE, Health=("B", 1))
-        words = "used by the autopilot: ARSPD_PRIMARY"
-        table = told(words, log, airborne=False)
-        assert_is_the_true_airspeed(table)
-
     def test_the_lane_of_the_estimator(self, told, plane):
         log = plane()
         for lane, speed in enumerate((1.0, 9.0)):

@@ -181,11 +181,6 @@ class Code(Kind):
         "vibration of the accelerometers, and whether velocity and attitude are of one estimator.",
     )
     AIR_NOT_ESTIMATED = "{error}"
-    COUPLINGS_FOUND = (
-        "terms beyond the usual ones are significant in the motion of the air: {couplings:.2g}",
-        "",
-        NOTE,
-    )
     SENSORS_ELSEWHERE = (
         "by the motion of the flights the inertial sensors are {distance:.2g} m from the position that was "
         "given, or from the centre of gravity if none was given",

@@ -64,7 +64,6 @@ from skdgp.estimation._air_parameters import (
     Parameters,
     coefficient_of,
     derivatives_of,
-    is_coupling,
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
@@ -152,16 +151,8 @@ class AirMotion:
             f"wind {np.hypot(north, east):.1f} m/s from {wind_origin(north, east):.0f} deg",
             f"servos {1e3 * servo['value']:.0f} ± {1e3 * servo['std']:.0f} ms late",
         ]
-        slipstream = self.constants.loc["slipstream"]
-        if abs(slipstream["value"]) > 3 * slipstream["std"]:
-            parts.append(f"slipstream {slipstream['value']:.1f} ± {slipstream['std']:.1f}")
         if not self.converged:
             parts.append("not converged: do not use")
-        elif self.misfit > 1:
-            wider = f"{self.misfit:.1f} times as wide"
-            parts.append(f"sensors' constants are improbable: bands {wider}")
-        if self.vibrates:
-            parts.append("inertial sensors vibrate: bands wider by half")
         return "; ".join(parts)
 
     @property
@@ -193,17 +184,6 @@ class AirMotion:
                 curvature = table.reindex([f"{name}_alpha2" for name in coefficients])
                 out[:, j] += 2 * alpha * curvature.fillna(0.0)
         return out[..., 0], np.nan_to_num(out[..., 1:])
-
-    def couplings(self, significance: float = 3.0) -> dict[str, tuple[float, float]]:
-        """Return value and standard deviation of derivatives outside of the usual terms.
-
-        Of those that are more than ``significance`` standard deviations from zero.
-        """
-        couplings = {}
-        for name, value, std in self.derivatives[["value", "std"]].itertuples():
-            if is_coupling(name) and abs(value) > significance * std:
-                couplings[name] = (float(value), float(std))
-        return couplings
 
     def position_error(self, significance: float = 3.0) -> Vector | None:
         """Return how far the inertial sensors are from their position (3,) [m].

@@ -103,7 +103,8 @@ def load_model(path: str | os.PathLike) -> Bunch:
         made_by = _closing(file, path)["versions"]
         installed = software_versions()
         if any(made_by.get(name) != installed.get(name) for name in MATTERS):
-            numbers = {"path": str(path), "differences": _differences(made_by, installed)}
+            differences = f"{_in_words(made_by)} (installed: {_in_words(installed)})"
+            numbers = {"path": str(path), "differences": differences}
             report(Finding(Code.OTHER_VERSIONS, numbers=numbers))
         file.seek(0)
         try:
@@ -113,8 +114,9 @@ def load_model(path: str | os.PathLike) -> Bunch:
                 model = pickle.load(file)
         except Exception as error:  # unpickling may raise anything
             raise ModelFileError(
-                f"Got {path}, written with {_differences(made_by, installed)}, which cannot be read "
-                f"here ({type(error).__name__}: {error}). Fit it again, or install those versions."
+                f"Got {path}, written with {_in_words(made_by)}, which cannot be read by "
+                f"{_in_words(installed)} here ({type(error).__name__}: {error}). Fit it again, or install those "
+                "versions."
             ) from error
     if not _is_model(model):
         raise ModelFileError(
@@ -156,13 +158,5 @@ def _is_model(content: Any) -> bool:
     return isinstance(content, Bunch) and isinstance(content.get("aircraft"), Aircraft)
 
 
-def _differences(made_by: dict, installed: dict) -> str:
-    """Return the versions that differ, then those that are installed."""
-    names = [name for name, number in installed.items() if made_by.get(name) != number]
-    if not names:
-        return "the versions that are installed here"
-    return f"{_in_words(made_by, names)} (installed: {_in_words(installed, names)})"
-
-
-def _in_words(versions: dict, names: Any = MATTERS) -> str:
-    return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in names)
+def _in_words(versions: dict) -> str:
+    return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in MATTERS)

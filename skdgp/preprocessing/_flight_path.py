@@ -383,11 +383,7 @@ class FlightPathReconstruction(TableTransformer):
 
 
 def _tell_of_aircraft(motion: AirMotion) -> None:
-    """Report couplings of the axes, and inertial sensors that are not where they are said to be."""
-    couplings = motion.couplings()
-    if couplings:
-        finding = Finding(Code.COUPLINGS_FOUND, numbers={"couplings": couplings})
-        report(finding)
+    """Report inertial sensors that are not where they are said to be."""
     error = motion.position_error()
     if error is not None:
         numbers = {"distance": float(np.linalg.norm(error))}

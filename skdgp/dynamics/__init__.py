@@ -19,7 +19,7 @@ from skdgp.dynamics._aerodynamics import Drift as Drift
 from skdgp.dynamics._aerodynamics import Mixing as Mixing
 from skdgp.dynamics._aerodynamics import scaling_of as scaling_of
 from skdgp.dynamics._aerodynamics import steps_by_choice as steps_by_choice
-from skdgp.dynamics._air import Air
+from skdgp.dynamics._air import Air, Turbulence, dryden_wind
 from skdgp.dynamics._air import GustyAir as GustyAir
 from skdgp.dynamics._air import LocalAir as LocalAir
 from skdgp.dynamics._aircraft import Aircraft
@@ -69,7 +69,6 @@ from skdgp.dynamics._size_errors import ScaleFactor
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trajectories import farthest_beyond as farthest_beyond
 from skdgp.dynamics._trim import Trim, trim
-from skdgp.dynamics._turbulence import Turbulence, dryden_wind
 
 __all__ = [
     "STATE_NAMES",

@@ -1,21 +1,348 @@
-"""The air as a user describes it, and as it moves at the aircraft."""
+"""The air: wind, gusts, density, gravity; turbulence by Dryden's spectra, given or estimated from flights and winds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from sklearn.utils import check_random_state
 
-from skdgp._compute.typing import Array
-from skdgp._flight.checks import as_floats, check_choice, check_number
-from skdgp._flight.frames import STANDARD_GRAVITY, body_to_ned
-from skdgp.dynamics._dryden import Gusts
-from skdgp.dynamics._turbulence import Turbulence
+from skdgp._compute.typing import Array, Seed, Vector
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
+from skdgp._flight.checks import as_floats, check_choice, check_columns, check_number, check_table
+from skdgp._flight.frames import (
+    STANDARD_GRAVITY,
+    air_velocity,
+    body_to_ned,
+    euler_to_quaternion,
+)
+from skdgp._flight.tables import FlightTable, interpolated, numeric
+from skdgp._flight.units import check_radians
+from skdgp.dynamics._dryden import Gusts, dryden_gusts, rolling_gust
 
 # From a time or a stage, and states (..., 13), to the air there; None where it is at rest.
 AirAt: TypeAlias = "Callable[[Any, Array], LocalAir | None]"
+FEET = 0.3048
+CEILING = 1000 * FEET  # Height [m] at which the low-altitude model ends
+
+
+# Shortest flight [s] that separates gusts from the mean wind
+DURATION = 30.0
+# Frequency [rad/s] below which the wind changes for other reasons than turbulence
+SLOWEST = 0.03
+# Largest scale length [m]
+LONGEST = 3000.0
+# Sample intervals that the shortest scale length lasts: shorter gusts resemble the noise of sensors
+SAMPLES = 10
+# Prior median [m] of a scale length and standard deviation of its logarithm: 95 % within 30 m (a
+# flight at that height) and 533 m (1750 ft, higher than 1000 ft) of MIL-F-8785C, 3.7.2. Short winds
+# do not show it.
+LENGTH = 126.0
+LENGTH_STD = 0.72
+# Least values of the periodogram for an estimate: the standard error of an intensity is 30 %
+FEWEST = 3
+# Variance [m^2/s^2] of a wind below which it is round-off
+CALM = 1e-16
+# Bands of a factor of ten in frequency, lengths that are compared, and variances of the noise of a
+# sample over that of the gusts
+PER_DECADE = 20
+N_LENGTHS = 120
+NOISES = np.append(0.0, np.geomspace(1e-3, 1e3, 49))
+
+
+class Turbulence(NamedTuple):
+    """Gusts by Dryden's spectra: standard deviations and scale lengths of the velocities u, v, w of the air.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import Turbulence
+    >>> light = Turbulence.low_altitude(height=100.0, wind_at_6m=7.7)
+    >>> light.intensity.round(2), light.length.round(0)
+    (array([1.06, 1.06, 0.77]), array([263., 263., 100.]))
+    """
+
+    intensity: Array  #: (3,) [m/s]
+    length: Array  #: (3,) [m]
+    #: Mean of the flights [m/s]; None where intensity and length are given.
+    airspeed: float | None = None
+
+    @classmethod
+    def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
+        """Return the turbulence below 1000 ft, by height [m] and wind speed 6 m above ground [m/s].
+
+        MIL-F-8785C, 3.7.3.4, with h in feet: L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2,
+        sigma_w = 0.1 W, sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4, W the wind speed
+        20 ft above the ground.
+        """
+        if not 0 < height <= CEILING:
+            raise ValueError(
+                f"Got height={height:g} m, but expected a number > 0 and at most {CEILING:g} m, "
+                "where the low-altitude model ends."
+            )
+        check_number("wind_at_6m", wind_at_6m, is_open=False, unit="m/s")
+        shear = 0.177 + 0.000823 * height / FEET
+        length = height * np.array([shear**-1.2, shear**-1.2, 1.0])
+        return cls(0.1 * wind_at_6m * np.array([shear**-0.4, shear**-0.4, 1.0]), length)
+
+    @classmethod
+    def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
+        """Return the turbulence of one or more flights.
+
+        The velocity over the ground less that through the air is the wind, with the white noise of the
+        sensors, which is estimated with it, as by `from_wind`. Six minutes give intensities to a tenth and
+        lengths to a fifth. Raises ValueError if columns are missing, angles are in degrees, the span is not
+        > 0, or no flight lasts 30 s and is sampled every 300 m.
+
+        Parameters
+        ----------
+        flight : DataFrame (n, ...)
+            With time, flight, airspeed, alpha, beta, phi, theta, psi, v_north, v_east, v_down.
+        span : float
+            Of the wing [m].
+
+        Returns
+        -------
+        Turbulence
+        """
+        columns = ["time", *AIR_DATA, *EULER, *EARTH_VELOCITY]
+        flights = FlightTable.of(flight, columns)
+        check_radians(flight, (*EULER, "alpha", "beta"))
+        winds = []
+        airspeeds = []
+        for segment in flights.segments:
+            wind = _wind_of(flight.iloc[segment][columns].dropna())
+            if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION:
+                winds.append(wind)
+                airspeeds.append(wind["airspeed"].mean())
+        return cls.from_wind(winds, airspeeds, span, is_noisy=True)
+
+    @classmethod
+    def from_wind(
+        cls,
+        winds: pd.DataFrame | Sequence[pd.DataFrame],
+        airspeeds: ArrayLike,
+        span: float,
+        *,
+        is_noisy: bool = False,
+    ) -> Turbulence:
+        r"""Return the turbulence of winds that were met at some airspeeds.
+
+        The spectra S are Dryden's; north and east have the mean of the spectra of u and v, which have one
+        intensity and length, as in MIL-F-8785C. Of a grid of lengths L and noises, those maximise the
+        likelihood of the periodogram I, averaged over bands of n values, with a prior on the length,
+
+        .. math:: -\sum n \left(\log S + \frac{I}{S}\right)
+                  - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
+
+        over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
+        one; the variance follows from each as the mean of I over S of unit variance.
+        Raises ValueError if the span is not > 0, or the winds are too short or too rarely sampled.
+
+        Parameters
+        ----------
+        winds : DataFrame or list of DataFrame
+            Each with time, wind_north, wind_east, wind_down. Winds of a few seconds show the rates of the
+            gusts, not their lengths.
+        airspeeds : float or array-like (n_winds,)
+            [m/s].
+        span : float
+            Of the wing [m].
+        is_noisy : bool, default=False
+            Whether the winds have white noise.
+
+        Returns
+        -------
+        Turbulence
+
+        Examples
+        --------
+        >>> from skdgp.dynamics import Turbulence, dryden_wind
+        >>> wind = dryden_wind(600.0, airspeed=25.0, height=100.0, wind_at_6m=7.7, random_state=0)
+        >>> Turbulence.from_wind(wind, 25.0, span=2.0).intensity.round(1)
+        array([1. , 1. , 0.8])
+        """
+        check_number("span", span, unit="m")
+        winds = [winds] if isinstance(winds, pd.DataFrame) else list(winds)
+        for table in winds:
+            check_columns(check_table(table, what="wind"), ["time", *WIND], what="wind")
+        if np.shape(airspeeds) not in ((), (len(winds),)):
+            raise ValueError(
+                f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
+            )
+        speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), len(winds)).tolist()
+        spectra = _band_spectra(winds, speeds, span)
+        horizontal = _fitted(spectra, spectra.horizontal, _horizontal_spectrum, is_noisy)
+        vertical = _fitted(spectra, spectra.vertical, _vertical_spectrum, is_noisy)
+        intensity, length = np.transpose([horizontal, horizontal, vertical])
+        durations = [np.ptp(table["time"]) for table in winds]
+        return cls(intensity, length, float(np.average(speeds, weights=durations)))
+
+    def rates(self, airspeed: float, span: float) -> Array:
+        r"""Return the standard deviations (3,) of the rates p, q, r of the air [rad/s].
+
+        p is that of `rolling_gust`; of gusts that are much longer than the span b, H_q and H_r have
+
+        .. math:: \sigma_q^2 = \frac{3 \pi \sigma_w^2}{8\, b L_w}, \quad
+                  \sigma_r^2 = \frac{\pi \sigma_v^2}{2\, b L_v}.
+        """
+        _, sigma_v, sigma_w = self.intensity
+        _, length_v, length_w = self.length
+        p, _ = rolling_gust(airspeed, span, sigma_w, length_w)
+        q = sigma_w * np.sqrt(3 * np.pi / (8 * span * length_w))
+        r = sigma_v * np.sqrt(np.pi / (2 * span * length_v))
+        return np.array([p, q, r])
+
+
+class TooShort(ValueError):
+    """Winds show no gusts."""
+
+
+def dryden_wind(
+    duration: float,
+    airspeed: float,
+    height: float,
+    *,
+    wind_at_6m: float = 5.0,
+    span: float = 2.0,
+    dt: float = 0.02,
+    random_state: Seed = None,
+) -> pd.DataFrame:
+    """Return a gusty wind with mean zero, for ``simulate(air=...)``.
+
+    Dryden turbulence of MIL-F-8785C below 1000 ft, crossed straight north at ``airspeed``, without
+    its rotation.
+
+    Parameters
+    ----------
+    duration : float
+        [s].
+    airspeed, height : float
+        At which the frozen field is crossed [m/s], and how high above the ground [m], at most
+        304.8.
+    wind_at_6m : float, default=5.0
+        [m/s]; 7.7 is light, 15 moderate, 23 severe turbulence.
+    span : float, default=2.0
+        Of the wing, which averages the gusts [m].
+    dt : float, default=0.02
+        Between the rows [s].
+    random_state : int, RandomState or None
+        Seed.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``time``, ``wind_north``, ``wind_east``, ``wind_down``.
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import dryden_wind
+    >>> wind = dryden_wind(60.0, airspeed=25.0, height=100.0, random_state=0)
+    >>> list(wind), len(wind)
+    (['time', 'wind_north', 'wind_east', 'wind_down'], 3001)
+    """
+    sizes = {"duration": duration, "airspeed": airspeed, "height": height, "span": span, "dt": dt}
+    for name, value in sizes.items():
+        check_number(name, value)
+    n_times = int(np.floor(duration / dt + 1e-9)) + 1
+    intensity, length, _ = Turbulence.low_altitude(height, wind_at_6m)
+    rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))
+    gusts = dryden_gusts(n_times, dt, airspeed, [length], [intensity], span, rng)
+    wind = pd.DataFrame(gusts.velocity[:, 0], columns=list(WIND))
+    wind.insert(0, "time", dt * np.arange(n_times))
+    return wind
+
+
+class _Spectra(NamedTuple):
+    """Spectra of the wind over wave numbers, averaged over bands."""
+
+    wave_number: Array  #: (n,) [rad/m]
+    horizontal: Array  #: Mean of north and east (n,)
+    vertical: Array
+    interval: Array  #: Of the samples, in the air (n,) [m]: the spectrum of noise of unit variance
+    n_values: Vector  #: Values of the periodograms in a band, (n,)
+    shortest: float  #: Scale length that they can show [m]
+
+
+def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float) -> _Spectra:
+    """Return the spectra of the winds that are long enough; raise `TooShort` without enough values."""
+    parts = []
+    shortest = []
+    for wind, airspeed in zip(winds, airspeeds, strict=True):
+        wind = wind.dropna()
+        steps = np.diff(wind["time"].to_numpy(float))
+        interval = airspeed * float(np.median(steps)) if len(steps) else 0.0
+        if not 0 < SAMPLES * interval < LONGEST:
+            continue
+        time = wind["time"].to_numpy(float)
+        even = np.arange(time[0], time[-1], interval / airspeed)
+        gusts = interpolated(even, time, numeric(wind, WIND))
+        gusts -= gusts.mean(axis=0)
+        wave_number = 2 * np.pi * np.fft.rfftfreq(len(gusts), interval)
+        values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * interval / len(gusts)
+        # above, a wing meets the mean over its span, while sensors measure the wind at a point
+        highest = min(np.pi / (4 * span), 0.9 * np.pi / interval)
+        is_used = (wave_number > SLOWEST / airspeed) & (wave_number < highest)
+        horizontal = values[:, :2].mean(axis=1)
+        columns = [wave_number, horizontal, values[:, 2], np.full(len(wave_number), interval)]
+        parts.append(np.stack(columns, axis=1)[is_used])
+        shortest.append(max(SAMPLES * interval, 1.0 / highest))
+    if sum(map(len, parts)) < FEWEST:
+        raise TooShort(
+            "Got winds that are too short, or too rarely sampled, to show gusts, but expected a flight of "
+            f"{DURATION:g} s in the air, without gaps or missing values, or some seconds of a "
+            f"wind, with a row for each {LONGEST / SAMPLES:g} m: fly longer."
+        )
+    table = pd.DataFrame(np.concatenate(parts))
+    bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
+    mean: Any = bands.mean().to_numpy()
+    n_values: Any = bands.size().to_numpy(float)
+    wave_number, horizontal, vertical, intervals = mean.T
+    return _Spectra(wave_number, horizontal, vertical, intervals, n_values, min(shortest))
+
+
+def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return time, airspeed and wind of a flight."""
+    attitude = euler_to_quaternion(*numeric(rows, EULER).T)
+    air = body_to_ned(attitude, air_velocity(*numeric(rows, AIR_DATA).T))
+    wind = pd.DataFrame(numeric(rows, EARTH_VELOCITY) - air, columns=[*WIND])
+    wind["time"] = rows["time"].to_numpy(float)
+    wind["airspeed"] = rows["airspeed"].to_numpy(float)
+    return wind
+
+
+def _along_spectrum(wave_number: Array, length: Array) -> Array:
+    """Return the spectrum of u of unit variance without lags: see `dryden_system`."""
+    return 2 * length / (1 + (length * wave_number) ** 2)
+
+
+def _vertical_spectrum(wave_number: Array, length: Array) -> Array:
+    """Return the spectrum of v and w of unit variance without lags."""
+    x = (length * wave_number) ** 2
+    return length * (1 + 3 * x) / (1 + x) ** 2
+
+
+def _horizontal_spectrum(wave_number: Array, length: Array) -> Array:
+    """Return the spectrum of unit variance of u and v, whatever the direction of the flight."""
+    return (_along_spectrum(wave_number, length) + _vertical_spectrum(wave_number, length)) / 2
+
+
+def _fitted(
+    spectra: _Spectra, values: Array, unit_spectrum: Callable, is_noisy: bool
+) -> tuple[float, float]:
+    """Return intensity [m/s] and length [m] of an axis with a spectrum (n,)."""
+    length = np.geomspace(spectra.shortest, LONGEST, N_LENGTHS)[:, None]
+    unit = unit_spectrum(spectra.wave_number, length)
+    noises = NOISES if is_noisy else NOISES[:1]
+    S = unit[:, None] + noises[:, None] * spectra.interval  # (lengths, noises, bands)
+    variance = np.maximum(np.average(values / S, axis=-1, weights=spectra.n_values), CALM)
+    loss = np.sum(spectra.n_values * np.log(variance[..., None] * S), axis=-1)
+    loss += 0.5 * (np.log(length / LENGTH) / LENGTH_STD) ** 2
+    i, j = np.unravel_index(np.argmin(loss), loss.shape)
+    return float(np.sqrt(variance[i, j])), float(length[i, 0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,12 @@ from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import SENSOR_GUST, WIND
 from skdgp._flight.frames import by_components
 from skdgp.dynamics._aerodynamics import Aerodynamics, Drift, separate_generator
-from skdgp.dynamics._air import Air, AirAt, GustyAir
+from skdgp.dynamics._air import LENGTH, Air, AirAt, GustyAir, TooShort, Turbulence
 from skdgp.dynamics._dryden import Gusts, dryden_gusts
 from skdgp.dynamics._inputs import StepClock, tables_of
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._motion import Motion
 from skdgp.dynamics._rigid_body import ATTITUDE
-from skdgp.dynamics._turbulence import LENGTH, TooShort, Turbulence
 
 STILL = Turbulence(np.zeros(3), np.full(3, LENGTH))
 

@@ -15,7 +15,7 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import SPECIFIC_FORCE
 from skdgp._flight.checks import check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
-from skdgp.dynamics._air import LocalAir, as_air
+from skdgp.dynamics._air import LocalAir, Turbulence, as_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._dryden import gust_stream
 from skdgp.dynamics._inputs import (
@@ -37,7 +37,6 @@ from skdgp.dynamics._trajectories import (
     warn_of,
 )
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._turbulence import Turbulence
 
 UNKNOWN_FORCE = np.full(3, np.nan)
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.files import column_names
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
@@ -54,10 +53,6 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
         return pd.DataFrame({name: np.atleast_1d(value) for name, value in dict(x0).items()})
     if isinstance(x0, pd.DataFrame) and len(x0):
         return x0
-    names = [] if isinstance(x0, pd.DataFrame) else column_names(x0)
-    if names:
-        # a table of another library
-        return pd.DataFrame({name: np.asarray(x0[name]) for name in names})
     points = [x0] if isinstance(x0, Trim) else x0
     if isinstance(points, list | tuple) and any(isinstance(point, Trim) for point in points):
         points = [point.state for point in points]

@@ -33,7 +33,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.checks import check_number
 from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
-from skdgp._flight.tables import has_values, numeric
+from skdgp._flight.tables import has_values, numeric, unwrapped
 
 
 @dataclass(frozen=True)
@@ -127,57 +127,22 @@ def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndar
     return smooth(values, time, derivative=True, **options)
 
 
-def motion_band(
-    values: ArrayLike,
-    time: ArrayLike,
-    *,
-    flight: ArrayLike | None = None,
-) -> float:
-    """Return the frequency [Hz] below which lies nearly all power of each channel (n, k), in each flight.
-
-    Infinite if no channel moves, or all flights are too short to show a spectrum.
-    """
-    bands = []
-    for _, spectrum in _spectra(values, time, flight):
-        is_moving = spectrum.channel_power.sum(axis=0) > spectrum.rounding
-        sums = np.cumsum(spectrum.channel_power[:, is_moving], axis=0)
-        places = np.argmax(sums >= SMOOTHING.motion_power * sums[-1], axis=0)
-        bands += spectrum.frequency[places].tolist()
-    return max(bands, default=np.inf)
-
-
-def power_beyond(
-    values: ArrayLike, time: ArrayLike, highest: float, *, flight: ArrayLike | None = None
-) -> Vector:
-    """Return the fraction of the power of each channel (n, k) beyond a frequency [Hz], (k,); NaN if it is unknown.
-
-    Means and trends are no power.
-    """
-    beyond, total = np.zeros((2, np.shape(values)[1]))
-    for channels, spectrum in _spectra(values, time, flight):
-        weighted = spectrum.averages * spectrum.channel_power
-        total[channels] += weighted.sum(axis=0)
-        beyond[channels] += weighted[spectrum.frequency > highest].sum(axis=0)
-    return beyond / np.where(total > 0, total, np.nan)
-
-
-def _spectra(
-    values: ArrayLike, time: ArrayLike, flight: ArrayLike | None
-) -> Iterator[tuple[Indices, Spectrum]]:
+def _spectra(table: pd.DataFrame, names: Sequence[str]) -> Iterator[tuple[Indices, Spectrum]]:
     """Yield the channels that were sampled at the same rows, and their spectrum, of each flight that shows one."""
-    for group in _channel_groups(*_checked(values, time, flight)):
+    time = numeric(table, ["time"])[:, 0]
+    values = unwrapped(table, names)
+    for group in _channel_groups(*_checked(values, time, table.get("flight"))):
         spectrum = _flight_spectrum(group)
         if spectrum is not None:
             yield group.channels, spectrum
 
 
-def noise_level(values: ArrayLike, time: ArrayLike) -> np.ndarray:
-    """Return the standard deviation of the white noise of a flight's channels, (k,) or (); NaN if it is too short."""
-    shape = np.shape(values)[1:]
-    std = np.full(shape or 1, np.nan)
-    for channels, spectrum in _spectra(values, time, None):
+def noise_level(table: pd.DataFrame, names: Sequence[str]) -> Vector:
+    """Return the standard deviation of the white noise of a flight's channels, (k,); NaN if it is too short."""
+    std = np.full(len(names), np.nan)
+    for channels, spectrum in _spectra(table, names):
         std[channels] = np.sqrt(noise_power(spectrum) * spectrum.frequency[-1])
-    return std.reshape(shape)
+    return std
 
 
 def _checked(values: Any, time: ArrayLike, flight: ArrayLike | None) -> tuple[Matrix, Clock]:
@@ -371,7 +336,10 @@ def _wiener_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
     gain[:, floor == 0] = 1.0
     # the mean of a channel is signal
     gain[0] = 1.0
-    return gain * _falling(gain)
+    # that does not rise beyond the last frequency at which it is 1/2
+    is_beyond = _is_beyond(gain)
+    least = np.minimum.accumulate(np.where(is_beyond, gain, 0.5), axis=0)
+    return np.where(is_beyond, least, gain)
 
 
 def _is_beyond(gain: Matrix) -> NDArray[np.bool_]:
@@ -379,14 +347,6 @@ def _is_beyond(gain: Matrix) -> NDArray[np.bool_]:
     is_strong = gain >= 0.5
     last = len(gain) - 1 - np.argmax(is_strong[::-1], axis=0)
     return np.arange(len(gain))[:, None] > last
-
-
-def _falling(gain: Matrix) -> Matrix:
-    """Return factors (m, k) that keep gains from rising beyond the last frequency at which they are 1/2."""
-    is_beyond = _is_beyond(gain)
-    least = np.minimum.accumulate(np.where(is_beyond, gain, 0.5), axis=0)
-    factor = least / np.maximum(gain, 1e-12)
-    return np.where(is_beyond, factor, 1.0)
 
 
 def impulse_response(gain: Array) -> Array:
@@ -449,30 +409,38 @@ def vibration_band(table: pd.DataFrame) -> float:
 
 
 def motion_band_of(table: pd.DataFrame) -> float:
-    """Return the frequency [Hz] up to which flights show the motion of the aircraft; infinite if unknown.
+    """Return the frequency [Hz] below which lies nearly all motion of the aircraft in each flight; infinite if unknown.
 
     Surfaces cause the motion and the rates follow it, so the band of either is enough: that of the
     rates is too wide where they vibrate, that of the surfaces where these carry noise.
     """
-    time = numeric(table, ["time"])[:, 0]
-    flight = table.get("flight")
     bands = []
     for group in (RATES, ALL_SURFACES):
         names = [name for name in group if name in table]
-        bands.append(motion_band(numeric(table, names), time, flight=flight))
+        of_group = []
+        for _, spectrum in _spectra(table, names):
+            is_moving = spectrum.channel_power.sum(axis=0) > spectrum.rounding
+            sums = np.cumsum(spectrum.channel_power[:, is_moving], axis=0)
+            places = np.argmax(sums >= SMOOTHING.motion_power * sums[-1], axis=0)
+            of_group += spectrum.frequency[places].tolist()
+        bands.append(max(of_group, default=np.inf))
     return min(bands)
 
 
 def vibrates_beyond(table: pd.DataFrame, band: float) -> bool:
     """Return whether two of the three specific forces have more power beyond the band [Hz] than within.
 
-    Gusts move the aircraft within it: two of the forces have up to 29 % beyond it in 16 simulated
-    flights of four aircraft without vibration, and 16 to 96 % in 16 flights with vibration.
+    Means and trends are no power. Gusts move the aircraft within the band: two of the forces have up
+    to 29 % beyond it in 16 simulated flights of four aircraft without vibration, and 16 to 96 % in
+    16 flights with vibration.
     """
-    time = numeric(table, ["time"])[:, 0]
-    forces = numeric(table, SPECIFIC_FORCE)
-    parts = power_beyond(forces, time, band, flight=table.get("flight"))
-    return bool(np.sum(parts > 0.5) >= 2)
+    beyond, within = np.zeros((2, len(SPECIFIC_FORCE)))
+    for channels, spectrum in _spectra(table, SPECIFIC_FORCE):
+        weighted = spectrum.averages * spectrum.channel_power
+        is_beyond = spectrum.frequency > band
+        beyond[channels] += weighted[is_beyond].sum(axis=0)
+        within[channels] += weighted[~is_beyond].sum(axis=0)
+    return bool(np.sum(beyond > within) >= 2)
 
 
 def band_limited(values: Matrix, table: pd.DataFrame, band: float) -> Matrix:

@@ -97,7 +97,7 @@ class FreeFlight:
         spreads = [np.nanstd(unwrapped(table, STATES), axis=0) for table in self.tables]
         spread = np.median(spreads, axis=0)
         # no noise of flights that are too short to show it
-        levels = [noise_level(unwrapped(table, STATES), table["time"]) for table in self.tables]
+        levels = [noise_level(table, STATES) for table in self.tables]
         noise = np.nan_to_num(pd.DataFrame(levels).median())
         limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
         late = means > limit**2

@@ -106,8 +106,8 @@ def question_of_sizes(sizes: Sizes, stds: Mapping[str, float]) -> Finding | None
     asked = []
     for name, unit in SI_UNITS.items():
         if name in sizes:
-            numbers = {"value": sizes[name], "si_unit": unit}
-            asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=numbers))
+            size = {"value": sizes[name], "si_unit": unit}
+            asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=size))
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
 
 

@@ -108,13 +108,13 @@ def rotation_to_euler(attitude: Rotation) -> Matrix:
 
 def body_to_ned(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
     """Return body vectors (..., 3) in NED axes, at the attitude of ``quaternion`` (..., 4)."""
-    return _turn(components(quaternion), vector)
+    return _times(rotation_rows(*components(quaternion)), vector)
 
 
 def ned_to_body(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
     """Return NED vectors (..., 3) in body axes, at the attitude of ``quaternion`` (..., 4)."""
     q0, q1, q2, q3 = components(quaternion)
-    return _turn((q0, -q1, -q2, -q3), vector)
+    return _times(rotation_rows(-q0, q1, q2, q3), vector)
 
 
 def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
@@ -214,34 +214,20 @@ def _vector(*components: ArrayLike) -> np.ndarray:
     return vector
 
 
-def _turn(quaternion: tuple[Any, ...], vector: ArrayLike) -> np.ndarray:
-    """Return vector + s q0 (e x vector) + s e x (e x vector), e the vector part and s = 2 / |q|^2."""
-    q0, e1, e2, e3 = quaternion
+def _times(rows: tuple[tuple, ...], vector: ArrayLike) -> np.ndarray:
+    """Return the products of a matrix, by its rows, and vectors (..., 3)."""
     x, y, z = components(vector)
-    s = 2.0 / (q0 * q0 + e1 * e1 + e2 * e2 + e3 * e3)
-    e = (s * e1, s * e2, s * e3)
-    # c = s (e x vector)
-    cx, cy, cz = _cross(e, (x, y, z))
-    dx, dy, dz = _cross((e1, e2, e3), (cx, cy, cz))
-    x = x + q0 * cx + dx
-    y = y + q0 * cy + dy
-    z = z + q0 * cz + dz
-    return _vector(x, y, z)
+    return _vector(*[first * x + second * y + third * z for first, second, third in rows])
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Return a x b, (..., 3); numpy.cross takes five times as long on a few vectors."""
-    return _vector(*_cross(components(a), components(b)))
-
-
-def _cross(a: tuple[Any, ...], b: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the components of a x b."""
-    a1, a2, a3 = a
-    b1, b2, b3 = b
+    a1, a2, a3 = components(a)
+    b1, b2, b3 = components(b)
     x = a2 * b3 - a3 * b2
     y = a3 * b1 - a1 * b3
     z = a1 * b2 - a2 * b1
-    return x, y, z
+    return _vector(x, y, z)
 
 
 def cross_matrix(vector: ArrayLike) -> np.ndarray:

@@ -60,8 +60,6 @@ LONGEST_FRAME = 0.09
 NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
-# Shortest time between two warnings of a flight outside of what was learned [s]
-WARNING_STEP = 1.0
 
 
 class Packet(NamedTuple):
@@ -228,8 +226,7 @@ class ModelInFlight:
         start |= by_name(RATE_NAMES, self.steady.rates)
         self.channels = self.simulator.reset(start, random_state=self.path)
         self.ended = ""
-        self._told = ""  # the regressor of the last warning
-        self._warned = -np.inf  # its time [s]
+        self._told: set[str] = set()  # regressors that were warned of
 
     @property
     def time(self) -> float:
@@ -250,23 +247,20 @@ class ModelInFlight:
         self._warn_of_beyond()
 
     def _warn_of_beyond(self) -> None:
-        """Warn of a flight outside of what was learned, once a second at most."""
+        """Warn of a flight outside of what was learned, once for each regressor."""
         beyond = self.simulator.beyond
-        is_new = beyond and beyond != self._told
-        if is_new and self.time - self._warned >= WARNING_STEP:
-            self._warned = self.time
-            model = self.simulator.motion.aerodynamics
-            k = self.simulator.motion.regressors.index(beyond)
-            low, high = model.limits[:, k]
-            warn(
-                f"After {self.time:.1f} s the flight is outside of what the model was learned from, in "
-                f"{model.regressors[k]} (learned from {low:.3g} to {high:.3g}): the column beyond says where. A "
-                "stall that was not flown is not in the model.",
-                SimulationWarning,
-            )
-            self._told = beyond
-        elif not beyond:
-            self._told = ""
+        if not beyond or beyond in self._told:
+            return
+        self._told.add(beyond)
+        model = self.simulator.motion.aerodynamics
+        k = self.simulator.motion.regressors.index(beyond)
+        low, high = model.limits[:, k]
+        warn(
+            f"After {self.time:.1f} s the flight is outside of what the model was learned from, in "
+            f"{model.regressors[k]} (learned from {low:.3g} to {high:.3g}): the column beyond says where. A "
+            "stall that was not flown is not in the model.",
+            SimulationWarning,
+        )
 
     def readings(self) -> str:
         """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
@@ -420,7 +414,7 @@ def fly(
     UserWarning
         If other bytes come, which are ignored.
     SimulationWarning
-        When the flight leaves the training ranges, once a second at most.
+        When the flight leaves the training range of a regressor, once for each.
     """
     check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")

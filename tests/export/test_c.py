@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp.export import export_model, write_c
+from skdgp.export import export_model
 
 STRICT = ["gcc", "-std=c99", "-Wall", "-Wextra", "-Wtrigraphs", "-Werror", "-pedantic"]
 CHECKED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -52,7 +52,7 @@ class Library:
 
 def test_equals_the_pipeline(written, read, tmp_path):
     model = written.model
-    write_c(tmp_path, model)
+    export_model(tmp_path, model, "c")
     done(tmp_path, *STRICT, *CHECKED, "aero.c", "test_aero.c", "-o", "test", "-lm")
     assert "passed: 40 points, with the values of the pipeline" in done(tmp_path, "./test")
 
@@ -82,7 +82,7 @@ WRONG = {
 
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_model_that_differs_from_its_pipeline_fails_its_test(case_of, tmp_path, wrong):
-    write_c(tmp_path, WRONG[wrong](case_of("identified").model))
+    export_model(tmp_path, WRONG[wrong](case_of("identified").model), "c")
     run = outcome(tmp_path)
     assert run.returncode == 1
     assert "FAILED" in run.stdout

@@ -10,7 +10,7 @@ from sklearn.base import clone
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
-from skdgp.export import portable_model, write_c
+from skdgp.export import export_model, portable_model
 from skdgp.identification import identify, load_model, validate
 from skdgp.report import save_report
 
@@ -182,7 +182,7 @@ class TestALogAMassAndASpan:
         portable = portable_model(model.pipeline, model.aircraft)
         units = {each.name: each.unit for each in portable.regressors}
         assert (units["aileron"], units["alpha"]) == ("full throw", "rad")
-        write_c(tmp_path, portable)
+        export_model(tmp_path, portable, "c")
         assert "aileron [full throw]" in (tmp_path / "aero.h").read_text()
 
     @pytest.mark.filterwarnings("ignore")

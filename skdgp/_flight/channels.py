@@ -105,6 +105,7 @@ UNITS_AND_MEANINGS = {
     "rudder": ("rad", "rudder, > 0 yaws left"),
     "elevon_left": ("rad", "left elevon, > 0 trailing edge down"),
     "elevon_right": ("rad", "right elevon, > 0 trailing edge down"),
+    "mass": ("kg", "mass of the aircraft, where it falls in flight"),
     "flap": ("rad", "flaps, > 0 trailing edge down"),
     "spoiler": ("rad", "spoilers, > 0 up"),
     "full_throw": ("", "1: surfaces are in parts of their full throw, -1 to 1, in place of rad"),

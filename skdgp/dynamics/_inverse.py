@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import report
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     COEFFICIENTS,
     RATE_DERIVATIVES,
@@ -74,7 +74,8 @@ def aerodynamic_coefficients(
         Columns ``time`` [s], ``airspeed`` [m/s], ``density`` [kg/m^3], ``ax``, ``ay``, ``az``
         [m/s^2], ``p``, ``q``, ``r`` [rad/s]; ``flight`` (id) where there are several; ``p_dot``,
         ``q_dot``, ``r_dot`` [rad/s^2] where all three were measured, else the rates are
-        differentiated. ``sensor_position_x``, ``_y``, ``_z`` [m] count in place of the aircraft's position r
+        differentiated. A column ``mass`` [kg] counts in place of the aircraft's mass; the inertia
+        stays. ``sensor_position_x``, ``_y``, ``_z`` [m] count in place of the aircraft's position r
         of the inertial sensors, whose reading exceeds f by omega_dot x r + omega x (omega x r).
     aircraft : Aircraft
         Mass, inertia and reference lengths.
@@ -116,10 +117,11 @@ def aerodynamic_coefficients(
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     other_force, other_moment = external_loads(flight, external_forces)
     rates = numeric(measured, RATES)
+    mass = _mass(flight, aircraft)
     position = np.nan_to_num(sensor_position(with_sensor_position(flight, aircraft)))
     of_sensors = acceleration_by_rotation(rate_derivatives, rates, position)
     specific_force = numeric(measured, SPECIFIC_FORCE) - of_sensors
-    total_force = aircraft.mass * specific_force
+    total_force = mass[:, None] * specific_force
     total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
     # Equations 3 to 8: force, moment, coefficients.
     F_A = total_force - thrust_force - other_force
@@ -144,6 +146,20 @@ def _measured(
         numbers = {"faults": [fault.finding for fault in faults]}
         report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning)
     return without_faults(flight, faults)
+
+
+def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
+    """Return the mass [kg] of each row, (n,): the column ``mass``, or that of the aircraft."""
+    if "mass" not in flight:
+        return np.full(len(flight), aircraft.mass)
+    mass = numeric(flight, ["mass"])[:, 0]
+    if (mass <= 0).any() or np.isinf(mass).any():
+        row = int(np.flatnonzero((mass <= 0) | np.isinf(mass))[0])
+        raise ValueError(
+            f"Got a mass of {mass[row]:g} kg at row {row}, but expected finite numbers > 0: leave the column out, "
+            "and the aircraft's mass counts."
+        )
+    return mass
 
 
 def _channels(flight: pd.DataFrame) -> Matrix:

@@ -112,6 +112,19 @@ def test_smoothing_does_not_shrink_a_signal_that_hardly_exceeds_its_noise():
     assert np.mean(slopes) == pytest.approx(1.0, abs=0.05)
 
 
+def test_a_mass_that_falls_is_that_of_each_row(simulated, aircraft, true_coefficients):
+    """The same force gives a lighter aircraft more specific force."""
+    burnt = np.linspace(1.0, 0.8, len(simulated))
+    lighter = simulated.assign(mass=burnt * aircraft.mass)
+    lighter[["ax", "ay", "az"]] /= burnt[:, None]
+    got = aerodynamic_coefficients(lighter, aircraft, cutoff=None)
+    assert_allclose(got, true_coefficients, atol=1e-12)
+    with pytest.raises(ValueError, match="mass of 0 kg at row 3"):
+        aerodynamic_coefficients(
+            lighter.assign(mass=[5.0] * 3 + [0.0] * (len(lighter) - 3)), aircraft
+        )
+
+
 def test_external_loads_are_taken_away(simulated, aircraft, true_coefficients):
     tether, twist = np.array([3.0, -8.0, 40.0]), np.array([0.4, 0.2, -0.1])
     pulled = simulated.copy()

@@ -119,8 +119,7 @@ def make_identification_pipeline(
         Rows to learn from, spread over the flights: see `FlightPipeline`.
     thrust, external_forces
         As for :func:`skdgp.dynamics.aerodynamic_coefficients`, which gave the coefficients. With
-        ``thrust=None`` a named set gets those of throttle and airspeed that explain the
-        coefficients.
+        ``thrust=None`` a named set gets the airspeed beside a throttle that moves.
     control_units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md, such as "full throw".
 

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import combinations
 from numbers import Real
 from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from sklearn.linear_model import Ridge
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
-from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import (
     AUXILIARY,
     CHANNELS,
@@ -46,15 +41,6 @@ CONTROLS = ("throttle", *SURFACES)
 # Standard deviation [rad, or a fraction] from which an auxiliary control is one of a named set; a guess
 LEAST_MOTION = 0.01
 ELEVON_MIXING = ((0.5, 0.5), (0.5, -0.5))
-# Regressors of a thrust that nothing gives
-ENGINE_REGRESSORS = ("throttle", "airspeed")
-N_BLOCKS = 5  # of consecutive rows, which are held out in turn
-# least gain of a further regressor, over the error: smaller ones are equal (as of the verdict)
-LEAST_GAIN = 0.02
-# fraction of the blocks, at least, in which it lowers the error; a guess
-MOST_BLOCKS = 0.6
-# smaller errors of a linear model, over the spread, are equal
-LEAST_ERROR = 0.01
 
 
 class ElevonSplitter(TableTransformer):
@@ -257,8 +243,8 @@ class RegressorSelector(TableTransformer):
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         Named set, or columns in order.
     engine : bool, default=False
-        Whether the thrust is part of the targets: of flights with a throttle a named set then gets
-        those of throttle and airspeed that explain targets on rows held out.
+        Whether the thrust is part of the targets: a named set then gets the airspeed beside a throttle
+        that moves, and loses one that does not.
 
     Attributes
     ----------
@@ -308,7 +294,6 @@ class RegressorSelector(TableTransformer):
         is_targeted = y is not None and len(y) == len(table)
         if is_targeted:
             targets = np.asarray(y, dtype=float).reshape(len(table), -1)
-            self._choose_engine(table, targets)
             table = table[np.isfinite(targets).any(axis=1)]
         values = numeric(table, self.regressors_)
         values = values[np.isfinite(values).all(axis=1)]
@@ -320,14 +305,6 @@ class RegressorSelector(TableTransformer):
         if is_targeted and len(values):
             self._warn_of_constant(values)
         return self
-
-    def _choose_engine(self, table: pd.DataFrame, targets: Matrix) -> None:
-        """Choose the regressors of an engine whose thrust is part of the targets."""
-        if not (self.engine and isinstance(self.regressors, str) and "throttle" in table):
-            return
-        names = list(dict.fromkeys([*self.regressors_, "airspeed"]))
-        check_columns(table, names)
-        self.regressors_ = engine_regressors(names, numeric(table, names), targets)
 
     def _warn_of_constant(self, values):
         """Warn of regressors that vary by less than a billionth of themselves."""
@@ -390,68 +367,14 @@ class RegressorSelector(TableTransformer):
         for name in present(AUXILIARY, table):
             if np.nanstd(numeric(table, [name])) > LEAST_MOTION:
                 names.append(name)
-        return [name for name in names if name not in self.absent_]
+        names = [name for name in names if name not in self.absent_]
+        if not (self.engine and "throttle" in names):
+            return names
+        if np.nanstd(numeric(table, ["throttle"])) > LEAST_MOTION:
+            return list(dict.fromkeys([*names, "airspeed"]))
+        return [name for name in names if name != "throttle"]
 
 
 def _truth(names: Iterable[Any]) -> list[str]:
     """Return the names of columns with the noise-free truth of a simulation."""
     return [name for name in names if str(name).endswith(TRUTH_SUFFIX)]
-
-
-def engine_regressors(names: list[str], X: Matrix, Y: Matrix) -> list[str]:
-    """Return a set of regressors, with those of throttle and airspeed that some coefficient needs.
-
-    For each coefficient each choice of the two is judged by the errors of a linear model on blocks of
-    consecutive rows that are held out in turn. More regressors are taken if they lower the error as
-    a whole, and in most blocks.
-
-    Parameters
-    ----------
-    names : list of str
-        The set, with throttle and airspeed.
-    X : ndarray (n, d)
-        Regressors by these names.
-    Y : ndarray (n, P)
-        Coefficients, NaN where not to be learned from.
-    """
-    is_learned = np.isfinite(np.column_stack([X, Y])).all(axis=1)
-    X, Y = X[is_learned], Y[is_learned]
-    if len(Y) < N_BLOCKS * len(names):  # too few to judge
-        return names
-    engine = [name for name in ENGINE_REGRESSORS if name in names]
-    choices: list[tuple[str, ...]] = []
-    for size in range(len(engine) + 1):
-        choices += combinations(engine, size)
-    errors = []
-    for choice in choices:
-        columns = [name in choice or name not in engine for name in names]
-        errors.append(_held_out_errors(X[:, columns], Y))
-    unneeded = {*engine}
-    for of_output in np.transpose(errors, (2, 0, 1)):
-        unneeded -= {*choices[_best_choice(of_output)]}
-    return [name for name in names if name not in unneeded]
-
-
-def _best_choice(errors: Matrix) -> int:
-    """Return the place of the best choice by errors (choices, blocks), which grow in size."""
-    best = 0
-    for place in range(1, len(errors)):
-        gain = 1 - np.sqrt(np.mean(errors[place] ** 2) / np.mean(errors[best] ** 2))
-        is_mostly_better = np.mean(errors[place] < errors[best]) >= MOST_BLOCKS
-        if gain > LEAST_GAIN and is_mostly_better:
-            best = place
-    return best
-
-
-def _held_out_errors(X: Matrix, Y: Matrix) -> Matrix:
-    """Return the errors (blocks, P) of linear models of Y (n, P) on blocks held out in turn, over the spread of Y."""
-    spread = np.std(Y, axis=0)
-    unit = np.where(spread > 0, spread, 1.0)
-    blocks = np.arange(len(Y)) * N_BLOCKS // len(Y)
-    errors = []
-    for block in range(N_BLOCKS):
-        held_out = blocks == block
-        model = make_pipeline(StandardScaler(), Ridge(alpha=1.0)).fit(X[~held_out], Y[~held_out])
-        residuals = model.predict(X[held_out]) - Y[held_out]
-        errors.append(np.sqrt(np.mean(residuals**2, axis=0)) / unit)
-    return np.maximum(errors, LEAST_ERROR)

@@ -127,7 +127,7 @@ class Code(Kind):
         DOUBT,
     )
     BROKEN_LAW = "{channel} is {value:.3g}, but of aeroplanes {least:g} to {most:g}"
-    ASKED_SIZE = "{channel} {value:.4g} {si_unit}"
+    ASKED_SIZE = "{channel} {value:.4g} {si_unit}[ ({given:.4g} {unit})]"
     SIZES_ESTIMATED = (
         "sizes of the aircraft, with standard deviations: {sizes:.3g}",
         "Their part in errors of derivatives is std_aircraft.",

@@ -151,7 +151,13 @@ class Aircraft:
             names = [str(name) for name in derivatives.index]
             sizes |= dict(zip(names, derivatives["value"].tolist(), strict=True))
             stds |= dict(zip(names, derivatives["std"].tolist(), strict=True))
-        return question_of_sizes(sizes, stds)
+        estimated: set[str] = set()
+        for factor in (self.deviations or {}).values():
+            if factor.source != "given":
+                estimated |= factor.powers.keys()
+        if "wing_area" in estimated:
+            estimated.add("chord")
+        return question_of_sizes(sizes, stds, estimated)
 
     def relative_std(self, size: str) -> float:
         """Return the relative standard deviation of a size by errors of all causes."""

@@ -1,4 +1,4 @@
-"""Laws of sizes: numbers that every aeroplane has within limits, and the finding where one is outside.
+"""Laws of sizes: numbers that every aeroplane has within limits, and the question where one is outside.
 
 Errors over the spread of a coefficient are blind to the scale of mass, lengths and airspeed; numbers
 without units show it.
@@ -6,7 +6,7 @@ without units show it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from typing import NamedTuple, TypeAlias
 
@@ -24,6 +24,8 @@ from skdgp._flight.tables import FlightTable
 Sizes: TypeAlias = Mapping[str, float]
 #: Standard deviations outside of its limits by which a derivative contradicts a law
 LEAST_T = 2.0
+#: Sizes in other units that a question asks for
+MOST_ASKED = 3
 
 
 class Law(NamedTuple):
@@ -91,24 +93,77 @@ LAWS = (
     Law("Cn_r", _size_of("Cn_r"), 0.0, 3.0, "Zagi 0.004, X-15 1.0", "Cn_r"),
 )  # fmt: skip
 
-# Sizes that a question names, where they are given
+# Powers of mass and span in the sizes that are estimated by them
+ESTIMATES = {
+    "mass": dict.fromkeys(("Ixx", "Iyy", "Izz"), 1.0),
+    "span": {"chord": 1.0, "wing_area": 2.0, **dict.fromkeys(("Ixx", "Iyy", "Izz"), 2.0)},
+}
+# Powers of sizes in the coefficients that follow from a log
+OF_LOAD = {"mass": 1.0, "wing_area": -1.0, "airspeed": -2.0}
+POWERS = {
+    "CL": OF_LOAD,
+    "CZ_alpha": OF_LOAD,
+    "Cl_p": {"Ixx": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
+    "Cm_q": {"Iyy": 1.0, "wing_area": -1.0, "chord": -2.0, "airspeed": -1.0},
+    "Cn_r": {"Izz": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
+}
+FOOT = 0.3048
+OF_LENGTHS = {"ft": FOOT, "cm": 0.01, "mm": 0.001, "in": FOOT / 12}
 SI_UNITS = {"mass": "kg", "span": "m", "chord": "m", "wing_area": "m^2", "airspeed": "m/s"}
+# Other units of sizes, in the SI unit
+UNITS = {
+    "mass": {"lb": 0.45359237, "g": 0.001},
+    "span": OF_LENGTHS,
+    "chord": OF_LENGTHS,
+    "wing_area": {"ft^2": FOOT**2, "dm^2": 0.01, "cm^2": 1e-4},
+    "airspeed": {"kt": 1852 / 3600, "ft/s": FOOT, "km/h": 1 / 3.6},
+}
 
 
-def question_of_sizes(sizes: Sizes, stds: Mapping[str, float]) -> Finding | None:
-    """Return the finding of numbers that break a law, with the sizes that they follow from; None if all hold."""
+def question_of_sizes(
+    sizes: Sizes, stds: Mapping[str, float], estimated: Collection[str] = ()
+) -> Finding | None:
+    """Return the finding of numbers that break a law, None if all hold.
+
+    It asks for each size that would keep all laws in another unit. Sizes that were ``estimated``
+    follow mass and span.
+    """
+    broken = _broken(sizes, stds)
+    if not broken:
+        return None
     laws = []
-    for law in _broken(sizes, stds):
+    for law in broken:
         numbers = {"value": law.value(sizes), "least": law.least, "most": law.most}
         laws.append(Finding(Code.BROKEN_LAW, channel=law.text, numbers=numbers))
-    if not laws:
-        return None
+    given = [name for name in UNITS if name in sizes and name not in estimated]
+    plausible = []
+    for name in given:
+        for unit, factor in UNITS[name].items():
+            changed = _in_other_unit(sizes, name, factor, estimated)
+            if not _broken(changed, stds):
+                plausible.append((_distance_from_usual(changed), name, factor, unit))
     asked = []
-    for name, unit in SI_UNITS.items():
-        if name in sizes:
-            size = {"value": sizes[name], "si_unit": unit}
-            asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=size))
+    for _, name, factor, unit in sorted(plausible)[:MOST_ASKED]:
+        asked.append(_asked(name, factor * sizes[name], sizes[name], unit))
+    if not asked:
+        asked = [_asked(name, sizes[name], sizes[name], "") for name in given]
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
+
+
+def _asked(name: str, value: float, given: float, unit: str) -> Finding:
+    """Return the question for a size that was given in another unit, or in none."""
+    numbers = {"value": value, "si_unit": SI_UNITS[name], "given": given, "unit": unit}
+    return Finding(Code.ASKED_SIZE, channel=name, numbers=numbers)
+
+
+def _distance_from_usual(sizes: Sizes) -> float:
+    """Return the mean distance of numbers from the middle of their limits, in logarithms."""
+    distances = []
+    for law in LAWS:
+        with suppress(KeyError):
+            middle = np.sqrt(max(law.least, 1e-3) * law.most)
+            distances.append(abs(np.log(law.value(sizes) / middle)))
+    return float(np.mean(distances))
 
 
 def _broken(sizes: Sizes, stds: Mapping[str, float]) -> list[Law]:
@@ -122,6 +177,23 @@ def _broken(sizes: Sizes, stds: Mapping[str, float]) -> list[Law]:
             if value - margin > law.most or value + margin < law.least:
                 broken.append(law)
     return broken
+
+
+def _in_other_unit(
+    sizes: Sizes, name: str, factor: float, estimated: Collection[str]
+) -> dict[str, float]:
+    """Return the sizes with one in another unit, and the numbers that follow from it."""
+    powers = {name: 1.0}
+    for follower, power in ESTIMATES.get(name, {}).items():
+        if follower in estimated:
+            powers[follower] = power
+    changed = {}
+    for quantity, value in sizes.items():
+        power = powers.get(quantity, 0.0)
+        for size, of_size in POWERS.get(quantity, {}).items():
+            power += of_size * powers.get(size, 0.0)
+        changed[quantity] = value * factor**power
+    return changed
 
 
 def sizes_in_flight(

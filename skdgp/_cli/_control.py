@@ -148,10 +148,6 @@ def fly(run: Run) -> None:
     warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
     given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
     full = full_outputs(model.pipeline, model.aircraft, given, thrust)
-    gusts = None
-    if options.gusts:
-        height = max(options.height, LEAST_GUST_HEIGHT)
-        gusts = Turbulence.low_altitude(height, options.gusts)
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude + options.height, thrust)
 
@@ -168,7 +164,7 @@ def fly(run: Run) -> None:
         height=options.height,
         path=options.path,
         wind=options.wind,
-        gusts=gusts,
+        gusts=_gusts_of(options, model),
         thrust=thrust,
         port=options.port,
         wait=options.wait,
@@ -194,6 +190,21 @@ def fly(run: Run) -> None:
         "reason": flown.reason,
     }
     run.print("\n".join(lines), numbers)
+
+
+def _gusts_of(options: Any, model: Any) -> Turbulence | None:
+    """Return the gusts of the training flights or of a wind; raise ValueError if those are not known."""
+    if options.gusts in (None, 0.0):
+        return None
+    if options.gusts != "flown":
+        return Turbulence.low_altitude(max(options.height, LEAST_GUST_HEIGHT), options.gusts)
+    flown = model.pipeline.turbulence_
+    if flown is None:
+        raise ValueError(
+            "Got --gusts flown, but the model does not know the gusts of its flights: expected the wind speed "
+            "6 m above the ground, such as --gusts 5."
+        )
+    return flown
 
 
 COMMANDS: opt.Commands = {
@@ -270,9 +281,9 @@ COMMANDS: opt.Commands = {
                 "help": "velocity of the air [m/s] (default: 0 0 0)",
             },
             "--gusts": {
-                "metavar": "W",
-                "type": opt.from_zero(),
-                "help": "gusts as in this wind [m/s] 6 m above ground (default: calm)",
+                "metavar": "W|flown",
+                "type": opt.from_zero("flown"),
+                "help": "gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
             },
             "--seconds": {
                 "metavar": "S",

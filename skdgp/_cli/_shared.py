@@ -218,6 +218,7 @@ def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
 
 
 CLEAR = "\r\x1b[K"
+BAR = 10  # characters
 LINE_SECONDS = 5.0  # between two lines of progress without a terminal
 REFRESH = 0.2  # the same on a terminal
 STAGES = {"fit": "all outputs", "members": "components of the average"}
@@ -238,6 +239,8 @@ class Console:
         self._stage = ""
         self._steps = ""
         self._evaluations = ""
+        self._steps_began = self._began
+        self._last_step = (0, 0)
         self._done = threading.Event()
 
     def __enter__(self) -> Console:
@@ -294,8 +297,7 @@ class Console:
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
         """Note the stage of an identification; the listener of ``skdgp.listening``."""
         if isinstance(stage, Progress):
-            name = "" if stage in STAGES else f"{stage} "
-            self._steps = f" · {name}{stage.done} of {stage.total}"
+            self._count_steps(stage)
         elif n_evaluations == 0:
             self.stage(stage)
         else:
@@ -305,6 +307,21 @@ class Console:
             self._evaluations = f" · {n_evaluations} evaluations"
             if math.isfinite(log_likelihood):
                 self._evaluations += f" · log likelihood {log_likelihood:.1f}"
+
+    def _count_steps(self, progress: Progress) -> None:
+        """Keep the bar of a stage with a number of steps, and the time that is left at the rate of those done."""
+        now = time.monotonic()
+        done = progress.done
+        if (done, progress.total) < self._last_step or self._steps == "":
+            self._steps_began = now
+        self._last_step = done, progress.total
+        filled = round(BAR * done / progress.total)
+        bar = "#" * filled + "-" * (BAR - filled)
+        name = "" if progress in STAGES else f"{progress} "
+        self._steps = f" · {name}[{bar}] {done} of {progress.total}"
+        if done:
+            left = (now - self._steps_began) * (progress.total - done) / done
+            self._steps += f", < {left:.0f} s left"
 
     def _end_progress(self):
         if not self._done.is_set():

@@ -76,6 +76,9 @@ class Loop:
         0.0  #: Part of the rate of a coordinated turn, g phi / V, that is commanded
     )
     washout: float = 0.0  #: Corner of a high-pass filter of the rate error [rad/s]
+    slip: float = (
+        0.0  #: ArduPilot's YAW2SRV_SLIP: lateral acceleration that counts as a rate [rad s/m]
+    )
     rudder: float = 0.0  #: Deflection of the rudder that is mixed in at an output of 1 [rad]
     #: Parameters of the gains P, I, D, FF, D_FF by name, with their values
     parameters: Mapping[str, float] | None = None
@@ -107,6 +110,8 @@ class Loop:
             laws[angle] = -forward * target / self.time_constant
         if self.coordination:
             laws["phi"] = forward * self.coordination * STANDARD_GRAVITY / airspeed
+        if self.slip:
+            laws["ay"] = -(k**2) * self.I / s * self.slip
         return {name: self.full * law for name, law in laws.items()}
 
     def scaled(self, factor: float) -> Loop:

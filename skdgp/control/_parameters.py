@@ -59,8 +59,8 @@ OF_LAWS = (
     *("KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH"),
 )
 OF_PX4 = ("FW_RR_", "FW_PR_", "FW_YR_")
-# Notch filters of ArduPilot's gyros and the offset of its mixer, which are not known here
-NOT_KNOWN = ("INS_HNTCH_ENABLE", "INS_HNTC2_ENABLE", "INS_NOTCH_ENABLE", "MIXING_OFFSET")
+# Notch filters of ArduPilot's gyros, which are not known here
+NOTCHES = ("INS_HNTCH_ENABLE", "INS_HNTC2_ENABLE", "INS_NOTCH_ENABLE")
 OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
 # Limits of integrators and of commanded rates, the turn's pitch rate, and what chooses rates of sampling: none of
 # them changes a small oscillation about level flight
@@ -215,7 +215,7 @@ def autopilot_loops(
         ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``,
         filter ``INS_GYRO_FILTER``, airspeeds
         ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION``,
-        and ``MIXING_GAIN``.
+        ``MIXING_GAIN`` and ``MIXING_OFFSET``.
     full : mapping of str to float
         Deflection [rad] of aileron, elevator and rudder with the servos at their ends, positive, as of `fly`; for
         PX4 at an output of 1. Loops of controls that are not named are left out.
@@ -408,7 +408,7 @@ def _ardupilot_loops(
     }
     unit = np.rad2deg(1.0) / ARDUPILOT_FULL
     loops = []
-    prefixes = [*NOT_KNOWN]
+    prefixes = [*NOTCHES]
     for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
         if LOOP_AXES[name][2] not in full:
             continue
@@ -433,14 +433,14 @@ def _ardupilot_loops(
 def output_factor(value: Parameters, control: str) -> float:
     """Return the deflection of a control at a full output of its loop, over the one with the servos at their ends.
 
-    The mixer of elevons and V-tails, ``Plane::channel_function_mixer``, multiplies outputs by MIXING_GAIN.
-    Warns if no servo moves the control.
+    The mixer of elevons and V-tails, ``Plane::channel_function_mixer``, multiplies outputs by MIXING_GAIN;
+    MIXING_OFFSET raises roll and yaw where it is positive, else pitch. Warns if no servo moves the control.
     """
     functions = {*servo_functions(value.given).values()}
     factor = 0.0
     for function, weight in WEIGHTS[control].items():
         if function in functions:
-            factor += abs(weight) * (value("MIXING_GAIN") if function in MIXED else 1.0)
+            factor += abs(weight) * (_mixed(value, control) if function in MIXED else 1.0)
     if not factor:
         warn(
             f"No servo is the {control} by SERVOn_FUNCTION: its loop is taken as one whose full output is full "
@@ -448,6 +448,13 @@ def output_factor(value: Parameters, control: str) -> float:
         )
         return 1.0
     return factor
+
+
+def _mixed(value: Parameters, control: str) -> float:
+    """Return the gain of the mixer of elevons and V-tails."""
+    offset = value("MIXING_OFFSET")
+    counts = offset < 0 if control == "elevator" else offset > 0
+    return value("MIXING_GAIN") * (1.0 + counts * abs(offset) / 100.0)
 
 
 def servo_functions(given: Mapping[str, float]) -> dict[int, int]:
@@ -459,9 +466,9 @@ def servo_functions(given: Mapping[str, float]) -> dict[int, int]:
 def _ardupilot_yaw_damper(
     value: Parameters, full: Mapping[str, float], unit: float, common: Mapping[str, Any]
 ) -> list[Loop]:
-    """Return the yaw damper: the output is -DAMP (1 + INT / s) of the washed out rate."""
+    """Return the yaw damper: the output is -DAMP (1 + INT / s) of the washed out rate, and INT of the slip."""
     damping = value("YAW2SRV_DAMP")
-    integral, turn = value("YAW2SRV_INT"), value("YAW2SRV_RLL")
+    integral, turn, slip = value("YAW2SRV_INT"), value("YAW2SRV_RLL"), value("YAW2SRV_SLIP")
     if not damping:
         return []
     return [
@@ -473,6 +480,8 @@ def _ardupilot_yaw_damper(
             I=unit * damping * integral,
             washout=WASHOUT,
             coordination=turn,
+            # degrees of rate for an acceleration
+            slip=np.deg2rad(slip),
             parameters={"YAW2SRV_DAMP": damping},
             **common,
         )

@@ -75,7 +75,7 @@ def test_a_warning_that_nobody_sees_ends_nothing(predict, written, tmp_path):
     assert len(pd.read_csv(written)) == len(table) - 10
 
 
-def test_steps_of_a_stage_are_counted():
+def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():
     stream = io.StringIO()
     with Console(stream, period=0.01) as console:
         console.progress("transforming", 0, float("nan"))
@@ -84,7 +84,8 @@ def test_steps_of_a_stage_are_counted():
         until = time.monotonic() + 30.0
         while "3 of 8" not in stream.getvalue() and time.monotonic() < until:
             time.sleep(0.01)
-    assert re.search(r"transforming · estimating the air 3 of 8 · \d+ s", stream.getvalue())
+    pattern = r"transforming · estimating the air \[####-{6}\] 3 of 8, < \d+ s left · \d+ s"
+    assert re.search(pattern, stream.getvalue())
 
 
 class Watched(io.StringIO):

@@ -308,6 +308,8 @@ VTAILS = {"SERVO2_FUNCTION": 79, "SERVO4_FUNCTION": 80}
         ({}, (0.42, 0.4, 0.35)),
         (ELEVONS, (0.21, 0.2, 0.35)),
         (ELEVONS | {"MIXING_GAIN": 1.0}, (0.42, 0.4, 0.35)),
+        (ELEVONS | {"MIXING_OFFSET": 50}, (0.315, 0.2, 0.35)),
+        (ELEVONS | {"MIXING_OFFSET": -50}, (0.21, 0.3, 0.35)),
         (VTAILS | {"MIXING_GAIN": 0.8}, (0.42, 0.32, 0.28)),
     ],
 )

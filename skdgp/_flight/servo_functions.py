@@ -37,6 +37,8 @@ class ServoFunction(IntEnum):
     FLAPERON_LEFT = 24
     FLAPERON_RIGHT = 25
     THROTTLE = 70
+    THROTTLE_LEFT = 73
+    THROTTLE_RIGHT = 74
     ELEVON_LEFT = 77
     ELEVON_RIGHT = 78
     VTAIL_LEFT = 79

@@ -158,6 +158,7 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
     # damaged messages may hold any number
     with np.errstate(all="ignore"):
         controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
+        controls = {**log.commands, **controls}
         _check_channels(log, controls)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
@@ -266,13 +267,20 @@ def _surface(log: Log, name: str, control: Control) -> Source:
 
     It is empty where a part of the log lacks the topic.
     """
+    is_command = name in log.commands
     servos = [servo for _, servo in control]
     topic = log.topics.get(servos[0].topic, NOTHING)
     values = np.zeros(len(topic))
     for weight, servo in control if len(topic) else ():
-        values = values + weight * servo.deflection(topic[servo.field])
-    is_named = log.controls.get(name) == control
-    note = "in parts of the full throw" if is_named else "by the servo file"
+        deflection = servo.deflection(topic[servo.field])
+        if is_command:  # an engine that is switched off gets no number
+            deflection = np.nan_to_num(deflection)
+        values = values + weight * deflection
+    note = "by the servo file"
+    if is_command:
+        note = "as commanded"
+    elif log.controls.get(name) == control:
+        note = "in parts of the full throw"
     channels = " ".join(servo.channel for servo in servos)
     valid = np.isfinite(values)
     return Source((name,), channels, topic.time[valid], values[valid][:, None], note)

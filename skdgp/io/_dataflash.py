@@ -67,6 +67,11 @@ SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 # fields that number instances, in logs that do not say which field does
 INSTANCES = ("I", "Instance", "C")
+# of a program by its parameter FRAME_CLASS (AP_Motors_Class.h, GCS_MAVLINK_Rover)
+FRAMES = {
+    ("ArduRover", 2): "boat", ("Rover", 2): "boat",
+    **dict.fromkeys((("ArduCopter", 6), ("ArduCopter", 11), ("ArduCopter", 13)), "helicopter"),
+}  # fmt: skip
 VEHICLES = {
     "ArduPlane": "fixed wing", "ArduCopter": "multicopter", "ArduRover": "rover", "Rover": "rover",
     "ArduSub": "submarine", "Blimp": "airship", "AntennaTracker": "antenna tracker",
@@ -169,6 +174,8 @@ NAMING = "the parameters SERVOn_FUNCTION"
 MOST_SERVOS = 16
 # speeds [rpm] of a message of two engines
 ENGINES = ("rpm1", "rpm2")
+# of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
+TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK, and of tailsitters
 # Q_TAILSIT_MOTMX, drive forward too
 LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
@@ -278,10 +285,13 @@ def _log(
     times = [1e-6 * time for time in defined.numbers("TimeUS")]
     parameters = in_force(defined.texts("Name"), defined.numbers("Value"), times, topics)
     firmware = _firmware(messages.get("MSG", NO_MESSAGES).texts("Message"))
-    vehicle = vehicle_of(VEHICLES.get(firmware.split(" ")[0]), parameters)
+    program = firmware.split(" ")[0]
+    frame = whole(parameters.get("FRAME_CLASS", 0.0))
+    kind = FRAMES.get((program, frame), VEHICLES.get(program))
+    vehicle = vehicle_of(kind, parameters)
     airspeeds, of_ratio = _airspeeds(topics, parameters, defined)
     topics = topics | airspeeds
-    controls, lifts = outputs_of(topics.get("RCOU", NOTHING), parameters)
+    controls, commands, lifts = outputs_of(topics.get("RCOU", NOTHING), parameters)
     lifting: States = ()
     if vehicle == "VTOL":
         lifting = lifts or lifting_modes("MODE", "ModeNum")
@@ -299,6 +309,7 @@ def _log(
         controls=controls,
         aliases=ALIASES,
         lifting=lifting,
+        commands=commands,
         sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
 
@@ -489,20 +500,24 @@ class _File:
 
 def outputs_of(
     topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> tuple[dict[str, Control], States]:
-    """Return controls and lifting of a `Log`, of outputs whose channels n have a ``name``.
+) -> tuple[dict[str, Control], dict[str, Control], States]:
+    """Return controls, commands and lifting of a `Log`, of outputs whose channels n have a ``name``.
 
-    Surfaces are by SERVOn_FUNCTION, single and mixed, and motors lift.
+    Surfaces are by SERVOn_FUNCTION, single and mixed, commands are the engines of a twin, and motors lift.
     """
     outputs = _logged_outputs(topic, parameters, name)
     servos = _servos_of(outputs, parameters)
     controls: dict[str, Control] = {}
+    commands: dict[str, Control] = {}
     for function in sorted(servos.keys() & SURFACES):
         controls[SURFACES[function]] = ((1.0, servos[function]),)
     for control, weights in MIXES.items():
         if weights.keys() <= servos.keys():
             controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
-    return controls, _lifting(outputs, parameters)
+    if servos.keys() >= {*TWIN}:
+        left, right = (servos[function] for function in TWIN)
+        commands["differential_throttle"] = ((1.0, left), (-1.0, right))
+    return controls, commands, _lifting(outputs, parameters)
 
 
 class Output(NamedTuple):
@@ -544,7 +559,7 @@ def _servo(parameters: Mapping[str, float], output: Output) -> Servo:
     """Return the servo on an output, which moves the surface of its function, -1 to 1 from end to end."""
     n, channel, function, _ = output
     low, middle, high, is_reversed = ServoRange.of(parameters, n)
-    if SURFACES.get(function) in HIGH_LIFT:
+    if SURFACES.get(function) in HIGH_LIFT or function in TWIN:
         return Servo(channel, (low, high), OPENING[::-1] if is_reversed else OPENING)
     throws = DOWN if (function in TURNED) != is_reversed else UP
     return Servo(channel, (low, middle, high), throws)

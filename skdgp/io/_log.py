@@ -254,6 +254,8 @@ class Log:
         Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
     lifting : tuple of (str, str, float, float)
         Topic, field and its limits while rotors carry a VTOL, or in transition; none of other vehicles.
+    commands : dict of str to Control
+        Outputs that need no angles: the throttle of the left less the right engine.
     sensor_positions : dict of int to (str, tuple of float)
         Names of the parameters and position of the inertial sensors, forward, right, down of the origin of the
         body axes, the centre of gravity [m], by the number of their instance, where the parameters state it.
@@ -274,6 +276,7 @@ class Log:
     controls: Mapping[str, Control] = field(default_factory=dict)
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     lifting: States = ()
+    commands: Mapping[str, Control] = field(default_factory=dict)
     sensor_positions: Mapping[int, tuple[str, tuple[float, ...]]] = field(default_factory=dict)
     sensor_tilt: float = 0.0
 

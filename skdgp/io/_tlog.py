@@ -168,7 +168,9 @@ def read_tlog(path: Path) -> Log:
         # estimated on board, as the autopilot does not use the sensor
         hud = topics["VFR_HUD"]
         topics["VFR_HUD"] = hud.with_fields(**{PITOT: np.zeros(len(hud), dtype=bool)})
-    controls, lifts = outputs_of(topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw")
+    controls, commands, lifts = outputs_of(
+        topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw"
+    )
     vehicle = _vehicle(topics, vehicles, parameters)
     lifting: States = ()
     if vehicle == "VTOL":
@@ -195,6 +197,7 @@ def read_tlog(path: Path) -> Log:
         controls=controls,
         aliases=ALIASES,
         lifting=lifting,
+        commands=commands,
         sensor_positions=stated_positions(parameters, positions),
         sensor_tilt=TILT_STD if of_trim else 0.0,
     )

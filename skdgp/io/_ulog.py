@@ -16,6 +16,7 @@ import numpy as np
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE
+from skdgp._flight.frames import euler_to_matrix
 from skdgp.io._log import (
     DOWN,
     NOTHING,
@@ -38,6 +39,7 @@ from skdgp.io._log import (
     milli,
     numeric_fields,
     stated_positions,
+    turned,
     whole,
 )
 from skdgp.io._tables import FlightReadError
@@ -183,7 +185,18 @@ RULES = (
 
 # topics of single sensors, in axes of the board; others are in body axes
 OF_BOARD = ("sensor_gyro", "sensor_accel")
-BOARD = ("SENS_BOARD_ROT", *(f"SENS_BOARD_{axis}_OFF" for axis in "XYZ"))
+BY_BOARD = "turned by SENS_BOARD_ROT, _X_OFF, _Y_OFF, _Z_OFF"
+# roll, pitch, heading [deg] by SENS_BOARD_ROT (lib/conversion/rotation.h)
+BOARD_ROTATIONS = (
+    *((0, 0, yaw) for yaw in range(0, 360, 45)),
+    *((180, 0, yaw) for yaw in (0, 45, 90, 135)),
+    (0, 180, 0),
+    *((180, 0, yaw) for yaw in (225, 270, 315)),
+    *((90, 0, yaw) for yaw in (0, 45, 90, 135)),
+    *((270, 0, yaw) for yaw in (0, 45, 90, 135)),
+    (0, 90, 0),
+    (0, 270, 0),
+)
 # VEHICLE_VTOL_STATE 1 to 3 are transitions and rotary wing; before, two flags (VtolVehicleStatus.msg)
 LIFTING = (
     ("vtol_vehicle_status", "vehicle_vtol_state", 1, 3),
@@ -295,15 +308,23 @@ def px4_log(
         naming=NAMING,
         controls=_controls(topics, parameters),
         lifting=lifting,
+        commands={} if is_vtol else _commands(topics, parameters),
         sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
 
 
 def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
-    """Return rules without those of sensors in axes of a board that is turned against the body."""
-    if any(parameters.get(name) for name in BOARD):
+    """Return rules whose sensors in axes of the board are turned to body axes, as PX4 does (GetBoardRotationMatrix)."""
+    place = whole(parameters.get("SENS_BOARD_ROT", 0.0))
+    offsets = [parameters.get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"]
+    if not 0 <= place < len(BOARD_ROTATIONS):
         return tuple(rule for rule in rules if rule.topic not in OF_BOARD)
-    return rules
+    board = euler_to_matrix(*np.deg2rad(BOARD_ROTATIONS[place]))
+    rotation = euler_to_matrix(*np.deg2rad(offsets)) @ board
+    in_body_axes: list[Rule] = []
+    for rule in rules:
+        in_body_axes += turned([rule], rotation, BY_BOARD) if rule.topic in OF_BOARD else [rule]
+    return tuple(in_body_axes)
 
 
 def _rules(topics: Mapping[str, Topic], lifting: States, tilts: bool) -> tuple[Rule, ...]:
@@ -485,3 +506,19 @@ def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
                     controls[surface] = ((1.0, servo),)
             return controls
     return {}
+
+
+def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
+    """Return the mean throttle of the left less that of the right engines of a fixed wing, by CA_ROTORn_PY."""
+    outputs = topics.get("actuator_motors", NOTHING)
+    sides: dict[bool, list[Servo]] = {True: [], False: []}
+    for n, channel in enumerate(MOTOR_FIELDS):
+        place = parameters.get(f"CA_ROTOR{n}_PY", 0.0)
+        if place and channel in outputs and np.isfinite(outputs[channel]).any():
+            servo = Servo(f"actuator_motors.{channel}", OPENING, OPENING)
+            sides[place < 0].append(servo)
+    if not all(sides.values()):
+        return {}
+    left = [(1 / len(sides[True]), servo) for servo in sides[True]]
+    right = [(-1 / len(sides[False]), servo) for servo in sides[False]]
+    return {"differential_throttle": (*left, *right)}

@@ -69,7 +69,9 @@ class TestWhatTheLogSaysOfItself:
             ("ArduPlane V4.5.1 (abcdef01)", {}, "fixed wing"),
             ("ArduPlane V4.5.1 (abcdef01)", {"Q_ENABLE": 1.0}, "VTOL"),
             ("ArduCopter V4.3.0", {}, "multicopter"),
-            ("ArduRover V4.5.0", {}, "rover"),
+            ("ArduCopter V4.3.0", {"FRAME_CLASS": 6.0}, "helicopter"),
+            ("ArduRover V4.5.0", {"FRAME_CLASS": 1.0}, "rover"),
+            ("ArduRover V4.5.0", {"FRAME_CLASS": 2.0}, "boat"),
             ("hello", {}, None),
         ],
     )

@@ -222,22 +222,33 @@ class TestVehicles:
         assert_allclose(inside.flap[inside.time > 30.5], 0.2, atol=0.01)
 
     @pytest.mark.parametrize("reverse", [0.0, 1.0])
-    def test_flaps_of_ardupilot(self, reverse, plane, surfaces):
-        """Range from MIN to MAX."""
-        ends = {"SERVO6_MIN": 1e3, "SERVO6_MAX": 2e3}
-        log = plane(SERVO6_FUNCTION=3.0, **ends, SERVO6_REVERSED=reverse)
+    def test_flaps_and_a_twin_of_ardupilot(self, reverse, plane, surfaces):
+        """Ranges from MIN to MAX; throttle +- half the rudder's part (ArduPlane/servos.cpp)."""
+        functions = {"SERVO3_FUNCTION": 73.0, "SERVO4_FUNCTION": 74.0, "SERVO6_FUNCTION": 3.0}
+        ends = {
+            f"SERVO{n}_{end}": us for n in (3, 4, 6) for end, us in (("MIN", 1e3), ("MAX", 2e3))
+        }
+        log = plane(**functions, **ends, SERVO6_REVERSED=reverse)
+        yaw = 0.1 * np.sin(SLOW)
         flap = 0.4
         pulse = 1000 + 1000 * (1 - flap if reverse else flap)
-        log.topic("RCOU", SLOW, C6=("H", pulse))
-        assert_allclose(surfaces(log).flap, flap)
+        engines = {"C3": ("H", 1600 + 500 * yaw), "C4": ("H", 1600 - 500 * yaw)}
+        log.topic("RCOU", SLOW, **engines, C6=("H", pulse))
+        table = surfaces(log)
+        assert_allclose(table.flap, flap)
+        assert_wave(table, "differential_throttle", 0.1, atol=0.002)
 
-    def test_flaps_of_px4(self, px4, surfaces):
+    def test_flaps_and_a_twin_of_px4(self, px4, surfaces):
         """(2 f - 1) CA_SV_CSn_FLAP."""
         scales = {"CA_SV_CS0_FLAP": 0.8, "CA_SV_CS1_FLAP": -0.8}
-        log = px4(CA_SV_CS0_TYPE=9, CA_SV_CS1_TYPE=10, **scales)
+        sides = {"CA_ROTOR0_PY": -0.5, "CA_ROTOR1_PY": 0.5}
+        log = px4(CA_SV_CS0_TYPE=9, CA_SV_CS1_TYPE=10, **sides, **scales)
         servos = [-0.16, 0.16]
         log.topic("actuator_servos", SLOW, control=np.tile(servos, (len(SLOW), 1)))
-        assert_allclose(surfaces(log).flap, 0.4, atol=1e-6)
+        log.topic("actuator_motors", SLOW, control=np.tile([0.6, 0.5], (len(SLOW), 1)))
+        table = surfaces(log)
+        assert_allclose(table.flap, 0.4, atol=1e-6)
+        assert_allclose(table.differential_throttle, 0.1, atol=1e-6)
 
     def test_an_engine_whose_speed_sensor_is_unhealthy_does_not_count(self, read, plane):
         log = plane()
@@ -249,7 +260,7 @@ class TestVehicles:
 
     def test_an_engine_that_is_switched_off(self, read, px4):
         """The right one of two gets no number from 25 s on; the thrust that was asked for stays."""
-        log = px4()
+        log = px4(CA_ROTOR0_PY=-0.5, CA_ROTOR1_PY=0.5)
         log.topic("vehicle_thrust_setpoint", SLOW, xyz=np.outer(np.ones(len(SLOW)), [0.6, 0, 0]))
         right = np.where(SLOW < 25, 0.6, np.nan)
         motors = np.column_stack([0.6 + 0 * SLOW, right])
@@ -257,8 +268,9 @@ class TestVehicles:
         table = read(log, airborne=False)
         early = table[table.time < 24.8]
         late = table[table.time > 25.2]
-        assert_allclose(early["throttle"], 0.6)
-        assert_allclose(late["throttle"].dropna(), 0.3, rtol=1e-6)
+        assert_allclose(early[["throttle", "differential_throttle"]], [[0.6, 0.0]] * len(early))
+        late = late[["throttle", "differential_throttle"]].dropna()
+        assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
 
     def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane):
         """Four lift until 20 s, then the fifth pushes."""

@@ -47,17 +47,32 @@ def test_ahrs_trim_turns_rates_and_accelerations(read, dataflash, flight):
     assert "AHRS_TRIM 0.03 -0.05 0.01" in table.attrs["sources"]["ax"]
 
 
-@pytest.mark.parametrize(("place", "n_read"), [(0, 6), (2, 0)])
-def test_single_sensors_of_px4_are_read_where_the_board_is_not_turned(
-    read, ulog, flight, place, n_read
-):
+@pytest.mark.parametrize(
+    ("place", "board"),
+    [
+        (0, ""),
+        (2, "yaw 90"),
+        (8, "roll 180"),
+        (12, "pitch 180"),
+        (14, "roll 180 yaw 270"),
+        (25, "pitch 270"),
+    ],
+)
+def test_single_sensors_of_px4_are_turned_as_the_board_is(read, ulog, flight, place, board):
+    """SENS_BOARD_ROT, and then the offsets in degrees; the numbers are those of ROTATION_* of PX4."""
+    words = board.split()
+    angles = {axis: float(degrees) for axis, degrees in zip(words[::2], words[1::2], strict=True)}
+    rotation = Rotation.from_euler(
+        "ZYX", [angles.get(axis, 0.0) for axis in ("yaw", "pitch", "roll")], degrees=True
+    )
+    offsets = {"SENS_BOARD_X_OFF": 1.5, "SENS_BOARD_Y_OFF": -2.0, "SENS_BOARD_Z_OFF": 3.0}
+    to_body = Rotation.from_euler("ZYX", [3.0, -2.0, 1.5], degrees=True) * rotation
     time = flight.time(100)
-    readings = measured(flight, time, Rotation.identity())
-    log = ulog(MAV_TYPE=1, SENS_BOARD_ROT=place).topic("airspeed", time, true_airspeed_m_s=20.0)
+    readings = measured(flight, time, to_body)
+    log = ulog(MAV_TYPE=1, SENS_BOARD_ROT=place, **offsets)
     for topic, columns in (("sensor_gyro", readings[:, :3]), ("sensor_accel", readings[:, 3:])):
         log.topic(topic, time, **dict(zip("xyz", columns.T, strict=True)))
-    table = read(log, airborne=False)
-    assert len({*NAMES} & {*table}) == n_read
+    assert_in_body_axes(read(log, airborne=False), flight)
 
 
 def test_telemetry_has_the_pitch_of_the_vehicle_again(read, mavlink_parameters, flight):

@@ -60,6 +60,8 @@ LONGEST_FRAME = 0.09
 NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
+# Silence [s] of an autopilot after which another one may fly
+HANDOVER = 1.0
 
 
 class Packet(NamedTuple):
@@ -412,7 +414,7 @@ def fly(
     Warns
     -----
     UserWarning
-        If other bytes come, which are ignored.
+        If other bytes come, or packets of a second autopilot, which are ignored.
     SimulationWarning
         When the flight leaves the training range of a regressor, once for each.
     """
@@ -444,6 +446,8 @@ class _Served:
         self._line = ""
         self._row_time = -np.inf  # of the last row of this flight [s]
         self._autopilot: Any = None  # address of the sender
+        self._heard = -np.inf  # time of its last packet [s]
+        self._ignored: set[Any] = set()  # addresses of others
 
     def run(self, link: Link, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
@@ -452,9 +456,9 @@ class _Served:
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
-            if sender != self._autopilot:  # its first packet starts a flight
-                self._autopilot = sender
-                self._last = sys.maxsize
+            if not self._is_autopilot(sender):
+                self._warn_of(sender)
+                continue
             # ArduPilot repeats a packet whose answer it did not get
             if packet.number != self._last:
                 self._step(packet)
@@ -462,6 +466,26 @@ class _Served:
                 return self.flight.ended
             link.answer(self._line, sender)
         return f"{seconds:g} s were flown"
+
+    def _is_autopilot(self, sender: Any) -> bool:
+        """Return whether a sender flies: no other one does, or that one has been silent."""
+        now = time.monotonic()
+        if sender != self._autopilot:
+            if now - self._heard <= HANDOVER:
+                return False
+            self._autopilot = sender
+            self._last = sys.maxsize  # its first packet starts a flight
+        self._heard = now
+        return True
+
+    def _warn_of(self, sender: Any) -> None:
+        """Warn once of a second autopilot."""
+        if sender not in self._ignored:
+            self._ignored.add(sender)
+            warn(
+                f"Got packets of two autopilots, {self._autopilot} and {sender}, but expected one: those of the "
+                "second are ignored."
+            )
 
     def _step(self, packet: Packet) -> None:
         flight = self.flight

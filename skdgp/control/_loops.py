@@ -28,15 +28,17 @@ GAINS = ("P", "I", "D", "FF", "D_FF")
 
 
 class Notch(NamedTuple):
-    r"""A notch filter, :math:`(s^2 + \omega^2) / (s^2 + \omega s / Q + \omega^2)`."""
+    r"""A notch filter, :math:`(s^2 + d \omega s / Q + \omega^2) / (s^2 + \omega s / Q + \omega^2)`."""
 
     frequency: float  #: [Hz]
     quality: float  #: Q
+    depth: float = 0.0  #: d, the gain at its frequency
 
     def __call__(self, s: Array) -> Array:
         """Return the response at s (n,) [rad/s]."""
         omega = 2 * np.pi * self.frequency
-        return (s**2 + omega**2) / (s**2 + omega * s / self.quality + omega**2)
+        width = omega * s / self.quality
+        return (s**2 + self.depth * width + omega**2) / (s**2 + width + omega**2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +72,8 @@ class Loop:
     error_corner: float = np.inf  #: Of the filter of the error [Hz]
     target_corner: float = np.inf  #: Of the filter of the commanded rate [Hz]
     gyro_notches: tuple[Notch, ...] = ()  #: Of the rates
+    error_notches: tuple[Notch, ...] = ()
+    target_notches: tuple[Notch, ...] = ()  #: Of the commanded rate
     derivative_of_error: bool = False
     forward_by_true_airspeed: bool = False  #: F is divided by true over equivalent airspeed
     coordination: float = (
@@ -91,10 +95,8 @@ class Loop:
         rate, angle, _ = LOOP_AXES[self.name]
         to_true = np.sqrt(SEA_LEVEL_DENSITY / density)
         k = self._scaling(airspeed / to_true)
-        gyro = _second_order(s, self.gyro_corner)
-        for notch in self.gyro_notches:
-            gyro = gyro * notch(s)
-        error = _first_order(s, self.error_corner)
+        gyro = _second_order(s, self.gyro_corner) * _notched(s, self.gyro_notches)
+        error = _first_order(s, self.error_corner) * _notched(s, self.error_notches)
         if self.washout:
             error = error * s / (s + self.washout)
         derivative = self.D * s * _first_order(s, self.derivative_corner)
@@ -102,7 +104,7 @@ class Loop:
         if self.derivative_of_error:
             of_error = of_error + derivative * error
         of_rate = of_error if self.derivative_of_error else of_error + derivative
-        target = _first_order(s, self.target_corner)
+        target = _first_order(s, self.target_corner) * _notched(s, self.target_notches)
         feed_forward = self.FF / to_true if self.forward_by_true_airspeed else self.FF
         forward = k**2 * (of_error + self.D_FF * s) + k * feed_forward
         laws = {rate: -(k**2) * of_rate * gyro}
@@ -130,6 +132,14 @@ class Loop:
 def _first_order(s, corner):
     """Return the low-pass filter of a corner [Hz]."""
     return 1.0 / (1.0 + s / (2 * np.pi * corner))
+
+
+def _notched(s, notches):
+    """Return the product of notch filters."""
+    response = np.ones_like(s)
+    for notch in notches:
+        response = response * notch(s)
+    return response
 
 
 def _second_order(s, corner):

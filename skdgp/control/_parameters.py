@@ -1,7 +1,7 @@
 """Parameters of PX4 and ArduPilot Plane: their files, the firmwares' defaults, and the loops that they describe.
 
 The names and defaults are those of PX4 1.14 and ArduPilot Plane 4.5. Filters of the rates are those of PX4's
-``VehicleAngularVelocity``, and the low-pass filter of ArduPilot's gyros.
+``VehicleAngularVelocity``, and of ArduPilot's ``HarmonicNotchFilter``, ``NotchFilter`` and ``AP_NotchFilter_params``.
 """
 
 from __future__ import annotations
@@ -42,6 +42,18 @@ ARDUPILOT_DEFAULTS = {
     "INS_GYRO_FILTER": 20.0,
 }
 # fmt: on
+# Notch filters of ArduPilot's gyros
+HARMONIC_DEFAULTS = {
+    "FREQ": 80.0,
+    "BW": 40.0,
+    "ATT": 40.0,
+    "HMNCS": 3.0,
+    "MODE": 1.0,
+    "FM_RAT": 1.0,
+}
+FILTER_DEFAULTS = {"NOTCH_Q": 2.0, "NOTCH_ATT": 40.0}
+# Tracking modes of a harmonic notch: of a fixed frequency, and by the throttle
+FIXED, BY_THROTTLE = 0, 1
 NUMBERS = (int, float, np.number)
 # Parameters that divide
 POSITIVE = {
@@ -53,14 +65,14 @@ NAME = re.compile(r"[A-Z][A-Z0-9_]{1,16}")
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d")
 # Comments of ground stations and of ArduPilot's default files
 COMMENT = re.compile(r"#.*|//.*|\[[^\]]*\]")
+# Vehicle and component before the name, in files of QGroundControl
+VEHICLE = re.compile(r"(\d+)\s+\d+\s+[A-Z]")
 # Beginnings of the names that control laws use
 OF_LAWS = (
     *("FW_", "IMU_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "AIRSPEED_M", "ARSPD_FBW_M"),
-    *("KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH"),
+    *("KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH", "FILT"),
 )
 OF_PX4 = ("FW_RR_", "FW_PR_", "FW_YR_")
-# Notch filters of ArduPilot's gyros, which are not known here
-NOTCHES = ("INS_HNTCH_ENABLE", "INS_HNTC2_ENABLE", "INS_NOTCH_ENABLE")
 OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
 # Limits of integrators and of commanded rates, the turn's pitch rate, and what chooses rates of sampling: none of
 # them changes a small oscillation about level flight
@@ -110,20 +122,32 @@ def read_parameters(path: str | Path) -> dict[str, float]:
     """Return the parameters of an autopilot from a file, by name.
 
     Files of QGroundControl, Mission Planner, MAVProxy and PX4's ``param show`` have a parameter on each
-    line, its name before its value. Comments begin with ``#`` or ``//``.
+    line, its name before its value. Comments begin with ``#`` or ``//``. In ArduPilot's files of defaults
+    ``@delete NAME`` removes a parameter.
 
     Raises
     ------
     ValueError
-        If the file has none, one of them twice with different values, or a parameter of the control law that
-        is no finite number.
+        If the file has none, one of them twice with different values, those of two vehicles, a line that
+        includes another file, or a parameter of the control law that is no finite number.
     """
     path = Path(path)
     found: dict[str, float] = {}
+    vehicles = set()
     # Windows writes a mark of the byte order first
     for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines():
         text = COMMENT.sub(" ", line).strip()
+        if text.startswith("@include"):
+            raise ValueError(
+                f"Got the line {line.strip()!r} in {path}, but expected all parameters in one file: put those of "
+                "the other file in its place."
+            )
         words = re.split(r"[\s,:=]+", text)
+        if words[0] == "@delete":
+            found.pop(words[-1], None)
+            continue
+        if vehicle := VEHICLE.match(text):
+            vehicles.add(vehicle[1])
         name, number = _parameter(words, text, f"{line.strip()!r} in {path}")
         if number is None:
             continue
@@ -133,6 +157,11 @@ def read_parameters(path: str | Path) -> dict[str, float]:
                 "vehicle, each once: delete those that do not count."
             )
         found[name] = number
+    if len(vehicles) > 1:
+        raise ValueError(
+            f"Got parameters of the vehicles {', '.join(sorted(vehicles))} in {path}, but expected those of one: "
+            "delete the lines of the others."
+        )
     if not found:
         raise ValueError(
             f"Got {path} without parameters, but expected lines of a name and a value, as ground stations save them."
@@ -191,6 +220,12 @@ class Parameters:
         corner = self(name)
         return corner if corner > 0 else np.inf
 
+    def group(self, prefix: str, defaults: Mapping[str, float]) -> dict[str, float]:
+        """Return the parameters of a group by the ends of their names."""
+        names = {end: f"{prefix}_{end}" for end in defaults}
+        self.asked |= {*names.values()}
+        return {end: self.given.get(name, defaults[end]) for end, name in names.items()}
+
     def unread(self, prefixes: tuple[str, ...]) -> dict[str, float]:
         """Return the parameters with some beginnings of their names that are not zero, and were not asked."""
         unread = {}
@@ -213,7 +248,7 @@ def autopilot_loops(
         gains and time constants ``FW_RR_*``, ``FW_PR_*``, ``FW_YR_*``, ``FW_R_TC``, ``FW_P_TC``, the rudder's
         ``FW_RLL_TO_YAW_FF``, filters ``IMU_GYRO_*``, airspeeds ``FW_AIRSPD_*``. ArduPilot Plane 4.1 and newer:
         ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``,
-        filter ``INS_GYRO_FILTER``, airspeeds
+        filters ``FILTn_*``, ``INS_GYRO_FILTER``, ``INS_HNTCH_*`` and ``INS_HNTC2_*``, airspeeds
         ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION``,
         ``MIXING_GAIN`` and ``MIXING_OFFSET``.
     full : mapping of str to float
@@ -399,16 +434,18 @@ def _ardupilot_loops(
     scaling_speed = value("SCALING_SPEED")
     slowest = value("AIRSPEED_MIN", "ARSPD_FBW_MIN")
     fastest = value("AIRSPEED_MAX", "ARSPD_FBW_MAX")
+    notches, following = _gyro_notches(value)
     common = {
         "scaling_speed": scaling_speed,
         # Plane::calc_speed_scaler
         "least_scaling": min(0.5, scaling_speed / (2 * fastest)),
         "most_scaling": max(2.0, scaling_speed / (0.7 * slowest)),
         "gyro_corner": value.corner("INS_GYRO_FILTER"),
+        "gyro_notches": notches,
     }
     unit = np.rad2deg(1.0) / ARDUPILOT_FULL
     loops = []
-    prefixes = [*NOTCHES]
+    prefixes = ["INS_NOTCH_ENABLE"]  # before 4.2
     for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
         if LOOP_AXES[name][2] not in full:
             continue
@@ -419,6 +456,8 @@ def _ardupilot_loops(
             "error_corner": value.corner(f"{rate}_FLTE"),
             "target_corner": value.corner(f"{rate}_FLTT"),
             "derivative_corner": value.corner(f"{rate}_FLTD"),
+            "error_notches": _numbered_notch(value, f"{rate}_NEF"),
+            "target_notches": _numbered_notch(value, f"{rate}_NTF"),
             "derivative_of_error": True,
         }
         if name == "roll" and "rudder" in full:
@@ -427,7 +466,7 @@ def _ardupilot_loops(
     if "rudder" in full:
         prefixes.append("YAW2SRV_")
         loops += _ardupilot_yaw_damper(value, full, unit, common)
-    return loops, value.unread(tuple(prefixes))
+    return loops, value.unread(tuple(prefixes)) | following
 
 
 def output_factor(value: Parameters, control: str) -> float:
@@ -461,6 +500,62 @@ def servo_functions(given: Mapping[str, float]) -> dict[int, int]:
     """Return the function of each output, by default aileron, elevator, throttle, rudder."""
     numbers = range(1, N_SERVOS + 1)
     return {n: int(given.get(f"SERVO{n}_FUNCTION", USUAL_FUNCTIONS.get(n, 0))) for n in numbers}
+
+
+def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float]]:
+    """Return the notches of ArduPilot's gyros, and the modes of those whose frequency follows the engine.
+
+    These have their lowest frequency here, at which they are latest.
+    """
+    notches: list[Notch] = []
+    following = {}
+    for group in ("INS_HNTCH", "INS_HNTC2"):
+        if not value(f"{group}_ENABLE"):
+            continue
+        settings = value.group(group, HARMONIC_DEFAULTS)
+        lowest = settings["FREQ"]
+        follows = value(f"{group}_REF") and settings["MODE"] != FIXED
+        if follows:
+            following[f"{group}_MODE"] = settings["MODE"]
+            lowest *= settings["FM_RAT"] if settings["MODE"] == BY_THROTTLE else 1.0
+        notches += _harmonics(settings, int(value(f"{group}_OPTS")), lowest)
+    return tuple(notches), following
+
+
+def _harmonics(settings: Mapping[str, float], options: int, lowest: float) -> list[Notch]:
+    """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic."""
+    is_double, is_triple = options & 1, options & 16
+    n_each = 2 if is_double else 3 if is_triple else 1
+    frequency = max(settings["FREQ"], 0.52 * settings["BW"])
+    spread = settings["BW"] / (32 * frequency) if n_each > 1 else 0.0
+    places = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[n_each]
+    (of_all,) = _notch(frequency, settings["BW"] / n_each, settings["ATT"])
+    notches = []
+    for k in range(16):
+        if int(settings["HMNCS"]) >> k & 1:
+            centre = max(lowest, 0.52 * settings["BW"]) * (k + 1)
+            notches += [of_all._replace(frequency=centre * (1 + place)) for place in places]
+    return notches
+
+
+def _numbered_notch(value: Parameters, name: str) -> tuple[Notch, ...]:
+    """Return the notch of ``FILTn_*`` whose number a parameter is, if there is one."""
+    n = int(value(name))
+    if not n or value(f"FILT{n}_TYPE") != 1:
+        return ()
+    frequency = value(f"FILT{n}_NOTCH_FREQ")
+    settings = value.group(f"FILT{n}", FILTER_DEFAULTS)
+    if not (frequency > 0 and settings["NOTCH_Q"] > 0 and settings["NOTCH_ATT"] > 0):
+        return ()
+    return tuple(_notch(frequency, frequency / settings["NOTCH_Q"], settings["NOTCH_ATT"]))
+
+
+def _notch(frequency: float, width: float, attenuation: float) -> list[Notch]:
+    """Return ArduPilot's ``NotchFilter`` of a width [Hz] and an attenuation [dB], none if it is too wide."""
+    if not frequency > 0.5 * width > 0:
+        return []
+    ratio = frequency / (frequency - 0.5 * width)
+    return [Notch(frequency, ratio / (ratio**2 - 1), 10 ** (-attenuation / 20))]
 
 
 def _ardupilot_yaw_damper(

@@ -221,6 +221,21 @@ def test_a_path_is_one_aircraft_of_the_posterior(flown):
     assert len({mean, third, fourth}) == 3
 
 
+def test_a_second_autopilot_is_ignored(flown):
+    def play(autopilot):
+        autopilot.send(count=5)
+        other = Autopilot(autopilot.target[1])
+        other.socket.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            other.send(count=1)
+        other.socket.close()
+        assert autopilot.send(count=6)["timestamp"] == 2 / RATE
+
+    with pytest.warns(UserWarning, match="Got packets of two autopilots"):
+        result = flown(play)
+    assert set(result.table["flight"]) == {"start 1"}
+
+
 def test_ctrl_c_ends_the_flight_and_keeps_its_table(flown, glider):
     pressed = threading.Event()
     linear = glider.model()
@@ -311,7 +326,9 @@ def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
 
 
 @pytest.mark.parametrize("count", [1, 5, 9])
-def test_another_autopilot_starts_another_flight(flown, count):
+def test_another_autopilot_flies_after_silence(flown, count, monkeypatch):
+    monkeypatch.setattr("skdgp.control._ardupilot.HANDOVER", 0.0)
+
     def play(autopilot):
         autopilot.send(count=5)
         other = Autopilot(autopilot.target[1])

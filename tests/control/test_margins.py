@@ -267,23 +267,45 @@ def response(loop, frequency, of):
     return loop.feedback(np.array([2j * np.pi * frequency]), 20.0, 1.225)[of][0]
 
 
-def test_static_notches_are_in_the_loop():
-    """Of a width B about f_0 the phase at f is -atan(B f / (f_0^2 - f^2))."""
-    notch = {"IMU_GYRO_NF0_FRQ": 15.0, "IMU_GYRO_NF0_BW": 10.0}
+@pytest.mark.parametrize(
+    ("firmware", "notch", "width", "depth"),
+    [
+        (PX4, {"IMU_GYRO_NF0_FRQ": 15.0, "IMU_GYRO_NF0_BW": 10.0}, 10.0, 0.0),
+        (
+            {"RLL_RATE_P": 0.1, "PTCH_RATE_P": 0.1},
+            {
+                "INS_HNTCH_ENABLE": 1,
+                "INS_HNTCH_FREQ": 15.0,
+                "INS_HNTCH_BW": 10.0,
+                "INS_HNTCH_HMNCS": 1,
+            },
+            12.5,  # 15 Hz less half of 10 Hz, and as much above in octaves: 10 to 22.5 Hz
+            0.01,
+        ),
+        (
+            {"RLL_RATE_P": 0.1, "PTCH_RATE_P": 0.1},
+            {"RLL_RATE_NEF": 2, "FILT2_TYPE": 1, "FILT2_NOTCH_FREQ": 15.0, "FILT2_NOTCH_Q": 1.5},
+            12.5,
+            0.01,
+        ),
+    ],
+)
+def test_static_notches_are_in_the_loop(firmware, notch, width, depth):
+    """Of a width B about f_0 the phase at f is -atan(B f / (f_0^2 - f^2)), where the notch is deep."""
     (without,), (with_notch,) = (
-        autopilot_loops(PX4 | extra, {"aileron": 0.4}) for extra in ({}, notch)
+        autopilot_loops(firmware | extra, {"aileron": 0.4}) for extra in ({}, notch)
     )
 
     def ratio(frequency):
         return response(with_notch, frequency, "p") / response(without, frequency, "p")
 
     for frequency in (1.0, 4.3, 60.0):
-        late = np.arctan2(10.0 * frequency, 15.0**2 - frequency**2)
-        early = np.arctan2(0.0, 15.0**2 - frequency**2)
+        late = np.arctan2(width * frequency, 15.0**2 - frequency**2)
+        early = np.arctan2(depth * width * frequency, 15.0**2 - frequency**2)
         assert_allclose(
             np.angle(ratio(frequency)), np.angle(np.exp(1j * (early - late))), atol=1e-9
         )
-    assert_allclose(abs(ratio(15.0)), 0.0, atol=1e-9)
+    assert_allclose(abs(ratio(15.0)), depth, atol=1e-9)
 
 
 def test_the_derivative_of_the_target_feeds_forward():
@@ -326,7 +348,7 @@ FILES = {
     "show.txt": "x + FW_RR_P [123,456] : 0.0500\n  * FW_AIRSPD_TRIM [1,2] : 15.0\n",
     "mission_planner.param": "FW_RR_P,0.05\nFW_AIRSPD_TRIM,15\n",
     "windows.params": "\ufeffFW_RR_P,0.05\r\nFW_AIRSPD_TRIM,15\r\n",
-    "comments.parm": "// saved\nFW_RR_P 0.05 // roll\nFW_AIRSPD_TRIM 15\n",
+    "comments.parm": "// saved\nFW_RR_P 0.05 // roll\nFW_RR_I 0.1\n@delete FW_RR_I\nFW_AIRSPD_TRIM 15\n",
     "mavproxy.parm": "FW_RR_P          0.050000\nFW_AIRSPD_TRIM   15.0  # a remark\n",
 }
 
@@ -423,15 +445,29 @@ def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
     assert_allclose(chosen.P / weak.P, 10 ** (26 / 20))
 
 
+def test_double_notches_and_harmonics_of_ardupilot_are_notches_at_their_frequencies():
+    harmonic = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0, "INS_HNTCH_BW": 10.0}
+    harmonic |= {"INS_HNTCH_HMNCS": 5, "INS_HNTCH_OPTS": 1, "INS_HNTCH_ATT": 40.0}
+    (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | harmonic, {"aileron": 0.4})
+    spread = 10.0 / (32 * 20.0)
+    expected = [f * (1 + sign * spread) for f in (20.0, 60.0) for sign in (-1, 1)]
+    assert_allclose([notch.frequency for notch in loop.gyro_notches], expected)
+    assert len({notch.quality for notch in loop.gyro_notches}) == 1
+
+
+def test_a_notch_that_follows_the_engine_is_taken_at_its_lowest_frequency_and_named():
+    follows = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 40.0, "INS_HNTCH_BW": 20.0}
+    follows |= {"INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_FM_RAT": 0.7}
+    with pytest.warns(UserWarning, match="INS_HNTCH_MODE 1"):
+        (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | follows, {"aileron": 0.4})
+    assert_allclose([notch.frequency for notch in loop.gyro_notches], [28.0, 56.0])
+
+
 @pytest.mark.parametrize(
     ("extra", "names"),
     [
         ({"RLL_RATE_PDMX": 0.1, "RLL_RATE_SMAX": 150.0}, "RLL_RATE_PDMX 0.1, RLL_RATE_SMAX 150"),
         ({"RLL_RATE_NEW": 0.1}, "RLL_RATE_NEW 0.1"),
-        (
-            {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 80.0, "RLL_RATE_NEF": 1},
-            "INS_HNTCH_ENABLE 1, RLL_RATE_NEF 1",
-        ),
     ],
 )
 def test_parameters_of_the_loops_that_are_not_known_are_named(extra, names):
@@ -457,6 +493,8 @@ def test_gains_that_a_file_lacks_are_the_firmwares_defaults():
     [
         ("the gains are fine\n", "without parameters"),
         ("FW_RR_P 0.05\nFW_RR_P 0.06\n", "FW_RR_P twice"),
+        ("1\t1\tFW_RR_P\t0.05\t9\n2\t1\tFW_RR_I\t0.1\t9\n", "vehicles 1, 2"),
+        ("@include plane.parm\nRLL_RATE_P 0.1\n", "in one file"),
     ],
 )
 def test_files_that_are_not_of_one_vehicle_are_refused(text, words, tmp_path):

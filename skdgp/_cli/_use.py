@@ -24,6 +24,7 @@ from skdgp.design import RATE, Envelope, Plan, ardupilot_script, surface_mixes
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
     Aircraft,
+    Trim,
     linearize,
     stability_derivatives,
     trim,
@@ -145,7 +146,8 @@ def derivatives(run: Run) -> None:
     run.console.stage("reading")
     model, thrust = read_model_to_fly(options)
     run.console.stage("trimming")
-    trims = trimmed(model, sorted(set(options.airspeed)), options.altitude, thrust)
+    airspeeds = sorted(set(options.airspeed))
+    trims = [trimmed(model, airspeed, options.altitude, thrust) for airspeed in airspeeds]
     beyond = sorted({name for point in trims for name in point.beyond})
     if beyond:
         report(Finding(Code.TRIM_BEYOND, numbers={"names": beyond}))
@@ -175,8 +177,8 @@ def derivatives(run: Run) -> None:
     run.print("\n\n".join(texts), numbers)
 
 
-def trimmed(model: Bunch, airspeed: Any, altitude: float, thrust: str | None) -> Any:
-    """Return steady level flight at one or several airspeeds; without a thrust the climb follows."""
+def trimmed(model: Bunch, airspeed: float, altitude: float, thrust: str | None) -> Trim:
+    """Return steady level flight; without a thrust the climb follows."""
     climb = None if thrust is None else 0.0
     return trim(
         model.pipeline, model.aircraft, airspeed, altitude=altitude, climb=climb, thrust=thrust

@@ -151,6 +151,8 @@ class AirMotion:
             f"wind {np.hypot(north, east):.1f} m/s from {wind_origin(north, east):.0f} deg",
             f"servos {1e3 * servo['value']:.0f} ± {1e3 * servo['std']:.0f} ms late",
         ]
+        if self.vibrates:
+            parts.append("inertial sensors vibrate: bands wider by half")
         if not self.converged:
             parts.append("not converged: do not use")
         return "; ".join(parts)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from skdgp import datasets
+from skdgp.design import _library
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "closed_loop.py"
 
@@ -18,7 +19,8 @@ def example(monkeypatch, first_minute):
     spec = importlib.util.spec_from_file_location("closed_loop", EXAMPLE)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "plan", partial(module.plan, widths=(1.0,), multisines=()))
+    monkeypatch.setattr(_library, "WIDTHS", (1.0,))
+    monkeypatch.setattr(_library, "MULTISINES", ())
     monkeypatch.setattr(module, "fly", partial(short, module.fly))
     return module
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.signal import lfilter
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
@@ -56,6 +57,24 @@ def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
     expected = peer.fit(X, y).predict(T, return_std=True)
     assert_allclose(model.predict(T, return_std=True), expected, atol=1e-4)
     assert model.noise_variance_[0] == pytest.approx(np.mean(varying(X) ** 2))
+
+
+@pytest.mark.parametrize("inference", ["exact", "sparse"])
+def test_lasting_errors_widen_bands_by_noise_of_each_value_as_by_common_noise(inference):
+    """One of 300 values that is ten times as precise is nearly no news."""
+    rng = default_rng(0)
+    X = lfilter([0.1], [1.0, -0.9], rng.normal(size=(300, 2)), axis=0)
+    lasting = lfilter([0.6], [1.0, -0.8], rng.normal(size=300))
+    y = X @ [1.0, -0.5] + 0.3 * lasting
+    variance = np.full(300, 0.09)
+    variance[150] = 0.0009
+    stds = []
+    for noise in (0.09, variance):
+        model = DependentGPRegressor(
+            structure="trend", input_noise=None, inference=inference, noise_variance=noise
+        ).fit(X, y, time=np.arange(300.0))
+        stds.append(model.predict(X[:5], return_std=True)[1])
+    assert_allclose(stds[1], stds[0], rtol=0.1)
 
 
 @pytest.mark.parametrize("log", [False, True])

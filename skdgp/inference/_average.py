@@ -44,13 +44,11 @@ class AverageSettings:
     complete: float = 0.95
     #: Smaller weights are set to zero: such a component lies outside the 95 % band, yet widens it
     least_weight: float = 0.05
-    #: Values of a weight over which its density is summed
-    grid: int = 1001
-    #: Mean square that counts as zero, over the one of all errors
-    rounding: float = 1e-12
 
 
 SETTINGS = AverageSettings()
+WEIGHTS = np.linspace(0.0, 1.0, 1001)  # over which the density of a weight is summed
+ROUNDING = 1e-12  # mean square that counts as zero, over the one of all errors
 
 
 def mixture_mean(mixture: Matrix, means: Any) -> Array:
@@ -230,11 +228,10 @@ def stacked(errors: Matrix, cost: float, ordered: bool = False) -> Vector:
         return np.array([0.0, 1.0])
     best = difference @ errors[1] / information
     residual = errors[1] - best * difference
-    variance = np.mean(residual**2) + SETTINGS.rounding * np.mean(errors**2)
+    variance = np.mean(residual**2) + ROUNDING * np.mean(errors**2)
     tau = autocorrelation_time(residual) if ordered else 1.0
-    w = np.linspace(0.0, 1.0, SETTINGS.grid)
-    squares = information * (w - best) ** 2  # beyond the least sum of squares
-    weight = w @ softmax(-(squares / (2.0 * variance) + cost * w) / tau)
+    squares = information * (WEIGHTS - best) ** 2  # beyond the least sum of squares
+    weight = WEIGHTS @ softmax(-(squares / (2.0 * variance) + cost * WEIGHTS) / tau)
     return np.array([weight, 1.0 - weight])
 
 

@@ -12,7 +12,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale, output_scale
 from skdgp._compute.messages import keeps_best
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Matrix, Seed
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
 from skdgp.inference._blocks import blocks_of_rows
 from skdgp.inference._likelihood import Data
@@ -62,34 +62,27 @@ def fit_exact(learned: Hyperparameters, data: Data, ordered: bool = False) -> Fi
     added. Both are larger in the posterior of a time series (``ordered``), whose neighbours have
     correlated errors.
     """
-    posterior = _exact_posterior(learned, data)
+    data = learned.noisy(data)
+    posterior = _exact_posterior(learned.kernel, learned.noise, data)
     if ordered:
-        residuals = [
-            y - posterior.predict(x)[:, i]
-            for i, (x, y) in enumerate(zip(data.X, data.y, strict=True))
-        ]
-        inflation = np.array([autocorrelation_time(e) for e in residuals])
-        std = learned.input_std
-        larger = learned._replace(
-            noise=learned.noise * inflation,
-            input_std=None if std is None else np.sqrt(inflation)[:, None] * std,
-        )
-        posterior = _exact_posterior(larger, data)
+        times = []
+        for i, (x, y) in enumerate(zip(data.X, data.y, strict=True)):
+            times.append(autocorrelation_time(y - posterior.predict(x)[:, i]))
+        inflation = np.array(times)
+        data = data.inflated(inflation)
+        posterior = _exact_posterior(learned.kernel, learned.noise * inflation, data)
     return Fit(posterior, learned)
 
 
-def _exact_posterior(learned: Hyperparameters, data: Data) -> SinglePosterior:
+def _exact_posterior(kernel: MultiOutputKernel, noise: Vector, data: Data) -> SinglePosterior:
     """Return the exact posterior.
 
     The few weights of a trend are all that there is to know of it, so it has the sparse form, which
     is then exact, and small.
     """
-    kernel = learned.kernel
-    data = learned.noisy(data)
     if kernel.n_processes:
-        return ExactPosterior(kernel, learned.noise, data)
-    features = inducing_features(kernel, data.X[0][:1])
-    return SparsePosterior(kernel, features, learned.noise, data)
+        return ExactPosterior(kernel, noise, data)
+    return SparsePosterior(kernel, inducing_features(kernel, data.X[0][:1]), noise, data)
 
 
 def fit_sparse(
@@ -228,9 +221,9 @@ class SparseFit:
         noise = posterior.noise * inflation
         if self.known.loading is None:
             return posterior.with_noise(noise)
-        loading = self.known.loading * np.sqrt(inflation)[:, None]
-        data = Data.from_table(self.X, self.Y, loading)
-        return SparsePosterior(posterior.kernel, self.features, noise, data)
+        return SparsePosterior(
+            posterior.kernel, self.features, noise, self.data.inflated(inflation)
+        )
 
 
 def check_inducing(kernel: MultiOutputKernel, X: Matrix, Y: Matrix, n_inducing: int) -> None:
@@ -344,7 +337,7 @@ def _of_part(whole, X, Y, loading, ordered, part, known) -> Fit:
     Noise of the regressors propagates by ``loading`` of the whole.
     """
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part))
-    data = whole.posterior.data
+    data = Data.from_table(X, Y, loading)
     is_exact = isinstance(whole.posterior, ExactPosterior)
     if is_exact or known.loading is not None:
         blocks = blocks_of_rows(X, Y, time_series=ordered)

@@ -202,6 +202,17 @@ class Data(NamedTuple):
             return self
         return self._replace(sample_noise=SampleNoise(noise.sample, noise.loading))
 
+    def inflated(self, factor: Vector) -> Data:
+        """Return the values with the noise of their samples, where there is any, times ``factor`` (P,)."""
+        noise = self.sample_noise
+        if noise is None:
+            return self
+        root = np.sqrt(factor)
+        if isinstance(noise, SlopeNoise):
+            return self._replace(sample_noise=noise._replace(std=root[:, None] * noise.std))
+        loading = [r * G for r, G in zip(root, noise.loading, strict=True)]
+        return self._replace(sample_noise=noise._replace(loading=loading))
+
     def of_samples(self, samples: Indices) -> Data:
         """Return the values of some rows of the table, in ascending order."""
         return self._of_rows([np.isin(rows, samples) for rows in self.sample])

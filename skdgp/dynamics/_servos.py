@@ -96,8 +96,13 @@ class Servos:
         return Servos(lag.lag, delay.delay, limit, lag.lag_std, delay.delay_std)
 
     def drawn(self, n_paths: int, random_state: Any) -> tuple[Array, Array]:
-        """Return lags, of servos that have one at least 10 ms, and delays (n_paths,) [s], with their errors."""
+        """Return lags and delays (n_paths,) [s] with their errors, which are opposite.
+
+        A lag is drawn above 10 ms, or above itself where it is shorter; servos without a lag have none.
+        """
         errors = np.random.default_rng(random_state).standard_normal(n_paths)
+        if self.lag == 0.0:
+            return np.zeros(n_paths), np.maximum(self.delay - errors * self.delay_std, 0.0)
         fastest = min(self.lag, LEAST_LAG)
         # reflected there: what a lag cannot be shorter it may be longer
         lags = fastest + np.abs(self.lag + errors * self.lag_std - fastest)

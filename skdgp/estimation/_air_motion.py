@@ -155,6 +155,9 @@ class AirMotion:
             parts.append("inertial sensors vibrate: bands wider by half")
         if not self.converged:
             parts.append("not converged: do not use")
+        elif self.misfit > 1:
+            wider = f"{self.misfit:.1f} times as wide"
+            parts.append(f"sensors' constants are improbable: bands {wider}")
         return "; ".join(parts)
 
     @property

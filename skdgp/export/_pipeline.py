@@ -16,7 +16,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     Aerodynamics,
@@ -145,7 +145,9 @@ def _reference(behind: list[Any], samples: Matrix, model: Aerodynamics) -> Refer
     table = pd.DataFrame(X, columns=list(model.regressors)) if is_of_table else X
     fitted = make_pipeline(*behind)
     mean, std = fitted.predict(table, return_std=True, include_input_noise=False)
-    return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1), model.gradient(X))
+    places = [COEFFICIENTS.index(name) for name in behind[-1].output_names_]
+    slopes = model.gradient(X)[:, places]
+    return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1), slopes)
 
 
 def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:

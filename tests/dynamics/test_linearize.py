@@ -166,3 +166,7 @@ def test_paths_have_the_errors_of_lag_and_delay_of_the_servos():
     assert far_from_it.std() == pytest.approx(0.02, rel=0.1)
     exact, _ = Servos(lag=0.03).drawn(3, 0)
     assert_allclose(exact, 0.03)
+    none, delays = Servos(delay=0.05, lag_std=0.01, delay_std=0.01).drawn(4000, 0)
+    assert not none.any()
+    assert delays.mean() == pytest.approx(0.05, abs=5e-4)
+    assert delays.std() == pytest.approx(0.01, rel=0.05)

@@ -128,6 +128,17 @@ def fitted(cut_short):
     return get
 
 
+@pytest.fixture
+def in_another_order():
+    """Return a trend of coefficients that are not in their usual order, and the aircraft."""
+    flight, Y = make_flight(28, 0)
+    learner = DependentGPRegressor(structure="trend", random_state=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of few rows
+        pipeline = pipeline_of(learner).fit(flight, Y[["Cm", "CX", "CY", "CZ", "Cl", "Cn"]])
+    return pipeline, AIRCRAFT
+
+
 @pytest.fixture(scope="session")
 def example():
     """Return a function to an example of the project by name, as a module."""

@@ -84,6 +84,18 @@ def test_the_reference_is_the_prediction_of_the_pipeline(case):
     assert_allclose(reference.slopes, slopes, rtol=1e-12)
 
 
+def test_slopes_of_the_reference_are_in_the_order_of_the_outputs(in_another_order):
+    """Differences of what the steps behind the choice of regressors predict, for targets in another order than usual."""
+    pipeline, aircraft = in_another_order
+    reference = portable_model(pipeline, aircraft).reference
+    behind = pipeline[1 + [*pipeline.named_steps].index("regressorselector") :]
+    predict = make_pipeline(*[step for _, step in behind.steps]).predict
+    X = reference.regressors
+    for k, step in enumerate(0.1 * np.eye(X.shape[1])):
+        difference = (predict(X + step) - predict(X)) / 0.1
+        assert_allclose(difference, reference.slopes[..., k], atol=1e-9)
+
+
 def test_members_may_have_trends_about_different_points(fitted, read):
     pipeline = copy.copy(fitted("joint").pipeline)
     learned = copy.copy(pipeline[-1])

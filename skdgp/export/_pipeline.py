@@ -16,7 +16,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, COEFFICIENTS, HAT, LENGTHS
+from skdgp._flight.channels import ACCELERATION_LENGTHS, CHANNELS, HAT, LENGTHS
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     Aerodynamics,
@@ -104,7 +104,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         limits=np.stack([points.min(axis=0), points.max(axis=0)]),
         servos=np.array([servos.lag, servos.delay, servos.rate_limit]),
         provenance=plain(facts | {"inference": regressor.inference_}),
-        reference=_reference(behind, samples, simulated),
+        reference=_reference(behind, samples, simulated, shift, scale),
     )
     _check_names(model)
     return model
@@ -135,7 +135,9 @@ def _check_names(model: PortableModel) -> None:
         )
 
 
-def _reference(behind: list[Any], samples: Matrix, model: Aerodynamics) -> Reference:
+def _reference(
+    behind: list[Any], samples: Matrix, model: Aerodynamics, shift: Vector, scale: Vector
+) -> Reference:
     """Return the predictions of the steps behind the choice of regressors, at and near some samples (n, d)."""
     rows = np.linspace(0, len(samples) - 1, REFERENCE_ROWS).astype(int)
     X = samples[rows]
@@ -145,8 +147,8 @@ def _reference(behind: list[Any], samples: Matrix, model: Aerodynamics) -> Refer
     table = pd.DataFrame(X, columns=list(model.regressors)) if is_of_table else X
     fitted = make_pipeline(*behind)
     mean, std = fitted.predict(table, return_std=True, include_input_noise=False)
-    places = [COEFFICIENTS.index(name) for name in behind[-1].output_names_]
-    slopes = model.gradient(X)[:, places]
+    slopes = behind[-1].posterior_.gradient((X - shift) / scale)
+    slopes *= behind[-1].scale_[:, None] / scale
     return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1), slopes)
 
 

@@ -76,6 +76,7 @@ class Lag(NamedTuple):
     std: float
     removal: float | None = None  #: What to remove [s]; None: the lag, where it is significant
     rate_limit: float = np.inf  #: Of servos, in the unit of the surfaces per second
+    delay_std: float = 0.0  #: Of the delay beside the lag of servos [s]
 
     def is_significant(self, settings: LagSettings) -> bool:
         """Return whether the lag exceeds ``settings.significance`` standard deviations."""
@@ -447,9 +448,10 @@ def _most_likely_servos(
 
     They maximise the likelihood of the part of the responses that earlier commands explain
     (instrumental variables: Söderström & Stoica 1989, section 8.1), as noise of the rates would make
-    the lag of servos smaller. Lag and delay replace each other: their errors are opposite, and their standard
-    deviations are of the profile likelihood over the lag, whose logarithm counts a third, as residuals are
-    correlated, and of ``surfaces``, the lag without servos, which alone decides what is removed. Without
+    the lag of servos smaller. Lag and delay replace each other: their errors are opposite, and the standard
+    deviations of `Servos` are of the profile likelihood over the lag, whose logarithm counts a third, as residuals are
+    correlated, and of ``surfaces``, the lag without servos. That one is the error of the time of the
+    commands behind both, and alone decides what is removed. Without
     evidence of a delay the lag without one is removed: slow inputs tell it better than either.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
@@ -474,7 +476,8 @@ def _most_likely_servos(
     if limited is not None:
         servo_lag, rate_limit = limited
         removed, removed_delay = servo_lag, delay
-    return Lag(servo_lag, lag_std, removed, rate_limit), Lag(-delay, delay_std, -removed_delay)
+    servos = Lag(servo_lag, lag_std, removed, rate_limit, delay_std)
+    return servos, Lag(-delay, surfaces.std, -removed_delay)
 
 
 def _servo_profile(

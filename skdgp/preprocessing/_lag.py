@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 from numbers import Real
 from typing import Any
 
@@ -94,8 +93,9 @@ class LagCorrector(TableTransformer):
         Lag, delay and, where the flights reach it, limit of the rate of the servos, for simulations and
         margins, also where they are not removed. A limit is warned of.
     lags_ : DataFrame
-        By group or column: ``lag`` and ``std`` [s], ``applied`` (the removed lag [s]) and
-        ``remark``. A lag below 3 standard deviations (a third of Student's quantile of equal
+        By group or column: ``lag`` and ``std`` [s], ``applied`` (the removed lag [s]) and ``remark``.
+        Of surfaces behind servos they are the delay, and the error of the time of lag and delay
+        together. A lag below 3 standard deviations (a third of Student's quantile of equal
         probability for few pieces) or below 10 ms is not removed; of lag and delay of servos the sum
         counts.
 
@@ -130,22 +130,17 @@ class LagCorrector(TableTransformer):
         """Servos between the logged commands and the surfaces, ideal where surfaces are logged."""
         lag = float(self.lags_["lag"].get("servos", 0.0))
         early = -float(self.lags_["lag" if lag else "applied"].get("surfaces", 0.0))
-        servos = Servos(lag, max(0.0, early), self.rate_limit_)
-        stds = self.lags_["std"].fillna(0.0)
-        if not stds.get("servos", 0.0) > 0.0:
-            return servos
-        return replace(
-            servos, lag_std=float(stds["servos"]), delay_std=float(stds.get("surfaces", 0.0))
-        )
+        lag_std = float(self.lags_["std"].fillna(0.0).get("servos", 0.0))
+        return Servos(lag, max(0.0, early), self.rate_limit_, lag_std, self.delay_std_)
 
     def _fit_table(self, table):
         check_columns(table, ["time"])
-        self.rate_limit_ = np.inf
+        self.rate_limit_, self.delay_std_ = np.inf, 0.0
         if isinstance(self.lags, str):
             self._check_any(table, _columns_of(GROUPS))
             lags = estimate_lags(with_sensor_position(table, self.aircraft))
             rows = {group: _applied(lag) for group, lag in lags.items()}
-            self.rate_limit_ = lags["servos"].rate_limit
+            self.rate_limit_, self.delay_std_ = lags["servos"].rate_limit, lags["servos"].delay_std
             if np.isfinite(self.rate_limit_):
                 warn(
                     f"The servos reach a limit of their rate, {self.rate_limit_:.2g} rad/s, in these flights: larger "

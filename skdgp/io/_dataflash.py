@@ -93,7 +93,7 @@ STANDARD = "standard atmosphere at the measured pressure"
 # the lane of the estimator, and the sensor, that the autopilot used (AP_NavEKF3, AP_Airspeed)
 LANE_3 = (Use("XKF4", "PI"),)
 LANE_2 = (Use("NKF4", "PI"),)
-PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"))
+PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
 # field with the parameter that says whether the autopilot uses an airspeed sensor
@@ -105,6 +105,12 @@ AIRSPEEDS = {
     "ARSP#1": ("ARSPD2_USE", "ARSPD2_RATIO"),
     "ASP2": ("ARSPD2_USE", "ARSPD2_RATIO"),
 }
+# field with the parameter that says whether the autopilot uses an IMU, and these by the names of the topic
+IMU_USE = "INS_USE"
+IMU_USES = {
+    "IMU": "INS_USE", "IMU#1": "INS_USE2", "IMU2": "INS_USE2", "IMU#2": "INS_USE3", "IMU3": "INS_USE3",
+    "IMU#3": "INS4_USE", "IMU#4": "INS5_USE",
+}  # fmt: skip
 # parameters of the position of each IMU (AP_InertialSensor)
 IMU_POSITIONS = ("INS_POS1", "INS_POS2", "INS_POS3", "INS4_POS", "INS5_POS")
 # further instances of sensors before the messages had a number
@@ -125,8 +131,8 @@ def _estimator(name: str, lane: tuple[Use, ...]) -> tuple[Rule, Rule, Rule]:
 
 
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",)),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",)),
+    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH", IMU_USE)),
+    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH", IMU_USE)),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
@@ -290,7 +296,7 @@ def _log(
     kind = FRAMES.get((program, frame), VEHICLES.get(program))
     vehicle = vehicle_of(kind, parameters)
     airspeeds, of_ratio = _airspeeds(topics, parameters, defined)
-    topics = topics | airspeeds
+    topics = topics | airspeeds | _imus(topics, parameters)
     controls, commands, lifts = outputs_of(topics.get("RCOU", NOTHING), parameters)
     lifting: States = ()
     if vehicle == "VTOL":
@@ -350,6 +356,16 @@ def _airspeeds(
             )
         airspeeds[name] = topic.with_fields(**fields)
     return airspeeds, remarks
+
+
+def _imus(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Topic]:
+    """Return the messages of IMUs with whether the autopilot uses them."""
+    imus = {}
+    for name in IMU_USES.keys() & topics.keys():
+        topic = topics[name]
+        is_used = parameters.get(IMU_USES[name], 1.0)
+        imus[name] = topic.with_fields(**{IMU_USE: np.full(len(topic), is_used)})
+    return imus
 
 
 def _values_of(parameter: str, defined: Messages) -> tuple[Vector, Vector]:

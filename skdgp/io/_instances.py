@@ -1,4 +1,4 @@
-"""Choice among the instances of a sensor: one for the whole log, healthy, and used by the autopilot."""
+"""Choice among the instances of a sensor: those that the autopilot used at each time, else the healthiest."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ from skdgp.io._log import (
 ENGINES = ("propeller_speed",)
 COMMANDS = ("throttle",)
 
+# between the counters of two instances
+COUNTERS = 1e6
 # a reset of an estimator is a step beyond so many times what 95 % of the steps are; a guess
 JUMP = 4.0
 
@@ -74,15 +76,14 @@ class Readings(NamedTuple):
     preferred: Vector
     # 0 where resets are not logged
     counter: Vector
-    # fraction of the time in which the autopilot used it
-    used: float
+    # which of the valid ones the autopilot used
+    used: Mask
 
-    @property
-    def health(self) -> tuple[float, bool, float]:
-        """Order of instances: valid readings, twice if they were used, that move, the autopilot's flag."""
-        share = float(self.valid.mean())
+    def health(self, duration: float) -> tuple[float, bool, float]:
+        """Order of instances in a log of some duration [s]: valid readings, that move, the autopilot's flag."""
+        share = float(self.valid.mean()) * np.ptp(self.time) / duration
         moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
-        return round(share * (1 + self.used), 2), bool(moves), float(self.preferred.mean())
+        return round(share, 2), bool(moves), float(self.preferred.mean())
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:
@@ -127,19 +128,22 @@ def choose(log: Log, rule: Rule) -> Source | None:
 
 
 def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
-    """Return the source by the healthiest instance."""
-    best = max(readings, key=lambda reading: reading.health)
-    time, values, counter = (part[best.valid] for part in (best.time, best.values, best.counter))
-    name = _words(rule, [best.instance.name])
-    note = _joined(", ", rule.note, _note(readings, use))
-    is_first = best is readings[0]
+    """Return the source by the instances that were used, or if that is not known by the healthiest."""
+    duration = np.ptp([reading.time[[0, -1]] for reading in readings])
+    best = max(readings, key=lambda reading: reading.health(duration))
+    chosen = [reading._replace(valid=reading.used) for reading in readings if reading.used.any()]
+    time, values, counter = _merged(chosen or [best])
+    names = [reading.instance.name for reading in chosen or [best]]
+    note = _joined(", ", rule.note, _note(readings, use if chosen else None))
+    is_first = names == [readings[0].instance.name]
+    name = _words(rule, names)
     remarks = ["" if is_first else f"{rule.words} of {name} ({note})", _unmeasured(rule, best)]
     if rule.columns == QUATERNION:
         values = without_sign_changes(values)
-    cuts = reset_times(time, values, counter) if rule.resets else []
+    cuts = reset_times(time, values, counter)
     if cuts:
         remarks.append(
-            f"{rule.words}: resets of the estimator, so a new flight begins, at {seconds(cuts)}"
+            f"{rule.words}: resets of the estimator, or another instance, so a new flight begins, at {seconds(cuts)}"
         )
     return Source(
         columns=rule.columns,
@@ -151,6 +155,17 @@ def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
         cuts=tuple(cuts),
         instance=best.instance.number,
     )
+
+
+def _merged(readings: list[Readings]) -> tuple[Vector, Matrix, Vector]:
+    """Return times, values and counters of resets of the valid readings, in order of time."""
+    parts = []
+    for reading in readings:
+        counter = reading.counter + COUNTERS * reading.instance.number
+        parts.append([part[reading.valid] for part in (reading.time, reading.values, counter)])
+    time, values, counter = map(np.concatenate, zip(*parts, strict=True))
+    order = np.argsort(time, kind="stable")
+    return time[order], values[order], counter[order]
 
 
 def reset_times(time: Vector, values: Matrix, counter: Vector) -> list[float]:
@@ -211,20 +226,17 @@ def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Read
     n = len(topic)
     values = rule.convert(topic.columns(rule.fields))
     valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
-    used = np.zeros(n)
+    used = np.zeros(n, dtype=bool)
     if use is not None:
-        numbers = _numbers(log, use, topic.time)
-        used = numbers == instance.number + use.first
+        used = valid & (_numbers(log, use, topic.time) == instance.number + use.first)
         if use.is_measurement:
-            valid &= np.isin(
-                numbers, [each.number + use.first for each in log.instances(rule.topic)]
-            )
+            valid = used
     preferred = np.zeros(n)
     for field in rule.preferred:
         if field in topic:
             preferred = np.maximum(preferred, np.clip(np.nan_to_num(topic[field]), 0.0, 1.0))
     counter = topic[rule.resets] if rule.resets in topic else np.zeros(n)
-    return Readings(instance, topic.time, values, valid, preferred, counter, float(used.mean()))
+    return Readings(instance, topic.time, values, valid, preferred, counter, used)
 
 
 def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
@@ -239,6 +251,9 @@ def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
 
 def _numbers(log: Log, use: Use, times: Vector) -> Vector:
     """Return the number of the instance that was used at each time, none if the log does not say."""
+    if not use.topic:
+        value = log.parameters.get(use.field)
+        return np.empty(0) if value is None else np.full(len(times), value)
     for instance in log.instances(use.topic, least=1):
         if use.field in instance.topic:
             return instance.topic[use.field][last_before(instance.topic.time, times)]

@@ -108,6 +108,7 @@ NOTHING = Topic(np.empty(0), np.empty(0), {})
 class Use(NamedTuple):
     """Where a log says which instance of a sensor the autopilot used."""
 
+    #: Topic of the field, empty for a parameter
     topic: str
     field: str
     #: Number in the field of the instance 0
@@ -117,8 +118,8 @@ class Use(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Name of the field."""
-        return f"{self.topic}.{self.field}"
+        """Name of the field or parameter."""
+        return f"{self.topic}.{self.field}" if self.topic else self.field
 
 
 def last_before(time: Vector, at: Vector) -> Indices:

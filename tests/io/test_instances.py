@@ -1,4 +1,4 @@
-"""Several instances of a sensor: one that is healthy, and that the autopilot used."""
+"""Several instances of a sensor: those that the autopilot used at each time, else a healthy one."""
 
 import numpy as np
 import pytest
@@ -88,6 +88,55 @@ class TestArduPilot:
             log.topic("XKF4", SLOW + lane * 1e-3, C=("B", lane), PI=("B", 1))
         table = told("used by the autopilot: XKF4.PI", log, airborne=False)
         assert_allclose(table.v_north.dropna(), 9.0)
+
+    def test_the_primary_counts_at_each_time(self, told, plane):
+        """Both are called healthy, and the primary changes at 25 s."""
+        log = plane()
+        primary = ("B", SLOW > 25)
+        for number, airspeed in enumerate((np.where(SLOW > 25, 8.0, 20.0), 20.0)):
+            instance = {"I": ("B", number), "Airspeed": airspeed}
+            log.topic("ARSP", SLOW + number * 1e-3, **instance, H=("B", 1), Pri=primary)
+        table = told(r"of ARSP and ARSP#1.Airspeed \(of 2, used", log, airborne=False)
+        assert_allclose(table.airspeed.dropna(), 20.0)
+        assert table.airspeed[10:-10].isna().mean() < 0.02
+
+    def test_lanes_that_differ_are_cut_where_they_change(self, told, plane):
+        log = plane()
+        for lane, speed in enumerate((1.0, 9.0)):
+            velocity = dict.fromkeys(("VN", "VE", "VD"), speed + 0.1 * np.sin(SLOW))
+            log.topic("XKF1", SLOW + lane * 1e-3, C=("B", lane), **velocity)
+            log.topic("XKF4", SLOW + lane * 1e-3, C=("B", lane), PI=("B", SLOW > 25))
+        table = told("another instance, so a new flight begins, at 25.", log, airborne=False)
+        first, second = (flight.v_north.dropna() for _, flight in table.groupby("flight"))
+        assert first.max() < 1.2 < 8.8 < second.min()
+
+    @pytest.mark.parametrize("is_logged", [True, False])
+    def test_a_sensor_that_dies_in_flight(self, told, is_logged, plane):
+        """It is unhealthy from 30 s on, or no longer logged."""
+        log = plane()
+        lives = SLOW < 30
+        time = SLOW if is_logged else SLOW[lives]
+        airspeed = np.where(lives, TRUE, 0.0)[: len(time)]
+        log.topic("ARSP", time, I=("B", 0), Airspeed=airspeed, H=("B", lives[: len(time)]))
+        log.topic("ARSP", SLOW + 1e-3, I=("B", 1), Airspeed=TRUE, H=("B", 1))
+        table = told(r"of ARSP#1.Airspeed \(of 2, the healthiest", log, airborne=False)
+        assert_is_the_true_airspeed(table)
+
+    def test_the_primary_of_the_parameters(self, told, plane):
+        """The other one, which is called healthy too, reads less by a third."""
+        log = plane(ARSPD_PRIMARY=1.0)
+        for number, airspeed in enumerate((0.7 * TRUE, TRUE)):
+            instance = {"I": ("B", number), "Airspeed": airspeed}
+            log.topic("ARSP", SLOW + number * 1e-3, **instance, H=("B", 1))
+        table = told("used by the autopilot: ARSPD_PRIMARY", log, airborne=False)
+        assert_is_the_true_airspeed(table)
+
+    def test_an_imu_that_the_autopilot_does_not_use(self, told, dataflash):
+        log = dataflash(INS_USE=0.0, INS_USE2=1.0)
+        for number in range(2):
+            log.gyros(T + number * 1e-3, np.sin(T) + number, I=("B", number))
+        table = told(r"p q r of IMU#1\.", log, "log.bin", airborne=False)
+        assert_wave(table[10:-10], "p", 1.0, mean=1.0)
 
 
 class TestPX4:

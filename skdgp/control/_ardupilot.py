@@ -228,7 +228,10 @@ class ModelInFlight:
         start |= by_name(RATE_NAMES, self.steady.rates)
         self.channels = self.simulator.reset(start, random_state=self.path)
         self.ended = ""
-        self._told: set[str] = set()  # regressors that were warned of
+        self._told: set[str] = (
+            set()
+        )  # regressors that were warned of since all were in their ranges
+        self._told_time = -np.inf  # of the last warning [s]
 
     @property
     def time(self) -> float:
@@ -249,11 +252,14 @@ class ModelInFlight:
         self._warn_of_beyond()
 
     def _warn_of_beyond(self) -> None:
-        """Warn of a flight outside of what was learned, once for each regressor."""
+        """Warn when a regressor leaves what was learned, once a second at most."""
         beyond = self.simulator.beyond
-        if not beyond or beyond in self._told:
+        if not beyond:
+            self._told.clear()
+        if not beyond or beyond in self._told or self.time < self._told_time + 1.0:
             return
         self._told.add(beyond)
+        self._told_time = self.time
         model = self.simulator.motion.aerodynamics
         k = self.simulator.motion.regressors.index(beyond)
         low, high = model.limits[:, k]
@@ -416,7 +422,7 @@ def fly(
     UserWarning
         If other bytes come, or packets of a second autopilot, which are ignored.
     SimulationWarning
-        When the flight leaves the training range of a regressor, once for each.
+        When the flight leaves the training range of a regressor, once a second at most.
     """
     check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")

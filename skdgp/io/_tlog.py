@@ -56,7 +56,7 @@ from skdgp.io._log import (
 )
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import IMU_POSITIONS as PX4_IMU_POSITIONS
-from skdgp.io._ulog import MAV_TYPES
+from skdgp.io._ulog import MAV_TYPES, TAILSITTERS
 
 # bytes of the arrival, and of a signature
 STAMP = 8
@@ -159,7 +159,9 @@ def read_tlog(path: Path) -> Log:
     by_name = _by_name(messages, system)
     beats = by_name.get("HEARTBEAT", {}).values()
     is_px4 = any(beat.autopilot == PX4 for beat in beats)
-    vehicles = [MAV_TYPES[beat.type] for beat in beats if beat.type in MAV_TYPES]
+    # only PX4's tailsitters log in axes of hover
+    types = MAV_TYPES if is_px4 else MAV_TYPES | dict.fromkeys(TAILSITTERS, "VTOL")
+    vehicles = [types[beat.type] for beat in beats if beat.type in types]
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)

@@ -6,6 +6,7 @@ Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as p
 from __future__ import annotations
 
 import io
+from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -45,10 +46,13 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35"
+# bytes before each message
+HEAD_SIZE = 3
 # microseconds from sampling to publishing, at most
 LATEST = 1_000_000
 # beyond one for each byte
 SPARE_READS = 1000
+TAILSITTERS = (19, 20, 23)
 MAV_TYPES = {
     1: "fixed wing",
     10: "rover",
@@ -56,7 +60,7 @@ MAV_TYPES = {
     12: "submarine",
     **dict.fromkeys((2, 3, 4, 13, 14, 15), "multicopter"),
     **dict.fromkeys(range(19, 26), "VTOL"),
-    **dict.fromkeys((19, 20, 23), "tailsitter"),
+    **dict.fromkeys(TAILSITTERS, "tailsitter"),
 }
 VEHICLE_TYPES = {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}
 
@@ -270,7 +274,7 @@ def read_ulog(path: Path) -> Log:
     for data_set in log.data_list:
         if "timestamp" in data_set.data:
             name = instance_name(data_set.name, data_set.multi_id)
-            topics[name] = _topic(data_set)
+            topics[name] = _topic(data_set, file.places[data_set.msg_id])
     if not topics:
         raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")
     remarks = damage(len(data) - file.end)
@@ -353,11 +357,14 @@ def _mean_motor(commands: Matrix) -> Matrix:
 
 
 class _File(io.BytesIO):
-    """A file that notes how far it was read, and ends where pyulog reads damaged places again and again."""
+    """A file that notes the places of data, how far it was read, and ends where pyulog reads damage again and again."""
 
     def __init__(self, data: bytes):
         super().__init__(data)
         self.end = 0
+        # where messages end, by their number
+        self.places: defaultdict[int, list[int]] = defaultdict(list)
+        self._is_data = False
         # a sound file has two for each message
         self._reads_left = len(data) + SPARE_READS
 
@@ -368,13 +375,20 @@ class _File(io.BytesIO):
             raise EOFError("most of it is damaged")
         content = super().read(size)
         self.end = self.tell()
+        if self._is_data and len(content) == size:
+            self.places[int.from_bytes(content[:2], "little")].append(self.end)
+        self._is_data = size == HEAD_SIZE and content[2:] == b"D"
         return content
 
 
-def _topic(data_set: Any) -> Topic:
-    """Return the messages of a topic, in the order of publishing."""
+def _topic(data_set: Any, places: list[int]) -> Topic:
+    """Return the messages of a topic; places are approximate where pyulog refused messages."""
     fields = numeric_fields(data_set.data)
-    return Topic(sampled(data_set.name, fields) * 1e-6, fields["timestamp"] * 1e-6, fields)
+    time = sampled(data_set.name, fields) * 1e-6
+    order = np.array(places, dtype=float)
+    if len(order) != len(time):
+        order = np.linspace(order[0], order[-1], len(time))
+    return Topic(time, order, fields)
 
 
 def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:

@@ -131,6 +131,22 @@ def test_tells_when_it_leaves_what_was_learned(flown, glider):
     assert f"After {first:.1f} s" in str(told[0].message)
 
 
+def test_tells_again_when_it_leaves_again(flown, glider):
+    """After full up elevator for a second alpha swings back into the range, and out again."""
+    limits = np.outer([-5.0, 5.0], np.ones(8))
+    limits[:, 0] = [-0.1, 0.1]
+
+    def play(autopilot):
+        for elevator in (1900, 1500):
+            for _ in range(RATE):
+                autopilot.send((1500, elevator, 1500, 1500))
+
+    with pytest.warns(SimulationWarning, match="in alpha") as told:
+        flown(play, glider.model(limits=limits), wait=1.0)
+    first, second = (float(str(each.message).split()[1]) for each in told)
+    assert second > first + 1.0
+
+
 def test_in_the_air_without_pulses_it_stays_in_trim(flown, steady):
     def play(autopilot):
         for _ in range(200):

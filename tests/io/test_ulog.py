@@ -2,7 +2,9 @@
 
 import struct
 
+import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from skdgp.io import FlightReadError
 
@@ -127,6 +129,15 @@ class TestDamage:
 
     def test_messages_out_of_order_stay_in_the_order_of_the_file(self, read):
         assert times(read(*TICK, *ticks(3, 1, 2))) == [3, 1, 2]
+
+
+def test_a_clock_that_was_set_back_makes_flights_of_their_own(told, ulog):
+    """Both stretches have times from 10 to 42 s."""
+    time = np.arange(10, 50, 0.02)
+    log = ulog().gyros(np.append(time, time - 8), np.repeat([1.0, 2.0], len(time)))
+    log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
+    table = told("the clock was set back 1 times", log, airborne=False)
+    assert_allclose(table.groupby("flight").p.median(), [1.0, 2.0])
 
 
 class TestRefusals:

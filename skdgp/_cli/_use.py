@@ -311,7 +311,7 @@ def export(run: Run) -> None:
     jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives its full deflections
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi
 
-    All files are written into DIR, or none. A model of sparse inference with fewer inducing inputs is smaller.
+    All files are written into DIR, or none.
 
     For example:
       skdgp export results/model.joblib --to portable -o portable

@@ -105,6 +105,11 @@ class Code(Kind):
         "(by rows: {missing})",
         "Bring slow sensors to the clock of the others if these are many.",
     )
+    SENSOR_POSITIONS_DIFFER = (
+        "flight {flight!r} states inertial sensors {distance:.2g} m from where the aircraft of the model has "
+        "them (the centre of gravity, if it states no position)",
+        "The flight's position counts. Correct the wrong one, or learn the model again.",
+    )
     SLOW_CHANNELS = (
         "channels have slower clocks than the log [Hz]: {rates:.3g}",
         "A repeated sample counts once, and controls are splines between samples.",
@@ -177,8 +182,9 @@ class Code(Kind):
     )
     AIR_NOT_CONVERGED = (
         "the estimate of the motion of the air did not converge",
-        "Give longer flights with inputs of every surface, and look at channels that contradict each other, at "
-        "vibration of the accelerometers, and whether velocity and attitude are of one estimator.",
+        "[Channels contradict each other: {contradictions}.]"
+        "[{agrees:The channels agree by physics. Give longer flights with inputs of every surface, and look at "
+        "vibration of the accelerometers, and whether velocity and attitude are of one estimator.}]",
     )
     AIR_NOT_ESTIMATED = "{error}"
     SENSORS_ELSEWHERE = (
@@ -204,8 +210,9 @@ class Code(Kind):
     NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
     PATHS_NOT_CONVERGED = (
         "the paths of these flights did not converge: {flights:short}",
-        "Look at channels that contradict each other, vibration, resets of the attitude, or a velocity of another "
-        "source.",
+        "[Channels contradict each other: {contradictions}.]"
+        "[{agrees:The channels agree by physics. Look at vibration, resets of the attitude, or a velocity of another "
+        "source.}]",
         DOUBT,
     )
     PATHS_RECONSTRUCTED = (

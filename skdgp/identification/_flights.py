@@ -12,6 +12,7 @@ from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     ALL_SURFACES,
     ELEVONS,
+    EULER,
     RATES,
     SPECIFIC_FORCE,
     SURFACES,
@@ -20,7 +21,8 @@ from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.checks import check_spelling, check_table
 from skdgp._flight.faults import without_ground
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.frames import wrapped
+from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 
 Flights = dict[str, FlightTable]
@@ -28,6 +30,8 @@ Flights = dict[str, FlightTable]
 COPIED = 0.5
 ROUNDED = 4
 SLOWEST = 8.0  # rows a second that show the fast modes; a guess
+# median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
+SAME_ATTITUDE = 0.05
 
 
 def train_and_test(
@@ -184,9 +188,23 @@ def copies(flights: Flights, others: Flights) -> dict[str, str]:
             if flight is other or is_told:
                 continue
             own = rows[id(flight)]
-            if len(own & rows[id(other)]) > COPIED * len(own):
+            has_its_rows = len(own & rows[id(other)]) > COPIED * len(own)
+            if has_its_rows or _has_its_attitude(flight, other):
                 found[name] = other_name
     return found
+
+
+def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
+    """Return whether two flights have the same attitude at the same times, as a log and its telemetry have."""
+    if not has_values(flight.table, *EULER) or not has_values(other.table, *EULER):
+        return False
+    is_inside = (flight.time >= other.time[0]) & (flight.time <= other.time[-1])
+    if is_inside.sum() <= COPIED * len(is_inside):
+        return False
+    angles = unwrapped(other.table, EULER)
+    there = interpolated(flight.time[is_inside], other.time, angles, beyond=np.nan)
+    apart = wrapped(unwrapped(flight.table, EULER)[is_inside] - there)
+    return bool(np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE)
 
 
 def _motion(flight: FlightTable) -> set[tuple[float, ...]]:

@@ -1,6 +1,6 @@
 """Checks of the flights of an identification, and its assumptions.
 
-Flights are checked here, once; behind this stage they are without faults and have their usable rows.
+Flights are checked here, once; from here on they are without faults and have their usable rows.
 """
 
 from __future__ import annotations
@@ -55,6 +55,8 @@ INTERCHANGEABLE = (*MIXED, *ELEVONS)
 
 # steps that an evaluation of a model reads
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
+
+POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
 
 # findings that are assumptions
 ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)
@@ -114,6 +116,7 @@ def usable_flights(
         _check_surfaces(name, cleaned.table, in_radians)
         for finding in cleaned.findings or ():
             report(finding, FlightDataWarning)
+        _warn_of_positions(name, cleaned.table, aircraft)
         checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
     _warn_of_contradictions(checked, aircraft)
     return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
@@ -182,6 +185,21 @@ def with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
     if aircraft.sensor_position is not None or len(stated) != 1 or not np.isfinite(stated).all():
         return aircraft
     return replace(aircraft, sensor_position=stated[0].tolist())
+
+
+def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft | None) -> None:
+    """Warn if a flight states another position of the inertial sensors than the aircraft.
+
+    An aircraft without one was learned with
+    the sensors at the centre of gravity, to which also the forces of a simulation refer.
+    """
+    stated = np.nan_to_num(sensor_position(table)).mean(axis=0)
+    if aircraft is None or not stated.any():
+        return
+    distance = float(np.linalg.norm(stated - np.array(aircraft.sensor_position or np.zeros(3))))
+    if distance > POSITION_TOLERANCE:
+        numbers = {"distance": distance}
+        report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers))
 
 
 def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str]) -> FlightTable:

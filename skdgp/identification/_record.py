@@ -119,7 +119,8 @@ def fit_record(pipeline: FlightPipeline) -> FitRecord:
             doubts.append(step.doubt_)
         diverged = [str(name) for name, converged in step.converged_.items() if not converged]
         if step.used_ and diverged:
-            doubts.append(Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": diverged}))
+            numbers = {"flights": diverged, **step.agreement_}
+            doubts.append(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
     return FitRecord(
         inference=regressor.inference_,
         weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},

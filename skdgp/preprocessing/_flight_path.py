@@ -23,6 +23,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.physics import find_contradictions
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable, by_name, has_values, numeric
 from skdgp._flight.units import check_radians
@@ -127,6 +128,9 @@ class FlightPathReconstruction(TableTransformer):
     converged_ : dict of str to bool
         Whether the search for the path converged, for each flight of ``fit``: where it did not, its
         sensors may contradict one another.
+    agreement_ : dict of str to object
+        Of flights whose search did not converge ``contradictions`` of channels by physics, and whether
+        all ``agrees``; else empty.
     noise_std_ : dict of str to float
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt, heading.
@@ -220,6 +224,7 @@ class FlightPathReconstruction(TableTransformer):
         self.air_motion_: AirMotion | None = None
         self.doubt_: Finding | None = None
         self.converged_: dict[Any, bool] = {}
+        self.agreement_: dict[str, Any] = {}
         if self.missing_:
             return
         self._check(table)
@@ -246,7 +251,7 @@ class FlightPathReconstruction(TableTransformer):
         is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
         self.used_ = not found or is_filtered or not has_vanes
         if self.used_:
-            self._warn_of_diverged(parts)
+            self.agreement_ = self._warn_of_diverged(parts, table)
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
@@ -257,8 +262,10 @@ class FlightPathReconstruction(TableTransformer):
         motion, self.doubt_ = self._estimated_motion(table)
         if motion is None:
             return
-        if motion.converged:
+        if self.doubt_ is None:
             _tell_of_aircraft(motion)
+        else:
+            self.agreement_ = dict(self.doubt_.numbers["cause"].numbers)
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
         names = [flight.name for flight in flights_of(table)]
@@ -280,7 +287,7 @@ class FlightPathReconstruction(TableTransformer):
                 table, aircraft, thrust=self.thrust, known=known, settings=settings
             )
             if not motion.converged:
-                cause = Finding(Code.AIR_NOT_CONVERGED)
+                cause = Finding(Code.AIR_NOT_CONVERGED, numbers=_agreement(table))
         except ValueError as error:
             cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
         if cause is None:
@@ -320,7 +327,7 @@ class FlightPathReconstruction(TableTransformer):
         """Return the columns of flights by their most likely paths."""
         flights = []
         parts = self._estimated_paths(table, self.noise_std_, learn=GUSTS)
-        self._warn_of_diverged(parts)
+        self._warn_of_diverged(parts, table)
         for part in parts:
             columns: dict[str, Any] = path_columns(part.estimate.path, part.sensors)
             columns["gust"] = self.gust_std_
@@ -374,12 +381,22 @@ class FlightPathReconstruction(TableTransformer):
             parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
         return parts
 
-    def _warn_of_diverged(self, parts: Sequence[FlightPart]) -> None:
-        """Warn of flights whose paths are used and did not converge."""
+    def _warn_of_diverged(self, parts: Sequence[FlightPart], table: pd.DataFrame) -> dict[str, Any]:
+        """Warn of flights whose paths are used and did not converge, and return whether channels then agree."""
         diverged = [str(part.name) for part in parts if not part.estimate.converged]
-        if diverged:
-            numbers = {"flights": list(dict.fromkeys(diverged))}
-            report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
+        if not diverged:
+            return {}
+        numbers = {"flights": list(dict.fromkeys(diverged))}
+        agreement = _agreement(table)
+        report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers | agreement))
+        return agreement
+
+
+def _agreement(table: pd.DataFrame) -> dict[str, Any]:
+    """Return the contradictions of flights, and whether there are none."""
+    contradictions = find_contradictions(FlightTable.of(table))
+    found = [contradiction.finding for contradiction in contradictions]
+    return {"contradictions": found, "agrees": not found}
 
 
 def _tell_of_aircraft(motion: AirMotion) -> None:

@@ -59,12 +59,12 @@ def test_findings_of_one_kind_are_one_clause_with_the_channels_of_the_others():
 
 
 def test_the_advice_of_a_cause_follows_the_statement():
-    cause = Finding(Code.AIR_NOT_CONVERGED)
+    cause = Finding(Code.AIR_NOT_CONVERGED, numbers={"contradictions": [], "agrees": True})
     numbers = {"cause": cause, "angles_lack_gusts": True}
     finding = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
     assert finding.clause.endswith(f": {Code.AIR_NOT_CONVERGED.statement}")
     assert finding.text.startswith("Gusts without vanes are not known: ")
-    assert " converge. Give longer flights " in finding.text
+    assert " converge. The channels agree by physics. Give " in finding.text
     assert finding.text.endswith(". alpha and beta lack them.")
 
 

@@ -467,7 +467,10 @@ def test_estimate_that_does_not_converge_is_in_doubt():
     step = FlightPathReconstruction(aircraft=flight.aircraft, settings=AirSettings(max_passes=1))
     with pytest.warns(UserWarning, match="the estimate of the motion of the air did not converge"):
         step.fit(flight.table)
-    assert step.doubt_.numbers["cause"].code.name == "AIR_NOT_CONVERGED"
+    cause = step.doubt_.numbers["cause"]
+    assert cause.code.name == "AIR_NOT_CONVERGED"
+    assert step.agreement_ == cause.numbers
+    assert "The channels agree by physics. Give longer flights" in step.doubt_.text
     assert not any(step.converged_.values())
     value, std, prior, truth = flight.compared(step.air_motion_)
     assert np.all(std >= 0.999 * prior)

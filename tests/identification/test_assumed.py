@@ -1,6 +1,7 @@
 """What identify assumes where nothing is said: thrust, sizes, surfaces that are missing."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -78,6 +79,16 @@ class TestThrust:
         assert_allclose(force, [[3.0, 0.0, 0.0]])
 
 
+@pytest.mark.parametrize(("stated", "differs"), [(0.3, True), (0.805, False), (0.0, False)])
+def test_two_positions_of_the_inertial_sensors(stated, differs, said_of):
+    """Zero is the centre of gravity, to which the forces of a simulation refer."""
+    placed = replace(UNKNOWN, sensor_position=(0.8, 0.0, 0.0))
+    position = dict.fromkeys(("sensor_position_y", "sensor_position_z"), 0.0)
+    flight = table(200).assign(sensor_position_x=stated, **position)
+    said = said_of(flight, placed)
+    assert ("states inertial sensors 0.5 m from where the" in said) is differs
+
+
 def codes(findings):
     return {finding.code.name for finding in findings}
 
@@ -91,7 +102,7 @@ def quietly(*flights, regressor=QUICK, **options):
 
 @pytest.mark.usefixtures("no_mechanics")
 def test_a_position_that_all_flights_state_is_the_models():
-    """A flight that states none is then read with it."""
+    """A flight that states none is then read with it, and one that states another is told."""
     position = {"sensor_position_x": 0.3, "sensor_position_y": 0.0, "sensor_position_z": 0.1}
     stated = table().assign(**position)
     unstated, other = (table().assign(q=factor * stated["q"]) for factor in (1.1, 1.2))
@@ -101,6 +112,7 @@ def test_a_position_that_all_flights_state_is_the_models():
     three = {"first": stated, "second": unstated, "third": other}
     only_one = quietly(three, aircraft=UNKNOWN, samples=60)
     assert only_one.aircraft.sensor_position is None
+    assert "SENSOR_POSITIONS_DIFFER" in codes(only_one.findings)
 
 
 @pytest.mark.usefixtures("no_mechanics")

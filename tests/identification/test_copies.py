@@ -1,7 +1,10 @@
 """A flight that is given twice teaches nothing the second time, and tells nothing as a test."""
 
+import numpy as np
 import pytest
 from sklearn.utils import Bunch
+
+SENSORS = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +26,19 @@ def part(rows):
     return lambda flights: flights.later.iloc[rows].reset_index(drop=True)
 
 
+def telemetry(flights):
+    """Other samples, at a fifth of the rate, with noise of their own; the clock is the vehicle's."""
+    slow = flights.train["latlon"].iloc[3:800:5].reset_index(drop=True)
+    slow[SENSORS] += np.random.default_rng(0).normal(0.0, 0.01, (len(slow), len(SENSORS)))
+    return slow
+
+
 def test_other_flights_are_no_copies(flights, said_of):
     said = said_of(flights.train, flights.aircraft, test={"test": flights.test})
     assert "has the rows" not in said
 
 
-@pytest.mark.parametrize("copy", [part(slice(100, 600)), part(slice(None, None, 2))])
+@pytest.mark.parametrize("copy", [part(slice(100, 600)), part(slice(None, None, 2)), telemetry])
 def test_a_copied_test_flight_beside_another_is_left_out(flights, copy, said_of):
     test = {"again": copy(flights), "test": flights.test}
     said = said_of(flights.train, flights.aircraft, test=test)

@@ -119,7 +119,7 @@ def make_identification_pipeline(
         Rows to learn from, spread over the flights: see `FlightPipeline`.
     thrust, external_forces
         As for :func:`skdgp.dynamics.aerodynamic_coefficients`, which gave the coefficients. With
-        ``thrust=None`` a named set gets the airspeed beside a throttle that moves.
+        ``thrust=None`` a named set gets the airspeed unless the throttle stays at zero.
     control_units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md, such as "full throw".
 
@@ -253,8 +253,8 @@ class FlightPipeline(Pipeline):
     - ``predict(flight, return_std=True)`` includes the noise of the regressors, which is larger in
       rougher air, see :func:`flight_regressors`.
 
-    A ``Pipeline`` of the same steps without these is as good where flights have vanes and little
-    gusts.
+    A ``Pipeline`` of the same steps is without these, and its bands lack the errors of the log and
+    those by the rates of the air.
 
     Parameters
     ----------
@@ -467,10 +467,14 @@ class FlightPipeline(Pipeline):
         return np.ones(d) if scaler is None else scaler.scale_
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
-        """Learn duration, conditions, turbulence and smoothing of checked flights."""
+        """Learn duration, conditions and turbulence of checked flights."""
         clock = FlightTable.of(flights).clock
-        steps = np.diff(clock.time)
-        self.seconds_ = float(len(flights) * np.median(steps[steps > 0]))
+        seconds = [  # each at its own rate
+            len(rows) * np.median(np.diff(clock.time[rows]))
+            for rows in clock.rows.values()
+            if len(rows) > 1
+        ]
+        self.seconds_ = float(sum(seconds))
         self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
         medians = flights.median(numeric_only=True)
         self.conditions_ = {str(name): float(value) for name, value in medians.items()}

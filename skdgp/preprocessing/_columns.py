@@ -243,8 +243,8 @@ class RegressorSelector(TableTransformer):
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         Named set, or columns in order.
     engine : bool, default=False
-        Whether the thrust is part of the targets: a named set then gets the airspeed beside a throttle
-        that moves, and loses one that does not.
+        Whether the thrust is part of the targets: a named set then gets the airspeed, unless the throttle
+        stays at zero, and loses a throttle that does not move.
 
     Attributes
     ----------
@@ -370,9 +370,12 @@ class RegressorSelector(TableTransformer):
         names = [name for name in names if name not in self.absent_]
         if not (self.engine and "throttle" in names):
             return names
-        if np.nanstd(numeric(table, ["throttle"])) > LEAST_MOTION:
-            return list(dict.fromkeys([*names, "airspeed"]))
-        return [name for name in names if name != "throttle"]
+        throttle = numeric(table, ["throttle"])
+        if np.nanstd(throttle) <= LEAST_MOTION:  # a constant thrust still depends on the airspeed
+            names.remove("throttle")
+            if np.nanmean(throttle) <= LEAST_MOTION:
+                return names
+        return list(dict.fromkeys([*names, "airspeed"]))
 
 
 def _truth(names: Iterable[Any]) -> list[str]:

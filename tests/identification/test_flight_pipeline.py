@@ -137,6 +137,21 @@ class TestPredict:
         durations = train.groupby("flight", observed=True)["time"].agg(np.ptp)
         assert model.seconds_ == pytest.approx(durations.sum(), rel=0.01)
 
+    def test_flights_of_different_rates_last_as_long_as_each_of_them(self, delta):
+        time = np.concatenate([np.arange(0, 20, 0.02), np.arange(0, 110, 0.1)])
+        names = np.repeat(["fast", "slow"], [1000, 1100])
+        angle = 0.1 * np.sin(time)
+        flight = pd.DataFrame({"time": time, "flight": names, "alpha": angle, "airspeed": 20.0})
+        flight = flight.assign(p=0.0, q=0.0, r=0.0)
+        fitted = make_identification_pipeline(
+            delta,
+            regressors=["alpha"],
+            reconstruction="passthrough",
+            mixer="passthrough",
+            regressor=LinearRegression(),
+        ).fit(flight, pd.DataFrame({"CZ": -4 * angle}))
+        assert fitted.seconds_ == pytest.approx(130, rel=1e-3)
+
     def test_another_regressor_predicts_without_a_band(self, flights, test_flight):
         train = flights.train[:400]
         linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
@@ -204,20 +219,21 @@ class TestLeastSquares:
 
 
 @pytest.mark.parametrize(
-    ("moves", "expected"),
-    [(False, set()), (True, {"throttle", "airspeed"})],
+    ("throttle", "moves", "expected"),
+    [(0.0, False, set()), (0.6, False, {"airspeed"}), (0.0, True, {"throttle", "airspeed"})],
 )
-def test_a_throttle_that_moves_brings_the_airspeed_among_the_regressors(moves, expected):
+def test_a_throttle_brings_the_airspeed_among_the_regressors(throttle, moves, expected):
+    """One that stands still above zero too: the thrust depends on the airspeed."""
     rng = default_rng(0)
     n = 250
     names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
     drifts = np.cumsum(rng.normal(size=(n, 2)), axis=0) / 20 * [1.0, moves]
     flight = pd.DataFrame(rng.normal(size=(n, 8)), columns=names).assign(
-        time=0.05 * np.arange(n), airspeed=20 + drifts[:, 0], throttle=drifts[:, 1]
+        time=0.05 * np.arange(n), airspeed=20 + drifts[:, 0], throttle=throttle + drifts[:, 1]
     )
     effects = rng.normal(size=(8, 6))
     Y = pd.DataFrame(flight[names] @ effects + 0.1 * rng.normal(size=(n, 6)))
-    Y[0] += 20 * flight["throttle"] + 10 * (flight["airspeed"] - 20) * moves
+    Y[0] += 20 * flight["throttle"] + 10 * (flight["airspeed"] - 20) * bool(expected)
     model = make_identification_pipeline(
         Aircraft.estimate(3.0, 1.8),
         reconstruction="passthrough",

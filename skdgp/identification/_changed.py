@@ -93,7 +93,7 @@ class Changes:
         """Return a line for each flight."""
         lines = []
         for flight, p in self.p_values[WHOLE].items():
-            text = f"no change of the aircraft found (p = {p:.2g})"
+            text = f"no change of its derivatives found (p = {p:.2g})"
             if not np.isfinite(p):
                 text = "too short to tell whether the aircraft has changed"
             elif p < LEVEL:

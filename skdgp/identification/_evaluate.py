@@ -1,4 +1,4 @@
-"""Third stage of an identification: predictions and replays of test flights, and their scores."""
+"""Predictions and replays of test flights, and their scores."""
 
 from __future__ import annotations
 
@@ -78,15 +78,15 @@ class Evaluation:
         The same with states and wind of the reconstructed path, where the flight was reconstructed.
     measured, mean, std : (n, 6)
         Measured CX CY CZ Cl Cm Cn with the smoothing of the fit, NaN = not observed; estimated ones,
-        and their deviations without noise and without the errors of the log.
+        and their deviations without noise.
     prediction_std : (n, 6)
-        Standard deviations of such measurements.
+        Standard deviations of such measurements, which have the same errors of the log.
     rows : ndarray of int
         Where standard deviations were computed; between them they are interpolated.
     regressors : (n, d)
         Inputs of the last step of the pipeline.
-    baseline : (n, 6)
-        Coefficients that least squares on the same rows predict.
+    baseline : (n, 6), optional
+        Coefficients that least squares on the same rows predict, where targets had names.
     truth : (n, 6), optional
         Noise-free coefficients of a simulation.
     replay : DataFrame, optional
@@ -103,7 +103,7 @@ class Evaluation:
     prediction_std: Matrix
     rows: Indices
     regressors: Matrix
-    baseline: Matrix
+    baseline: Matrix | None = None
     truth: Matrix | None = None
     replay: pd.DataFrame | None = None
 
@@ -134,8 +134,10 @@ def _scores(
     table = pd.DataFrame(index=list(COEFFICIENTS))
     table["median_relative_error"] = median_relative_error(expected, mean, **each)
     table["normalized_rmse"] = normalized_rmse(expected, mean, **each)
-    linear = np.concatenate([flight.baseline for flight in flights])
-    table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
+    baselines = [flight.baseline for flight in flights if flight.baseline is not None]
+    if len(baselines) == len(flights):
+        linear = np.concatenate(baselines)
+        table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
     has_std = np.zeros(len(mean), dtype=bool)
     begin = 0
     for flight in flights:
@@ -188,8 +190,9 @@ def evaluate(
     mean = pipeline.mean_of_rows(X, noise_ratio)
     rows = std_rows(len(corrected))
     std = _interpolated_std(regressor, X, noise_ratio, rows)
+    variance = std**2
     if pipeline.log_errors_ is not None:  # which the measured coefficients have, too
-        std = np.sqrt(np.maximum(std**2 - pipeline.log_errors_.variance(X), 0.0))
+        variance = np.maximum(variance - pipeline.log_errors_.variance(X), 0.0)
     replayed = None
     if {*EULER, *EARTH_VELOCITY} <= {*corrected.columns}:  # from which the integration starts
         replayed = replay(checked, aircraft, mean, horizon=REPLAY_HORIZON, **loads)
@@ -201,7 +204,7 @@ def evaluate(
         measured=measured.to_numpy(),
         mean=mean,
         std=std,
-        prediction_std=np.sqrt(std**2 + regressor.noise_variance_),
+        prediction_std=np.sqrt(variance + regressor.noise_variance_),
         rows=rows,
         regressors=X,
         truth=_truth(corrected, band),
@@ -234,7 +237,9 @@ def _truth(table: pd.DataFrame, band: float) -> Matrix | None:
     return band_limited(table[names].to_numpy(float), table, band)
 
 
-def _baseline(pipeline: FlightPipeline, X: Matrix) -> Matrix:
-    """Return the coefficients (n, 6) by least squares on the rows of the fit."""
+def _baseline(pipeline: FlightPipeline, X: Matrix) -> Matrix | None:
+    """Return the coefficients (n, 6) by least squares on the rows of the fit, None of targets without names."""
+    if not pipeline.least_squares_:
+        return None
     intercepts, slopes = linear_terms(pipeline.least_squares_)
     return intercepts + named_regressors(pipeline, X).to_numpy() @ slopes

@@ -252,6 +252,9 @@ def validate(
         aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         named = named_flights(flights, **reading)
         usable = usable_flights_of_model(model.pipeline, named, aircraft)
+        fit = fit_record(model.pipeline)
+        if not fit.converged:
+            report(_search_ended(model.pipeline[-1]))
         for name in usable:
             if name in model.get("flights", []):
                 report(Finding(Code.ALREADY_LEARNED, flight=name))
@@ -265,12 +268,19 @@ def validate(
         aircraft=aircraft,
         pipeline=model.pipeline,
         options=options,
-        fit=fit_record(model.pipeline),
+        fit=fit,
         train={},
         evaluations=evaluations,
         changes=changes,
         findings=_named_once(findings),
     )
+
+
+def _search_ended(regressor: DependentGPRegressor) -> Finding:
+    """Return why the search of a regressor ended before it converged."""
+    if regressor.interrupted_:
+        return Finding(FitCode.FIT_INTERRUPTED)
+    return Finding(FitCode.SEARCH_STOPPED, numbers={"max_iter": regressor.max_iter})
 
 
 def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:

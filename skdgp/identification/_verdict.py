@@ -139,9 +139,9 @@ class Verdict:
         return float(self.scores[COVERAGE].mean())
 
     @property
-    def least_squares_error(self) -> float:
-        """Error of a linear model of the same rows."""
-        return float(self.varying[LINEAR_NRMSE].mean())
+    def least_squares_error(self) -> float | None:
+        """Error of a linear model of the same rows, where it is known."""
+        return float(self.varying[LINEAR_NRMSE].mean()) if LINEAR_NRMSE in self.scores else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -153,6 +153,8 @@ class Verdict:
         text = f"error {self.error:.3f} of the spread, {100 * self.coverage:.1f} % in 95 % bands"
         if self.unvarying:
             text += f" (errors without {' '.join(self.unvarying)})"
+        if self.least_squares_error is None:
+            return text
         return (
             f"{text}; least squares on the same rows has an error of {self.least_squares_error:.3f}"
         )
@@ -180,7 +182,7 @@ def judge(
     ``findings`` of the identification are judged and told again with those of scores and mechanics.
     """
     table = scores(evaluations)["measured"]
-    unvarying = _not_varying(evaluations, table)
+    unvarying = _not_varying(evaluations, table, fit)
     varying = table.drop(index=unvarying)
     warnings = [finding for finding in findings if finding.severity is Severity.WARNING]
     # the costliest first
@@ -248,15 +250,16 @@ def _training_findings(fit: FitRecord) -> list[Finding]:
     return findings
 
 
-def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame) -> list[str]:
+def _not_varying(
+    evaluations: Sequence[Evaluation], table: pd.DataFrame, fit: FitRecord
+) -> list[str]:
     """Return coefficients whose spread in the test flights is below their noise, so that no error judges them.
 
     An error below the spread judges a coefficient all the same, and so does a band that does not hold.
     """
     measured = np.concatenate([flight.measured for flight in evaluations])
     spread = np.nanstd(measured, axis=0)
-    variances = [flight.prediction_std**2 - flight.std**2 for flight in evaluations]
-    noise = np.sqrt(np.maximum(np.nanmean(np.concatenate(variances), axis=0), 0.0))
+    noise = [fit.noise_std[name] for name in COEFFICIENTS]
     is_still = pd.Series(spread < noise, index=list(COEFFICIENTS))
     is_excused = (table[COVERAGE] >= THRESHOLDS.held) & (table[NRMSE] > 1)
     return [name for name in COEFFICIENTS if is_still[name] and is_excused[name]]
@@ -372,6 +375,8 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
 
 def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
     """Return the warning that least squares predicts better, if it does."""
+    if LINEAR_NRMSE not in varying:
+        return []
     means = varying.mean()
     limit = (1 + THRESHOLDS.tie) * means[LINEAR_NRMSE]
     is_worse = varying[NRMSE] > (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]

@@ -21,13 +21,14 @@ from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor, FewRowsWarning, listening, make_identification_pipeline
-from skdgp.dynamics import Aircraft, simulate
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, simulate
 from skdgp.identification import (
     ModelFileError,
     identify,
     load_model,
     named_flights,
     save_model,
+    validate,
 )
 from skdgp.metrics import SCORERS, normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -269,6 +270,34 @@ class TestIdentify:
         words = f"not converged after {result.fit.iterations} iterations: raise max_iter"
         assert words in found.summary()
         assert words in (folder / "report.html").read_text(encoding="utf-8")
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_a_model_whose_fit_stopped_says_so_of_other_flights(self, result, example):
+        model = Bunch(pipeline=result.pipeline, aircraft=result.aircraft, options=result.options)
+        assert not model.pipeline[-1].converged_
+        again = validate(model, example[2], horizon=1.0)
+        assert of_code(again, "SEARCH_STOPPED")[0] in again.verdict.findings
+
+    def test_bands_of_the_truth_have_the_errors_of_the_log(self, result, example):
+        (flight,) = result.evaluations
+        _, std = result.pipeline.predict(example[2], return_std=True)
+        assert_allclose(flight.std[flight.rows], std[flight.rows], rtol=1e-6)
+        noise = result.pipeline[-1].noise_variance_
+        by_log = result.pipeline.log_errors_.variance(flight.regressors)
+        expected = np.maximum(flight.std**2 - by_log, 0.0) + noise
+        assert_allclose(flight.prediction_std**2, expected, rtol=1e-6)
+
+    @pytest.mark.filterwarnings("ignore")
+    @pytest.mark.usefixtures("short_fits", "no_mechanics")
+    def test_targets_without_names_are_judged_without_least_squares(self, example, tmp_path):
+        aircraft, train, test = example
+        model = make_identification_pipeline(aircraft, regressor=QUICK, samples=40)
+        model.fit(train, aerodynamic_coefficients(train, aircraft).to_numpy())
+        path = save_model(tmp_path / "model.joblib", model, aircraft)
+        again = validate(load_model(path), test, horizon=1.0)
+        assert again.evaluations[0].baseline is None
+        assert "least squares" not in again.summary()
+        assert again.verdict.to_dict()["least_squares_error"] is None
 
     def test_names_tables_that_have_no_names(self, example):
         bare = example[2].drop(columns="flight")

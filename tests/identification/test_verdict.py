@@ -28,6 +28,7 @@ from skdgp.identification import (
 
 AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
 NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SETTINGS = {"thrust": None, "external_forces": [], "horizon": 4.0}
 FIT = FitRecord(
     inference="exact",
@@ -37,7 +38,7 @@ FIT = FitRecord(
     iterations=1,
     converged=True,
     interrupted=False,
-    noise_std={},
+    noise_std=dict.fromkeys(COEFFICIENTS, 0.01),
     doubts=[],
     reconstruction=None,
     lags={},
@@ -125,7 +126,6 @@ NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
 NO_DERIVATIVES = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
 NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
 ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 PREDICT = "predict coefficients"

@@ -100,10 +100,10 @@ def draw_curve(
 
 
 def legend_above(ax: Any) -> None:
-    """Draw the legend above the axes, where it covers no data."""
+    """Draw the legend above the axes, where it covers no data, right of the multiplier of the axis."""
     if ax.get_legend_handles_labels()[0] and ax.get_legend() is None:
         ax.legend(
-            loc="lower left", bbox_to_anchor=(0, 1), ncols=4, frameon=False, fontsize="small",
+            loc="lower left", bbox_to_anchor=(0.15, 1), ncols=4, frameon=False, fontsize="small",
             borderaxespad=0.2, handlelength=1.6, columnspacing=1.4,
         )  # fmt: skip
         ax.get_legend().set_in_layout(False)  # it may be wider than its panel

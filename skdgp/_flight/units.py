@@ -218,10 +218,13 @@ def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
     """Raise ValueError if angles or rates of ``names`` are in degrees; absent ones pass."""
     degrees: dict[str, float] = {}
     shifted: dict[str, float] = {}
-    for name in USUAL.keys() & {*names} & {*table.columns}:
+    present = {*names} & {*table.columns}
+    for name, usual in USUAL.items():
+        if name not in present:
+            continue
         sizes = np.abs(table[name].to_numpy(float, na_value=np.nan))
         top = _quantile(sizes, 0.99)
-        if top > USUAL[name] and not is_unwrapped(table, name):
+        if top > usual and not is_unwrapped(table, name):
             degrees[name] = round(top, 1)
             middle = _quantile(sizes, 0.5)
             if middle > LARGEST_MIDDLE and name not in WRAPPED:

@@ -45,10 +45,13 @@ from skdgp.io._log import (
     Log,
     Rule,
     Servo,
+    States,
     full_throws,
     no_wings,
     read_servos,
     reversed_of,
+    rows_in,
+    scaled,
     with_throws,
 )
 from skdgp.io._tables import FlightReadError
@@ -70,6 +73,13 @@ BEGINNINGS: dict[bytes, Callable[[Path], Log]] = {
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
+# while motors may run
+ARMED: States = (
+    ("actuator_armed", "armed", 1, 1),
+    ("vehicle_status", "arming_state", 2, 2),
+    ("STAT", "Armed", 1, 1),
+    ("HEARTBEAT", "base_mode", 128, 255),
+)
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
 
@@ -213,8 +223,19 @@ def _part(
         segments = _segments(table, (speeds > speed) & ~on_ground & ~lifted, on_ground)
         pieces = [piece for rows in segments for piece in _cut(table.iloc[rows], cuts)]
         flights = list(map(_trimmed, pieces))
+        if flights and not _was_armed(log, time):
+            remarks.append(
+                "the autopilot was never armed, but the speed is a flight's: if something else moved the "
+                "surfaces, their columns and the throttle are not what flew"
+            )
     reasons = _no_flight_because(table, speeds, speed, landed, lifted)
     return FlightLog(log, table, flights, origin, remarks + useless, reasons)
+
+
+def _was_armed(log: Log, time: Vector) -> bool:
+    """Return whether the autopilot was armed at some time, True where the log does not say."""
+    is_told = any(field in log.topics.get(name, NOTHING) for name, field, _, _ in ARMED)
+    return not is_told or bool(rows_in(ARMED, log.topics, time).any())
 
 
 def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source], list[str]]:
@@ -276,10 +297,11 @@ def _surface(log: Log, name: str, control: Control) -> Source:
         if is_command:  # an engine that is switched off gets no number
             deflection = np.nan_to_num(deflection)
         values = values + weight * deflection
+    named = log.controls.get(name, ())
     note = "by the servo file"
     if is_command:
         note = "as commanded"
-    elif log.controls.get(name) == control:
+    elif control in (named, scaled(named, -1.0)):
         note = "in parts of the full throw"
     channels = " ".join(servo.channel for servo in servos)
     valid = np.isfinite(values)

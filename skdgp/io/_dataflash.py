@@ -177,7 +177,9 @@ TURNED = (
     ServoFunction.ELEVON_RIGHT,
 )
 NAMING = "the parameters SERVOn_FUNCTION"
+# that are logged, and that there are
 MOST_SERVOS = 16
+MOST_OUTPUTS = 32
 # speeds [rpm] of a message of two engines
 ENGINES = ("rpm1", "rpm2")
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
@@ -195,6 +197,9 @@ MIXES = {
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
     "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
 }
+MIXED = {function for weights in MIXES.values() for function in weights}
+# differential spoilers
+SPOILERS = (16, 17, 86, 87)
 # numbers of the modes QSTABILIZE to QACRO and LOITER_ALT_QLAND, in which rotors lift a VTOL (ArduPlane/mode.h)
 LIFTING_MODES = (*range(17, 24), 25)
 # fraction of the range of pulses above which a motor runs; a guess
@@ -297,7 +302,7 @@ def _log(
     vehicle = vehicle_of(kind, parameters)
     airspeeds, of_ratio = _airspeeds(topics, parameters, defined)
     topics = topics | airspeeds | _imus(topics, parameters)
-    controls, commands, lifts = outputs_of(topics.get("RCOU", NOTHING), parameters)
+    controls, commands, lifts, unread = outputs_of(topics.get("RCOU", NOTHING), parameters)
     lifting: States = ()
     if vehicle == "VTOL":
         lifting = lifts or lifting_modes("MODE", "ModeNum")
@@ -308,7 +313,7 @@ def _log(
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=(*remarks, *of_ratio),
+        remarks=(*remarks, *of_ratio, *unread),
         landed=(("STAT", "isFlying", 0.0, 0.0),),
         outputs=("RCOU",),
         naming=NAMING,
@@ -516,8 +521,8 @@ class _File:
 
 def outputs_of(
     topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> tuple[dict[str, Control], dict[str, Control], States]:
-    """Return controls, commands and lifting of a `Log`, of outputs whose channels n have a ``name``.
+) -> tuple[dict[str, Control], dict[str, Control], States, list[str]]:
+    """Return controls, commands, lifting and remarks of a `Log`, of outputs whose channels n have a ``name``.
 
     Surfaces are by SERVOn_FUNCTION, single and mixed, commands are the engines of a twin, and motors lift.
     """
@@ -533,7 +538,29 @@ def outputs_of(
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
-    return controls, commands, _lifting(outputs, parameters)
+    lifts = _lifting(outputs, parameters)
+    remarks = []
+    unread = _unread(controls, servos, parameters) if outputs else []
+    if unread:
+        remarks.append(f"outputs {', '.join(unread)} move surfaces that are not read")
+    if whole(parameters.get("Q_TILT_MASK", 0.0)) and not lifts:
+        remarks.append(
+            "Q_TILT_MASK has every motor that lifts: transitions are left out of flights by the mode alone"
+        )
+    return controls, commands, lifts, remarks
+
+
+def _unread(
+    controls: Mapping[str, Control], servos: Mapping[int, Servo], parameters: Mapping[str, float]
+) -> list[str]:
+    """Return the outputs by their parameters that move surfaces with a function of which no servo is read."""
+    read = {servo for control in controls.values() for _, servo in control}
+    unread = []
+    for n in range(1, MOST_OUTPUTS + 1):
+        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+        if function in (*SURFACES, *MIXED, *SPOILERS) and servos.get(function) not in read:
+            unread.append(f"SERVO{n}_FUNCTION {function}")
+    return unread
 
 
 class Output(NamedTuple):

@@ -170,7 +170,7 @@ def read_tlog(path: Path) -> Log:
         # estimated on board, as the autopilot does not use the sensor
         hud = topics["VFR_HUD"]
         topics["VFR_HUD"] = hud.with_fields(**{PITOT: np.zeros(len(hud), dtype=bool)})
-    controls, commands, lifts = outputs_of(
+    controls, commands, lifts, unread = outputs_of(
         topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw"
     )
     vehicle = _vehicle(topics, vehicles, parameters)
@@ -192,7 +192,7 @@ def read_tlog(path: Path) -> Log:
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
         vehicle=vehicle,
-        remarks=(*damage(skipped), *others, *of_trim),
+        remarks=(*damage(skipped), *others, *of_trim, *unread),
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
         outputs=(OUTPUTS,),
         naming=PX4_NAMING if is_px4 else f"{NAMING} (fetch them while the ground station records)",

@@ -232,6 +232,9 @@ SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elev
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
 # Left and right flaps
 FLAPS = (9, 10)
+# Left and right ailerons, which are flaperons with a CA_SV_CSn_FLAP; airbrake, left and right spoiler
+AILERONS = (1, 2)
+SPOILERS = (11, 17, 18)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("TRQ_R", 1.0), "elevator": ("TRQ_P", -1.0), "rudder": ("TRQ_Y", -1.0)}
@@ -306,7 +309,7 @@ def px4_log(
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=remarks,
+        remarks=(*remarks, *_unread(_surfaces(topics, parameters), parameters)),
         landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
         outputs=OUTPUTS,
         naming=NAMING,
@@ -495,6 +498,21 @@ def _flaps(surfaces: list[Surface]) -> dict[str, Control]:
             throws = OPENING if scale > 0 else OPENING[::-1]
             servos.append(surface.servo((-abs(scale), abs(scale)), throws))
     return {"flap": tuple((1 / len(servos), servo) for servo in servos)} if servos else {}
+
+
+def _unread(surfaces: list[Surface], parameters: Mapping[str, float]) -> list[str]:
+    """Return a remark on surfaces that open and are not read, if there are any.
+
+    These are airbrakes, spoilers, flaperons, and flaps of versions without a CA_SV_CSn_FLAP.
+    """
+    unread = []
+    for number, kind, _ in surfaces:
+        name = f"CA_SV_CS{number}"
+        flap = parameters.get(f"{name}_FLAP")
+        opens = kind in SPOILERS and parameters.get(f"{name}_SPOIL", 1.0)
+        if opens or (kind in AILERONS and flap) or (kind in FLAPS and flap is None):
+            unread.append(f"control[{number}] ({name}_TYPE {kind})")
+    return [f"outputs {', '.join(unread)} move surfaces that are not read"] if unread else []
 
 
 def _single_controls(surfaces: list[Surface]) -> dict[str, Control]:

@@ -181,6 +181,10 @@ class TestFlights:
         table = read(log(self.t / 2, FW_AIRSPD_MIN=20.0), **options)
         assert table.airspeed.min() == pytest.approx(least, abs=0.05)
 
+    def test_a_flight_that_was_never_armed_is_told(self, told, log):
+        log = log().topic("vehicle_status", [0.0, 30.0], arming_state=("uint8_t", 1))
+        told("never armed", log)
+
     def test_landed_is_not_flight(self, read, log):
         log = log().topic("vehicle_land_detected", [0.0, 30.0], landed=("bool", [1, 0]))
         assert read(log).time.min() == pytest.approx(30.0, abs=0.05)

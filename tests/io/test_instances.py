@@ -244,6 +244,11 @@ class TestVehicles:
         late = table[table.time > 25.2].propeller_speed.dropna()
         assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
 
+    def test_a_surface_that_is_reversed_is_in_parts_of_its_throw(self, read, plane):
+        log = plane(SERVO4_FUNCTION=21.0).topic("RCOU", SLOW, C4=pulse(0.3))
+        table = read(log, servos="full throw, reversed rudder", airborne=False)
+        assert "in parts of the full throw" in table.attrs["sources"]["rudder"]
+
     def test_a_v_tail(self, plane, surfaces):
         """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""
         log = plane(SERVO5_FUNCTION=79.0, SERVO6_FUNCTION=80.0, SERVO6_REVERSED=1.0)
@@ -377,6 +382,30 @@ class TestVehicles:
         log.topic("RCOU", SLOW, C1=("H", 0), C5=pulse(0.3 * np.sin(SLOW)))
         table = surfaces(log)
         assert_wave(table, "aileron", 0.3, atol=0.005)
+
+
+@pytest.mark.parametrize("output", ["SERVO15_FUNCTION 19", "SERVO5_FUNCTION 16"])
+def test_outputs_of_ardupilot_that_are_not_read_are_told(told, output, plane):
+    name, function = output.split()
+    log = plane(SERVO1_FUNCTION=4.0, **{name: float(function)})
+    log.topic("RCOU", SLOW, C1=pulse(0.0), C5=pulse(0.0))
+    told(f"outputs {output} move surfaces that are not read", log, airborne=False)
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"TYPE": 9}, {"TYPE": 11}, {"TYPE": 17}, {"TYPE": 1, "FLAP": 0.5}]
+)
+def test_outputs_of_px4_that_are_not_read_are_told(told, parameters, px4):
+    log = px4(**{f"CA_SV_CS1_{name}": value for name, value in parameters.items()})
+    log.topic("actuator_servos", SLOW, control=np.zeros((len(SLOW), 2)))
+    words = rf"control\[1\] \(CA_SV_CS1_TYPE {parameters['TYPE']}\) move surfaces that are not read"
+    told(words, log, airborne=False)
+
+
+def test_a_vtol_all_of_whose_motors_tilt_is_told(told, plane):
+    log = plane("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, Q_TILT_MASK=1.0, SERVO5_FUNCTION=33.0)
+    log.topic("RCOU", SLOW, C5=("H", 1600))
+    told("transitions are left out of flights by the mode alone", log, airborne=False)
 
 
 @pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])

@@ -40,6 +40,12 @@ class TestUnitsThatNumbersGiveAway:
         )
         read(table(**{name: np.deg2rad(values)}))
 
+    def test_degrees_are_named_in_one_order(self, refused):
+        names = ["alpha", "theta", "elevator", "aileron", "rudder", "flap", "p", "q", "r"]
+        values = 25 * np.sin(np.arange(50))
+        words = ".*".join(f"'{name}'" for name in names)
+        refused(f"{words}.*look like degrees", table(**dict.fromkeys(names, values)))
+
     def test_heading(self, refused):
         degrees = np.linspace(300, 420, 50) % 360
         refused(r"'psi'.*degrees", table(psi=degrees))

@@ -108,7 +108,7 @@ class TestFullThrow:
         numbers = {name: [each.channel[-2] for _, each in parts] for name, parts in mixing.items()}
         assert numbers == {"aileron": ["0"], "elevator": ["1", "2"], "rudder": ["1", "2"]}
 
-    def test_any_mixing_of_px4(self, read, ulog):
+    def test_any_mixing_of_px4(self, told, ulog):
         """Control allocation inverts the matrix of torques: a V-tail, and two ailerons of other torques."""
         ailerons = {0: (1, -0.5, 0, 0), 1: (2, 0.8, 0, 0), 4: (9, 0.3, 0, 0)}
         tail = {2: (7, 0, 0.5, 0.5), 3: (8, 0, 0.5, -0.5)}
@@ -116,7 +116,7 @@ class TestFullThrow:
         control = np.tile([-ROLL, ROLL, PITCH + YAW, PITCH - YAW, 0.7], (t.size, 1))
         log = ulog(**parameters_of(ailerons | tail)).topic("actuator_servos", t, control=control)
         log.topic("airspeed", t, true_airspeed_m_s=20.0)
-        table = read(log, servos="full throw", airborne=False)
+        table = told(r"outputs control\[4\]", log, servos="full throw", airborne=False)
         assert dict(table[[*COMMANDS]].median().round(6)) == COMMANDS
 
     def test_full_throws_are_no_large_angles(self, read, dataflash, tmp_path):

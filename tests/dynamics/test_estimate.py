@@ -1,7 +1,6 @@
 """An aircraft of a mass and a span: its inertia is of the right size, and its errors scale what is computed with it."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,9 +18,7 @@ from skdgp.dynamics import (
     ScaleFactor,
     air_velocity,
     euler_to_quaternion,
-    linearize,
     stability_derivatives,
-    trim,
 )
 
 EXAMPLE = load_example_flights(duration=1.0)
@@ -218,20 +215,6 @@ class TestWhatErrorsDo:
         change = changed["value"] - table["value"]
         assert_allclose(np.abs(change), table["std_aircraft"], rtol=1e-3, atol=1e-9)
         assert set(table["aircraft"]) <= {cause, ""}
-
-    def test_trim_and_modes_do_not_depend_on_the_sizes(self):
-        """With a diagonal inertia, so that its moments can be scaled one by one without products between them."""
-        known = replace(BRUMBY, inertia=np.diag(BRUMBY.inertia.diagonal()))
-        sizes = {"mass": 50.0, "wing_area": 4.0, "span": 2.5, "chord": 1.9}
-        wrong = replace(known, inertia=1.3 * known.inertia, **sizes)
-        at = {"thrust": None, "air": Air(density=1.1)}
-        found = []
-        for aircraft in (known, wrong):
-            model = self.learned(aircraft)
-            point = trim(model, aircraft, 36.0, climb=None, **at)
-            frequencies = linearize(model, aircraft, point, **at).modes()["frequency"]
-            found.append([point.alpha, point.controls["elevator"], *np.sort(frequencies)])
-        assert_allclose(found[1], found[0], rtol=1e-5)
 
 
 QUANTITY_VALUES = {

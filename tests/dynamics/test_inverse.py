@@ -15,7 +15,6 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 FORCES = ["ax", "ay", "az"]
-POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 
 
 def relative(got, expected):

@@ -83,7 +83,6 @@ def test_what_is_no_propulsion(aircraft, ask, words):
 
 SIZE = {"diameter": 0.254, "pitch": 0.127}
 MOTOR = {"motor_constant": 94.2, "voltage": 11.1}
-REGRESSORS = ("alpha", "beta", "elevator", "throttle")
 
 
 def test_thrust_vanishes_beyond_the_pitch_and_power_is_more_than_thrust_times_airspeed():
@@ -132,23 +131,13 @@ def test_an_aircraft_file_has_diameter_and_pitch():
         )
 
 
-@pytest.fixture(scope="module")
-def flown():
-    """A flight with a throttle alone, and its regressors."""
-    rng, n = default_rng(0), 400
-    regressors = pd.DataFrame(rng.uniform(0, 0.1, (n, len(REGRESSORS))), columns=list(REGRESSORS))
-    regressors["throttle"] = rng.uniform(0.4, 0.9, n)
-    still = dict.fromkeys(("ax", "ay", "p", "q", "r"), 0.0)
-    table = pd.DataFrame(
-        {"time": 0.05 * np.arange(n), "airspeed": 14 + 50 * regressors["alpha"], "density": 1.2}
-    )
-    return table.assign(**still, az=-9.8, throttle=regressors["throttle"]), regressors
-
-
-def test_the_throttle_gives_the_thrust_where_the_motor_is_known(flown):
-    table, _ = flown
+def test_the_throttle_gives_the_thrust_where_the_motor_is_known():
+    rng = default_rng(0)
+    table = pd.DataFrame({"time": 0.05 * np.arange(400), "density": 1.2, "az": -9.8})
+    table = table.assign(airspeed=rng.uniform(14, 19, 400), throttle=rng.uniform(0.4, 0.9, 400))
+    table[["ax", "ay", "p", "q", "r"]] = 0.0
     told = Aircraft.estimate(2.0, 1.5, propeller=SIZE | MOTOR)
     speed = told.propeller.speed_at(table["throttle"])
     thrust = told.propeller.thrust(speed, table["airspeed"], 1.2)
     drag = aerodynamic_coefficients(table, told, cutoff=None)["CX"]
-    assert np.allclose(drag, -thrust / (0.6 * table["airspeed"] ** 2 * told.wing_area))
+    assert_allclose(drag, -thrust / (0.6 * table["airspeed"] ** 2 * told.wing_area))

@@ -137,13 +137,6 @@ class TestEquations:
         angles = Rotation.from_matrix(truth[6:15].reshape(3, 3)).as_euler("ZYX")
         assert_allclose(end[["psi", "theta", "phi"]], angles, atol=1e-7)
 
-    def test_is_of_fourth_order_in_the_step(self, fly):
-        exact, half, whole = (
-            fly(dt=dt, duration=2.0)[STATES].iloc[-1] for dt in (0.005, 0.02, 0.04)
-        )
-        errors = [np.abs(end - exact).max() for end in (whole, half)]
-        assert 3.6 < np.log2(errors[0] / errors[1]) < 4.5
-
 
 class TestRegressors:
     @pytest.mark.parametrize("chord", [0.4, 0.55])
@@ -227,26 +220,6 @@ class TestControls:
         assert_allclose(first[STATES], by_table[STATES], atol=1e-12)
         assert np.abs(second["theta"] - first["theta"]).max() > 0.01
 
-    @pytest.mark.parametrize("dt", [0.02, 0.01])
-    def test_surfaces_follow_a_feedback_law_with_the_lag_of_the_servos(
-        self, dt, fly, followed, glider
-    ):
-        """Against an independent solution of T d(delta)/dt = law - delta, of a law that is held for each step."""
-
-        def law(t, state):
-            return commands(t) | {"aileron": -0.4 * state["phi"] - 0.1 * state["p"]}
-
-        flown = fly(glider.model(servos=Servos(lag=0.08)), controls=law, dt=dt, duration=3.0)
-        time = flown["time"].to_numpy()
-        asked = (-0.4 * flown["phi"] - 0.1 * flown["p"]).to_numpy()
-
-        def held(t):
-            return asked[np.floor(t / dt + 1e-6).astype(int)]
-
-        assert_allclose(flown["aileron"], followed(held, time, 0.08), atol=2e-4)
-        at_once = fly(controls=law, dt=dt, duration=3.0)
-        assert np.abs(at_once["phi"] - flown["phi"]).max() > 0.01
-
     def test_a_model_has_the_servos_of_its_pipeline(self):
         rng = default_rng(0)
         table = pd.DataFrame(rng.normal(size=(60, 2)), columns=["alpha", "elevator"])
@@ -258,17 +231,6 @@ class TestControls:
         model = make_pipeline(*steps, LinearRegression()).fit(table, rng.normal(size=(60, 6)))
         assert as_aerodynamics(model).servos == Servos(lag=0.04, delay=0.06)
 
-    def test_a_law_that_is_held_sees_the_flight_once_a_step(self, fly):
-        seen = []
-
-        def law(t, state):
-            seen.append((t, state["phi"]))
-            return commands(0.0) | {"aileron": -0.2 * state["phi"] - 0.05 * state["p"]}
-
-        flown = fly(controls=law, dt=0.05, duration=1.0)
-        assert_allclose([t for t, _ in seen], flown["time"])
-        assert_allclose([phi for _, phi in seen], flown["phi"], atol=1e-12)
-
     def test_throttle_turns_the_propeller(self, aircraft, fly):
         propeller = Propeller(0.5, (0.1, -0.05, -0.08), speed_range=(200.0, 800.0))
         powered = replace(aircraft, propeller=propeller)
@@ -279,19 +241,13 @@ class TestControls:
     @pytest.mark.parametrize(("controls", "options", "match"), [
         (table_of(1.0), {"duration": 2.0}, "ends after 1 s, but the simulation lasts 2 s"),
         (table_of(1.0).assign(rudder=np.nan), {}, r"NaN or infinite in \['rudder'\]"),
-        (table_of(1.0).drop(columns="rudder"), {}, "controls lack 'rudder'"),
         (table_of(1.0).drop(columns="thrust"), {}, "thrust is unknown"),
         (table_of(1.0)[::-1], {}, "time does not increase"),
-        ({"elevator": np.inf}, {"duration": 1.0}, "expected a finite number"),
         ({"elevator": 0.0}, {}, "Got no duration"),
         ([table_of(1.0)] * 3, {}, "3 tables as controls for 1 starts"),
-        (table_of(1.0), {"dt": 0.0}, "Got dt=0.0, but expected a number > 0"),
-        (table_of(1.0), {"air": [1.0, 2.0]}, r"wind of shape \(2,\)"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
         (table_of(1.0), {"air": lambda t, position: [1.0, 2.0, 3.0]}, r"wind of shape \(\)"),
-        (table_of(1.0).assign(rudder="left"), {}, "rudder.*expected numbers"),
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
-        ({"elevator": [0.0] * 50}, {"duration": 1.0}, r"control elevator of shape \(50,\)"),
     ])  # fmt: skip
     def test_mistakes_are_told_at_the_door(self, controls, options, match, fly):
         with pytest.raises(ValueError, match=match):

@@ -23,8 +23,9 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.datasets import load_example_flights
 from skdgp.design import Envelope, doublet, plan, wavetrain
 from skdgp.dynamics import (
+    Air,
+    Turbulence,
     aerodynamic_coefficients,
-    dryden_wind,
     simulate,
     stability_derivatives,
     trim,
@@ -62,8 +63,10 @@ def fly(truth, aircraft, train, seconds, seed):
             surfaces[name] += moved * (command - surfaces[name])
         return dict(surfaces)
 
-    wind = dryden_wind(seconds, SPEED, 140.0, wind_at_6m=4.0, span=aircraft.span, random_state=seed)
-    flight = simulate(truth, aircraft, steady, controls, STEP, duration=seconds, air=wind)
+    air = Air(gusts=Turbulence.low_altitude(140.0, wind_at_6m=4.0))
+    flight = simulate(
+        truth, aircraft, steady, controls, STEP, duration=seconds, air=air, random_state=seed
+    )
     flight = flight.iloc[::2].reset_index(drop=True)
     flight["propeller_speed"] = aircraft.propeller.speed_at(flight["throttle"])
     rng = np.random.default_rng(seed)

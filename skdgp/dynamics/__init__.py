@@ -19,7 +19,7 @@ from skdgp.dynamics._aerodynamics import Drift as Drift
 from skdgp.dynamics._aerodynamics import Mixing as Mixing
 from skdgp.dynamics._aerodynamics import scaling_of as scaling_of
 from skdgp.dynamics._aerodynamics import steps_by_choice as steps_by_choice
-from skdgp.dynamics._air import Air, Turbulence, dryden_wind
+from skdgp.dynamics._air import Air, Turbulence
 from skdgp.dynamics._air import GustyAir as GustyAir
 from skdgp.dynamics._air import LocalAir as LocalAir
 from skdgp.dynamics._aircraft import Aircraft
@@ -87,7 +87,6 @@ __all__ = [
     "aerodynamic_coefficients",
     "air_data",
     "as_aerodynamics",
-    "dryden_wind",
     "linearize",
     "quaternion_to_euler",
     "simulate",

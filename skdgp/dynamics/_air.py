@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
-from sklearn.utils import check_random_state
+from scipy.optimize import minimize
 
-from skdgp._compute.typing import Array, Seed, Vector
+from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
-from skdgp._flight.checks import as_floats, check_choice, check_columns, check_number, check_table
+from skdgp._flight.checks import as_floats, check_choice, check_number
 from skdgp._flight.frames import (
     STANDARD_GRAVITY,
     air_velocity,
@@ -22,7 +22,7 @@ from skdgp._flight.frames import (
 )
 from skdgp._flight.tables import FlightTable, interpolated, numeric
 from skdgp._flight.units import check_radians
-from skdgp.dynamics._dryden import Gusts, dryden_gusts, rolling_gust
+from skdgp.dynamics._dryden import Gusts, rolling_gust
 
 # From a time or a stage, and states (..., 13), to the air there; None where it is at rest.
 AirAt: TypeAlias = "Callable[[Any, Array], LocalAir | None]"
@@ -47,11 +47,9 @@ LENGTH_STD = 0.72
 FEWEST = 3
 # Variance [m^2/s^2] of a wind below which it is round-off
 CALM = 1e-16
-# Bands of a factor of ten in frequency, lengths that are compared, and variances of the noise of a
-# sample over that of the gusts
-PER_DECADE = 20
-N_LENGTHS = 120
-NOISES = np.append(0.0, np.geomspace(1e-3, 1e3, 49))
+# Variances of the noise of a sample over that of the gusts: start and limits
+NOISE = 0.1
+NOISES = (1e-4, 1e4)
 
 
 class Turbulence(NamedTuple):
@@ -90,12 +88,20 @@ class Turbulence(NamedTuple):
 
     @classmethod
     def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
-        """Return the turbulence of one or more flights.
+        r"""Return the turbulence of one or more flights.
 
-        The velocity over the ground less that through the air is the wind, with the white noise of the
-        sensors, which is estimated with it, as by `from_wind`. Six minutes give intensities to a tenth and
-        lengths to a fifth. Raises ValueError if columns are missing, angles are in degrees, the span is not
-        > 0, or no flight lasts 30 s and is sampled every 300 m.
+        The velocity over the ground less that through the air is the wind, with white noise of the sensors.
+        The spectra S are Dryden's; north and east have the mean of the spectra of u and v, which have one
+        intensity and length, as in MIL-F-8785C. Lengths L and noises maximise the likelihood of the
+        periodograms I, with a prior on the length,
+
+        .. math:: -\sum \left(\log S + \frac{I}{S}\right)
+                  - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
+
+        over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
+        one; the variance is the mean of I over S of unit variance. Six minutes give intensities to a tenth
+        and lengths to a fifth. Raises ValueError if columns are missing, angles are in degrees, the span is
+        not > 0, or no flight lasts 30 s and is sampled every 300 m.
 
         Parameters
         ----------
@@ -108,78 +114,20 @@ class Turbulence(NamedTuple):
         -------
         Turbulence
         """
+        check_number("span", span, unit="m")
         columns = ["time", *AIR_DATA, *EULER, *EARTH_VELOCITY]
         flights = FlightTable.of(flight, columns)
         check_radians(flight, (*EULER, "alpha", "beta"))
-        winds = []
-        airspeeds = []
-        for segment in flights.segments:
-            wind = _wind_of(flight.iloc[segment][columns].dropna())
-            if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION:
-                winds.append(wind)
-                airspeeds.append(wind["airspeed"].mean())
-        return cls.from_wind(winds, airspeeds, span, is_noisy=True)
-
-    @classmethod
-    def from_wind(
-        cls,
-        winds: pd.DataFrame | Sequence[pd.DataFrame],
-        airspeeds: ArrayLike,
-        span: float,
-        *,
-        is_noisy: bool = False,
-    ) -> Turbulence:
-        r"""Return the turbulence of winds that were met at some airspeeds.
-
-        The spectra S are Dryden's; north and east have the mean of the spectra of u and v, which have one
-        intensity and length, as in MIL-F-8785C. Of a grid of lengths L and noises, those maximise the
-        likelihood of the periodogram I, averaged over bands of n values, with a prior on the length,
-
-        .. math:: -\sum n \left(\log S + \frac{I}{S}\right)
-                  - \frac{\log^2(L / 126 \mathrm{m})}{2 \cdot 0.72^2},
-
-        over the frequencies :math:`\omega \le \pi V / 4 b` at which a wing of the span b moves as
-        one; the variance follows from each as the mean of I over S of unit variance.
-        Raises ValueError if the span is not > 0, or the winds are too short or too rarely sampled.
-
-        Parameters
-        ----------
-        winds : DataFrame or list of DataFrame
-            Each with time, wind_north, wind_east, wind_down. Winds of a few seconds show the rates of the
-            gusts, not their lengths.
-        airspeeds : float or array-like (n_winds,)
-            [m/s].
-        span : float
-            Of the wing [m].
-        is_noisy : bool, default=False
-            Whether the winds have white noise.
-
-        Returns
-        -------
-        Turbulence
-
-        Examples
-        --------
-        >>> from skdgp.dynamics import Turbulence, dryden_wind
-        >>> wind = dryden_wind(600.0, airspeed=25.0, height=100.0, wind_at_6m=7.7, random_state=0)
-        >>> Turbulence.from_wind(wind, 25.0, span=2.0).intensity.round(1)
-        array([1. , 1. , 0.8])
-        """
-        check_number("span", span, unit="m")
-        winds = [winds] if isinstance(winds, pd.DataFrame) else list(winds)
-        for table in winds:
-            check_columns(check_table(table, what="wind"), ["time", *WIND], what="wind")
-        if np.shape(airspeeds) not in ((), (len(winds),)):
+        winds = [_wind_of(flight.iloc[segment][columns].dropna()) for segment in flights.segments]
+        long = [wind for wind in winds if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION]
+        found = turbulence_of_winds(long, span, is_noisy=True)
+        if found is None:
             raise ValueError(
-                f"Got {np.size(airspeeds)} airspeeds of {len(winds)} winds, but expected one, or one each."
+                "Got flights that are too short, or too rarely sampled, to show gusts, but expected a flight of "
+                f"{DURATION:g} s in the air, without gaps or missing values, with a row for each "
+                f"{LONGEST / SAMPLES:g} m: fly longer."
             )
-        speeds = np.broadcast_to(np.asarray(airspeeds, dtype=float), len(winds)).tolist()
-        spectra = _band_spectra(winds, speeds, span)
-        horizontal = _fitted(spectra, spectra.horizontal, _horizontal_spectrum, is_noisy)
-        vertical = _fitted(spectra, spectra.vertical, _vertical_spectrum, is_noisy)
-        intensity, length = np.transpose([horizontal, horizontal, vertical])
-        durations = [np.ptp(table["time"]) for table in winds]
-        return cls(intensity, length, float(np.average(speeds, weights=durations)))
+        return found
 
     def rates(self, airspeed: float, span: float) -> Array:
         r"""Return the standard deviations (3,) of the rates p, q, r of the air [rad/s].
@@ -197,111 +145,51 @@ class Turbulence(NamedTuple):
         return np.array([p, q, r])
 
 
-class TooShort(ValueError):
-    """Winds show no gusts."""
+def turbulence_of_winds(
+    winds: Sequence[pd.DataFrame], span: float, *, is_noisy: bool = False
+) -> Turbulence | None:
+    """Return the turbulence of winds, by `Turbulence.from_flight`; None where they are too short to show gusts.
 
-
-def dryden_wind(
-    duration: float,
-    airspeed: float,
-    height: float,
-    *,
-    wind_at_6m: float = 5.0,
-    span: float = 2.0,
-    dt: float = 0.02,
-    random_state: Seed = None,
-) -> pd.DataFrame:
-    """Return a gusty wind with mean zero, for ``simulate(air=...)``.
-
-    Dryden turbulence of MIL-F-8785C below 1000 ft, crossed straight north at ``airspeed``, without
-    its rotation.
-
-    Parameters
-    ----------
-    duration : float
-        [s].
-    airspeed, height : float
-        At which the frozen field is crossed [m/s], and how high above the ground [m], at most
-        304.8.
-    wind_at_6m : float, default=5.0
-        [m/s]; 7.7 is light, 15 moderate, 23 severe turbulence.
-    span : float, default=2.0
-        Of the wing, which averages the gusts [m].
-    dt : float, default=0.02
-        Between the rows [s].
-    random_state : int, RandomState or None
-        Seed.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``time``, ``wind_north``, ``wind_east``, ``wind_down``.
-
-    Examples
-    --------
-    >>> from skdgp.dynamics import dryden_wind
-    >>> wind = dryden_wind(60.0, airspeed=25.0, height=100.0, random_state=0)
-    >>> list(wind), len(wind)
-    (['time', 'wind_north', 'wind_east', 'wind_down'], 3001)
+    Each has time, airspeed at which it was met, wind_north, wind_east, wind_down. Winds of a few seconds show
+    the rates of the gusts, not their lengths.
     """
-    sizes = {"duration": duration, "airspeed": airspeed, "height": height, "span": span, "dt": dt}
-    for name, value in sizes.items():
-        check_number(name, value)
-    n_times = int(np.floor(duration / dt + 1e-9)) + 1
-    intensity, length, _ = Turbulence.low_altitude(height, wind_at_6m)
-    rng = np.random.default_rng(check_random_state(random_state).randint(2**31 - 1))
-    gusts = dryden_gusts(n_times, dt, airspeed, [length], [intensity], span, rng)
-    wind = pd.DataFrame(gusts.velocity[:, 0], columns=list(WIND))
-    wind.insert(0, "time", dt * np.arange(n_times))
-    return wind
-
-
-class _Spectra(NamedTuple):
-    """Spectra of the wind over wave numbers, averaged over bands."""
-
-    wave_number: Array  #: (n,) [rad/m]
-    horizontal: Array  #: Mean of north and east (n,)
-    vertical: Array
-    interval: Array  #: Of the samples, in the air (n,) [m]: the spectrum of noise of unit variance
-    n_values: Vector  #: Values of the periodograms in a band, (n,)
-    shortest: float  #: Scale length that they can show [m]
-
-
-def _band_spectra(winds: list[pd.DataFrame], airspeeds: list[float], span: float) -> _Spectra:
-    """Return the spectra of the winds that are long enough; raise `TooShort` without enough values."""
-    parts = []
-    shortest = []
-    for wind, airspeed in zip(winds, airspeeds, strict=True):
-        wind = wind.dropna()
-        steps = np.diff(wind["time"].to_numpy(float))
-        interval = airspeed * float(np.median(steps)) if len(steps) else 0.0
-        if not 0 < SAMPLES * interval < LONGEST:
-            continue
-        time = wind["time"].to_numpy(float)
-        even = np.arange(time[0], time[-1], interval / airspeed)
-        gusts = interpolated(even, time, numeric(wind, WIND))
-        gusts -= gusts.mean(axis=0)
-        wave_number = 2 * np.pi * np.fft.rfftfreq(len(gusts), interval)
-        values = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * interval / len(gusts)
-        # above, a wing meets the mean over its span, while sensors measure the wind at a point
-        highest = min(np.pi / (4 * span), 0.9 * np.pi / interval)
-        is_used = (wave_number > SLOWEST / airspeed) & (wave_number < highest)
-        horizontal = values[:, :2].mean(axis=1)
-        columns = [wave_number, horizontal, values[:, 2], np.full(len(wave_number), interval)]
-        parts.append(np.stack(columns, axis=1)[is_used])
-        shortest.append(max(SAMPLES * interval, 1.0 / highest))
+    parts = [_periodogram(wind, span) for wind in winds]
     if sum(map(len, parts)) < FEWEST:
-        raise TooShort(
-            "Got winds that are too short, or too rarely sampled, to show gusts, but expected a flight of "
-            f"{DURATION:g} s in the air, without gaps or missing values, or some seconds of a "
-            f"wind, with a row for each {LONGEST / SAMPLES:g} m: fly longer."
-        )
-    table = pd.DataFrame(np.concatenate(parts))
-    bands = table.groupby(np.floor(PER_DECADE * np.log10(table[0])))
-    mean: Any = bands.mean().to_numpy()
-    n_values: Any = bands.size().to_numpy(float)
-    wave_number, horizontal, vertical, intervals = mean.T
-    return _Spectra(wave_number, horizontal, vertical, intervals, n_values, min(shortest))
+        return None
+    wave_number, interval, north, east, down = np.concatenate(parts).T
+    shortest = max(SAMPLES * interval.min(), 4.0 * span / np.pi)
+    spectra = {
+        _horizontal_spectrum: 0.5 * (north + east),
+        _vertical_spectrum: down,
+    }
+    axes = []
+    for unit_spectrum, power in spectra.items():
+        unit = partial(unit_spectrum, wave_number)
+        axes.append(_fitted(unit, power, interval, shortest, is_noisy))
+    horizontal, vertical = axes
+    intensity, length = np.transpose([horizontal, horizontal, vertical])
+    speeds = [wind["airspeed"].mean() for wind in winds]
+    durations = [np.ptp(wind["time"]) for wind in winds]
+    return Turbulence(intensity, length, float(np.average(speeds, weights=durations)))
+
+
+def _periodogram(wind: pd.DataFrame, span: float) -> Array:
+    """Return wave number [rad/m], interval of the samples [m], and the periodogram of each axis, (n, 5)."""
+    airspeed = wind["airspeed"].mean()
+    time = wind["time"].to_numpy(float)
+    interval = airspeed * float(np.median(np.diff(time)))
+    if not 0 < SAMPLES * interval < LONGEST:
+        return np.empty((0, 5))
+    even = np.arange(time[0], time[-1], interval / airspeed)
+    gusts = interpolated(even, time, numeric(wind, WIND))
+    gusts -= gusts.mean(axis=0)
+    wave_number = 2 * np.pi * np.fft.rfftfreq(len(gusts), interval)
+    power = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * interval / len(gusts)
+    # above, a wing meets the mean over its span, while sensors measure the wind at a point
+    highest = min(np.pi / (4 * span), 0.9 * np.pi / interval)
+    is_used = (wave_number > SLOWEST / airspeed) & (wave_number < highest)
+    intervals = np.full(len(wave_number), interval)
+    return np.column_stack([wave_number, intervals, power])[is_used]
 
 
 def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
@@ -331,18 +219,25 @@ def _horizontal_spectrum(wave_number: Array, length: Array) -> Array:
 
 
 def _fitted(
-    spectra: _Spectra, values: Array, unit_spectrum: Callable, is_noisy: bool
+    unit_spectrum: Callable, power: Vector, interval: Vector, shortest: float, is_noisy: bool
 ) -> tuple[float, float]:
-    """Return intensity [m/s] and length [m] of an axis with a spectrum (n,)."""
-    length = np.geomspace(spectra.shortest, LONGEST, N_LENGTHS)[:, None]
-    unit = unit_spectrum(spectra.wave_number, length)
-    noises = NOISES if is_noisy else NOISES[:1]
-    S = unit[:, None] + noises[:, None] * spectra.interval  # (lengths, noises, bands)
-    variance = np.maximum(np.average(values / S, axis=-1, weights=spectra.n_values), CALM)
-    loss = np.sum(spectra.n_values * np.log(variance[..., None] * S), axis=-1)
-    loss += 0.5 * (np.log(length / LENGTH) / LENGTH_STD) ** 2
-    i, j = np.unravel_index(np.argmin(loss), loss.shape)
-    return float(np.sqrt(variance[i, j])), float(length[i, 0])
+    """Return intensity [m/s] and length [m] of an axis with a periodogram (n,)."""
+
+    def spectrum(logarithms: Vector) -> Vector:
+        """Return the spectrum of gusts of unit variance and noise, whose spectrum is the interval."""
+        length, *noise = np.exp(logarithms)
+        return unit_spectrum(length) + sum(noise) * interval
+
+    def loss(logarithms: Vector) -> float:
+        S = spectrum(logarithms)
+        variance = max(np.mean(power / S), CALM)
+        prior = 0.5 * ((logarithms[0] - np.log(LENGTH)) / LENGTH_STD) ** 2
+        return len(S) * np.log(variance) + np.log(S).sum() + prior
+
+    bounds = np.log([(shortest, LONGEST), NOISES][: 1 + is_noisy])
+    start = np.clip(np.log([LENGTH, NOISE][: 1 + is_noisy]), *bounds.T)
+    best = minimize(loss, start, bounds=bounds).x
+    return float(np.sqrt(np.mean(power / spectrum(best)))), float(np.exp(best[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,9 +254,9 @@ class Air:
         rest.
     gusts : "auto", Turbulence or None, default="auto"
         Turbulence: each path of a simulation meets its own gusts, with their rates p, q, r, besides
-        the wind. A table as wind contains the velocity of the gusts: then only rates are drawn.
-        "auto": the turbulence of this table (`Turbulence.from_wind`), else of the training flights,
-        if the model knows it. None: calm air.
+        the wind, and so does a simulation of the mean. A table as wind contains the velocity of the
+        gusts: then only rates are drawn. "auto", of paths alone: the turbulence of this table, else of
+        the training flights, if the model knows it. None: calm air.
     drift : bool, default=True
         Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
         coefficients that change slowly, as the residuals of the training flights did beyond what

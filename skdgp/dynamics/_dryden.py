@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,37 +117,30 @@ def dryden_gusts(
     Gusts
         Each (n_times, n_draws * n_flights, 3), all flights of the first draw first.
     """
-    n_flights = len(length)
-    speeds = np.broadcast_to(airspeed, n_flights)
-    A = np.empty((n_flights, 9, 9))
-    C = np.empty((n_flights, 9, 9))
-    covariance = np.empty((n_flights, 9, 9))
-    for k, speed in enumerate(speeds):
-        A[k], B, C[k] = dryden_system(speed, length[k], intensity[k], span)
-        covariance[k] = solve_continuous_lyapunov(A[k], -B @ B.T)
-    repeats = (n_draws, 1, 1)
-    discrete = _discrete(A, covariance, step)
-    transition, first, root = (np.tile(matrix, repeats) for matrix in discrete)
-    states = np.empty((n_times, n_draws * n_flights, 9))
-    for state, x in zip(states, _driven(transition, first, root, rng), strict=False):
-        state[:] = x
-    outputs = np.einsum("fij,kfj->kfi", np.tile(C, repeats), states)
-    return Gusts(*np.split(outputs, 3, axis=-1))
+    stream = gust_stream(step, airspeed, length, intensity, span, rng, n_draws=n_draws)
+    return Gusts(*map(np.stack, zip(*islice(stream, n_times), strict=True)))
 
 
 def gust_stream(
     step: float,
-    airspeed: float,
-    length: Array,
-    intensity: Array,
+    airspeed: ArrayLike,
+    length: Any,
+    intensity: Any,
     span: float,
     rng: np.random.Generator,
+    *,
+    n_draws: int = 1,
 ) -> Iterator[Gusts]:
-    """Yield the gusts of one flight without end, (3,) each, ``step`` [s] apart, as `dryden_gusts` draws them."""
-    A, B, C = dryden_system(airspeed, length, intensity, span)
-    covariance = solve_continuous_lyapunov(A, -B @ B.T)
+    """Yield the gusts of `dryden_gusts` without end, (n_draws * n_flights, 3) each, ``step`` [s] apart."""
+    systems = []
+    for speed, *size in zip(np.broadcast_to(airspeed, len(length)), length, intensity, strict=True):
+        A, B, C = dryden_system(speed, *size, span)
+        systems.append((A, C, solve_continuous_lyapunov(A, -B @ B.T)))
+    A, C, covariance = (
+        np.tile(matrices, (n_draws, 1, 1)) for matrices in zip(*systems, strict=True)
+    )
     for x in _driven(*_discrete(A, covariance, step), rng):
-        yield Gusts(*np.split(C @ x, 3))
+        yield Gusts(*np.split(matrix_vector(C, x), 3, axis=-1))
 
 
 def _discrete(A: Array, covariance: Any, step: float) -> tuple[Array, Array, Array]:

@@ -11,13 +11,23 @@ import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator
 
-from skdgp._compute.typing import Array, Seed
-from skdgp._flight.channels import SPECIFIC_FORCE
+from skdgp._compute.messages import warn
+from skdgp._compute.typing import Array, Seed, Vector
+from skdgp._flight.channels import SENSOR_GUST, SPECIFIC_FORCE, WIND
 from skdgp._flight.checks import check_number, check_numbers
-from skdgp.dynamics._aerodynamics import Aerodynamics, separate_generator
-from skdgp.dynamics._air import LocalAir, Turbulence, as_air
+from skdgp._flight.frames import by_components
+from skdgp.dynamics._aerodynamics import Aerodynamics, Drift, separate_generator
+from skdgp.dynamics._air import (
+    Air,
+    AirAt,
+    GustyAir,
+    LocalAir,
+    Turbulence,
+    as_air,
+    turbulence_of_winds,
+)
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._dryden import gust_stream
+from skdgp.dynamics._dryden import Gusts, dryden_gusts, gust_stream
 from skdgp.dynamics._inputs import (
     StepClock,
     control_schedule,
@@ -27,10 +37,10 @@ from skdgp.dynamics._inputs import (
 )
 from skdgp.dynamics._integrate import FLYING, End, Integrator, channels, end_reasons, fly_record
 from skdgp.dynamics._motion import PROPULSION, Motion
-from skdgp.dynamics._path_air import paths_air
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._starts import as_starts, initial_states
 from skdgp.dynamics._trajectories import (
+    SimulationWarning,
     farthest_beyond,
     farthest_regressor,
     trajectory_table,
@@ -109,16 +119,21 @@ def simulate(
     ------
     ValueError
         If the start is not finite, controls are missing or end early, nothing gives the thrust, a
-        regressor cannot be rebuilt, the model lacks a coefficient or has no posterior to draw from,
-        or there is a Turbulence without paths.
+        regressor cannot be rebuilt, or the model lacks a coefficient or has no posterior to draw from.
 
     Warns
     -----
     SimulationWarning
-        If a trajectory ends early, or leaves the training ranges.
+        If a trajectory ends early, or leaves the training ranges; if paths meet no gusts as the model
+        knows no turbulence.
     UserWarning
         If start and controls carry times that do not begin together, or a start does not fit its
         wind.
+
+    Notes
+    -----
+    Paths do not have the errors of lag and delay of the servos, as those of
+    :func:`skdgp.dynamics.linearize` have: all fly with the same servos.
 
     Examples
     --------
@@ -144,29 +159,100 @@ def simulate(
     names = {*motion.inputs, *PROPULSION}
     commands = control_schedule(controls, clock, names, len(starts))
     states = initial_states(starts, partial(air_schedule, 0))
+    speeds = _airspeeds(states, air_schedule)
+    turbulence = _turbulence_met(given_air, motion, speeds, n_paths)
     drifts = None
-    if n_paths is None:
-        if isinstance(given_air.gusts, Turbulence):
-            raise ValueError(
-                "Got gusts without n_paths, but expected both: gusts are drawn, for each path its own."
-            )
-        # a single start has no axis
-        states = states[0] if len(states) == 1 else states
-    else:
-        air_schedule, drift = paths_air(
-            given_air, air_schedule, motion, clock, states, n_paths, random_state
-        )
-        drawn = motion.aerodynamics.sample(n_paths, random_state, rounded=True)
-        motion = motion.with_aerodynamics(drawn)
+    if n_paths is not None:
         states = np.tile(states, (n_paths, 1, 1))
+        drift = drift_in_still_air(motion.aerodynamics) if given_air.drift else None
         if drift is not None:
             drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
+        drawn = motion.aerodynamics.sample(n_paths, random_state, rounded=True)
+        motion = motion.with_aerodynamics(drawn)
+    elif len(states) == 1:
+        states = states[0]  # a single start has no axis
+    if turbulence is not None:
+        generator = separate_generator(random_state, 5)
+        span = motion.aircraft.span
+        gusts = _drawn_gusts(turbulence, clock, states.shape[:-1], speeds, span, generator)
+        if tables_of(given_air.wind):  # contains their velocity
+            velocity = np.zeros_like(gusts.velocity)
+            gusts = gusts._replace(velocity=velocity, acceleration=velocity)
+        air_schedule = GustyAir(air_schedule, gusts)
     record = fly_record(motion, commands, air_schedule, clock, states, drifts)
     farthest = farthest_beyond(motion, record.regressors)
     warn_of(record, motion, farthest)
     table_times = [float(table["time"].iloc[0]) for table in tables_of(controls)]
     first_times = np.broadcast_to(table_times or 0.0, len(starts))
     return trajectory_table(record, motion, farthest, first_times)
+
+
+def _airspeeds(states: Array, air: AirAt) -> Vector:
+    """Return the airspeed of starts (n, 13)."""
+    local = air(0, states)
+    wind = None if local is None else local.velocity(states[:, ATTITUDE])
+    return channels(states, wind)["airspeed"]
+
+
+def _turbulence_met(
+    air: Air, motion: Motion, speeds: Vector, n_paths: int | None
+) -> Turbulence | None:
+    """Return the turbulence of the gusts to draw, None for none; warn where that of paths is not known."""
+    if air.gusts is None or isinstance(air.gusts, Turbulence):
+        return air.gusts
+    if n_paths is None:
+        return None
+    tables = tables_of(air.wind)
+    winds = []
+    for table, speed in zip(tables, speeds if len(tables) > 1 else [speeds.mean()], strict=False):
+        winds.append(table[["time", *WIND]].assign(airspeed=speed))
+    turbulence = turbulence_of_winds(winds, motion.aircraft.span) if winds else None
+    turbulence = turbulence or motion.aerodynamics.turbulence
+    if turbulence is None:
+        warn(
+            "The model does not know the turbulence of its flights, so the paths meet no gusts of their own: give "
+            "air=Air(gusts=Turbulence.low_altitude(height, wind_at_6m)), or Air(gusts=None) for calm air.",
+            SimulationWarning,
+        )
+    return turbulence
+
+
+def _drawn_gusts(
+    turbulence: Turbulence,
+    clock: StepClock,
+    shape: tuple[int, ...],
+    speeds: Vector,
+    span: float,
+    generator: np.random.Generator,
+) -> Gusts:
+    """Return gusts (n_stages, *shape, 3) of trajectories (), (n_starts,) or (n_paths, n_starts)."""
+    n_starts = len(speeds)
+    drawn = dryden_gusts(
+        len(clock.stages),
+        0.5 * clock.dt,
+        speeds,
+        np.tile(turbulence.length, (n_starts, 1)),
+        np.tile(turbulence.intensity, (n_starts, 1)),
+        span,
+        generator,
+        n_draws=math.prod(shape) // n_starts or 1,
+    )
+    return Gusts(*(by_components(part.reshape(-1, *shape, 3)) for part in drawn))
+
+
+def drift_in_still_air(model: Aerodynamics) -> Drift | None:
+    r"""Return the part of a drift that is not of the gusts of the training flights, all of it if these are unknown.
+
+    Of the variance :math:`\tau^2` it is :math:`\sigma_0^2 / (\sigma_\mathrm{flown}^2 + \sigma_0^2)`, with
+    what sensors show of calm air, :math:`\sigma_0`. Gusts, with their rates, are drawn themselves: with the whole
+    drift besides, spreads of the roll rate were 1.5 times the true ones, without it 0.9 to 1.1.
+    """
+    drift = model.drift
+    flown = model.turbulence
+    if drift is None or flown is None:
+        return drift
+    flown_power = np.sum(np.square(flown.intensity)) + SENSOR_GUST**2
+    return drift._replace(variance=SENSOR_GUST**2 / flown_power * drift.variance)
 
 
 class Simulator:
@@ -329,10 +415,10 @@ class Simulator:
         """Return the air of the next step."""
         if dt != self._gust_step:
             self._gust_step = dt
-            airspeed = float(np.linalg.norm(self.state[VELOCITY]))
-            size = (turbulence.length, turbulence.intensity, self.motion.aircraft.span)
+            airspeed = np.linalg.norm(self.state[VELOCITY])
+            size = ([turbulence.length], [turbulence.intensity], self.motion.aircraft.span)
             self._gusts = gust_stream(dt, airspeed, *size, self._generator)
-        gust, gust_rate, rotation = next(self._gusts)
+        gust, gust_rate, rotation = (part[0] for part in next(self._gusts))
         wind = None if self._wind is None else self._wind.wind
         return LocalAir(wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
 

@@ -20,7 +20,7 @@ from skdgp.dynamics import (
 )
 from skdgp.dynamics._dryden import dryden_system, rolling_gust
 from skdgp.dynamics._linearize import jacobian
-from skdgp.dynamics._path_air import drift_in_still_air
+from skdgp.dynamics._simulate import drift_in_still_air
 from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
 
 BRUMBY = load_example_flights(duration=1.0).aircraft

@@ -339,7 +339,7 @@ class TestMarks:
 
 class TestEnsembles:
     def test_each_path_flies_a_function_of_its_own_for_the_whole_flight(self, fly, glider):
-        paths = fly(duration=1.0, n_paths=3, random_state=5)
+        paths = fly(duration=1.0, n_paths=3, random_state=5, air=Air(gusts=None))
         slopes = glider.slopes * default_rng(5).normal(1.0, 0.1, (3, 6, 8))
         for k, (_, path) in enumerate(paths.groupby("path")):
             alone = fly(glider.model(slopes[k]), duration=1.0)
@@ -373,7 +373,8 @@ class TestEnsembles:
         truth = solved(aircraft, curved, inputs, 2.0)
         for dt in (0.02, 0.01):
             t = np.arange(0.0, 2.0 + dt / 2, dt)
-            paths = fly(model, START, pd.DataFrame({"time": t, **inputs(t)}), dt=dt, n_paths=2)
+            table = pd.DataFrame({"time": t, **inputs(t)})
+            paths = fly(model, START, table, dt=dt, n_paths=2, air=Air(gusts=None))
             end = paths[paths["path"] == 1].iloc[-1]
             ground = end[["v_north", "v_east", "v_down"]] - truth[3:6]
             turning = end[["p", "q", "r"]] - truth[15:]
@@ -388,7 +389,7 @@ class TestEnsembles:
         T, tau, V, rho = 0.5, 1e-3, 20.0, 1.2
         drift = Drift(np.array([tau**2, 0, 0, 0, 0, 0]), np.full(6, T))
         options = {"dt": 0.02, "duration": 3.0, "thrust": None, "n_paths": 1000}
-        air = Air(density=rho, gravity=0.0)
+        air = Air(density=rho, gravity=0.0, gusts=None)
         paths = fly(inert(glider, drift=drift), {"airspeed": V}, REST, air=air, **options)
         paths = paths.pivot(index="time", columns="path", values="u")
         t = paths.index.to_numpy()

@@ -14,13 +14,14 @@ from skdgp.dynamics import (
     Air,
     Aircraft,
     Drift,
+    SimulationWarning,
     Turbulence,
     air_data,
     as_aerodynamics,
     dryden_gusts,
-    dryden_wind,
     simulate,
 )
+from skdgp.dynamics._air import turbulence_of_winds
 from skdgp.identification import make_identification_pipeline
 
 WIND = ["wind_north", "wind_east", "wind_down"]
@@ -72,14 +73,14 @@ class TestFromFlight:
         """Of ten winds of ten seconds, and of one."""
         time, gusts = STEP * np.arange(201), gusts_of(TRUE, 201, default_rng(3), 10).velocity
         winds = [
-            pd.DataFrame(gust, columns=WIND).assign(time=time) for gust in gusts.swapaxes(0, 1)
+            pd.DataFrame(gust, columns=WIND).assign(time=time, airspeed=SPEED)
+            for gust in gusts.swapaxes(0, 1)
         ]
         density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
         for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):
-            found = Turbulence.from_wind(some, [SPEED] * len(some), SPAN)
+            found = turbulence_of_winds(some, SPAN)
             assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
-        with pytest.raises(ValueError, match="winds that are too short"):
-            Turbulence.from_wind([winds[0][:20]], [SPEED], SPAN)
+        assert turbulence_of_winds([winds[0][:20]], SPAN) is None
 
     def test_calm_air_is_calm(self):
         found = Turbulence.from_flight(flights(times(TRUE, 1e-6), 1, 300.0, 0.2, seed=2), SPAN)
@@ -140,7 +141,7 @@ OPTIONS = {"duration": 1.0, "dt": 0.05, "thrust": None, "n_paths": 40}
 
 
 def flown(model, **options):
-    return simulate(model, AIRCRAFT, START, {}, **OPTIONS | options)
+    return simulate(model, AIRCRAFT, controls={}, **{"x0": START} | OPTIONS | options)
 
 
 class TestSimulate:
@@ -157,10 +158,11 @@ class TestSimulate:
     def test_a_wind_has_gusts_of_its_own(self):
         """By itself a table decides the intensity, whatever the model was learned in."""
         known = learned(turbulence=times(TRUE, 9.0))
-        wind = dryden_wind(20.0, 12.0, 100.0, wind_at_6m=4.0, span=SPAN, random_state=0)
+        wind = pd.DataFrame(gusts_of(TRUE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
+        wind["time"] = STEP * SPEED / START["airspeed"] * np.arange(400)
         by_table = flown(known, air=wind)
-        asked = flown(known, air=Air(wind, Turbulence.from_wind([wind], [12.0], SPAN)))
-        assert_allclose(by_table["p"], asked["p"], rtol=0.2, atol=0.05)
+        asked = flown(known, air=Air(wind, TRUE))
+        assert_allclose(by_table["p"].std(), asked["p"].std(), rtol=0.4)
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
@@ -169,8 +171,21 @@ class TestSimulate:
         for wind in (None, [0.0, 0.0, 0.0], WIND_OF_A_SECOND):
             paths, drawn = flown(known, air=wind), flown(known, air=Air(wind, TRUE))
             assert_allclose(paths["p"], drawn["p"], atol=1e-12)
-        calm, unknown = flown(known, air=Air(gusts=None)), flown(learned())
+
+    def test_paths_without_gusts_as_these_are_unknown_are_said(self):
+        calm = flown(learned(turbulence=TRUE), air=Air(gusts=None))
+        with pytest.warns(SimulationWarning, match="does not know the turbulence"):
+            unknown = flown(learned())
         assert_allclose(calm["p"], unknown["p"], atol=1e-12)
+
+    def test_the_mean_meets_the_gusts_of_a_turbulence(self):
+        options = {"air": Air(gusts=TRUE), "duration": 20.0}
+        one = flown(learned(), **options, n_paths=1)
+        for start in (START, pd.DataFrame([START, START])):
+            mean = flown(learned(), **options, x0=start, n_paths=None)
+            if isinstance(start, dict):
+                assert_allclose(mean[[*WIND, "p"]], one[[*WIND, "p"]], atol=1e-9)
+            assert (mean.groupby("flight")["wind_east"].std() > 0.3 * TRUE.intensity[1]).all()
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -190,8 +205,6 @@ class TestSimulate:
             Air(**options)
 
     def test_what_cannot_be_flown_is_said(self):
-        with pytest.raises(ValueError, match="gusts without n_paths"):
-            flown(learned(), air=Air(gusts=TRUE), n_paths=None)
         with pytest.raises(ValueError, match=r"as the air, but expected Air\(gusts=...\)"):
             flown(learned(), air=TRUE)
 
@@ -208,23 +221,12 @@ def test_flights_that_show_no_turbulence_are_refused(change, span, match):
         Turbulence.from_flight(change(flights(TRUE, 1, 200.0, 0.2, seed=3)), span)
 
 
-def test_a_wind_to_fly_in_has_the_intensities_of_its_height():
-    options = {"wind_at_6m": 8.0, "span": 0.01, "dt": 0.05}
-    winds = [dryden_wind(200.0, 30.0, 40.0, **options, random_state=k) for k in range(12)]
-    gusts = np.concatenate([wind[WIND].to_numpy() for wind in winds])
-    intensity = Turbulence.low_altitude(40.0, 8.0).intensity
-    assert_allclose(gusts.std(axis=0), intensity, rtol=0.15)
-    assert abs(np.corrcoef(gusts.T)[0, 1]) < 0.15
-    again = dryden_wind(200.0, 30.0, 40.0, **options, random_state=3)
-    assert_allclose(again, winds[3], rtol=1e-9, atol=1e-10)
-
-
-@pytest.mark.parametrize(("height", "options", "match"), [
-    (0.0, {}, "Got height=0"),
-    (400.0, {}, "at most 304.8 m"),
-    (100.0, {"wind_at_6m": -1.0}, "wind_at_6m=-1"),
-    (100.0, {"wind_at_6m": np.nan}, "wind_at_6m=nan"),
+@pytest.mark.parametrize(("height", "wind", "match"), [
+    (0.0, 5.0, "Got height=0"),
+    (400.0, 5.0, "at most 304.8 m"),
+    (100.0, -1.0, "wind_at_6m=-1"),
+    (100.0, np.nan, "wind_at_6m=nan"),
 ])  # fmt: skip
-def test_winds_that_are_none(height, options, match):
+def test_heights_and_winds_of_no_turbulence(height, wind, match):
     with pytest.raises(ValueError, match=match):
-        dryden_wind(10.0, 30.0, height, **options)
+        Turbulence.low_altitude(height, wind)

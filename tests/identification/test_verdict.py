@@ -14,7 +14,8 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
-    dryden_wind,
+    Turbulence,
+    dryden_gusts,
     simulate,
     stability_derivatives,
     trim,
@@ -220,7 +221,10 @@ class TestSimulation:
         assert (wrong["error"] >= true["error"]).all()
 
     def test_the_true_aircraft_follows_in_gusts_where_their_wind_is_known(self):
-        wind = dryden_wind(42.0, 20.0, 100.0, wind_at_6m=8.0, random_state=0)
+        size = Turbulence.low_altitude(100.0, wind_at_6m=8.0)
+        size = ([size.length], [size.intensity], 2.0)
+        gusts = dryden_gusts(2101, 0.02, 20.0, *size, default_rng(0)).velocity[:, 0]
+        wind = pd.DataFrame(gusts, columns=[*WIND]).assign(time=0.02 * np.arange(len(gusts)))
         gusty = glide(40.0, air=Air(wind, gusts=None))
         felt = {name: np.interp(gusty["time"], wind["time"], wind[name]) for name in WIND}
         unknown = gusty.drop(columns=WIND, errors="ignore")

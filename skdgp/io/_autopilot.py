@@ -34,7 +34,7 @@ from skdgp._flight.frames import (
 from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import FlightTable, by_name
 from skdgp.io._clock import clock_parts, resample, uniform_clock
-from skdgp.io._dataflash import MARK, read_dataflash
+from skdgp.io._dataflash import read_dataflash
 from skdgp.io._instances import Origin, Source, choose, seconds, validity_fields
 from skdgp.io._log import (
     DENSITY,
@@ -56,7 +56,7 @@ from skdgp.io._log import (
 )
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
-from skdgp.io._ulog import HEADER, read_ulog
+from skdgp.io._ulog import read_ulog
 
 # Readers of logs by suffix; another format is one more entry
 AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
@@ -65,11 +65,6 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
     ".bin": read_dataflash,
     ".log": read_dataflash,
     ".tlog": read_tlog,
-}
-# how files begin, whatever their suffix
-BEGINNINGS: dict[bytes, Callable[[Path], Log]] = {
-    HEADER: read_ulog,
-    MARK: read_dataflash,
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
@@ -144,20 +139,10 @@ def is_log(path: object) -> bool:
 
 
 def read_log(path: Path) -> Log:
-    """Return a log of an autopilot as it is, read by how the file begins, else by its suffix."""
+    """Return a log of an autopilot as it is."""
     # damaged messages may hold any number
     with np.errstate(all="ignore"):
-        return _reader(path)(path)
-
-
-def _reader(path: Path) -> Callable[[Path], Log]:
-    """Return the reader of a log of an autopilot."""
-    with path.open("rb") as file:
-        first = file.read(max(map(len, BEGINNINGS)))
-    for beginning, read in BEGINNINGS.items():
-        if first.startswith(beginning):
-            return read
-    return AUTOPILOTS[path.suffix.lower()]
+        return AUTOPILOTS[path.suffix.lower()](path)
 
 
 def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> FlightLog:

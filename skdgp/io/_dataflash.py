@@ -96,21 +96,11 @@ LANE_2 = (Use("NKF4", "PI"),)
 PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
-# field with the parameter that says whether the autopilot uses an airspeed sensor
-AIRSPEED_USE = "ARSPD_USE"
-# its parameters by the names of the topic: whether it is used (2: without throttle alone), and the ratio of V^2 to
-# the pressure difference
-AIRSPEEDS = {
-    "ARSP": ("ARSPD_USE", "ARSPD_RATIO"),
-    "ARSP#1": ("ARSPD2_USE", "ARSPD2_RATIO"),
-    "ASP2": ("ARSPD2_USE", "ARSPD2_RATIO"),
-}
-# field with the parameter that says whether the autopilot uses an IMU, and these by the names of the topic
-IMU_USE = "INS_USE"
-IMU_USES = {
-    "IMU": "INS_USE", "IMU#1": "INS_USE2", "IMU2": "INS_USE2", "IMU#2": "INS_USE3", "IMU3": "INS_USE3",
-    "IMU#3": "INS4_USE", "IMU#4": "INS5_USE",
-}  # fmt: skip
+# whether the autopilot uses an airspeed sensor (2: without throttle alone), and an IMU
+AIRSPEED_USES = ("ARSPD_USE", "ARSPD2_USE")
+IMU_USES = ("INS_USE", "INS_USE2", "INS_USE3", "INS4_USE", "INS5_USE")
+# ratio of V^2 to the pressure difference, by the names of the topic
+RATIOS = {"ARSP": "ARSPD_RATIO", "ARSP#1": "ARSPD2_RATIO", "ASP2": "ARSPD2_RATIO"}
 # parameters of the position of each IMU (AP_InertialSensor)
 IMU_POSITIONS = ("INS_POS1", "INS_POS2", "INS_POS3", "INS4_POS", "INS5_POS")
 # further instances of sensors before the messages had a number
@@ -131,17 +121,18 @@ def _estimator(name: str, lane: tuple[Use, ...]) -> tuple[Rule, Rule, Rule]:
 
 
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH", IMU_USE)),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH", IMU_USE)),
+    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), uses=IMU_USES),
+    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), uses=IMU_USES),
     Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
     Rule(
         (EQUIVALENT,),
         "ARSP",
         ("Airspeed",),
-        valid=("H", "Health", "U", AIRSPEED_USE),
+        valid=("H", "Health", "U"),
         used=PRIMARY,
         preferred=("U",),
+        uses=AIRSPEED_USES,
     ),
     *_estimator("XKF", LANE_3),
     *_estimator("NKF", LANE_2),
@@ -300,8 +291,7 @@ def _log(
     frame = whole(parameters.get("FRAME_CLASS", 0.0))
     kind = FRAMES.get((program, frame), VEHICLES.get(program))
     vehicle = vehicle_of(kind, parameters)
-    airspeeds, of_ratio = _airspeeds(topics, parameters, defined)
-    topics = topics | airspeeds | _imus(topics, parameters)
+    topics, of_ratio = _with_last_ratio(topics, defined)
     controls, commands, lifts, unread = outputs_of(topics.get("RCOU", NOTHING), parameters)
     lifting: States = ()
     if vehicle == "VTOL":
@@ -333,44 +323,26 @@ def _firmware(texts: list[str]) -> str:
     return "ArduPilot"
 
 
-def _airspeeds(
-    topics: Mapping[str, Topic], parameters: Mapping[str, float], defined: Messages
+def _with_last_ratio(
+    topics: dict[str, Topic], defined: Messages
 ) -> tuple[dict[str, Topic], tuple[str, ...]]:
-    """Return the messages of airspeed sensors by their last ratio, with whether the autopilot uses them, and remarks.
+    """Return the topics with airspeeds by the last ratio of their sensor, and a remark on one that changed.
 
     A ratio that was calibrated in flight is right for the time before, too: V^2 goes with it.
     """
-    airspeeds = {}
     remarks: tuple[str, ...] = ()
-    for name in AIRSPEEDS.keys() & topics.keys():
+    for name in RATIOS.keys() & topics.keys():
         topic = topics[name]
-        use, ratio = AIRSPEEDS[name]
-        # a use without throttle alone is told by the flag of each message
-        trusted = (1, 2) if "U" in topic else (1,)
-        is_used = whole(parameters.get(use, 1.0)) in trusted
-        fields = {AIRSPEED_USE: np.full(len(topic), float(is_used))}
-        ratios = _values_of(ratio, defined)
-        changes = np.flatnonzero(np.diff(ratios[1])) + 1
-        if len(changes) and "Airspeed" in topic:
-            times, values = ratios
+        times, values = _values_of(RATIOS[name], defined)
+        if "Airspeed" in topic and len(values) and np.ptp(values) > 0:
             at = values[last_before(times, topic.time)]
-            fields["Airspeed"] = topic["Airspeed"] * np.sqrt(values[-1] / at)
+            scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)
+            topics = topics | {name: topic.with_fields(Airspeed=scaled)}
             remarks = (
-                f"{ratio} changed from {values[0]:.3g} to {values[-1]:.3g}: airspeeds before are "
+                f"{RATIOS[name]} changed from {values[0]:.3g} to {values[-1]:.3g}: airspeeds before are "
                 "scaled to the last",
             )
-        airspeeds[name] = topic.with_fields(**fields)
-    return airspeeds, remarks
-
-
-def _imus(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Topic]:
-    """Return the messages of IMUs with whether the autopilot uses them."""
-    imus = {}
-    for name in IMU_USES.keys() & topics.keys():
-        topic = topics[name]
-        is_used = parameters.get(IMU_USES[name], 1.0)
-        imus[name] = topic.with_fields(**{IMU_USE: np.full(len(topic), is_used)})
-    return imus
+    return topics, remarks
 
 
 def _values_of(parameter: str, defined: Messages) -> tuple[Vector, Vector]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.frames import without_sign_changes
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
-    LEAST_SPEED,
     QUATERNION,
     Instance,
     Log,
@@ -19,7 +17,10 @@ from skdgp.io._log import (
     Topic,
     Use,
     engines_note,
+    fastest,
     last_before,
+    root_mean_square,
+    whole,
 )
 
 # columns whose instances are engines, and allocators, in place of redundant sensors
@@ -103,6 +104,7 @@ def validity_fields(instances: list[Instance], rule: Rule) -> list[str]:
     texts = []
     for instance in instances:
         texts += [field for field in rule.valid if field in instance.topic]
+        texts += rule.uses[instance.number : instance.number + 1]
         for field, _, _ in rule.within:
             if field in instance.topic:
                 values = np.unique(instance.topic[field]).astype(int).tolist()
@@ -122,8 +124,10 @@ def choose(log: Log, rule: Rule) -> Source | None:
         instances = instances[:1]
     use = _use(log, rule, instances)
     readings = [_readings(log, instance, rule, use) for instance in instances]
-    if rule.columns == ENGINES and len(readings) > 1:
-        return _mean_engine(log, rule, readings)
+    if rule.columns == ENGINES:
+        readings = [reading for reading in readings if reading.valid.any()] or readings[:1]
+        if len(readings) > 1:
+            return _mean_engine(log, rule, readings)
     return _source_of(rule, readings, use)
 
 
@@ -194,38 +198,28 @@ def _words(rule: Rule, names: list[str]) -> str:
 
 
 def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
-    """Return the root mean square of the engines that drive: thrusts go with the square of the speed."""
-    readings = [reading for reading in readings if reading.valid.any()] or readings[:1]
-    speeds = np.array([_speed_in_flight(log, reading) for reading in readings])
-    runs = speeds > LEAST_SPEED * speeds.max()
-    running = list(compress(readings, runs)) or readings[:1]
-    time = running[0].time[running[0].valid]
-    squares = []
-    for reading in running:
-        speed = reading.values[reading.valid, 0]
-        squares.append(np.interp(time, reading.time[reading.valid], speed) ** 2)
-    mean = np.sqrt(np.sum(squares, axis=0) / len(running))
-    note = engines_note(len(running))
+    """Return the root mean square of the engines that drive, at the times of the first."""
+    time = readings[0].time[readings[0].valid]
+    speeds = {}
+    for reading in readings:
+        name, valid = reading.instance.name, reading.valid
+        speeds[name] = np.interp(time, reading.time[valid], reading.values[valid, 0])
+    names = fastest(speeds, log.lifts(time)) or tuple(speeds)
     return Source(
         columns=rule.columns,
-        name=_words(rule, [reading.instance.name for reading in running]),
+        name=_words(rule, [*names]),
         time=time,
-        values=mean[:, None],
-        note=_joined(", ", rule.note, note),
+        values=root_mean_square(np.column_stack([speeds[name] for name in names])),
+        note=_joined(", ", rule.note, engines_note(len(names))),
     )
-
-
-def _speed_in_flight(log: Log, engine: Readings) -> float:
-    """Return the mean speed of an engine while no rotor lifts the aircraft [rad/s]."""
-    drives = engine.valid & ~log.lifts(engine.time)
-    return float(np.mean(np.abs(engine.values[drives]))) if drives.any() else 0.0
 
 
 def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:
     topic = instance.topic
     n = len(topic)
     values = rule.convert(topic.columns(rule.fields))
-    valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
+    is_used = _is_used(log, rule, instance)
+    valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule) & is_used
     used = np.zeros(n, dtype=bool)
     if use is not None:
         used = valid & (_numbers(log, use, topic.time) == instance.number + use.first)
@@ -235,8 +229,19 @@ def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Read
     for field in rule.preferred:
         if field in topic:
             preferred = np.maximum(preferred, np.clip(np.nan_to_num(topic[field]), 0.0, 1.0))
-    counter = topic[rule.resets] if rule.resets in topic else np.zeros(n)
+    counter = np.zeros(n)
+    for field in rule.resets:
+        if field in topic:
+            counter = counter + topic[field]
     return Readings(instance, topic.time, values, valid, preferred, counter, used)
+
+
+def _is_used(log: Log, rule: Rule, instance: Instance) -> bool:
+    """Return whether the autopilot uses an instance, by its parameter if it has one."""
+    use = 1
+    if instance.number < len(rule.uses):
+        use = whole(log.parameters.get(rule.uses[instance.number], 1.0))
+    return use == 1 or (use > 1 and any(flag in instance.topic for flag in rule.preferred))
 
 
 def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:

@@ -162,8 +162,11 @@ class Rule(NamedTuple):
     preferred : tuple of str
         Fields that are positive of an instance that is preferred among healthy ones: flags, or a
         confidence from 0 to 1.
-    resets : str
-        Counter of an estimator's resets.
+    resets : tuple of str
+        Counters of an estimator's resets.
+    uses : tuple of str
+        Parameters by which the autopilot uses an instance, by its number: always (1), or under
+        conditions (2), which a ``preferred`` flag then tells.
     """
 
     columns: tuple[str, ...]
@@ -175,7 +178,8 @@ class Rule(NamedTuple):
     within: tuple[tuple[str, float, float], ...] = ()
     used: tuple[Use, ...] = ()
     preferred: tuple[str, ...] = ()
-    resets: str = ""
+    resets: tuple[str, ...] = ()
+    uses: tuple[str, ...] = ()
 
     @property
     def words(self) -> str:
@@ -324,26 +328,18 @@ def turned(rules: Iterable[Rule], rotation: Matrix, note: str) -> tuple[Rule, ..
     """Return rules whose inertial sensors are turned by a rotation (3, 3), from axes of the board to body axes."""
     if np.allclose(rotation, np.eye(3), atol=1e-9):
         return tuple(rules)
-    turn = partial(_rotated, rotation)
     converted = []
     for rule in rules:
         if rule.columns in (RATES, SPECIFIC_FORCE):
-            convert = partial(_in_turn, rule.convert, turn)
+            convert = partial(_turned, rule.convert, rotation)
             rule = rule._replace(convert=convert, note=rule.note or note)
         converted.append(rule)
     return tuple(converted)
 
 
-def _in_turn(
-    convert: Callable[[Matrix], Matrix], turn: Callable[[Matrix], Matrix], fields: Matrix
-) -> Matrix:
-    """Return converted fields in other body axes."""
-    return turn(convert(fields))
-
-
-def _rotated(rotation: Matrix, vectors: Matrix) -> Matrix:
-    """Return vectors (n, 3), each turned."""
-    return vectors @ rotation.T
+def _turned(convert: Callable[[Matrix], Matrix], rotation: Matrix, fields: Matrix) -> Matrix:
+    """Return converted fields (n, 3) in other axes."""
+    return convert(fields) @ rotation.T
 
 
 def stated_positions(
@@ -364,20 +360,23 @@ def stated_positions(
 def driving(
     topics: Mapping[str, Topic], name: str, fields: Iterable[str], lifting: States
 ) -> tuple[str, ...]:
-    """Return the fields of engines that drive the aircraft forward: they run while no rotor lifts it.
+    """Return the fields of engines that drive the aircraft forward."""
+    topic = topics.get(name, NOTHING)
+    speeds = {field_name: topic[field_name] for field_name in fields if field_name in topic}
+    return fastest(speeds, rows_in(lifting, topics, topic.time))
+
+
+def fastest(speeds: Mapping[str, Vector], lifts: Mask) -> tuple[str, ...]:
+    """Return the names of engines that run while no rotor lifts the aircraft.
 
     A motor that only spins down after hover and transition is slower on average than `LEAST_SPEED`
     times the fastest.
     """
-    topic = topics.get(name, NOTHING)
-    lifts = rows_in(lifting, topics, topic.time)
-    means = {}
-    for field_name in fields:
-        if field_name in topic and not lifts.all():
-            speed = np.nan_to_num(topic[field_name][~lifts])
-            means[field_name] = float(np.mean(np.abs(speed)))
+    if lifts.all():
+        return ()
+    means = {name: np.abs(np.nan_to_num(speed[~lifts])).mean() for name, speed in speeds.items()}
     least = LEAST_SPEED * max(means.values(), default=0.0)
-    return tuple(field_name for field_name, mean in means.items() if mean > least)
+    return tuple(name for name, mean in means.items() if mean > least)
 
 
 def engines_rule(topic: str, fields: tuple[str, ...]) -> Rule:
@@ -398,9 +397,14 @@ def scaling(factor: float) -> Callable[[Array], Array]:
 from_rpm = scaling(np.pi / 30)  # revolutions per minute to rad/s
 
 
+def root_mean_square(speeds: Matrix) -> Matrix:
+    """Return the root mean square of engines (n, k), whose thrusts go with the square of their speed."""
+    return np.sqrt(np.mean(np.square(speeds), axis=1, keepdims=True))
+
+
 def mean_engine(rpm: Matrix) -> Matrix:
-    """Return the root mean square [rad/s] of engines, whose thrusts go with the square of their speed."""
-    return from_rpm(np.sqrt(np.mean(np.square(rpm), axis=1)))[:, None]
+    """Return the root mean square of engines [rad/s]."""
+    return from_rpm(root_mean_square(rpm))
 
 
 milli = scaling(1e-3)

@@ -297,8 +297,7 @@ def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
 
     ``rename`` is not needed, as names have no units.
 
-    Raise FlightReadError if it is damaged, too wide, or has columns of lists, structs or bytes,
-    ImportError without pyarrow.
+    Raise FlightReadError if it is damaged, ImportError without pyarrow.
     """
     try:
         import pyarrow.parquet
@@ -319,28 +318,8 @@ def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
 
 def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
     with pyarrow.parquet.ParquetFile(path) as file:
-        schema = file.schema_arrow
-        check_width(len(schema.names))
-        check_names(name.strip() for name in schema.names)
-        nested = {}
-        columns = []
-        for field in schema:
-            if not INDEX.match(field.name):
-                columns.append(field.name)
-                if not _has_one_value(field.type, pyarrow.types):
-                    nested[field.name] = str(field.type)
-        if nested:
-            raise FlightReadError(
-                f"Got columns of types {nested}, but expected one value in each "
-                "row: drop them, or write one column for each value."
-            )
-        table = file.read(columns=columns).replace_schema_metadata(None)
-    return table.to_pandas()
-
-
-def _has_one_value(kind: Any, types: Any) -> bool:
-    """Return whether a cell of this type is a number, a text or a time."""
-    if types.is_dictionary(kind):
-        kind = kind.value_type
-    is_text = types.is_string(kind) or types.is_large_string(kind)
-    return is_text or types.is_primitive(kind) or types.is_null(kind) or types.is_decimal(kind)
+        names = file.schema_arrow.names
+        check_width(len(names))
+        check_names(name.strip() for name in names)
+        columns = [name for name in names if not INDEX.match(name)]
+        return file.read(columns=columns).replace_schema_metadata(None).to_pandas()

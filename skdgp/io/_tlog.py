@@ -23,7 +23,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import (
-    AIRSPEED_USE,
+    AIRSPEED_USES,
     IMU_POSITIONS,
     NAMING,
     TRIM,
@@ -121,7 +121,15 @@ RULES = (
     Rule(SPECIFIC_FORCE, "RAW_IMU", ACCELEROMETERS, milli_g),
     Rule(SPECIFIC_FORCE, "SCALED_IMU", ACCELEROMETERS, milli_g),
     Rule(QUATERNION, "ATTITUDE", ("roll", "pitch", "yaw"), _attitude),
-    Rule((EQUIVALENT,), "VFR_HUD", ("airspeed",), valid=("airspeed", PITOT), note=AIRSPEED),
+    # estimated on board where the autopilot does not use the sensor
+    Rule(
+        (EQUIVALENT,),
+        "VFR_HUD",
+        ("airspeed",),
+        valid=("airspeed", PITOT),
+        note=AIRSPEED,
+        uses=AIRSPEED_USES[:1],
+    ),
     Rule(EARTH_VELOCITY, "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
     Rule(EARTH_VELOCITY, "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), centi),
     Rule(POSITION, "LOCAL_POSITION_NED", ("x", "y", "z")),
@@ -166,10 +174,6 @@ def read_tlog(path: Path) -> Log:
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
     topics = _topics(by_name)
-    if whole(parameters.get(AIRSPEED_USE, 1.0)) != 1 and "VFR_HUD" in topics:
-        # estimated on board, as the autopilot does not use the sensor
-        hud = topics["VFR_HUD"]
-        topics["VFR_HUD"] = hud.with_fields(**{PITOT: np.zeros(len(hud), dtype=bool)})
     controls, commands, lifts, unread = outputs_of(
         topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw"
     )

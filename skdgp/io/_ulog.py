@@ -16,7 +16,7 @@ import numpy as np
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ELEVONS, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_matrix
 from skdgp.io._log import (
     DOWN,
@@ -69,12 +69,10 @@ def _xyz(name):
     return tuple(f"{name}[{i}]" for i in range(3))
 
 
-ATTITUDE_RESETS = "quat_reset_counter"
+ATTITUDE_RESETS = ("quat_reset_counter",)
 ATTITUDE = tuple(f"q[{i}]" for i in range(4))
-HORIZONTAL = ("v_north", "v_east")
 WIND = ("wind_north", "wind_east")
 PITOT_VALID = ("airspeed_sensor_measurement_valid",)
-GPS_VALID = ("vel_ned_valid",)
 # a position in three dimensions (SensorGps.msg)
 FIX = (("fix_type", 3, 8),)
 # -1 and 0 are no sensor: disabled, ground speed less wind; 4 is synthetic (AirspeedValidated.msg)
@@ -85,43 +83,16 @@ PITOT = tuple(
 LANE = (Use("estimator_selector_status", "primary_instance"),)
 
 
-def _local(topic: str, used: tuple[Use, ...] = ()) -> tuple[Rule, Rule]:
-    """Return the rules for the velocity of a local position."""
+VELOCITY = ("vx", "vy", "vz")
+VELOCITY_VALID = ("v_xy_valid", "v_z_valid")
+VELOCITY_RESETS = ("vxy_reset_counter", "vz_reset_counter")
+
+
+def _gps(topic: str) -> tuple[Rule, ...]:
+    """Return the rules of a GPS; versions before 1.14 have the altitude in millimetres."""
+    velocity = ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
     return (
-        Rule(
-            HORIZONTAL,
-            topic,
-            ("vx", "vy"),
-            valid=("v_xy_valid",),
-            resets="vxy_reset_counter",
-            used=used,
-        ),
-        Rule(
-            ("v_down",), topic, ("vz",), valid=("v_z_valid",), resets="vz_reset_counter", used=used
-        ),
-    )
-
-
-def _velocity(
-    topic: str,
-    fields: tuple[str, str, str],
-    valid: tuple[str, ...] = (),
-    within: tuple[tuple[str, float, float], ...] = (),
-) -> tuple[Rule, Rule]:
-    """Return the rules for a velocity whose components are valid together."""
-    return (
-        Rule(HORIZONTAL, topic, fields[:2], valid=valid, within=within),
-        Rule(("v_down",), topic, fields[2:], valid=valid, within=within),
-    )
-
-
-def _gps_velocity(topic: str) -> tuple[Rule, Rule]:
-    return _velocity(topic, ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), GPS_VALID, FIX)
-
-
-def _gps_altitude(topic: str) -> tuple[Rule, Rule]:
-    """Return the rules for the altitude of a GPS; versions before 1.14 have millimetres."""
-    return (
+        Rule(EARTH_VELOCITY, topic, velocity, valid=("vel_ned_valid",), within=FIX),
         Rule(("altitude",), topic, ("altitude_msl_m",), within=FIX),
         Rule(("altitude",), topic, ("alt",), milli, within=FIX),
     )
@@ -151,31 +122,27 @@ RULES = (
     Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT, preferred=("confidence",)),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
-    *_local("vehicle_local_position"),
-    *_local("estimator_local_position", LANE),
-    *_velocity("vehicle_global_position", ("vel_n", "vel_e", "vel_d")),
-    *_gps_velocity("vehicle_gps_position"),
-    *_gps_velocity("sensor_gps"),
     Rule(
-        ("north", "east"),
+        EARTH_VELOCITY,
         "vehicle_local_position",
-        ("x", "y"),
-        valid=("xy_valid",),
+        VELOCITY,
+        valid=VELOCITY_VALID,
+        resets=VELOCITY_RESETS,
     ),
     Rule(
-        ("down",),
-        "vehicle_local_position",
-        ("z",),
-        valid=("z_valid",),
+        EARTH_VELOCITY,
+        "estimator_local_position",
+        VELOCITY,
+        valid=VELOCITY_VALID,
+        used=LANE,
+        resets=VELOCITY_RESETS,
     ),
-    Rule(
-        ("altitude",),
-        "vehicle_global_position",
-        ("alt",),
-    ),
+    Rule(EARTH_VELOCITY, "vehicle_global_position", ("vel_n", "vel_e", "vel_d")),
+    Rule(POSITION, "vehicle_local_position", ("x", "y", "z"), valid=("xy_valid", "z_valid")),
+    Rule(("altitude",), "vehicle_global_position", ("alt",)),
     Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
-    *_gps_altitude("vehicle_gps_position"),
-    *_gps_altitude("sensor_gps"),
+    *_gps("vehicle_gps_position"),
+    *_gps("sensor_gps"),
     Rule(("density",), "vehicle_air_data", ("rho",)),
     _wind("wind"),
     _wind("wind_estimate"),

@@ -89,7 +89,8 @@ class TestChoices:
     def test_samples_that_are_not_valid_are_missing(self, whole, log):
         t = self.t
         valid = ("bool", (t < 5) | (t > 6))
-        log.topic("vehicle_local_position", t, vx=np.sin(t), vy=np.cos(t), v_xy_valid=valid)
+        velocity = {"vx": np.sin(t), "vy": np.cos(t), "vz": 0 * t}
+        log.topic("vehicle_local_position", t, **velocity, v_xy_valid=valid)
         table = whole(log)
         lost = (table.time > 4.99) & (table.time < 6.01)
         assert table.v_north[lost].isna().all()
@@ -198,7 +199,8 @@ class TestFlights:
     def test_rolling_on_the_ground_is_not_flight(self, read, log):
         """Fast and no longer reported as landed from 10 s, half a metre above the runway at 22.5 s."""
         log = log().topic("vehicle_land_detected", [0.0, 10.0], landed=("bool", [1, 0]))
-        log.topic("vehicle_local_position", self.t, z=-100.0 - 0.2 * np.maximum(self.t - 20, 0))
+        down = -100.0 - 0.2 * np.maximum(self.t - 20, 0)
+        log.topic("vehicle_local_position", self.t, x=0 * down, y=0 * down, z=down)
         assert read(log).time.min() == pytest.approx(22.5, abs=0.1)
 
     def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, told, dataflash):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
+from skdgp.io import AUTOPILOTS, FlightReadError
 
 read_dataflash = AUTOPILOTS[".bin"]
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
@@ -157,9 +157,3 @@ def test_a_parameter_that_changes_counts_as_in_the_middle(read, dataflash):
     for time, name, value in ((20, b"SERVO1_TRIM", 1520.0), (58, b"SERVO1_REVERSED", 1.0)):
         log.rows("PARM", "QNf", "TimeUS,Name,Value", [(10**6 * time, name, value)])
     assert read(log).parameters == {"SERVO1_REVERSED": 0.0, "SERVO1_TRIM": 1520.0}
-
-
-def test_how_a_file_begins_counts_before_its_suffix(write, dataflash):
-    log = ticks(dataflash(), *(10**5 * np.arange(100)))
-    log.topic("ARSP", np.arange(0, 10, 0.1), Airspeed=20.0)
-    assert_allclose(read_flight(write(log, "binary.log"), airborne=False).airspeed, 20.0)

@@ -33,7 +33,7 @@ def as_vtol(log, state):
 @pytest.fixture
 def surfaces(read):
     """Read the surfaces of a log in parts of their full throw, without its ends."""
-    return lambda log, name="log.ulg": read(log, name, servos="full throw", airborne=False)[10:-10]
+    return lambda log, name=None: read(log, name, servos="full throw", airborne=False)[10:-10]
 
 
 @pytest.fixture
@@ -192,7 +192,7 @@ class TestResets:
     def test_a_velocity_that_is_reset_is_cut(self, told, px4):
         log = px4()
         late = SLOW >= 25
-        velocity = {"vx": TRUE - 5 * ~late, "vy": np.cos(SLOW)}
+        velocity = {"vx": TRUE - 5 * ~late, "vy": np.cos(SLOW), "vz": 0 * SLOW}
         counter = ("uint8_t", late)
         log.topic("vehicle_local_position", SLOW, **velocity, vxy_reset_counter=counter)
         table = told(r"a new flight begins, at 25.0 s", log, airborne=False)

@@ -89,19 +89,6 @@ class TestWhatTheLogSaysOfItself:
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
         assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
 
-    def test_scaled_integers(self, read, dataflash):
-        log = dataflash().topic(
-            "S",
-            [0.1, 0.2],
-            c=("c", [-1.25, 1.25]),
-            C=("C", [3.5, 350.25]),
-            L=("L", [48.1234567, -9.0]),
-        )
-        topic = read(log).topics["S"]
-        assert_allclose(topic["c"], [-1.25, 1.25])
-        assert_allclose(topic["C"], [3.5, 350.25])
-        assert_allclose(topic["L"], [48.1234567, -9.0], rtol=1e-12)
-
     def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
         log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=[1, 2, 3, 4])
         kind = log.types["ABC"][0]

@@ -40,18 +40,6 @@ def bits(raw, rng):
     return raw
 
 
-def some_bytes(raw, rng):
-    at = places(len(raw), rng)
-    raw[at] = rng.integers(0, 256, len(at))
-    return raw
-
-
-def first_bytes(raw, rng):
-    at = rng.integers(0, min(700, len(raw)), rng.integers(1, 6))
-    raw[at] = rng.choice([0, 1, 0x7F, 0x80, 0xFF, *rng.integers(0, 256, 5)], len(at))
-    return raw
-
-
 def cut(raw, rng):
     return raw[: rng.integers(0, len(raw))]
 
@@ -71,7 +59,7 @@ def numbers(raw, rng):
     return raw
 
 
-DAMAGES = (bits, some_bytes, first_bytes, cut, splice, numbers)
+DAMAGES = (bits, cut, splice, numbers)
 
 
 def check(table, n_bytes):

@@ -55,15 +55,14 @@ class TestSummary:
                 read_flight(quad, airborne=airborne)
 
     def test_columns_of_unknown_names_are_one_line(self, write):
-        path = write(named("ias", "de", "aoa", *(f"sensor_{k}" for k in range(66))))
-        words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'aoa' \(.* 'alpha'"
+        path = write(named("ias", "de", "gx_dps", *(f"sensor_{k}" for k in range(66))))
+        words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'gx_dps' \(.* 'p'"
         with pytest.warns(UserWarning, match=words):
             (remark,) = inspect_log(path).remarks
         assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed' [m/s]?)")
         assert "sensor_0, sensor_1" in remark
-        rename = {"ias": "airspeed", "de": "elevator", "aoa": "alpha"}
-        found = set(inspect_log(path, rename=rename).columns.index)
-        assert found == {"airspeed", "elevator", "alpha"}
+        found = inspect_log(path, rename={"ias": "airspeed", "de": "elevator", "gx_dps": "p"})
+        assert set(found.columns.index) == {"airspeed", "elevator", "p"}
 
     def test_the_faults_of_a_table_at_seconds_of_the_log(self, write):
         table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500), "flight": "a"})
@@ -86,18 +85,9 @@ class TestSummary:
         summary = inspect_log(write(pd.concat(records)))
         assert len(summary.flights) == 9
         assert summary.columns["rate"].tolist() == pytest.approx([100.0] * len(summary.columns))
-        text = str(summary)
-        assert text.count("flight from") == 9
-        assert max(map(len, text.splitlines()[1:])) <= 110
+        assert str(summary).count("flight from") == 9
         assert len(summary.remarks) == 2  # of q and r in each record
         assert all("(8 more of this kind)" in remark for remark in summary.remarks)
-
-    def test_a_unit_in_a_name_hides_no_suggestion(self, write):
-        names = {"Roll_deg": "'phi' [rad]", "gx_dps": "'p' [rad/s]", "IAS_mps": "'airspeed' [m/s]"}
-        with pytest.warns(UserWarning, match="did you mean") as caught:
-            inspect_log(write(named(*names)))
-        said = str(caught[0].message)
-        assert all(f"{name!r} (did you mean {meant}?)" in said for name, meant in names.items())
 
 
 def test_what_was_not_measured_contradicts_nothing(write, flight):

@@ -43,15 +43,9 @@ def test_of_px4(read, ulog):
     assert_is_placed(table)
 
 
-def test_of_telemetry(tlog, read):
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-    messages = []
-    for name, value in parameters("INS_POS1").items():
-        message = mavlink.MAVLink_param_value_message(name.encode(), value, 9, 2, 0)
-        messages.append(tlog[0][:8] + message.pack(plane))
-    table = read([*messages, *tlog])
-    assert_is_placed(table)
+def test_of_telemetry(read, mavlink_parameters):
+    sent = {name.encode(): value for name, value in parameters("INS_POS1").items()}
+    assert_is_placed(read(mavlink_parameters(sent)))
 
 
 def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):

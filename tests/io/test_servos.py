@@ -162,33 +162,14 @@ def blocks(language):
 
 def test_the_code_runs(write, monkeypatch, ulog, flight):
     t = flight.time(50)
-    log = ulog(MAV_TYPE=1)
-    log.topic("vehicle_angular_velocity", t, xyz=flight.at(t, "p", "q", "r"))
-    log.topic("vehicle_acceleration", t, xyz=flight.at(t, "ax", "ay", "az"))
+    log = ulog(MAV_TYPE=1).gyros(t, flight["p"](t))
     controls = flight.at(t, "aileron", "elevator", "rudder", "throttle")
     log.topic("actuator_controls_0", t, control=controls)
     log.topic("airspeed", t, true_airspeed_m_s=flight["airspeed"](t))
-    log.topic("vehicle_air_data", t, rho=flight["density"](t))
-    log.topic("rpm", t, indicated_frequency_rpm=flight["propeller_speed"](t))
     monkeypatch.chdir(write(log, "sortie.ulg").parent)
     names = {}
     for block in blocks("python"):
         exec(compile(block, "logs.md", "exec"), names)
-
-
-def test_a_part_of_a_log_without_outputs(told, dataflash):
-    """The clock restarts, and the log ends before the first output."""
-    log = dataflash(SERVO1_FUNCTION=4.0)
-    times = np.arange(50, 80, 0.05), np.arange(0, 8, 0.05)
-    log.topic("RCOU", times[0], C1=("H", 1700))
-    log.topic("ARSP", times[0], Airspeed=20.0, H=("B", 1))
-    messages = sorted(log.data, key=lambda timed: timed[0])
-    log.topic("ARSP", times[1], Airspeed=20.0, H=("B", 1))
-    later = log.data[len(messages) :]
-    log.data = [(k, message) for k, (_, message) in enumerate(messages + later)]
-    table = told("the clock was set back", log, servos="full throw")
-    assert_allclose(table.aileron[table.flight == "log"], 0.5)
-    assert table.aileron[table.flight == "log#2"].isna().all()
 
 
 @pytest.mark.parametrize(

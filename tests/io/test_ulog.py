@@ -90,26 +90,6 @@ class TestDamage:
         assert times(log) == list(range(1, 5000))
         assert log.remarks == SKIPPED
 
-    def test_a_wrong_length_costs_what_stands_before_the_next_mark(self, read):
-        """PX4 writes marks for this case all along the file."""
-        mark = message("S", bytes.fromhex("2f731320250cbb12"))
-        broken = b"\xff\x04D" + ticks(3)[0][3:]
-        parts = [[*ticks(*range(k, k + 100)), mark] for k in range(4, 5004, 100)]
-        log = read(*TICK, *ticks(1, 2), broken, *(each for part in parts for each in part))
-        assert times(log) == [1, 2, *range(104, 5004)]
-        assert log.remarks == SKIPPED
-
-    def test_cut_off_anywhere(self, read):
-        messages = [*TICK, *ticks(1, 2, 3, 4)]
-        whole = b"".join(messages)
-        first = len(b"".join(messages[:3]))
-        for length in range(first, len(whole)):
-            log = read(whole[:length])
-            assert times(log) == list(range(1, 2 + (length - first) // len(messages[-1])))
-        for length in range(first):
-            with pytest.raises(FlightReadError, match="without any data"):
-                read(whole[:length])
-
     @pytest.mark.parametrize("text", ["bad:float x;", "bad:"])
     def test_a_topic_without_time_is_none(self, read, text):
         log = read(definition(text), *TICK, subscription(5, "bad"), *ticks(1, 2))
@@ -121,11 +101,6 @@ class TestDamage:
 
     def test_messages_of_no_topic(self, read):
         assert read(*TICK, *ticks(1, 2), datum(9, "Q", 3)).remarks == SKIPPED
-
-    def test_a_parameter_shorter_than_its_type_ends_the_reading(self, read):
-        log = read(*TICK, *ticks(1, 2), message("P", b"\x07float A\x00"), *ticks(3, 4))
-        assert times(log) == [1, 2]
-        assert log.remarks == (f"{len(ticks(3)[0]) * 2} bytes could not be read and were skipped",)
 
     def test_messages_out_of_order_stay_in_the_order_of_the_file(self, read):
         assert times(read(*TICK, *ticks(3, 1, 2))) == [3, 1, 2]

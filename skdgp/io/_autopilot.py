@@ -44,7 +44,6 @@ from skdgp.io._log import (
     Control,
     Log,
     Rule,
-    Servo,
     States,
     full_throws,
     no_wings,
@@ -298,19 +297,13 @@ def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
     for name, control in controls.items():
         for _, servo in control:
             if servo.field not in log.topics.get(servo.topic, NOTHING):
-                raise FlightReadError(_lacking_channel(log, name, servo))
-
-
-def _lacking_channel(log: Log, name: str, servo: Servo) -> str:
-    """Return the message that the log lacks the channel of a servo, with those that it has."""
-    fields = []
-    for output in log.topics.keys() & set(log.outputs):
-        numbers = log.topics[output].fields.keys() - {"timestamp", "timestamp_sample", "TimeUS"}
-        fields += [f"{output}.{number}" for number in numbers]
-    return (
-        f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one "
-        f"of {sorted(fields)[:24]}."
-    )
+                outputs = {
+                    output: [*log.topics.get(output, NOTHING).fields] for output in log.outputs
+                }
+                raise FlightReadError(
+                    f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one "
+                    f"of {outputs}."
+                )
 
 
 def to_table(sources: list[Source]) -> tuple[pd.DataFrame, dict[str, Origin]]:

@@ -76,9 +76,10 @@ def _remarks(time: Vector, restarts: list[int], n_wrong: Counter[str]) -> list[s
     """Return remarks on restarts of a clock, of these the first, and on wrong times."""
     remarks = []
     if restarts:
-        steps = [f"from {time[row - 1]:.1f} s to {time[row]:.1f} s" for row in restarts[:4]]
+        before, after = time[restarts[0] - 1 : restarts[0] + 1]
         remarks.append(
-            f"the clock was set back {len(restarts)} times ({', '.join(steps)}): each time a new flight begins"
+            f"the clock was set back {len(restarts)} times (from {before:.1f} s to {after:.1f} s): each time a new "
+            "flight begins"
         )
     if n_wrong.total():
         name, most = n_wrong.most_common(1)[0]

@@ -37,8 +37,6 @@ from skdgp.io._log import (
     centi,
     damage,
     density_at,
-    driving,
-    engines_rule,
     from_rpm,
     in_force,
     instance_name,
@@ -47,6 +45,7 @@ from skdgp.io._log import (
     stated_positions,
     turned,
     whole,
+    with_engines,
 )
 from skdgp.io._tables import FlightReadError
 
@@ -172,7 +171,7 @@ NAMING = "the parameters SERVOn_FUNCTION"
 MOST_SERVOS = 16
 MOST_OUTPUTS = 32
 # speeds [rpm] of a message of two engines
-ENGINES = ("rpm1", "rpm2")
+ENGINES = {"RPM": ("rpm1", "rpm2")}
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
 TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK, and of tailsitters
@@ -269,6 +268,7 @@ class Messages(NamedTuple):
 
 
 NO_MESSAGES = Messages("", {}, np.empty(0))
+NO_CHANGES = (np.empty(0), (), np.empty(0))
 
 
 def _topics(messages: Mapping[str, Messages], units: Mapping[str, str]) -> dict[str, Topic]:
@@ -285,13 +285,14 @@ def _log(
     """Return the log of these messages."""
     defined = messages.get("PARM", NO_MESSAGES)
     times = [1e-6 * time for time in defined.numbers("TimeUS")]
-    parameters = in_force(defined.texts("Name"), defined.numbers("Value"), times, topics)
+    changes = list(zip(times, defined.texts("Name"), defined.numbers("Value"), strict=False))
+    parameters = in_force(changes, topics)
     firmware = _firmware(messages.get("MSG", NO_MESSAGES).texts("Message"))
     program = firmware.split(" ")[0]
     frame = whole(parameters.get("FRAME_CLASS", 0.0))
     kind = FRAMES.get((program, frame), VEHICLES.get(program))
     vehicle = vehicle_of(kind, parameters)
-    topics, of_ratio = _with_last_ratio(topics, defined)
+    topics, of_ratio = _with_last_ratio(topics, changes)
     controls, commands, lifts, unread = outputs_of(topics.get("RCOU", NOTHING), parameters)
     lifting: States = ()
     if vehicle == "VTOL":
@@ -299,7 +300,7 @@ def _log(
     return Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=in_vehicle_axes(_rules(topics, lifting), parameters),
+        rules=in_vehicle_axes(with_engines(RULES, topics, ENGINES, lifting), parameters),
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
@@ -324,7 +325,7 @@ def _firmware(texts: list[str]) -> str:
 
 
 def _with_last_ratio(
-    topics: dict[str, Topic], defined: Messages
+    topics: dict[str, Topic], changes: list[tuple[float, str, float]]
 ) -> tuple[dict[str, Topic], tuple[str, ...]]:
     """Return the topics with airspeeds by the last ratio of their sensor, and a remark on one that changed.
 
@@ -333,7 +334,8 @@ def _with_last_ratio(
     remarks: tuple[str, ...] = ()
     for name in RATIOS.keys() & topics.keys():
         topic = topics[name]
-        times, values = _values_of(RATIOS[name], defined)
+        rows = [row for row in changes if row[1] == RATIOS[name] and 0 < row[2] < np.inf]
+        times, _, values = map(np.array, zip(*sorted(rows), strict=True)) if rows else NO_CHANGES
         if "Airspeed" in topic and len(values) and np.ptp(values) > 0:
             at = values[last_before(times, topic.time)]
             scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)
@@ -343,18 +345,6 @@ def _with_last_ratio(
                 "scaled to the last",
             )
     return topics, remarks
-
-
-def _values_of(parameter: str, defined: Messages) -> tuple[Vector, Vector]:
-    """Return the times [s] at which a parameter was set, and its positive values."""
-    rows = []
-    for name, value, time in zip(
-        defined.texts("Name"), defined.numbers("Value"), defined.numbers("TimeUS"), strict=False
-    ):
-        if name == parameter and 0 < value < np.inf and np.isfinite(time):
-            rows.append((1e-6 * time, value))
-    times, values = np.reshape(sorted(rows), (-1, 2)).T
-    return times, values
 
 
 def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | None:
@@ -391,12 +381,6 @@ def _lifting(outputs: list[Output], parameters: Mapping[str, float]) -> States:
         if output.function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(output.function) & 1:
             motors.append((topic, field, low + RUNNING * (high - low), np.inf))
     return tuple(motors)
-
-
-def _rules(topics: Mapping[str, Topic], lifting: States) -> tuple[Rule, ...]:
-    """Return the rules, with the engines that run."""
-    engines = driving(topics, "RPM", ENGINES, lifting)
-    return (engines_rule("RPM", engines), *RULES) if engines else RULES
 
 
 class _Type:

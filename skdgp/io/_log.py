@@ -379,9 +379,20 @@ def fastest(speeds: Mapping[str, Vector], lifts: Mask) -> tuple[str, ...]:
     return tuple(name for name, mean in means.items() if mean > least)
 
 
-def engines_rule(topic: str, fields: tuple[str, ...]) -> Rule:
-    """Return the rule for the propeller speed [rad/s] of engines whose speeds [rpm] are in fields of a topic."""
-    return Rule(("propeller_speed",), topic, fields, mean_engine, note=engines_note(len(fields)))
+def with_engines(
+    rules: tuple[Rule, ...],
+    topics: Mapping[str, Topic],
+    engines: Mapping[str, Iterable[str]],
+    lifting: States,
+) -> tuple[Rule, ...]:
+    """Return rules after those of the engines that drive, whose speeds [rpm] are fields of topics by name."""
+    of_engines = []
+    for name, fields in engines.items():
+        running = driving(topics, name, fields, lifting)
+        if running:
+            note = engines_note(len(running))
+            of_engines.append(Rule(("propeller_speed",), name, running, mean_engine, note=note))
+    return (*of_engines, *rules)
 
 
 def engines_note(n_engines: int) -> str:
@@ -437,12 +448,9 @@ def instance_name(name: str, instance: int) -> str:
 
 
 def in_force(
-    names: Iterable[str],
-    values: Iterable[float],
-    times: Iterable[float],
-    topics: Mapping[str, Topic],
+    changes: Iterable[tuple[float, str, float]], topics: Mapping[str, Topic]
 ) -> dict[str, float]:
-    """Return the value of each parameter in the middle of a log, of values in order of time [s]; NaN are none.
+    """Return the value of each parameter in the middle of a log, of (time [s], name, value) in order; NaN are none.
 
     One that is set later alone has its first value.
     """
@@ -450,7 +458,7 @@ def in_force(
     middles = [float(np.median(topic.time)) for topic in topics.values() if len(topic)]
     middle = float(np.median(middles)) if middles else 0.0
     parameters: dict[str, float] = {}
-    for name, value, time in zip(names, values, times, strict=False):
+    for time, name, value in changes:
         if np.isfinite(value) and (time <= middle or name not in parameters):
             parameters[name] = float(value)
     return parameters
@@ -601,45 +609,25 @@ def _servo(name: str, entry: Any) -> Servo | float:
         raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
     if isinstance(entry, str):
         return _throw(name, entry)
-    if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
+    is_whole = isinstance(entry, dict) and entry.keys() == KEYS
+    points = _points(entry["points"]) if is_whole else np.empty((0, 2))
+    is_calibration = len(points) > 1 and _increases(points[:, 0])
+    if not is_calibration or np.abs(points[:, 1]).max() > np.pi / 2:
         raise FlightReadError(
-            f'Got {name} without a channel, but expected one, as in channel = "RCOU.C2".'
+            f"Got {entry} for {name}, but expected a channel, and points of its values, each once, and angles [rad], "
+            'at most pi/2: channel = "RCOU.C2", points = [[1100, -0.35], [1900, 0.35]].'
         )
-    unknown = sorted(set(entry) - KEYS)
-    if unknown:
-        raise FlightReadError(f"Got {unknown} for {name}, but expected only {sorted(KEYS)}.")
-    inputs, angles = _checked_points(name, entry).T.tolist()
-    return Servo(entry["channel"], tuple(inputs), tuple(angles))
+    inputs, angles = points.T.tolist()
+    return Servo(str(entry["channel"]), tuple(inputs), tuple(angles))
 
 
-def _checked_points(name: str, entry: Mapping[str, Any]) -> Matrix:
-    """Return the pairs of channel and angle (n, 2) of a surface; raise FlightReadError if they make no sense."""
-    points = _points(entry)
-    if len(points) < 2:
-        raise FlightReadError(
-            f"Got {entry} for {name}, but expected points, pairs of numbers "
-            "(channel, angle) as in [[1100, -0.35], [1900, 0.35]]."
-        )
-    if not np.isfinite(points).all() or not _increases(points[:, 0]):
-        raise FlightReadError(
-            f"Got {points.tolist()} (channel, angle) for {name}, but expected finite numbers, each value "
-            "of the channel once: measure the angle of the surface at these values, in rad."
-        )
-    largest = np.abs(points[:, 1]).max()
-    if largest > np.pi / 2:
-        raise FlightReadError(
-            f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
-        )
-    return points
-
-
-def _points(entry: Mapping[str, Any]) -> Matrix:
-    """Return the pairs of channel and angle (n, 2) in order of the channel; none if they are no numbers."""
+def _points(entries: Any) -> Matrix:
+    """Return pairs of channel and angle (n, 2) in order of the channel; none if they are no finite numbers."""
     try:
-        pairs = [[float(value), float(angle)] for value, angle in entry["points"]]
-        return np.array(sorted(pairs))
-    except (KeyError, TypeError, ValueError, OverflowError):
+        pairs = [[float(value), float(angle)] for value, angle in entries]
+    except (TypeError, ValueError, OverflowError):
         return np.empty((0, 2))
+    return np.array(sorted(pairs)) if np.isfinite(pairs).all() else np.empty((0, 2))
 
 
 def _throw(name: str, text: str) -> float:

@@ -43,8 +43,6 @@ from skdgp.io._log import (
     centi,
     damage,
     density_at,
-    driving,
-    engines_rule,
     instance_name,
     last_before,
     milli,
@@ -53,6 +51,7 @@ from skdgp.io._log import (
     scaling,
     stated_positions,
     whole,
+    with_engines,
 )
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import IMU_POSITIONS as PX4_IMU_POSITIONS
@@ -182,7 +181,7 @@ def read_tlog(path: Path) -> Log:
     if vehicle == "VTOL":
         modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
         lifting = (HOVER, *(lifts or modes))
-    rules = _rules(topics, lifting)
+    rules = with_engines(RULES, topics, ENGINES, lifting)
     of_trim: tuple[str, ...] = ()
     if not is_px4:
         rules = _with_pitch_trim(rules, parameters)
@@ -243,16 +242,6 @@ def _vehicle(
     states = topics.get(HOVER[0], NOTHING)
     hovers = rows_in((HOVER,), topics, states.time).any()
     return "VTOL" if vehicle == "fixed wing" and hovers else vehicle
-
-
-def _rules(topics: dict[str, Topic], lifting: States) -> tuple[Rule, ...]:
-    """Return the rules with the engines that run."""
-    rules = list(RULES)
-    for name, fields in ENGINES.items():
-        engines = driving(topics, name, fields, lifting)
-        if engines:
-            rules.append(engines_rule(name, engines))
-    return tuple(rules)
 
 
 def _with_pitch_trim(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:

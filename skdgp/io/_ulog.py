@@ -33,7 +33,6 @@ from skdgp.io._log import (
     Use,
     damage,
     driving,
-    engines_rule,
     from_rpm,
     in_force,
     instance_name,
@@ -42,6 +41,7 @@ from skdgp.io._log import (
     stated_positions,
     turned,
     whole,
+    with_engines,
 )
 from skdgp.io._tables import FlightReadError
 
@@ -186,7 +186,7 @@ OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_M
 NAMING = "the parameters CA_SV_CSn_TYPE, or the controls before a fixed mixer (actuator_controls_0)"
 MOST_ENGINES = 12
 MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
-ENGINE_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
+ENGINES = {"esc_status": tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))}
 MOST_SURFACES = 8  # of control allocation
 MOST_IMUS = 4
 # Parameters of the position of the IMUs, the same for all (ekf2_params)
@@ -306,19 +306,13 @@ def _rules(topics: Mapping[str, Topic], lifting: States, tilts: bool) -> tuple[R
 
     Several motors come first: other sources are one number for all, also where one is switched off.
     """
+    rules = with_engines((TILTED, *RULES) if tilts else RULES, topics, ENGINES, lifting)
     motors = driving(topics, "actuator_motors", MOTOR_FIELDS, lifting)
-    engines = driving(topics, "esc_status", ENGINE_FIELDS, lifting)
+    if not motors:
+        return rules
     note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
-    rules: tuple[Rule, ...] = (TILTED, *RULES) if tilts else RULES
-    for fields, rule in (
-        (motors, Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note)),
-        (engines, engines_rule("esc_status", engines)),
-    ):
-        if len(fields) > 1:
-            rules = (rule, *rules)
-        elif fields:
-            rules = (*rules, rule)
-    return rules
+    rule = Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note)
+    return (rule, *rules) if len(motors) > 1 else (*rules, rule)
 
 
 def _mean_motor(commands: Matrix) -> Matrix:
@@ -377,8 +371,7 @@ def _parameters(log: Any, topics: Mapping[str, Topic]) -> dict[str, float]:
     for time, name, value in log.changed_parameters:
         changes.append((1e-6 * time, name, value))
     numbers = [change for change in changes if isinstance(change[2], int | float)]
-    times, names, values = zip(*numbers, strict=True) if numbers else ((), (), ())
-    return in_force(names, values, times, topics)
+    return in_force(numbers, topics)
 
 
 def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> str | None:

@@ -25,6 +25,7 @@ from skdgp.dynamics import (
     ScaleFactor,
     Turbulence,
     check_aircraft,
+    dynamic_pressure,
 )
 from skdgp.estimation import prior_deviations, without_airspeed_error
 from skdgp.identification._least_squares import RegressionCalibration, fit_least_squares
@@ -431,16 +432,41 @@ class FlightPipeline(Pipeline):
         return self.aircraft is not None and has_values(flights, *needed)
 
     def _errors_by_air(self, turbulence: Turbulence, X: Matrix, y: Any) -> FunctionErrors:
-        """Return the errors by rates of the air, noise of the regressors whose size follows from the gusts."""
+        """Return the errors by rates of the air, noise of the regressors whose size follows from the gusts.
+
+        Gyros show it as far as the aircraft follows the air.
+        """
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
         airspeed: Any = turbulence.airspeed  # of flights it is known
         std = turbulence.rates(airspeed, aircraft.span) * aircraft.moment_lengths / (2 * airspeed)
+        if self.least_squares_ and "density" in self.conditions_:
+            std = std * np.sqrt(self._followed(airspeed))
         of_rates = dict(zip((f"{name}{HAT}" for name in RATES), std, strict=True))
         of_regressors = np.array([of_rates.get(name, 0.0) for name in regressor_names(self)])
         scaled = of_regressors / self._scale(X.shape[1])
         complete = X[np.isfinite(X).all(axis=1)]
         errors = [attenuation(complete, scaled, slopes) for slopes in linear_slopes(X, y)]
         return errors_of_slopes(np.array(errors), complete.mean(axis=0))
+
+    def _followed(self, airspeed: float) -> Vector:
+        r"""Return the fraction (3,) of the variance of the rates of the air by which the aircraft's vary with them.
+
+        By the damping d of an axis, :math:`\dot p = -d (p - p_g)`, and gusts of the correlation time T,
+
+        .. math:: \frac{\mathrm{cov}(p, p_g)}{\mathrm{var}\, p_g} = \frac{d\, T}{1 + d\, T}.
+        """
+        aircraft: Any = self.aircraft
+        load = dynamic_pressure(airspeed, self.conditions_["density"]) * aircraft.wing_area
+        lengths = aircraft.moment_lengths
+        slopes = [
+            self.least_squares_[moment].get(f"{name}{HAT}", 0.0)
+            for moment, name in zip(COEFFICIENTS[3:], RATES, strict=True)
+        ]
+        by_rate = load * lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)
+        damping = -by_rate * np.array(slopes)
+        gust_time = 4 * aircraft.span / (np.pi * airspeed)  # of the rolling air, MIL-F-8785C
+        followed = np.maximum(damping, 0.0) * gust_time
+        return followed / (1 + followed)
 
     def _errors_of_log(self, flights: pd.DataFrame, X: Matrix) -> FunctionErrors:
         """Return the errors by the log that its flights do not show."""

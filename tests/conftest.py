@@ -12,6 +12,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import joblib
@@ -180,6 +181,18 @@ def code_of_section():
         return "\n".join(re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE))
 
     return code
+
+
+@pytest.fixture(scope="session")
+def kernel_of_the_page():
+    """Return the class of kernels.md, in a module, since instances are pickled by the name of their class."""
+    page = Path(__file__).resolve().parents[1] / "docs" / "kernels.md"
+    made = sys.modules.setdefault("kernels_of_the_page", ModuleType("kernels_of_the_page"))
+    text = page.read_text(encoding="utf-8")
+    for code in re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE):
+        if "\nclass " in code:
+            exec(compile(code, page.name, "exec"), vars(made))
+    return made.SharedMatern
 
 
 @pytest.fixture(scope="session")

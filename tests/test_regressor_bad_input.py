@@ -129,14 +129,6 @@ class TestRefusedFit:
         assert not [name for name in vars(model) if name.endswith("_")]
 
 
-class TestMasks:
-    def test_masked_targets_are_not_observed(self, X, Y):
-        hidden = default_rng(1).random(Y.shape) < 0.3
-        masked = np.ma.masked_array(np.where(hidden, 1e3, Y), mask=hidden)
-        expected = quick().fit(X, np.where(hidden, np.nan, Y)).predict(X)
-        assert_array_equal(quick().fit(X, masked).predict(X), expected)
-
-
 class TestRegressors:
     def test_by_other_names_or_in_another_order(self, tables):
         X, Y = tables
@@ -264,9 +256,6 @@ class TestFewRows:
             model.fit(X, Y)
 
 
-PLAIN = default_rng(3).normal(size=(7, 2)) * 1.5
-
-
 @pytest.fixture(scope="module")
 def small():
     X = default_rng(0).normal(size=(40, 2))
@@ -276,18 +265,6 @@ def small():
 
 class TestPlainRows:
     """What passes the door without scikit-learn's full check is what would pass it unchanged."""
-
-    def test_other_forms_give_the_same(self, small):
-        expected = small.predict(PLAIN)
-        for form in (
-            PLAIN.tolist(),
-            np.asfortranarray(PLAIN),
-            PLAIN.astype(">f8"),
-            np.repeat(PLAIN, 2, axis=1)[:, ::2],
-        ):
-            assert_allclose(small.predict(form), expected, rtol=1e-12)
-        assert_allclose(small.predict(PLAIN.astype(np.float32)), expected, rtol=1e-4)
-        assert_allclose(small.predict(pd.DataFrame(PLAIN)), expected, rtol=1e-12)
 
     @pytest.mark.parametrize(
         ("X", "says"),

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.spatial.distance import cdist
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
@@ -15,61 +14,10 @@ from skdgp import DependentGPRegressor
 from skdgp.kernels import (
     ConvolvedGaussian,
     Coregionalized,
-    FreeParameter,
     LinearTrend,
-    MultiOutputKernel,
-    prior_paths,
 )
 
 FAR = [[1e4]]  # where a posterior is the prior
-
-
-class FiveMethods(MultiOutputKernel):
-    """One process exp(-r^2 / 2) times an amplitude for each output."""
-
-    def __init__(self, amplitude, length_scale, amplitude_bounds=(-1e4, 1e4)):
-        self.amplitude = amplitude
-        self.length_scale = length_scale
-        self.amplitude_bounds = amplitude_bounds
-
-    @property
-    def n_outputs(self):
-        return len(self.amplitude)
-
-    @property
-    def n_features(self):
-        return 1
-
-    def free_parameters(self):
-        index = np.arange(self.n_outputs)
-        return [
-            FreeParameter("amplitude", index, False, self.amplitude_bounds),
-            FreeParameter("length_scale", np.arange(1), True, (1e-2, 1e2)),
-        ]
-
-    def rescaled(self, factor):
-        bounds = np.asarray(self.amplitude_bounds) * np.reshape(factor, (-1, 1))
-        return type(self)(np.multiply(self.amplitude, factor), self.length_scale, bounds)
-
-    def shape(self, Xi, Xj):
-        square = cdist(Xi, Xj, "sqeuclidean") / self.length_scale[0] ** 2
-        return np.exp(-0.5 * square), square
-
-    def block(self, i, j, Xi, Xj):
-        return self.amplitude[i] * self.amplitude[j] * self.shape(Xi, Xj)[0]
-
-    def block_diag(self, i, Xi):
-        return np.full(len(Xi), self.amplitude[i] ** 2)
-
-    def block_gradient(self, i, j, Xi, Xj, W):
-        k, square = self.shape(Xi, Xj)
-        by_amplitude = np.zeros(self.n_outputs)
-        by_amplitude[i] += self.amplitude[j] * np.sum(W * k)
-        by_amplitude[j] += self.amplitude[i] * np.sum(W * k)
-        by_length = self.amplitude[i] * self.amplitude[j] * np.sum(W * k * square)
-        return self.theta_gradient(
-            {"amplitude": by_amplitude, "length_scale": np.array([by_length])}
-        )
 
 
 # With values, in the units of `waves`
@@ -82,8 +30,14 @@ GIVEN = [
         parameter_bounds={"amplitude": np.array([[-100.0, 100.0], [-0.01, 0.01]])},
     ),
     Coregionalized(Matern(), amplitude=[[30.0, -3e-3], [1.0, 0.0], [0.0, 1e-4]]),
-    FiveMethods([30.0, -3e-3], [1.5]),
 ]
+
+
+@pytest.fixture(params=["convolved", "coregionalized", "of the page"])
+def given(request, kernel_of_the_page):
+    """Return a kernel with values."""
+    kernels = [*GIVEN, kernel_of_the_page([30.0, -3e-3], [1.5])]
+    return kernels[request.param_index]
 
 
 def waves(seed=0, n=40):
@@ -102,24 +56,23 @@ class TestUnits:
     """Values and bounds of a given kernel, and kernel_, are in the units of the outputs."""
 
     @pytest.mark.parametrize("trend", [None, "constant"])
-    @pytest.mark.parametrize("kernel", GIVEN, ids=lambda kernel: type(kernel).__name__)
-    def test_far_from_the_samples_the_deviation_is_that_of_the_kernel(self, kernel, trend):
+    def test_far_from_the_samples_the_deviation_is_that_of_the_kernel(self, given, trend):
         X, Y = waves()
-        model = quick(kernel, trend=trend, optimizer=None).fit(X, Y)
+        model = quick(given, trend=trend, optimizer=None).fit(X, Y)
         _, std = model.predict(FAR, return_std=True)
-        assert_allclose(std[0] ** 2, kernel.diag(FAR))
-        assert_allclose(model.kernel_.diag(FAR), kernel.diag(FAR))
+        assert_allclose(std[0] ** 2, given.diag(FAR))
+        assert_allclose(model.kernel_.diag(FAR), given.diag(FAR))
 
-    def test_a_kernel_of_five_methods_comes_back_with_its_learned_values(self):
+    def test_a_kernel_of_five_methods_comes_back_with_its_learned_values(self, kernel_of_the_page):
         X, Y = waves()
-        given = FiveMethods([30.0, -3e-3], [1.5])
+        given = kernel_of_the_page([30.0, -3e-3], [1.5])
         model = quick(given, trend="constant", max_iter=40).fit(X, Y)
-        assert type(model.kernel_) is FiveMethods
+        assert type(model.kernel_) is kernel_of_the_page
         assert model.kernel_.amplitude[0] / model.kernel_.amplitude[1] == pytest.approx(
             -25e3, rel=0.05
         )
         assert (given.amplitude, given.length_scale) == ([30.0, -3e-3], [1.5])
-        with pytest.raises(ValueError, match=r"data of 1 outputs, but expected 2.*FiveMethods"):
+        with pytest.raises(ValueError, match=r"data of 1 outputs, but expected 2.*SharedMatern"):
             quick(given).fit(X, Y[:, 0])
 
 
@@ -140,10 +93,6 @@ class TestBounds:
             (
                 Coregionalized(RBF(0.3, (0.1, 0.5))),
                 r"kernel__length_scale\[0\] = 0.5 \(upper bound 0.5\)",
-            ),
-            (
-                FiveMethods([10.0], [1.0], (-20.0, 20.0)),
-                r"amplitude\[0\] = 20 \(upper bound 20\)",
             ),
         ],
     )
@@ -234,25 +183,10 @@ class TestSamples:
         assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)
 
 
-class WithPaths(FiveMethods):
-    """The same covariance, with sample paths."""
-
-
-@prior_paths.register
-def _(kernel: WithPaths, n_paths, n_frequencies, random_state):
-    amplitude = np.asarray(kernel.amplitude)[None]
-    length_scale = np.full((1, len(kernel.amplitude), 1), kernel.length_scale[0])
-    same = ConvolvedGaussian(
-        1, private_latents=False, amplitude=amplitude, length_scale=length_scale
-    )
-    return prior_paths(same, n_paths, n_frequencies, random_state)
-
-
 @pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_registered_paths_are_in_the_units_of_the_outputs(inference):
+def test_paths_are_in_the_units_of_the_outputs(inference):
     X, Y = waves()
-    kernel = WithPaths([30.0, -3e-3], [1.5])
-    model = quick(kernel, inference=inference, n_inducing=20, max_iter=10).fit(X, Y)
+    model = quick(GIVEN[0], inference=inference, n_inducing=20, max_iter=10).fit(X, Y)
     at = np.array([[2.2], [14.0]])
     paths = model.sample_paths(3000, random_state=0)
     mean, std = model.predict(at, return_std=True)

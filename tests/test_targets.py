@@ -7,14 +7,12 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Aircraft
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import (
     FlightSmoother,
 )
 
 X = default_rng(0).normal(size=(40, 2))
-UAV = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
 TARGETS = {"CZ": -4.0 * X[:, 0], "Cm": np.where(np.arange(40) % 4, -X[:, 1], np.nan)}
 
 

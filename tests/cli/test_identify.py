@@ -193,21 +193,6 @@ class TestIdentify:
         assert together["measured"]["CY"]["interval_coverage"] == pytest.approx(expected)
         assert "truth" not in together  # the lateral flight does not know it
 
-    def test_lags_are_corrected_and_said(self, metrics_of, first_minute, tmp_path):
-        """Vanes and airspeed are 80 ms late."""
-        train = first_minute().train
-        table = train[train["flight"] == "latlon"][:1200].filter(regex="(?<!_true)$")
-        for name in ("airspeed", "alpha", "beta"):
-            table[name] = np.interp(table["time"] - 0.08, table["time"], table[name])
-        table.to_csv(tmp_path / "late.csv", index=False)
-        late = [tmp_path / "late.csv"]
-        metrics = metrics_of("--test", "test.csv", "--horizon", "1", train=late)
-        assert metrics["options"]["lags"] == "auto"
-        assert abs(metrics["fit"]["lags"]["air"]["applied"] - 0.08) < 0.01
-        model = load_model(tmp_path / "out" / "model.joblib")
-        assert model.pipeline["lagcorrector"].lags == "auto"
-        assert "air 0.07" in (tmp_path / "out" / "report.html").read_text()
-
 
 class Pressing(io.StringIO):
     """A terminal at which someone presses Ctrl-C when it shows some words."""

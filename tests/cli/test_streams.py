@@ -8,7 +8,6 @@ import threading
 import time
 from contextlib import redirect_stderr, redirect_stdout
 
-import pandas as pd
 import pytest
 
 from skdgp._cli import Console
@@ -63,16 +62,6 @@ def test_output_that_is_closed(predict, written):
         sys.stdout.close()
         sys.stderr.close()
     assert written.exists()
-
-
-@needs_full
-def test_a_warning_that_nobody_sees_ends_nothing(predict, written, tmp_path):
-    holes = tmp_path / "holes.csv"
-    table = pd.read_csv("test.csv")
-    table.assign(alpha=table["alpha"].where(table.index > 9)).to_csv(holes, index=False)
-    with open(FULL, "w") as full, redirect_stderr(full):
-        assert predict(str(holes)) == 0
-    assert len(pd.read_csv(written)) == len(table) - 10
 
 
 def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():

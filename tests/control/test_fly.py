@@ -341,20 +341,6 @@ def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
     assert result.table["time"].tolist() == [1 / RATE, 1 / RATE]
 
 
-@pytest.mark.parametrize("count", [1, 5, 9])
-def test_another_autopilot_flies_after_silence(flown, count, monkeypatch):
-    monkeypatch.setattr("skdgp.control._ardupilot.HANDOVER", 0.0)
-
-    def play(autopilot):
-        autopilot.send(count=5)
-        other = Autopilot(autopilot.target[1])
-        assert other.send(count=count)["timestamp"] == 1 / RATE
-        other.socket.close()
-
-    table = flown(play).table
-    assert table["flight"].tolist() == ["start 1", "start 2"]
-
-
 @pytest.mark.parametrize(
     "garbage", [b"", b"hello", bytes(40), struct.pack("<HHI16H", 29569, 400, 1, *[1500] * 16)]
 )

@@ -371,22 +371,16 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
         ({"BATT_CAPACITY": 5.0}, {"aileron": 0.4}, "without gains of a rate loop"),
         ({"RLL2SRV_P": 1.0}, {"aileron": 0.4}, "before 4.1"),
         (UNFILTERED, {"aileron": 0.4}, "no gains other than zero"),
-        ({"FW_RR_P": 0.1}, {"flap": 0.4}, "expected deflections"),
         ({"FW_RR_P": 0.1}, {"aileron": 24.0}, "radians, not degrees"),
-        ({"FW_RR_P": 0.1}, {}, "expected deflections"),
         ({"FW_RR_P": 0.1}, ["aileron"], "expected deflections"),
-        ({"FW_RR_P": 0.1}, {"aileron": "24 deg"}, "expected a number > 0"),
         ({"FW_RR_P": 0.1, "RLL_RATE_P": 0.1}, {"aileron": 0.4}, "of one autopilot"),
         ({"FW_RR_P": np.nan}, {"aileron": 0.4}, "FW_RR_P=nan"),
-        ({"FW_RR_P": "0.1"}, {"aileron": 0.4}, "FW_RR_P='0.1'"),
         ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4}, "above zero"),
-        ({"FW_RR_P": 0.1, "FW_R_TC": 0.0}, {"aileron": 0.4}, "above zero"),
         (
             {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 25.0, "FW_AIRSPD_MAX": 20.0},
             {"aileron": 0.4},
             "airspeeds that increase",
         ),
-        ({"RLL_RATE_P": 0.1, "AIRSPEED_MIN": 0.0}, {"aileron": 0.4}, "above zero"),
         ({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"rudder": 0.4}, "yaw rate controller"),
     ],
 )
@@ -522,14 +516,8 @@ def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
         margins(linear, [loop, loop])
     with pytest.raises(ValueError, match="between 0 and 1"):
         suggest_gains(linear, [loop], probability=95)
-    with pytest.raises(ValueError, match="airspeed of nan"):
-        margins(replace(linear, airspeed=np.nan), [loop])
-    with pytest.raises(TypeError, match="a list of Loop"):
-        margins(linear, "plane.params")
     with pytest.raises(ValueError, match="without paths"):
         suggest_gains(linear_of(glider), [loop])
-    with pytest.raises(ValueError, match="a number >= 0"):
-        linear_of(glider, delay=-1.0)
 
 
 def test_paths_have_intervals_and_probabilities(linear):

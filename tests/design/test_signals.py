@@ -16,7 +16,6 @@ from skdgp.design import (
 )
 from skdgp.dynamics import simulate, trim
 
-TIME = np.arange(-1.0, 40.0, 0.01)
 SIGNALS = {
     "doublet": doublet(0.8, 0.1),
     "3-2-1-1": three_two_one_one(0.5, -0.08),

@@ -470,25 +470,6 @@ def test_one_of_several_flights(flight):
     assert found.clause.startswith("flight d: beta is probably wrong")
 
 
-def test_signals_without_noise_that_determine_no_slope_at_some_lags():
-    """Rates in degrees of a turn at a constant rate: the roll rate is named."""
-    time = np.arange(0, 120, 0.05)
-    phi = 0.3 * np.sin(0.8 * time)
-    theta = 0.1 * np.sin(0.5 * time)
-    turn = 0.1
-    phi_dot = 0.24 * np.cos(0.8 * time)
-    theta_dot = 0.05 * np.cos(0.5 * time)
-    rates = {
-        "p": phi_dot - turn * np.sin(theta),
-        "q": theta_dot * np.cos(phi) + turn * np.sin(phi) * np.cos(theta),
-        "r": -theta_dot * np.sin(phi) + turn * np.cos(phi) * np.cos(theta),
-    }
-    table = pd.DataFrame({"time": time, "flight": "a", "phi": phi, "theta": theta})
-    table = table.assign(psi=turn * time, airspeed=20 + np.sin(0.3 * time), **rates)
-    assert contradictions(table) == []
-    assert "p" in channels_of(contradictions(scaled(table, {"p q r": DEGREES})))
-
-
 # mass, wing area, span, chord, (Ixx, Iyy, Izz), CZ_alpha, Cl_p, Cm_q, Cn_r: Heffley & Jewell 1972, Beard &
 # McLain 2012, Gryte 2018, from memory
 PUBLISHED = {

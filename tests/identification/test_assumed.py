@@ -13,7 +13,6 @@ from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import export_model, portable_model
 from skdgp.identification import identify, load_model, validate
-from skdgp.report import save_report
 
 LINE = DependentGPRegressor(structure="trend", random_state=0)
 QUICK = clone(LINE).set_params(max_iter=2, input_noise=None)
@@ -196,15 +195,6 @@ class TestALogAMassAndASpan:
         assert (units["aileron"], units["alpha"]) == ("full throw", "rad")
         export_model(tmp_path, portable, "c")
         assert "aileron [full throw]" in (tmp_path / "aero.h").read_text()
-
-    @pytest.mark.filterwarnings("ignore")
-    def test_full_throws_and_assumptions_are_told(self, found, tmp_path, no_pictures):
-        lines = found.summary().partition("assumed, as nothing was told:")[2].strip().splitlines()
-        assert len(lines) <= 11
-        assert any("full throw" in line for line in lines)
-        page = (save_report(found, tmp_path) / "report.html").read_text(encoding="utf-8")
-        assert "What was assumed</h2>" in page
-        assert "full throw" in page
 
 
 def test_a_surface_of_another_name(said_of):

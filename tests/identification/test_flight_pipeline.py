@@ -16,11 +16,10 @@ from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import (
-    FlightPipeline,
     flight_regressors,
     identify,
 )
-from skdgp.metrics import SCORERS, interval_coverage, normalized_rmse
+from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightSmoother
 
@@ -126,17 +125,6 @@ class TestPredict:
             with pytest.raises(ValueError, match="need airspeed > 0"):
                 use(slow)
 
-    def test_clones_and_pickles(self, model, test_flight):
-        assert isinstance(clone(model), FlightPipeline)
-        again = pickle.loads(pickle.dumps(model))
-        predicted = model.predict(test_flight, return_std=True)
-        assert_allclose(again.predict(test_flight, return_std=True), predicted, rtol=1e-9)
-
-    def test_knows_how_long_the_flights_were(self, model, flights):
-        train = flights.train.groupby("flight", observed=True).head(600)
-        durations = train.groupby("flight", observed=True)["time"].agg(np.ptp)
-        assert model.seconds_ == pytest.approx(durations.sum(), rel=0.01)
-
     def test_flights_of_different_rates_last_as_long_as_each_of_them(self, delta):
         time = np.concatenate([np.arange(0, 20, 0.02), np.arange(0, 110, 0.1)])
         names = np.repeat(["fast", "slow"], [1000, 1100])
@@ -159,14 +147,6 @@ class TestPredict:
         assert linear.predict(test_flight).shape == (200, 6)
         with pytest.raises(TypeError, match="return_std"):
             linear.predict(test_flight, return_std=True)
-
-    def test_scorers_use_that_band(self, model, flights, test_flight):
-        measured = aerodynamic_coefficients(test_flight, flights.aircraft)
-        mean, std = model.predict(test_flight, return_std=True, include_noise=True)
-        scorer = SCORERS["interval_coverage"]
-        assert scorer(model, test_flight, measured) == pytest.approx(
-            interval_coverage(measured, mean, std)
-        )
 
 
 @pytest.mark.usefixtures("no_mechanics")

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import pickle
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -62,16 +61,6 @@ class TestPipeline:
         ]
         error = Y - model.predict(table)
         assert (error.std() < [0.015, 0.005]).all()
-
-    def test_hands_time_and_flight_to_the_dependent_process(self, fitted):
-        model, table, _, learned = fitted
-        clock = {"time": table["time"], "flight": table["flight"]}
-        by_hand = clone(model[-1]).fit(model[:-1].transform(table), learned, **clock)
-        assert (by_hand.drift_variance_ > 0).all()
-        assert_allclose(model[-1].drift_variance_, by_hand.drift_variance_, rtol=1e-6)
-        assert_allclose(model[-1].drift_memory_, by_hand.drift_memory_, rtol=1e-6)
-        untimed = clone(model).fit(table.drop(columns="flight")[:300], learned[:300])
-        assert (untimed[-1].drift_variance_ > 0).all()  # one flight
 
     @pytest.mark.usefixtures("short_fits")
     def test_a_grid_reaches_every_step(self, tmp_path, flights, delta):
@@ -161,10 +150,6 @@ class TestIdentify:
         of = result.metrics["test"]["two_altitudes"]["coefficients"]["measured"]["CZ"]
         errors = normalized_rmse(evaluation.measured, evaluation.mean, multioutput="raw_values")
         assert of["normalized_rmse"] == pytest.approx(errors[2])
-        shown = re.search(r"^CZ +(\S+) +(\S+) +(\S+)", result.summary(), re.MULTILINE).groups()
-        names = ("median_relative_error", "normalized_rmse", "interval_coverage")
-        scores = np.array([of[name] for name in names]) * [100, 1, 100]
-        assert_allclose(np.array(shown, dtype=float), scores, atol=0.051)
         assert result.fit.samples == result.options["samples"] == 40
         assert result.fit.flights == {"lateral": 400, "latlon": 400}
         assert not of_code(result, "HELD_OUT_FLIGHT")
@@ -203,15 +188,6 @@ class TestIdentify:
             "members",
             "evaluating latlon",
         ]
-
-    @pytest.mark.filterwarnings("ignore")
-    def test_holds_out_the_last_quarter_of_a_single_flight(self, example):
-        aircraft, train, _ = example
-        single = train[train["flight"] == "latlon"]
-        found = identify(single, aircraft, samples=40, regressor=QUICK, horizon=1.0)
-        (held_out,) = of_code(found, "HELD_OUT_QUARTER")
-        assert held_out.flight == "latlon"
-        assert found.fit.flights == {"latlon, first three quarters": 300}
 
     @pytest.mark.parametrize(
         ("change", "error", "message"),
@@ -338,8 +314,8 @@ def another_model(data, *change):
     return closed(data, data[: data.rindex(MAGIC)].replace(*change))
 
 
-RUBBISH = b"[1]", b"[" * 10000, b'{"format": 2, "versions": 7, "bytes": 1}', b"\xff"
-OTHERS = None, {"pipeline": 1}, Bunch(pipeline=QUICK, aircraft=GLIDER)
+RUBBISH = b"[" * 10000, b'{"format": 2, "versions": 7, "bytes": 1}'
+OTHERS = None, Bunch(pipeline=QUICK, aircraft=GLIDER)
 DAMAGED = [
     *((lambda data, share=share: data[: int(share * len(data))], r"not a whole skdgp model.*cut off")
       for share in (0.5, 0.999)),

@@ -51,20 +51,14 @@ CLOTHES = {
     "an index of times": lambda table, rng: table.set_index(
         pd.to_datetime(table["time"], unit="s")
     ),
-    "an index with repeats": lambda table, rng: table.set_index(np.zeros(len(table), int)),
     "an index backwards": lambda table, rng: table.set_index(np.arange(len(table))[::-1]),
     "nullable floats": lambda table, rng: table.astype(dict.fromkeys(MOVING, "Float64")),
-    "objects": lambda table, rng: table.astype(dict.fromkeys(MOVING, object)),
     "flights as categories": lambda table, rng: table.astype({"flight": "category"}),
-    "flights as strings of Arrow": lambda table, rng: table.astype({"flight": "string[pyarrow]"}),
     "flights as numbers": lambda table, rng: table.assign(
         flight=(table["flight"] == "b").astype(int) + 3
     ),
     "numbers of Arrow": lambda table, rng: table.astype(dict.fromkeys(MOVING, "double[pyarrow]")),
     "columns that nobody knows": lambda table, rng: table.assign(pilot="Amelia", comment=np.nan),
-    "memory in another order": lambda table, rng: pd.DataFrame(
-        {name: np.asfortranarray(column) for name, column in table.items()}
-    ),
 }
 
 
@@ -120,11 +114,6 @@ def lacks_a_column(table, rng):
     return table.drop(columns=one_of(rng, table, "time", "flight"))
 
 
-def two_columns_are_one(table, rng):
-    one, other = rng.choice(MOVING, 2, replace=False)
-    return table.assign(**{str(one): table[str(other)]})
-
-
 def rows_are_lost(table, rng):
     return table.drop(index=table.index[rows_of(rng, table)])
 
@@ -135,10 +124,6 @@ def rows_stand_twice(table, rng):
 
 def rows_are_shuffled(table, rng):
     return table.iloc[rng.permutation(len(table))]
-
-
-def is_short(table, rng):
-    return table.iloc[: int(rng.integers(0, 12))]
 
 
 def has_words(table, rng):
@@ -162,12 +147,10 @@ FAULTS = [  # in this order: values first, then rows, then columns
     *map(put, [np.nan, np.inf, -np.inf, 0.0, 1e300, -1e-300, 1e18, 5.0]),
     stands_still,
     in_other_units,
-    two_columns_are_one,
     flight_is_empty,
     rows_are_lost,
     rows_stand_twice,
     rows_are_shuffled,
-    is_short,
     has_words,
     lacks_a_column,
     columns_of_one_name,

@@ -57,19 +57,6 @@ class TestShiftedOutputs:
         assert error_over_spread(mean, truth) < 0.1
         assert np.mean(np.abs(mean - truth) < 1.96 * std) > 0.85
 
-    @pytest.mark.slow
-    def test_along_one_of_two_regressors(self):
-        rng = np.random.default_rng(0)
-        X = rng.uniform(-3, 3, (150, 2))
-        Y = np.column_stack(
-            [np.sin(1.3 * (X[:, 0] - shift)) * np.exp(-0.2 * X[:, 1] ** 2) for shift in (0.0, 0.8)]
-        )
-        Y += 0.05 * rng.normal(size=Y.shape)
-        kernel = process_of(DependentGPRegressor(random_state=0).fit(X, Y))
-        shift = kernel.value("shift")
-        strongest = np.abs(kernel.value("amplitude")).sum(axis=1).argmax()
-        np.testing.assert_allclose(shift[strongest, 1], [0.8, 0.0], atol=0.1)
-
 
 def test_outputs_that_are_not_translated_have_no_shift():
     rng = np.random.default_rng(1)

@@ -130,6 +130,15 @@ def gradient_by_differences(central_difference):
     return get
 
 
+def coupled(kernel, X):
+    """Return the pairs of outputs that a kernel couples."""
+    pairs = []
+    for i, j in np.ndindex(len(X), len(X)):
+        if kernel.couples(i, j):
+            pairs.append(InputPair(i, j, X[i], X[j]))
+    return pairs
+
+
 def equal(a, b, **tolerance):
     assert_allclose(a, b, **({"rtol": 1e-12, "atol": 1e-13} | tolerance))
 
@@ -306,10 +315,7 @@ class TestUse:
 
     def test_block_and_gradient_are_those_that_are_computed_together(self, kernel):
         X = inputs(kernel)
-        pairs = []
-        for i, j in np.ndindex(len(X), len(X)):
-            if kernel.couples(i, j):
-                pairs.append(InputPair(i, j, X[i], X[j]))
+        pairs = coupled(kernel, X)
         weights = [default_rng(3).normal(size=(len(pair.Xi), len(pair.Xj))) for pair in pairs]
         evaluated = kernel.evaluate(pairs)
         by_block = np.zeros(kernel.n_dims)
@@ -321,10 +327,7 @@ class TestUse:
     def test_products_with_a_vector_are_those_of_the_derivatives(self, kernel):
         """Row a of dK / dtheta beta is the gradient of row a of K beta, and likewise of the transpose."""
         X = inputs(kernel)
-        pairs = []
-        for i, j in np.ndindex(len(X), len(X)):
-            if kernel.couples(i, j):
-                pairs.append(InputPair(i, j, X[i], X[j]))
+        pairs = coupled(kernel, X)
         evaluated = kernel.evaluate(pairs)
         for k, (i, j, Xi, Xj) in enumerate(pairs):
             beta = default_rng(5).normal(size=len(Xj))

@@ -9,7 +9,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.estimation import flights_of
-from skdgp.preprocessing import FlightCheck, FlightDataWarning, LagCorrector
+from skdgp.preprocessing import FlightCheck, LagCorrector
 
 STEP = 0.02
 TIME = STEP * np.arange(3000)
@@ -98,11 +98,3 @@ def test_inputs_that_stand_still_are_no_slow_clock(elevator):
     out, rates = checked(table)
     assert not rates
     assert_array_equal(out["elevator"], elevator)
-
-
-def test_one_finding_names_all_slow_channels():
-    table, _ = held(log(), VELOCITY, 5.0)
-    table, _ = held(table, ["airspeed"], 10.0)
-    with pytest.warns(FlightDataWarning, match=r"\[Hz\]: airspeed 10, v_north, .* 5\.") as said:
-        FlightCheck().fit_transform(table)
-    assert len(said) == 1

@@ -8,11 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal, assert_series_equal
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
-from sklearn.preprocessing import StandardScaler
 from sklearn.utils import get_tags
 from sklearn.utils.estimator_checks import check_estimator
 
@@ -170,22 +168,7 @@ class TestContract:
         assert repr(fitted.get_params()) == repr(transformer.get_params())
         assert pickle.dumps(fitted) == learned
 
-    def test_array_after_a_table_is_read_by_position(self, transformer, table):
-        numbers = table[:150].select_dtypes("number")
-        fitted = clone(transformer).fit(numbers)
-        with pytest.warns(UserWarning, match="does not have valid feature names"):
-            out = fitted.transform(numbers.to_numpy())
-        assert_allclose(out.to_numpy(), fitted.transform(numbers).to_numpy())
-
     def test_an_array_is_refused(self, transformer, table):
         for X in (default_rng(0).normal(size=(20, 3)), table.to_numpy()):
             with pytest.raises(TypeError, match=r"Got ndarray .*but expected a pandas DataFrame"):
                 clone(transformer).fit(X)
-
-    def test_reads_the_polars_tables_that_set_output_makes(self, transformer, table):
-        pytest.importorskip("polars")
-        numbers = table[:150].select_dtypes("number").astype(float)
-        first = StandardScaler(with_mean=False, with_std=False).set_output(transform="polars")
-        expected = clone(transformer).fit_transform(numbers)
-        made = first.fit_transform(numbers)
-        assert_frame_equal(clone(transformer).fit_transform(made), expected)

@@ -298,13 +298,6 @@ def wandering(table, names, std):
 class TestInconsistent:
     """Whether the reconstruction is used: the truth, which the check does not see, says whether that is right."""
 
-    def test_consistent_flights_are_reconstructed_as_without_the_check(self):
-        table, unchecked, out = reconstructed(seconds=20.0, gusts=0.3)
-        checked = fitted(table)
-        assert checked.used_
-        assert_frame_equal(checked.transform(table), out)
-        assert list(checked.get_feature_names_out()) == list(unchecked.get_feature_names_out())
-
     @pytest.mark.parametrize(
         ("damage", "sensor", "is_smoothed"),
         [
@@ -377,18 +370,6 @@ class TestBadInput:
         out = path_of(flown(1.0)[:rows])
         out = out.drop(columns=["alpha_dot", "beta_dot"] if rows == 1 else [])
         assert np.isfinite(out.select_dtypes("number").to_numpy()).all()
-
-
-@pytest.mark.slow
-def test_calm_flight_of_jsbsim_after_a_gusty_one(jsbsim_flight):
-    """The noise is that of the sensors' data sheet."""
-    train, test = (jsbsim_flight("c172p", air) for air in ("light", "calm"))
-    chain = make_pipeline(FlightPathReconstruction(), FlightSmoother()).fit(train)
-    angle = np.deg2rad(0.3)
-    sheet = {"airspeed": 0.3, "alpha": angle, "v_down": 0.1, "tilt": angle}
-    assert_noise_is(chain[0], sheet, rel=0.05)
-    assert_near(train, chain.transform(train), dict.fromkeys(["alpha", "beta"], 0.0025))
-    assert_near(test, chain.transform(test), dict.fromkeys(["alpha", "beta"], 0.0006))
 
 
 def test_heading_between_thinned_rows_does_not_cross_zero_at_pi():

@@ -112,11 +112,6 @@ class TestSmooth:
         exact = 0.8 * np.pi * np.cos(0.8 * np.pi * jittered)
         assert_allclose(rate[5:-5], exact[5:-5], atol=1e-3)
 
-    def test_lost_samples_are_bridged(self):
-        time, truth, noisy = noisy_sine()
-        kept = np.sort(default_rng(0).choice(2400, 2350, replace=False))
-        assert rms(smooth(noisy[kept], time[kept]) - truth[kept]) < 0.02
-
     def test_rounded_clock_makes_no_noise(self):
         """Seconds of single precision late in a flight: the rate must not inherit the rounding."""
         time = clock(4000, start=600.0)
@@ -217,21 +212,6 @@ def test_a_flight_of_jsbsim(jsbsim_flight):
     assert (left < [0.65, 0.5, 0.5, 0.9, 0.75] * rms(measured - truth)).all()
     change = smooth(truth, table.time) - truth
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
-
-
-def test_misspelt_columns():
-    with pytest.raises(ValueError, match=r"'time' \(nearest: 'times'\)"):
-        FlightSmoother().fit(flight().rename(columns={"time": "times"}))
-    with pytest.raises(ValueError, match=r"'aplha' \(nearest: 'alpha'\)"):
-        FlightSmoother(columns=["aplha"]).fit(flight())
-
-
-def test_degrees_are_refused_in_fit_and_transform():
-    table = flight().assign(alpha=np.linspace(-1.0, 1.0, 1200))  # rad
-    wrong = table.assign(alpha=np.rad2deg(table["alpha"]))
-    for use in (FlightSmoother().fit, FlightSmoother().fit(table).transform):
-        with pytest.raises(ValueError, match="these look like degrees"):
-            use(wrong)
 
 
 def test_a_missing_column_is_named_once_with_its_flight():

@@ -17,29 +17,32 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, VANES
+from skdgp._flight.channels import COEFFICIENTS, HAT, VANES
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import Evaluation
+from skdgp.identification._log_errors import dynamic_load
 from skdgp.identification._pipeline import (
     FlightPipeline,
     reconstruction_of,
     regressor_names,
 )
-from skdgp.inference import training_inputs
+from skdgp.inference import errors_of_slopes, training_inputs
 
 WHOLE = "whole"
-MOST_NAMED = 3  # derivatives in the summary
+MOST_NAMED = 3  # changes in the summary
 LEVEL = 0.05  # p-value below which the summary says that the aircraft has changed
-FEWEST_SECONDS = 5.0  # shortest flight [s] (guess)
 # Lag at which autocovariances end, in autocorrelation times of the residuals, and at most in parts of
 # the flight (guesses)
 WINDOW_TIMES = 6.0
 LONGEST_LAG = 0.25
 SPARE_SAMPLES = 12  # independent samples that a flight has at least more than weights (guess)
 MOST_ROWS = 100  # at which the covariance of the function is evaluated
-# Variance of an unknown correlation of errors, uniform between -1 and 1
-CORRELATION_VARIANCE = 1 / 3
-VANE_OFFSET = 0.005  # std of a constant error of a vane, from flight to flight [rad] (guess)
+# Standard deviations of constant errors, from flight to flight (guesses)
+VANE_OFFSET = 0.005  # [rad]
+ACCELEROMETER_OFFSET = 0.05  # [m/s^2]
+# Standard deviation of the slope of a regressor that did not move in the fit, more than any
+# derivative by an angle or a fraction [1/unit]
+UNLEARNED_SLOPE = 10.0
 
 
 @dataclass(frozen=True)
@@ -47,43 +50,36 @@ class Changes:
     r"""Test of flights for a change of the aircraft since its model was learned.
 
     The residuals r of a coefficient, measured without smoothing less predicted, are fitted by least
-    squares on the regressors x less their means, Q: the weights :math:`w = G Q^T r`,
-    :math:`G = (Q^T Q)^{-1}`, are the likely change of its derivatives. Without a change their
-    covariance is
+    squares on a constant and the regressors x less their means, Q: the weights :math:`w = G Q^T r`,
+    :math:`G = (Q^T Q)^{-1}`, are the likely change of the coefficient and of its derivatives. Without
+    a change their covariance is
 
-    .. math:: C = G Q^T (R + K + \sum_j a_j a_j^T) Q G + D \operatorname{diag}(c_k^2) D, \quad D = S^{-1} - S_0^{-1}.
+    .. math:: C = G Q^T (R + K + \sum_j a_j a_j^T) Q G.
 
     R are the autocovariances of the residuals of this fit, with Bartlett's window (Newey & West
-    1987): rougher air widens it. K is the uncertainty of the function. The :math:`a_j` are the
-    changes by one standard deviation of a constant error of each vane, 0.3 deg. The last term are errors of
-    the regressors, of standard deviations s, which flatten slopes J the more, the less an aircraft
-    moves (Fuller 1987, section 1.1): S and :math:`S_0` are the covariances of the regressors in the
-    flight and in the fit, and
-
-    .. math:: c_k^2 = \sum_j \operatorname{E}[\rho_{jk}^2] s_j^2 s_k^2 J_j^2.
-
-    How far a filter makes the errors of one regressor correlate with the estimate of another,
-    :math:`\rho_{jk}`, is unknown; of regressors on both sides of the plane of symmetry it is zero, as
-    a mirrored flight changes its sign.
+    1987): rougher air widens it. K is the uncertainty of the function, without the errors of the log
+    that the measured coefficients have, too. The :math:`a_j` are the effects of one standard deviation
+    of a constant error of each vane, 0.3 deg, and of each accelerometer, 0.05 m/s², and of the errors
+    of regressors, of standard deviations s, and of unknown slopes of regressors that did not move in
+    the fit. Errors of regressors flatten slopes J the more, the less an aircraft
+    moves (Fuller 1987, section 1.1), by :math:`(S^{-1} - S_0^{-1})_j s_j^2 J_j`, where S and
+    :math:`S_0` are the covariances of the regressors in the flight and in the fit.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
     up to the lag L, six autocorrelation times but at most a quarter of the flight (Priestley 1981,
     table 6.2, at frequency zero). Where :math:`\nu` is below k, or the flight has few independent
-    samples or lasts less than 5 s, it is too short. The p-values of the coefficients are combined
-    into the whole by Simes' test, which allows for positive dependence (Simes 1986).
-
-    Weights of regressors that did not move in the fit are left out, as their slopes were not
-    learned. Constants are not tested: offsets of accelerometers and vanes change them from flight to
-    flight.
+    samples, it is too short. The p-values of the coefficients are combined into the whole by Simes'
+    test, which allows for positive dependence (Simes 1986).
 
     Attributes
     ----------
     p_values : DataFrame
-        By flight: of CX CY CZ Cl Cm Cn and of the whole. Probability of slopes of the residuals at
-        least as far from zero if the aircraft has not changed; NaN where the flight is too short.
+        By flight: of CX CY CZ Cl Cm Cn and of the whole. Probability of weights at least as far
+        from zero if the aircraft has not changed; NaN where the flight is too short.
     derivatives : DataFrame
-        By flight and derivative such as Cm_alpha: the likely ``change`` and its ``std``.
+        By flight and derivative such as Cm_alpha, or coefficient such as CX, at the mean regressors of
+        the flight: the likely ``change`` and its ``std``.
     """
 
     p_values: pd.DataFrame
@@ -93,25 +89,30 @@ class Changes:
         """Return a line for each flight."""
         lines = []
         for flight, p in self.p_values[WHOLE].items():
-            text = f"no change of its derivatives found (p = {p:.2g})"
+            text = f"no change found (p = {p:.2g})"
             if not np.isfinite(p):
                 text = "too short to tell whether the aircraft has changed"
             elif p < LEVEL:
-                table: Any = self.derivatives.loc[str(flight)]
-                deviations = (table["change"] / table["std"]).abs()
-                parts = []
-                for name, row in table.loc[deviations.nlargest(MOST_NAMED).index].iterrows():
-                    parts.append(f"{name} {row['change']:+.2g} +- {row['std']:.1g}")
-                likely = ", ".join(parts)
-                text = f"the aircraft has changed (p = {p:.2g}): likely {likely}, +- one standard deviation"
+                text = f"the aircraft has changed (p = {p:.2g}): likely {self._likely(flight)}"
             lines.append(f"flight {flight}: {text}")
         return lines
 
+    def _likely(self, flight: Any) -> str:
+        """Return the most certain changes of a flight."""
+        table: Any = self.derivatives.loc[flight]
+        deviations = (table["change"] / table["std"]).abs()
+        parts = []
+        for name in deviations.nlargest(MOST_NAMED).index:
+            change, std = table.loc[name]
+            parts.append(f"{name} {change:+.2g} +- {std:.1g}")
+        return ", ".join(parts)
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
-        derivatives = {}
-        for flight in self.p_values.index:
-            derivatives[flight] = self.derivatives.loc[flight].to_dict("index")
+        of_flight = self.derivatives.groupby("flight")
+        derivatives = {
+            name: table.droplevel("flight").to_dict("index") for name, table in of_flight
+        }
         return {"p_values": self.p_values.to_dict("index"), "derivatives": derivatives}
 
 
@@ -123,86 +124,75 @@ def changes_in_flights(
 ) -> Changes:
     """Return the changes that evaluated flights show; ``options`` are those of the model."""
     loads = {name: options[name] for name in ("thrust", "external_forces")}
-    residuals = {}
+    compared = {}
     for flight in flights:
         # a smoother that depends on the flight takes more signal from a gentle one
         measured = aerodynamic_coefficients(flight.table, aircraft, cutoff=None, **loads)
-        error = measured.to_numpy() - flight.mean
-        if np.ptp(flight.time) < FEWEST_SECONDS:
-            error[:] = np.nan
-        residuals[flight.name] = flight.regressors, error
-    return changes_of(pipeline, residuals)
+        residuals = measured.to_numpy() - flight.mean
+        by_acceleration = aircraft.mass / dynamic_load(flight.table, aircraft)
+        compared[flight.name] = flight.regressors, residuals, by_acceleration
+    return changes_of(pipeline, compared)
 
 
-def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix]]) -> Changes:
+def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, Vector]]) -> Changes:
     """Return the changes of the aircraft of a model, by `Changes`.
 
     Parameters
     ----------
     pipeline : Pipeline
     flights : mapping of str to tuple of ndarray
-        Regressors (n, d) of the last step, and residuals (n, 6), NaN where unknown.
+        Regressors (n, d) of the last step; residuals (n, 6), NaN where unknown; and the force
+        coefficients of an acceleration of 1 m/s² (n,).
     """
-    names = [name.removesuffix(HAT) for name in regressor_names(pipeline)]
-    scale = pipeline["standardscaler"].scale_
-    moved = np.flatnonzero(~constant_columns(training_inputs(pipeline[-1].posterior_)))
+    names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
+    units = np.append(1.0, pipeline["standardscaler"].scale_)
     p_values = {}
-    derivatives = {}
-    for flight, (regressors, residuals) in flights.items():
+    changes = {}
+    for flight, (X, residuals, by_acceleration) in flights.items():
         is_known = np.isfinite(residuals).all(axis=1)
-        X = regressors[is_known]
-        of_model = (
-            _covariance_by_function(pipeline, X)
-            + _covariance_by_noise(pipeline, X)
-            + _covariance_by_vanes(pipeline, X)
-        )
+        X = X[is_known]
+        Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
+        of_model = _covariance(pipeline, X, Q, by_acceleration[is_known])
         p = []
-        for coefficient, residual, further in zip(
-            COEFFICIENTS, residuals[is_known].T, of_model, strict=True
-        ):
-            slopes, covariance, freedom = residual_slopes(X, residual)
-            slopes = slopes[moved]
-            covariance = (covariance + further)[np.ix_(moved, moved)]
-            p.append(_p_value(slopes, covariance, freedom))
-            std = np.sqrt(np.diag(covariance))
-            for k, change, deviation in zip(moved, slopes, std, strict=True):
-                derivative = f"{coefficient}_{names[k]}"
-                derivatives[flight, derivative] = change / scale[k], deviation / scale[k]
+        for i, coefficient in enumerate(COEFFICIENTS):
+            weights, covariance, freedom = residual_weights(Q, residuals[is_known, i])
+            covariance = covariance + of_model[i]
+            p.append(_p_value(weights, covariance, freedom))
+            values = np.array([weights, np.sqrt(np.diag(covariance))]) / units
+            for name, change in zip(names, values.T, strict=True):
+                changes[flight, coefficient + name] = change
         p_values[flight] = [*p, combined(p)]
-    table = pd.DataFrame.from_dict(derivatives, orient="index", columns=["change", "std"])
-    table.index = pd.MultiIndex.from_tuples(table.index, names=["flight", "derivative"])
+    table = pd.DataFrame(changes, index=["change", "std"]).T.rename_axis(["flight", "derivative"])
     columns = [*COEFFICIENTS, WHOLE]
     return Changes(pd.DataFrame.from_dict(p_values, orient="index", columns=columns), table)
 
 
-def residual_slopes(X: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:
-    """Return slopes of residuals (n,) by regressors (n, d), their covariance, and its degrees of freedom."""
-    Q = X - X.mean(axis=0)
+def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:
+    """Return weights of residuals (n,) by columns (n, k), their covariance, and its degrees of freedom."""
     n, k = Q.shape
-    G = np.asarray(np.linalg.pinv(Q.T @ Q, hermitian=True), dtype=float)
-    slopes = G @ (Q.T @ residual)
-    residual = residual - residual.mean()
-    e = residual - Q @ slopes
+    fitting = np.linalg.pinv(Q)  # G Q^T
+    weights = fitting @ residual
+    e = residual - Q @ weights
     # a change that follows a slow motion makes the residual last longer, not e
-    lasting = max(min(autocorrelation_time(residual), autocorrelation_time(e)), 2.0)
+    times = autocorrelation_time(residual - residual.mean()), autocorrelation_time(e)
+    lasting = max(min(times), 2.0)
     if n < (k + SPARE_SAMPLES) * lasting:
-        return slopes, np.full((k, k), np.nan), 0.0
+        return weights, np.full((k, k), np.nan), 0.0
     longest = min(WINDOW_TIMES * lasting, LONGEST_LAG * n)
     autocovariance = correlate(e, e, method="fft")[n - 1 :] / (n - k * lasting)
     window = np.maximum(1 - np.arange(n) / longest, 0.0)
-    covariance = G @ Q.T @ matmul_toeplitz(autocovariance * window, Q) @ G
-    return slopes, covariance, 1.5 * n / longest
+    covariance = fitting @ matmul_toeplitz(autocovariance * window, fitting.T)
+    return weights, covariance, 1.5 * n / longest
 
 
-def _p_value(slopes: Vector, covariance: Matrix, freedom: float) -> float:
-    """Return the probability of slopes as far from zero, NaN if the flight is too short."""
-    k = len(slopes)
+def _p_value(weights: Vector, covariance: Matrix, freedom: float) -> float:
+    """Return the probability of weights as far from zero, NaN if the flight is too short."""
+    k = len(weights)
     remaining = freedom - k + 1
     if remaining <= 0:
         return float("nan")
-    inverse = np.linalg.pinv(covariance, hermitian=True)
-    statistic = slopes @ inverse @ slopes * remaining / (freedom * k)
-    return float(f_distribution.sf(statistic, k, remaining))
+    statistic = weights @ np.linalg.pinv(covariance, hermitian=True) @ weights
+    return float(f_distribution.sf(statistic * remaining / (freedom * k), k, remaining))
 
 
 def combined(p_values: Sequence[float]) -> float:
@@ -211,41 +201,43 @@ def combined(p_values: Sequence[float]) -> float:
     return float(false_discovery_control(known).min()) if known else float("nan")
 
 
-def _covariance_by_function(pipeline: Pipeline, X: Matrix) -> Array:
-    """Return the covariance of the slopes by the uncertainty of the function, (P, d, d)."""
+def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vector) -> Array:
+    """Return the covariance of weights by the model and by constant errors in a flight X (n, d), (P, k, k)."""
     rows = np.linspace(0, len(X) - 1, min(MOST_ROWS, len(X))).astype(int)
-    mean, cov = pipeline[-1].predict(X[rows], return_cov=True, include_input_noise=False)
-    n_outputs = mean.shape[1]
-    K = cov.reshape(n_outputs, len(rows), n_outputs, len(rows))
-    fitting = np.linalg.pinv(X[rows] - X[rows].mean(axis=0))  # G Q^T
-    return np.stack([fitting @ K[i, :, i] @ fitting.T for i in range(n_outputs)])
+    at = X[rows]
+    regressor = pipeline[-1]
+    mean, function = regressor.predict(at, return_cov=True, include_input_noise=False)
+    log_errors = getattr(pipeline, "log_errors_", None)
+    if log_errors is not None:
+        function = function - log_errors.covariance(at)
+    scale = pipeline["standardscaler"].scale_
+    vanes = np.isin(regressor_names(pipeline), VANES) * VANE_OFFSET / scale
+    accelerations = np.zeros((3, *mean.shape))  # by axis
+    for axis in range(3):
+        accelerations[axis, :, axis] = ACCELEROMETER_OFFSET * by_acceleration[rows]
+    trained = training_inputs(regressor.posterior_)
+    slopes = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
+    flattened = (_precision(X) - _precision(trained)) * (_noise_variances(pipeline) * slopes)[
+        :, None
+    ]
+    unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
+    effects = [
+        np.moveaxis(regressor.predict_gradient(at) * vanes, -1, 0),
+        np.multiply.outer(unlearned.T, np.ones(len(COEFFICIENTS))),
+        accelerations,
+        errors_of_slopes(flattened, X.mean(axis=0)).linear(at),
+    ]
+    fitting = np.linalg.pinv(Q[rows])  # G Q^T
+    K = function.reshape(*mean.T.shape, *mean.T.shape)
+    covariance = []
+    for i, a in enumerate(np.moveaxis(np.concatenate(effects), -1, 0)):  # (number of effects, n)
+        covariance.append(fitting @ (K[i, :, i] + a.T @ a) @ fitting.T)
+    return np.stack(covariance)
 
 
-def _covariance_by_noise(pipeline: Pipeline, X: Matrix) -> Array:
-    """Return the covariance of the slopes by errors of the regressors of a flight X (n, d), (P, d, d)."""
-    trained = training_inputs(pipeline[-1].posterior_)
-    J = pipeline[-1].predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    variances = _noise_variances(pipeline)
-    is_lateral = np.array(
-        [name.removesuffix(HAT) in MIRRORED for name in regressor_names(pipeline)]
-    )
-    correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
-    np.fill_diagonal(correlations, 1.0)
-    c_squared = J**2 @ (correlations * variances[:, None] * variances)
-    in_flight = np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
-    in_fit = np.linalg.pinv(np.atleast_2d(np.cov(trained.T)), hermitian=True)
-    D = in_flight - in_fit
-    return D * c_squared[:, None, :] @ D
-
-
-def _covariance_by_vanes(pipeline: Pipeline, X: Matrix) -> Array:
-    """Return the covariance of the slopes by constant errors of the vanes in a flight X (n, d), (P, d, d)."""
-    is_vane = np.isin(regressor_names(pipeline), VANES)
-    slopes = pipeline[-1].predict_gradient(X)[:, :, is_vane]
-    residuals = slopes * VANE_OFFSET / pipeline["standardscaler"].scale_[is_vane]
-    fitting = np.linalg.pinv(X - X.mean(axis=0))  # G Q^T
-    effects = np.einsum("kn,npj->pkj", fitting, residuals)
-    return effects @ effects.swapaxes(1, 2)
+def _precision(X: Matrix) -> Matrix:
+    """Return the inverse of the covariance of regressors X (n, d), zero along directions that do not vary."""
+    return np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
 
 
 def _noise_variances(pipeline: Pipeline) -> Vector:

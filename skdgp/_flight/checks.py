@@ -17,6 +17,7 @@ from skdgp._flight.channels import ALL_SURFACES, CHANNELS, HIGH_LIFT, MIXED, TRU
 OTHER_NAMES = {
     "airspeed": "ias tas va vtas vias aspd", "alpha": "aoa alfa", "beta": "aos ssa sideslip",
     "elevator": "de elev delta_e stab", "aileron": "da ail delta_a", "rudder": "dr rud delta_r",
+    "elevon_left": "elevon_l", "elevon_right": "elevon_r",
     "throttle": "dthr dt thr delta_t", "propeller_speed": "rpm omega", "density": "rho", "altitude": "alt",
     "phi": "roll", "theta": "pitch", "psi": "yaw heading hdg",
     "time": "t", "v_north": "vn", "v_east": "ve", "v_down": "vd",

@@ -68,7 +68,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     >>> slopes = {"CX": 0.2, "CY": 0.4, "CZ": -4.0, "Cl": 0.4, "Cm": -0.6, "Cn": 0.2}
     >>> Y = pd.DataFrame({name: slope * flight.alpha - flight.q / 10 for name, slope in slopes.items()})
     >>> pipeline = make_identification_pipeline(
-    ...     glider, regressors=["alpha", "q_hat"], cutoff=None, mixer="passthrough"
+    ...     glider, regressors=["alpha", "q_hat"], cutoff=None
     ... ).fit(flight, Y)
     >>> model = portable_model(pipeline, glider)
     >>> model

@@ -29,7 +29,6 @@ from skdgp.identification._prepare import (
     MEASURED,
     as_aircraft,
     assumptions,
-    has_mixed_surfaces,
     loads_of,
     names_of,
     regressor_columns,
@@ -133,7 +132,6 @@ def identify(
     """
     regressor = checked_regressor(regressor)
     names = names_of(regressors)
-    options = dict(pipeline or {})
     with recorded_findings() as findings:
         notify("reading")
         train, tests, servos = train_and_test(flights, test, names, MEASURED, **reading or {})
@@ -146,8 +144,6 @@ def identify(
         given = loads_of(learned_from.table, aircraft, names, **loads)
         if units is not None:
             report(Finding(Code.FULL_THROWS))
-        if not has_mixed_surfaces(learned_from.table):
-            options.setdefault("mixer", "passthrough")
         model = make_identification_pipeline(
             aircraft,
             regressors=regressors,
@@ -155,7 +151,7 @@ def identify(
             samples=samples,
             control_units=units,
             **given,
-            **options,
+            **(pipeline or {}),
         )
         _fit(model, learned_from, aircraft, given)
         fit = fit_record(model)

@@ -18,6 +18,7 @@ from sklearn.utils.validation import check_consistent_length, check_is_fitted
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
+from skdgp._flight.findings import Code, with_codes
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
@@ -105,9 +106,8 @@ def make_identification_pipeline(
         of the servos of flights without vanes.
     cutoff : float, "auto" or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
-    mixer : transformer or "passthrough", optional
-        By default ``ElevonSplitter()``. "passthrough" for an aircraft that lacks an elevator or an
-        aileron.
+    mixer : transformer, optional
+        By default ``ElevonSplitter()``.
     regressor : estimator, optional
         By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will
         do.
@@ -405,7 +405,7 @@ class FlightPipeline(Pipeline):
         scale = self._scale(X.shape[1])
         if reconstruction.air_motion_ is not None:
             return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
-        if reconstruction.doubt_ is not None:
+        if with_codes(reconstruction.doubts_, Code.GUSTS_UNKNOWN):
             return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
         return None
 

@@ -73,12 +73,6 @@ def names_of(regressors: str | Sequence[str]) -> Sequence[str]:
     return REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
 
 
-def has_mixed_surfaces(table: pd.DataFrame) -> bool:
-    """Return whether flights have elevator and aileron, or elevons."""
-    columns = {*table.columns}
-    return {*MIXED} <= columns or not columns.isdisjoint(ELEVONS)
-
-
 def regressor_columns(tables: Iterable[pd.DataFrame], regressors: Sequence[str]) -> list[str]:
     """Return the measured columns of the tables that regressors are made from."""
     mixed = {*ELEVONS} if {*MIXED} & {*regressors} else set()

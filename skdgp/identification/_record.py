@@ -11,7 +11,7 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.findings import Code, Finding
+from skdgp._flight.findings import Finding
 from skdgp.identification._pipeline import FlightPipeline, regressor_names, step_of
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
@@ -110,17 +110,7 @@ class FitRecord:
 def fit_record(pipeline: FlightPipeline) -> FitRecord:
     """Return what a fitted pipeline shows of its fit."""
     regressor = pipeline[-1]
-    doubts = []
-    reconstruction = None
     step = step_of(pipeline, FlightPathReconstruction)
-    if step is not None:
-        reconstruction = step.finding_
-        if step.doubt_ is not None:
-            doubts.append(step.doubt_)
-        diverged = [str(name) for name, converged in step.converged_.items() if not converged]
-        if step.used_ and diverged:
-            numbers = {"flights": diverged, **step.agreement_}
-            doubts.append(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers))
     return FitRecord(
         inference=regressor.inference_,
         weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
@@ -130,8 +120,8 @@ def fit_record(pipeline: FlightPipeline) -> FitRecord:
         converged=bool(regressor.converged_),
         interrupted=bool(regressor.interrupted_),
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
-        doubts=doubts,
-        reconstruction=reconstruction,
+        doubts=[] if step is None else step.doubts_,
+        reconstruction=None if step is None else step.finding_,
         lags=lags_of(pipeline),
         samples=pipeline.n_learned_,
         samples_available=pipeline.n_observed_,

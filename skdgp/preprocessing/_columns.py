@@ -52,9 +52,9 @@ class ElevonSplitter(TableTransformer):
     elevons are exchanged, lift and elevator of a symmetric aircraft stay, and roll moment and
     aileron change sign.
 
-    A table with the controls but without the surfaces (a conventional aircraft, a simulation) does
-    not change. With both, the controls are computed from the surfaces. Raises ValueError if the
-    table has neither, or the mixing has another shape.
+    A table without the surfaces (a conventional aircraft, a simulation) does not change. With both,
+    the controls are computed from the surfaces. Raises ValueError if the table has some of the
+    surfaces or misspells them, or the mixing has another shape.
 
     Parameters
     ----------
@@ -135,8 +135,9 @@ class ElevonSplitter(TableTransformer):
         return {"mixing": Mixing(tuple(self.surfaces), tuple(self.controls), self.mixing_)}
 
     def _controls_of(self, table):
-        """Return controls by name; none where the table has them but not the surfaces."""
-        if {*self.controls} <= {*table} and not {*self.surfaces} & {*table}:
+        """Return controls by name; none where the table has no surface."""
+        if not present(self.surfaces, table):
+            check_spelling(table, self.surfaces)
             return {}
         check_columns(table, self.surfaces)
         values = self.mixing_ @ numeric(table, self.surfaces).T

@@ -125,20 +125,15 @@ class FlightPathReconstruction(TableTransformer):
         Missing channels of the flights of ``fit``, which then pass unchanged.
     contradictions_ : list of SensorContradiction
         Sensors that contradict the others, with residual and noise.
-    converged_ : dict of str to bool
-        Whether the search for the path converged, for each flight of ``fit``: where it did not, its
-        sensors may contradict one another.
-    agreement_ : dict of str to object
-        Of flights whose search did not converge ``contradictions`` of channels by physics, and whether
-        all ``agrees``; else empty.
     noise_std_ : dict of str to float
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt, heading.
     air_motion_ : AirMotion or None
         Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
         no ``calibration_``.
-    doubt_ : Finding or None
-        Why gusts of flights without vanes are not known; None if they are, or with vanes.
+    doubts_ : list of Finding
+        Why gusts of flights without vanes are not known, and flights of ``fit`` whose paths did not
+        converge, where their sensors may contradict one another.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds the value of each flight.
@@ -222,9 +217,7 @@ class FlightPathReconstruction(TableTransformer):
         self.used_ = not self.missing_
         self.contradictions_: list[SensorContradiction] = []
         self.air_motion_: AirMotion | None = None
-        self.doubt_: Finding | None = None
-        self.converged_: dict[Any, bool] = {}
-        self.agreement_: dict[str, Any] = {}
+        self.doubts_: list[Finding] = []
         if self.missing_:
             return
         self._check(table)
@@ -237,9 +230,6 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
         """Set the fitted attributes by the paths of the flights."""
         parts = self._estimated_paths(table, PATH_NOISE, learn=PATH_NOISE | GUSTS)
-        for part in parts:
-            others = self.converged_.get(part.name, True)
-            self.converged_[part.name] = others and part.estimate.converged
         noise = pd.DataFrame([part.estimate.noise for part in parts])
         samples = [len(part.rows) for part in parts]
         self.noise_std_ = {name: _mean_std(noise[name], samples) for name in PATH_NOISE}
@@ -251,33 +241,31 @@ class FlightPathReconstruction(TableTransformer):
         is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
         self.used_ = not found or is_filtered or not has_vanes
         if self.used_:
-            self.agreement_ = self._warn_of_diverged(parts, table)
+            self.doubts_ += _diverged(parts, table)
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
         if self.aircraft is None:
             cause = Finding(Code.NO_AIRCRAFT)
-            self.doubt_ = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
+            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})]
             return
-        motion, self.doubt_ = self._estimated_motion(table)
+        motion, self.doubts_ = self._estimated_motion(table)
         if motion is None:
             return
-        if self.doubt_ is None:
-            _tell_of_aircraft(motion)
-        else:
-            self.agreement_ = dict(self.doubt_.numbers["cause"].numbers)
+        error = motion.position_error()
+        if not self.doubts_ and error is not None:
+            numbers = {"distance": float(np.linalg.norm(error))}
+            report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers))
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
-        names = [flight.name for flight in flights_of(table)]
-        self.converged_ = dict.fromkeys(names, motion.converged)
-        changes = [motion.gust_change(number) for number in range(len(names))]
+        changes = [motion.gust_change(number) for number, _ in enumerate(flights_of(table))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
 
     def _estimated_motion(
         self, table: pd.DataFrame, known: AirMotion | None = None
-    ) -> tuple[AirMotion | None, Finding | None]:
-        """Return the motion of the air, None where it cannot be estimated, and its doubt, if any."""
+    ) -> tuple[AirMotion | None, list[Finding]]:
+        """Return the motion of the air, None where it cannot be estimated, and its doubts."""
         aircraft: Any = self.aircraft
         settings = self.settings or AirSettings()
         motion = None
@@ -291,7 +279,7 @@ class FlightPathReconstruction(TableTransformer):
         except ValueError as error:
             cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
         if cause is None:
-            return motion, None
+            return motion, []
         numbers = {
             "cause": cause,
             "angles_lack_gusts": motion is None,
@@ -299,7 +287,7 @@ class FlightPathReconstruction(TableTransformer):
         }
         doubt = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
         report(doubt)
-        return motion, doubt
+        return motion, [doubt]
 
     def _transform_table(self, table):
         table = with_sensor_position(table, self.aircraft)
@@ -327,7 +315,7 @@ class FlightPathReconstruction(TableTransformer):
         """Return the columns of flights by their most likely paths."""
         flights = []
         parts = self._estimated_paths(table, self.noise_std_, learn=GUSTS)
-        self._warn_of_diverged(parts, table)
+        _diverged(parts, table)
         for part in parts:
             columns: dict[str, Any] = path_columns(part.estimate.path, part.sensors)
             columns["gust"] = self.gust_std_
@@ -381,15 +369,16 @@ class FlightPathReconstruction(TableTransformer):
             parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
         return parts
 
-    def _warn_of_diverged(self, parts: Sequence[FlightPart], table: pd.DataFrame) -> dict[str, Any]:
-        """Warn of flights whose paths are used and did not converge, and return whether channels then agree."""
-        diverged = [str(part.name) for part in parts if not part.estimate.converged]
-        if not diverged:
-            return {}
-        numbers = {"flights": list(dict.fromkeys(diverged))}
-        agreement = _agreement(table)
-        report(Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers | agreement))
-        return agreement
+
+def _diverged(parts: Sequence[FlightPart], table: pd.DataFrame) -> list[Finding]:
+    """Return the doubt of flights whose paths are used and did not converge, and warn of it."""
+    flights = dict.fromkeys(str(part.name) for part in parts if not part.estimate.converged)
+    if not flights:
+        return []
+    numbers = {"flights": list(flights), **_agreement(table)}
+    doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers)
+    report(doubt)
+    return [doubt]
 
 
 def _agreement(table: pd.DataFrame) -> dict[str, Any]:
@@ -397,14 +386,6 @@ def _agreement(table: pd.DataFrame) -> dict[str, Any]:
     contradictions = find_contradictions(FlightTable.of(table))
     found = [contradiction.finding for contradiction in contradictions]
     return {"contradictions": found, "agrees": not found}
-
-
-def _tell_of_aircraft(motion: AirMotion) -> None:
-    """Report inertial sensors that are not where they are said to be."""
-    error = motion.position_error()
-    if error is not None:
-        numbers = {"distance": float(np.linalg.norm(error))}
-        report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers))
 
 
 def _in_rows(flights: list[pd.DataFrame]) -> dict[str, Vector]:

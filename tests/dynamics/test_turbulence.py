@@ -97,7 +97,7 @@ class TestPipeline:
     @pytest.fixture
     def pipeline(self):
         return make_identification_pipeline(
-            AIRCRAFT, regressors=self.names, reconstruction="passthrough", cutoff=None, mixer="passthrough",
+            AIRCRAFT, regressors=self.names, reconstruction="passthrough", cutoff=None,
             regressor=LinearRegression(),
         )  # fmt: skip
 

@@ -48,7 +48,7 @@ def pipeline():
     regressor = DependentGPRegressor(kernel, structure="joint", inference="sparse", n_inducing=15, max_iter=25,
                                      input_noise=None, random_state=0)  # fmt: skip
     model = make_identification_pipeline(
-        AIRCRAFT, regressors=REGRESSORS, reconstruction="passthrough", cutoff=None, mixer="passthrough",
+        AIRCRAFT, regressors=REGRESSORS, reconstruction="passthrough", cutoff=None,
         regressor=regressor,
     )  # fmt: skip
     model.set_params(flightcheck="passthrough", flightsmoother="passthrough")

@@ -135,7 +135,6 @@ class TestPredict:
             delta,
             regressors=["alpha"],
             reconstruction="passthrough",
-            mixer="passthrough",
             regressor=LinearRegression(),
         ).fit(flight, pd.DataFrame({"CZ": -4 * angle}))
         assert fitted.seconds_ == pytest.approx(130, rel=1e-3)

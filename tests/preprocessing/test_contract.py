@@ -144,6 +144,8 @@ class TestContract:
 
     @pytest.mark.parametrize("time", [{}, {"time": 0.02 * np.arange(200)}])
     def test_a_table_without_any_of_its_columns_is_refused(self, transformer, time):
+        if isinstance(transformer, ElevonSplitter):
+            pytest.skip("an aircraft need not have elevons")
         table = pd.DataFrame({"foo": np.zeros(200), "bar": 1.0, **time})
         with pytest.raises(ValueError, match=r"docs/notation\.md|columns of the table"):
             clone(transformer).fit(table)

@@ -38,6 +38,8 @@ def test_conventional_aircraft_passes_through():
     assert_frame_equal(ElevonSplitter().fit_transform(table), table)
     fitted = ElevonSplitter().fit(ELEVONS)
     assert_frame_equal(fitted.transform(table), table)
+    without = table[["alpha"]]
+    assert_frame_equal(ElevonSplitter().fit_transform(without), without)
 
 
 def test_logged_controls_yield_to_the_surfaces():

@@ -16,12 +16,13 @@ from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import Aircraft, Servos, air_data
-from skdgp.estimation import PATH_CHANNELS, air_columns, flights_of
+from skdgp.estimation import PATH_CHANNELS, air_columns, estimate_path, flights_of
 from skdgp.preprocessing import (
     FlightDataWarning,
     FlightPathReconstruction,
     FlightSmoother,
     LagCorrector,
+    _flight_path,
 )
 
 GRAVITY = 9.80665
@@ -233,13 +234,19 @@ class TestHonesty:
         for name in AIR:
             assert (parts[name] - whole[name]).std() < 0.1 * error(table, whole, name)
 
-    def test_whether_paths_converged_travels_with_the_model(self):
-        table = flown(10.0)
-        noise = default_rng(0).uniform(-3, 3, len(table))
-        both = pd.concat([table.assign(flight="a"), table.assign(flight="b", psi=noise)])
-        reconstruction = fitted(both.reset_index(drop=True))
-        assert not reconstruction.used_
-        assert pickle.loads(pickle.dumps(reconstruction)).converged_ == {"a": True, "b": False}
+    def test_doubt_of_paths_that_did_not_converge_travels_with_the_model(self, monkeypatch):
+        flights = [flown(10.0).assign(flight=name) for name in ("a", "b")]
+        estimates = iter([True, False])
+
+        def ended(*arguments, **options):
+            return estimate_path(*arguments, **options)._replace(converged=next(estimates))
+
+        monkeypatch.setattr(_flight_path, "estimate_path", ended)
+        with pytest.warns(UserWarning, match="did not converge: b"):
+            reconstruction = fitted(pd.concat(flights, ignore_index=True))
+        (doubt,) = pickle.loads(pickle.dumps(reconstruction)).doubts_
+        assert doubt.code.name == "PATHS_NOT_CONVERGED"
+        assert doubt.numbers["flights"] == ["b"]
 
     def test_flights_are_not_mixed(self):
         one, reconstruction, alone = reconstructed()

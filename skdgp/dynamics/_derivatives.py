@@ -19,7 +19,7 @@ from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._size_errors import errors_of_sizes
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import ROTATION_OF, std_of_biases, unsteady_terms
+from skdgp.dynamics._unsteady import ROTATION_OF, unsteady_terms
 
 ROWS = (*COEFFICIENTS, "CL", "CD")
 LIFT = ROWS.index("CL")
@@ -138,7 +138,7 @@ def stability_derivatives(
     if frame.perturbation is not None:
         columns["perturbation"] = np.broadcast_to(frame.perturbation, values.shape)
     if n_paths and motion.aerodynamics.is_uncertain:
-        columns |= _standard_deviations(motion, now, frame, terms, n_paths, random_state)
+        columns |= _standard_deviations(motion, now, frame, n_paths, random_state)
     columns |= _errors_of_sizes(motion, frame, terms)
     table = frame.table(values, columns)
     table.attrs["slopes"] = "local" if frame.perturbation is None else "over the perturbation"
@@ -151,13 +151,14 @@ def _terms(model: Aerodynamics, coefficients: Array, X: Array) -> Array:
 
 
 def _standard_deviations(
-    motion: Motion, now: Instant, frame: _Frame, terms: Array, n_paths: int, random_state: Seed
+    motion: Motion, now: Instant, frame: _Frame, n_paths: int, random_state: Seed
 ) -> dict[str, np.ndarray]:
     """Return the standard deviations of functions drawn from the posterior, and their parts, (rows, 1 + columns)."""
     model = motion.aerodynamics
     paths = model.sample(n_paths, random_state)
     X = np.tile(now.regressors, (n_paths, 1))
-    std = frame(_terms(paths, paths(X), X)).std(axis=0, ddof=1)
+    terms = _terms(paths, paths(X), X)
+    std = frame(terms).std(axis=0, ddof=1)
     if model.learned is None:
         return {"std": std}
     errors = model.learned.function_errors
@@ -168,8 +169,10 @@ def _standard_deviations(
         std_errors = frame.std(np.concatenate([values, slopes], axis=-1))
     # the part that the errors of the function do not explain
     std_posterior = np.sqrt(np.maximum(std**2 - std_errors**2, 0.0))
-    unsteady = unsteady_terms(motion, now, terms[:, 1:], std_of_biases(errors)).errors
-    merged = np.abs(frame(np.pad(np.moveaxis(unsteady, -1, 0), ((0, 0), (0, 0), (1, 0)))))
+    slopes = unsteady_terms(motion, now, terms[..., 1:]).errors
+    unsteady = np.zeros((2, *terms.shape))
+    unsteady[..., 1:] = np.moveaxis(slopes, -1, 0)
+    merged = np.sqrt(np.square(frame(unsteady)).mean(axis=1))
     return {
         "std": std,
         "std_posterior": std_posterior,

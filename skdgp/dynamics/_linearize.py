@@ -38,7 +38,7 @@ from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
 from skdgp.dynamics._servos import IDEAL, Servos
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import UnsteadyTerms, std_of_biases, unsteady_terms
+from skdgp.dynamics._unsteady import UnsteadyTerms, unsteady_terms
 
 # States of a linear model, with Euler angles in place of the quaternion of `STATE_NAMES`
 LINEAR_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
@@ -377,8 +377,8 @@ def _drawn(
     motion_of_paths = motion.with_aerodynamics(model.sample(n_paths, random_state))
     if model.learned is None:
         return motion_of_paths, None
-    slopes = model.gradient(now.regressors)
-    unsteady = unsteady_terms(motion, now, slopes, std_of_biases(model.learned.function_errors))
+    at_point = np.tile(now.regressors, (n_paths, 1))
+    unsteady = unsteady_terms(motion, now, motion_of_paths.aerodynamics.gradient(at_point))
     # slopes by alpha_dot and beta_dot of each path
     draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
     return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)

@@ -12,10 +12,9 @@ of its bias: where gusts make it vanish, :math:`C_{\dot\alpha}` need not vanish.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import RATES
@@ -48,31 +47,20 @@ class UnsteadyTerms(NamedTuple):
         return self.slopes @ (self.missing * angle_rates - self.relation @ regressors)
 
 
-def unsteady_terms(
-    motion: Motion, now: Instant, slopes: Array, scatter: ArrayLike = 0.0
-) -> UnsteadyTerms:
-    """Return the unsteady terms at a flight, by the slopes (..., 6, d) of the model.
-
-    ``scatter`` is the standard deviation of the biases of these slopes.
-    """
+def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms:
+    """Return the unsteady terms at a flight, by the slopes (..., 6, d) of the model or of its paths."""
     units = _units(motion, now)
-    sizes = np.copysign(np.hypot(slopes, scatter), slopes)
     std = np.zeros((*slopes.shape[:-1], 2))
     relation = _angle_rate_slopes(motion, now, slopes, units)
     missing = np.ones((2, 1), dtype=bool)
     for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
         for k, name in enumerate(motion.regressors):
             if name == rotation:
-                std[..., j] = RELATIVE_STD[j] * sizes[..., k] / units[..., k, None]
+                std[..., j] = RELATIVE_STD[j] * slopes[..., k] / units[..., k, None]
             if name == angle_rate:
                 relation[..., j, k] -= units[..., k]
                 missing[j] = False
     return UnsteadyTerms(std, relation, missing)
-
-
-def std_of_biases(errors: Any) -> Array | float:
-    """Return the standard deviation of slopes, (6, d), by the errors of a function; 0 without them."""
-    return 0.0 if errors is None else np.linalg.norm(errors.slopes(), axis=-1)
 
 
 def _units(motion: Motion, now: Instant) -> Array:

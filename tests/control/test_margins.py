@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 
 from skdgp.control import autopilot_loops, margins, read_parameters, suggest_gains
-from skdgp.dynamics import linearize, trim
+from skdgp.dynamics import Servos, linearize, trim
 
 AIRSPEED, DELAY = 20.0, 0.04
 FULL = {"aileron": 0.42, "elevator": 0.4, "rudder": 0.35}
@@ -25,9 +25,9 @@ PX4 = UNFILTERED | {
 }  # fmt: skip
 
 
-def linear_of(glider, slopes=None, n_paths=0, delay=DELAY):
+def linear_of(glider, slopes=None, n_paths=0, delay=DELAY, **options):
     """Return the linear model of an aircraft, whose slopes paths change by some 10 %."""
-    model = glider.model(slopes)
+    model = glider.model(slopes, **options)
     steady = trim(model, glider.aircraft, AIRSPEED, altitude=100.0)
     return linearize(model, glider.aircraft, steady, n_paths=n_paths, delay=delay)
 
@@ -60,6 +60,19 @@ def test_of_a_roll_mode_are_those_of_the_closed_form(P, delay, glider):
     assert_allclose(found["phase"], np.rad2deg(left), atol=0.2)
     beyond = loops[0].scaled(1.003 * 10 ** (found["gain"] / 20))
     assert margins(linear, [beyond])["value"]["roll"]["gain"] == -np.inf
+
+
+def test_bands_hold_the_errors_of_the_servos(glider):
+    """In the limit of exact lags and delays the bands are those of the aircraft."""
+    loops = autopilot_loops(PX4, {"aileron": FULL["aileron"]})
+    widths = {}
+    for std in (0.0, 1e-9, 0.01, 0.02):
+        servos = Servos(lag=0.05, delay=0.02, lag_std=std, delay_std=std / 2)
+        table = margins(linear_of(glider, n_paths=60, servos=servos), loops).loc["roll"]
+        widths[std] = (table["upper"] - table["lower"])[["gain", "phase"]]
+    assert_allclose(widths[1e-9], widths[0.0], rtol=1e-5)
+    assert (widths[0.01] > widths[0.0]).all()
+    assert (widths[0.02] > widths[0.01]).all()
 
 
 def test_a_slow_mode_that_grows_does_not_hide_the_gain_margin(glider):

@@ -51,16 +51,6 @@ MOTION = Motion(LINEAR, BRUMBY, thrust=None)
 NOW = MOTION.at(state_of(), HELD)
 
 
-def test_scatter_of_slopes_by_rates_leaves_slopes_by_alpha_dot_unknown():
-    """A Cm_q of zero with a deviation by method does not mean that Cm_alpha_dot is zero."""
-    scatter = np.zeros_like(SLOPES)
-    scatter[4, 3], scatter[3, 3] = 0.16, 0.02
-    terms = unsteady_terms(MOTION, NOW, SLOPES, scatter)
-    assert_allclose(terms.slopes[4, 0], RELATIVE_STD[0] * -0.2)
-    assert_allclose(abs(terms.slopes[3, 0]), RELATIVE_STD[0] * 0.02)
-    assert_allclose(terms.slopes[:, 1], unsteady_terms(MOTION, NOW, SLOPES).slopes[:, 1])
-
-
 def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
     size = 1e-5
     column = size * np.array([0.0, 0, -1.0, 0, -2.0, 0])

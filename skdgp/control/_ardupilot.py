@@ -60,8 +60,6 @@ LONGEST_FRAME = 0.09
 NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
-# Silence [s] of an autopilot after which another one may fly
-HANDOVER = 1.0
 
 
 class Packet(NamedTuple):
@@ -205,92 +203,6 @@ def _effect(linear: LinearModel, control: str) -> float:
     return float(np.sign(effect))
 
 
-class ModelInFlight:
-    """A model behind an autopilot, from a trim to the ground."""
-
-    def __init__(
-        self,
-        simulator: Simulator,
-        steady: Trim,
-        height: float,
-        path: int | None,
-    ) -> None:
-        self.simulator = simulator
-        self.steady = steady
-        self.ground = steady.altitude - height  # altitude [m]
-        self.path = path
-        self.start()
-
-    def start(self) -> None:
-        """Put the aircraft at its trim, heading north."""
-        names = ("airspeed", "alpha", "beta", "phi", "theta", "altitude")
-        start = {name: vars(self.steady)[name] for name in names}
-        start |= by_name(RATE_NAMES, self.steady.rates)
-        self.channels = self.simulator.reset(start, random_state=self.path)
-        self.ended = ""
-        self._told: set[str] = (
-            set()
-        )  # regressors that were warned of since all were in their ranges
-        self._told_time = -np.inf  # of the last warning [s]
-
-    @property
-    def time(self) -> float:
-        """Of this flight [s]."""
-        return self.simulator.time
-
-    def advance(self, commands: Mapping[str, float], duration: float) -> None:
-        """Fly for a ``duration`` [s] with constant commands."""
-        self.channels = self.simulator.step(commands, duration)
-        altitude = self.channels["altitude"]  # NaN if the flight has ended
-        reason = REASONS.get(self.simulator.ended, "")
-        if altitude <= self.ground:
-            reason = "at the ground"
-        if reason:
-            self.ended = f"the flight ended after {self.time:.1f} s: {reason}"
-            return
-        self.channels["density"] = float(standard_density(altitude))
-        self._warn_of_beyond()
-
-    def _warn_of_beyond(self) -> None:
-        """Warn when a regressor leaves what was learned, once a second at most."""
-        beyond = self.simulator.beyond
-        if not beyond:
-            self._told.clear()
-        if not beyond or beyond in self._told or self.time < self._told_time + 1.0:
-            return
-        self._told.add(beyond)
-        self._told_time = self.time
-        model = self.simulator.motion.aerodynamics
-        k = self.simulator.motion.regressors.index(beyond)
-        low, high = model.limits[:, k]
-        warn(
-            f"After {self.time:.1f} s the flight is outside of what the model was learned from, in "
-            f"{model.regressors[k]} (learned from {low:.3g} to {high:.3g}): the column beyond says where. A "
-            "stall that was not flown is not in the model.",
-            SimulationWarning,
-        )
-
-    def readings(self) -> str:
-        """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
-        values = self.channels
-        position = [values["north"], values["east"], values["down"] + self.ground]
-        # SITL's airspeed is the equivalent one
-        equivalent = values["airspeed"] * math.sqrt(values["density"] / SEA_LEVEL_DENSITY)
-        facts = {
-            "timestamp": self.time,
-            "imu": {
-                "gyro": [values[name] for name in RATE_NAMES],
-                "accel_body": [values[name] for name in SPECIFIC_FORCE],
-            },
-            "position": position,
-            "attitude": [values[name] for name in EULER],
-            "quaternion": self.simulator.state[ATTITUDE].tolist(),
-            "velocity": [values[name] for name in EARTH_VELOCITY],
-            "airspeed": equivalent,
-        }
-        return "\n" + json.dumps(facts, separators=(",", ":"), allow_nan=False) + "\n"
-
-
 class Link:
     """A UDP port at which ArduPilot's simulator is expected; a context manager."""
 
@@ -370,8 +282,8 @@ def fly(
     """Fly a model in ArduPilot's simulator: answer each packet of pulses with a step of the nonlinear motion.
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
-    that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot
-    starts another flight; silence, ``seconds`` or Ctrl-C end it.
+    that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot, or another
+    one, starts another flight; silence, ``seconds`` or Ctrl-C end it.
 
     Parameters
     ----------
@@ -420,7 +332,7 @@ def fly(
     Warns
     -----
     UserWarning
-        If other bytes come, or packets of a second autopilot, which are ignored.
+        If other bytes come, which are ignored.
     SimulationWarning
         When the flight leaves the training range of a regressor, once a second at most.
     """
@@ -431,105 +343,135 @@ def fly(
     outputs = Outputs(linear, steady, full, parameters or {})
     air = Air(wind=wind, gusts=gusts)
     simulator = Simulator(model, aircraft, LONGEST_STEP, air=air, thrust=thrust)
-    flight = ModelInFlight(simulator, steady, height, path)
-    with Link(address, port) as link:
+    flights = _Flights(simulator, outputs, steady, steady.altitude - height, path)
+    with Link(address, port) as link, one_blas_thread():
         if ready is not None:
             ready()
-        return _serve(link, flight, outputs, wait, seconds)
+        try:
+            reason = flights.serve(link, wait, seconds)
+        except KeyboardInterrupt:
+            if not flights.n_steps:
+                raise
+            reason = "ended by Ctrl-C"
+        if not flights.n_steps and not simulator.ended:
+            raise ValueError(
+                f"Got no packet at {link.name} for {wait:g} s, but expected ArduPilot: start "
+                "sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1."
+            )
+    return Flown(pd.DataFrame(flights.rows), flights.n_steps, flights.computing, reason)
 
 
-class _Served:
-    """Flights that answer packets, until the autopilot is silent or a flight is over."""
+class _Flights:
+    """Flights of a model from a trim to the ground, an altitude [m]; each start of the autopilot begins another."""
 
-    def __init__(self, flight: ModelInFlight, outputs: Outputs) -> None:
-        self.flight = flight
+    def __init__(
+        self,
+        simulator: Simulator,
+        outputs: Outputs,
+        steady: Trim,
+        ground: float,
+        path: int | None,
+    ) -> None:
+        self.simulator = simulator
         self.outputs = outputs
+        names = ("airspeed", "alpha", "beta", "phi", "theta", "altitude")
+        self.at_trim = {name: vars(steady)[name] for name in names}
+        self.at_trim |= by_name(RATE_NAMES, steady.rates)
+        self.ground = ground
+        self.path = path
         self.rows: list[dict[str, Any]] = []
         self.n_starts = 0
         self.n_steps = 0
         self.computing = 0.0
-        self._last = sys.maxsize  # number of the last packet
-        self._line = ""
-        self._row_time = -np.inf  # of the last row of this flight [s]
-        self._autopilot: Any = None  # address of the sender
-        self._heard = -np.inf  # time of its last packet [s]
-        self._ignored: set[Any] = set()  # addresses of others
+        self._start()
 
-    def run(self, link: Link, wait: float, seconds: float) -> str:
+    def _start(self) -> None:
+        """Put the aircraft at its trim, heading north."""
+        self.channels = self.simulator.reset(self.at_trim, random_state=self.path)
+        self._row_time = -np.inf  # of the last row of this flight [s]
+        self._told: set[str] = (
+            set()
+        )  # regressors that were warned of since all were in their ranges
+        self._told_time = -np.inf  # of the last warning [s]
+
+    def serve(self, link: Link, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
-        while self.flight.time < seconds:
+        last = sys.maxsize  # number of the last packet
+        autopilot = None  # address of its sender
+        line = ""
+        while self.simulator.time < seconds:
             received = link.receive(wait)
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
-            if not self._is_autopilot(sender):
-                self._warn_of(sender)
-                continue
             # ArduPilot repeats a packet whose answer it did not get
-            if packet.number != self._last:
-                self._step(packet)
-            if self.flight.ended:
-                return self.flight.ended
-            link.answer(self._line, sender)
+            if packet.number != last or sender != autopilot:
+                if packet.number < last or sender != autopilot:
+                    self._start()
+                    self.n_starts += 1
+                last, autopilot = packet.number, sender
+                began = time.perf_counter()
+                commands = self.outputs.commands(packet.pulses)
+                if reason := self._advance(commands, min(1.0 / max(packet.rate, 1), LONGEST_FRAME)):
+                    return f"the flight ended after {self.simulator.time:.1f} s: {reason}"
+                line = self._readings()
+                self.computing += time.perf_counter() - began
+                self.n_steps += 1
+            link.answer(line, sender)
         return f"{seconds:g} s were flown"
 
-    def _is_autopilot(self, sender: Any) -> bool:
-        """Return whether a sender flies: no other one does, or that one has been silent."""
-        now = time.monotonic()
-        if sender != self._autopilot:
-            if now - self._heard <= HANDOVER:
-                return False
-            self._autopilot = sender
-            self._last = sys.maxsize  # its first packet starts a flight
-        self._heard = now
-        return True
-
-    def _warn_of(self, sender: Any) -> None:
-        """Warn once of a second autopilot."""
-        if sender not in self._ignored:
-            self._ignored.add(sender)
-            warn(
-                f"Got packets of two autopilots, {self._autopilot} and {sender}, but expected one: those of the "
-                "second are ignored."
-            )
-
-    def _step(self, packet: Packet) -> None:
-        flight = self.flight
-        if packet.number < self._last:
-            flight.start()
-            self.n_starts += 1
-            self._row_time = -np.inf
-        began = time.perf_counter()
-        commands = self.outputs.commands(packet.pulses)
-        flight.advance(commands, min(1.0 / max(packet.rate, 1), LONGEST_FRAME))
-        if flight.ended:
-            return
-        self._line = flight.readings()
-        self.computing += time.perf_counter() - began
-        self.n_steps += 1
-        self._last = packet.number
-        if flight.time - self._row_time > ROW_STEP:
-            self._row_time = flight.time
+    def _advance(self, commands: Mapping[str, float], duration: float) -> str:
+        """Fly for a ``duration`` [s] with constant commands; return why the flight is over, "" while it is not."""
+        self.channels = self.simulator.step(commands, duration)
+        altitude = self.channels["altitude"]  # NaN if the flight has ended
+        if altitude <= self.ground:
+            return "at the ground"
+        if self.simulator.ended:
+            return REASONS[self.simulator.ended]
+        self.channels["density"] = float(standard_density(altitude))
+        now = self.simulator.time
+        if now - self._row_time > ROW_STEP:
+            self._row_time = now
             name = {"flight": f"start {self.n_starts}"}
-            beyond = {"beyond": flight.simulator.beyond}
-            self.rows.append(name | flight.channels | commands | beyond)
+            self.rows.append(name | self.channels | commands | {"beyond": self.simulator.beyond})
+        self._warn_of_beyond()
+        return ""
 
-
-def _serve(
-    link: Link, flight: ModelInFlight, outputs: Outputs, wait: float, seconds: float
-) -> Flown:
-    """Answer packets until the flight is over, also by Ctrl-C."""
-    served = _Served(flight, outputs)
-    with one_blas_thread():
-        try:
-            reason = served.run(link, wait, seconds)
-        except KeyboardInterrupt:
-            if not served.n_steps:
-                raise
-            reason = "ended by Ctrl-C"
-    if not served.n_steps and not flight.ended:
-        raise ValueError(
-            f"Got no packet at {link.name} for {wait:g} s, but expected ArduPilot: start "
-            "sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1."
+    def _warn_of_beyond(self) -> None:
+        """Warn when a regressor leaves what was learned, once a second at most."""
+        beyond, now = self.simulator.beyond, self.simulator.time
+        if not beyond:
+            self._told.clear()
+        if not beyond or beyond in self._told or now < self._told_time + 1.0:
+            return
+        self._told.add(beyond)
+        self._told_time = now
+        motion = self.simulator.motion
+        k = motion.regressors.index(beyond)
+        low, high = motion.aerodynamics.limits[:, k]
+        warn(
+            f"After {now:.1f} s the flight is outside of what the model was learned from, in "
+            f"{motion.aerodynamics.regressors[k]} (learned from {low:.3g} to {high:.3g}): the column beyond says "
+            "where. A stall that was not flown is not in the model.",
+            SimulationWarning,
         )
-    return Flown(pd.DataFrame(served.rows), served.n_steps, served.computing, reason)
+
+    def _readings(self) -> str:
+        """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""
+        values = self.channels
+        position = [values["north"], values["east"], values["down"] + self.ground]
+        # SITL's airspeed is the equivalent one
+        equivalent = values["airspeed"] * math.sqrt(values["density"] / SEA_LEVEL_DENSITY)
+        facts = {
+            "timestamp": self.simulator.time,
+            "imu": {
+                "gyro": [values[name] for name in RATE_NAMES],
+                "accel_body": [values[name] for name in SPECIFIC_FORCE],
+            },
+            "position": position,
+            "attitude": [values[name] for name in EULER],
+            "quaternion": self.simulator.state[ATTITUDE].tolist(),
+            "velocity": [values[name] for name in EARTH_VELOCITY],
+            "airspeed": equivalent,
+        }
+        return "\n" + json.dumps(facts, separators=(",", ":"), allow_nan=False) + "\n"

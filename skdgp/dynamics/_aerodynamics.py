@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
@@ -27,6 +26,8 @@ from skdgp.dynamics._size_errors import ScaleFactor
 
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]
+# Step of the differences of a function without slopes, over the range of a regressor, or absolute without one
+STEP = 1e-4
 SCALERS = (StandardScaler, MinMaxScaler, MaxAbsScaler, RobustScaler)
 
 
@@ -187,7 +188,7 @@ class Aerodynamics:
         """Return the slopes of the coefficients (..., 6, d) at regressors (..., d)."""
         X = np.asarray(X, dtype=float)
         if self.slopes is None:
-            return self._differences(X)
+            return central_difference(self, X, STEP * self.ranges)
         return self._evaluated(self.slopes, X, 6, X.shape[-1])
 
     def over(self, perturbation: str | None) -> Aerodynamics:
@@ -229,10 +230,6 @@ class Aerodynamics:
         """Return values (..., *shape) at regressors (..., d) of a function of (n, d), or of paths (n_paths, n, d)."""
         paths = () if self.n_paths is None else (self.n_paths,)
         return function(X.reshape(*paths, -1, X.shape[-1])).reshape(*X.shape[:-1], *shape)
-
-    def _differences(self, X: Array, step: float = 1e-4) -> Array:
-        """Return central differences, of steps over the range of a regressor, or absolute without one."""
-        return central_difference(self, X, step * self.ranges)
 
 
 @runtime_checkable
@@ -364,8 +361,7 @@ class Coefficients:
 
     def __init__(self, steps: list, n_regressors: int, seconds: float | None = None):
         self.seconds = seconds
-        transforms = [_for_arrays(step) for step in steps[:-1]]
-        self.regressor = _without_names(steps[-1])
+        *transforms, self.regressor = map(_without_names, steps)
         self.shift, self.scale, self.others = scaling_of(transforms, n_regressors)
         names = list(vars(self.regressor).get("output_names_", NO_NAMES))
         self.order = self._order(names)
@@ -381,7 +377,7 @@ class Coefficients:
     def _predicted(self, X: Array) -> Array:
         X = self.scaled(X)
         for step in self.others:
-            X = step.transform(X)
+            X = np.asarray(step.transform(X))
         return self.regressor.predict(X)
 
     def _order(self, names: list[str]) -> slice | list[int]:
@@ -478,32 +474,17 @@ def flown_perturbation(rows: Array, seconds: float | None, window: float = 20.0)
 
 def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
     """Return shift and scale of the scalers that begin the steps, x = shift + scale z, and the other steps."""
-    shift = np.zeros(n_regressors)
-    scale = np.ones(n_regressors)
     scalers = list(takewhile(_is_linear, steps))
-    for step in scalers:
-        offset, factor = _scaling_of(step)
-        if offset is not None:
-            shift = shift + offset * scale
-        if factor is not None:
-            scale = scale * factor
-    return shift, scale, steps[len(scalers) :]
+    ends = np.stack([np.zeros(n_regressors), np.ones(n_regressors)])
+    for step in reversed(scalers):
+        ends = step.inverse_transform(ends)
+    shift, at_one = ends
+    return shift, at_one - shift, steps[len(scalers) :]
 
 
 def _is_linear(step: Any) -> bool:
     """Return whether a step is a scaler that does not clip."""
     return type(step) in SCALERS and not step.get_params().get("clip", False)
-
-
-def _scaling_of(scaler: Any) -> tuple[Array | None, Array | None]:
-    """Return offset and factor of a scaler, x = offset + factor z; None for none."""
-    if isinstance(scaler, MinMaxScaler):
-        return -scaler.min_ / scaler.scale_, 1.0 / scaler.scale_
-    if isinstance(scaler, StandardScaler):
-        return scaler.mean_ if scaler.with_mean else None, scaler.scale_
-    if isinstance(scaler, RobustScaler):
-        return scaler.center_, scaler.scale_
-    return None, scaler.scale_
 
 
 def _steps_of(model: BaseEstimator) -> list:
@@ -523,12 +504,6 @@ def steps_by_choice(model: BaseEstimator) -> tuple[list, list]:
         if "regressors" in _described(step):
             n_before = number
     return steps[:n_before], steps[n_before:]
-
-
-def _for_arrays(transform: Any) -> Any:
-    """Return the transform as if fitted on an array, returning arrays, whatever `set_output` chose."""
-    twin = copy.deepcopy(_without_names(transform))
-    return twin.set_output(transform="default") if hasattr(twin, "set_output") else twin
 
 
 def _without_names(step: Any) -> Any:

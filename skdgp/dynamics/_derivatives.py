@@ -19,7 +19,7 @@ from skdgp.dynamics._linearize import check_paths, flight_point
 from skdgp.dynamics._motion import Instant, Motion, check_settled
 from skdgp.dynamics._size_errors import errors_of_sizes
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import ROTATION_OF, unsteady_terms
+from skdgp.dynamics._unsteady import unsteady_terms
 
 ROWS = (*COEFFICIENTS, "CL", "CD")
 LIFT = ROWS.index("CL")
@@ -92,7 +92,7 @@ def stability_derivatives(
         parts.
 
         ``std_merged`` is the possible difference of derivatives by alpha_dot and beta_dot alone
-        from the merged ones of the model, see the notes; ``merged`` names the larger one.
+        from the merged ones of the model, see the notes.
 
         Where sizes of the aircraft have ``deviations``, ``std_aircraft`` is the effect of their errors,
         and of that of the propeller's thrust, on the values, and ``aircraft`` names the largest. These
@@ -177,8 +177,7 @@ def _standard_deviations(
         "std": std,
         "std_posterior": std_posterior,
         "std_errors": std_errors,
-        "std_merged": np.hypot(*merged),
-        "merged": _largest(merged, frame.merged_names()),
+        "std_merged": np.linalg.norm(merged, axis=0),
     }
 
 
@@ -190,18 +189,11 @@ def _errors_of_sizes(motion: Motion, frame: _Frame, terms: Array) -> dict[str, n
         return {}
     errors = errors_of_sizes(factors, aircraft.inertia, motion.regressors, terms)
     magnitudes = np.abs(frame(errors))
-    names = np.array(list(factors), dtype=object)[:, None, None]
+    largest = np.array([*factors], dtype=object)[magnitudes.argmax(axis=0)]
     return {
         "std_aircraft": np.linalg.norm(magnitudes, axis=0),
-        "aircraft": _largest(magnitudes, names),
+        "aircraft": np.where(magnitudes.any(axis=0), largest, ""),
     }
-
-
-def _largest(magnitudes: Array, names: np.ndarray) -> np.ndarray:
-    """Return the name of the largest of k magnitudes (k, ...) by entry, "" where all vanish."""
-    names = np.broadcast_to(names, magnitudes.shape)
-    largest = np.take_along_axis(names, magnitudes.argmax(axis=0)[None], axis=0)[0]
-    return np.where(magnitudes.any(axis=0), largest, "")
 
 
 class _Frame:
@@ -241,15 +233,6 @@ class _Frame:
     def std(self, errors: Array) -> Array:
         """Return the standard deviation (rows, 1 + columns) of independent errors (k, 6, 1 + d)."""
         return np.linalg.norm(self(errors), axis=0)
-
-    def merged_names(self) -> np.ndarray:
-        """Return the derivative by alpha_dot or beta_dot that each merges with, (2, rows, 1 + columns)."""
-        rows = np.array(ROWS, dtype=object)[:, None]
-        merged = []
-        for angle_rate, rotation in ROTATION_OF.items():
-            partners = [rotation if name == angle_rate else angle_rate for name in self.names]
-            merged.append(rows + "_" + np.array(partners, dtype=object))
-        return np.stack(merged)
 
     def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
         """Return the table of values and standard deviations by name, (rows, 1 + columns) each."""

@@ -87,24 +87,16 @@ def replay(
     loads = np.hstack(aerodynamic) + np.hstack(propulsive) + np.hstack(external)
     has_loads: Any = np.isfinite(loads).all(axis=1)
     is_complete: Any = np.isfinite(measured).all(axis=1)
-    windows: list[Indices] = []
+    windows: list[tuple[int, int]] = []
     for segment in flights.segments:
         for run in true_runs(has_loads[segment]):
             rows = np.arange(segment.start, segment.stop)[run]
             windows += _windows(rows, time[rows], is_complete[rows], horizon)
-    rows = _padded(windows)
+    first, last = np.array(windows, dtype=int).reshape(-1, 2).T
+    steps = np.arange(1 + (last - first).max(initial=0))
+    rows = np.minimum(first + steps[:, None], last)  # a shorter window repeats its last row
     states = _integrated(measured, loads, time, rows, aircraft, gravity)
     return _table(flight, rows, states, horizon)
-
-
-def _padded(windows: list[Indices]) -> Indices:
-    """Return the rows (n_samples, n_windows) of windows, shorter ones padded with their last row."""
-    longest = max(map(len, windows), default=1)
-    padded = np.empty((longest, len(windows)), dtype=int)
-    for k, rows in enumerate(windows):
-        padded[: len(rows), k] = rows
-        padded[len(rows) :, k] = rows[-1]
-    return padded
 
 
 def _check_coefficients(coefficients: ArrayLike, n: int) -> None:
@@ -138,8 +130,10 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -
     return table.astype({"window": int})
 
 
-def _windows(rows: Indices, time: Array, is_complete: Array, horizon: float) -> list[Indices]:
-    """Return the rows of each window in a run of ``rows`` (n,) without gaps.
+def _windows(
+    rows: Indices, time: Array, is_complete: Array, horizon: float
+) -> list[tuple[int, int]]:
+    """Return the first and the last row of each window in a run of ``rows`` (n,) without gaps.
 
     A window starts at a complete state and ends at the last one no more than ``horizon`` [s] later,
     where the next one starts; where there is none, it ends with the horizon.
@@ -154,7 +148,7 @@ def _windows(rows: Indices, time: Array, is_complete: Array, horizon: float) -> 
         restarts = starts[(starts > first) & (starts <= last)]
         if len(restarts) and last < len(rows) - 1:
             last = restarts[-1]
-        windows.append(rows[first : last + 1])
+        windows.append((rows[first], rows[last]))
         starts = starts[starts >= last]
     return windows
 

@@ -200,14 +200,12 @@ class TimeHistoryDisplay(Display):
         trajectories: pd.DataFrame,
         flown: pd.DataFrame | None = None,
         *,
-        mean: pd.DataFrame | None = None,
         columns: Any = TRAJECTORY,
         ax: Any = None,
     ) -> Self:
         """Draw one trajectory of :func:`skdgp.dynamics.simulate`, or the paths of one start.
 
-        The band holds 95 % of the paths at each time. The line is the trajectory ``mean`` of the
-        model's mean where it is given, else the median of the paths, which no aircraft flies.
+        The band holds 95 % of the paths at each time. The line is the median of the paths, which no aircraft flies.
         ``flown`` is the recorded flight, interpolated to the times of the simulation.
         """
         names = list(columns)
@@ -224,12 +222,12 @@ class TimeHistoryDisplay(Display):
         if n_paths == 1:
             line = unwrapped(trajectories, names)
         else:
-            lower, line, upper = _band(trajectories, names)
-            if mean is None:
-                estimate = "median of the paths"
-            else:
-                of_mean = unwrapped(mean, names)
-                line = of_mean + _turns(names, line[0], of_mean[0])
+            bands = trajectory_bands(trajectories, columns=names)
+            line = bands[names].to_numpy()
+            lower, upper = (
+                bands[[f"{name}_{end}" for name in names]].to_numpy() for end in ("low", "high")
+            )
+            estimate = "median of the paths"
         beyond = None
         if "beyond" in trajectories:
             is_beyond = (trajectories["beyond"] != "").to_numpy()
@@ -259,14 +257,6 @@ class TimeHistoryDisplay(Display):
         ).plot(ax)
 
 
-def _band(trajectories: pd.DataFrame, names: list[str]) -> tuple[Matrix, Matrix, Matrix]:
-    """Return lower edge, median and upper edge (n, k) of the paths."""
-    bands = trajectory_bands(trajectories, columns=names)
-    low = bands[[f"{name}_low" for name in names]]
-    high = bands[[f"{name}_high" for name in names]]
-    return low.to_numpy(), bands[names].to_numpy(), high.to_numpy()
-
-
 def _mark_beyond(ax: Any, time: Vector, beyond: Vector) -> None:
     """Mark the times at which any path is outside the training data, at the upper edge."""
     marks = np.where(beyond > 0, 1.0, np.nan)
@@ -276,18 +266,13 @@ def _mark_beyond(ax: Any, time: Vector, beyond: Vector) -> None:
     )  # fmt: skip
 
 
-def _turns(names: list[str], wanted: Vector, found: Vector) -> Vector:
-    """Return the multiples of a turn that bring angles within half a turn of the wanted ones; 0 of other columns."""
-    is_angle = np.isin(names, EULER)
-    return np.where(is_angle, 2 * np.pi * np.round((wanted - found) / (2 * np.pi)), 0.0)
-
-
 def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:
     """Return a flight at times, its angles without jumps, within half a turn of the simulated ones at the start."""
     check_columns(flown, ["time", *names], what="flown")
     clock = flown["time"].to_numpy(float)
     values = interpolated(time, clock, unwrapped(flown, names), beyond=np.nan)
-    return values + _turns(names, start, values[0])
+    turns = np.round((start - values[0]) / (2 * np.pi)) * np.isin(names, EULER)
+    return values + 2 * np.pi * turns
 
 
 def _fit_to_lines(ax: Any, widening: float = 0.6) -> None:

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from skdgp.plotting import TimeHistoryDisplay
 
@@ -38,20 +38,6 @@ def test_the_band_holds_95_of_100_paths_and_headings_do_not_tear():
     band = display.axes_[0, 0].collections[0].get_paths()[0].vertices[:, 1]
     assert (band.min(), band.max()) == pytest.approx((end.quantile(0.025), end.quantile(0.975)))
     assert np.abs(np.diff(lines_of(display)[1]["median of the paths"])).max() < 2.0
-
-
-def test_the_line_is_the_trajectory_of_the_mean():
-    """On the turn of the paths; without it the line is called what it is, the median of the paths."""
-    paths = ensemble()
-    turned = 3.0 + 0.28 * TIME
-    mean = pd.DataFrame({"time": TIME + 7, "airspeed": 31.0, "psi": np.angle(np.exp(1j * turned))})
-    columns = ["psi", "airspeed"]
-    display = TimeHistoryDisplay.from_trajectories(paths, mean=mean, ax=False, columns=columns)
-    assert_allclose(display.mean[:, 0], turned, atol=1e-9)
-    assert (display.mean[:, 1] == 31.0).all()
-    of_paths = TimeHistoryDisplay.from_trajectories(paths, columns=columns, ax=False)
-    assert (display.estimate, of_paths.estimate) == ("simulated", "median of the paths")
-    assert_allclose(display.upper - display.lower, of_paths.upper - of_paths.lower)
 
 
 def test_marks_where_paths_were_beyond_what_was_learned_from():

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import groupby
-from operator import attrgetter
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +35,11 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     """
     ca = extra("casadi", "export")
     x = ca.MX.sym("x", len(model.regressors))
-    symbols = _Symbols(ca, x, model, mean_only)
+    z = (x.T - model.shift[None]) / model.scale[None]
     means = []
     variances = []
     for i in range(len(model.outputs)):
-        components = [(weight, *symbols.moments(part)) for weight, part in model.components(i)]
+        components = [(weight, *_moments(ca, z, model, part)) for weight, part in model.components(i)]
         mean = sum(weight * own_mean for weight, own_mean, _ in components)
         means.append(mean)
         variances.append(sum(w * (nu + (mu - mean) ** 2) for w, mu, nu in components))
@@ -53,52 +52,30 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     return ca.Function("aero", [x], results, ["x"], ["mean", "std", "jacobian"])
 
 
-class _Symbols:
-    """Normalised means and variances of parts of a model as expressions of the regressors ``x``."""
-
-    def __init__(self, ca: Any, x: Any, model: PortableModel, mean_only: bool) -> None:
-        self.ca = ca
-        self.mean_only = mean_only
-        self.z = (x.T - model.shift[None]) / model.scale[None]
-        self.p = ca.horzcat(1, self.z - model.trend_center[None])
-
-    def moments(self, part: Part) -> tuple[Any, Any]:
-        """Return normalised mean and variance, by the formulas of `Part`."""
-        ca, p = self.ca, self.p
-        groups = _groups(part)
-        functions = [sum(map(self._functions, group)) for group in groups]
-        g = ca.horzcat(self.z[:, :0], *functions)
-        used = [place for group in groups for place in _places(group[0])]
-        mean = p @ part.trend_weights + g @ part.readout.weights[used]
-        half = p @ part.trend_root
-        first = part.trend_root.shape[1] - len(part.readout.weights)
-        explained = ca.horzcat(half[:, :first], half[:, first:] + g @ part.readout.root[used])
-        prior = part.prior_variance + ca.sumsqr(p @ part.trend_prior)
-        return mean, ca.fmax(prior - ca.sumsqr(explained), ROUNDING * prior)
-
-    def _functions(self, term: Term) -> Any:
-        return term.gain * self.ca.exp(-0.5 * self._squared_distances(term))
-
-    def _squared_distances(self, term: Term) -> Any:
-        ca, centres = self.ca, term.centres
-        u = self.z @ term.root
-        if self.mean_only:
-            # |u|^2 - 2 c^T u + |c|^2 takes one product; it rounds to 1e-16 of the squares
-            squares = ca.DM(np.sum(centres**2, axis=1))
-            return (ca.sumsqr(u) + squares - 2.0 * ca.mtimes(ca.DM(centres), u.T)).T
-        away = ca.repmat(u, len(centres), 1) - centres
-        return ca.sum2(away**2).T
+def _moments(ca: Any, z: Any, model: PortableModel, part: Part) -> tuple[Any, Any]:
+    """Return normalised mean and variance as expressions of the scaled regressors, by the formulas of `Part`."""
+    p = ca.horzcat(1, z - model.trend_center[None])
+    places = {term.first: range(*term.entries.indices(term.entries.stop)) for term in part.terms}
+    functions = dict.fromkeys(places, 0.0)
+    for term in part.terms:
+        functions[term.first] += _functions(ca, z, term)
+    g = ca.horzcat(z[:, :0], *functions.values())
+    used = [*chain(*places.values())]
+    mean = p @ part.trend_weights + g @ part.readout.weights[used]
+    half = p @ part.trend_root
+    first = part.trend_root.shape[1] - len(part.readout.weights)
+    explained = ca.horzcat(half[:, :first], half[:, first:] + g @ part.readout.root[used])
+    prior = part.prior_variance + ca.sumsqr(p @ part.trend_prior)
+    return mean, ca.fmax(prior - ca.sumsqr(explained), ROUNDING * prior)
 
 
-def _groups(part: Part) -> list[list[Term]]:
-    """Return the terms of a part in the order of the basis; the terms of a group add up."""
-    first = attrgetter("first")
-    return [list(group) for _, group in groupby(sorted(part.terms, key=first), key=first)]
-
-
-def _places(term: Term) -> range:
-    """Return the entries of the basis that the functions of a term add to."""
-    return range(term.first, term.first + len(term.centres))
+def _functions(ca: Any, z: Any, term: Term) -> Any:
+    """Return the Gaussian functions of a term, (1, k)."""
+    u = z @ term.root
+    # |u|^2 - 2 c^T u + |c|^2 takes one product; it rounds to 1e-16 of the squares
+    squares = ca.DM(np.sum(term.centres**2, axis=1))
+    distances = ca.sumsqr(u) + squares - 2.0 * ca.mtimes(ca.DM(term.centres), u.T)
+    return term.gain * ca.exp(-0.5 * distances).T
 
 
 def write_casadi(folder: Path, model: PortableModel) -> list[Path]:

@@ -39,7 +39,9 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     means = []
     variances = []
     for i in range(len(model.outputs)):
-        components = [(weight, *_moments(ca, z, model, part)) for weight, part in model.components(i)]
+        components = [
+            (weight, *_moments(ca, z, model, part)) for weight, part in model.components(i)
+        ]
         mean = sum(weight * own_mean for weight, own_mean, _ in components)
         means.append(mean)
         variances.append(sum(w * (nu + (mu - mean) ** 2) for w, mu, nu in components))

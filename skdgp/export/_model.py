@@ -118,10 +118,10 @@ class Part:
         w and U, which acts on the last k entries of h; parts may share one.
     trend_weights : ndarray (d + 1,)
         v: posterior mean of intercept and slopes.
-    trend_prior : ndarray (d + 1, s)
-        R, a root of the prior covariance R R^T of intercept and slopes; any number s of columns.
     trend_root : ndarray (d + 1, r)
         T, with k <= r <= k + d + 1.
+    trend_prior : ndarray (d + 1, s)
+        R, a root of the prior covariance R R^T of intercept and slopes; any number s of columns.
     prior_variance : float
         a, of the Gaussian functions, with the variance of the model discrepancy.
     """
@@ -129,8 +129,8 @@ class Part:
     terms: tuple[Term, ...]
     readout: Readout
     trend_weights: Vector
-    trend_prior: Matrix
     trend_root: Matrix
+    trend_prior: Matrix
     prior_variance: float
 
 

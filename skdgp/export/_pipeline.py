@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any, cast
 
@@ -243,48 +242,27 @@ def _parts(
             f"have a portable form. {REMEDY}"
         )
     trend, tau = _trend_of(posterior.kernel)
+    roots = _moved_trend(trend, center).T * tau[:, None]
+    priors = [root[:, root.any(axis=0)] for root in roots]
     variance = np.zeros(posterior.kernel.n_outputs)
     for kernel in kernels:
         variance += (kernel.value("amplitude") ** 2).sum(axis=0)
+    if errors is not None:
+        variance += errors.discrepancy
+        linear = _moved_trend(errors.errors.centre, center).T @ errors.errors.weights.T
+        priors = [_square_root(np.hstack(pair)) for pair in zip(priors, linear, strict=True)]
     if isinstance(posterior, ExactPosterior):
-        parts = _exact(posterior, kernels, trend, tau, variance)
+        parts = _exact(posterior, kernels, trend, tau, roots)
     else:
-        parts = _sparse(cast(SparsePosterior, posterior), tau, variance)
-    moved = _moved_trend(trend, center).T
-    moved_parts = []
-    for i, part in enumerate(parts):
-        about_center = replace(
-            part,
-            trend_weights=moved @ part.trend_weights,
-            trend_prior=moved @ part.trend_prior,
-            trend_root=moved @ part.trend_root,
-        )
-        if errors is not None:
-            about_center = _with_errors(about_center, errors, i, center)
-        moved_parts.append(about_center)
-    return moved_parts
-
-
-def _with_errors(part: Part, posterior: PosteriorWithErrors, i: int, center: Vector) -> Part:
-    """Return the part of output i with the errors of the function in its prior."""
-    errors = posterior.errors
-    linear = _moved_trend(errors.centre, center).T @ errors.weights[:, :, i].T
-    return replace(
-        part,
-        trend_prior=_square_root(np.hstack([part.trend_prior, linear])),
-        prior_variance=part.prior_variance + float(posterior.discrepancy[i]),
-    )
+        parts = _sparse(cast(SparsePosterior, posterior), roots)
+    outputs = zip(parts, priors, variance.tolist(), strict=True)
+    return [Part(*part, prior, of_functions) for part, prior, of_functions in outputs]
 
 
 def _unused(d: int) -> Part:
     """Return a part of weight zero: its values do not matter, so it has no functions."""
     nothing = np.zeros((d + 1, 0))
     return Part((), NO_FUNCTIONS, np.zeros(d + 1), nothing, nothing, 1.0)
-
-
-def _trend_prior(tau: Vector) -> Matrix:
-    """Return the root of the prior covariance of intercept and slopes, without columns of zeros."""
-    return np.diag(tau)[:, tau > 0]
 
 
 def _square_root(root: Matrix) -> Matrix:
@@ -294,15 +272,12 @@ def _square_root(root: Matrix) -> Matrix:
 
 
 def _exact(
-    posterior: ExactPosterior,
-    kernels: list[Any],
-    center: Vector,
-    tau: Matrix,
-    variance: Vector,
-) -> list[Part]:
-    """Return the part of each output of an exact posterior; the samples are the centres.
+    posterior: ExactPosterior, kernels: list[Any], center: Vector, tau: Matrix, roots: Array
+) -> list[tuple]:
+    """Return terms, readout, weights and root of the trend of each output of an exact posterior.
 
-    The basis is the covariance with the observed values, the readout C^-1 y and L^-T of C = L L^T.
+    The samples are the centres. The basis is the covariance with the observed values, the readout C^-1 y and
+    L^-T of C = L L^T.
     """
     X = posterior.data.X
     places = np.cumsum([0, *map(len, X)])
@@ -317,43 +292,27 @@ def _exact(
         for kernel in kernels:
             for j, first in enumerate(places[:-1]):
                 terms += _terms(kernel, i, j, first, X[j])
-        trend = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] ** 2
+        trend = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] @ roots[i].T
         root = (inverse[:, a:b] @ trend).T
-        part = Part(
-            terms=tuple(terms),
-            readout=readout,
-            trend_weights=posterior.alpha[a:b] @ trend,
-            trend_prior=_trend_prior(tau[i]),
-            trend_root=root if kernels else _square_root(root),
-            prior_variance=float(variance[i]),
-        )
-        parts.append(part)
+        trend_root = root if kernels else _square_root(root)
+        parts.append((tuple(terms), readout, posterior.alpha[a:b] @ trend, trend_root))
     return parts
 
 
-def _sparse(posterior: SparsePosterior, tau: Matrix, variance: Vector) -> list[Part]:
-    """Return the part of each output of a sparse posterior; the inducing inputs are the centres."""
+def _sparse(posterior: SparsePosterior, roots: Array) -> list[tuple]:
+    """Return the same of each output of a sparse posterior; the inducing inputs are the centres."""
     parts = []
-    for i in range(len(tau)):
-        terms, of_trend, of_terms = _sparse_terms(posterior, i, len(tau))
+    for i, of_prior in enumerate(roots):
+        terms, of_trend, of_terms = _sparse_terms(posterior, i, len(roots))
         n = len(of_trend)
         order = [*of_trend, *of_terms]
         w = posterior.weights[posterior.features.columns(i)][order]
         root = rq(posterior.roots[i][order], mode="r")
-        trend_weights = np.zeros(tau.shape[1])
-        trend_root = np.zeros((tau.shape[1], len(order)))
-        if n:  # weights of the trend are in units of its prior
-            trend_weights = tau[i] * w[:n]
-            trend_root = tau[i][:, None] * root[:n]
-        part = Part(
-            terms=tuple(terms),
-            readout=Readout(w[n:], np.ascontiguousarray(root[n:, n:])),
-            trend_weights=trend_weights,
-            trend_prior=_trend_prior(tau[i]),
-            trend_root=trend_root,
-            prior_variance=float(variance[i]),
-        )
-        parts.append(part)
+        readout = Readout(w[n:], np.ascontiguousarray(root[n:, n:]))
+        if not n:
+            of_prior = of_prior[:, :0]
+        # weights of the trend are in units of its prior
+        parts.append((tuple(terms), readout, of_prior @ w[:n], of_prior @ root[:n]))
     return parts
 
 

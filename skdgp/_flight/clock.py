@@ -165,6 +165,11 @@ def slices(starts: Iterable[int], n: int) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(edges)]
 
 
+def runs_between(time: Vector, gap: float) -> list[slice]:
+    """Return the runs of increasing times between steps longer than a gap [s]."""
+    return slices(np.flatnonzero(np.diff(time) > gap) + 1, len(time))
+
+
 def n_rows(run: slice) -> int:
     """Return the number of rows of a run."""
     return int(run.stop - run.start)

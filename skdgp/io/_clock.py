@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.clock import CLOCK, slices
+from skdgp._flight.clock import CLOCK, runs_between, slices
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
@@ -154,17 +154,11 @@ def uniform_clock(time: Vector, rate: float) -> Vector:
     step = np.diff(time)
     pause = max(RESAMPLING.pause_seconds, RESAMPLING.pause_steps * np.median(step))
     ticks = []
-    for run in _runs(time, pause):
+    for run in runs_between(time, pause):
         first = np.ceil(time[run][0] * rate - 1e-6)
         last = np.floor(time[run][-1] * rate + 1e-6)
         ticks.append(np.arange(first, last + 1))
     return np.concatenate(ticks) / rate
-
-
-def _runs(time: Vector, gap: float) -> list[slice]:
-    """Return the runs of a channel between steps longer than a gap [s]."""
-    starts = np.flatnonzero(np.diff(time) > gap) + 1
-    return slices(starts, len(time))
 
 
 def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix:
@@ -178,7 +172,7 @@ def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix
     result = np.full((len(clock), values.shape[1]), np.nan)
     gap = CLOCK.gap * usual_step(np.diff(time))
     tolerance = 1e-6 / rate
-    for run in _runs(time, gap):
+    for run in runs_between(time, gap):
         run_time = time[run]
         begin = np.searchsorted(clock, run_time[0] - tolerance)
         end = np.searchsorted(clock, run_time[-1] + tolerance, side="right")

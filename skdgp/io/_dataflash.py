@@ -268,7 +268,6 @@ class Messages(NamedTuple):
 
 
 NO_MESSAGES = Messages("", {}, np.empty(0))
-NO_CHANGES = (np.empty(0), (), np.empty(0))
 
 
 def _topics(messages: Mapping[str, Messages], units: Mapping[str, str]) -> dict[str, Topic]:
@@ -334,10 +333,13 @@ def _with_last_ratio(
     remarks: tuple[str, ...] = ()
     for name in RATIOS.keys() & topics.keys():
         topic = topics[name]
-        rows = [row for row in changes if row[1] == RATIOS[name] and 0 < row[2] < np.inf]
-        times, _, values = map(np.array, zip(*sorted(rows), strict=True)) if rows else NO_CHANGES
-        if "Airspeed" in topic and len(values) and np.ptp(values) > 0:
-            at = values[last_before(times, topic.time)]
+        ratios = {}
+        for time, key, value in changes:
+            if key == RATIOS[name] and 0 < value < np.inf:
+                ratios[time] = value
+        values = np.array([*ratios.values()])
+        if "Airspeed" in topic and len(np.unique(values)) > 1:
+            at = values[last_before(np.array([*ratios]), topic.time)]
             scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)
             topics = topics | {name: topic.with_fields(Airspeed=scaled)}
             remarks = (

@@ -324,13 +324,19 @@ def rows_in(states: States, topics: Mapping[str, Topic], time: Vector) -> Mask:
     return rows
 
 
-def turned(rules: Iterable[Rule], rotation: Matrix, note: str) -> tuple[Rule, ...]:
-    """Return rules whose inertial sensors are turned by a rotation (3, 3), from axes of the board to body axes."""
+def turned(
+    rules: Iterable[Rule], rotation: Matrix, note: str, topics: Collection[str] = ()
+) -> tuple[Rule, ...]:
+    """Return rules whose inertial sensors are turned by a rotation (3, 3), from axes of the board to body axes.
+
+    Those of all ``topics`` if none is given.
+    """
     if np.allclose(rotation, np.eye(3), atol=1e-9):
         return tuple(rules)
     converted = []
     for rule in rules:
-        if rule.columns in (RATES, SPECIFIC_FORCE):
+        is_of_board = not topics or rule.topic in topics
+        if rule.columns in (RATES, SPECIFIC_FORCE) and is_of_board:
             convert = partial(_turned, rule.convert, rotation)
             rule = rule._replace(convert=convert, note=rule.note or note)
         converted.append(rule)

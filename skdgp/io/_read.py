@@ -23,7 +23,7 @@ from skdgp._flight.checks import (
     unknown_columns,
     unknown_columns_message,
 )
-from skdgp._flight.clock import flight_codes, unrounded
+from skdgp._flight.clock import CLOCK, flight_codes, runs_between, unrounded
 from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults, without_ground
 from skdgp._flight.findings import Code, Finding, texts_of
 from skdgp._flight.physics import find_contradictions
@@ -176,20 +176,17 @@ def _unrounded(table: pd.DataFrame) -> pd.DataFrame:
     clock = FlightTable.of(table).clock
     times = clock.time.copy()
     for flight, rows in clock.rows.items():
-        steps = np.diff(times[rows])
-        usual = np.median(steps) if len(steps) else np.inf
-        gaps = 1 + np.flatnonzero(steps > 3 * usual)
         coarsest = 0.0
-        for part in np.split(rows, gaps):
-            times[part], resolution = unrounded(times[part])
+        gap = CLOCK.gap * np.median(np.diff(clock.time[rows], prepend=-np.inf))
+        for run in runs_between(clock.time[rows], gap):
+            times[rows[run]], resolution = unrounded(clock.time[rows[run]])
             coarsest = max(coarsest, resolution)
         if coarsest:
             numbers = {"resolution": coarsest}
             report(Finding(Code.TIMES_RESTORED, flight=flight, numbers=numbers))
-    attrs = table.attrs
-    table = table.assign(time=times)
-    table.attrs = attrs
-    return table
+    restored = table.assign(time=times)
+    restored.attrs = table.attrs
+    return restored
 
 
 def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:

@@ -268,23 +268,20 @@ def _check_rows(records: Any, names: list[str], above: int, separator: str) -> s
     width = len(names)
     needed = max((place + 1 for place, name in enumerate(names) if name), default=0)
     uneven = ""
-    is_longer = followed = False
     for cells in records:
-        is_empty = len(cells) < 2 and not "".join(cells).strip()
-        if is_empty:
-            continue
-        if uneven:
-            followed = True
-            break
         is_longer = any(cell.strip() for cell in cells[width:])
-        if is_longer or len(cells) < needed:
+        is_row = len(cells) > 1 or any(cells)
+        if is_row and not uneven and (is_longer or len(cells) < needed):
             uneven = f"line {above + records.line_num} has {len(cells)} cells"
-    if is_longer or followed:
-        hint = " (decimal commas need another one)" if separator == "," else ""
-        raise FlightReadError(
-            f"Got rows of unequal length ({uneven}, the header has {width}), but expected a cell for each name: quote "
-            f"cells that hold the separator {separator!r}{hint}, and leave missing values empty between separators."
-        )
+            is_row = is_longer
+        # only a last row may be short
+        if is_row and uneven:
+            hint = " (decimal commas need another one)" if separator == "," else ""
+            raise FlightReadError(
+                f"Got rows of unequal length ({uneven}, the header has {width}), but expected a cell for each name: "
+                f"quote cells that hold the separator {separator!r}{hint}, and leave missing values empty between "
+                "separators."
+            )
     return uneven
 
 

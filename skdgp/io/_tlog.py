@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 from collections import Counter, defaultdict
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import extra
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import (
@@ -184,7 +183,9 @@ def read_tlog(path: Path) -> Log:
     rules = with_engines(RULES, topics, ENGINES, lifting)
     of_trim: tuple[str, ...] = ()
     if not is_px4:
-        rules = _with_pitch_trim(rules, parameters)
+        attitude = topics["ATTITUDE"]
+        pitch = attitude["pitch"] + _pitch_trim(parameters)
+        topics["ATTITUDE"] = attitude.with_fields(pitch=pitch)
         rules = in_vehicle_axes(rules, parameters)
         of_trim = () if TRIM[0] in parameters else (UNKNOWN_TRIM,)
     positions = PX4_IMU_POSITIONS if is_px4 else IMU_POSITIONS
@@ -244,20 +245,12 @@ def _vehicle(
     return "VTOL" if vehicle == "fixed wing" and hovers else vehicle
 
 
-def _with_pitch_trim(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
-    """Return the rules with the pitch trim that the telemetry of ArduPlane subtracts from theta (GCS_MAVLINK_Plane)."""
-    degrees = parameters.get("PTCH_TRIM_DEG", 0.01 * parameters.get("TRIM_PITCH_CD", 0.0))
+def _pitch_trim(parameters: Mapping[str, float]) -> float:
+    """Return the pitch trim [rad] that the telemetry of ArduPlane subtracts from theta (GCS_MAVLINK_Plane)."""
     if whole(parameters.get("FLIGHT_OPTIONS", 0.0)) & KEEPS_PITCH_TRIM:
-        degrees = 0.0
-    shift = np.array([0.0, np.deg2rad(degrees), 0.0])
-    convert = partial(_shifted_attitude, shift)
-    return tuple(
-        rule._replace(convert=convert) if rule.convert is _attitude else rule for rule in rules
-    )
-
-
-def _shifted_attitude(shift: Vector, angles: Matrix) -> Matrix:
-    return _attitude(angles + shift)
+        return 0.0
+    degrees = parameters.get("PTCH_TRIM_DEG", 0.01 * parameters.get("TRIM_PITCH_CD", 0.0))
+    return float(np.deg2rad(degrees))
 
 
 def _with_pitot(hud: Topic, status: Topic) -> Topic:

@@ -295,10 +295,7 @@ def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> t
         return tuple(rule for rule in rules if rule.topic not in OF_BOARD)
     board = euler_to_matrix(*np.deg2rad(BOARD_ROTATIONS[place]))
     rotation = euler_to_matrix(*np.deg2rad(offsets)) @ board
-    in_body_axes: list[Rule] = []
-    for rule in rules:
-        in_body_axes += turned([rule], rotation, BY_BOARD) if rule.topic in OF_BOARD else [rule]
-    return tuple(in_body_axes)
+    return turned(rules, rotation, BY_BOARD, OF_BOARD)
 
 
 def _rules(topics: Mapping[str, Topic], lifting: States, tilts: bool) -> tuple[Rule, ...]:

@@ -226,8 +226,8 @@ class Multisine:
 def multisine(duration: float, harmonics: Sequence[int], *, rms: float) -> Multisine:
     r"""Return a multisine of equal amplitudes with Schroeder's phases, which keep the peaks low.
 
-    With the fractions :math:`p_l = 1/n` of the power, :math:`\phi_k = -2\pi \sum_{l<k} (k - l) p_l`
-    (IEEE Trans. Inf. Theory 16, 1970). Raises ValueError as of `Multisine`, or if the rms is not > 0.
+    They are :math:`\phi_k = -\pi k (k + 1) / n`, k from 0 to n - 1 (IEEE Trans. Inf. Theory 16, 1970).
+    Raises ValueError as of `Multisine`, or if the rms is not > 0.
 
     Parameters
     ----------
@@ -250,9 +250,8 @@ def multisine(duration: float, harmonics: Sequence[int], *, rms: float) -> Multi
     """
     n = len(harmonics)
     amplitude = check_number("rms", rms) * float(np.sqrt(2.0 / n))
-    fractions = np.ones(n) / n
-    order = [np.arange(k, 0, -1) @ fractions[:k] for k in range(n)]
-    phases = -2.0 * np.pi * np.array(order)
+    order = np.arange(n)
+    phases = -np.pi * order * (order + 1) / n
     return Multisine(duration, harmonics, [amplitude] * n, phases.tolist())
 
 

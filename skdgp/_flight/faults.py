@@ -125,26 +125,24 @@ class FlightDataWarning(FindingWarning):
     """A log has faults."""
 
 
-@dataclass(frozen=True)
-class Fault:
-    """A fault of one channel, and its rows by position in the table."""
-
-    finding: Finding
-    rows: Indices
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether the values in these rows were measured."""
-        return self.finding.code not in NOT_MEASURED
-
-
-class _Rows(NamedTuple):
-    """Rows of a flight with a fault of one channel, and the numbers that describe it."""
+class Fault(NamedTuple):
+    """A fault of one channel, its rows by position in the table, and the numbers that describe it."""
 
     channel: str
     code: Code
     rows: Indices
     numbers: dict[str, Any]
+    flight: Any = None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the values in these rows were measured."""
+        return self.code not in NOT_MEASURED
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the fault."""
+        return Finding(self.code, self.flight, self.channel, self.numbers)
 
 
 def find_faults(flights: FlightTable, ignore: Iterable[str] = ()) -> list[Fault]:
@@ -163,8 +161,8 @@ def find_faults(flights: FlightTable, ignore: Iterable[str] = ()) -> list[Fault]
             end = float(times[-1])
             place = {"start": begin, "end": end, "samples": len(fault.rows)}
             place |= {"begin": begin - origin, "last": end - origin}
-            finding = Finding(fault.code, flight, fault.channel, place | fault.numbers)
-            faults.append(Fault(finding, rows[fault.rows]))
+            numbers = place | fault.numbers
+            faults.append(fault._replace(rows=rows[fault.rows], numbers=numbers, flight=flight))
     return faults
 
 
@@ -173,21 +171,20 @@ def without_faults(table: pd.DataFrame, faults: Iterable[Fault]) -> pd.DataFrame
     table = table.copy(deep=False)
     for fault in faults:
         if not fault.is_measured:
-            channel = fault.finding.channel
-            values = table[channel].to_numpy(float, na_value=np.nan).copy()
+            values = table[fault.channel].to_numpy(float, na_value=np.nan).copy()
             values[fault.rows] = np.nan
-            table[channel] = values
+            table[fault.channel] = values
     return table
 
 
-def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[_Rows]:
+def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[Fault]:
     """Yield each fault of a flight: gaps in time, then channel by channel, then dead sensors."""
     steps = np.diff(flight.time)
     step = float(np.median(steps)) if len(steps) else 1.0
     gaps = np.flatnonzero(steps > CLOCK.gap * step)
     if gaps.size:
         numbers = {"times": len(gaps), "longest": float(steps.max())}
-        yield _Rows("time", Code.GAP, gaps, numbers)
+        yield Fault("time", Code.GAP, gaps, numbers)
     channels = flight.numeric_channels(names)
     for name, values in channels.items():
         faults, channels[name] = _faults_of_channel(name, values, step)
@@ -196,7 +193,7 @@ def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[_Rows]:
     yield from _jumps(channels, steps)
 
 
-def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[_Rows]:
+def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[Fault]:
     """Yield the steps in which an angle of the attitude changes by far more than the gyros turn."""
     if not {*RATES} <= channels.keys():
         return
@@ -210,7 +207,7 @@ def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[_Rows]:
             is_jump &= np.abs(channels["theta"][1:]) < FAULTS.steep
         rows = 1 + np.flatnonzero(is_jump & (steps < FAULTS.soon))
         if 0 < rows.size <= FAULTS.most_jumps:
-            yield _Rows(name, Code.JUMP, rows, {"size": float(change[rows - 1].max())})
+            yield Fault(name, Code.JUMP, rows, {"size": float(change[rows - 1].max())})
 
 
 def attitude_jumps(flights: FlightTable) -> Vector:
@@ -220,7 +217,7 @@ def attitude_jumps(flights: FlightTable) -> Vector:
     return np.unique(flights.time[np.concatenate([np.empty(0, int), *jumps])])
 
 
-def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[_Rows], Vector]:
+def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[Fault], Vector]:
     """Return the faults of a channel, and its values with NaN in their place: each is found without those before."""
     faults = _missing(name, values, step)
     values = np.where(np.isfinite(values), values, np.nan)
@@ -232,22 +229,22 @@ def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[_Ro
         return faults, values
     for rows in stuck_rows(values, step):
         value = float(values[rows[0]])
-        faults.append(_Rows(name, Code.STUCK, rows, {"value": value}))
+        faults.append(Fault(name, Code.STUCK, rows, {"value": value}))
         values[rows] = np.nan
     marks = mark_rows(values)
     values[marks] = np.nan
     rows = spike_rows(values, angle=name in WRAPPED)
     rows = np.union1d(marks, rows)
     if rows.size:
-        faults.append(_Rows(name, Code.SPIKE, rows, {"times": _n_runs(rows)}))
+        faults.append(Fault(name, Code.SPIKE, rows, {"times": _n_runs(rows)}))
     return faults, values
 
 
-def _missing(name: str, values: Vector, step: float) -> list[_Rows]:
+def _missing(name: str, values: Vector, step: float) -> list[Fault]:
     """Return the gaps, together, of a channel that usually has values there, if any."""
     is_missing = ~np.isfinite(values)
     if is_missing.all():
-        return [_Rows(name, Code.NEVER_MEASURED, np.arange(len(values)), {})]
+        return [Fault(name, Code.NEVER_MEASURED, np.arange(len(values)), {})]
     # as many rows are missing between samples of a sensor that is slower than the table
     usual = FAULTS.missing * usual_spacing(values) - 1
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
@@ -257,17 +254,17 @@ def _missing(name: str, values: Vector, step: float) -> list[_Rows]:
     rows = np.concatenate([places[gap] for gap in gaps])
     longest = max(map(n_rows, gaps)) * step
     numbers = {"times": len(gaps), "longest": longest}
-    return [_Rows(name, Code.MISSING, rows, numbers)]
+    return [Fault(name, Code.MISSING, rows, numbers)]
 
 
-def _impossible(name: str, values: Vector) -> list[_Rows]:
+def _impossible(name: str, values: Vector) -> list[Fault]:
     """Return the values that no aircraft has, if there are any and they are rare."""
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
     n_sampled = np.isfinite(values).sum()
     if not 0 < rows.size <= FAULTS.rare * n_sampled:
         return []
-    return [_Rows(name, Code.IMPOSSIBLE, rows, {"value": float(values[rows[0]])})]
+    return [Fault(name, Code.IMPOSSIBLE, rows, {"value": float(values[rows[0]])})]
 
 
 def dead_channels(flights: FlightTable) -> list[str]:
@@ -275,7 +272,7 @@ def dead_channels(flights: FlightTable) -> list[str]:
     return [dead.channel for dead in _dead(flights.numeric_channels(POSSIBLE))]
 
 
-def _dead(channels: dict[str, Vector]) -> Iterator[_Rows]:
+def _dead(channels: dict[str, Vector]) -> Iterator[Fault]:
     """Yield sensors that have one value throughout while others of their kind move, else their witnesses."""
     ranges = {}
     for name, values in channels.items():
@@ -289,7 +286,7 @@ def _dead(channels: dict[str, Vector]) -> Iterator[_Rows]:
         for name in names:
             if moving and ranges.get(name) == 0:
                 rows = np.arange(len(channels[name]))
-                yield _Rows(name, Code.CONSTANT, rows, {"moving": moving})
+                yield Fault(name, Code.CONSTANT, rows, {"moving": moving})
 
 
 def _n_runs(rows: Indices) -> int:

@@ -51,20 +51,20 @@ LARGEST_DEFLECTION = 0.7
 
 
 class Law(NamedTuple):
-    """A number of flights that no flight in SI units has between two values; guesses without another source."""
+    """Limits of a number of flights in SI units; guesses without another source."""
 
     value: Callable[[FlightTable], float]
-    above: float
-    below: float
+    least: float
+    most: float
     #: Message with the ``value``
     text: str
-    #: Whether flights are refused, in place of a warning
+    #: Whether other flights are refused, in place of a warning
     is_error: bool = True
 
     def check(self, flights: FlightTable) -> None:
-        """Raise ValueError, or warn, if the flights have such a number."""
+        """Raise ValueError, or warn, if the flights have a number outside; none is inside."""
         value = self.value(flights)
-        if not self.above < value < self.below:
+        if not (value < self.least or value > self.most):
             return
         text = self.text.format(value=value)
         if self.is_error:
@@ -104,42 +104,39 @@ FORCE = (
 )
 # units of single channels
 LAWS = (
-    Law(_quantile_of("density"), -np.inf, 0.05, DENSITY),
-    Law(_quantile_of("density"), 2.5, np.inf, DENSITY),
+    Law(_quantile_of("density"), 0.05, 2.5, DENSITY),
     Law(
         _quantile_of("throttle", 0.99),
+        -np.inf,
         1.5,
-        np.inf,
         "Got throttle up to {value:g}, but expected 0 to 1: divide it by its full range (100 for per "
         "cent, or 'throttle [%]' in the header).",
     ),
     Law(
         _specific_force,
-        0.5,
         2.0,
+        np.inf,
         "Got a specific force ax, ay, az of {value:.3g} (median magnitude), but expected near 9.8 m/s^2: this "
         "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'; if gravity "
         "was removed, add it (az is -9.8 in level flight).",
     ),
     Law(
         lambda flights: _quantile(np.diff(flights.time), 0.5),
+        -np.inf,
         5.0,
-        np.inf,
         "Got a median time step of {value:g}, but expected seconds: this looks like milliseconds or "
         "microseconds. Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'.",
     ),
-    Law(_density_over_standard, 0.0, 0.8, ALTITUDE, is_error=False),
-    Law(_density_over_standard, 1.25, np.inf, ALTITUDE, is_error=False),
+    Law(_density_over_standard, 0.8, 1.25, ALTITUDE, is_error=False),
 )
 # of flights whose coefficients are computed
 LAWS_OF_MOTION = (
-    Law(_quantile_of("density", 0.0), -np.inf, np.nextafter(0.0, 1.0), DENSITY),
-    Law(_specific_force, -np.inf, 3.0, FORCE, is_error=False),
-    Law(_specific_force, 300.0, np.inf, FORCE, is_error=False),
+    Law(_quantile_of("density", 0.0), np.nextafter(0.0, 1.0), np.inf, DENSITY),
+    Law(_specific_force, 3.0, 300.0, FORCE, is_error=False),
     Law(
         _quantile_of("az"),
+        -np.inf,
         3.0,
-        np.inf,
         "The median specific force az is {value:+.2f} m/s^2, but -9.8 in level flight: change the signs "
         "of ay and az if the sensor's z points up.",
         is_error=False,

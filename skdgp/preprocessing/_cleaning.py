@@ -187,7 +187,7 @@ def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
     """Return flights without faults and with short gaps interpolated, and what was found, as of `FlightCheck`."""
     faults = find_faults(flights, ignore)
     # gaps in time are no error
-    faulty = [fault.finding for fault in faults if fault.finding.code is not Code.GAP]
+    faulty = [fault.finding for fault in faults if fault.code is not Code.GAP]
     measured = replace(flights, table=without_faults(flights.table, faults))
     controls = find_holds(measured, CONTROL_GROUPS)
     holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]

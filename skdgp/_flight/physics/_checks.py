@@ -13,8 +13,7 @@ import numpy as np
 
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics._regression import Regression, Slope, estimated_slope
-from skdgp._flight.physics._settings import PHYSICS
-from skdgp._flight.physics._signals import Signals
+from skdgp._flight.physics._signals import PHYSICS, Signals
 
 
 class Interval(NamedTuple):

@@ -27,8 +27,7 @@ from skdgp._flight.physics._list import (
     SIGNS,
     TURNING,
 )
-from skdgp._flight.physics._settings import PHYSICS
-from skdgp._flight.physics._signals import Signals, signals_of
+from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 

@@ -9,39 +9,24 @@ from __future__ import annotations
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import EARTH_VELOCITY, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, VANES
+from skdgp._flight.frames import STANDARD_GRAVITY, euler_per_rotation
 from skdgp._flight.physics._regression import Regression
-from skdgp._flight.physics._settings import PHYSICS
-from skdgp._flight.physics._signals import Signals
+from skdgp._flight.physics._signals import PHYSICS, Signals
 
 # -- attitude and position
 
 
-def roll(flight: Signals) -> Regression:
-    """Return the terms of phi_dot = p + (q sin phi + r cos phi) tan theta."""
-    phi = flight["phi"]
-    by_pitch = flight["q"] * np.sin(phi)
-    by_yaw = flight["r"] * np.cos(phi)
-    coupling = (by_pitch + by_yaw) * np.tan(flight["theta"])
-    return _integrated(flight, phi, flight["p"], coupling)
+def attitude(flight: Signals, axis: int, others: tuple[int, ...]) -> Regression:
+    """Return the terms of a rate of roll, pitch or heading: by the body rate of its axis, and by others.
 
-
-def pitch(flight: Signals) -> Regression:
-    """Return the terms of theta_dot = q cos phi - r sin phi."""
-    phi = flight["phi"]
-    by_pitch = flight["q"] * np.cos(phi)
-    by_yaw = flight["r"] * np.sin(phi)
-    return _integrated(flight, flight["theta"], by_pitch, by_yaw)
-
-
-def yaw(flight: Signals) -> Regression:
-    """Return the terms of psi_dot = (q sin phi + r cos phi) / cos theta."""
-    phi = flight["phi"]
-    cosine = np.cos(flight["theta"])
-    by_pitch = flight["q"] * np.sin(phi) / cosine
-    by_yaw = flight["r"] * np.cos(phi) / cosine
-    return _integrated(flight, flight["psi"], by_yaw, by_pitch)
+    phi_dot = p + (q sin phi + r cos phi) tan theta, theta_dot = q cos phi - r sin phi, and
+    psi_dot = (q sin phi + r cos phi) / cos theta.
+    """
+    slopes = euler_per_rotation(flight["phi"], flight["theta"])[:, axis]
+    own = slopes[:, axis] * flight[RATES[axis]]
+    coupling = sum(slopes[:, other] * flight[RATES[other]] for other in others)
+    return _integrated(flight, flight[EULER[axis]], own, coupling)
 
 
 def turning(flight: Signals) -> Regression:

@@ -30,14 +30,14 @@ from skdgp._flight.physics._checks import (
     Sign,
 )
 from skdgp._flight.physics._regression import Regression
-from skdgp._flight.physics._settings import (
+from skdgp._flight.physics._signals import (
     AIRSPEED_LAGS,
     KINEMATIC_LAGS,
     PHYSICS,
     SURFACE_LAGS,
     VANE_LAGS,
+    Signals,
 )
-from skdgp._flight.physics._signals import Signals
 
 FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
 LATERAL_EFFECTS = ("p", "r", "aileron", "rudder")
@@ -60,6 +60,12 @@ def _relation_of_integral(
     )
 
 
+def _relation_of_attitude(axis: int, others: tuple[int, ...], uses: tuple[str, ...]) -> Relation:
+    """Return the relation of an angle of the attitude with its rate, beside the rates of other axes."""
+    regression = partial(equations.attitude, axis=axis, others=others)
+    return _relation_of_integral(EULER[axis], RATES[axis], regression, uses)
+
+
 def _relation_of_position(name: str, velocity: str) -> Relation:
     """Return the relation of a coordinate with its velocity."""
     regression = partial(equations.position, name=name, velocity=velocity)
@@ -79,9 +85,9 @@ def _equality_of_level_force(channels: tuple[str, ...], axis: int) -> Equality:
     return Equality(relation=relation, noise=0.5, vibrates=True)
 
 
-ROLL = _relation_of_integral("phi", "p", equations.roll, ("q", "r", "theta"))
-PITCH = _relation_of_integral("theta", "q", equations.pitch, ("r", "phi"))
-YAW = _relation_of_integral("psi", "r", equations.yaw, ("q", "phi", "theta"))
+ROLL = _relation_of_attitude(0, (1, 2), ("q", "r", "theta"))
+PITCH = _relation_of_attitude(1, (2,), ("r", "phi"))
+YAW = _relation_of_attitude(2, (1,), ("q", "phi", "theta"))
 TURNING = Relation(
     channels=("q", "theta"),
     uses=("phi", "psi"),

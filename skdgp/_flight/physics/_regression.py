@@ -18,7 +18,7 @@ import numpy as np
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.physics._settings import PHYSICS
+from skdgp._flight.physics._signals import PHYSICS
 
 
 class Regression(NamedTuple):

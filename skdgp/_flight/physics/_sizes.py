@@ -15,8 +15,7 @@ import numpy as np
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY
 from skdgp._flight.physics._list import CHANNELS, LIFT
-from skdgp._flight.physics._settings import PHYSICS
-from skdgp._flight.physics._signals import signals_of
+from skdgp._flight.physics._signals import PHYSICS, signals_of
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 

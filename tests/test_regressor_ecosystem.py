@@ -1,15 +1,11 @@
 """DependentGPRegressor among scikit-learn's pipelines and searches, in other processes, and under Ctrl-C."""
 
-import pickle
-import warnings
-
 import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from sklearn.base import clone
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.metrics import r2_score
 from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 from sklearn.pipeline import make_pipeline
@@ -70,42 +66,3 @@ class TestFlightsAreGroups:
         scores = cross_validate(model, X, Y["CZ"], groups=flight, **options)
         found = [fitted.drift_variance_ for fitted in scores["estimator"]]
         assert_allclose(found, expected, rtol=1e-6)
-
-
-class TestFreshProcess:
-    """A model that was saved predicts the same where it is loaded."""
-
-    def test_predicts_the_same_to_the_bit(self, logged):
-        model, X, _ = logged
-        loaded = pickle.loads(pickle.dumps(model))
-        at = X[:50] + 0.1
-        for question in (
-            lambda model: model.predict(at, return_std=True),
-            lambda model: model.predict(at, return_cov=True, include_noise=True),
-            lambda model: (model.predict_gradient(at), model.sample_y(at, 2, 0)),
-        ):
-            for ours, theirs in zip(question(model), question(loaded), strict=True):
-                assert_array_equal(ours, theirs)
-
-
-@pytest.fixture(
-    scope="module",
-    params=[("sparse", "average", 0.0), ("exact", "joint", 0.0), ("sparse", "joint", 0.2)],
-    ids=["average", "exact", "gaps"],
-)
-def logged(request):
-    """A model of a time series with noisy regressors, and its samples; an average has two searches."""
-    inference, structure, gaps = request.param
-    n = {"average": 600, "joint": 300}[structure]
-    rng = default_rng(0)
-    time = 0.1 * np.arange(n)
-    X = np.sin(np.outer(time, [0.3, 0.7, 1.1]))
-    Y = np.sin(X @ rng.normal(size=(3, 3))) + 0.02 * rng.normal(size=(n, 3))
-    X += 0.2 * rng.normal(size=X.shape)
-    Y[rng.random(Y.shape) < gaps] = np.nan
-    options = {"inference": inference, "structure": structure, "n_inducing": 5}
-    model = quick(**options, n_latent=0, max_iter=4)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        model.fit(X, Y, time=time)
-    return model, X, Y

@@ -229,12 +229,6 @@ class TestBadInput:
         refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
         refused("none.json: No such file", aircraft="none.json")
 
-    def test_a_wrong_aircraft(self, refused, folder, tmp_path):
-        values = json.loads((folder / "uav.json").read_text()) | {"name": "a\nb"}
-        (tmp_path / "wrong.json").write_text(json.dumps(values))
-        words = r"Got name='a\\nb', but expected a line of text"
-        refused(words, aircraft=tmp_path / "wrong.json")
-
     @pytest.mark.parametrize(
         ("option", "name"), [("--test", "loop"), ("--aircraft", "a" * 300), ("-o", "loop")]
     )

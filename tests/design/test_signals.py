@@ -69,19 +69,14 @@ PULSE = {0.0: doublet(1.0, 0.1)}
     ("make", "words"),
     [
         (lambda: orthogonal_multisines({"elevator": 0.0}, 4.0, (0.5, 2.0)), "limit of the elevator=0.0"),
-        (lambda: multisine(10.0, [1, 10**9], rms=0.1), "from 1 to 5000"),
         (lambda: Steps([1.0], [0.1, 0.2]), "one finite level"),
-        (lambda: Multisine(10.0, [1, 1], [1, 1], [0, 0]), "1 distinct harmonics"),
         (lambda: orthogonal_multisines({"elevator": 0.1}, 4.0, (0.3, 0.4)), "fly longer"),
         (lambda: Wavetrain({"elevater": PULSE}), "nearest: 'elevator'"),
         (lambda: Wavetrain({"elevator": PULSE}, {"flaps": 0.1}), "flaps"),
-        (lambda: Wavetrain({"elevator": {-1.0: doublet(1, 0.1)}}), "a number >= 0"),
         (lambda: Wavetrain({"elevator": PULSE}, {"elevator": 0.05}), "elevator with a peak"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(0.1, 0.1)}}).table(25.0), "at least 50 Hz"),
-        (lambda: Wavetrain({"elevator": {0.0: multisine(10, [60], rms=1)}}).table(50.0), "at least 60 Hz"),
         (lambda: Wavetrain({"elevator": PULSE}).table(50.0, trim={"rudder": 0.0}), "elevator"),
         (lambda: wavetrain({"elevator": doublet(1, 0.1)}), "expected mappings"),
-        (lambda: Wavetrain({"elevator": PULSE}).table(50.0, pause=-5.0), "a pause from 0 on"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_flown_is_refused(make, words):

@@ -16,14 +16,9 @@ from skdgp.estimation import AirSettings, FlightPath, FlightSensors
 from skdgp.estimation._air_covariance import (
     add_attenuation,
     add_delay_error,
-    add_model_error,
     correlated_scatter,
-    inflate,
-    misfit_of,
     sandwich,
     spread_of,
-    widen,
-    without_estimate,
 )
 from skdgp.estimation._air_linearization import N_STATES, Expansion, Layout, motion_model
 from skdgp.estimation._air_model import Inputs, Slipstream
@@ -396,26 +391,6 @@ def test_scatter_of_blocks_counts_neighbours_half():
     assert_allclose(correlated_scatter(blocks), expected)
 
 
-def test_widened_variances_are_the_larger_ones_and_correlations_stay():
-    other = np.diag(np.diag(COVARIANCE) * [4.0, 0.25, 1.0])
-    wide = widen(COVARIANCE, other)
-    assert_allclose(np.diag(wide) / np.diag(COVARIANCE), [4.0, 1.0, 1.0])
-    assert_allclose(wide[0, 1:], 2.0 * COVARIANCE[0, 1:])
-
-
-def test_misfit_is_at_least_one():
-    assert misfit_of(np.array([0.1, -0.2, 0.3]), PRIOR_STD) == 1.0
-    assert misfit_of(2.5 * PRIOR_STD, PRIOR_STD) == pytest.approx(2.5)
-    assert_allclose(inflate(COVARIANCE, 2.5), 6.25 * COVARIANCE)
-
-
-def test_errors_of_the_model_are_independent():
-    derivatives = np.array([2.0, -3.0])
-    error = np.zeros((3, 3))
-    error[:2, :2] = np.diag([0.04, 0.09])
-    assert_allclose(add_model_error(COVARIANCE, derivatives, 0.1) - COVARIANCE, error)
-
-
 def test_parameters_without_evidence_have_the_variance_of_their_prior():
     values = np.array([0.5, 0.1, 50.0])
     wide = add_attenuation(COVARIANCE, values, PRIOR_STD, np.array([0.0, 1.0, 0.6]))
@@ -442,13 +417,6 @@ def test_error_of_a_slope_covers_its_attenuation():
 def test_a_search_that_still_moves_has_the_spread_of_its_last_passes():
     path = [np.array([1.0, 5.0]), np.array([3.0, 1.0]), np.array([2.0, 3.0])]
     assert_allclose(spread_of(path), np.array([[2.0, -4.0], [-4.0, 8.0]]) / 3)
-
-
-def test_without_an_estimate_the_distance_from_the_prior_counts():
-    offset = np.array([0.5, 0.0, -1.0])
-    expected = np.diag([1.25, 4.0, 10.0])
-    expected[0, 2] = expected[2, 0] = -0.5
-    assert_allclose(without_estimate(offset, PRIOR_STD), expected)
 
 
 EPS = 1e-6

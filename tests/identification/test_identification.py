@@ -280,13 +280,6 @@ class TestIdentify:
         assert list(named_flights([bare, bare])) == ["flight 1", "flight 2"]
         assert list(named_flights(bare, default="test flight")) == ["test flight 1"]
 
-    def test_refuses_a_flight_that_comes_twice(self, example):
-        aircraft, train, test = example
-        with pytest.raises(ValueError, match=r"'lateral' in table 1 and in table 2.*give a dict"):
-            identify([train, train], aircraft, test=test)
-        with pytest.raises(ValueError, match="Got 2 flights in the table 'both'"):
-            identify({"both": train}, aircraft, test=test)
-
 
 @pytest.fixture
 def model_file(fitted, tmp_path, delta):

@@ -129,30 +129,3 @@ def test_weights_are_those_of_akaike():
     weights = structure_weights(scores)
     np.testing.assert_allclose(weights[:3], expected / expected.sum(), rtol=1e-6)
     assert weights[3] == 0.0
-
-
-def test_posterior_of_independent_outputs_is_the_posterior_of_each():
-    rng = np.random.default_rng(5)
-    X = rng.uniform(-2, 2, (60, 2))
-    Y = np.column_stack([np.sin(X[:, 0]), np.cos(X[:, 1]), X[:, 0] * X[:, 1]])
-    Y[5:20, 1] = np.nan
-    widths = np.broadcast_to([0.8, 1.3], (3, 3, 2))
-    settings = {"trend": None, "structure": "joint", "optimizer": None, "noise_variance": 0.01}
-    joint = DependentGPRegressor(
-        ConvolvedGaussian(0, amplitude=np.diag([1.0, 2.0, 0.5]), length_scale=widths), **settings
-    ).fit(X, Y)
-    mean, std = joint.predict(X, return_std=True)
-    _, cov = joint.predict(X[:7], return_cov=True)
-    np.testing.assert_allclose(np.sqrt(np.diag(cov)).reshape(3, 7).T, std[:7], rtol=1e-8)
-    assert not cov[:7, 7:].any()
-    likelihood = 0.0
-    for i, amplitude in enumerate((1.0, 2.0, 0.5)):
-        seen = np.isfinite(Y[:, i])
-        kernel = ConstantKernel(amplitude**2) * RBF([0.8, 1.3])
-        reference = GaussianProcessRegressor(kernel, alpha=0.01, optimizer=None)
-        expected = reference.fit(X[seen], Y[seen, i]).predict(X, return_std=True)
-        np.testing.assert_allclose(mean[:, i], expected[0], rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(std[:, i], expected[1], rtol=1e-6)
-        of_scaled = seen.sum() * np.log(joint.scale_[i])  # the density of numbers in other units
-        likelihood += reference.log_marginal_likelihood_value_ + of_scaled
-    np.testing.assert_allclose(joint.log_marginal_likelihood_value_, likelihood, rtol=1e-7)

@@ -4,9 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import norm
@@ -91,16 +89,6 @@ class TestEveryDisplay:
         for corrupt in (holes, lambda values: np.full_like(values, np.nan), np.zeros_like):
             assert labels(make(50, Figure(), corrupt)) == full
 
-    def test_a_long_record_is_drawn_with_few_points(self, make):
-        def n_points(n):
-            figure = make(n, Figure()).figure_
-            count = sum(len(one.get_xdata()) for one in figure.findobj(Line2D))
-            for area in figure.findobj(PolyCollection):
-                count += sum(len(path.vertices) for path in area.get_paths())
-            return count
-
-        assert 0 < n_points(60_000) < 4.1 * n_points(3000)
-
 
 class TestCoefficients:
     def test_lines_and_bands_are_the_data(self):
@@ -133,12 +121,3 @@ def test_a_replay_is_in_degrees_and_breaks_between_windows():
     assert_allclose(shown[~np.isnan(shown)], np.rad2deg(mean[:, 1]))
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
         TimeHistoryDisplay.from_replay(replayed, flown.iloc[1:])
-
-
-def test_inputs():
-    display = TimeHistoryDisplay.from_inputs(flight(), ax=Figure())
-    assert [y for _, y in labels(display)] == ["throttle", "elevator [deg]", "rudder [deg]"]
-    shown = line(display, "elevator", "measured").get_ydata()
-    assert_allclose(shown[::10], np.rad2deg(flight()["elevator"])[::10], atol=0.5)
-    with pytest.raises(ValueError, match="without inputs"):
-        TimeHistoryDisplay.from_inputs(flight()[["time"]])

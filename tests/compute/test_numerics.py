@@ -84,14 +84,6 @@ class TestCentralDifferences:
         exact = [[4 * x**3 * y, x**4], [1.0, -9.0 * y**2], [y, x]]
         assert_allclose(central_difference(function, z, np.array([0.5, 0.2])), exact, rtol=1e-9)
 
-    def test_are_of_fourth_order_in_the_step(self):
-        z = np.linspace(-1.0, 1.0, 6).reshape(2, 3)
-        exact = np.exp(z)[..., None] * np.eye(3)
-        coarse = central_difference(np.exp, z, np.full(3, 0.02)) - exact
-        fine = central_difference(np.exp, z, np.full(3, 0.01)) - exact
-        order = np.log2(abs(coarse).max() / abs(fine).max())
-        assert order == pytest.approx(4.0, abs=0.05)
-
 
 word = ContextVar("word", default="unset")
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.random import RandomState
 from numpy.testing import assert_allclose, assert_array_equal
-from pandas.testing import assert_frame_equal
 from scipy.integrate import simpson
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, WhiteKernel
@@ -181,13 +180,6 @@ class TestLoader:
     def test_wrong_arguments_are_named(self, name, value):
         with pytest.raises(ValueError, match=name):
             load_example_flights(**{name: value})
-
-    def test_same_seed_same_flights(self, data):
-        """A shorter flight starts with the same gusts and noise, so it is the long one's beginning."""
-        short = load_example_flights(random_state=np.int64(0), duration=2.0)
-        near = {"rtol": 1e-9, "atol": 1e-9, "check_categorical": False}
-        assert_frame_equal(short.test, data.test[:80], **near)
-        assert_frame_equal(short.train[:80], data.train[:80], **near)
 
     def test_turbulence_scales(self, data):
         rough = load_example_flights(turbulence=2.0, duration=4.0).test

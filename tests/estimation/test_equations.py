@@ -158,42 +158,6 @@ def test_slopes_by_states_are_those_of_the_predictions():
             assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
 
 
-def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
-    record, layout, value, calm = flight_of_sines(200)
-    record.inputs.surfaces[:] *= 5
-    gusty = calm.copy()
-    gusty[:, :3] += default_rng(0).standard_normal((200, 3))
-    still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
-    at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
-    slopes, instruments = [], []
-    for flown, states in ((record, calm), (record, gusty), (still, gusty)):
-        linear = linearized(flown, layout, value, states)
-        for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
-            offset, slope = linear.past.by_parameters[:, 2, columns].T
-            out.append(
-                slope - offset * (offset @ slope) / (offset @ offset)
-            )  # without the pressure
-    assert np.corrcoef(slopes)[0, 1] < 0.7
-    assert np.corrcoef(instruments)[0, 1] > 0.95
-    assert np.std(instruments[2]) < 0.01 * np.std(instruments[1])
-
-
-def test_moments_by_thrust_are_those_of_an_offset_thrust_line():
-    """A thrust T below the centre of gravity by z, and right of it by y, has the moments z T and -y T."""
-    record, layout, value, states = flight_of_sines()
-    still = dict.fromkeys(value, 0.0)
-    z, y = 0.02, 0.01
-    by_arm = {"Cm_thrust": z / AIRCRAFT.chord, "Cn_thrust": -y / AIRCRAFT.span}
-    thrust = record.inputs.thrust.copy()
-    thrust[:, 4] += z * thrust[:, 0]
-    thrust[:, 5] -= y * thrust[:, 0]
-    offset = record._replace(inputs=record.inputs._replace(thrust=thrust))
-    expected = linearized(offset, layout, still, states)
-    found = linearized(record, layout, still | by_arm, states)
-    assert_allclose(found.predicted, expected.predicted, rtol=1e-9)
-    assert_allclose(found.past.error, expected.past.error, rtol=1e-9)
-
-
 def test_answers_are_the_part_of_surfaces_that_earlier_innovations_explain():
     record, *_ = flight_of_sines(2000)
     pushes, later = default_rng(0).standard_normal((2, 1999))
@@ -368,8 +332,6 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
 
 
 ROOT = default_rng(0).standard_normal((3, 3))
-COVARIANCE = ROOT @ ROOT.T
-PRIOR_STD = np.array([1.0, 2.0, 3.0])
 
 
 def test_sandwich_of_a_regression_is_the_covariance_of_its_coefficients():
@@ -389,14 +351,6 @@ def test_scatter_of_blocks_counts_neighbours_half():
     for before, after in pairwise(blocks):
         expected = expected + 0.5 * (np.outer(before, after) + np.outer(after, before))
     assert_allclose(correlated_scatter(blocks), expected)
-
-
-def test_parameters_without_evidence_have_the_variance_of_their_prior():
-    values = np.array([0.5, 0.1, 50.0])
-    wide = add_attenuation(COVARIANCE, values, PRIOR_STD, np.array([0.0, 1.0, 0.6]))
-    assert_allclose(wide[0, :2], [COVARIANCE[0, 0], 0.0])
-    assert_allclose(wide[1], [0.0, 4.0, 0.0])
-    assert_allclose(wide[2, 2], 0.64 * COVARIANCE[2, 2] + 0.36 * 9.0)
 
 
 def test_error_of_a_slope_covers_its_attenuation():

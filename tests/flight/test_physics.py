@@ -434,17 +434,6 @@ def test_a_late_servo_is_no_wrong_sign():
     assert len(contradictions(opposite(log, "rudder"))) == 1
 
 
-def test_a_slower_flight_beside_a_fast_one_has_none():
-    """25 Hz beside 100 Hz: rolls are as long in both."""
-    flights = []
-    for step, size in ((0.01, 0.01), (0.04, 1.0)):
-        time = step * np.arange(round(60 / step))
-        motion = {"phi": size * np.sin(time), "p": size * np.cos(time)}
-        still = dict.fromkeys(("q", "r", "theta"), 1e-6 * np.sin(time))
-        flights.append(pd.DataFrame({"time": time, "flight": f"{step} s", **motion, **still}))
-    assert contradictions(pd.concat(flights, ignore_index=True)) == []
-
-
 def test_noise_has_none(flight):
     rng = default_rng(0)
     noise = flight.drop(columns=["time", "flight"])
@@ -467,7 +456,6 @@ def test_one_of_several_flights(flight):
     wrong = opposite(flight, "beta").assign(flight="d")
     (found,) = contradictions(pd.concat([*good, wrong], ignore_index=True))
     assert (found.flight, found.numbers["channels"]) == ("d", ["beta"])
-    assert found.clause.startswith("flight d: beta is probably wrong")
 
 
 # mass, wing area, span, chord, (Ixx, Iyy, Izz), CZ_alpha, Cl_p, Cm_q, Cn_r: Heffley & Jewell 1972, Beard &

@@ -125,37 +125,7 @@ def test_the_number_of_threads_does_not_change_the_likelihood(large):
     assert_allclose(again.gradient, once.gradient, rtol=1e-9, atol=1e-10)
 
 
-@pytest.mark.parametrize("noise", [0.3, 1e-8])
-def test_the_slope_of_many_values_is_the_one_of_their_likelihood(large, noise, central_difference):
-    kernel, _, data = large
-    noises = np.full(3, noise)
-    direction = default_rng(1).normal(size=kernel.n_dims)
-
-    def value(step):
-        return log_likelihood(
-            kernel.clone_with_theta(kernel.theta + step[0] * direction), noises, data
-        )
-
-    gradient = log_likelihood(kernel, noises, data, eval_gradient=True).gradient[: kernel.n_dims]
-    expected = central_difference(value, np.zeros(1))[0]
-    assert gradient @ direction == pytest.approx(expected, rel=1e-3)
-
-
 class TestMemory:
     def test_of_one_evaluation_is_below_three_matrices(self, large):
         matrix = 8 * large[2].n_values ** 2
         assert matrix <= peak_memory(log_likelihood, *large, eval_gradient=True) < 3 * matrix
-
-    @pytest.mark.parametrize(("call", "times"), [("predict", 1), ("gradient", 4)])
-    def test_of_predictions_does_not_grow_with_their_number(self, large, call, times):
-        kernel, noise, data = large
-        posterior = ExactPosterior(kernel, noise, data.of_samples(np.arange(0, 500, 6)))
-        posterior.settings = PosteriorSettings(chunk_bytes=2**19)
-        options = {"return_variance": True} if call == "predict" else {}
-        used = [
-            peak_memory(getattr(posterior, call), np.zeros((n, 4)), **options)
-            for n in (2, 300, 3000)  # the first computes what the others share
-        ]
-        results = 2 * 8 * 3 * 2700
-        # which threads need not hold at the same time
-        assert used[2] - used[1] < 2 * times * results + posterior.settings.chunk_bytes

@@ -82,13 +82,6 @@ class TestCleanLogs:
         table = log()
         assert faults(table.assign(airspeed=quantum * (table.airspeed / quantum).round())) == []
 
-    def test_a_filtered_heading_on_a_grid_is_not_stuck_where_it_turns_back(self):
-        table = log()
-        turns = np.abs(np.cos(0.4 * table.time)) < 0.2
-        noise = np.convolve(default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same")
-        heading = 0.3 + 0.02 * np.sin(0.4 * table.time) + 0.002 * noise * ~turns
-        assert faults(table.assign(psi=1e-4 * (heading / 1e-4).round())) == []
-
     def test_the_example_flights_have_none(self, first_minute):
         flights = first_minute()
         assert faults(flights.train) == faults(flights.test) == []

@@ -38,35 +38,22 @@ TRANSFORMERS = [
 
 
 WAVES = ["alpha", "beta", "p", "q", "r", "p_dot", "q_dot", "r_dot", "ax", "ay", "az"]
+SMALL = ["elevon_left", "elevon_right", "rudder", "phi", "theta", "psi"]
+# What stands still, and strangers: text, truth and an unknown column
+STILL = {"throttle": 0.5, "v_north": 30.0, "v_east": 1.0, "v_down": 0.0}
+STILL |= {"alpha_true": 0.0, "remark": "a word", "my_sensor": 1}
 
 
 def flight(name, rng):
-    """Return a flight with every regressor's raw material, and strangers: text, truth and an unknown column."""
+    """Return a flight with every regressor's raw material."""
     t = 0.02 * np.arange(150)
-    k = np.arange(len(WAVES))
-    waves = np.sin(np.outer(t, 1 + 0.1 * k) + k)
+    k = np.arange(len(WAVES + SMALL))
+    waves = np.sin(np.outer(t, 1 + 0.1 * k) + k) * np.where(k < len(WAVES), 1.0, 0.1)
     waves += rng.normal(0, 0.02, waves.shape)
-    left = 0.1 * np.sin(3 * t)
-    right = 0.1 * np.cos(2 * t)
-    surfaces = {
-        "elevon_left": left,
-        "elevon_right": right,
-        "elevator": (left + right) / 2,
-        "aileron": (left - right) / 2,
-        "rudder": 0.05 * np.sin(t),
-    }
-    path = {
-        "airspeed": 30 + np.sin(t),
-        "phi": 0.01 * np.cos(t),
-        "theta": 0.1 + 0.01 * np.sin(t),
-        "psi": 0.2 * np.sin(t),
-        "v_north": 30.0,
-        "v_east": 1.0,
-        "v_down": 0.0,
-    }
-    strangers = {"alpha_true": 0.0, "remark": "a word", "my_sensor": 1}
-    table = pd.DataFrame(waves, columns=WAVES).assign(time=t, flight=name, throttle=0.5)
-    return table.assign(**surfaces, **path, **strangers)
+    table = pd.DataFrame(waves, columns=[*WAVES, *SMALL])
+    left, right = table["elevon_left"], table["elevon_right"]
+    table = table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2, **STILL)
+    return table.assign(time=t, flight=name, airspeed=30 + np.sin(t))
 
 
 @cache

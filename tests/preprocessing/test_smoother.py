@@ -180,13 +180,11 @@ def flight(name="one", n=1200):
     """Return a table of measured channels whose heading passes through pi."""
     rng = default_rng(6)
     t = clock(n)
-    truth = {
-        "airspeed": 30.0 + 0 * t, "alpha": 0.1 * np.sin(t), "beta": 0.05 * np.cos(1.3 * t), "p": 0 * t,
-        "q": 0.2 * np.cos(t), "r": 0.1 * np.sin(t), "elevator": 0.1 * np.sin(2 * t),
-        "psi": np.angle(np.exp(1j * (3.0 + 0.3 * t))),
-    }  # fmt: skip
-    noise = rng.normal(0, 0.005, (n, len(truth)))
-    return pd.DataFrame(truth).add(noise).assign(time=t, flight=name)
+    names = ["airspeed", "alpha", "beta", "p", "q", "r", "elevator", "psi"]
+    table = pd.DataFrame(rng.normal(0, 0.005, (n, len(names))), columns=names)
+    table["airspeed"] += 30.0
+    table["psi"] += np.angle(np.exp(1j * (3.0 + 0.3 * t)))
+    return table.assign(time=t, flight=name)
 
 
 def test_automatic_columns_are_the_measured_ones():

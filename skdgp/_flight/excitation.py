@@ -13,7 +13,7 @@ from scipy.fft import irfft
 from scipy.optimize import newton
 
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.checks import check_names, check_number
+from skdgp._flight.tables import check_names, check_number
 
 # Relative excess over a limit that is rounding
 ROUNDING = 1e-9

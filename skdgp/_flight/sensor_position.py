@@ -12,30 +12,17 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array, Matrix
-from skdgp._flight.channels import RATE_DERIVATIVES, RATES, SENSOR_POSITION, SPECIFIC_FORCE
+from skdgp._flight.channels import RATE_DERIVATIVES, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import Clock
 from skdgp._flight.frames import cross
 from skdgp._flight.smoothing import differentiate, smooth
-from skdgp._flight.tables import by_name, interpolate_missing, numeric
-
-
-def sensor_position(table: pd.DataFrame) -> Matrix:
-    """Return the position of the inertial sensors (n, 3) [m] by its columns, NaN where it is unknown.
-
-    Two of three coordinates state nothing. Raises ValueError if one is infinite.
-    """
-    position = numeric(table.reindex(columns=list(SENSOR_POSITION)), SENSOR_POSITION)
-    if np.isinf(position).any():
-        raise ValueError(
-            f"Got infinite values in {SENSOR_POSITION}, but expected metres from the centre of gravity."
-        )
-    is_whole = np.isfinite(position).all(axis=1, keepdims=True)
-    return np.where(is_whole, position, np.nan)
-
-
-def with_sensors_at(table: pd.DataFrame, position: Matrix) -> pd.DataFrame:
-    """Return the table with the position of the inertial sensors (n, 3) [m]."""
-    return table.assign(**by_name(SENSOR_POSITION, position))
+from skdgp._flight.tables import (
+    by_name,
+    interpolate_missing,
+    numeric,
+    sensor_position,
+    with_sensors_at,
+)
 
 
 def acceleration_by_rotation(spin: Array, rates: Array, position: Array) -> Array:

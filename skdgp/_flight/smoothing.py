@@ -31,9 +31,8 @@ from scipy.signal.windows import hann
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.checks import check_number
 from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
-from skdgp._flight.tables import has_values, numeric, unwrapped
+from skdgp._flight.tables import check_number, has_values, numeric, unwrapped
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,9 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     WRAPPED,
 )
-from skdgp._flight.checks import check_columns
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, check_columns
 
 # largest angles [rad], and rates [rad/s], eight turns a second; noise may carry an angle beyond
 ANGLE_NOISE = 0.05

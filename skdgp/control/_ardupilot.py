@@ -25,10 +25,9 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import check_full_deflection, check_number
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, standard_density
 from skdgp._flight.servo_functions import ServoRange
-from skdgp._flight.tables import by_name
+from skdgp._flight.tables import by_name, check_full_deflection, check_number
 from skdgp.control._parameters import WEIGHTS, servo_functions
 from skdgp.dynamics import (
     ATTITUDE,

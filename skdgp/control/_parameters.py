@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.messages import warn
-from skdgp._flight.checks import check_full_deflection
 from skdgp._flight.servo_functions import ServoFunction
+from skdgp._flight.tables import check_full_deflection
 from skdgp.control._loops import GAINS, LOOP_AXES, Loop, Notch
 
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end

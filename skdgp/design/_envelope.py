@@ -11,8 +11,8 @@ from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import VANES
-from skdgp._flight.checks import as_floats, check_columns, check_number
 from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.tables import as_floats, check_columns, check_number
 from skdgp.dynamics import Aerodynamics, Aircraft, as_aerodynamics
 from skdgp.preprocessing import RateNondimensionalizer
 

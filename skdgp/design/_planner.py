@@ -16,10 +16,9 @@ from skdgp._compute.messages import notify, warn
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
-from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.excitation import Wavetrain, wavetrain
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp._flight.tables import interpolated
+from skdgp._flight.tables import check_names, check_number, interpolated
 from skdgp.design._envelope import (
     OPTIONS,
     UNLIMITED,

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._flight.checks import check_full_deflection, check_names
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
 from skdgp._flight.servo_functions import ServoFunction
+from skdgp._flight.tables import check_full_deflection, check_names
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 

@@ -13,14 +13,20 @@ from scipy.optimize import minimize
 
 from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
-from skdgp._flight.checks import as_floats, check_choice, check_number
 from skdgp._flight.frames import (
     STANDARD_GRAVITY,
     air_velocity,
     body_to_ned,
     euler_to_quaternion,
 )
-from skdgp._flight.tables import FlightTable, interpolated, numeric
+from skdgp._flight.tables import (
+    FlightTable,
+    as_floats,
+    check_choice,
+    check_number,
+    interpolated,
+    numeric,
+)
 from skdgp._flight.units import check_radians
 from skdgp.dynamics._dryden import Gusts, rolling_gust
 

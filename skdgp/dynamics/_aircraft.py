@@ -20,11 +20,15 @@ from skdgp._compute.files import plain, read_json, read_toml, without_nones
 from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
-from skdgp._flight.checks import as_floats, check_full_deflection
 from skdgp._flight.findings import Finding
 from skdgp._flight.physics import question_of_sizes, sizes_in_flight
-from skdgp._flight.sensor_position import sensor_position, with_sensors_at
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import (
+    FlightTable,
+    as_floats,
+    check_full_deflection,
+    sensor_position,
+    with_sensors_at,
+)
 from skdgp.dynamics._estimated_sizes import INERTIAS, KINDS, QUANTITIES, estimated, value_and_std
 from skdgp.dynamics._propeller import Propeller, ThrustLine
 from skdgp.dynamics._size_errors import MOMENTS, ScaleFactor

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skdgp._flight.checks import as_floats, check_choice
+from skdgp._flight.tables import as_floats, check_choice
 from skdgp.dynamics._size_errors import MOMENTS, PRODUCT, ScaleFactor
 
 # Sizes of an aircraft and their units

@@ -11,8 +11,14 @@ import pandas as pd
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import WIND
-from skdgp._flight.checks import as_floats, check_columns, check_number, check_table
-from skdgp._flight.tables import interpolated, numeric
+from skdgp._flight.tables import (
+    as_floats,
+    check_columns,
+    check_number,
+    check_table,
+    interpolated,
+    numeric,
+)
 from skdgp.dynamics._air import AirAt, LocalAir
 
 

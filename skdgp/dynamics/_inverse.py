@@ -23,7 +23,7 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.sensor_position import acceleration_by_rotation, sensor_position
+from skdgp._flight.sensor_position import acceleration_by_rotation
 from skdgp._flight.smoothing import (
     LowPass,
     differentiate,
@@ -31,7 +31,7 @@ from skdgp._flight.smoothing import (
     vibration_band,
     without_vibration,
 )
-from skdgp._flight.tables import FlightTable, by_name, numeric
+from skdgp._flight.tables import FlightTable, by_name, numeric, sensor_position
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft, with_sensor_position
 from skdgp.dynamics._rigid_body import (

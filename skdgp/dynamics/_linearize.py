@@ -24,13 +24,12 @@ from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import check_number
 from skdgp._flight.frames import (
     euler_per_rotation,
     euler_to_quaternion,
     quaternion_to_euler,
 )
-from skdgp._flight.tables import by_name
+from skdgp._flight.tables import by_name, check_number
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table

@@ -25,7 +25,6 @@ from skdgp._flight.channels import (
     rate_factor,
 )
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.checks import check_names
 from skdgp._flight.frames import (
     air_data,
     air_data_slopes,
@@ -34,7 +33,7 @@ from skdgp._flight.frames import (
     ned_to_body,
     quaternion_to_euler,
 )
-from skdgp._flight.tables import by_name
+from skdgp._flight.tables import by_name, check_names
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._air import LocalAir, as_air
 from skdgp.dynamics._aircraft import Aircraft, check_aircraft

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array
-from skdgp._flight.checks import check_choice, check_number, check_numbers
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, cross
+from skdgp._flight.tables import check_choice, check_number, check_numbers
 
 # Fit of thrust and torque of propellers of two blades to diameter and pitch: least squares of the wind-tunnel
 # data of 178 propellers (UIUC Propeller Data Site, volumes 1 to 3; Brandt & Selig, AIAA 2011-1255), 20,098

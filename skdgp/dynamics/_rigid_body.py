@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
-from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import STANDARD_GRAVITY, components, cross, empty_vectors, rotation_rows
+from skdgp._flight.tables import check_columns
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
 

@@ -14,8 +14,8 @@ from sklearn.base import BaseEstimator
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Seed, Vector
 from skdgp._flight.channels import SENSOR_GUST, SPECIFIC_FORCE, WIND
-from skdgp._flight.checks import check_number, check_numbers
 from skdgp._flight.frames import by_components
+from skdgp._flight.tables import check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, Drift, separate_generator
 from skdgp.dynamics._air import (
     Air,

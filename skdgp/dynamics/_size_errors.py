@@ -9,7 +9,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, RATE_LENGTHS
-from skdgp._flight.checks import check_number
+from skdgp._flight.tables import check_number
 
 MOMENTS = ("Ixx", "Iyy", "Izz")
 PRODUCT = "Ixz"

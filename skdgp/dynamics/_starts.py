@@ -20,12 +20,12 @@ from skdgp._flight.channels import (
     POSITION,
     RATES,
 )
-from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import (
     air_velocity,
     euler_to_quaternion,
     ned_to_body,
 )
+from skdgp._flight.tables import check_names, check_number
 from skdgp._flight.units import check_radians
 from skdgp.dynamics._air import LocalAir
 from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked

@@ -22,9 +22,8 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     WIND,
 )
-from skdgp._flight.checks import check_columns
 from skdgp._flight.frames import unwrapped_paths
-from skdgp._flight.tables import by_name
+from skdgp._flight.tables import by_name, check_columns
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._integrate import FLYING, REASONS, Trajectories, channels
 from skdgp.dynamics._motion import Motion

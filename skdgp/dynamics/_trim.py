@@ -21,9 +21,8 @@ from skdgp._flight.channels import (
     THRUST_FORCES,
     THRUST_MOMENTS,
 )
-from skdgp._flight.checks import check_names, check_number
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, ned_to_body
-from skdgp._flight.tables import by_name
+from skdgp._flight.tables import by_name, check_names, check_number
 from skdgp._flight.units import degrees_error
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft

@@ -22,8 +22,14 @@ from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECI
 from skdgp._flight.clock import flight_codes
 from skdgp._flight.frames import euler_to_rotation
 from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
-from skdgp._flight.sensor_position import sensor_acceleration, sensor_position
-from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
+from skdgp._flight.sensor_position import sensor_acceleration
+from skdgp._flight.tables import (
+    FlightTable,
+    has_values,
+    interpolate_missing,
+    numeric,
+    sensor_position,
+)
 from skdgp.estimation._settings import PATH_SETTINGS
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)

@@ -17,7 +17,7 @@ import numpy as np
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.checks import check_full_deflection
+from skdgp._flight.tables import check_full_deflection
 from skdgp.dynamics import Aircraft, Propeller
 from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW

@@ -18,11 +18,17 @@ from skdgp._flight.channels import (
     SURFACES,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
-from skdgp._flight.checks import check_spelling, check_table
 from skdgp._flight.faults import without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
-from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
+from skdgp._flight.tables import (
+    FlightTable,
+    check_spelling,
+    check_table,
+    has_values,
+    interpolated,
+    unwrapped,
+)
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 
 Flights = dict[str, FlightTable]

@@ -21,9 +21,9 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.clock import Clock, median_step
-from skdgp._flight.sensor_position import acceleration_by_rotation, rotation, sensor_position
+from skdgp._flight.sensor_position import acceleration_by_rotation, rotation
 from skdgp._flight.smoothing import differentiate
-from skdgp._flight.tables import has_values, numeric
+from skdgp._flight.tables import has_values, numeric, sensor_position
 from skdgp.dynamics import Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
 from skdgp.identification._least_squares import linear_terms

@@ -31,8 +31,7 @@ from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding, with_codes
 from skdgp._flight.physics import find_contradictions
-from skdgp._flight.sensor_position import sensor_position
-from skdgp._flight.tables import FlightTable, numeric
+from skdgp._flight.tables import FlightTable, numeric, sensor_position
 from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (

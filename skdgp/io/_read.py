@@ -17,17 +17,17 @@ from skdgp._compute.files import plain
 from skdgp._compute.messages import report, warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
-from skdgp._flight.checks import (
+from skdgp._flight.clock import CLOCK, flight_codes, runs_between, unrounded
+from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults, without_ground
+from skdgp._flight.findings import Code, Finding, texts_of
+from skdgp._flight.physics import find_contradictions
+from skdgp._flight.tables import (
+    FlightTable,
     check_table,
     suggestions,
     unknown_columns,
     unknown_columns_message,
 )
-from skdgp._flight.clock import CLOCK, flight_codes, runs_between, unrounded
-from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults, without_ground
-from skdgp._flight.findings import Code, Finding, texts_of
-from skdgp._flight.physics import find_contradictions
-from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_units
 from skdgp.dynamics import Aircraft
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log

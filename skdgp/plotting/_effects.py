@@ -12,7 +12,7 @@ from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array
-from skdgp._flight.checks import check_names
+from skdgp._flight.tables import check_names
 from skdgp.plotting._display import BAND, Display
 from skdgp.plotting._style import PALETTE, ROLES, axis_label, display_unit, draw_curve, symbol
 

@@ -11,8 +11,7 @@ from sklearn.utils import check_array, check_consistent_length
 
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
-from skdgp._flight.checks import check_columns
-from skdgp._flight.tables import interpolated, unwrapped
+from skdgp._flight.tables import check_columns, interpolated, unwrapped
 from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import (
     BAND,

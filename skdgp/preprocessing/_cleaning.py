@@ -23,7 +23,6 @@ from skdgp._flight.channels import (
     VANES,
     WRAPPED,
 )
-from skdgp._flight.checks import check_columns
 from skdgp._flight.faults import (
     FlightDataWarning,
     find_faults,
@@ -33,7 +32,7 @@ from skdgp._flight.faults import (
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
 from skdgp._flight.smoothing import band_limited, differentiate, smooth, vibration_band
-from skdgp._flight.tables import FlightTable, by_name, numeric, unwrapped
+from skdgp._flight.tables import FlightTable, by_name, check_columns, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
 from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrap_near

@@ -23,10 +23,9 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
     rate_factor,
 )
-from skdgp._flight.checks import check_columns, check_spelling
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import numeric
+from skdgp._flight.tables import check_columns, check_spelling, numeric
 from skdgp._flight.units import check_airspeed
 from skdgp.dynamics import Mixing
 from skdgp.preprocessing._table import (

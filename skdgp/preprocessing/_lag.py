@@ -19,9 +19,8 @@ from skdgp._flight.channels import (
     EULER,
     POSITION,
 )
-from skdgp._flight.checks import check_columns
 from skdgp._flight.holds import without_repeats
-from skdgp._flight.tables import by_name, numeric, unwrapped
+from skdgp._flight.tables import by_name, check_columns, numeric, unwrapped
 from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
     Lag,

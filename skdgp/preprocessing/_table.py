@@ -14,8 +14,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import WRAPPED
-from skdgp._flight.checks import check_table
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, check_table
 
 
 class TableTransformer(TransformerMixin, BaseEstimator, ABC):

@@ -8,9 +8,6 @@ from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp.model_selection import thin_targets
-from skdgp.preprocessing import (
-    FlightSmoother,
-)
 
 X = default_rng(0).normal(size=(40, 2))
 TARGETS = {"CZ": -4.0 * X[:, 0], "Cm": np.where(np.arange(40) % 4, -X[:, 1], np.nan)}
@@ -59,13 +56,3 @@ def test_thinned(library):
     assert alone.name == "CZ"
     for values in (np.asarray(thin, float)[:, 0], np.asarray(alone, float)):
         assert np.isfinite(values).sum() == 10
-
-
-def test_transformers_hand_on_columns_of_polars_that_they_do_not_know():
-    polars = pytest.importorskip("polars")
-    flight = pd.DataFrame({"time": 0.02 * np.arange(200), "airspeed": 20.0, "note": "calm"})
-    flight["alpha"] = 0.1 * np.sin(3.0 * flight["time"])
-    smoothed = FlightSmoother(cutoff=4.0).set_output(transform="polars").fit_transform(flight)
-    assert isinstance(smoothed, polars.DataFrame)
-    assert smoothed["note"].to_list() == ["calm"] * 200
-    assert smoothed.columns == [*flight.columns, "alpha_dot"]

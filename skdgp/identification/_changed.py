@@ -98,9 +98,11 @@ class Changes:
         return lines
 
     def _likely(self, flight: Any) -> str:
-        """Return the most certain changes of a flight."""
+        """Return the most certain changes of the coefficients of a flight that have changed."""
+        p = self.p_values.loc[flight]
         table: Any = self.derivatives.loc[flight]
-        deviations = (table["change"] / table["std"]).abs()
+        is_changed = table.index.str[:2].isin(p.index[p < LEVEL])
+        deviations = (table["change"] / table["std"]).abs()[is_changed]
         parts = []
         for name in deviations.nlargest(MOST_NAMED).index:
             change, std = table.loc[name]

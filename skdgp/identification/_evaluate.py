@@ -22,7 +22,7 @@ from skdgp._flight.smoothing import band_limited, without_vibration
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
-from skdgp.identification._least_squares import linear_terms
+from skdgp.identification._log_errors import linear_terms
 from skdgp.identification._pipeline import (
     FlightPipeline,
     band_of,

@@ -43,50 +43,45 @@ def train_and_test(
     train = named_flights(flights, needed=needed, **reading)
     if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
         servos = FULL_THROW
-    rates = [
-        1 / np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1
-    ]
-    findings = []
-    columns = set()
     for flight in train.values():
         check_spelling(flight.table, [name for name in SURFACES if name in regressors])
-        columns |= {*flight.table.columns}
+    columns = {name for flight in train.values() for name in flight.table}
     # other regressors take its effect
     if "elevator" in regressors and columns.isdisjoint(("elevator", *ELEVONS)):
-        findings.append(Finding(Code.NO_ELEVATOR))
-    if rates and min(rates) < SLOWEST:
-        findings.append(Finding(Code.SLOW_LOG, numbers={"rate": float(min(rates))}))
-    for name, other in copies(train, train).items():
-        findings.append(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
-        train.pop(name)
+        report(Finding(Code.NO_ELEVATOR))
+    steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
+    if steps and max(steps) > 1 / SLOWEST:
+        report(Finding(Code.SLOW_LOG, numbers={"rate": float(1 / max(steps))}))
+    train = _without_copies(train, train, Code.FLIGHT_TWICE)
     if test is None:
-        train, tested, held_out = _without_last(train)
-        findings.append(held_out)
-    else:
-        tested = named_flights(test, default="test flight", needed=needed, **reading)
-        copied = copies(tested, train)
-        code = Code.COPY_LEFT_OUT if len(copied) < len(tested) else Code.TESTED_ON_COPY
-        for name, other in copied.items():
-            findings.append(Finding(code, flight=name, numbers={"other": other}))
-            if code is Code.COPY_LEFT_OUT:
-                tested.pop(name)
-    for finding in findings:
-        report(finding)
-    return train, tested, servos
+        return *_without_last(train), servos
+    tested = named_flights(test, default="test flight", needed=needed, **reading)
+    return train, _without_copies(tested, train, Code.COPY_LEFT_OUT), servos
 
 
-def _without_last(flights: Flights) -> tuple[Flights, Flights, Finding]:
-    """Return training and test flights, and what is held out."""
+def _without_copies(flights: Flights, others: Flights, code: Code) -> Flights:
+    """Return the flights that are no copies of others, all if there are only copies; warn of copies."""
+    copied = copies(flights, others)
+    originals = {name: flight for name, flight in flights.items() if name not in copied}
+    for name, other in copied.items():
+        kind = code if originals else Code.TESTED_ON_COPY
+        report(Finding(kind, flight=name, numbers={"other": other}))
+    return originals or flights
+
+
+def _without_last(flights: Flights) -> tuple[Flights, Flights]:
+    """Return training flights and the one that is held out; report it."""
     *earlier, last = flights
     flight = flights[last]
     if earlier:
-        learned = {name: flights[name] for name in earlier}
-        return learned, {last: flight}, Finding(Code.HELD_OUT_FLIGHT, flight=last)
+        report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
+        return {name: flights[name] for name in earlier}, {last: flight}
+    report(Finding(Code.HELD_OUT_QUARTER, flight=last))
     rows = np.arange(len(flight.time))
     first, rest = np.split(rows, [round(0.75 * len(rows))])
     parts = {f"{last}, first three quarters": first, f"{last}, last quarter": rest}
     (learned, tested) = ({name: flight.part(of).named(name)} for name, of in parts.items())
-    return learned, tested, Finding(Code.HELD_OUT_QUARTER, flight=last)
+    return learned, tested
 
 
 def _servos_for(servos: Any, flights: Sequence[Any], regressors: Sequence[str]) -> Any:

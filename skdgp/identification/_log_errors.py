@@ -1,13 +1,15 @@
-"""Errors of a flight log that its flights leave, and their effect on the learned coefficients."""
+"""Errors of a flight log that its flights leave, and the linear models of the rows of the fit that they change."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from sklearn.linear_model import LinearRegression
 
+from skdgp._compute.linalg import least_squares
 from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
@@ -26,7 +28,6 @@ from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import has_values, numeric, sensor_position
 from skdgp.dynamics import Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
-from skdgp.identification._least_squares import linear_terms
 from skdgp.inference import FunctionErrors
 
 # Standard deviation of the time of a channel against the inertial sensors, by its motion between
@@ -37,11 +38,57 @@ CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
 
+def fit_least_squares(table: pd.DataFrame, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Return intercept and slopes of each coefficient (n, 6) by regressors (n, d), where it is observed."""
+    fitted: dict[str, dict[str, float]] = {}
+    for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
+        is_observed = np.isfinite(y)
+        linear = LinearRegression().fit(table[is_observed], y[is_observed])
+        slopes = dict(zip(map(str, table), linear.coef_.tolist(), strict=True))
+        fitted[coefficient] = {"intercept": float(linear.intercept_), **slopes}
+    return fitted
+
+
+def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Matrix]:
+    """Return intercepts (6,) and slopes (d, 6) of `fit_least_squares`."""
+    table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
+    return table.loc["intercept"].to_numpy(), table.drop("intercept").to_numpy()
+
+
+class RegressionCalibration(NamedTuple):
+    r"""Linear function that turns a function into the mean coefficients of logged rows.
+
+    Regressors of a logged row are estimates. The mean of y, given an estimate x, is not the
+    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With A and b by least
+    squares of the residuals of the training rows, it is
+
+    .. math:: \mathrm{E}[y \mid x] = f(x) + \rho \, (b + A^T x),
+
+    where :math:`\rho` is the variance of the noise of the regressors over its value in the training
+    flights, at most one: more noise than that was never compared.
+    """
+
+    intercept: Vector  # (P,)
+    slopes: Matrix  # (d, P)
+
+    @classmethod
+    def of_residuals(cls, X: Matrix, residuals: Matrix) -> RegressionCalibration:
+        """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown."""
+        design = np.column_stack([np.ones(len(X)), X])
+        coefficients = np.array([least_squares(design, residual) for residual in residuals.T])
+        return cls(coefficients[:, 0], coefficients[:, 1:].T)
+
+    def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:
+        """Return what is added to the function (n, P), at ratios (n,) of the variance of noise."""
+        fraction = np.minimum(noise_ratio, 1.0)
+        return fraction[:, None] * (self.intercept + X @ self.slopes)
+
+
 def learned_errors(
     flights: pd.DataFrame,
     aircraft: Aircraft,
     regressors: pd.DataFrame,
-    least_squares: Mapping[str, Mapping[str, float]],
+    linear: Mapping[str, Mapping[str, float]],
     lags: pd.DataFrame | None,
     airspeed_std: float,
 ) -> FunctionErrors:
@@ -55,7 +102,7 @@ def learned_errors(
     """
     changes = _by_accelerations(flights, aircraft)
     if has_values(flights, *VANES):
-        intercept, slopes = linear_terms(least_squares)
+        intercept, slopes = linear_terms(linear)
         changes += _by_clocks(flights, regressors, slopes, lags)
         changes.append(airspeed_std * _by_airspeed(regressors, intercept, slopes))
     return learned_as(changes, regressors)

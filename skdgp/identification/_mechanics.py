@@ -25,7 +25,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.identification._free_flight import FreeFlight
+from skdgp.identification._free_flight import simulation_errors
 
 # Facts of a trim in metrics.json
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
@@ -117,7 +117,7 @@ def flight_mechanics(
     except ValueError as error:
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
     try:
-        computed["simulation"] = FreeFlight(pipeline, aircraft, flights, options).errors()
+        computed["simulation"] = simulation_errors(pipeline, aircraft, flights, options)
     except ValueError as error:
         notes.append(Finding(Code.NOT_SIMULATED, numbers={"error": str(error)}))
     return FlightMechanics(trim=steady, notes=tuple(notes), **computed)

@@ -29,8 +29,12 @@ from skdgp.dynamics import (
     dynamic_pressure,
 )
 from skdgp.estimation import prior_deviations, without_airspeed_error
-from skdgp.identification._least_squares import RegressionCalibration, fit_least_squares
-from skdgp.identification._log_errors import learned_errors, thrust_errors
+from skdgp.identification._log_errors import (
+    RegressionCalibration,
+    fit_least_squares,
+    learned_errors,
+    thrust_errors,
+)
 from skdgp.inference import (
     FunctionErrors,
     KnownSlopes,
@@ -226,8 +230,7 @@ def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
 
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    scaler = step_of(pipeline, StandardScaler)
-    columns = regressors if scaler is None else scaler.inverse_transform(regressors)
+    columns = pipeline["standardscaler"].inverse_transform(regressors)
     return pd.DataFrame(columns, columns=regressor_names(pipeline))
 
 
@@ -331,34 +334,20 @@ class FlightPipeline(Pipeline):
         self.n_observed_ = _n_observed(y)
         y = self._thinned(y)
         self.n_learned_ = _n_observed(y)
-        table = X.table if isinstance(X, FlightTable) else X
-        self.calibration_ = None
-        self.least_squares_: dict[str, dict[str, float]] = {}
-        self.errors_: dict[str, ScaleFactor] = {}
-        self.log_errors_: FunctionErrors | None = None
         first, others = self[:1], self[1:-1]
         flights = first.fit_transform(X, y)
         regressors = np.asarray(others.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
         self.steps = [*first.steps, *others.steps, self.steps[-1]]
+        self._learn_flights(flights)
+        self._learn_coefficients(flights, regressors, y)
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
-        if not isinstance(flights, pd.DataFrame):  # of `set_output`
-            flights = table
-        self._learn_flights(flights)
-        of_air = self._slopes_of_air(regressors, y)
-        if is_of_coefficients(y):
-            named = named_regressors(self, regressors)
-            self.least_squares_ = fit_least_squares(named, y)
-            aircraft: Any = self.aircraft
-            if self.thrust is not None and self._knows_loads(flights):
-                self.errors_ = thrust_errors(flights, aircraft, named)
-        facts = self._facts_for_last(table, of_air)
-        errors = self._function_errors(flights, regressors, y, has_vanes=of_air is None)
-        if errors is not None:
-            facts["errors"] = errors
-        last.fit(regressors, y, **facts | parameters)
-        if of_air is not None:
+        if isinstance(last, DependentGPRegressor):
+            parameters = self._facts(flights, regressors, y) | parameters
+        last.fit(regressors, y, **parameters)
+        self.calibration_ = None
+        if "slopes" in parameters:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
             self.calibration_ = RegressionCalibration.of_residuals(regressors, residuals)
         self.fit_time_ = round(time.monotonic() - began, 3)
@@ -379,57 +368,42 @@ class FlightPipeline(Pipeline):
             samples = MOST_EXACT if is_exact else MOST_SPARSE
         return thin_targets(y, cast("int", samples))
 
-    def _facts_for_last(self, X: pd.DataFrame, known: KnownSlopes | None) -> dict[str, Any]:
-        """Return clock and known slopes of flights X as parameters of the last step, if it uses them."""
-        if not isinstance(self[-1], DependentGPRegressor):
-            return {}
+    def _facts(self, flights: pd.DataFrame, X: Matrix, y: Any) -> dict[str, Any]:
+        """Return clock of flights, known slopes, and errors that samples do not show, as parameters of the last step.
+
+        Errors are by the log, and, of flights with vanes, by the rates of the air.
+        """
         facts: dict[str, Any] = {}
+        if "time" in flights:
+            facts["time"] = flights["time"].to_numpy(float)
+            if "flight" in flights:
+                facts["flight"] = np.asarray(flights["flight"])
+        errors = [] if self.log_errors_ is None else [self.log_errors_]
+        known = self._slopes_of_air(X, y)
         if known is not None:
             facts["slopes"] = known
-        if "time" in X:
-            facts["time"] = X["time"].to_numpy(float)
-            if "flight" in X:
-                facts["flight"] = np.asarray(X["flight"])
+        elif self.turbulence_ is not None:
+            errors.insert(0, self._errors_by_air(self.turbulence_, X, y))
+        if errors:
+            facts["errors"] = reduce(FunctionErrors.joined, errors)
         return facts
 
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
-        """Return the slopes that the motion of the air shows, for a last step that uses them.
+        """Return the slopes that the motion of the air shows, None with vanes.
 
         Where gusts are not known, least squares with the deviations of small aircraft in general.
         """
         reconstruction = reconstruction_of(self)
-        if reconstruction is None or not isinstance(self[-1], DependentGPRegressor):
+        if reconstruction is None:
             return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
-        names = outputs, self.named_steps["regressorselector"].regressors_
-        scale = self._scale(X.shape[1])
+        names = outputs, regressor_names(self)
+        scale = self["standardscaler"].scale_
         if reconstruction.air_motion_ is not None:
             return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
         if with_codes(reconstruction.doubts_, Code.GUSTS_UNKNOWN):
             return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
         return None
-
-    def _function_errors(
-        self, flights: pd.DataFrame, X: Matrix, y: Any, has_vanes: bool
-    ) -> FunctionErrors | None:
-        """Return the errors of the function of X (n, d) that the samples do not show, for a last step that uses them.
-
-        By errors of the log, and, of flights with vanes, by the rates of the air.
-        """
-        if not isinstance(self[-1], DependentGPRegressor):
-            return None
-        parts = []
-        if has_vanes and self.turbulence_ is not None:
-            parts.append(self._errors_by_air(self.turbulence_, X, y))
-        if self.least_squares_ and self._knows_loads(flights):
-            self.log_errors_ = self._errors_of_log(flights, X)
-            parts.append(self.log_errors_)
-        return reduce(FunctionErrors.joined, parts) if parts else None
-
-    def _knows_loads(self, flights: pd.DataFrame) -> bool:
-        """Return whether aircraft and flights give the loads of coefficients."""
-        needed = ("time", "airspeed", "density", *RATES)
-        return self.aircraft is not None and has_values(flights, *needed)
 
     def _errors_by_air(self, turbulence: Turbulence, X: Matrix, y: Any) -> FunctionErrors:
         """Return the errors by rates of the air, noise of the regressors whose size follows from the gusts.
@@ -443,7 +417,7 @@ class FlightPipeline(Pipeline):
             std = std * np.sqrt(self._followed(airspeed))
         of_rates = dict(zip((f"{name}{HAT}" for name in RATES), std, strict=True))
         of_regressors = np.array([of_rates.get(name, 0.0) for name in regressor_names(self)])
-        scaled = of_regressors / self._scale(X.shape[1])
+        scaled = of_regressors / self["standardscaler"].scale_
         complete = X[np.isfinite(X).all(axis=1)]
         errors = [attenuation(complete, scaled, slopes) for slopes in linear_slopes(X, y)]
         return errors_of_slopes(np.array(errors), complete.mean(axis=0))
@@ -468,29 +442,32 @@ class FlightPipeline(Pipeline):
         followed = np.maximum(damping, 0.0) * gust_time
         return followed / (1 + followed)
 
-    def _errors_of_log(self, flights: pd.DataFrame, X: Matrix) -> FunctionErrors:
-        """Return the errors by the log that its flights do not show."""
-        aircraft: Any = self.aircraft  # it gives the loads
+    def _learn_coefficients(self, flights: pd.DataFrame, X: Matrix, y: Any) -> None:
+        """Learn least squares of the six coefficients, and errors of the log that its flights do not show."""
+        self.least_squares_: dict[str, dict[str, float]] = {}
+        self.errors_: dict[str, ScaleFactor] = {}
+        self.log_errors_: FunctionErrors | None = None
+        if not is_of_coefficients(y):
+            return
+        named = named_regressors(self, X)
+        self.least_squares_ = fit_least_squares(named, y)
+        if self.aircraft is None or not has_values(flights, "time", "airspeed", "density", *RATES):
+            return
+        if self.thrust is not None:
+            self.errors_ = thrust_errors(flights, self.aircraft, named)
         corrector = step_of(self, LagCorrector)
         check = step_of(self, FlightCheck)
         errors = learned_errors(
             flights,
-            aircraft,
-            named_regressors(self, X),
+            self.aircraft,
+            named,
             self.least_squares_,
             None if corrector is None else corrector.lags_,
             0.0 if check is None else check.airspeed_scale_.left(),
         )
-        scaler = step_of(self, StandardScaler)
-        if scaler is None:
-            return errors
-        # X = (x - mean) / scale
-        return errors.in_units(-scaler.mean_ / scaler.scale_, 1 / scaler.scale_, np.ones(6))
-
-    def _scale(self, d: int) -> Vector:
-        """Return the units (d,) of the scaled regressors."""
-        scaler = step_of(self, StandardScaler)
-        return np.ones(d) if scaler is None else scaler.scale_
+        scaler = self["standardscaler"]  # X = (x - mean) / scale
+        units = -scaler.mean_ / scaler.scale_, 1 / scaler.scale_, np.ones(len(COEFFICIENTS))
+        self.log_errors_ = errors.in_units(*units)
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
         """Learn duration, conditions and turbulence of checked flights."""

@@ -30,7 +30,7 @@ from skdgp._flight.units import check_airspeed
 from skdgp.dynamics import Mixing
 from skdgp.preprocessing._table import (
     TableTransformer,
-    as_pandas,
+    as_table,
     present,
     with_columns,
     with_names,
@@ -289,7 +289,7 @@ class RegressorSelector(TableTransformer):
 
     def fit(self, X: Any, y: Any = None) -> Self:
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
-        table = as_pandas(X)
+        table = as_table(X)
         super().fit(table, y)
         is_targeted = y is not None and len(y) == len(table)
         if is_targeted:

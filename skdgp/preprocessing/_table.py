@@ -34,7 +34,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
 
     def _checked(self, X: Any) -> pd.DataFrame:
         """Return the table of ``fit``, and store the names of its columns."""
-        table = check_table(as_pandas(X))
+        table = check_table(as_table(X))
         validate_data(self, table, skip_check_array=True)
         return table
 
@@ -66,7 +66,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
         return names
 
     def _as_table(self, X: Any) -> pd.DataFrame:
-        X = as_pandas(X)
+        X = as_table(X)
         if isinstance(X, pd.DataFrame):
             return check_table(X)
         array = validate_data(self, X, reset=False, ensure_all_finite=False)
@@ -89,13 +89,9 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
         return tags
 
 
-def as_pandas(X: Any) -> Any:
-    """Return checked flights, and a polars table of ``set_output``, as a DataFrame; other input as it is."""
-    if isinstance(X, FlightTable):
-        return X.table
-    if type(X).__module__.partition(".")[0] != "polars":
-        return X
-    return pd.DataFrame({name: X[name].to_numpy() for name in X.columns})
+def as_table(X: Any) -> Any:
+    """Return the table of checked flights; other input as it is."""
+    return X.table if isinstance(X, FlightTable) else X
 
 
 def present(names: Iterable[str], columns: Container[str]) -> list[str]:

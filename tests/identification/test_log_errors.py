@@ -17,8 +17,13 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation import AirspeedScale
 from skdgp.identification import FlightPipeline, make_identification_pipeline
-from skdgp.identification._least_squares import RegressionCalibration
-from skdgp.identification._log_errors import CLOCK, CLOCK_STEPS, clock_std, learned_errors
+from skdgp.identification._log_errors import (
+    CLOCK,
+    CLOCK_STEPS,
+    RegressionCalibration,
+    clock_std,
+    learned_errors,
+)
 from skdgp.identification._pipeline import named_regressors
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
 

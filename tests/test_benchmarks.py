@@ -1,4 +1,4 @@
-"""Every benchmark starts, and four run at tiny sizes."""
+"""Every benchmark starts, and three run at tiny sizes."""
 
 import json
 import runpy
@@ -35,7 +35,6 @@ def run(monkeypatch):
     [
         ("bands", []),
         ("dependence", []),
-        ("comparison", [".", "--methods", "least squares", "skdgp pipeline"]),
         ("published", [".", "--methods", "skdgp, `predict`"]),
     ],
 )

@@ -6,7 +6,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
-from skdgp import DependentGPRegressor, listening, make_identification_pipeline
+from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft
 from skdgp.identification import flight_regressors
 
@@ -85,26 +85,3 @@ def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
     model.fit(flight, pd.DataFrame({"CZ": -4 * flight["alpha"]}))
     assert model["flightpathreconstruction"].missing_[0] == "p"
     assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))
-
-
-def test_an_interrupted_fit_counts_no_noise_twice():
-    """What regressors carry is no part of the outputs' own noise, also where the search was cut short."""
-    X, Y, *_ = waves()
-
-    begun = []
-
-    def press(stage, n_evaluations, log_likelihood):
-        """Interrupt the search with noisy regressors, which follows one with exact ones."""
-        if stage == "fit" and n_evaluations == 1:
-            begun.append(stage)
-        if len(begun) == 2:
-            raise KeyboardInterrupt
-
-    options = {"inference": "sparse", "n_latent": 1, "n_inducing": 20, "random_state": 0}
-    with listening(press, keep_best=True), pytest.warns(UserWarning, match="interrupted"):
-        model = DependentGPRegressor(input_noise="learned", **options).fit(X, Y)
-    slopes = model.predict_gradient(X)[..., 0]
-    carried = np.mean(slopes**2, axis=0) * model.input_covariance_[0, 0]
-    seen = np.mean((Y - model.predict(X)) ** 2, axis=0)
-    assert_allclose(model.noise_variance_ + carried, seen, rtol=0.2)
-    assert (carried > 0.4 * seen).all()  # where a search starts, half of the noise

@@ -136,24 +136,6 @@ def test_the_order_of_regressors_outputs_and_rows_decides_nothing(fraction, rtol
 
 
 @EXAMPLES
-@given(SEEDS, INFERENCE, st.sampled_from([0.0, 0.6, -1e-7, -1.7e9, 0.1 + 0.2]))
-def test_a_constant_regressor_changes_nothing(seed, inference, constant):
-    """Whatever its unit: the deviation of equal numbers is rounding."""
-    X, Y = problem(seed)
-    how = options(seed, X) | {"inference": inference, "kernel": ConvolvedGaussian(1)}
-    more = np.column_stack([X, np.full(len(X), constant)])
-    more[3, -1] *= 1 + 1e-15
-    plain = DependentGPRegressor(**how).fit(X, Y)
-    if how["input_noise"] is not None:
-        how["input_noise"] = np.append(how["input_noise"], 0.0)
-    model = DependentGPRegressor(**how).fit(more, Y)
-    expected = moments(plain, X)
-    close(moments(model, more), expected, np.nanstd(Y, axis=0), 1e-5)
-    more[:, -1] += 1.0
-    assert (moments(model, more)[1] >= expected[1] * (1 - 1e-5)).all()
-
-
-@EXAMPLES
 @given(SEEDS, INFERENCE)
 def test_uncertainty_is_one(seed, inference):
     """The joint covariance is positive semidefinite, its diagonal the squared deviations, below those of the prior."""

@@ -14,13 +14,11 @@ import _peers as peers
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of, winners
-from _inputs import Task, task_of
-from numpy.random import default_rng
+from _inputs import task_of
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import make_identification_pipeline
-from skdgp.dynamics import Aircraft
 from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
@@ -34,21 +32,6 @@ from skdgp.preprocessing import (
 SAMPLES = 755
 BANDS_EVERY = 10
 FLIGHTS = ["viggen", "c172p", "viggen lateral", "lateral to latlon", "AP2, real"]
-
-
-def toy(n=300):
-    """Return a task of the same form that takes no time."""
-    rng = default_rng(0)
-    glider = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2, chord=0.2)
-    table = pd.DataFrame({"time": 0.05 * np.arange(n), "airspeed": 12.0})
-    for name in ("alpha", "beta", *"pqr"):
-        table[name] = np.convolve(rng.normal(size=n), np.ones(9) / 90, "same")
-    for name in ("elevator", "aileron", "rudder"):
-        table[name] = rng.normal(0, 0.1, n)
-    moment = -table["alpha"] - table["elevator"]
-    truth = pd.DataFrame({"CZ": -4 * table["alpha"] + table["alpha"] ** 2, "Cm": moment})
-    targets = truth + rng.normal(0, 0.01, truth.shape)
-    return Task(glider, table, table, targets, targets, truth.to_numpy(), {})
 
 
 def pipeline(task, seed):
@@ -143,14 +126,14 @@ def of_pipeline(table):
 
 
 def main(words=None):
-    parser = parser_of(__doc__, data=True, smoke=True)
+    parser = parser_of(__doc__, data=True)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     options = parser.parse_args(words)
     kept = Kept(options, "comparison")
-    for flight in ["toy"] if options.smoke else FLIGHTS:
-        task = toy() if options.smoke else task_of(flight, options.data)
+    for flight in FLIGHTS:
+        task = task_of(flight, options.data)
         for method in options.methods:
-            for seed in range(2 if method == "skdgp pipeline" and not options.smoke else 1):
+            for seed in range(2 if method == "skdgp pipeline" else 1):
                 key = {"flight": flight, "method": method, "seed": seed}
                 kept.run(key, scored, task, method, seed)
     finish(options, "comparison", errors=errors(kept.table), pipeline=of_pipeline(kept.table))

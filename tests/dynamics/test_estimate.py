@@ -15,7 +15,6 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
-    ScaleFactor,
     air_velocity,
     euler_to_quaternion,
     stability_derivatives,
@@ -215,39 +214,3 @@ class TestWhatErrorsDo:
         change = changed["value"] - table["value"]
         assert_allclose(np.abs(change), table["std_aircraft"], rtol=1e-3, atol=1e-9)
         assert set(table["aircraft"]) <= {cause, ""}
-
-
-QUANTITY_VALUES = {
-    "mass": 2.0, "wing_area": 0.5, "span": 1.9, "chord": 0.28, "Ixx": 0.2, "Iyy": 0.3, "Izz": 0.4,
-}  # fmt: skip
-
-
-def slopes_of(mass, wing_area, span, chord, Ixx, Iyy, Izz):
-    """Return coefficients (6,) of unit accelerations over 1 and each non-dimensional rate (docs/notation.md)."""
-    qbar = 350.0
-    V = np.sqrt(2 * qbar / 1.2)
-    loads = np.array([mass, mass, mass, Ixx / span, Iyy / chord, Izz / span])
-    p_hat, q_hat, r_hat, alpha_dot_hat = np.array([span, chord, span, chord]) / (2 * V)
-    q_dot_hat = chord**2 / (4 * V**2)
-    regressors = np.array([1.0, p_hat, q_hat, r_hat, 1.0, alpha_dot_hat, q_dot_hat])
-    return np.divide.outer(loads / (qbar * wing_area), regressors)
-
-
-@pytest.mark.parametrize("quantity", QUANTITY_VALUES)
-def test_an_error_of_a_size_scales_coefficients_and_slopes_as_their_equations(quantity):
-    """Small ones, so that the accelerations among the regressors stay small."""
-    names = ["p", "q", "r", "alpha", "alpha_dot", "q_dot"]
-    error = 1e-6
-    changed = slopes_of(**QUANTITY_VALUES | {quantity: (1 + error) * QUANTITY_VALUES[quantity]})
-    expected = changed / slopes_of(**QUANTITY_VALUES) - 1
-    sizes = {name: QUANTITY_VALUES[name] for name in ("mass", "wing_area", "span", "chord")}
-    aircraft = Aircraft(name="uav", inertia=np.diag([0.2, 0.3, 0.4]), **sizes)
-    errors = {"size": ScaleFactor(error, {quantity: 1.0})}
-    model = Aerodynamics(
-        lambda X: 1e-5 * np.tile(1 + X.sum(axis=1)[:, None], 6), names, errors=errors
-    )
-    level = np.array([0, 0, -100, 24, 0, 0, 1, 0, 0, 0, 0, 0, 0])
-    table = stability_derivatives(model, aircraft, level, {}, thrust=None)
-    table = table[table["regressor"].isin(names) & ~table["coefficient"].isin(["CL", "CD"])]
-    found = (table["std_aircraft"] / table["value"]).to_numpy().reshape(6, 6)
-    assert_allclose(found, np.abs(expected[:, 1:]), rtol=1e-5, atol=1e-11)

@@ -331,9 +331,6 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
     assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)
 
 
-ROOT = default_rng(0).standard_normal((3, 3))
-
-
 def test_sandwich_of_a_regression_is_the_covariance_of_its_coefficients():
     """Least squares with weights that are wrong: (X^T W X)^-1 X^T W S W X (X^T W X)^-1."""
     rng = default_rng(1)

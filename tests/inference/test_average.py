@@ -236,18 +236,6 @@ class TestWeights:
         assert 0.88 <= np.mean(held) <= 0.99
         assert np.mean(ratios) < 1.5
 
-    def test_two_outliers_of_150_do_not_widen_the_bands_of_the_others(self):
-        """They lie nearer to the trend: 1 % of it would make the standard deviation five times the error."""
-        rng = default_rng(0)
-        x = rng.uniform(-3, 3, (150, 1))
-        y = np.sin(2 * x[:, 0]) + 0.03 * rng.normal(size=150)
-        y[:2] += [0.6, -0.6]
-        model = DependentGPRegressor(random_state=0, max_iter=40).fit(x, y)
-        new = np.linspace(-2.5, 2.5, 200)[:, None]
-        mean, std = model.predict(new, return_std=True)
-        error = np.sqrt(np.mean((mean - np.sin(2 * new[:, 0])) ** 2))
-        assert 0.5 * error < np.median(std) < 3 * error
-
     def test_what_another_output_says_of_gaps_counts_for_all_terms(self):
         """A quick function of time that one output has as well: no trend follows it."""
         rng = default_rng(0)

@@ -71,16 +71,6 @@ def test_of_paths_are_expectations_around_those_of_the_mean(model):
     assert (np.abs(averaged.mean(axis=0) - mean) < 4.5 * error + 1e-12).all()
 
 
-def test_are_those_of_the_best_linear_approximation():
-    """Stein's lemma: least squares on values at many draws of the perturbation has these slopes."""
-    model = fitted(structure="joint")
-    for k, std in enumerate(SPREAD):
-        draws = np.tile(POINT, (20_000, 1))
-        draws[:, k] += std * default_rng(k).normal(size=len(draws))
-        slopes = np.polyfit(draws[:, k], model.predict(draws), 1)[0]
-        assert_allclose(model.predict_gradient(POINT, SPREAD)[0, :, k], slopes, atol=0.02)
-
-
 def test_of_a_kernel_without_a_formula_are_means_over_draws():
     X, Y = data()
     model = DependentGPRegressor(RationalQuadratic(), optimizer=None, structure="joint").fit(X, Y)

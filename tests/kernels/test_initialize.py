@@ -35,13 +35,6 @@ class TestOpenKernels:
         assert (ratio > 0.05).all()
         assert (ratio < 10).all()
 
-    def test_seed_decides(self, kernel, uneven):
-        first, again, other = (kernel.initialize(*uneven, seed) for seed in (3, 3, 4))
-        assert_allclose(first.theta, again.theta, rtol=1e-9, atol=1e-10)
-        # Only shared latents need chance, to part from each other.
-        chance = not np.allclose(first.theta, other.theta)
-        assert chance == ("ConvolvedGaussian" in repr(kernel) and "n_latent=0" not in repr(kernel))
-
     @pytest.mark.parametrize("what", ["regressor", "output"])
     def test_constant_columns_give_finite_values(self, kernel, uneven, what):
         X, Y = (array.copy() for array in uneven)

@@ -23,22 +23,6 @@ def test_where_the_filters_of_a_latent_are_alike_values_are_gaussian():
         assert kstest(values, "norm").pvalue > 0.01
 
 
-def test_more_waves_make_paths_more_gaussian():
-    """Of outputs of different widths; the excess kurtosis falls as one over the number of waves."""
-    lengths = 2.0 * np.exp(default_rng(0).normal(0, 0.5, (1, 4, 6)))
-    kernel = ConvolvedGaussian(
-        1, private_latents=False, amplitude=np.ones((1, 4)), length_scale=lengths
-    )
-    points = default_rng(1).normal(size=(1, 8, 6))
-
-    def kurtosis(n_frequencies):
-        paths = prior_paths(kernel, 10000, n_frequencies, np.random.RandomState(2)).values(points)
-        return np.mean((paths**4).mean(axis=0) / (paths**2).mean(axis=0) ** 2 - 3.0)
-
-    assert kurtosis(4) > 0.3
-    assert kurtosis(64) < 0.1
-
-
 def test_inducing_inputs_far_from_each_other_lose_no_digits():
     """In length scales; squares of such distances, expanded, would cancel."""
     widths = default_rng(0).uniform(0.6, 1.8, (3, 2, 2))

@@ -16,7 +16,6 @@ from sklearn.gaussian_process.kernels import (
 from skdgp.kernels import (
     ConvolvedGaussian,
     Coregionalized,
-    LinearTrend,
     as_multi_output,
     has_prior_paths,
 )
@@ -27,39 +26,6 @@ X = default_rng(0).normal(size=(5, 2))
 def convolved(**parameters):
     values = {"amplitude": np.array([[1.0, 2.0]]), "length_scale": np.ones((1, 2, 2))}
     return ConvolvedGaussian(1, private_latents=False, **(values | parameters))
-
-
-class TestText:
-    @pytest.mark.parametrize(
-        ("kernel", "expected"),
-        [
-            (ConvolvedGaussian(1), "ConvolvedGaussian()"),
-            (
-                ConvolvedGaussian(0, amplitude=[[50.0]], length_scale=np.array([[[1 / 3]]])),
-                "ConvolvedGaussian(n_latent=0, amplitude=[[50]], length_scale=[[[0.333]]])",
-            ),
-            (
-                LinearTrend([1e-4], [[2.0, 3e5]], parameter_bounds={"slope_scale": (1.0, 1e6)}),
-                "LinearTrend(intercept_scale=[0.0001], slope_scale=[[2, 3e+05]], "
-                "parameter_bounds={'slope_scale': (1.0, 1000000.0)})",
-            ),
-            (
-                LinearTrend(
-                    parameter_bounds={
-                        "intercept_scale": "fixed",
-                        "slope_scale": np.array([0.5, 2.0]),
-                    }
-                ),
-                "LinearTrend(parameter_bounds={'intercept_scale': 'fixed', 'slope_scale': [0.5, 2]})",
-            ),
-            (
-                Coregionalized(RBF(2.0)) + LinearTrend(),
-                "Coregionalized(kernel=RBF(length_scale=2)) + LinearTrend()",
-            ),
-        ],
-    )
-    def test_shows_what_is_not_the_default(self, kernel, expected):
-        assert repr(kernel) == expected
 
 
 class TestCoregionalized:

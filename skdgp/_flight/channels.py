@@ -6,17 +6,9 @@ everywhere.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-
-
-class Channel(NamedTuple):
-    """One column of a flight table: its SI unit and its meaning."""
-
-    unit: str
-    meaning: str
-
 
 VANES = ("alpha", "beta")
 AIR_DATA = ("airspeed", *VANES)
@@ -49,82 +41,76 @@ FULL_THROW = "full_throw"
 # Further controls, zero in normal flight
 AUXILIARY = (*HIGH_LIFT, "differential_throttle")
 
-UNITS_AND_MEANINGS = {
-    "time": ("s", "time on the log's one clock, increasing within a flight"),
-    "flight": ("", "flight identifier"),
+# SI unit of each column of a flight table, and what it is
+CHANNELS = {
+    "time": "s",  # time on the log's one clock, increasing within a flight
+    "flight": "",  # flight identifier
     # Air data: relative to the air, so the wind is inside them.
-    "airspeed": ("m/s", "true airspeed V"),
-    "alpha": ("rad", "angle of attack, > 0 nose above the relative wind"),
-    "beta": ("rad", "sideslip, > 0 relative wind from the right"),
-    "alpha_dot": ("rad/s", "rate of change of alpha"),
-    "beta_dot": ("rad/s", "rate of change of beta"),
-    "density": ("kg/m^3", "air density"),
-    "altitude": ("m", "altitude above mean sea level"),
-    "wind_north": ("m/s", "velocity of the air, north"),
-    "wind_east": ("m/s", "velocity of the air, east"),
-    "wind_down": ("m/s", "velocity of the air, down"),
-    "gust": ("m/s", "how much the air changes in one second, standard deviation along one axis"),
+    "airspeed": "m/s",  # true airspeed V
+    "alpha": "rad",  # angle of attack, > 0 nose above the relative wind
+    "beta": "rad",  # sideslip, > 0 relative wind from the right
+    "alpha_dot": "rad/s",  # rate of change of alpha
+    "beta_dot": "rad/s",  # rate of change of beta
+    "density": "kg/m^3",  # air density
+    "altitude": "m",  # altitude above mean sea level
+    "wind_north": "m/s",  # velocity of the air, north
+    "wind_east": "m/s",  # velocity of the air, east
+    "wind_down": "m/s",  # velocity of the air, down
+    "gust": "m/s",  # how much the air changes in one second, standard deviation along one axis
     # Inertial quantities.
-    "p": ("rad/s", "roll rate, > 0 right wing down"),
-    "q": ("rad/s", "pitch rate, > 0 nose up"),
-    "r": ("rad/s", "yaw rate, > 0 nose right"),
-    "p_dot": ("rad/s^2", "roll acceleration"),
-    "q_dot": ("rad/s^2", "pitch acceleration"),
-    "r_dot": ("rad/s^2", "yaw acceleration"),
-    "ax": (
-        "m/s^2",
-        "specific force at the inertial sensors, forward (what an accelerometer reads)",
-    ),
-    "ay": ("m/s^2", "specific force at the inertial sensors, right"),
-    "az": ("m/s^2", "specific force at the inertial sensors, down (about -9.8 in level flight)"),
-    "sensor_position_x": ("m", "position of the inertial sensors from the CG, forward"),
-    "sensor_position_y": ("m", "position of the inertial sensors from the CG, right"),
-    "sensor_position_z": ("m", "position of the inertial sensors from the CG, down"),
-    "sensor_tilt": (
-        "rad",
-        "roll and pitch of the inertial sensors against the attitude's axes, standard deviation",
-    ),
-    "u": ("m/s", "ground-relative velocity, forward"),
-    "v": ("m/s", "ground-relative velocity, right"),
-    "w": ("m/s", "ground-relative velocity, down (body axis)"),
-    "phi": ("rad", "roll angle, > 0 right wing down"),
-    "theta": ("rad", "pitch angle, > 0 nose up"),
-    "psi": ("rad", "heading, > 0 clockwise from north"),
-    "north": ("m", "position, north"),
-    "east": ("m", "position, east"),
-    "down": ("m", "position, down"),
-    "v_north": ("m/s", "ground velocity, north"),
-    "v_east": ("m/s", "ground velocity, east"),
-    "v_down": ("m/s", "ground velocity, down"),
+    "p": "rad/s",  # roll rate, > 0 right wing down
+    "q": "rad/s",  # pitch rate, > 0 nose up
+    "r": "rad/s",  # yaw rate, > 0 nose right
+    "p_dot": "rad/s^2",  # roll acceleration
+    "q_dot": "rad/s^2",  # pitch acceleration
+    "r_dot": "rad/s^2",  # yaw acceleration
+    "ax": "m/s^2",  # specific force at the inertial sensors, forward (what an accelerometer reads)
+    "ay": "m/s^2",  # specific force at the inertial sensors, right
+    "az": "m/s^2",  # specific force at the inertial sensors, down (about -9.8 in level flight)
+    "sensor_position_x": "m",  # position of the inertial sensors from the CG, forward
+    "sensor_position_y": "m",  # position of the inertial sensors from the CG, right
+    "sensor_position_z": "m",  # position of the inertial sensors from the CG, down
+    "sensor_tilt": "rad",  # roll and pitch of the inertial sensors against the attitude's axes, standard deviation
+    "u": "m/s",  # ground-relative velocity, forward
+    "v": "m/s",  # ground-relative velocity, right
+    "w": "m/s",  # ground-relative velocity, down (body axis)
+    "phi": "rad",  # roll angle, > 0 right wing down
+    "theta": "rad",  # pitch angle, > 0 nose up
+    "psi": "rad",  # heading, > 0 clockwise from north
+    "north": "m",  # position, north
+    "east": "m",  # position, east
+    "down": "m",  # position, down
+    "v_north": "m/s",  # ground velocity, north
+    "v_east": "m/s",  # ground velocity, east
+    "v_down": "m/s",  # ground velocity, down
     # Controls and propulsion.
-    "throttle": ("", "throttle, 0 to 1"),
-    "differential_throttle": ("", "throttle of the left less the right engine, > 0 yaws right"),
-    "propeller_speed": ("rad/s", "propeller speed Omega"),
-    "elevator": ("rad", "elevator, > 0 pitches down"),
-    "aileron": ("rad", "aileron, > 0 rolls right"),
-    "rudder": ("rad", "rudder, > 0 yaws left"),
-    "elevon_left": ("rad", "left elevon, > 0 trailing edge down"),
-    "elevon_right": ("rad", "right elevon, > 0 trailing edge down"),
-    "mass": ("kg", "mass of the aircraft, where it falls in flight"),
-    "flap": ("rad", "flaps, > 0 trailing edge down"),
-    "spoiler": ("rad", "spoilers, > 0 up"),
-    "full_throw": ("", "1: surfaces are in parts of their full throw, -1 to 1, in place of rad"),
-    "thrust": ("N", "propulsive force along the thrust line"),
-    "thrust_x": ("N", "propulsive force, forward"),
-    "thrust_y": ("N", "propulsive force, right"),
-    "thrust_z": ("N", "propulsive force, down"),
-    "thrust_l": ("N m", "propulsive moment about the CG, roll"),
-    "thrust_m": ("N m", "propulsive moment about the CG, pitch"),
-    "thrust_n": ("N m", "propulsive moment about the CG, yaw"),
+    "throttle": "",  # throttle, 0 to 1
+    "differential_throttle": "",  # throttle of the left less the right engine, > 0 yaws right
+    "propeller_speed": "rad/s",  # propeller speed Omega
+    "elevator": "rad",  # elevator, > 0 pitches down
+    "aileron": "rad",  # aileron, > 0 rolls right
+    "rudder": "rad",  # rudder, > 0 yaws left
+    "elevon_left": "rad",  # left elevon, > 0 trailing edge down
+    "elevon_right": "rad",  # right elevon, > 0 trailing edge down
+    "mass": "kg",  # mass of the aircraft, where it falls in flight
+    "flap": "rad",  # flaps, > 0 trailing edge down
+    "spoiler": "rad",  # spoilers, > 0 up
+    "full_throw": "",  # 1: surfaces are in parts of their full throw, -1 to 1, in place of rad
+    "thrust": "N",  # propulsive force along the thrust line
+    "thrust_x": "N",  # propulsive force, forward
+    "thrust_y": "N",  # propulsive force, right
+    "thrust_z": "N",  # propulsive force, down
+    "thrust_l": "N m",  # propulsive moment about the CG, roll
+    "thrust_m": "N m",  # propulsive moment about the CG, pitch
+    "thrust_n": "N m",  # propulsive moment about the CG, yaw
     # Aerodynamic coefficients, body axes.
-    "CX": ("", "force coefficient, forward"),
-    "CY": ("", "force coefficient, right"),
-    "CZ": ("", "force coefficient, down"),
-    "Cl": ("", "moment coefficient, roll (by span)"),
-    "Cm": ("", "moment coefficient, pitch (by chord)"),
-    "Cn": ("", "moment coefficient, yaw (by span)"),
+    "CX": "",  # force coefficient, forward
+    "CY": "",  # force coefficient, right
+    "CZ": "",  # force coefficient, down
+    "Cl": "",  # moment coefficient, roll (by span)
+    "Cm": "",  # moment coefficient, pitch (by chord)
+    "Cn": "",  # moment coefficient, yaw (by span)
 }
-CHANNELS = {name: Channel(*entry) for name, entry in UNITS_AND_MEANINGS.items()}
 
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 LONGITUDINAL = ("CX", "CZ", "Cm")

@@ -308,7 +308,7 @@ def unknown_columns_message(names: Collection[str], available: Collection[str]) 
     near = suggestions(names, available)
     hints = []
     for name, channel in near.items():
-        unit = CHANNELS[channel].unit
+        unit = CHANNELS[channel]
         meant = f"{channel!r} [{unit}]" if unit else f"{channel!r}"
         hints.append(f"{name!r} (did you mean {meant}?)")
     unlike = [name for name in names if name not in near]

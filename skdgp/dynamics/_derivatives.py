@@ -217,8 +217,7 @@ class _Frame:
         self.perturbation = None
         if motion.aerodynamics.perturbation is not None:
             self.perturbation = np.append(np.nan, motion.aerodynamics.perturbation) / self.scale
-        units = {name: channel.unit for name, channel in CHANNELS.items()}
-        self.units = units | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
+        self.units = CHANNELS | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
         self.names = ["", *self.columns]
 
     def __call__(self, terms: Array) -> Array:

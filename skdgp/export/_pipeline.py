@@ -179,7 +179,7 @@ def _regressors(
             length = float(lengths[LENGTHS[rate]])
             regressors.append(Regressor(name, "", (rate,), (1.0,), length, power))
             continue
-        unit = CHANNELS[name].unit if name in CHANNELS else ""
+        unit = CHANNELS.get(name, "")
         factors = _factors(name, mixing)
         sources = tuple(factors)
         weights = tuple(factors.values())

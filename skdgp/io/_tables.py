@@ -113,7 +113,7 @@ def _no_numbers(column: pd.Series, bad: np.ndarray) -> FlightReadError:
     """Return the error of a column with rows that are no numbers."""
     row = bad[0]
     cell = column.iloc[row]
-    unit = CHANNELS[base_name(str(column.name))].unit
+    unit = CHANNELS[base_name(str(column.name))]
     remedy = "leave missing values empty, write no separators of thousands, and one decimal mark"
     if column.name == "time":
         remedy = "write seconds, or dates as 2024-05-03T12:00:00.25 (ISO 8601)"
@@ -129,7 +129,7 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
     """Convert columns whose unit the file states; raise FlightReadError for a unit of another quantity."""
     converted = {}
     for name, text in units.items():
-        expected = CHANNELS[base_name(name)].unit
+        expected = CHANNELS[base_name(name)]
         unit = _usual_spelling(text)
         quantity, factor = UNITS.get(unit.lower(), ("unknown", 1.0))
         if quantity != expected:

@@ -52,7 +52,7 @@ def display_unit(name: str) -> tuple[float, str]:
     if name in _UNITS.get():
         return 1.0, _UNITS.get()[name]
     channel = "phi" if name == "bank" else name
-    unit = CHANNELS[channel].unit if channel in CHANNELS else ""
+    unit = CHANNELS.get(channel, "")
     if unit.startswith("rad") and name != "propeller_speed":
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     return 1.0, unit

@@ -14,22 +14,24 @@ the past alone (innovation), and with the recorded path (residual).
 
 Variables of the model are the motion M, which is air velocity and rates, errors of the coefficients C and :math:`p_g`.
 A coefficient is the sum of its derivatives times terms, such as alpha. By the chain rule a value h(M, C) has the
-slopes
+slopes by states and derivatives
 
 .. math:: \frac{d h}{d z} = \frac{\partial h}{\partial M} \frac{d M}{d z} +
           \frac{\partial h}{\partial C} \frac{d C}{d z}, \quad
           \frac{d C_i}{d C_{ij}} = \mathrm{term}_j.
 
-Instruments are the same derivatives with the terms in the motion that surfaces alone cause.
+Slopes by constants, such as the lag of the servos, are differences of the predictions. Instruments are the
+derivatives by derivatives with the terms in the motion that surfaces alone cause.
 
 n samples, m sensors, N states, k parameters of a flight, of which the first d are derivatives of the
 coefficients and c are constants, f terms. Slopes by z are by the N states of a sample, the k parameters, and the d
-instruments, together N + q.
+instruments, the last two q together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,16 +64,9 @@ from skdgp.estimation._air_parameters import (
     stacked,
 )
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._kalman import Linearization, PastPrediction, PathPrediction, Transition
-from skdgp.estimation._sensors import (
-    AIRSPEED,
-    BIASED,
-    FORCE_READINGS,
-    INERTIAL_READINGS,
-    SENSORS,
-    SensorErrors,
-)
-from skdgp.estimation._servos import servo_output, servo_slopes
+from skdgp.estimation._kalman import Linearization
+from skdgp.estimation._sensors import INERTIAL_READINGS, SENSORS, SensorErrors
+from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
 N_STATES = 9
@@ -81,12 +76,8 @@ PATH_ERROR_Z = 4
 AIR_ROLL_STATE = 5
 RATE_STATES = slice(6, 9)
 """Places of the states: the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
-COEFFICIENT_CONSTANTS = ("servo_lag", "servo_delay", "thrust_scale", "slipstream")
-"""Constants that change the coefficients."""
-LEARNED_BIASES = {
-    name: BIASED[name] for name in [*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS] if name in BIASED
-}
-"""Places of the biased among the sensors."""
+CONSTANT_STEP = 1e-5
+"""Step of constants in slopes, in their own units."""
 
 
 class Layout(NamedTuple):
@@ -128,11 +119,6 @@ class Layout(NamedTuple):
         return len(self.rows)
 
     @property
-    def n_constants(self) -> int:
-        """Number of constants."""
-        return len(self.names) - self.n_derivatives
-
-    @property
     def n_slopes(self) -> int:
         """Number q of slopes by parameters and instruments."""
         return len(self.names) + self.by_instruments * self.n_derivatives
@@ -140,10 +126,6 @@ class Layout(NamedTuple):
     def place(self, *names: str) -> list[int]:
         """Return places of parameters among the slopes."""
         return [self.names.index(name) for name in names]
-
-    def place_of_constants(self, *names: str) -> list[int]:
-        """Return places of parameters among the constants."""
-        return [place - self.n_derivatives for place in self.place(*names)]
 
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
@@ -159,56 +141,22 @@ class Layout(NamedTuple):
         return np.isin(self.columns, [STATE_TERMS.index(name) for name in terms])
 
     @property
-    def constants(self) -> slice:
-        """Places of the constants, which are the parameters behind the derivatives, among the slopes by z."""
-        return slice(N_STATES + self.n_derivatives, N_STATES + len(self.names))
+    def constants(self) -> list[str]:
+        """Names of the constants, the parameters behind the derivatives."""
+        return self.names[self.n_derivatives :]
 
-    def motion_slopes(self, attitude: Array, rates: Matrix, air_by_state: Array) -> Array:
-        """Return d variables of the model / d states and constants, (n, 13, N + c), at given coefficients."""
-        slopes = np.zeros((len(rates), N_VARIABLES, N_STATES + self.n_constants))
-        slopes[:, AIR_VELOCITY, :N_STATES] = air_by_state
-        slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
-        slopes[:, AIR_ROLL, AIR_ROLL_STATE] = 1.0
-        by_constants = slopes[..., N_STATES:]
-        by_constants[:, AIR_VELOCITY, self.place_of_constants(*WINDS)] = -attitude
-        by_constants[:, AIR_VELOCITY, self.place_of_constants(*ARM)] = -cross_matrix(rates)
-        return slopes
-
-    def through_coefficients(self, by_variables: Array, slopes: CoefficientSlopes) -> Array:
-        """Return the term d h / d C d C / d z of the chain rule, (n, m, N + q).
-
-        From d h / d variables, (n, m, 13). States do not change the coefficients at a given motion.
-        """
-        by_coefficients = by_variables[..., COEFFICIENT_ERRORS]
-        values = np.zeros((*by_variables.shape[:2], N_STATES + self.n_slopes))
-        by_constants = values[..., self.constants]
-        places = self.place_of_constants(*COEFFICIENT_CONSTANTS)
-        by_constants[..., places] = by_coefficients @ slopes.by_constants
-        by_rows = by_coefficients[:, :, self.rows]
-        by_derivatives = values[..., N_STATES : self.constants.start]
-        np.multiply(by_rows, slopes.terms[:, None, self.columns], out=by_derivatives)
-        if self.by_instruments:
-            by_instruments = values[..., self.constants.stop :]
-            np.multiply(by_rows, slopes.instrument_terms[:, None, self.columns], out=by_instruments)
-        return values
-
-    def chained(
-        self, by_variables: Array, motion_slopes: Array, coefficient_slopes: CoefficientSlopes
+    def slopes(
+        self, by_variables: Array, terms: Matrix, instrument_terms: Matrix, by_constants: Array
     ) -> Array:
-        """Return d h / d z (n, m, N + q) by both terms of the chain rule, from d h / d variables (n, m, 13)."""
-        values = self.through_coefficients(by_variables, coefficient_slopes)
-        through_motion = by_variables @ motion_slopes
-        values[..., :N_STATES] += through_motion[..., :N_STATES]
-        values[..., self.constants] += through_motion[..., N_STATES:]
-        return values
+        """Return d h / d parameters and instruments (n, m, q), from d h / d variables (n, m, 13).
 
-
-class CoefficientSlopes(NamedTuple):
-    """Slopes of the coefficients of n samples by derivatives, instruments and constants, at a given motion."""
-
-    terms: Matrix  # (n, f) d C_i / d C_ij
-    instrument_terms: Matrix  # (n, f) the same of instruments
-    by_constants: Array  # (n, 6, 4) by `COEFFICIENT_CONSTANTS`
+        At a given motion; by constants (n, m, c) they are given.
+        """
+        by_rows = by_variables[..., COEFFICIENT_ERRORS][:, :, self.rows]
+        parts = [by_rows * terms[:, None, self.columns], by_constants]
+        if self.by_instruments:
+            parts.append(by_rows * instrument_terms[:, None, self.columns])
+        return np.concatenate(parts, axis=-1)
 
 
 def motion_model(
@@ -235,12 +183,16 @@ def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tu
     return steady + matrix_vector(by_state, states), by_state
 
 
-class _Readings(NamedTuple):
-    """Readings of the m sensors that are sampled, after each step, and their partial derivatives."""
-
-    values: Matrix  # (n - 1, m)
-    by_variables: Array  # (n - 1, m, 13) of the model
-    by_constants: Array  # (n - 1, m, c) by biases, scale and position of the sensors
+def slopes_by_constants(
+    function: Callable[[Mapping[str, Any]], Matrix], value: Mapping[str, Any], names: Sequence[str]
+) -> Array:
+    """Return the slopes (n, k, c) of a function (n, k) of parameters by name, by some of them."""
+    here = function(value)
+    slopes = []
+    for name in names:
+        moved = function({**value, name: value[name] + CONSTANT_STEP})
+        slopes.append((moved - here) / CONSTANT_STEP)
+    return np.stack(slopes, axis=-1)
 
 
 class Expansion:
@@ -262,62 +214,153 @@ class Expansion:
     ) -> None:
         self.record = record
         self.layout = layout
+        self.aircraft = aircraft
         self.value = value
         self.states = states
+        self.decay = decay
         self.settings = settings
         self.model = motion_model(record, layout, aircraft, value)
         logged = record.inputs
-        surfaces, by_servos = servo_slopes(logged.surfaces, value["servo_lag"], record.median_step)
+        surfaces = servo_output(logged.surfaces, value["servo_lag"], record.median_step)
+        late = value["servo_delay"] * np.gradient(surfaces, record.median_step, axis=0)
         thrust = logged.thrust * (1 + value["thrust_scale"])
-        self.inputs = Inputs(surfaces, thrust, logged.density)
+        self.inputs = Inputs(surfaces - late, thrust, logged.density)
         self.end_inputs = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
         tau = self.model.relative_thrust(np.linalg.norm(self.air, axis=1), self.inputs)
         self.surface_effect = self.model.slipstream.effect(tau)  # (n, k)
-        self.constant_slopes = self.model.constant_slopes(
-            self.air, self.inputs, by_servos, logged.thrust
-        )
         # gusts and errors of the path decay, and the air velocity with them
         self.remaining = np.exp(-record.time_step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
-        # motion over each step: variables (n - 1, 13) before and after, d end / d start (n - 1, 6, 13)
-        self.start = _variables(self.air, states)[:-1]
-        self.end, self.by_start = self._moved()
+        self.start = _variables(self.air, states)[:-1]  # (n - 1, 13) before each step
         # of the m sensors that have any sample, after each step
         self.measured = record.measured[1:, record.sampled]
         self.is_sampled = np.isfinite(self.measured)
 
-    def _moved(self) -> tuple[Matrix, Array]:
-        """Return the variables (n - 1, 13) after the step from each sample, and d end / d start (n - 1, 6, 13)."""
+    def moved(self, start: Array) -> Array:
+        """Return the motion (..., n - 1, 6) after the step from variables (..., n - 1, 13) of each sample."""
         drift = matrix_vector(self.drift_by_state, self.states[:-1])
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
-        time_step = self.record.time_step
-        end, slopes = differentiated(
-            lambda start: self.model.step(start, gravity, drift, self.inputs, time_step), self.start
+        return self.model.step(start, gravity, drift, self.inputs, self.record.time_step)
+
+    @cached_property
+    def motion(self) -> Matrix:
+        """Motion (n - 1, 6) after each step."""
+        return self.moved(self.start)
+
+    @cached_property
+    def by_start(self) -> Array:
+        """Slopes of the motion after each step by the variables before it, (n - 1, 6, 13)."""
+        return differentiated(self.moved, self.start)
+
+    @cached_property
+    def predicted(self) -> Matrix:
+        """States (n - 1, N) after each step."""
+        states = self.states[:-1] * self.remaining
+        states[:, RATE_STATES] = self.motion[:, BODY_RATES]
+        return states
+
+    @property
+    def end(self) -> Matrix:
+        """Variables (n - 1, 13) after each step."""
+        return _variables(self.motion[:, AIR_VELOCITY], self.predicted)
+
+    def along_path(self, predicted: Matrix) -> Matrix:
+        """Return the variables (n - 1, 13) after each step by the recorded path and predicted states."""
+        change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
+        return _variables(self.air[1:] + change, predicted)
+
+    def readings(self, end: Array) -> Array:
+        """Return the readings of the m sensors (..., n - 1, m) at variables (..., n - 1, 13) after each step."""
+        truth = self.model.sensors(end, self.end_inputs)
+        return SensorErrors.of(self.value).readings(truth)[..., self.record.sampled]
+
+    def predictions(self, predicted: Matrix) -> Matrix:
+        """Return rates after each step, readings of the past alone, and along the path (n - 1, 3 + 2 m).
+
+        Those along the path are at given ``predicted`` states.
+        """
+        ends = np.stack([self.end, self.along_path(predicted)])
+        return np.concatenate([self.motion[:, BODY_RATES], *self.readings(ends)], axis=1)
+
+    def _at(self, value: Mapping[str, Any]) -> Expansion:
+        """Return the expansion at other parameters."""
+        return Expansion(
+            self.record,
+            self.layout,
+            self.aircraft,
+            value,
+            self.states,
+            self.decay,
+            self.settings,
         )
-        after = self.states[:-1] * self.remaining
-        after[:, RATE_STATES] = end[:, BODY_RATES]
-        return _variables(end[:, AIR_VELOCITY], after), slopes
 
     def linearization(self) -> Linearization:
         """Return the linear filter about the states and parameters."""
-        instrument_terms = self.instrument_terms()
-        step_slopes = self._step_slopes(instrument_terms)
-        predicted = self._predicted_states()
-        readings = self._readings(self.end)
+        end = self.end
+        along = self.along_path(self.predicted)
+        past_by_end = differentiated(self.readings, end)
+        path_by_variables = differentiated(self.readings, along)
+        Phi, D = self._slopes_by_states(past_by_end)
+        Theta, E, F = self._slopes_by_parameters(past_by_end, path_by_variables)
+        end_by_state = _by_states(self.air_by_state[1:])
         missing, vibration = self._added_noise()
         return Linearization(
             states=self.states,
-            predicted=predicted,
-            transition=self._transition(step_slopes),
-            past=self._past_prediction(readings, step_slopes, instrument_terms),
-            path=self._path_prediction(predicted, instrument_terms),
+            predicted=self.predicted,
+            Phi=Phi,
+            Theta=Theta,
+            past_error=self._errors(self.readings(end)),
+            D=D,
+            L=past_by_end @ end_by_state,
+            E=E,
+            path_error=self._errors(self.readings(along)),
+            H=path_by_variables @ end_by_state,
+            F=F,
             time_step=self.record.time_step,
             surface_noise=self._surface_noise(),
-            surface_reading_variance=self._surface_reading_variance(readings.by_variables),
+            surface_reading_variance=self._surface_reading_variance(past_by_end),
             missing=missing,
             vibration=vibration,
         )
+
+    def _slopes_by_states(self, past_by_end: Array) -> tuple[Array, Array]:
+        """Return slopes of the states after each step, and of readings of the past, by the states before."""
+        by_state = self.by_start @ _by_states(self.air_by_state[:-1])
+        by_state[:, AIR_VELOCITY] += self.record.time_step[:, None, None] * self.drift_by_state
+        Phi = self.remaining[:, :, None] * np.eye(N_STATES)
+        Phi[:, RATE_STATES] = by_state[:, BODY_RATES]
+        D = past_by_end[..., MOTION] @ by_state
+        D[..., AIR_ROLL_STATE] += past_by_end[..., AIR_ROLL] * self.remaining[:, [AIR_ROLL_STATE]]
+        return Phi, D
+
+    def _slopes_by_parameters(
+        self, past_by_end: Array, path_by_variables: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return slopes of the states, of readings of the past, and along the path, by parameters and instruments."""
+        layout = self.layout
+        predicted = self.predicted
+        by_constants = slopes_by_constants(
+            lambda value: self._at(value).predictions(predicted), self.value, layout.constants
+        )
+        m = past_by_end.shape[1]
+        rates, past, path = np.split(by_constants, [3, 3 + m], axis=1)
+        instrument_terms = self.instrument_terms()
+        end_terms = self._end_terms(self.end)
+        # terms within a step are the mean of the terms at its ends
+        terms = self.model.terms(self.start, self.inputs.part(slice(-1)), self.start[:, AIR_ROLL])
+        step_terms = 0.5 * (terms + end_terms), means_of_neighbours(instrument_terms)
+        motion = layout.slopes(
+            self.by_start, *step_terms, np.zeros((len(terms), 6, rates.shape[2]))
+        )
+        Theta = np.zeros((len(terms), N_STATES, layout.n_slopes))
+        Theta[:, RATE_STATES] = motion[:, BODY_RATES]
+        Theta[:, RATE_STATES, layout.n_derivatives : len(layout.names)] = rates
+        E = layout.slopes(past_by_end, end_terms, instrument_terms[1:], past)
+        E += past_by_end[..., MOTION] @ motion  # through the motion
+        along_terms = self._end_terms(self.along_path(predicted))
+        F = layout.slopes(path_by_variables, along_terms, instrument_terms[1:], path)
+        return Theta, E, F
 
     def instrument_terms(self) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
@@ -350,113 +393,9 @@ class Expansion:
         thrust[:, 0] -= answers[:, -1]
         return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
 
-    def _predicted_states(self) -> Matrix:
-        """Return the states (n - 1, N) after each step."""
-        predicted = self.states[:-1] * self.remaining
-        predicted[:, RATE_STATES] = self.end[:, BODY_RATES]
-        return predicted
-
-    def _step_slopes(self, instrument_terms: Matrix) -> Array:
-        """Return d motion after the step / d z, (n - 1, 6, N + q)."""
-        # terms within a step are the mean of the terms at its ends
-        terms = self.model.terms(self.start, self.inputs.part(slice(-1)), self.start[:, AIR_ROLL])
-        end_terms = self._end_terms(self.end)
-        coefficients = CoefficientSlopes(
-            terms=0.5 * (terms + end_terms),
-            instrument_terms=means_of_neighbours(instrument_terms),
-            by_constants=means_of_neighbours(self.constant_slopes),
-        )
-        motion = self.layout.motion_slopes(
-            self.record.attitude[:-1], self.start[:, BODY_RATES], self.air_by_state[:-1]
-        )
-        slopes = self.layout.chained(self.by_start, motion, coefficients)
-        time_step = self.record.time_step[:, None, None]
-        slopes[:, AIR_VELOCITY, :N_STATES] += time_step * self.drift_by_state
-        return slopes
-
-    def _transition(self, step_slopes: Array) -> Transition:
-        """Return the slopes of the states after each step."""
-        Phi = self.remaining[:, :, None] * np.eye(N_STATES)
-        Theta = np.zeros((len(Phi), N_STATES, self.layout.n_slopes))
-        Phi[:, RATE_STATES] = step_slopes[:, BODY_RATES, :N_STATES]
-        Theta[:, RATE_STATES] = step_slopes[:, BODY_RATES, N_STATES:]
-        return Transition(Phi, Theta)
-
-    def _past_prediction(
-        self, readings: _Readings, step_slopes: Array, instrument_terms: Matrix
-    ) -> PastPrediction:
-        """Return the prediction of the readings at the end of each step, from its start alone.
-
-        The motion there depends on z by ``step_slopes``, the coefficients by their terms there.
-        """
-        coefficients = self._end_coefficient_slopes(self.end, instrument_terms)
-        through_coefficients = self.layout.through_coefficients(readings.by_variables, coefficients)
-        through_motion = readings.by_variables[..., MOTION] @ step_slopes
-        slopes = through_coefficients + through_motion  # d h / d C d C / d z + d h / d M d M / d z
-        by_air_roll = readings.by_variables[..., AIR_ROLL]
-        slopes[..., AIR_ROLL_STATE] += by_air_roll * self.remaining[:, [AIR_ROLL_STATE]]
-        by_state, by_parameters = self._by_state_and_parameters(slopes, readings)
-        motion_by_state = self._end_motion_slopes(self.end)[..., :N_STATES]
-        return PastPrediction(
-            error=self._errors(readings.values),
-            by_state_before=by_state,
-            by_state_after=readings.by_variables @ motion_by_state,
-            by_parameters=by_parameters,
-        )
-
-    def _path_prediction(self, predicted: Matrix, instrument_terms: Matrix) -> PathPrediction:
-        """Return the prediction of the readings at the recorded path, with the predicted gusts and rates."""
-        change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
-        variables = _variables(self.air[1:] + change, predicted)
-        readings = self._readings(variables)
-        slopes = self.layout.chained(
-            readings.by_variables,
-            self._end_motion_slopes(variables),
-            self._end_coefficient_slopes(variables, instrument_terms),
-        )
-        by_state, by_parameters = self._by_state_and_parameters(slopes, readings)
-        return PathPrediction(self._errors(readings.values), by_state, by_parameters)
-
-    def _readings(self, end: Matrix) -> _Readings:
-        """Return the readings at variables (n - 1, 13) after each step."""
-        errors = SensorErrors.of(self.value)
-        truth, slopes = differentiated(lambda s: self.model.sensors(s, self.end_inputs), end)
-        sampled = self.record.sampled
-        by_variables = (errors.scale[:, None] * slopes)[:, sampled]
-        layout = self.layout
-        by_constants = np.zeros((*truth.shape, layout.n_constants))
-        biases = layout.place_of_constants(*LEARNED_BIASES)
-        by_constants[:, [*LEARNED_BIASES.values()], biases] = 1.0
-        (scale,) = layout.place_of_constants("airspeed_scale")
-        by_constants[:, AIRSPEED, scale] = truth[:, AIRSPEED]
-        arm = layout.place_of_constants(*ARM)
-        by_constants[:, FORCE_READINGS, arm] = self.model.arm_slopes(end, self.end_inputs)
-        return _Readings(
-            values=errors.readings(truth)[:, sampled],
-            by_variables=by_variables,
-            by_constants=by_constants[:, sampled],
-        )
-
-    def _end_motion_slopes(self, end: Matrix) -> Array:
-        """Return d variables / d states and constants of the same sample, (n - 1, 13, N + c)."""
-        return self.layout.motion_slopes(
-            self.record.attitude[1:], end[:, BODY_RATES], self.air_by_state[1:]
-        )
-
-    def _end_coefficient_slopes(self, end: Matrix, instrument_terms: Matrix) -> CoefficientSlopes:
-        """Return the slopes of the coefficients at variables (n - 1, 13) after each step."""
-        return CoefficientSlopes(
-            self._end_terms(end), instrument_terms[1:], self.constant_slopes[1:]
-        )
-
     def _end_terms(self, end: Matrix) -> Matrix:
         """Return the terms (n - 1, f) of the coefficients at variables (n - 1, 13) after each step."""
         return self.model.terms(end, self.end_inputs, end[:, AIR_ROLL])
-
-    def _by_state_and_parameters(self, slopes: Array, readings: _Readings) -> tuple[Array, Array]:
-        """Return slopes of readings by the states, and by parameters with the constants of the sensors."""
-        slopes[..., self.layout.constants] += readings.by_constants
-        return slopes[..., :N_STATES].copy(), slopes[..., N_STATES:]
 
     def _errors(self, values: Matrix) -> Matrix:
         """Return measured less predicted readings (n - 1, m), zero where not sampled."""
@@ -506,6 +445,15 @@ def _variables(air: Matrix, states: Matrix) -> Matrix:
     without_errors = np.zeros((len(air), 6))
     rates = states[:, RATE_STATES]
     return np.concatenate([air, rates, without_errors, states[:, [AIR_ROLL_STATE]]], axis=1)
+
+
+def _by_states(air_by_state: Array) -> Array:
+    """Return d variables of the model / d states (n, 13, N), from d air velocity / d states (n, 3, N)."""
+    slopes = np.zeros((len(air_by_state), N_VARIABLES, N_STATES))
+    slopes[:, AIR_VELOCITY] = air_by_state
+    slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
+    slopes[:, AIR_ROLL, AIR_ROLL_STATE] = 1.0
+    return slopes
 
 
 def means_of_neighbours(values: Array) -> Array:

@@ -16,13 +16,13 @@ roll of the air, 13 numbers. Coefficients depend on the rate of roll relative to
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.frames import air_data, cross, cross_matrix
+from skdgp._flight.frames import air_data, cross
 from skdgp._flight.sensor_position import acceleration_by_rotation
 from skdgp.dynamics import (
     Aircraft,
@@ -80,17 +80,8 @@ class Slipstream(NamedTuple):
 
     def effect(self, tau: Array) -> Array:
         """Return the effect (..., k) at the relative thrust tau (...)."""
-        return 1.0 + self.slope * (tau - self.mean)[..., None]
-
-    @property
-    def slope(self) -> Vector:
-        """Derivative of the effect by tau, (k,)."""
-        return self.factor / (1.0 + self.factor * self.mean) * self.reached
-
-    def by_factor(self, tau: Array) -> Array:
-        """Return the derivative of the effect by s, (..., k)."""
-        change = (tau - self.mean) / (1.0 + self.factor * self.mean) ** 2
-        return change[..., None] * self.reached
+        change = self.factor * (tau - self.mean) / (1.0 + self.factor * self.mean)
+        return 1.0 + change[..., None] * self.reached
 
 
 class AirMotionModel:
@@ -119,11 +110,6 @@ class AirMotionModel:
     def by_surfaces(self) -> Matrix:
         """Derivatives of the coefficients by the surfaces, (6, n_surfaces)."""
         return self.derivatives[:, len(STATE_TERMS) :]
-
-    @property
-    def by_thrust(self) -> Vector:
-        """Derivatives of the coefficients by thrust over dynamic pressure and wing area, (6,)."""
-        return self.derivatives[:, STATE_TERMS.index("thrust")]
 
     def terms(self, motion: Array, inputs: Inputs, air_roll: Any = 0.0) -> Array:
         """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more).
@@ -203,43 +189,16 @@ class AirMotionModel:
         air = np.stack(air_data(state[..., AIR_VELOCITY]), axis=-1)
         return np.concatenate([loads[..., :3] + turning, rates, air], axis=-1)
 
-    def arm_slopes(self, state: Matrix, inputs: Inputs) -> Array:
-        """Return d specific force / d arm (n, 3, 3)."""
-        turn = cross_matrix(state[:, BODY_RATES])
-        spin = self.accelerations(state, inputs)[:, 3:]
-        return cross_matrix(spin) + turn @ turn
-
-    def constant_slopes(
-        self, air: Matrix, inputs: Inputs, by_servos: Sequence[Matrix], logged_thrust: Matrix
-    ) -> Array:
-        """Return d coefficients / d (servo_lag, servo_delay, thrust_scale, slipstream), (n, 6, 4).
-
-        ``by_servos`` (n, k) are slopes of the surfaces by the first two, ``logged_thrust`` (n, 6) is without the scale.
-        """
-        tau = self.relative_thrust(np.linalg.norm(air, axis=1), inputs)
-        logged = logged_thrust / self.load_units(air, inputs)
-        logged_tau = logged[:, :1]
-        # the thrust is a load, a term of the coefficients, and the cause of the slipstream
-        by_scale = inputs.surfaces * self.slipstream.slope * logged_tau
-        of_scale = logged + logged_tau * self.by_thrust + by_scale @ self.by_surfaces.T
-        effect = self.slipstream.effect(tau)
-        of_servos = [(by_servo * effect) @ self.by_surfaces.T for by_servo in by_servos]
-        by_factor = inputs.surfaces * self.slipstream.by_factor(tau)
-        slopes = [*of_servos, of_scale, by_factor @ self.by_surfaces.T]
-        return np.stack(slopes, axis=-1)
-
     def relative_thrust(self, airspeed: Array, inputs: Inputs) -> Array:
         """Return thrust over dynamic pressure and wing area (..., n)."""
         pressure = dynamic_pressure(airspeed, inputs.density)
         return inputs.thrust[:, 0] / (pressure * self.aircraft.wing_area)
 
 
-def differentiated(function: Callable[[Array], Array], state: Matrix) -> tuple[Matrix, Array]:
-    """Return a function (..., n, 13) -> (..., n, k) at states (n, 13), and its derivatives (n, k, 13)."""
+def differentiated(function: Callable[[Array], Array], state: Matrix) -> Array:
+    """Return the derivatives (n, k, 13) of a function (..., n, 13) -> (..., n, k) at states (n, 13)."""
     moves = np.full(N_VARIABLES, 1e-6)
     # velocities move by the airspeed times as much
     moves[AIR_VELOCITY] *= np.sqrt(np.mean(state[:, AIR_VELOCITY] ** 2) * 3)
-    moved = state + np.concatenate([np.zeros((1, N_VARIABLES)), np.diag(moves)])[:, None]
-    values = function(moved)
-    slopes = (values[1:] - values[0]) / moves[:, None, None]
-    return values[0], np.moveaxis(slopes, 0, -1)
+    change = function(state + np.diag(moves)[:, None]) - function(state)
+    return np.moveaxis(change / moves[:, None, None], 0, -1)

@@ -7,6 +7,9 @@ s by the parameters of covariance C, the variances are diag(G P G^T + s C s^T).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
@@ -19,10 +22,9 @@ from skdgp.estimation._air_linearization import (
     GUST,
     N_STATES,
     RATE_STATES,
-    Layout,
     air_velocity,
+    slopes_by_constants,
 )
-from skdgp.estimation._air_model import AIR_VELOCITY
 from skdgp.estimation._air_parameters import WINDS, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import smoothed, state_slopes
@@ -51,32 +53,31 @@ def smoothed_air(
 def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Matrix, Matrix]:
     """Return air data, rates and wind (n, 9), and their standard deviations."""
     record = item.record
+    layout = fit.layout
     states, P = smoothed(item.linear, item.filter_pass)
     value = fit.parameters.values(fit.x, record.flight)
     air, air_by_state = air_velocity(record, value, states)
-    wind = states[:, GUST] + stacked(value, *WINDS)
-    estimates = np.column_stack([*air_data(air), states[:, RATE_STATES], wind])
-    slopes = _slopes(fit.layout, record, air, air_by_state)
-    G = slopes[..., :N_STATES]
+    G = np.zeros((len(air), len(ESTIMATED), N_STATES))
+    G[:, OF_AIR_DATA] = air_data_slopes(air) @ air_by_state
+    G[:, OF_RATES, RATE_STATES] = np.eye(3)
+    G[:, OF_WIND, GUST] = np.eye(3)
+    # the first parameters of a flight are derivatives, and what is behind them instruments
+    n = len(layout.names)
+    s = G @ state_slopes(item.linear, item.filter_pass)[..., :n]
+    s[..., layout.n_derivatives :] += slopes_by_constants(
+        lambda moved: _estimated(record, moved, states), value, layout.constants
+    )
     places = fit.parameters.places[record.flight]
-    s = slopes[..., N_STATES:] + G @ state_slopes(item.linear, item.filter_pass)
     C = covariance[np.ix_(places, places)]
-    variance = _variances(G, P) + _variances(s[..., : len(places)], C)
-    return estimates, np.sqrt(variance)
+    variance = _variances(G, P) + _variances(s, C)
+    return _estimated(record, value, states), np.sqrt(variance)
 
 
-def _slopes(layout: Layout, record: Record, air: Matrix, air_by_state: Array) -> Array:
-    """Return derivatives (n, 9, N + q) by the states, and by the parameters at given states."""
-    motion = layout.motion_slopes(record.attitude, record.rates, air_by_state)
-    by_air = air_data_slopes(air) @ motion[:, AIR_VELOCITY]
-    slopes = np.zeros((len(air), len(ESTIMATED), N_STATES + layout.n_slopes))
-    slopes[:, OF_AIR_DATA, :N_STATES] = by_air[..., :N_STATES]
-    slopes[:, OF_RATES, RATE_STATES] = np.eye(3)
-    slopes[:, OF_WIND, GUST] = np.eye(3)
-    slopes[:, OF_AIR_DATA, layout.constants] = by_air[..., N_STATES:]
-    by_parameters = slopes[..., N_STATES:]
-    by_parameters[:, OF_WIND, layout.place(*WINDS)] = np.eye(3)
-    return slopes
+def _estimated(record: Record, value: Mapping[str, Any], states: Matrix) -> Matrix:
+    """Return air data, rates and wind (n, 9) at parameters by name and states (n, N)."""
+    air, _ = air_velocity(record, value, states)
+    wind = states[:, GUST] + stacked(value, *WINDS)
+    return np.column_stack([*air_data(air), states[:, RATE_STATES], wind])
 
 
 def _variances(slopes: Array, covariance: Array) -> Matrix:

@@ -39,7 +39,7 @@ noises.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -50,46 +50,23 @@ from skdgp._compute.typing import Array, Matrix, Vector
 STEPS_IN_MEMORY = 256  # whose matrices are in memory at a time
 
 
-class Transition(NamedTuple):
-    """Derivatives of the state predicted after each step."""
-
-    Phi: Array  # (n - 1, N, N) by the state before
-    Theta: Array  # (n - 1, N, q) by parameters and instruments
-
-
-class PastPrediction(NamedTuple):
-    """Prediction of the sensors after each step from the past alone: its error, and its derivatives."""
-
-    error: Matrix  # (n - 1, m) measured less predicted, epsilon
-    by_state_before: Array  # (n - 1, m, N) D
-    by_state_after: Array  # (n - 1, m, N) L, by a push at the end of the step
-    by_parameters: Array  # (n - 1, m, q) E, by parameters and instruments
-
-
-class PathPrediction(NamedTuple):
-    """Prediction of the sensors after each step with the recorded motion: its error, and its derivatives."""
-
-    error: Matrix  # (n - 1, m) measured less predicted, y
-    by_state_after: Array  # (n - 1, m, N) H, by the predicted state
-    by_parameters: Array  # (n - 1, m, q) F, by parameters and instruments
-
-
-Group = TypeVar("Group", Transition, PastPrediction, PathPrediction)
-
-
-def _part(group: Group, steps: slice) -> Group:
-    """Return the arrays of some steps."""
-    return type(group)(*[values[steps] for values in group])
-
-
 class Linearization(NamedTuple):
-    """A record of n samples of m sensors, linear in N states, parameters and instruments, about states X."""
+    """A record of n samples of m sensors, linear in N states, parameters and instruments, about states X.
+
+    Errors of the predictions behind each step are measured less predicted.
+    """
 
     states: Matrix  # (n, N) X, filtered states of the last pass
     predicted: Matrix  # (n - 1, N) states of samples 1 to n - 1, from X
-    transition: Transition
-    past: PastPrediction
-    path: PathPrediction
+    Phi: Array  # (n - 1, N, N) predicted state by the state before
+    Theta: Array  # (n - 1, N, q) by parameters and instruments
+    past_error: Matrix  # (n - 1, m) epsilon, of a prediction from the past alone
+    D: Array  # (n - 1, m, N) its prediction by the state before
+    L: Array  # (n - 1, m, N) by a push at the end of the step
+    E: Array  # (n - 1, m, q) by parameters and instruments
+    path_error: Matrix  # (n - 1, m) y, of a prediction with the recorded motion
+    H: Array  # (n - 1, m, N) its prediction by the predicted state
+    F: Array  # (n - 1, m, q) by parameters and instruments
     time_step: Vector  # (n - 1,) length of each step [s]
     surface_noise: Array  # (n - 1, N, N) covariance of the states by surfaces, per kappa^2
     surface_reading_variance: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
@@ -98,19 +75,10 @@ class Linearization(NamedTuple):
 
     def part(self, first: int, last: int) -> Linearization:
         """Return the steps ``first`` to ``last`` - 1, with the state after them."""
-        steps = slice(first, last)
-        return Linearization(
-            states=self.states[first : last + 1],
-            predicted=self.predicted[steps],
-            transition=_part(self.transition, steps),
-            past=_part(self.past, steps),
-            path=_part(self.path, steps),
-            time_step=self.time_step[steps],
-            surface_noise=self.surface_noise[steps],
-            surface_reading_variance=self.surface_reading_variance[steps],
-            missing=self.missing[steps],
-            vibration=self.vibration,
-        )
+        whole = self._asdict()
+        of_steps = {name: values[first:last] for name, values in whole.items()}
+        ends = {"states": self.states[first : last + 1], "vibration": self.vibration}
+        return Linearization(**of_steps | ends)
 
     def middle(self, n_steps: int) -> Linearization:
         """Return the linearization of at most ``n_steps`` steps in the middle."""
@@ -251,7 +219,7 @@ def _filtered_steps(linear: Linearization, noise: Noise, x: Array, P: Array) -> 
 def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
     """Return the matrices of the steps."""
     h = linear.time_step[:, None, None]
-    Phi = np.repeat(linear.transition.Phi[:, None], len(noise.density), axis=1)
+    Phi = np.repeat(linear.Phi[:, None], len(noise.density), axis=1)
     decaying = np.flatnonzero(noise.decay[0] > 0)
     Phi[:, :, decaying, decaying] = np.exp(-h * noise.decay[:, decaying])
     Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.density * h)
@@ -263,9 +231,9 @@ def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
         Phi=Phi,
         Q=Q,
         c=shift[:, :, None],
-        H=linear.path.by_state_after,
+        H=linear.H,
         R=sensor[..., None] * np.eye(sensor.shape[-1]) + linear.vibration,
-        y=linear.path.error[:, :, None],
+        y=linear.path_error[:, :, None],
     )
 
 
@@ -276,9 +244,9 @@ def _past_innovations(
 
     The noise of the step reaches the sensors through its end as well.
     """
-    D = linear.past.by_state_before[:, None]
-    L = linear.past.by_state_after[:, None]
-    e = linear.past.error[:, None, :, None] - D @ x
+    D = linear.D[:, None]
+    L = linear.L[:, None]
+    e = linear.past_error[:, None, :, None] - D @ x
     S = D @ P @ D.mT + R
     S += _step_noise(L, D, noise.density * linear.time_step[:, None, None])
     S += noise.surface[:, None, None] * (L @ linear.surface_noise[:, None] @ L.mT)
@@ -287,7 +255,7 @@ def _past_innovations(
 
 def surface_covariance(linear: Linearization, noise: Noise) -> Array:
     """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
-    L = linear.past.by_state_after
+    L = linear.L
     of_readings = linear.surface_reading_variance[..., None] * np.eye(L.shape[1])
     return noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings)
 
@@ -311,17 +279,16 @@ def innovation_slopes(
 
     With ``factors`` (n - 1, m, m) each is multiplied by its factor.
     """
-    slopes = np.empty_like(linear.past.by_parameters)
+    slopes = np.empty_like(linear.E)
     for steps, Z in _parts_of_state_slopes(linear, filter_pass):
-        past = _part(linear.past, steps)
-        part = -(past.by_state_before @ Z[:-1] + past.by_parameters)  # -(D Z + E)
+        part = -(linear.D[steps] @ Z[:-1] + linear.E[steps])
         slopes[steps] = part if factors is None else factors[steps] @ part
     return slopes
 
 
 def state_slopes(linear: Linearization, filter_pass: Pass) -> Array:
     """Return d filtered states / d parameters and instruments (n, N, q), the gains being given."""
-    n, N, q = linear.transition.Theta.shape
+    n, N, q = linear.Theta.shape
     slopes = np.zeros((n + 1, N, q))
     for steps, Z in _parts_of_state_slopes(linear, filter_pass):
         slopes[steps.start + 1 : steps.stop + 1] = Z[1:]
@@ -332,16 +299,14 @@ def _parts_of_state_slopes(
     linear: Linearization, filter_pass: Pass
 ) -> Iterator[tuple[slice, Array]]:
     """Yield slices of steps, which fit the cache, and the slopes of the states before and after these steps."""
-    n, N, q = linear.transition.Theta.shape
+    n, N, q = linear.Theta.shape
     last = np.zeros((N, q))
     for first in range(0, n, STEPS_IN_MEMORY):
         steps = slice(first, min(first + STEPS_IN_MEMORY, n))
         gain = filter_pass.gain[steps]
-        path = _part(linear.path, steps)
-        Phi, Theta = _part(linear.transition, steps)
-        correction = np.eye(N) - gain @ path.by_state_after  # I - K H
-        T = correction @ Phi
-        B = correction @ Theta - gain @ path.by_parameters  # (I - K H) Theta - K F
+        correction = np.eye(N) - gain @ linear.H[steps]  # I - K H
+        T = correction @ linear.Phi[steps]
+        B = correction @ linear.Theta[steps] - gain @ linear.F[steps]  # (I - K H) Theta - K F
         Z = np.empty((len(T) + 1, N, q))
         Z[0] = last
         for k in range(len(T)):
@@ -353,7 +318,7 @@ def _parts_of_state_slopes(
 
 def smoothed(linear: Linearization, filter_pass: Pass) -> tuple[Matrix, Array]:
     """Return the states given all samples (n, N), and their covariances (Rauch, Tung & Striebel 1965)."""
-    Phi = linear.transition.Phi
+    Phi = linear.Phi
     change = filter_pass.states - linear.states
     predicted = linear.predicted + matrix_vector(Phi, change[:-1])
     P_predicted = filter_pass.predicted_covariance

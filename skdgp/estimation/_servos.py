@@ -16,8 +16,6 @@ from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
 from skdgp._flight.tables import interpolate_missing
 from skdgp.dynamics import limited_change, ramp_weights
 
-LAG_DIFFERENCE = 1e-4  # in slopes by the lag [s]
-
 
 def servo_output(commands: Matrix, lag: float, step: float, rate_limit: float = np.inf) -> Matrix:
     """Return the outputs (n, k) of servos with a first-order lag [s], exact for inputs linear between samples.
@@ -33,14 +31,6 @@ def servo_output(commands: Matrix, lag: float, step: float, rate_limit: float = 
         wanted = kept * output[k - 1] + of_before * commands[k - 1] + of_command * commands[k]
         output[k] = limited_change(output[k - 1], wanted, rate_limit * step)
     return output
-
-
-def servo_slopes(commands: Matrix, lag: float, step: float) -> tuple[Matrix, tuple[Matrix, Matrix]]:
-    """Return the outputs (n, k) of servos, and their derivatives by the lag and by a delay."""
-    output = servo_output(commands, lag, step)
-    later = servo_output(commands, lag + LAG_DIFFERENCE, step)
-    by_lag = (later - output) / LAG_DIFFERENCE
-    return output, (by_lag, -np.gradient(output, step, axis=0))
 
 
 def delayed_surfaces(

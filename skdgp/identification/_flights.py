@@ -11,15 +11,12 @@ import numpy as np
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     ALL_SURFACES,
-    ELEVONS,
-    SURFACES,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.faults import without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import (
     FlightTable,
-    check_spelling,
     check_table,
     copies,
 )
@@ -43,12 +40,6 @@ def train_and_test(
     train = named_flights(flights, needed=needed, **reading)
     if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
         servos = FULL_THROW
-    for flight in train.values():
-        check_spelling(flight.table, [name for name in SURFACES if name in regressors])
-    columns = {name for flight in train.values() for name in flight.table}
-    # other regressors take its effect
-    if "elevator" in regressors and columns.isdisjoint(("elevator", *ELEVONS)):
-        report(Finding(Code.NO_ELEVATOR))
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
     if steps and max(steps) > 1 / SLOWEST:
         report(Finding(Code.SLOW_LOG, numbers={"rate": float(1 / max(steps))}))

@@ -13,7 +13,7 @@ from typing import Any, cast
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_findings, report
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, HIGH_LIFT
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor, FitCode
@@ -140,6 +140,8 @@ def identify(
         columns = regressor_columns([flight.table for flight in train.values()], names)
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
         tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
+        if "elevator" in names and {"elevator", *ELEVONS}.isdisjoint(columns):
+            report(Finding(Code.NO_ELEVATOR))  # other regressors take its effect
         learned_from = FlightTable.together(train.values())
         given = loads_of(learned_from.table, aircraft, names, **loads)
         if units is not None:
@@ -153,7 +155,12 @@ def identify(
             **given,
             **(pipeline or {}),
         )
-        _fit(model, learned_from, aircraft, given)
+        notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
+        scale = airspeed_scale(learned_from.table)
+        table = without_airspeed_error(learned_from.table, scale.removable())
+        Y = aerodynamic_coefficients(replace(learned_from, table=table), aircraft, **given)
+        notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
+        model.fit(replace(learned_from, airspeed_scale=scale), Y)
         fit = fit_record(model)
         if fit.lags_corrected:
             numbers = {"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands}
@@ -187,18 +194,6 @@ def checked_regressor(regressor: DependentGPRegressor | None) -> DependentGPRegr
             "DependentGPRegressor: fit other regressors with make_identification_pipeline."
         )
     return regressor
-
-
-def _fit(
-    model: FlightPipeline, flights: FlightTable, aircraft: Aircraft, loads: Mapping[str, Any]
-) -> None:
-    """Fit a pipeline to the coefficients of checked flights, at their airspeed without its error."""
-    notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-    scale = airspeed_scale(flights.table)
-    table = without_airspeed_error(flights.table, scale.removable())
-    Y = aerodynamic_coefficients(replace(flights, table=table), aircraft, **loads)
-    notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
-    model.fit(replace(flights, airspeed_scale=scale), Y)
 
 
 def _options(pipeline: FlightPipeline, fit: FitRecord) -> dict[str, Any]:

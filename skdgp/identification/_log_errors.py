@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from sklearn.linear_model import LinearRegression
 
 from skdgp._compute.linalg import least_squares
 from skdgp._compute.statistics import remaining_error
@@ -40,13 +39,18 @@ CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 
 def fit_least_squares(table: pd.DataFrame, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
     """Return intercept and slopes of each coefficient (n, 6) by regressors (n, d), where it is observed."""
-    fitted: dict[str, dict[str, float]] = {}
-    for coefficient, y in zip(COEFFICIENTS, np.asarray(Y, dtype=float).T, strict=True):
-        is_observed = np.isfinite(y)
-        linear = LinearRegression().fit(table[is_observed], y[is_observed])
-        slopes = dict(zip(map(str, table), linear.coef_.tolist(), strict=True))
-        fitted[coefficient] = {"intercept": float(linear.intercept_), **slopes}
-    return fitted
+    names = ["intercept", *map(str, table)]
+    weights = _linear_weights(table.to_numpy(), np.asarray(Y, dtype=float))
+    return pd.DataFrame(weights, names, COEFFICIENTS).to_dict()
+
+
+def _linear_weights(X: Matrix, Y: Matrix) -> Matrix:
+    """Return intercepts and slopes (d + 1, P) of Y (n, P) by X (n, d), by least squares of the rows that are known."""
+    centre = X.mean(axis=0)  # a constant regressor has no slope
+    design = np.column_stack([np.ones(len(X)), X - centre])
+    weights = np.column_stack([least_squares(design, y) for y in Y.T])
+    weights[0] -= centre @ weights[1:]
+    return weights
 
 
 def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Matrix]:
@@ -74,9 +78,8 @@ class RegressionCalibration(NamedTuple):
     @classmethod
     def of_residuals(cls, X: Matrix, residuals: Matrix) -> RegressionCalibration:
         """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown."""
-        design = np.column_stack([np.ones(len(X)), X])
-        coefficients = np.array([least_squares(design, residual) for residual in residuals.T])
-        return cls(coefficients[:, 0], coefficients[:, 1:].T)
+        weights = _linear_weights(X, residuals)
+        return cls(weights[0], weights[1:])
 
     def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:
         """Return what is added to the function (n, P), at ratios (n,) of the variance of noise."""
@@ -135,13 +138,9 @@ def thrust_errors(
 def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionErrors:
     """Return changes of the coefficients, (n, 6) each, as the nearest linear functions of regressors (n, d)."""
     X = regressors.to_numpy()
-    centre = np.nanmean(X, axis=0)
-    weights = np.zeros((len(changes), X.shape[1] + 1, len(COEFFICIENTS)))
-    for weight, change in zip(weights, changes, strict=True):
-        is_sampled = np.isfinite(change).all(axis=1) & np.isfinite(X).all(axis=1)
-        linear = LinearRegression().fit(X[is_sampled] - centre, change[is_sampled])
-        weight[:] = np.vstack([linear.intercept_, linear.coef_.T])
-    return FunctionErrors(weights, centre)
+    centre = X.mean(axis=0)
+    weights = [_linear_weights(X - centre, change) for change in changes]
+    return FunctionErrors(np.reshape(weights, (-1, X.shape[1] + 1, len(COEFFICIENTS))), centre)
 
 
 def _by_clocks(

@@ -21,7 +21,7 @@ from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
-FORMAT = 11
+FORMAT = 12
 CHECKSUM, END = b', "sha256": "', b'"}\n'
 CHECKSUM_LENGTH = 64
 LONGEST_CLOSING = 2**14

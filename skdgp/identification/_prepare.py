@@ -24,6 +24,7 @@ from skdgp._flight.channels import (
     RATES,
     REGRESSOR_SETS,
     SPECIFIC_FORCE,
+    SURFACES,
     THRUST_COLUMNS,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
@@ -31,7 +32,7 @@ from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding, with_codes
 from skdgp._flight.physics import find_contradictions
-from skdgp._flight.tables import FlightTable, numeric, sensor_position
+from skdgp._flight.tables import FlightTable, check_spelling, numeric, sensor_position
 from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
@@ -102,14 +103,16 @@ def usable_flights(
     its rows is left.
     """
     needed = [name for name in columns if name not in INTERCHANGEABLE]
+    surfaces = [name for name in SURFACES if name in regressors]
     checked = {}
     for name, flight in flights.items():
         cleaned = clean(flight)
-        check_flight(cleaned.table, needed)
         _check_surfaces(name, cleaned.table, in_radians)
+        _warn_of_positions(name, cleaned.table, aircraft)
+        check_flight(cleaned.table, needed)
+        check_spelling(cleaned.table, surfaces)
         for finding in cleaned.findings or ():
             report(finding, FlightDataWarning)
-        _warn_of_positions(name, cleaned.table, aircraft)
         checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
     _warn_of_contradictions(checked, aircraft)
     return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}

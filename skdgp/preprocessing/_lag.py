@@ -113,9 +113,6 @@ class LagCorrector(TableTransformer):
         "aircraft": [Aircraft, None],
     }
 
-    # of models that were saved before there was this parameter
-    aircraft: Aircraft | None = None
-
     def __init__(self, lags: Any = "auto", *, aircraft: Aircraft | None = None) -> None:
         self.lags = lags
         self.aircraft = aircraft

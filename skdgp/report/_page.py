@@ -45,7 +45,6 @@ PICTURE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "skdgp", "fon
 SHOWN_FLIGHTS = 3
 EXCERPT = 15.0  # length of the look at a flight [s] (guess)
 
-TRIM = ("airspeed", "altitude", "density", "alpha", "theta", "phi", "climb")
 SYMMETRIC, ASYMMETRIC = ("CL", "CD", "Cm"), ("CY", "Cl", "Cn")
 JUDGEMENTS = {"yes": "✓ yes", "partly": "◐ partly", "no": "✗ no", "unknown": "? not known"}
 DERIVATIVES = (
@@ -131,14 +130,15 @@ def _sections(result: Identification, effects: EffectsDisplay | None, draw: bool
     """Return all sections in their order; those without content are empty."""
     done = {**result.facts, "Command": result.command}
     done = {name: value for name, value in done.items() if value}
+    scores = {flight.name: score_table([flight]) for flight in result.evaluations}
     return [
-        _verdict(result.verdict, result.evaluations),
+        _verdict(result.verdict, scores),
         _changes(result.changes),
         section("What was assumed", bullets(result.assumed)),
         "" if draw else paragraphs([NO_FIGURES]),
         _mechanics(result.mechanics),
         _simulation(result.mechanics),
-        *_flights(result.evaluations, draw),
+        *_flights(result.evaluations, scores, draw),
         section("Effects", figure(effects, EFFECTS)) if draw and effects is not None else "",
         _flown(result) if draw else "",
         section("What was done", facts(done), SIGN),
@@ -211,21 +211,20 @@ def figure(display: Display, caption: str) -> str:
     return f'<figure><img alt="{text}" src="{source}"><figcaption>{text}</figcaption></figure>'
 
 
-def _verdict(verdict: Verdict, flights: list[Evaluation]) -> str:
+def _verdict(verdict: Verdict, scores: dict[str, pd.DataFrame]) -> str:
     """Return the verdict on the model, and its errors on each of several test flights."""
     uses = pd.DataFrame(
         [(JUDGEMENTS[use.judgement], use.reason) for use in verdict.uses],
         index=[use.purpose for use in verdict.uses],
         columns=["", "because"],
     )
-    errors = {flight.name: score_table([flight]).loc["mean"] for flight in flights}
-    by_flight = pd.DataFrame(errors).T
+    by_flight = pd.DataFrame({name: table.loc["mean"] for name, table in scores.items()}).T
     return section(
         "Verdict",
         paragraphs([f"On the test flights: {verdict.compared()}."]),
         table(uses, "What the model is good enough for."),
         bullets(verdict.warnings) or paragraphs(["No warning arose."]),
-        table(by_flight, "Means of the test flights.") if len(flights) > 1 else "",
+        table(by_flight, "Means of the test flights.") if len(scores) > 1 else "",
     )
 
 
@@ -240,11 +239,12 @@ def _changes(changes: Changes | None) -> str:
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
     parts = [paragraphs(note.text for note in mechanics.notes)]
-    steady = mechanics.trim
+    steady = mechanics.to_dict().get("trim")
     if steady is not None:
-        values = {name: getattr(steady, name) for name in TRIM} | steady.controls
+        del steady["beyond"]
+        controls = steady.pop("controls")
         shown = {}
-        for name, value in values.items():
+        for name, value in (steady | controls).items():
             factor, unit = display_unit("theta" if name == "climb" else name)
             shown[name] = f"{number(factor * value, '.4g')} {unit}"
         parts += [paragraphs(["Steady flight in the middle of the training range:"]), facts(shown)]
@@ -297,16 +297,16 @@ def _simulation(mechanics: FlightMechanics) -> str:
     return section("Simulation", table(errors.set_axis(names), SIMULATION))
 
 
-def _flights(flights: list[Evaluation], draw: bool) -> list[str]:
+def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame], draw: bool) -> list[str]:
     """Return errors and figures of each test flight; of many, figures of the one predicted worst."""
-    errors = [score_table([flight])["NRMSE"]["mean"] for flight in flights]
+    errors = {name: table["NRMSE"]["mean"] for name, table in scores.items()}
+    worst = max(errors, key=errors.__getitem__, default=None)
     parts = []
-    for flight, error in zip(flights, errors, strict=True):
-        scores = score_table([flight])
-        held = scores["in 95 % band [%]"]
-        scores["in 95 % band [%]"] = [_coverage(value) for value in held]
-        body = table(scores, SCORES)
-        if draw and (len(errors) <= SHOWN_FLIGHTS or not error < max(errors)):
+    for flight in flights:
+        shown = scores[flight.name]
+        held = shown["in 95 % band [%]"]
+        body = table(shown.assign(**{held.name: held.map(_coverage)}), SCORES)
+        if draw and (len(flights) <= SHOWN_FLIGHTS or flight.name == worst):
             body += _figures(flight)
         parts.append(section(f"Test flight {flight.name}", body))
     return parts
@@ -317,7 +317,7 @@ def _coverage(percent: float) -> str:
     shown = number(percent, ".1f")
     if percent < 100 * THRESHOLDS.coverage:
         return f"▼ {shown}"
-    return f"▲ {shown}" if percent > 99 else shown
+    return f"▲ {shown}" if percent > 100 * THRESHOLDS.widest else shown
 
 
 def _figures(result: Evaluation) -> str:

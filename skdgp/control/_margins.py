@@ -134,7 +134,7 @@ def suggest_gains(
     """Return the loops with the largest gains that have both margins with a probability.
 
     P, I, D and FF of a loop keep their ratios. The loops are taken in turn, each with the others closed
-    at their new gains, until none changes; if one still lacks the margins, all gains are lowered.
+    at their new gains, until none changes, which takes two to four rounds.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def suggest_gains(
     ------
     ValueError
         If the linear model has no paths, the probability is not between 0 and 1, or no gains between a
-        twentieth and twenty times the present ones have the margins.
+        twentieth and twenty times the present ones have the margins or none settle.
     """
     _check(linear, loops)
     if linear.paths is None:
@@ -179,8 +179,8 @@ def suggest_gains(
         for k in range(len(loops)):
             rises[k] = search.largest(loops, rises, k)
         if np.array_equal(rises, before):
-            break
-    return search.lowered(_risen(loops, rises))
+            return _risen(loops, rises)
+    raise search.none_found(loops, int(np.argmax(rises != before)))
 
 
 class _GainSearch(NamedTuple):
@@ -210,32 +210,12 @@ class _GainSearch(NamedTuple):
                 best = float(decibels)
                 break
         if best is None:
-            raise self._none_found(loops, k)
+            raise self.none_found(loops, k)
         while best < largest and self.is_enough(best + fine, risen, k, transfer):
             best += fine
         return best
 
-    def lowered(self, loops: list[Loop]) -> list[Loop]:
-        """Return the loops, with lower gains of all if one lacks the margins; ValueError if that does not help."""
-        fine = STEPS[1]
-        lacking: list[int] = []
-        for fall in np.arange(0.0, LARGEST_FACTOR, fine):
-            fallen = [loop.scaled(_factor(-fall)) for loop in loops]
-            lacking = self._lacking(fallen)
-            if not lacking:
-                return fallen
-        raise self._none_found(loops, lacking[0])
-
-    def _lacking(self, loops: list[Loop]) -> list[int]:
-        """Return the numbers of the loops without the margins."""
-        transfer = _of_loops(self.responses, self.linear, loops, self.s)
-        lacking = []
-        for k in range(len(loops)):
-            if not self.is_enough(0.0, loops, k, transfer[..., k]):
-                lacking.append(k)
-        return lacking
-
-    def _none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
+    def none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
         causes = self.stability.causes(self.linear, loops)
         unstable = ""
         if causes:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import report
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     COEFFICIENTS,
     RATE_DERIVATIVES,
@@ -162,21 +162,12 @@ def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
     return mass
 
 
-def _channels(flight: pd.DataFrame) -> Matrix:
-    """Return the channels that are smoothed, (n, 10), NaN where not measured."""
-    return numeric(flight.reindex(columns=SMOOTHED), SMOOTHED)
-
-
-def _clock(flight: pd.DataFrame) -> dict[str, Any]:
-    return {"time": flight["time"].to_numpy(float), "flight": flight.get("flight")}
-
-
 def _smoothed(
     flight: pd.DataFrame, cutoff: float | str | LowPass | None
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """Return the flight with smoothed channels, and the rate derivatives (n, 3)."""
-    clock = _clock(flight)
-    channels = _channels(flight)
+    clock: dict[str, Any] = {"time": flight["time"].to_numpy(float), "flight": flight.get("flight")}
+    channels = numeric(flight.reindex(columns=SMOOTHED), SMOOTHED)  # NaN where not measured
     if isinstance(cutoff, str) and cutoff == "auto":
         cutoff = without_vibration(vibration_band(flight))
     smoothed = smooth(channels, cutoff=cutoff, shrink=SHRINKS, **clock)

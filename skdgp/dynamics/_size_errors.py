@@ -67,48 +67,27 @@ def errors_of_sizes(
     regressors: tuple[str, ...],
     values: Array,
 ) -> Array:
-    """Return errors of coefficients and slopes by each factor, (factors, ..., 6, 1 + regressors), as ``values`` are.
+    """Return errors of coefficients and slopes, ``values`` (6, 1 + regressors), by each factor, (factors, ...).
 
-    A relative error scales them (`relative_errors`). One of Ixz by e sqrt(Ixx Izz) leaves N / Izz
-    in the moment L, and L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and dCn = -e sqrt(Izz / Ixx) Cl,
-    from L = Ixx p_dot - Ixz r_dot + ... One of the thrust is ``added``.
+    A relative error scales them. Slopes are by the non-dimensional rates, p b / 2V, and by controls in the unit
+    of the log, so that a full throw which is wrong by 1 % makes the effect of the control wrong by -1 %. One of
+    Ixz by e sqrt(Ixx Izz) leaves N / Izz in the moment L, and L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and
+    dCn = -e sqrt(Izz / Ixx) Cl, from L = Ixx p_dot - Ixz r_dot + ... One of the thrust is ``added``.
     """
-    shape = (len(deviations), *(1,) * (values.ndim - 2), len(COEFFICIENTS), 1 + len(regressors))
-    errors = values * relative_errors(deviations, regressors).reshape(shape)
-    errors += added_errors(deviations, regressors).reshape(shape)
     ratio = np.sqrt(inertia[0, 0] / inertia[2, 2])
-    for error, factor in zip(errors, deviations.values(), strict=True):
-        product = factor.std * factor.powers.get(PRODUCT, 0.0)
-        error[..., 3, :] -= product * ratio * values[..., 5, :]
-        error[..., 5, :] -= product / ratio * values[..., 3, :]
-    return errors
-
-
-def added_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str, ...]) -> Array:
-    """Return what factors add to coefficients and slopes, (factors, 6, 1 + regressors)."""
-    errors = np.zeros((len(deviations), len(COEFFICIENTS), 1 + len(regressors)))
-    columns = ["", *(f"_{name}" for name in regressors)]
-    for error, factor in zip(errors, deviations.values(), strict=True):
-        for row, coefficient in enumerate(COEFFICIENTS):
-            for column, ending in enumerate(columns):
-                error[row, column] = factor.std * factor.added.get(coefficient + ending, 0.0)
-    return errors
-
-
-def relative_errors(deviations: Mapping[str, ScaleFactor], regressors: tuple[str, ...]) -> Array:
-    """Return relative errors of the coefficients and of their slopes, (factors, 6, 1 + regressors).
-
-    Slopes are by the non-dimensional rates, p b / 2V, and by controls in the unit of the log, so
-    that a full throw which is wrong by 1 % makes the effect of the control wrong by -1 %.
-    """
-    errors = np.zeros((len(deviations), len(COEFFICIENTS), 1 + len(regressors)))
-    for error, factor in zip(errors, deviations.values(), strict=True):
+    endings = ["", *(f"_{name}" for name in regressors)]
+    errors = []
+    for factor in deviations.values():
         of_coefficients = [_power(POWERS[name], factor) for name in COEFFICIENTS]
-        of_regressors = [0.0]
-        for name in regressors:
-            of_regressors.append(_power(_powers_of_slope(name), factor))
-        error[:] = factor.std * np.add.outer(of_coefficients, of_regressors)
-    return errors
+        of_slopes = [_power(_powers_of_slope(name), factor) for name in regressors]
+        error = values * np.add.outer(of_coefficients, [0.0, *of_slopes])
+        product = factor.powers.get(PRODUCT, 0.0)
+        error[3] -= product * ratio * values[5]
+        error[5] -= product / ratio * values[3]
+        for row, name in zip(error, COEFFICIENTS, strict=True):
+            row += [factor.added.get(name + ending, 0.0) for ending in endings]
+        errors.append(factor.std * error)
+    return np.array(errors)
 
 
 def _powers_of_slope(regressor: str) -> dict[str, float]:

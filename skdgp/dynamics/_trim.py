@@ -231,12 +231,9 @@ def _outside_training(
     """Return the regressors (d,) outside their training ranges: name to (value, smallest, largest)."""
     if model.limits is None:
         return {}
-    outside = {}
     rows = np.stack([regressors, *model.limits], axis=1).tolist()
-    for name, (value, low, high) in zip(model.regressors, rows, strict=True):
-        if not low <= value <= high:
-            outside[name] = (value, low, high)
-    return outside
+    named = zip(model.regressors, map(tuple, rows), strict=True)
+    return {name: row for name, row in named if not row[1] <= row[0] <= row[2]}
 
 
 class SteadyFlight:
@@ -358,15 +355,12 @@ class SteadyFlight:
     def _start(self, airspeed: float, fraction: float) -> Array:
         """Return a first guess, with alpha at a fraction of its training range."""
         aircraft = self.motion.aircraft
-        gravity = self.motion.gravity
         low, high = self.flown.get("alpha", START_ALPHA)
         alpha = low + fraction * (high - low)
         start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()}
         start["alpha"] = alpha
         start["theta"] = alpha + self.given.get("climb", 0.0)
-        start["phi"] = np.arctan(airspeed * self.given.get("turn_rate", 0.0) / gravity)
-        start["turn_rate"] = gravity * np.tan(self.given.get("phi", 0.0)) / airspeed
-        start["thrust"] = START_THRUST * aircraft.mass * gravity
+        start["thrust"] = START_THRUST * aircraft.mass * self.motion.gravity
         start["throttle"] = START_THROTTLE
         if aircraft.propeller is not None:
             advance = START_ADVANCE_RATIO * aircraft.propeller.diameter

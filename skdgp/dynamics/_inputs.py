@@ -103,7 +103,7 @@ def control_schedule(
     returns what a feedback law sees.
     """
     if callable(controls):
-        return _HeldLaw(controls, clock)
+        return _held(controls, clock)
     if isinstance(controls, Mapping):
         constants = _constants(controls, n_starts)
         return lambda step, stage, observe: constants
@@ -130,21 +130,17 @@ def _constants(controls: Mapping, n_starts: int) -> dict[str, Array]:
     return constants
 
 
-class _HeldLaw:
-    """A feedback law that is asked once a step, as in a flight computer, and held to the end of the step."""
+def _held(law: Callable, clock: StepClock) -> Callable:
+    """Return a feedback law as controls: it is asked once a step, as in a flight computer, and held to its end."""
+    held: dict[int, Mapping] = {}
 
-    def __init__(self, law: Callable, clock: StepClock):
-        self.law = law
-        self.clock = clock
-        self.step = -1
-        self.held: Mapping = {}
+    def controls(step: int, stage: int, observe: Callable[[], Mapping]) -> Mapping:
+        if step not in held:
+            held.clear()
+            held[step] = law(clock.stages[stage], observe())
+        return held[step]
 
-    def __call__(self, step: int, stage: int, observe: Callable[[], Mapping]) -> Mapping:
-        """Return the controls of a step."""
-        if step != self.step:
-            self.step = step
-            self.held = self.law(self.clock.stages[stage], observe())
-        return self.held
+    return controls
 
 
 def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:

@@ -1,7 +1,7 @@
 """Linear models of the motion about a flight condition, with standard deviations.
 
 In the order of the computation: `jacobian` combines the slopes of mechanics and aerodynamic model;
-`Mechanics` are the equations of motion as one function of state, inputs and coefficients, whose
+`_mechanics` are the equations of motion as one function of state, inputs and coefficients, whose
 slopes are differences; `_with_servos` puts the servos before the controls, and cuts A, B, C and D.
 
 A ``state`` (..., 13) is as of `STATE_NAMES`, with a quaternion; x (..., 12) are `LINEAR_STATES`, with Euler
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -263,8 +264,7 @@ def jacobian(
     """
     state = np.asarray(state, dtype=float)
     now = motion.at(state, controls)
-    mechanics = Mechanics(motion, controls, inputs)
-    (F_z, G_z, H_z), (F_C, G_C, H_C) = mechanics.slopes(state, now)
+    (F_z, G_z, H_z), (F_C, G_C, H_C) = _slopes(motion, controls, inputs, state, now)
     # Coefficients by z, with the regressors that follow from them
     c_X = motion.aerodynamics.gradient(now.regressors)
     loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
@@ -277,34 +277,27 @@ def jacobian(
     return x_dot_z, y_z, now
 
 
-@dataclass(frozen=True, eq=False)
-class Mechanics:
-    """Equations of motion at given coefficients: x_dot = F(z, C), regressors X = G(z, C), outputs y = H(z, C)."""
+def _mechanics(motion: Motion, controls: Mapping, inputs: Sequence[str], zC: Array) -> Array:
+    """Return x_dot = F(z, C), X = G(z, C) and y = H(z, C) as one vector, of (x, u, C) (..., 12 + k + 6)."""
+    x, u, C = np.split(zC, [len(LINEAR_STATES), len(LINEAR_STATES) + len(inputs)], axis=-1)
+    now = motion.at(_with_quaternion(x), {**controls, **by_name(inputs, u)}, coefficients=C)
+    F = _x_dot(x, now)
+    air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
+    specific_force = now.force / motion.aircraft.mass
+    return np.concatenate([F, now.regressors, air, specific_force], axis=-1)
 
-    motion: Motion
-    controls: Mapping
-    inputs: Sequence[str]
 
-    def __call__(self, zC: Array) -> Array:
-        """Return F, G and H as one vector, of (x, u, C) (..., 12 + k + 6)."""
-        x, u, C = np.split(zC, [len(LINEAR_STATES), len(LINEAR_STATES) + len(self.inputs)], axis=-1)
-        controls = {**self.controls, **by_name(self.inputs, u)}
-        now = self.motion.at(_with_quaternion(x), controls, coefficients=C)
-        F = _x_dot(x, now)
-        G = now.regressors
-        air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
-        specific_force = now.force / self.motion.aircraft.mass
-        return np.concatenate([F, G, air, specific_force], axis=-1)
-
-    def slopes(self, state: Array, now: Instant) -> tuple[list[Array], list[Array]]:
-        """Return the slopes (F_z, G_z, H_z), (..., m, 12 + k), and (F_C, G_C, H_C), (..., m, 6), by differences."""
-        values = [self.controls[name] for name in self.inputs]
-        u = np.broadcast_to(values, (*state.shape[:-1], len(values)))
-        zC = np.concatenate([_with_euler_angles(state), u, now.coefficients], axis=-1)
-        slopes = central_difference(self, zC, _steps(zC, now.airspeed))
-        by_z, by_C = np.split(slopes, [len(LINEAR_STATES) + len(self.inputs)], axis=-1)
-        ends = [len(LINEAR_STATES), len(LINEAR_STATES) + len(self.motion.regressors)]
-        return np.split(by_z, ends, axis=-2), np.split(by_C, ends, axis=-2)
+def _slopes(
+    motion: Motion, controls: Mapping, inputs: Sequence[str], state: Array, now: Instant
+) -> tuple[list[Array], list[Array]]:
+    """Return the slopes (F_z, G_z, H_z), (..., m, 12 + k), and (F_C, G_C, H_C), (..., m, 6), by differences."""
+    u = np.broadcast_to([controls[name] for name in inputs], (*state.shape[:-1], len(inputs)))
+    zC = np.concatenate([_with_euler_angles(state), u, now.coefficients], axis=-1)
+    mechanics = partial(_mechanics, motion, controls, inputs)
+    slopes = central_difference(mechanics, zC, _steps(zC, now.airspeed))
+    by_z, by_C = np.split(slopes, [len(LINEAR_STATES) + len(inputs)], axis=-1)
+    ends = [len(LINEAR_STATES), len(LINEAR_STATES) + len(motion.regressors)]
+    return np.split(by_z, ends, axis=-2), np.split(by_C, ends, axis=-2)
 
 
 def _with_euler_angles(state: Array) -> Array:

@@ -23,7 +23,7 @@ class Model:
             self.head = json.loads(file["model.json"])
             self.arrays = {name: file[name] for name in file.files if name != "model.json"}
         found = self.head["format"], self.head["version"]
-        if found != ("skdgp portable model", 9):
+        if found != ("skdgp portable model", 10):
             raise ValueError(f"Got {path} of the format {found}.")
 
     def regressors(self, table):
@@ -58,11 +58,11 @@ class Model:
             slope = np.tile(a["trend_weights"][j, 1:], (len(z), 1))
             for t, (part, first, size) in enumerate(a["term_place"]):
                 if part == j:
-                    root, own = a["term_root"][t], slice(first, first + size)
-                    away = (z @ root)[:, None] - a["centres"][ends[t] - size : ends[t]]
+                    f, own = a["term_inverse_widths"][t], slice(first, first + size)
+                    away = (f * z)[:, None] - a["centres"][ends[t] - size : ends[t]]
                     values = a["term_gain"][t] * np.exp(-0.5 * (away**2).sum(axis=2))
                     g[:, own] += values
-                    slope -= np.einsum("nk,nkr,dr->nd", values * w[own], away, root)
+                    slope -= f * np.einsum("nk,nkd->nd", values * w[own], away)
             triangle = np.zeros((len(w), len(w)))
             triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
             half = p @ a[f"trend_root_{j}"]

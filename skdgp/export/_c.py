@@ -13,7 +13,7 @@ from sklearn.utils import gen_batches
 
 from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array
-from skdgp.export._model import PortableModel, Term, inertia_entries, packed
+from skdgp.export._model import PortableModel, inertia_entries, packed
 
 # Tolerances of the self-test, relative to the largest value; deviations are small differences of large sums
 TOLERANCE = 1e-9
@@ -30,6 +30,8 @@ SHARED = (
     "mixture",
     "prior_variance",
     "trend_weights",
+    "term_inverse_widths",
+    "centres",
 )
 
 
@@ -67,36 +69,10 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     return [Path(folder, name) for name in values]
 
 
-class _Terms:
-    """The terms of all parts, one after another: the rows of their table, and the arrays that these point into."""
-
-    def __init__(self, model: PortableModel) -> None:
-        self.rows: list[str] = []
-        self.used: list[int] = []
-        self.roots: list[float] = []
-        self.centres: list[float] = []
-        for part in model.parts:
-            for term in part.terms:
-                self._add(term)
-
-    def _add(self, term: Term) -> None:
-        size, rank = term.centres.shape
-        root = term.root[list(term.regressors)]
-        places = (
-            f"used + {len(self.used)}, roots + {len(self.roots)}, centres + {len(self.centres)}"
-        )
-        self.rows.append(f"{term.first}, {size}, {len(root)}, {rank}, {places}, {term.gain!r}")
-        self.used += term.regressors
-        self.roots += root.ravel().tolist()
-        self.centres += term.centres.ravel().tolist()
-
-
-def _tables(model: PortableModel, terms: _Terms) -> dict[str, Array]:
+def _tables(model: PortableModel) -> dict[str, Array]:
     """Return the arrays of numbers by name."""
     arrays = model.arrays()
     tables = {name: arrays[name] for name in SHARED}
-    tables["roots"] = np.array(terms.roots)
-    tables["centres"] = np.array(terms.centres)
     for k, readout in enumerate(model.readouts):
         tables[f"weights_{k}"] = readout.weights
         tables[f"root_{k}"] = packed(readout.root)
@@ -120,7 +96,7 @@ def _header(model: PortableModel) -> dict[str, Any]:
     return constants | {
         "hash": model.content_hash,
         "aircraft": name.replace("??", "? ?"),  # which can stand in a comment
-        "size": sum(table.nbytes for table in _tables(model, _Terms(model)).values()),
+        "size": sum(table.nbytes for table in _tables(model).values()),
         "stack": 8 * (functions + 5 * len(inputs) + 2 + 2 * len(model.mixture)),
         "n_sources": len(model.columns),
         "d": len(inputs),
@@ -132,13 +108,10 @@ def _header(model: PortableModel) -> dict[str, Any]:
 
 
 def _source(model: PortableModel) -> dict[str, Any]:
-    terms = _Terms(model)
     texts = [_array("aero_limits", model.limits, "const double")]
-    for name, table in _tables(model, terms).items():
+    for name, table in _tables(model).items():
         texts.append(_array(name, table))
-    texts.append(_array("used", terms.used or [0], "static const unsigned char"))
-    no_term = "0, 0, 0, 0, used, roots, centres, 0"
-    texts.append(_structs("term terms", terms.rows or [no_term]))
+    texts.append(_structs("term terms", _terms(model) or ["0, 0, 0, 0"]))
     texts.append(_structs("posterior parts", _parts(model)))
     largest = max(len(readout.weights) for readout in model.readouts)
     return {
@@ -147,6 +120,17 @@ def _source(model: PortableModel) -> dict[str, Any]:
         "tables": "\n".join(texts),
         "formulas": "\n".join(_formulas(model)),
     }
+
+
+def _terms(model: PortableModel) -> list[str]:
+    """Return the rows of the table of terms."""
+    rows = []
+    place = 0
+    for part in model.parts:
+        for term in part.terms:
+            rows.append(f"{term.first}, {len(term.centres)}, {place}, {term.gain!r}")
+            place += len(term.centres)
+    return rows
 
 
 def _parts(model: PortableModel) -> list[str]:
@@ -201,8 +185,10 @@ def _formulas(model: PortableModel) -> list[str]:
 
 
 def _array(name: str, values: Any, kind: str = "") -> str:
-    """Return a constant array of its shape; an empty one has one zero, since C has none."""
-    values = np.asarray(values if np.size(values) else [0.0])
+    """Return a constant array of its shape; an empty one has zeros, since C has none."""
+    values = np.asarray(values)
+    if not values.size:
+        values = np.zeros((1, *values.shape[1:]))
     number = "double" if values.dtype.kind == "f" else "int"
     shape = "".join(f"[{n}]" for n in values.shape)
     return f"{kind or f'static const {number}'} {name}{shape} = {_braces(values)};"

@@ -73,7 +73,7 @@ def _moments(ca: Any, z: Any, model: PortableModel, part: Part) -> tuple[Any, An
 
 def _functions(ca: Any, z: Any, term: Term) -> Any:
     """Return the Gaussian functions of a term, (1, k)."""
-    u = z @ term.root
+    u = z * term.inverse_widths[None]
     # |u|^2 - 2 c^T u + |c|^2 takes one product; it rounds to 1e-16 of the squares
     squares = ca.DM(np.sum(term.centres**2, axis=1))
     distances = ca.sumsqr(u) + squares - 2.0 * ca.mtimes(ca.DM(term.centres), u.T)

@@ -24,7 +24,7 @@ from skdgp.export._pipeline import portable_model
 LARGEST = 2**26
 
 FORMAT = "skdgp portable model"
-VERSION = 9
+VERSION = 10
 HEAD = "model.json"
 
 

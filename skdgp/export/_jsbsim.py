@@ -319,7 +319,7 @@ def _load(coefficient: str) -> Element:
 def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
     r"""Return a coefficient, behind the squares of its terms, which their exponentials share.
 
-    .. math:: |F^T z - c|^2 = z^T F F^T z - 2 (F c)^T z + |c|^2
+    .. math:: |f \circ z - c|^2 = |f \circ z|^2 - 2 (f \circ c)^T z + |c|^2
     """
     constant, slopes, gaussians = _mean(model, model.outputs.index(coefficient))
     names = [f"aero/scaled/{regressor}" for regressor in model.regressor_names]
@@ -329,7 +329,7 @@ def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
         square = f"aero/square/{coefficient}-{number}"
         functions.append(_function(square, _half_square(term, names)))
         constants = -0.5 * np.square(term.centres).sum(axis=1)
-        inner = term.centres @ term.root.T
+        inner = term.centres * term.inverse_widths
         for weight, at_zero, slope in zip(weights, constants, inner, strict=True):
             exponent = _apply("sum", square, *_plane(at_zero, slope, names))
             total.append(_apply("product", weight, _apply("exp", exponent)))
@@ -338,11 +338,10 @@ def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:
 
 
 def _half_square(term: Term, names: Sequence[str]) -> Element:
-    """Return -z^T F F^T z / 2."""
-    A = term.root @ term.root.T
+    """Return minus half of the square of f o z."""
     products = []
-    for k, n in np.argwhere(A):
-        products.append(_apply("product", -0.5 * A[k, n], names[k], names[n]))
+    for name, f in zip(names, term.inverse_widths.tolist(), strict=True):
+        products.append(_apply("product", -0.5 * f**2, name, name))
     return _apply("sum", *products)
 
 

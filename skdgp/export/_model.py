@@ -57,33 +57,28 @@ class Regressor:
 class Term:
     r"""Gaussian functions of one width: neighbouring entries of the basis of one part.
 
-    .. math:: g_k(z) = \mathrm{gain} \, \exp\left(-\frac{1}{2} |F^T z - c_k|^2\right)
+    .. math:: g_k(z) = \mathrm{gain} \, \exp\left(-\frac{1}{2} |f \circ z - c_k|^2\right)
 
     Parameters
     ----------
     first : int
         Entry of the basis that the first function adds to.
     gain : float
-    root : ndarray (d, r)
-        F; it has a row of zeros for each regressor that the functions do not depend on.
-    centres : ndarray (k, r)
+    inverse_widths : ndarray (d,)
+        f.
+    centres : ndarray (k, d)
         c.
     """
 
     first: int
     gain: float
-    root: Matrix
+    inverse_widths: Vector
     centres: Matrix
 
     @property
     def entries(self) -> slice:
         """Entries of the basis that the functions add to."""
         return slice(self.first, self.first + len(self.centres))
-
-    @property
-    def regressors(self) -> tuple[int, ...]:
-        """Places of the regressors that the functions depend on."""
-        return tuple(np.flatnonzero(self.root.any(axis=1)).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,23 +272,14 @@ class PortableModel:
     def _term_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of all terms, one after another."""
         d = len(self.regressors)
-        places = []
-        gains = []
-        roots = []
-        centres = [np.empty((0, d))]
-        for j, part in enumerate(self.parts):
-            for term in part.terms:
-                k, rank = term.centres.shape
-                wide = ((0, 0), (0, d - rank))
-                places.append((j, term.first, k))
-                gains.append(term.gain)
-                roots.append(np.pad(term.root, wide))
-                centres.append(np.pad(term.centres, wide))
+        numbered = [(j, term) for j, part in enumerate(self.parts) for term in part.terms]
+        terms = [term for _, term in numbered]
+        places = [(j, term.first, len(term.centres)) for j, term in numbered]
         return {
             "term_place": np.array(places, dtype=np.int64).reshape(-1, 3),
-            "term_gain": np.array(gains),
-            "term_root": np.array(roots).reshape(-1, d, d),
-            "centres": np.concatenate(centres),
+            "term_gain": np.array([term.gain for term in terms]),
+            "term_inverse_widths": np.array([term.inverse_widths for term in terms]).reshape(-1, d),
+            "centres": np.concatenate([np.empty((0, d)), *(term.centres for term in terms)]),
         }
 
     @cached_property

@@ -344,6 +344,5 @@ def _terms(kernel, i, j, first, X) -> Iterator[Term]:
     """Yield the terms of output i for its covariance with output j at X."""
     pair = kernel.pair(i, j)
     for gain, root, shift in zip(pair.gain, np.sqrt(pair.Sigma), pair.mu, strict=True):
-        F = np.diag(root)
         if len(X):
-            yield Term(int(first), float(gain), F, (X + shift) @ F)
+            yield Term(int(first), float(gain), root, (X + shift) * root)

@@ -8,11 +8,9 @@
 #define FUNCTIONS ${functions} /* of the largest basis, at least 1 */
 #define ROUNDING 2.220446049250313e-16
 
-/* Gaussian functions gain * exp(-|root^T z - centre|^2 / 2) of some inputs, one for each of size centres. */
+/* Gaussian functions gain * exp(-|f z - centre|^2 / 2), one for each of size centres from a place on. */
 typedef struct {
-    int first, size, n_used, rank;
-    const unsigned char *used;
-    const double *root, *centres;
+    int first, size, place;
     double gain;
 } term;
 
@@ -30,24 +28,21 @@ static void scaled(const double x[], double z[])
         z[k] = (x[k] - shift[k]) / scale[k];
 }
 
-/* u = root^T z */
-static void projected(const term *t, const double z[], double u[])
+/* u = f z, f of term b */
+static void projected(int b, const double z[], double u[])
 {
-    for (int l = 0; l < t->rank; l++) {
-        u[l] = 0;
-        for (int k = 0; k < t->n_used; k++)
-            u[l] += t->root[k * t->rank + l] * z[t->used[k]];
-    }
+    for (int k = 0; k < AERO_INPUTS; k++)
+        u[k] = term_inverse_widths[b][k] * z[k];
 }
 
-/* Function c of a term at u. */
-static double function(const term *t, int c, const double u[])
+/* Function c of term b at u. */
+static double function(int b, int c, const double u[])
 {
-    const double *centre = t->centres + (size_t)c * (size_t)t->rank;
+    const double *centre = centres[terms[b].place + c];
     double square = 0;
-    for (int l = 0; l < t->rank; l++)
-        square += (u[l] - centre[l]) * (u[l] - centre[l]);
-    return t->gain * exp(-square / 2);
+    for (int k = 0; k < AERO_INPUTS; k++)
+        square += (u[k] - centre[k]) * (u[k] - centre[k]);
+    return terms[b].gain * exp(-square / 2);
 }
 
 void aero_inputs(const double source[AERO_SOURCES], double x[AERO_INPUTS])
@@ -65,9 +60,9 @@ static double part(int j, const double z[], const double p[], double g[], double
     for (int c = 0; c < n; c++)
         g[c] = 0;
     for (int b = q->first_term; b < q->last_term; b++) {
-        projected(&terms[b], z, u);
+        projected(b, z, u);
         for (int c = 0; c < terms[b].size; c++)
-            g[terms[b].first + c] += function(&terms[b], c, u);
+            g[terms[b].first + c] += function(b, c, u);
     }
     for (int k = 0; k <= AERO_INPUTS; k++)
         value += p[k] * trend_weights[j][k];
@@ -128,17 +123,16 @@ void aero_gradient(const double x[AERO_INPUTS], double slope[AERO_OUTPUTS][AERO_
                 sum[k] += weight * trend_weights[j][k + 1];
             for (int b = parts[j].first_term; b < parts[j].last_term; b++) {
                 const term *t = &terms[b];
-                projected(t, z, u);
-                for (int l = 0; l < t->rank; l++)
-                    pull[l] = 0;
+                projected(b, z, u);
+                for (int k = 0; k < AERO_INPUTS; k++)
+                    pull[k] = 0;
                 for (int c = 0; c < t->size; c++) {
-                    const double e = weight * parts[j].weights[t->first + c] * function(t, c, u);
-                    for (int l = 0; l < t->rank; l++)
-                        pull[l] += e * (t->centres[c * t->rank + l] - u[l]);
+                    const double e = weight * parts[j].weights[t->first + c] * function(b, c, u);
+                    for (int k = 0; k < AERO_INPUTS; k++)
+                        pull[k] += e * (centres[t->place + c][k] - u[k]);
                 }
-                for (int k = 0; k < t->n_used; k++)
-                    for (int l = 0; l < t->rank; l++)
-                        sum[t->used[k]] += t->root[k * t->rank + l] * pull[l];
+                for (int k = 0; k < AERO_INPUTS; k++)
+                    sum[k] += term_inverse_widths[b][k] * pull[k];
             }
         }
         for (int k = 0; k < AERO_INPUTS; k++)

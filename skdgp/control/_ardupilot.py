@@ -28,6 +28,7 @@ from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, standard_density
 from skdgp._flight.servo_functions import ServoRange
 from skdgp._flight.tables import by_name, check_full_deflection, check_number
+from skdgp.control._margins import effect_of
 from skdgp.control._parameters import WEIGHTS, servo_functions
 from skdgp.dynamics import (
     ATTITUDE,
@@ -190,10 +191,7 @@ def full_outputs(
 
 def _effect(linear: LinearModel, control: str) -> float:
     """Return the sign of the effect of a surface on its rate; raise ValueError if it has none."""
-    position = f"{control}_position"
-    # behind a servo the deflection is a state
-    table, name = (linear.A, position) if position in linear.A else (linear.B, control)
-    effect = float(table.loc[RAISED[control], name])
+    effect = effect_of(linear, control, RAISED[control])
     if effect == 0.0:
         raise ValueError(
             f"Got a model whose {control} does not change {RAISED[control]}, but expected that it does: "

@@ -10,7 +10,7 @@ with the response G of the linear model, the laws K of all loops and the delay t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,6 @@ from skdgp.dynamics import (
     LONGITUDINAL,
     UNUSED,
     LinearModel,
-    Matrices,
     transfer,
 )
 
@@ -291,42 +290,35 @@ def _inputs(linear, loops):
     return inputs.to_numpy()
 
 
+def effect_of(linear: LinearModel, control: str, rate: str) -> float:
+    """Return the angular acceleration of a rate by a deflection of a control."""
+    position = f"{control}_position"
+    # behind a servo the deflection is a state
+    table, name = (linear.A, position) if position in linear.A else (linear.B, control)
+    return float(table.loc[rate, name])
+
+
 def _sign(linear, control, rate):
     """Return the sign of the effect of a control on a rate."""
-    # at a high frequency a rate is the angular acceleration over s, behind the servo
-    alone = (linear.B.columns == control).astype(float)[:, None]
-    response = _of_matrices(linear, linear, alone, np.array([1e3]))
-    return -1.0 if response[0, linear.C.index.get_loc(rate), 0].real < 0 else 1.0
+    return -1.0 if effect_of(linear, control, rate) < 0 else 1.0
 
 
 def _responses(linear, loops, s, unused=UNUSED) -> Array:
-    """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first."""
-    inputs = _inputs(linear, loops)
-    models: list[Any] = [Matrices(linear.A, linear.B, linear.C, linear.D, linear.servos.delay)]
-    if linear.paths is not None:
-        models += [Matrices(*each) for each in zip(*linear.paths, strict=True)]
-    responses = []
-    # one by one: the resolvents of all would fill the memory
-    for model in models:
-        late = np.exp(-s * (linear.delay + model.delay))[:, None, None]
-        responses.append(_of_matrices(model, linear, inputs, s, unused) * late)
-    return np.array(responses)
-
-
-def _of_matrices(
-    matrices: Matrices | LinearModel,
-    linear: LinearModel,
-    inputs: Matrix,
-    s: Vector,
-    unused: Collection[str] = UNUSED,
-) -> Array:
-    """Return the responses (n, n_outputs, k) to combinations of inputs (n_inputs, k), of a model or of a path.
+    """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first.
 
     They are without the motion of ``unused`` states.
     """
-    B = np.asarray(matrices.B) @ inputs
-    D = np.asarray(matrices.D) @ inputs
-    return transfer(matrices.A, B, matrices.C, D, linear.A.index, s, unused)
+    inputs = _inputs(linear, loops)
+    models = [(linear.A, linear.B, linear.C, linear.D, linear.servos.delay)]
+    if linear.paths is not None:
+        models += zip(*linear.paths, strict=True)
+    responses = []
+    # one by one: the resolvents of all would fill the memory
+    for A, B, C, D, delay in models:
+        late = np.exp(-s * (linear.delay + delay))[:, None, None]
+        B, D = np.asarray(B) @ inputs, np.asarray(D) @ inputs
+        responses.append(transfer(A, B, C, D, linear.A.index, s, unused) * late)
+    return np.array(responses)
 
 
 def _gains(linear, loops, s):

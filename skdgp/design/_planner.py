@@ -104,11 +104,6 @@ class Plan:
         last = self.manoeuvres.iloc[-1]
         return float(last["start"] + last["duration"] + last["pause"])
 
-    @property
-    def remaining(self) -> float:
-        """Expected standard deviations over those before, their geometric mean."""
-        return float(np.exp(np.log(self.errors["expected"] / self.errors["before"]).mean()))
-
     def plot(self, ax: Any = None) -> TimeHistoryDisplay:
         """Draw the moved controls and the expected responses; for ``ax`` see :mod:`skdgp.plotting`."""
         number = self.flight["flight"].to_numpy(int)
@@ -222,7 +217,7 @@ def plan(
     quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
     pause = max(RESPONSE, quarter)
     time = seconds - RESPONSE
-    rehearsal = Rehearsal(model, aircraft, trim, amplitudes, envelope, thrust)
+    rehearsal = Rehearsal(aerodynamics, aircraft, trim, amplitudes, envelope, thrust)
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
         notify("planning: library", 0, 0.0)

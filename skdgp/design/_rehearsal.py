@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from sklearn.base import BaseEstimator
 
 from skdgp._compute.messages import notify
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
 from skdgp.design._envelope import Envelope, option_of
 from skdgp.design._library import RATE, RESPONSE, ROW_STEP, Inputs, duration_of, scaled
-from skdgp.dynamics import Aerodynamics, Aircraft, Trim, as_aerodynamics, simulate
+from skdgp.dynamics import Aerodynamics, Aircraft, Trim, simulate
 
 # Seconds after a manoeuvre without action of the pilot
 REACTION = 1.0
@@ -52,7 +51,7 @@ class Rehearsal:
     envelope : Envelope
     """
 
-    model: Aerodynamics | BaseEstimator
+    model: Aerodynamics
     aircraft: Aircraft
     trim: Trim
     amplitudes: Mapping[str, float]
@@ -62,7 +61,7 @@ class Rehearsal:
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
         """The lowest and the highest value of each limited channel."""
-        return self.envelope.bounds(as_aerodynamics(self.model))
+        return self.envelope.bounds(self.model)
 
     def inside(
         self, manoeuvres: Mapping[str, Inputs], seconds: float, pause: float
@@ -97,12 +96,10 @@ class Rehearsal:
 
     def flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of manoeuvres, each with its response after it."""
-        trains = {}
-        for name, inputs in manoeuvres.items():
-            trains[name] = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
-        longest = max(train.duration for train in trains.values()) + RESPONSE
+        longest = max(map(duration_of, manoeuvres.values())) + RESPONSE
         tables = []
-        for train in trains.values():
+        for inputs in manoeuvres.values():
+            train = Wavetrain({axis: {0.0: signal} for axis, signal in inputs.items()})
             pause = longest - train.duration
             tables.append(train.table(RATE, trim=self.trim.controls, pause=pause))
         flown = simulate(
@@ -114,16 +111,16 @@ class Rehearsal:
             duration=ROW_STEP * np.floor(longest / ROW_STEP + ROUNDING),
             thrust=self.thrust,
         )
-        rows = np.array_split(np.arange(len(flown)), len(tables))
         flights = {}
-        for (name, train), k in zip(trains.items(), rows, strict=True):
-            flight = flown.iloc[k]
-            is_recorded = flight["time"] <= train.duration + RESPONSE + ROUNDING
+        parts = np.array_split(np.arange(len(flown)), len(tables))
+        for (name, inputs), rows in zip(manoeuvres.items(), parts, strict=True):
+            flight = flown.iloc[rows]
+            is_recorded = flight["time"] <= duration_of(inputs) + RESPONSE + ROUNDING
             flights[name] = flight[is_recorded].reset_index(drop=True)
         return flights
 
     def _channels(self, flight: pd.DataFrame) -> pd.DataFrame:
-        return self.envelope.channels(flight, self.aircraft, as_aerodynamics(self.model))
+        return self.envelope.channels(flight, self.aircraft, self.model)
 
     def _centre(self) -> pd.Series:
         """Return the limited channels in trimmed flight; raise ValueError if they leave their limits."""

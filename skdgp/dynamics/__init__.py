@@ -17,8 +17,6 @@ from skdgp._flight.frames import quaternion_to_matrix as quaternion_to_matrix
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aerodynamics import Drift as Drift
 from skdgp.dynamics._aerodynamics import Mixing as Mixing
-from skdgp.dynamics._aerodynamics import scaling_of as scaling_of
-from skdgp.dynamics._aerodynamics import steps_by_choice as steps_by_choice
 from skdgp.dynamics._air import Air, Turbulence
 from skdgp.dynamics._air import GustyAir as GustyAir
 from skdgp.dynamics._air import LocalAir as LocalAir

@@ -264,7 +264,7 @@ class Air:
         gusts: then only rates are drawn. "auto", of paths alone: the turbulence of this table, else of
         the training flights, if the model knows it. None: calm air.
     drift : bool, default=True
-        Whether each path, and ``return_std``, also has a drift of its own flight: errors of the
+        Whether each path also has a drift of its own flight: errors of the
         coefficients that change slowly, as the residuals of the training flights did beyond what
         their turbulence explains, if the model knows it. False: the uncertainty of the
         aircraft alone.

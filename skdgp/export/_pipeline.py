@@ -8,9 +8,8 @@ from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
-import pandas as pd
 from scipy.linalg import lapack, rq
-from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.pipeline import Pipeline
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.files import plain
@@ -22,8 +21,6 @@ from skdgp.dynamics import (
     Aircraft,
     as_aerodynamics,
     check_aircraft,
-    scaling_of,
-    steps_by_choice,
 )
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.inference import (
@@ -78,8 +75,12 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     check_aircraft(aircraft)
     regressor = _fitted_regressor(pipeline)
     simulated = as_aerodynamics(pipeline)
-    _, behind = steps_by_choice(pipeline)
-    shift, scale = _scaling(behind[:-1], len(simulated.regressors))
+    learned = simulated.learned
+    if learned is None:
+        raise ValueError(
+            f"Got steps other than scalers behind the choice of regressors, which have no portable form. {REMEDY}"
+        )
+    shift, scale = learned.shift, learned.scale
     posterior = regressor.posterior_
     center, parts = _all_parts(posterior)
     samples = training_inputs(posterior) * scale + shift
@@ -103,7 +104,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         limits=np.stack([points.min(axis=0), points.max(axis=0)]),
         servos=np.array([servos.lag, servos.delay, servos.rate_limit]),
         provenance=plain(facts | {"inference": regressor.inference_}),
-        reference=_reference(behind, samples, simulated, shift, scale),
+        reference=_reference(learned, samples),
     )
     _check_names(model)
     return model
@@ -134,32 +135,17 @@ def _check_names(model: PortableModel) -> None:
         )
 
 
-def _reference(
-    behind: list[Any], samples: Matrix, model: Aerodynamics, shift: Vector, scale: Vector
-) -> Reference:
-    """Return the predictions of the steps behind the choice of regressors, at and near some samples (n, d)."""
+def _reference(learned: Any, samples: Matrix) -> Reference:
+    """Return the predictions of the regressor at and near some samples (n, d)."""
     rows = np.linspace(0, len(samples) - 1, REFERENCE_ROWS).astype(int)
     X = samples[rows]
     moves = np.random.default_rng(0).standard_normal(X[1::2].shape)
     X[1::2] += REFERENCE_STEP * samples.std(axis=0) * moves
-    is_of_table = hasattr(behind[0], "feature_names_in_")
-    table = pd.DataFrame(X, columns=list(model.regressors)) if is_of_table else X
-    fitted = make_pipeline(*behind)
-    mean, std = fitted.predict(table, return_std=True, include_input_noise=False)
-    slopes = behind[-1].posterior_.gradient((X - shift) / scale)
-    slopes *= behind[-1].scale_[:, None] / scale
+    Z = learned.scaled(X)
+    regressor = learned.regressor
+    mean, std = regressor.predict(Z, return_std=True, include_input_noise=False)
+    slopes = regressor.posterior_.gradient(Z) * (regressor.scale_[:, None] / learned.scale)
     return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1), slopes)
-
-
-def _scaling(steps: list[Any], n_regressors: int) -> tuple[Array, Array]:
-    """Return shift and scale of scalers."""
-    shift, scale, others = scaling_of(steps, n_regressors)
-    if others:
-        raise ValueError(
-            f"Got {type(others[0]).__name__} behind the choice of regressors, which has no "
-            f"portable form. {REMEDY}"
-        )
-    return shift, scale
 
 
 def _regressors(

@@ -47,7 +47,7 @@ CLOTHES = {
     "nullable floats": lambda table, rng: table.astype(dict.fromkeys(MOVING, "Float64")),
     "flights as categories": lambda table, rng: table.astype({"flight": "category"}),
     "flights as numbers": lambda table, rng: table.assign(
-        flight=(table["flight"] == "b").astype(int) + 3
+        flight=(table["flight"] == "latlon").astype(int) + 3
     ),
     "numbers of Arrow": lambda table, rng: table.astype(dict.fromkeys(MOVING, "double[pyarrow]")),
     "columns that nobody knows": lambda table, rng: table.assign(pilot="Amelia", comment=np.nan),

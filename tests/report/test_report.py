@@ -1,11 +1,9 @@
 """The report: whole, self-contained, readable, true to the numbers it is given."""
 
 import re
-from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
 from types import SimpleNamespace
-from xml.etree import ElementTree
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -34,7 +32,6 @@ class Page(HTMLParser):
         self.tags = []
         self.loads = []
         self.ids = []
-        self.pictures = {}  # SVG by label
         self.feed(html)
         self.close()
         assert self.open == [], f"never closed: {self.open}"
@@ -44,8 +41,6 @@ class Page(HTMLParser):
         values = dict(attributes)
         self.loads += [values[name] for name in LOADED if name in values]
         self.ids += [values["id"]] if "id" in values else []
-        if tag == "img":
-            self.pictures[values["alt"]] = b64decode(values["src"].partition(",")[2]).decode()
         if tag not in VOID:
             self.open.append(tag)
 
@@ -204,11 +199,6 @@ class TestPage:
 
 class TestPictures:
     """SVG files of their own, small and true."""
-
-    def texts(self, picture):
-        """Return the words and numbers of a picture."""
-        root = ElementTree.fromstring(picture)
-        return ["".join(each.itertext()) for each in root.iter() if each.tag.endswith("text")]
 
     def test_of_a_replay_the_horizon_is_told(self, html):
         assert html.count("the paper's figure 7".replace("'", "&#x27;")) == 2  # alt, and caption

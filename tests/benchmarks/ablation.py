@@ -292,15 +292,14 @@ def scored(model, flights):
         bands = model.predict(rows.X, return_std=True, **noise)
         scores[f"logged, {where}"] = scores_of(rows.measured, *bands)
     if flights.derivatives is not None:
-        scores["derivatives"] = of_derivatives(model, flights)
+        pipeline = copy.copy(flights.pipeline)
+        pipeline.steps = [*pipeline.steps[:-1], ("dependentgpregressor", model)]
+        scores["derivatives"] = of_derivatives(pipeline, **flights.derivatives)
     return scores
 
 
-def of_derivatives(model, flights):
+def of_derivatives(pipeline, aircraft, at, airspeed, known):
     """Return how far derivatives are off, and the percentage within two standard deviations."""
-    pipeline = copy.copy(flights.pipeline)
-    pipeline.steps = [*pipeline.steps[:-1], ("dependentgpregressor", model)]
-    aircraft, at, airspeed, known = flights.derivatives.values()
     table = learned_derivatives(pipeline[-3:], aircraft, at, airspeed, STEADY[:8])
     true = true_values(table, known)
     z = ((table["value"] - true) / table["std"])[np.abs(true) > 0]

@@ -1,6 +1,6 @@
 """Methods of the field on the same samples: errors on an unseen flight, and what 95 % bands hold.
 
-    python tests/benchmarks/comparison.py ../shared/data --out OUT [--methods M]
+    python tests/benchmarks/comparison.py ../shared/data --out OUT
 
 Each method learns the measured coefficients of one flight and predicts another. ``skdgp pipeline``
 is ``make_identification_pipeline`` with its own regressors, for two seeds; others, for one, learn
@@ -39,7 +39,12 @@ def pipeline(task, seed):
     model = make_identification_pipeline(task.aircraft, samples="all")
     seeds = {name: seed for name in model.get_params() if name.endswith("random_state")}
     model.set_params(**seeds).fit(task.train, task.targets)
-    X, ratio = flight_regressors(model, task.test)
+    return moments_of(model, task.test)
+
+
+def moments_of(model, flight):
+    """Return the mean of a flight, and deviations of the function and of measurements at one row in ten."""
+    X, ratio = flight_regressors(model, flight)
     some = X[::BANDS_EVERY]
     words = {"include_input_noise": ratio[::BANDS_EVERY]}
     bands = [
@@ -126,13 +131,11 @@ def of_pipeline(table):
 
 
 def main(words=None):
-    parser = parser_of(__doc__, data=True)
-    parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
-    options = parser.parse_args(words)
+    options = parser_of(__doc__, data=True).parse_args(words)
     kept = Kept(options, "comparison")
     for flight in FLIGHTS:
         task = task_of(flight, options.data)
-        for method in options.methods:
+        for method in METHODS:
             for seed in range(2 if method == "skdgp pipeline" else 1):
                 key = {"flight": flight, "method": method, "seed": seed}
                 kept.run(key, scored, task, method, seed)

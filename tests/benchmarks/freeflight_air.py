@@ -1,6 +1,6 @@
 """Models of aircraft of JSBSim: what their bands hold of coefficients, derivatives and free flight.
 
-    python tests/benchmarks/freeflight_air.py [--aircraft J3Cub DHC6 A4] [--out OUT]
+    python tests/benchmarks/freeflight_air.py [--out OUT]
 
 Each aircraft learns by the default pipeline from a flight of 200 s in light gusts with noisy
 sensors, and is asked about flights along another path. Coverage is the fraction within 95 % bands.
@@ -22,19 +22,8 @@ changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p an
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
-from jsbsim_flight import (
-    COEFFICIENTS,
-    FLOWN,
-    KNOTS,
-    STEADY,
-    TRAINING,
-    evaluated_derivatives,
-    exact_regressors,
-    flight_of,
-    learned_derivatives,
-    sensed,
-    true_values,
-)
+from ablation import LEFT_OUT, derivatives_of, of_derivatives, rows_of
+from jsbsim_flight import FLOWN, KNOTS, TRAINING, flight_of, sensed
 from sklearn.linear_model import LinearRegression
 
 from skdgp import make_identification_pipeline
@@ -43,10 +32,9 @@ from skdgp.dynamics import (
     simulate,
     trajectory_bands,
 )
-from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage, normalized_rmse
 
-EVERY = 10  # rows of a flight per row that is scored
+AIRCRAFT = [name for name in KNOTS if name not in LEFT_OUT]
 N_PATHS = 40  # of the ensembles
 STEP = 0.05  # s
 HORIZONS, STARTS, MARGIN = (2.0, 10.0), 20, 5.0  # s, number, s
@@ -69,34 +57,22 @@ def learned(name, flight=TRAINING):
 
 def model_row(name, model, log, aircraft, flown):
     """Return coverage of coefficients, function and derivatives, and errors of the function."""
+    asked = {air: rows_of(model, flight, aircraft, {}, True) for air, flight in flown.items()}
     row = {}
-    for air, flight in flown.items():
-        logged = sensed(flight)
-        measured = aerodynamic_coefficients(model.corrected(logged), aircraft).to_numpy()[::EVERY]
-        regressors, ratio = flight_regressors(model, logged)
-        options = {"return_std": True, "include_noise": True, "include_input_noise": ratio[::EVERY]}
-        bands = model[-1].predict(regressors[::EVERY], **options)
-        row[f"coefficients, {air}"] = 100.0 * interval_coverage(measured, *bands)
-    calm = flown["calm"]
-    names = [name + "_hat" * (name in "pqr") for name in STEADY]
-    exact = exact_regressors(calm, aircraft)
-    asked = pd.DataFrame(exact[::EVERY, : len(STEADY)], columns=names)
-    truth = calm[[f"{name}_true" for name in COEFFICIENTS]].to_numpy()[::EVERY]
-    mean, std = model[-3:].predict(asked, return_std=True, include_input_noise=False)
-    row["function, calm"] = 100.0 * interval_coverage(truth, mean, std)
-    at = exact.mean(axis=0)
-    known = evaluated_derivatives(name, calm, aircraft, at)
-    airspeed = calm["airspeed_true"].mean()
-    table = learned_derivatives(model[-3:], aircraft, at, airspeed, STEADY[:8])
-    true = true_values(table, known)
-    inside = np.abs(table["value"] - true) < 2 * table["std"]
-    row["derivatives"] = 100.0 * inside[np.abs(true) > 0].mean()
-    X = model[:-2].transform(log)[names]
-    Y = aerodynamic_coefficients(model.corrected(log), aircraft)
-    rows = Y.notna().all(axis=1) & X.notna().all(axis=1)
-    line = LinearRegression().fit(X[rows], Y[rows]).predict(asked)
-    error = float(normalized_rmse(truth, mean))
-    return row | {"NRMSE": error, "over least squares": error / normalized_rmse(truth, line)}
+    for air, rows in asked.items():
+        noise = {"include_noise": True, "include_input_noise": rows.ratio}
+        bands = model[-1].predict(rows.X, return_std=True, **noise)
+        row[f"coefficients, {air}"] = 100.0 * interval_coverage(rows.measured, *bands)
+    calm = asked["calm"]
+    mean, std = model[-1].predict(calm.exact, return_std=True, include_input_noise=False)
+    row["function, calm"] = 100.0 * interval_coverage(calm.truth, mean, std)
+    row["derivatives"] = of_derivatives(model, **derivatives_of(name, aircraft, flown))["95 %"]
+    X = np.asarray(model[:-1].transform(log))
+    Y = aerodynamic_coefficients(model.corrected(log), aircraft).to_numpy()
+    known = np.isfinite(X).all(axis=1) & np.isfinite(Y).all(axis=1)
+    line = LinearRegression().fit(X[known], Y[known]).predict(calm.exact)
+    error = float(normalized_rmse(calm.truth, mean))
+    return row | {"NRMSE": error, "over least squares": error / normalized_rmse(calm.truth, line)}
 
 
 def windows(flight):
@@ -158,11 +134,9 @@ def summary(runs, kind):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("--aircraft", nargs="+", default=[*KNOTS], choices=[*KNOTS])
-    options = parser.parse_args(words)
+    options = parser_of(__doc__).parse_args(words)
     kept = Kept(options, "freeflight_air")
-    for name in options.aircraft:
+    for name in AIRCRAFT:
         kept.run({"aircraft": name}, measured, name)
     tables = {kind: summary(kept.asked.values(), kind) for kind in ("models", *LEVELS)}
     finish(options, "freeflight_air", **tables)

@@ -1,6 +1,6 @@
 """Derivatives of aircraft of which less and less is told: are the true ones inside the bands?
 
-    python tests/benchmarks/little_told.py ../shared/data [--out OUT] [--aircraft A]
+    python tests/benchmarks/little_told.py ../shared/data [--out OUT]
 
 `identify` learns the flights of five aircraft, and in turn one thing is withheld: inertia and area
 (`Aircraft.estimate` of mass, span and kind) or the thrust. One is of the shared data; four of
@@ -106,12 +106,9 @@ def measured(name, folder):
 
 
 def main(words=None):
-    parser = parser_of(__doc__, data=True)
-    names = [*FLIGHTS, *JSBSIM]
-    parser.add_argument("--aircraft", nargs="+", choices=names, default=names)
-    options = parser.parse_args(words)
+    options = parser_of(__doc__, data=True).parse_args(words)
     kept = Kept(options, "little_told")
-    for name in options.aircraft:
+    for name in [*FLIGHTS, *JSBSIM]:
         kept.run({"aircraft": name}, measured, name, options.data)
     runs = kept.table.set_index("aircraft")
     rows = runs[[*WITHHELD]].T.reset_index(names="withheld").to_dict("records")

@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 from _common import Kept, finish, parser_of, winners
 from _inputs import REPOSITORY, task_of
-from comparison import BANDS_EVERY
+from comparison import BANDS_EVERY, moments_of
 from sklearn.linear_model import LinearRegression
 
 from skdgp import make_identification_pipeline
-from skdgp.identification import flight_regressors
 from skdgp.metrics import interval_coverage, normalized_rmse
 
 # Inputs by their titles in the table
@@ -38,17 +37,16 @@ def result(task, seed):
     pipeline[-1].set_params(n_latent=2, random_state=seed)
     pipeline.fit(task.train, task.targets)
     last = pipeline[-1]
-    X, ratio = flight_regressors(pipeline, task.test)
-    mean, std = last.predict(X, return_std=True, include_noise=True, include_input_noise=ratio)
-    known = pipeline[:-1].transform(task.train)
+    mean, (_, std) = moments_of(pipeline, task.test)
+    X, known = (np.asarray(pipeline[:-1].transform(part)) for part in (task.test, task.train))
     trusted = task.targets.notna().all(axis=1).to_numpy()
-    least_squares = LinearRegression().fit(np.asarray(known)[trusted], task.targets[trusted])
+    least_squares = LinearRegression().fit(known[trusted], task.targets[trusted])
     measured = task.measured.to_numpy()
     some = slice(None, None, BANDS_EVERY)
     found = {
         "least squares": float(normalized_rmse(measured, least_squares.predict(X))),
         "average": float(normalized_rmse(measured, mean)),
-        "coverage": float(interval_coverage(measured[some], mean[some], std[some])),
+        "coverage": float(interval_coverage(measured[some], mean[some], std)),
     }
     for name, member in zip(last.weights_, last.posterior_.members, strict=False):
         alone = member.predict(X) * last.scale_ + last.center_

@@ -87,11 +87,9 @@ class Layout(NamedTuple):
     columns: Indices  # (d,) its term
     names: list[str]  # of the k parameters of a flight
     surfaces: list[str]
-    #: Whether slopes by the instruments follow those by the parameters; not where derivatives are held
-    by_instruments: bool = True
 
     @classmethod
-    def of(cls, derivatives: list[str], surfaces: list[str], by_instruments: bool = True) -> Layout:
+    def of(cls, derivatives: list[str], surfaces: list[str]) -> Layout:
         """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
         terms = [*STATE_TERMS, *surfaces]
         rows, columns = [], []
@@ -100,18 +98,7 @@ class Layout(NamedTuple):
             rows.append(COEFFICIENTS.index(coefficient))
             columns.append(terms.index(term))
         names = [*derivatives, *AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS]
-        return cls(
-            np.array(rows),
-            np.array(columns),
-            names,
-            surfaces,
-            by_instruments=by_instruments,
-        )
-
-    @property
-    def n_terms(self) -> int:
-        """Number f of terms."""
-        return len(STATE_TERMS) + len(self.surfaces)
+        return cls(np.array(rows), np.array(columns), names, surfaces)
 
     @property
     def n_derivatives(self) -> int:
@@ -121,11 +108,7 @@ class Layout(NamedTuple):
     @property
     def n_slopes(self) -> int:
         """Number q of slopes by parameters and instruments."""
-        return len(self.names) + self.by_instruments * self.n_derivatives
-
-    def place(self, *names: str) -> list[int]:
-        """Return places of parameters among the slopes."""
-        return [self.names.index(name) for name in names]
+        return len(self.names) + self.n_derivatives
 
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
@@ -153,17 +136,16 @@ class Layout(NamedTuple):
         At a given motion; by constants (n, m, c) they are given.
         """
         by_rows = by_variables[..., COEFFICIENT_ERRORS][:, :, self.rows]
-        parts = [by_rows * terms[:, None, self.columns], by_constants]
-        if self.by_instruments:
-            parts.append(by_rows * instrument_terms[:, None, self.columns])
-        return np.concatenate(parts, axis=-1)
+        by_derivatives = by_rows * terms[:, None, self.columns]
+        by_instruments = by_rows * instrument_terms[:, None, self.columns]
+        return np.concatenate([by_derivatives, by_constants, by_instruments], axis=-1)
 
 
 def motion_model(
     record: Record, layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]
 ) -> AirMotionModel:
     """Return the equations of motion of the aircraft, and of the sensors of a record, at parameters by name."""
-    derivatives = np.zeros((6, layout.n_terms))
+    derivatives = np.zeros((6, len(STATE_TERMS) + len(layout.surfaces)))
     names = layout.names[: layout.n_derivatives]
     derivatives[layout.rows, layout.columns] = [value[name] for name in names]
     reached = np.isin(layout.surfaces, TAIL).astype(float)

@@ -143,17 +143,11 @@ class AirMotionModel:
         self, specific_force: Matrix, rates: Matrix, spin: Matrix, air: Matrix, inputs: Inputs
     ) -> Matrix:
         """Return the coefficients (n, 6) at which `accelerations` are ``specific_force`` and ``spin``."""
-        aircraft = self.aircraft
-        force = specific_force * aircraft.mass
-        moment = spin @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
-        loads = np.concatenate([force, moment], axis=1) - inputs.thrust
-        return loads / self.load_units(air, inputs)
-
-    def load_units(self, air: Matrix, inputs: Inputs) -> Matrix:
-        """Return the loads of coefficients of one (n, 6), dynamic pressure times wing area and lengths [N, N m]."""
-        lengths = np.append(np.ones(3), self.aircraft.moment_lengths)
-        pressure = dynamic_pressure(np.linalg.norm(air, axis=1), inputs.density)
-        return pressure[:, None] * self.aircraft.wing_area * lengths
+        state = np.concatenate([air, rates, np.zeros((len(air), 7))], axis=1)
+        lacking = np.concatenate([specific_force, spin], axis=1) - self.accelerations(state, inputs)
+        slopes = differentiated(lambda moved: self.accelerations(moved, inputs), state)
+        errors = np.linalg.solve(slopes[..., COEFFICIENT_ERRORS], lacking[..., None])[..., 0]
+        return np.asarray(self.terms(state, inputs) @ self.derivatives.T + errors)
 
     def step(
         self, start: Array, gravity: Matrix, drift: Matrix, inputs: Inputs, time_step: Vector

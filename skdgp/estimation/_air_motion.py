@@ -301,7 +301,7 @@ def estimate_air_motion(
         AirFit,
         records,
         aircraft,
-        Layout.of(list(priors.derivatives), priors.surfaces, by_instruments=known is None),
+        Layout.of(list(priors.derivatives), priors.surfaces),
         priors.parameters(n_flights),
         noises,
         settings,

@@ -209,7 +209,7 @@ def test_slope_by_a_lag_of_zero_is_that_above_it():
     at_zero, above = (
         linearized(record, layout, value | {"servo_lag": lag}, states) for lag in (0.0, 1e-3)
     )
-    j = layout.place("servo_lag")[0]
+    j = layout.names.index("servo_lag")
     expected = above.E[..., j]
     assert np.abs(expected).max() > 0.1
     assert_allclose(at_zero.E[..., j], expected, atol=0.1 * np.abs(expected).max())

@@ -165,15 +165,16 @@ def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     """
     if name not in WRAPPED or "time" not in table:
         return False
-    flights = FlightTable.of(table)
-    is_known = np.isfinite(flights.column(name))
-    angle, flight = flights.column(name)[is_known], flights.clock.flight[is_known]
-    _, first = np.unique(flight, return_index=True)
-    steps = np.abs(np.diff(angle)[np.diff(flight) == 0])
-    step = _quantile(np.diff(flights.time[is_known]), 0.5)
-    is_slow = _quantile(steps, 0.9) <= FASTEST_TURN * step
-    begins_within_a_turn = np.abs(angle[first]).max() <= 2 * np.pi + ANGLE_NOISE
-    return bool(is_slow and begins_within_a_turn and steps.max(initial=0.0) < FASTEST_JUMP)
+    for flight in FlightTable.of(table).flights.values():
+        measured = np.isfinite(flight.column(name))
+        angle = flight.column(name)[measured]
+        steps = np.abs(np.diff(angle))
+        rates = steps / np.diff(flight.time[measured])
+        begins_elsewhere = (np.abs(angle[:1]) > 2 * np.pi + ANGLE_NOISE).any()
+        is_fast = _quantile(rates, 0.9) > FASTEST_TURN or steps.max(initial=0.0) >= FASTEST_JUMP
+        if begins_elsewhere or is_fast:
+            return False
+    return True
 
 
 def check_flight(flight: pd.DataFrame | FlightTable, needed: Iterable[str]) -> FlightTable:

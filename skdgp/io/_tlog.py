@@ -329,11 +329,9 @@ def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
     places = clock.index.to_numpy(float)
     by_place = np.interp(places, attitude.index, attitude)
     time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
-    table = pd.DataFrame([message.to_dict() for message in messages.values()])
     fields = {}
-    for name in table:
-        # arrays stand in lists
-        fields[str(name)] = table[name].to_list()
+    for name in next(iter(messages.values())).fieldnames:
+        fields[name] = [getattr(message, name) for message in messages.values()]
     return Topic(time, places, numeric_fields(fields))
 
 

@@ -206,10 +206,16 @@ SPOILERS = (11, 17, 18)
 # torque
 TORQUES = {"aileron": ("TRQ_R", 1.0), "elevator": ("TRQ_P", -1.0), "rudder": ("TRQ_Y", -1.0)}
 SCALES = ("TRQ_R", "TRQ_P", "TRQ_Y", "FLAP")
-# Fields of actuator_controls, and full throws: more elevator and rudder turn against our sign
-CONTROLS = {"aileron": (0, UP), "elevator": (1, DOWN), "rudder": (2, DOWN)}
-# Flaps, spoilers and airbrakes of actuator_controls, which open from zero (ActuatorControls.msg)
-OPENING_FIELDS = {"control[4]": "flap", "control[6]": "spoiler", "control[5]": "spoiler"}
+# Surfaces by the fields of actuator_controls, and their throws: more elevator and rudder turn against our sign; flaps,
+# spoilers and airbrakes open from zero (ActuatorControls.msg)
+CONTROLS = {
+    "control[0]": ("aileron", UP, UP),
+    "control[1]": ("elevator", UP, DOWN),
+    "control[2]": ("rudder", UP, DOWN),
+    "control[4]": ("flap", OPENING, OPENING),
+    "control[6]": ("spoiler", OPENING, OPENING),
+    "control[5]": ("spoiler", OPENING, OPENING),
+}
 
 
 def read_ulog(path: Path) -> Log:
@@ -482,32 +488,30 @@ def _single_controls(surfaces: list[Surface]) -> dict[str, Control]:
 
 
 def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
-    """Return the controls before a fixed mixer."""
+    """Return the controls before a fixed mixer; what opens must move."""
+    controls: dict[str, Control] = {}
     for name in FIXED_MIXERS:
-        if "control[2]" in topics.get(name, NOTHING):
-            controls: dict[str, Control] = {
-                control: ((1.0, Servo(f"{name}.control[{n}]", UP, throws)),)
-                for control, (n, throws) in CONTROLS.items()
-            }
-            for field, surface in OPENING_FIELDS.items():
-                if field in topics[name] and np.ptp(topics[name][field]) > 0:
-                    servo = Servo(f"{name}.{field}", OPENING, OPENING)
-                    controls[surface] = ((1.0, servo),)
-            return controls
-    return {}
+        topic = topics.get(name, NOTHING)
+        for field, (control, inputs, throws) in CONTROLS.items() if "control[2]" in topic else ():
+            if inputs == UP or (field in topic and np.ptp(topic[field]) > 0):
+                controls[control] = ((1.0, Servo(f"{name}.{field}", inputs, throws)),)
+        if controls:
+            break
+    return controls
 
 
 def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
     """Return the mean throttle of the left less that of the right engines of a fixed wing, by CA_ROTORn_PY."""
     outputs = topics.get("actuator_motors", NOTHING)
-    sides: dict[bool, list[Servo]] = {True: [], False: []}
+    left: list[Servo] = []
+    right: list[Servo] = []
     for n, channel in enumerate(MOTOR_FIELDS):
         place = parameters.get(f"CA_ROTOR{n}_PY", 0.0)
         if place and channel in outputs and np.isfinite(outputs[channel]).any():
-            servo = Servo(f"actuator_motors.{channel}", OPENING, OPENING)
-            sides[place < 0].append(servo)
-    if not all(sides.values()):
+            side = left if place < 0 else right
+            side.append(Servo(f"actuator_motors.{channel}", OPENING, OPENING))
+    if not (left and right):
         return {}
-    left = [(1 / len(sides[True]), servo) for servo in sides[True]]
-    right = [(-1 / len(sides[False]), servo) for servo in sides[False]]
-    return {"differential_throttle": (*left, *right)}
+    more_left = [(1 / len(left), servo) for servo in left]
+    less_right = [(-1 / len(right), servo) for servo in right]
+    return {"differential_throttle": (*more_left, *less_right)}

@@ -7,8 +7,8 @@ Names imported as themselves are not part of the public interface: other rooms u
 
 from skdgp.io._autopilot import AUTOPILOTS
 from skdgp.io._autopilot import is_log as is_log
-from skdgp.io._log import EQUIVALENT, QUATERNION, Log, Rule, Topic
 from skdgp.io._log import FULL_THROW as FULL_THROW
+from skdgp.io._log import Log, Rule, Topic
 from skdgp.io._log import read_servos as read_servos
 from skdgp.io._log import reversed_of as reversed_of
 from skdgp.io._read import LogSummary, inspect_log, read_flight
@@ -17,8 +17,6 @@ from skdgp.io._tables import FlightReadError
 
 __all__ = [
     "AUTOPILOTS",
-    "EQUIVALENT",
-    "QUATERNION",
     "FlightReadError",
     "Log",
     "LogSummary",

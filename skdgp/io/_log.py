@@ -144,7 +144,8 @@ class Rule(NamedTuple):
     Attributes
     ----------
     columns : tuple of str
-        Columns of the flight table, or `QUATERNION`, or `EQUIVALENT`.
+        Columns of the flight table, or qw qx qy qz of the attitude, body to north-east-down, or
+        equivalent_airspeed, of which the table gets the true one.
     topic : str
         Name of the topic, without the number of an instance.
     fields : tuple of str

@@ -94,15 +94,14 @@ class Code(Kind):
         "of {flight!r} {percent:.0f} % of the rows stand on the ground, and are left out",
         "read_flight(path, airborne=False) keeps them.",
     )
-    LONE_ROWS = "flight {flight!r}: {rows} rows that stand alone between gaps are left out"
     NO_ELEVATOR = (
         "got flights without an elevator",
         "Its effect goes into the coefficients of alpha and q, so Cm_q and Cm_alpha may be wrong, even in "
         "sign. Give the column elevator.",
     )
     ROWS_LEFT_OUT = (
-        "flight {flight!r}: {left_out} of {rows} rows are left out, because regressors are missing there "
-        "(by rows: {missing})",
+        "flight {flight!r}: {left_out} of {rows} rows are left out[, because regressors are missing there "
+        "(by rows: {missing})][; {alone} stand alone between gaps]",
         "Bring slow sensors to the clock of the others if these are many.",
     )
     SENSOR_POSITIONS_DIFFER = (

@@ -205,28 +205,23 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
     missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), table.index, columns)
     complete = np.flatnonzero(~missing.any(axis=1))
     counts = {name: n for name, n in missing.sum().to_dict().items() if n}
-    if not complete.size:
-        raise ValueError(
-            f"Flight {flight!r} has no row in which all of {columns} were sampled (missing, by "
-            f"rows: {counts}): bring slow sensors to the clock of the others, drop columns that "
-            "are empty, or name other regressors."
-        )
-    if counts:
-        n_left_out = len(table) - len(complete)
-        numbers = {"left_out": n_left_out, "rows": len(table), "missing": counts}
-        report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers))
-    segments = flights.part(complete).segments
-    rows = [np.arange(run.start, run.stop) for run in segments if n_rows(run) > 1]
+    runs = flights.part(complete).segments if complete.size else []
+    rows = [complete[run] for run in runs if n_rows(run) > 1]
     if not rows:
         raise ValueError(
-            f"Flight {flight!r} has {len(complete)} usable rows, none beside another, but expected "
-            "thousands: rates of change need neighbours. Is the log whole, and time in seconds?"
+            f"Flight {flight!r} has {len(complete)} rows in which all of {columns} were sampled (missing, by "
+            f"rows: {counts}), none beside another, but expected thousands: bring slow sensors to the "
+            "clock of the others, drop columns that are empty, or name other regressors. Is the log "
+            "whole, and time in seconds?"
         )
     continuous = np.concatenate(rows)
-    n_alone = len(complete) - len(continuous)
-    if n_alone:
-        report(Finding(Code.LONE_ROWS, flight=flight, numbers={"rows": n_alone}))
-    return flights.part(complete[continuous]).named(flight)
+    n_left_out = len(table) - len(continuous)
+    if n_left_out:
+        n_alone = len(complete) - len(continuous)
+        numbers = {"left_out": n_left_out, "rows": len(table), "missing": counts}
+        numbers["alone"] = n_alone or None
+        report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers))
+    return flights.part(continuous).named(flight)
 
 
 def loads_of(

@@ -178,8 +178,8 @@ class TestIdentify:
         metrics = metrics_of("--test", "latlon.csv", train=[write("gaps.csv", spoil)])
         assert metrics["fit"]["flights"] == {"latlon": 290}
         said = capsys.readouterr().err
-        assert "10 of 301 rows are left out" in said
-        assert "1 rows that stand alone between gaps are left out" in said
+        assert "11 of 301 rows are left out" in said
+        assert "1 stand alone between gaps" in said
         assert "['rudder'] never change, so the model cannot learn" in said
         assert "constant over the samples" not in said  # it is said once, by name
         assert "'latlon' has the rows of training flight 'latlon'" in said
@@ -257,8 +257,8 @@ class TestBadInput:
                 lambda table: table.drop(columns="airspeed"),
                 "lacks the columns 'airspeed'.*pitot tube.*less an estimated wind: give a column",
             ),
-            (lambda table: table.assign(beta=np.nan), "no row in which all of .*'beta': 400"),
-            (lambda table: table.iloc[:1], "1 usable rows, none beside another"),
+            (lambda table: table.assign(beta=np.nan), "0 rows in which all of .*'beta': 400"),
+            (lambda table: table.iloc[:1], "1 rows in which all .* none beside another"),
         ],
     )
     def test_a_flight_that_nothing_is_learned_from(self, refused, write, change, message):

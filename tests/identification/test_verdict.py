@@ -126,7 +126,8 @@ def mechanics(**changes):
 NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
 NO_DERIVATIVES = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
 NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
-ALONE = {name: Finding(Code.LONE_ROWS, flight=name, numbers={"rows": 2}) for name in "ab"}
+LEFT_OUT = {"left_out": 2, "rows": 9, "alone": 2}
+ALONE = {name: Finding(Code.ROWS_LEFT_OUT, flight=name, numbers=LEFT_OUT) for name in "ab"}
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 PREDICT = "predict coefficients"
@@ -520,7 +521,7 @@ def test_warnings_are_ranked():
         Code.LEAST_SQUARES_BETTER,
         Code.BANDS_TOO_NARROW,
         FitCode.SEARCH_STOPPED,
-        Code.LONE_ROWS,
+        Code.ROWS_LEFT_OUT,
         Code.NO_ELEVATOR,
     ]
     assert found.findings[0].numbers["worse"] == 6

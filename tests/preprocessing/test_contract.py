@@ -161,3 +161,6 @@ class TestContract:
         for X in (default_rng(0).normal(size=(20, 3)), table.to_numpy()):
             with pytest.raises(TypeError, match=r"Got ndarray .*but expected a pandas DataFrame"):
                 clone(transformer).fit(X)
+
+    def test_fit_transform_is_fit_and_transform(self, transformer, out, table):
+        assert_frame_equal(clone(transformer).fit_transform(table), out)

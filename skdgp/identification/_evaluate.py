@@ -178,8 +178,8 @@ def evaluate(
     """Predict a checked flight and replay it; ``options`` are those of the model."""
     notify(f"evaluating {name}")
     loads = {key: options[key] for key in ("thrust", "external_forces")}
-    X, noise_ratio, motion = transformed(pipeline, flight)
-    corrected = pipeline.corrected(flight.table)
+    corrected = pipeline[:1].transform(flight)
+    X, noise_ratio, motion = transformed(pipeline[1:], corrected)
     checked = replace(flight, table=corrected)
     states = corrected
     if motion is not None:  # beside the logged inputs

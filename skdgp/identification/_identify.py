@@ -177,7 +177,7 @@ def identify(
         pipeline=model,
         options=chosen,
         fit=fit,
-        train={name: model.corrected(flight.table) for name, flight in train.items()},
+        train={name: flight.table for name, flight in train.items()},
         evaluations=evaluations,
         findings=_named_once(findings),
         assumptions=assumptions(aircraft, model.errors_, findings),

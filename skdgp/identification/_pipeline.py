@@ -28,7 +28,7 @@ from skdgp.dynamics import (
     check_aircraft,
     dynamic_pressure,
 )
-from skdgp.estimation import prior_deviations, without_airspeed_error
+from skdgp.estimation import prior_deviations
 from skdgp.identification._log_errors import (
     RegressionCalibration,
     fit_least_squares,
@@ -352,11 +352,6 @@ class FlightPipeline(Pipeline):
             self.calibration_ = RegressionCalibration.of_residuals(regressors, residuals)
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
-
-    def corrected(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return flights X without the error of the airspeed that the flights of the fit showed."""
-        check = step_of(self, FlightCheck)
-        return X if check is None else without_airspeed_error(X, check.airspeed_scale_.removable())
 
     def _thinned(self, y: Any) -> Any:
         """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""

@@ -166,7 +166,7 @@ def rows_of(pipeline, flight, aircraft, loads, is_known):
     some = slice(None, None, EVERY)
     log = sensed(flight)
     X, ratio = flight_regressors(pipeline, log)
-    measured = aerodynamic_coefficients(pipeline.corrected(log), aircraft, **loads).to_numpy()
+    measured = aerodynamic_coefficients(pipeline[:1].transform(log), aircraft, **loads).to_numpy()
     exact = truth = None
     if is_known:
         names = [name + "_hat" * (name in "pqr") for name in STEADY]

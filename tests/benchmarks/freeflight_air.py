@@ -68,7 +68,7 @@ def model_row(name, model, log, aircraft, flown):
     row["function, calm"] = 100.0 * interval_coverage(calm.truth, mean, std)
     row["derivatives"] = of_derivatives(model, **derivatives_of(name, aircraft, flown))["95 %"]
     X = np.asarray(model[:-1].transform(log))
-    Y = aerodynamic_coefficients(model.corrected(log), aircraft).to_numpy()
+    Y = aerodynamic_coefficients(model[:1].transform(log), aircraft).to_numpy()
     known = np.isfinite(X).all(axis=1) & np.isfinite(Y).all(axis=1)
     line = LinearRegression().fit(X[known], Y[known]).predict(calm.exact)
     error = float(normalized_rmse(calm.truth, mean))

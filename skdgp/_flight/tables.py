@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.findings import Finding, shortened
+from skdgp._compute.messages import report
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
@@ -26,6 +27,7 @@ from skdgp._flight.channels import (
     WRAPPED,
 )
 from skdgp._flight.clock import Clock
+from skdgp._flight.findings import Code
 from skdgp._flight.frames import wrapped
 
 # Names in other programs and textbooks, in lower case
@@ -197,6 +199,18 @@ COPIED = 0.5
 ROUNDED = 4
 # median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
 SAME_ATTITUDE = 0.05
+
+
+def without_copies(
+    flights: dict[str, FlightTable], others: dict[str, FlightTable], code: Code
+) -> dict[str, FlightTable]:
+    """Return the flights that are no copies of others, all if there are only copies; warn of copies by a code."""
+    copied = copies(flights, others)
+    originals = {name: flight for name, flight in flights.items() if name not in copied}
+    for name, other in copied.items():
+        kind = code if originals else Code.TESTED_ON_COPY
+        report(Finding(kind, flight=name, numbers={"other": other}))
+    return originals or flights
 
 
 def copies(flights: dict[str, FlightTable], others: dict[str, FlightTable]) -> dict[str, str]:

@@ -18,7 +18,7 @@ from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import (
     FlightTable,
     check_table,
-    copies,
+    without_copies,
 )
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 
@@ -43,21 +43,11 @@ def train_and_test(
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
     if steps and max(steps) > 1 / SLOWEST:
         report(Finding(Code.SLOW_LOG, numbers={"rate": float(1 / max(steps))}))
-    train = _without_copies(train, train, Code.FLIGHT_TWICE)
+    train = without_copies(train, train, Code.FLIGHT_TWICE)
     if test is None:
         return *_without_last(train), servos
     tested = named_flights(test, default="test flight", needed=needed, **reading)
-    return train, _without_copies(tested, train, Code.COPY_LEFT_OUT), servos
-
-
-def _without_copies(flights: Flights, others: Flights, code: Code) -> Flights:
-    """Return the flights that are no copies of others, all if there are only copies; warn of copies."""
-    copied = copies(flights, others)
-    originals = {name: flight for name, flight in flights.items() if name not in copied}
-    for name, other in copied.items():
-        kind = code if originals else Code.TESTED_ON_COPY
-        report(Finding(kind, flight=name, numbers={"other": other}))
-    return originals or flights
+    return train, without_copies(tested, train, Code.COPY_LEFT_OUT), servos
 
 
 def _without_last(flights: Flights) -> tuple[Flights, Flights]:

@@ -36,7 +36,7 @@ from skdgp.identification._prepare import (
     usable_flights_of_model,
     with_position_of,
 )
-from skdgp.identification._record import FitRecord, fit_record
+from skdgp.identification._record import fit_record
 from skdgp.io import FULL_THROW, reversed_of
 from skdgp.preprocessing import FlightPathReconstruction
 
@@ -165,7 +165,7 @@ def identify(
         if fit.lags_corrected:
             numbers = {"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands}
             report(Finding(Code.LAGS_CORRECTED, numbers=numbers))
-        chosen = _options(model, fit) | given | {"horizon": horizon}
+        chosen = _options(model) | given | {"horizon": horizon}
         if units is not None:
             chosen["servos"] = servos
         evaluations = [
@@ -196,12 +196,12 @@ def checked_regressor(regressor: DependentGPRegressor | None) -> DependentGPRegr
     return regressor
 
 
-def _options(pipeline: FlightPipeline, fit: FitRecord) -> dict[str, Any]:
+def _options(pipeline: FlightPipeline) -> dict[str, Any]:
     """Return the options of the steps of a pipeline, given or chosen."""
     reconstructs = isinstance(pipeline["flightpathreconstruction"], FlightPathReconstruction)
     return {
         **pipeline[-1].get_params(deep=False),
-        "samples": fit.samples,
+        "samples": pipeline.n_learned_,
         "regressors": pipeline["regressorselector"].regressors,
         "reconstruction": "auto" if reconstructs else "none",
         "lags": pipeline["lagcorrector"].lags,

@@ -11,7 +11,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels import ConvolvedGaussian
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:The regressors .* are constant",
@@ -54,28 +54,6 @@ def options(seed, X):
     }
 
 
-def given_kernel(seed, X, Y, order=slice(None), outputs=slice(None)):
-    """Return a prior with values for these data, its regressors and outputs in another order."""
-    rng = default_rng(seed + 2)
-    d = X.shape[1]
-    P = Y.shape[1]
-    size = np.sqrt(np.nanmean(Y**2, axis=0))
-    w = size * rng.uniform(0.3, 1.0, (1 + P, P)) * rng.choice([-1, 1], (1 + P, P))
-    lengths = rng.uniform(0.8, 3.0, (1 + P, P, d)) * X.std(axis=0)
-    slopes = size[:, None] * rng.uniform(0.1, 1.0, (P, d)) / X.std(axis=0)
-    private = np.concatenate([[0], 1 + np.arange(P)[outputs]])
-    process = ConvolvedGaussian(
-        1, amplitude=w[private][:, outputs], length_scale=lengths[private][:, outputs][..., order]
-    )
-    return process + LinearTrend(size[outputs], slopes[outputs][:, order], X.mean(axis=0)[order])
-
-
-def fixed(kernel, **more):
-    """Return a regressor of given hyperparameters and noise."""
-    known = {"trend": None, "optimizer": None, "noise_variance": 0.1, "random_state": 0}
-    return DependentGPRegressor(kernel, **known | more)
-
-
 def close(got, expected, spread, rtol=1e-6):
     """Assert that predictions agree, relative to the spread of the outputs."""
     assert_allclose(got / spread, expected / spread, rtol=rtol, atol=rtol)
@@ -112,27 +90,6 @@ def test_units_and_zero_points_decide_nothing(seed, inference):
     other, other_std = moments(there, (at + zero) * unit)
     close(other / gain - level, mean, spread, 1e-5)
     close(other_std / gain, std, spread, 1e-5)
-
-
-# Of the variance of the outputs: rounding errors are about 1e-13 over this. Without it, 0.1 of outputs of any unit
-NOISE_FRACTIONS = {1e-2: 1e-8, 1e-6: 1e-6, None: 1e-5}
-
-
-@pytest.mark.parametrize(("fraction", "rtol"), NOISE_FRACTIONS.items())
-@EXAMPLES
-@given(SEEDS, INFERENCE)
-def test_the_order_of_regressors_outputs_and_rows_decides_nothing(fraction, rtol, seed, inference):
-    X, Y = problem(seed)
-    rng = default_rng(seed + 3)
-    order, outputs, rows = (rng.permutation(n) for n in (X.shape[1], Y.shape[1], len(X)))
-    noise = np.full(Y.shape[1], 0.1) if fraction is None else fraction * np.nanvar(Y, axis=0)
-    how = {"inference": inference, "n_inducing": 40}
-    here = fixed(given_kernel(seed, X, Y), noise_variance=noise, **how).fit(X, Y)
-    kernel = given_kernel(seed, X, Y, order, outputs)
-    there = fixed(kernel, noise_variance=noise[outputs], **how)
-    there.fit(X[rows][:, order], Y[rows][:, outputs])
-    spread = np.nanstd(Y, axis=0)[outputs]
-    close(moments(there, X[:, order]), moments(here, X)[..., outputs], spread, rtol)
 
 
 @EXAMPLES

@@ -230,14 +230,6 @@ class TestBadInput:
         refused("none.json: No such file", aircraft="none.json")
 
     @pytest.mark.parametrize(
-        ("option", "name"), [("--test", "loop"), ("--aircraft", "a" * 300), ("-o", "loop")]
-    )
-    def test_a_name_that_the_system_cannot_follow(self, option, name, identify, tmp_path, capsys):
-        (tmp_path / "loop").symlink_to("loop")
-        assert identify(option, tmp_path / name) == 1
-        assert name in capsys.readouterr().err.splitlines()[-1]
-
-    @pytest.mark.parametrize(
         ("name", "message"),
         [
             ("uav.json", "is no folder that can be written to"),

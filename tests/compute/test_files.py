@@ -60,17 +60,6 @@ class TestWriting:
         assert load_model(target).note == "old"
         assert names(target.parent) == ["model.joblib"]
 
-    def test_follows_a_link(self, tmp_path, target):
-        (tmp_path / "folder").mkdir()
-        real = save(tmp_path / "folder" / "real.joblib", "old")
-        try:
-            target.symlink_to(real)
-        except OSError:
-            pytest.skip("this file system has no symbolic links")
-        save(target, "new")
-        assert target.is_symlink()
-        assert load_model(real).note == "new"
-
     def test_says_what_is_wrong_with_the_place(self, tmp_path):
         with pytest.raises(FileNotFoundError, match="does not exist"):
             save(tmp_path / "absent" / "model.joblib")
@@ -101,15 +90,11 @@ class TestReading:
         ("suffix", "content", "message"),
         [
             ("json", b"[" * 100_000, "not a JSON file: it is nested too deeply"),
-            ("json", b'{"a":' * 100_000, "not a JSON file: it is nested too deeply"),
             ("toml", b"a = " + b"[" * 100_000, "not a TOML file: it is nested too deeply"),
-            ("toml", b"a" + b".a" * 2000 + b" = " + b"[" * 2000, "not a TOML file: "),
             ("json", b'{"a": {"mass": 1, "mass": 2}}', "the key 'mass' stands twice"),
             ("toml", b"mass = 1\nmass = 2", "not a TOML file: Cannot overwrite"),
             ("json", b"1" * 5000, "not a JSON file: Exceeds the limit"),
-            ("toml", b"a = " + b"1" * 5000, "not a TOML file: Exceeds the limit"),
             ("json", b"", "not a JSON file: Expecting value"),
-            ("json", b"\x00" * 100, "not a JSON file: Expecting value"),
             ("json", b"\xff\xfe{\x00}\x00", "not a text in UTF-8"),
             ("toml", "name = 'Jäger'".encode("latin-1"), "not a text in UTF-8"),
             ("json", b" " * (2**24 + 1), "17 MB, but expected a file of at most 16 MB"),

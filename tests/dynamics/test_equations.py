@@ -48,7 +48,6 @@ def state_of(rates=RATES):
 
 
 MOTION = Motion(LINEAR, BRUMBY, thrust=None)
-NOW = MOTION.at(state_of(), HELD)
 
 
 def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():

@@ -46,6 +46,8 @@ def test_rounded_times_are_put_on_their_clock(rate, resolution):
 def test_a_jittered_clock_stays_as_it_is():
     time = np.arange(0.0, 30.0, 0.025) + default_rng(0).uniform(0, 0.01, 1200)
     assert unrounded(time)[1] == 0.0
+    few = np.array([0.0, 0.03, 0.07])
+    assert unrounded(few)[1] == 0.0
 
 
 STEP, PERIOD, N = 0.02, 5, 2000  # 10 Hz in a log of 50 Hz

@@ -249,22 +249,6 @@ class TestWeights:
         error = np.sqrt(np.mean((model.predict(x)[gaps, 1] + 2 * common[gaps]) ** 2))
         assert error < 0.3 * np.std(2 * common)
 
-    @pytest.mark.slow
-    def test_blocks_of_a_log_tell_drift_from_a_function(self):
-        """Errors that last as long as the regressor's excursions look like a function to random folds."""
-        with_time, without = [], []
-        for seed in range(6):
-            rng = default_rng(seed)
-            x, drift = (
-                np.convolve(rng.normal(size=260), np.ones(20) / 20**0.5, "valid")[:240]
-                for _ in range(2)
-            )
-            model = DependentGPRegressor(n_latent=0, random_state=0, max_iter=6, input_noise=None)
-            for weights, time in ((with_time, np.arange(240.0)), (without, None)):
-                model.fit(x[:, None], x + 0.5 * drift, time=time)
-                weights.append(model.weights_["trend"][0])
-        assert np.mean(with_time) > np.mean(without) + 0.1
-
 
 class TestRegressor:
     def test_noise_is_that_of_the_mixture(self, data):

@@ -27,8 +27,6 @@ from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._dryden import Gusts as Gusts
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import rolling_gust as rolling_gust
-from skdgp.dynamics._estimated_sizes import KINDS as KINDS
-from skdgp.dynamics._estimated_sizes import QUANTITIES as QUANTITIES
 from skdgp.dynamics._inputs import StepClock as StepClock
 from skdgp.dynamics._integrate import REASONS as REASONS
 from skdgp.dynamics._integrate import Trajectories as Trajectories
@@ -62,8 +60,10 @@ from skdgp.dynamics._servos import Servos
 from skdgp.dynamics._servos import limited_change as limited_change
 from skdgp.dynamics._servos import ramp_weights as ramp_weights
 from skdgp.dynamics._simulate import Simulator, simulate
-from skdgp.dynamics._size_errors import MOMENTS as MOMENTS
-from skdgp.dynamics._size_errors import ScaleFactor
+from skdgp.dynamics._sizes import KINDS as KINDS
+from skdgp.dynamics._sizes import MOMENTS as MOMENTS
+from skdgp.dynamics._sizes import QUANTITIES as QUANTITIES
+from skdgp.dynamics._sizes import ScaleFactor
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
 from skdgp.dynamics._trajectories import farthest_beyond as farthest_beyond
 from skdgp.dynamics._trim import Trim, trim

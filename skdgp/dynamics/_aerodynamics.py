@@ -22,7 +22,7 @@ from skdgp._compute.typing import Array, Predictor
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._servos import IDEAL, Servos
-from skdgp.dynamics._size_errors import ScaleFactor
+from skdgp.dynamics._sizes import ScaleFactor
 
 # Names that a regressor gives to outputs without names
 NO_NAMES = [f"y{i}" for i in range(len(COEFFICIENTS))]

@@ -29,9 +29,16 @@ from skdgp._flight.tables import (
     sensor_position,
     with_sensors_at,
 )
-from skdgp.dynamics._estimated_sizes import INERTIAS, KINDS, QUANTITIES, estimated, value_and_std
 from skdgp.dynamics._propeller import Propeller, ThrustLine
-from skdgp.dynamics._size_errors import MOMENTS, ScaleFactor
+from skdgp.dynamics._sizes import (
+    INERTIAS,
+    KINDS,
+    MOMENTS,
+    QUANTITIES,
+    ScaleFactor,
+    estimated,
+    value_and_std,
+)
 
 CENTRED = ThrustLine()
 # farthest inertial sensors from the centre of gravity [spans]; farther ones are given in mm; a guess

@@ -15,11 +15,10 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
-from skdgp.dynamics._linearize import check_paths, flight_point
+from skdgp.dynamics._linearize import check_paths, flight_point, unsteady_terms
 from skdgp.dynamics._motion import Instant, Motion, check_settled
-from skdgp.dynamics._size_errors import errors_of_sizes
+from skdgp.dynamics._sizes import errors_of_sizes
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import unsteady_terms
 
 ROWS = (*COEFFICIENTS, "CL", "CD")
 LIFT = ROWS.index("CL")

@@ -26,6 +26,9 @@ from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import (
+    air_data_slopes,
+    air_velocity,
+    cross,
     euler_per_rotation,
     euler_to_quaternion,
     quaternion_to_euler,
@@ -35,10 +38,9 @@ from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion, check_settled
-from skdgp.dynamics._rigid_body import ATTITUDE, RATES, thrust_control
+from skdgp.dynamics._rigid_body import ATTITUDE, RATES, dynamic_pressure, thrust_control
 from skdgp.dynamics._servos import IDEAL, Servos
 from skdgp.dynamics._trim import Trim
-from skdgp.dynamics._unsteady import UnsteadyTerms, unsteady_terms
 
 # States of a linear model, with Euler angles in place of the quaternion of `STATE_NAMES`
 LINEAR_STATES = (*POSITION, *BODY_VELOCITY, *EULER, *RATE_NAMES)
@@ -54,6 +56,13 @@ ANGLE_STEP = 1e-3
 RELATIVE_STEP = 1e-3
 # States that neither loads nor outputs of interest depend on: their modes are at zero
 UNUSED = ("north", "east", "down", "psi")
+
+
+# Rate of each air angle, and the rate of rotation whose slopes have a similar effect
+ROTATION_OF = {"alpha_dot": "q", "beta_dot": "r"}
+# Standard deviation of the slopes by alpha_dot and beta_dot over those by q and r; a guess, for a
+# tail in the downwash
+RELATIVE_STD = np.array([0.4, 0.2])
 
 
 class Matrices(NamedTuple):
@@ -429,3 +438,71 @@ def transfer(
     shape = (*resolvent.shape[:-1], B.shape[-1])
     response = np.linalg.solve(resolvent, np.broadcast_to(B[..., None, :, :], shape))
     return C[..., None, :, :] @ response + D[..., None, :, :]
+
+
+class UnsteadyTerms(NamedTuple):
+    r"""Effects of alpha_dot and beta_dot that a model without them merges with other derivatives.
+
+    They change C by slopes @ (missing * rates - relation @ regressors). Most flights do not tell alpha_dot from q
+    and beta_dot from r (Klein & Morelli 2006, section 5.1). A model without them gives their effect to the
+    regressors that they follow from. With :math:`\dot\alpha = S x` of the motion that the loads of the model cause
+    without gravity, a slope by x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives
+    :math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known
+    here, so :math:`C_{\dot\alpha}` is zero with a standard deviation of `RELATIVE_STD` of :math:`C_q`, and of
+    :math:`C_r` for beta_dot, of each function drawn from the posterior: where gusts make :math:`C_q` of the mean
+    vanish, :math:`C_{\dot\alpha}` need not vanish.
+    """
+
+    slopes: Array  #: One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)
+    #: S, their slopes by the regressors, less their slopes as regressors themselves, (..., 2, d)
+    relation: Array
+    missing: Array  #: Whether they are no regressors, (2, 1)
+
+    @property
+    def errors(self) -> Array:
+        """Errors of the slopes of C, (..., 6, d, 2)."""
+        return -np.einsum("...ij,...jk->...ikj", self.slopes, self.relation)
+
+    def coefficients(self, angle_rates: Array, regressors: Array) -> Array:
+        """Return the change of C (..., 6, k) by changes of alpha_dot, beta_dot (..., 2, k), regressors (..., d, k)."""
+        return self.slopes @ (self.missing * angle_rates - self.relation @ regressors)
+
+
+def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms:
+    """Return the unsteady terms at a flight, by the slopes (..., 6, d) of the model or of its paths."""
+    units = _units(motion, now)
+    std = np.zeros((*slopes.shape[:-1], 2))
+    relation = _angle_rate_slopes(motion, now, slopes, units)
+    missing = np.ones((2, 1), dtype=bool)
+    for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
+        for k, name in enumerate(motion.regressors):
+            if name == rotation:
+                std[..., j] = RELATIVE_STD[j] * slopes[..., k] / units[..., k, None]
+            if name == angle_rate:
+                relation[..., j, k] -= units[..., k]
+                missing[j] = False
+    return UnsteadyTerms(std, relation, missing)
+
+
+def _units(motion: Motion, now: Instant) -> Array:
+    """Return the channel over its regressor (..., d): 2 V / b [1/s] of p_hat, 1 of p and of alpha."""
+    units = np.ones((*np.shape(now.airspeed), len(motion.regressors)))
+    for k in range(len(motion.regressors)):
+        units[..., k] /= motion.factor(k, now.airspeed)
+    return units
+
+
+def _angle_rate_slopes(motion: Motion, now: Instant, slopes: Array, units: Array) -> Array:
+    r"""Return S (..., 2, d), slopes of alpha_dot and beta_dot by the regressors, without gravity.
+
+    .. math:: \dot V = F_A(x) / m - \omega(x) \times V
+    """
+    aircraft = motion.aircraft
+    velocity = air_velocity(now.airspeed, now.alpha, now.beta)
+    force_per_slope = dynamic_pressure(now.airspeed, now.density) * aircraft.wing_area
+    acceleration = (force_per_slope / aircraft.mass)[..., None, None] * slopes[..., :3, :]
+    for k, name in enumerate(motion.regressors):
+        if name in RATE_NAMES:
+            axis = np.eye(3)[RATE_NAMES.index(name)] * np.ones_like(velocity)
+            acceleration[..., k] -= cross(axis, velocity) * units[..., k, None]
+    return air_data_slopes(velocity)[..., 1:, :] @ acceleration

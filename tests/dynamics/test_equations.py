@@ -19,9 +19,8 @@ from skdgp.dynamics import (
     euler_to_quaternion,
 )
 from skdgp.dynamics._dryden import dryden_system, rolling_gust
-from skdgp.dynamics._linearize import jacobian
+from skdgp.dynamics._linearize import RELATIVE_STD, UnsteadyTerms, jacobian, unsteady_terms
 from skdgp.dynamics._simulate import drift_in_still_air
-from skdgp.dynamics._unsteady import RELATIVE_STD, UnsteadyTerms, unsteady_terms
 
 BRUMBY = load_example_flights(duration=1.0).aircraft
 LINEAR_NAMES = ["alpha", "beta", "p_hat", "q", "r_hat", "elevator", "rudder"]

@@ -458,12 +458,13 @@ def _margins_of(transfer: Matrix, w: Vector) -> Margins:
     places = np.arange(len(w))
     rows = []
     for of_size, of_angle in zip(size, angle, strict=True):
-        crossings = _crossings(of_size)
+        crossings = _zeros(of_size)
         phases = np.interp(crossings, places, of_angle)
         phases -= 360.0 * np.round(phases / 360.0)
         phase, crossover = _smallest(phases, crossings)
         # where the angle rises, a larger gain makes a mode stable
-        crossings = np.concatenate([_falls(of_angle - 360.0 * turn) for turn in _turns(of_angle)])
+        turns = 360.0 * np.arange(np.floor(of_angle.min() / 360.0), of_angle.max() / 360.0 + 1.0)
+        crossings = np.concatenate([_zeros(of_angle - turn, falling=True) for turn in turns])
         gains = -np.interp(crossings, places, of_size)
         rows.append([gains[gains > 0].min(initial=np.inf), phase, crossover])
     gain, phase, crossings = np.transpose(rows)
@@ -480,28 +481,12 @@ def _smallest(values, places):
     return values[best], places[best]
 
 
-def _crossings(values):
-    """Return the places, fractions of an index, where values (n,) cross zero."""
+def _zeros(values, *, falling=False):
+    """Return the places, fractions of an index, where values (n,) cross zero, or fall below it."""
     signs = values > 0
-    return _places(values, signs[:-1] != signs[1:])
-
-
-def _falls(values):
-    """Return the places where values (n,) fall below zero."""
-    signs = values > 0
-    return _places(values, signs[:-1] & ~signs[1:])
-
-
-def _places(values, is_before):
-    """Return the places of the zeros behind some of the values (n,)."""
+    is_before = signs[:-1] & ~signs[1:] if falling else signs[:-1] != signs[1:]
     first = np.flatnonzero(is_before)
-    change = values[first + 1] - values[first]
-    return first - values[first] / change
-
-
-def _turns(turned):
-    """Return the multiples of a turn that unwrapped angles [deg] reach."""
-    return range(int(np.floor(turned.min() / 360.0)), int(np.ceil(turned.max() / 360.0)) + 1)
+    return first - values[first] / (values[first + 1] - values[first])
 
 
 def _marked(loop_margins: Margins, unstable) -> Margins:

@@ -238,12 +238,13 @@ def plan(
     before = derivatives.get("std", pd.Series(dtype=float))
     errors = _errors(before, aerodynamics, np.concatenate([rows[k] for k in chosen]))
     flown = [available[k] for k in chosen]
+    numbered = [item.flight.assign(flight=k) for k, item in enumerate(flown)]
     goal = _taught(goal, aerodynamics, flown)
     return Plan(
         train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
         manoeuvres=_timetable(flown, pause, RESPONSE),
-        flight=_numbered([item.flight for item in flown]),
+        flight=pd.concat(numbered, ignore_index=True),
         errors=errors.reindex(goal),
         limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
         aircraft=aircraft,
@@ -448,9 +449,3 @@ def _timetable(flown: Sequence[Rehearsed], pause: float, end: float) -> pd.DataF
         start += item.duration + pause
     rows[-1]["pause"] = end
     return pd.DataFrame(rows).assign(scale=[item.scale for item in flown])
-
-
-def _numbered(flights: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return flights in one table, with their numbers in the column ``flight``."""
-    parts = [flight.assign(flight=k) for k, flight in enumerate(flights)]
-    return pd.concat(parts, ignore_index=True)

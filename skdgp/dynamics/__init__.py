@@ -24,7 +24,6 @@ from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._aircraft import check_aircraft as check_aircraft
 from skdgp.dynamics._aircraft import with_sensor_position as with_sensor_position
 from skdgp.dynamics._derivatives import stability_derivatives
-from skdgp.dynamics._dryden import Gusts as Gusts
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import rolling_gust as rolling_gust
 from skdgp.dynamics._inputs import StepClock as StepClock
@@ -35,7 +34,6 @@ from skdgp.dynamics._integrate import fly_record as fly_record
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
-from skdgp.dynamics._linearize import Matrices as Matrices
 from skdgp.dynamics._linearize import transfer as transfer
 from skdgp.dynamics._modes import LATERAL as LATERAL
 from skdgp.dynamics._modes import LONGITUDINAL as LONGITUDINAL
@@ -65,7 +63,6 @@ from skdgp.dynamics._sizes import MOMENTS as MOMENTS
 from skdgp.dynamics._sizes import QUANTITIES as QUANTITIES
 from skdgp.dynamics._sizes import ScaleFactor
 from skdgp.dynamics._trajectories import SimulationWarning, trajectory_bands
-from skdgp.dynamics._trajectories import farthest_beyond as farthest_beyond
 from skdgp.dynamics._trim import Trim, trim
 
 __all__ = [

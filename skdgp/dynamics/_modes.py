@@ -101,14 +101,9 @@ def _split(
 ) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
     """Return the units, ``size`` eigenvalues, with the largest participation of some states, and the others."""
     share = participation.sum().to_numpy()
-    best: Sequence = ()
-    largest = -np.inf
-    for number in range(1, size + 1):
-        for subset in combinations(units, number):
-            members = list(chain(*subset))
-            if len(members) == size and share[members].sum() > largest:
-                best = subset
-                largest = share[members].sum()
+    subsets = chain.from_iterable(combinations(units, n) for n in range(1, size + 1))
+    fitting = [subset for subset in subsets if sum(map(len, subset)) == size]
+    best = max(fitting, key=lambda subset: share[[*chain(*subset)]].sum(), default=())
     return list(best), [unit for unit in units if unit not in best]
 
 

@@ -42,7 +42,6 @@ from skdgp.dynamics._starts import as_starts, initial_states
 from skdgp.dynamics._trajectories import (
     SimulationWarning,
     farthest_beyond,
-    farthest_regressor,
     trajectory_table,
     warn_of,
 )
@@ -390,7 +389,8 @@ class Simulator:
             reasons = end_reasons(self._end.state, self._end.now)
         self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
         self.time += duration
-        self.beyond = str(farthest_regressor(self.motion, self._end.now.regressors))
+        farthest = int(farthest_beyond(self.motion, self._end.now.regressors))
+        self.beyond = ["", *self.motion.regressors][farthest]
         self.ended = next(iter(reasons), FLYING)
         return self._seen()
 

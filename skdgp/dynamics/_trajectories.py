@@ -113,12 +113,6 @@ def farthest_beyond(motion: Motion, regressors: Array, margin: float = 0.02) -> 
     return np.where(outside.max(axis=-1) > margin, 1 + outside.argmax(axis=-1), 0)
 
 
-def farthest_regressor(motion: Motion, regressors: Array) -> np.ndarray:
-    """Return the name of the regressor (..., d) farthest outside its training range, "" if none is outside."""
-    names = np.array(["", *motion.regressors], dtype=object)
-    return names[farthest_beyond(motion, regressors)]
-
-
 def warn_of(record: Trajectories, motion: Motion, farthest: Array) -> None:
     """Warn of trajectories that ended early, and of those that left the training ranges.
 

@@ -105,7 +105,6 @@ class Trim:
     rates: Array  #: p, q, r [rad/s]
     coefficients: Array  #: CX CY CZ Cl Cm Cn
     thrust: float  #: Thrust of the engine along its line [N]
-    solved: tuple[str, ...]  #: The unknowns
     residual: float  #: The largest acceleration that remains [m/s^2 or rad/s^2]
     beyond: dict  #: Regressors outside their training ranges: name to (value, smallest, largest)
 
@@ -219,7 +218,6 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         rates=state[RATES].copy(),
         coefficients=now.coefficients,
         thrust=float((now.force - aerodynamic) @ aircraft.engine_line.direction),
-        solved=steady.unknowns,
         residual=float(np.abs(now.derivative[ACCELERATIONS]).max()),
         beyond=_outside_training(steady.motion.aerodynamics, now.regressors),
     )

@@ -101,8 +101,7 @@ class Envelope:
         flown = flown_quantities(model)
         for name in requested:
             flown.pop(name, None)
-        if model.limits is not None:
-            flown |= dict(zip(model.regressors, model.limits.T.tolist(), strict=True))
+        flown |= model.training_ranges
         for name, (low, high) in flown.items():
             growth = 0.5 * self.growth * (high - low)
             grown = (low, np.inf) if name == "altitude" else (low - growth, high + growth)

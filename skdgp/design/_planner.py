@@ -344,9 +344,7 @@ def _amplitudes(
     trim: Trim, model: Aerodynamics, axes: Sequence[str], limits: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the largest deviations of the axes, by default within the training ranges."""
-    flown = {}
-    if model.limits is not None:
-        flown = dict(zip(model.regressors, model.limits.T.tolist(), strict=True))
+    flown = model.training_ranges
     amplitudes = {}
     for axis in axes:
         if axis not in limits and axis not in flown:

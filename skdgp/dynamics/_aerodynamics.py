@@ -172,6 +172,13 @@ class Aerodynamics:
         return np.where(widths > 0, widths, unknown)
 
     @property
+    def training_ranges(self) -> dict[str, tuple[float, float]]:
+        """Smallest and largest value of each regressor that the model was learned from, empty if unknown."""
+        if self.limits is None:
+            return {}
+        return dict(zip(self.regressors, map(tuple, self.limits.T.tolist()), strict=True))
+
+    @property
     def has_path_slopes(self) -> bool:
         """Whether these are functions drawn from a posterior, with slopes of their own."""
         return self.n_paths is not None and self.slopes is not None

@@ -206,12 +206,11 @@ class _Frame:
         self.turn[DRAG, [0, 2]] = -cosine, -sine
         self.columns = list(motion.regressors)
         # slopes by the conventional quantities over slopes by the model's regressors, and 1 of coefficients
-        self.scale = np.ones(1 + len(self.columns))
-        for k, name in enumerate(self.columns):
+        self.scale = np.append(1.0, motion.factors(now.airspeed))
+        for k, name in enumerate(self.columns, start=1):
             if name in LENGTHS:
                 length = motion.aircraft.lengths[LENGTHS[name]]
-                usual = rate_factor(name, length, now.airspeed)
-                self.scale[1 + k] = motion.factor(k, now.airspeed) / usual
+                self.scale[k] /= rate_factor(name, length, now.airspeed)
         # of the conventional quantities, (1 + d,), NaN of the coefficients
         self.perturbation = None
         if motion.aerodynamics.perturbation is not None:

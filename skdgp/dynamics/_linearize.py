@@ -470,7 +470,9 @@ class UnsteadyTerms(NamedTuple):
 
 def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms:
     """Return the unsteady terms at a flight, by the slopes (..., 6, d) of the model or of its paths."""
-    units = _units(motion, now)
+    units = 1.0 / motion.factors(
+        now.airspeed
+    )  # the channel over its regressor: 2 V / b [1/s] of p_hat
     std = np.zeros((*slopes.shape[:-1], 2))
     relation = _angle_rate_slopes(motion, now, slopes, units)
     missing = np.ones((2, 1), dtype=bool)
@@ -482,14 +484,6 @@ def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms
                 relation[..., j, k] -= units[..., k]
                 missing[j] = False
     return UnsteadyTerms(std, relation, missing)
-
-
-def _units(motion: Motion, now: Instant) -> Array:
-    """Return the channel over its regressor (..., d): 2 V / b [1/s] of p_hat, 1 of p and of alpha."""
-    units = np.ones((*np.shape(now.airspeed), len(motion.regressors)))
-    for k in range(len(motion.regressors)):
-        units[..., k] /= motion.factor(k, now.airspeed)
-    return units
 
 
 def _angle_rate_slopes(motion: Motion, now: Instant, slopes: Array, units: Array) -> Array:

@@ -217,6 +217,13 @@ class Motion:
         name, length = self._sources[k]
         return 1.0 if length is None else rate_factor(name, length, airspeed)
 
+    def factors(self, airspeed: Array) -> Array:
+        """Return the regressors over their channels, (..., d)."""
+        factors = [
+            self.factor(k, airspeed) * np.ones_like(airspeed) for k in range(len(self._sources))
+        ]
+        return np.stack(factors, axis=-1)
+
     def _source(self, full: str) -> tuple[str, float | None]:
         """Return the channel that a regressor is made from, and the length that makes it non-dimensional."""
         name = full.removesuffix(TRUTH_SUFFIX)

@@ -227,11 +227,13 @@ def _outside_training(
     model: Aerodynamics, regressors: Array
 ) -> dict[str, tuple[float, float, float]]:
     """Return the regressors (d,) outside their training ranges: name to (value, smallest, largest)."""
-    if model.limits is None:
-        return {}
-    rows = np.stack([regressors, *model.limits], axis=1).tolist()
-    named = zip(model.regressors, map(tuple, rows), strict=True)
-    return {name: row for name, row in named if not row[1] <= row[0] <= row[2]}
+    outside = {}
+    for (name, (low, high)), value in zip(
+        model.training_ranges.items(), regressors.tolist(), strict=False
+    ):
+        if not low <= value <= high:
+            outside[name] = (value, low, high)
+    return outside
 
 
 class SteadyFlight:
@@ -429,14 +431,8 @@ class SteadyFlight:
 
 def _training_ranges(motion: Motion) -> dict[str, tuple[float, float]]:
     """Return the training ranges by name of the regressors that are no scaled rates."""
-    model = motion.aerodynamics
-    ranges: dict[str, tuple[float, float]] = {}
-    if model.limits is not None:
-        limits = model.limits.T.tolist()
-        for full, name, ends in zip(model.regressors, motion.regressors, limits, strict=True):
-            if HAT not in full:
-                ranges[name] = tuple(ends)
-    return ranges
+    known = zip(motion.regressors, motion.aerodynamics.training_ranges.items(), strict=False)
+    return {name: ends for name, (full, ends) in known if HAT not in full}
 
 
 def _check_given(conditions: dict, fixed: dict) -> None:

@@ -47,7 +47,7 @@ class Model:
         a, P = self.arrays, len(self.head["outputs"])
         mixture = a["mixture"]
         z = (np.asarray(X, dtype=float) - a["shift"]) / a["scale"]
-        p = np.column_stack([np.ones(len(z)), z - a["trend_center"]])
+        p = np.column_stack([np.ones(len(z)), z])
         means, variances = np.empty((2, len(z), *mixture.shape))
         slopes = np.zeros((len(z), P, len(a["shift"])))
         ends = np.cumsum(a["term_place"][:, 2])

@@ -26,7 +26,6 @@ SHARED = (
     "scale",
     "center",
     "output_scale",
-    "trend_center",
     "mixture",
     "prior_variance",
     "trend_weights",

@@ -39,9 +39,7 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     means = []
     variances = []
     for i in range(len(model.outputs)):
-        components = [
-            (weight, *_moments(ca, z, model, part)) for weight, part in model.components(i)
-        ]
+        components = [(weight, *_moments(ca, z, part)) for weight, part in model.components(i)]
         mean = sum(weight * own_mean for weight, own_mean, _ in components)
         means.append(mean)
         variances.append(sum(w * (nu + (mu - mean) ** 2) for w, mu, nu in components))
@@ -54,9 +52,9 @@ def casadi_function(model: PortableModel, *, mean_only: bool = False) -> Any:
     return ca.Function("aero", [x], results, ["x"], ["mean", "std", "jacobian"])
 
 
-def _moments(ca: Any, z: Any, model: PortableModel, part: Part) -> tuple[Any, Any]:
+def _moments(ca: Any, z: Any, part: Part) -> tuple[Any, Any]:
     """Return normalised mean and variance as expressions of the scaled regressors, by the formulas of `Part`."""
-    p = ca.horzcat(1, z - model.trend_center[None])
+    p = ca.horzcat(1, z)
     places = {term.first: range(*term.entries.indices(term.entries.stop)) for term in part.terms}
     functions = dict.fromkeys(places, 0.0)
     for term in part.terms:

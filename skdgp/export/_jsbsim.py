@@ -361,8 +361,7 @@ def _mean(model: PortableModel, i: int) -> tuple[float, Vector, list[tuple[Term,
         for term in part.terms:
             gains = weight * term.gain * part.readout.weights[term.entries]
             gaussians.append((term, gains))
-    constant = float(model.center[i] + trend[0] - trend[1:] @ model.trend_center)
-    return constant, trend[1:], gaussians
+    return float(model.center[i] + trend[0]), trend[1:], gaussians
 
 
 def _apply(operator: str, *operands: Operand) -> Element:

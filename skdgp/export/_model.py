@@ -101,7 +101,7 @@ class Readout:
 class Part:
     r"""Normalised posterior of one output by one component of the average.
 
-    With scaled regressors z, p = (1, z - ``trend_center``) and the basis g(z) of the terms,
+    With scaled regressors z, p = (1, z) and the basis g(z) of the terms,
 
     .. math:: \mu = v^T p + w^T g, \quad \nu = a + |R^T p|^2 - |h|^2, \quad
               h = T^T p + (0, U^T g).
@@ -172,8 +172,6 @@ class PortableModel:
     shift, scale : ndarray (d,)
         Scaled regressors are z = (x - shift) / scale.
     center, output_scale : ndarray (P,)
-    trend_center : ndarray (d,)
-        Point of the intercepts, in scaled regressors, of all parts.
     parts : tuple of Part
         K P.
     mixture : ndarray (K, P)
@@ -200,7 +198,6 @@ class PortableModel:
     scale: Vector
     center: Vector
     output_scale: Vector
-    trend_center: Vector
     parts: tuple[Part, ...]
     mixture: Matrix
     noise_variance: Vector
@@ -295,7 +292,7 @@ class PortableModel:
 
 # Arrays of a model
 NUMBERS_OF_MODEL = (
-    *("shift", "scale", "center", "output_scale", "trend_center", "mixture"),
+    *("shift", "scale", "center", "output_scale", "mixture"),
     *("noise_variance", "input_covariance", "limits", "servos"),
 )
 # Prefix of the arrays of a `Reference`

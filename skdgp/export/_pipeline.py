@@ -82,7 +82,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         )
     shift, scale = learned.shift, learned.scale
     posterior = regressor.posterior_
-    center, parts = _all_parts(posterior)
+    parts = _all_parts(posterior)
     samples = training_inputs(posterior) * scale + shift
     points = samples
     if simulated.limits is not None:
@@ -96,7 +96,6 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         scale=scale,
         center=np.asarray(regressor.center_, dtype=float),
         output_scale=np.asarray(regressor.scale_, dtype=float),
-        trend_center=center,
         parts=parts,
         mixture=np.asarray(posterior.mixture, dtype=float),
         noise_variance=np.asarray(regressor.noise_variance_),
@@ -193,30 +192,27 @@ def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:
     return center, np.column_stack(values)
 
 
-def _moved_trend(own: Vector, center: Vector) -> Matrix:
-    """Return the matrix M (d + 1, d + 1) with (1, z - own) = M (1, z - center)."""
+def _moved_trend(center: Vector) -> Matrix:
+    """Return the matrix M (d + 1, d + 1) with (1, z - center) = M (1, z)."""
     moved = np.eye(len(center) + 1)
-    moved[1:, 0] = center - own
+    moved[1:, 0] = -center
     return moved
 
 
-def _all_parts(posterior: Posterior) -> tuple[Vector, tuple[Part, ...]]:
-    """Return the common centre of the trends, and the parts of all components, one for each output."""
+def _all_parts(posterior: Posterior) -> tuple[Part, ...]:
+    """Return the parts of all components, one for each output."""
     errors = posterior if isinstance(posterior, PosteriorWithErrors) else None
-    center = _trend_of(posterior.members[0].kernel)[0]
     parts: list[Part] = []
     for member, weights in zip(posterior.members, posterior.mixture, strict=True):
-        for part, weight in zip(_parts(member, errors, center), weights, strict=True):
-            parts.append(part if weight > 0 else _unused(len(center)))
-    return center, tuple(parts)
+        for part, weight in zip(_parts(member, errors), weights, strict=True):
+            parts.append(part if weight > 0 else _unused(posterior.kernel.n_features))
+    return tuple(parts)
 
 
-def _parts(
-    posterior: SinglePosterior, errors: PosteriorWithErrors | None, center: Vector
-) -> list[Part]:
-    """Return the parts of a single posterior, one for each output, with trends about a common centre.
+def _parts(posterior: SinglePosterior, errors: PosteriorWithErrors | None) -> list[Part]:
+    """Return the parts of a single posterior, one for each output.
 
-    A trend about another centre has the functions M p, p = (1, z - center). So its weights are
+    A trend about a centre has the functions M p, p = (1, z). So its weights are
     M^T v, and the roots of its prior and explained covariance M^T R and M^T T. Errors of the
     function add to the prior: linear ones further columns, the discrepancy a variance.
     """
@@ -228,14 +224,14 @@ def _parts(
             f"have a portable form. {REMEDY}"
         )
     trend, tau = _trend_of(posterior.kernel)
-    roots = _moved_trend(trend, center).T * tau[:, None]
+    roots = _moved_trend(trend).T * tau[:, None]
     priors = [root[:, root.any(axis=0)] for root in roots]
     variance = np.zeros(posterior.kernel.n_outputs)
     for kernel in kernels:
         variance += (kernel.value("amplitude") ** 2).sum(axis=0)
     if errors is not None:
         variance += errors.discrepancy
-        linear = _moved_trend(errors.errors.centre, center).T @ errors.errors.weights.T
+        linear = _moved_trend(errors.errors.centre).T @ errors.errors.weights.T
         priors = [_square_root(np.hstack(pair)) for pair in zip(priors, linear, strict=True)]
     if isinstance(posterior, ExactPosterior):
         parts = _exact(posterior, kernels, trend, tau, roots)

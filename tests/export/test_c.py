@@ -71,7 +71,7 @@ def test_equals_the_pipeline(written, read, tmp_path):
 
 
 WRONG = {
-    "trend": lambda model: replace(model, trend_center=model.trend_center + 0.01),
+    "trend": lambda model: replace(model, shift=model.shift + 0.001),
     "deviation": lambda model: replace(
         model,
         parts=[replace(part, prior_variance=part.prior_variance + 1e-4) for part in model.parts],

@@ -94,7 +94,7 @@ void aero_predict(const double x[AERO_INPUTS], double mean[AERO_OUTPUTS], double
     scaled(x, z);
     p[0] = 1;
     for (int k = 0; k < AERO_INPUTS; k++)
-        p[k + 1] = z[k] - trend_center[k];
+        p[k + 1] = z[k];
     for (int i = 0; i < AERO_OUTPUTS; i++) {
         double total = 0, spread = 0;
         for (int m = 0; m < COMPONENTS; m++) {

@@ -72,9 +72,11 @@ class Code(Kind):
     )
     CHANNELS_TOGETHER = (
         "[flight {flight}: ]channels are wrong together[; other sign: {turned:, }][; exchanged: {exchanged:, }]"
+        "[; late by about {lag:.2g} s: {late:, }]"
         "[; as in axes {axes}]",
-        "Body axes are forward, right, down, those of the earth north, east, down.[{from_east: The "
-        "heading counts from north to the right: write pi/2 - psi.}]",
+        "[{is_frame:Body axes are forward, right, down, those of the earth north, east, down.}]"
+        "[{from_east: The heading counts from north to the right: write pi/2 - psi.}]"
+        "[{is_late:Bring the columns to one clock: numpy.interp(time + delay, time, column).}]",
     )
     LARGE_SURFACES = (
         "got surfaces in rad up to {largest:.2f}, more than most servos reach",

@@ -150,7 +150,7 @@ class Aircraft:
         Flights tell the lift that carries it, and ``derivatives`` of a model (``value``, ``std``)
         its lift slope and damping.
         """
-        sizes = self.sizes
+        sizes = self.sizes | {"Ixz": -float(self.inertia[0, 2])}
         stds: dict[str, float] = {}
         if flights is not None:
             flown, stds = sizes_in_flight(flights, self.mass, self.wing_area)

@@ -21,7 +21,6 @@ from skdgp._flight.channels import (
     ELEVONS,
     EULER,
     HAT,
-    MIXED,
     RATES,
     SURFACES,
     THRUST_COLUMNS,
@@ -417,8 +416,8 @@ def _check_any(records: list[Record], fewest: int) -> None:
 
 
 def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table with elevator and aileron of its elevons, where it has no others."""
-    if not {*ELEVONS} <= {*table} or {*MIXED} & {*table}:
+    """Return the table with elevator and aileron of its elevons, as ``ElevonSplitter`` has them."""
+    if not {*ELEVONS} <= {*table}:
         return table
     return table.assign(**by_elevons(table))
 

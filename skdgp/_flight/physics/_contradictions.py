@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -59,13 +59,21 @@ def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
     is_turned = any(each.relation is TURNING for each in contradictions)
     are_several = is_turned or len(contradictions) >= PHYSICS.several
     doubted = {name for each in contradictions for name in each.channels}
-    for mistake in (each.of(signals) for each in MISTAKES if are_several):
+    for mistake in _candidates(signals, contradictions) if are_several else ():
         is_possible = len(mistake.channels) > 1 and not doubted.isdisjoint(mistake.channels)
         if is_possible and _are_sound(mistake.undone(signals)):
             return [mistake]
     if {*ELEVONS} <= {*flights.table.columns}:
         return [_of_elevons(contradiction) for contradiction in causes]
     return [*causes]
+
+
+def _candidates(signals: Signals, contradictions: Iterable[Contradiction]) -> Iterator[Mistake]:
+    """Yield the mistakes of channels that the signals have, each delay that a contradiction shows for late ones."""
+    lags = sorted({abs(each.lag[0]) for each in contradictions if each.lag is not None})
+    for mistake in MISTAKES:
+        own = mistake.of(signals)
+        yield from [replace(own, lag=lag) for lag in lags] if own.late else [own]
 
 
 def _are_sound(signals: Signals) -> bool:

@@ -17,6 +17,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.physics import _equations as equations
 from skdgp._flight.physics._checks import (
     AHEAD,
+    CALIBRATED,
     GUSTY,
     LEVEL,
     NEGATIVE,
@@ -229,7 +230,12 @@ def _relation_of_response(name: str, effects: tuple[str, ...]) -> Relation:
 def _sign_of_effect(name: str, effects: tuple[str, ...], admissible: Interval) -> Sign:
     """Return the check of the sign of the first effect on a rate or specific force."""
     angle = next((effect for effect in effects if effect in VANES), None)
-    return Sign(relation=_relation_of_response(name, effects), admissible=admissible, angle=angle)
+    return Sign(
+        relation=_relation_of_response(name, effects),
+        admissible=admissible,
+        angle=angle,
+        is_cause=effects[0] in ALL_SURFACES,
+    )
 
 
 LIFT = _relation_of_response("az", ("alpha", "q", "elevator"))
@@ -237,9 +243,9 @@ SIDEFORCE = _relation_of_response("ay", ("beta", *LATERAL_EFFECTS))
 WEATHERCOCK = _sign_of_effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
 
 
-def _sign_of_drive(name: str, noise: float, unit: str) -> Sign:
-    """Return the check of what drives the aircraft forward."""
-    relation = Relation(
+def _relation_of_drive(name: str, unit: str) -> Relation:
+    """Return the relation of the axial force with what drives the aircraft forward."""
+    return Relation(
         channels=(name, "ax"),
         uses=("airspeed", "az"),
         y="ax",
@@ -247,7 +253,9 @@ def _sign_of_drive(name: str, noise: float, unit: str) -> Sign:
         regression=partial(equations.thrust, name=name),
         unit=unit,
     )
-    return Sign(relation=relation, admissible=POSITIVE, noise=noise)
+
+
+DRIVES = {name: _relation_of_drive(name, "1/kg") for name in ("thrust", "thrust_x")}
 
 
 SIGNS = (
@@ -264,16 +272,23 @@ SIGNS = (
     _sign_of_effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
     _sign_of_effect("q", ("elevator", "alpha", "q"), NEGATIVE),
     _sign_of_effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
-    _sign_of_drive("throttle", 0.01, "m/s^2"),
-    _sign_of_drive("thrust", 0.0, "1/kg"),
-    _sign_of_drive("thrust_x", 0.0, "1/kg"),
+    Sign(relation=_relation_of_drive("throttle", "m/s^2"), admissible=POSITIVE, noise=0.01),
+    *[Sign(relation=drive, admissible=POSITIVE) for drive in DRIVES.values()],
 )
 
+SCALE = replace(
+    AIRSPEED,
+    channels=("airspeed",),
+    uses=(*EULER, *EARTH_VELOCITY),
+    lags=(0.0,),
+    causes=("indicated in place of true airspeed", "the calibration of the pitot tube"),
+)
 OFFSETS = (
     Sign(relation=COURSE, admissible=AHEAD, noise=3.0),
     Sign(relation=INCIDENCE, admissible=LEVEL, noise=3.0),
+    Sign(relation=SCALE, admissible=CALIBRATED, noise=3.0),
 )
-"""Judged last, as an angle of another zero explains no wrong sign."""
+"""Judged last, as a small error of a scale or of an angle's zero explains no wrong sign."""
 
 
 # -- exchanges
@@ -356,6 +371,8 @@ MISTAKES = (
     Mistake(turned=("q", "theta")),
     Mistake(turned=("p", "phi")),
     Mistake(turned=("r", "psi")),
+    Mistake(late=EARTH_VELOCITY),
+    Mistake(late=ALL_SURFACES),
     Mistake(exchanged=HORIZONTAL, turned=("v_down", "down"), axes="east, north, up"),
     Mistake(turned=BODY_TURNED, axes=LEFT_UP),
     Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP),

@@ -54,6 +54,10 @@ class PhysicsSettings:
     # the same of vanes against the motion: gusts lead it (54 simulated flights)
     usual_vane_lag: float = 0.15
     least_vane_t: float = 10.0
+    # a response is earlier than its surface by no more than this [s], where filters of recorders differ; the
+    # largest t beyond was 5.5 in 64 sound flights, and surfaces late by 0.3 s had 10 and more
+    usual_lead: float = 0.15
+    least_lead_t: float = 10.0
     # contradictions from which on a mistake of several channels at once is looked for
     several: int = 3
     # least correlation at a lag that is a contradiction, whatever the slope (guess)
@@ -74,7 +78,7 @@ KINEMATIC_LAGS = (0.0, -1.0, -0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8, 1.0)
 AIRSPEED_LAGS = (-1.4, 1.4, -1.8, 1.8, -2.2, 2.2, -2.6, 2.6, -3.0, 3.0)
 VANE_LAGS = (0.0, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
 # of surfaces, whose servos are late
-SURFACE_LAGS = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15, -0.2, -0.3)
+SURFACE_LAGS = (0.0, -0.1, -0.05, 0.05, 0.1, 0.15, -0.2, -0.3, -0.4, -0.5)
 GROUPS = (*CONTROL_GROUPS, *SENSOR_GROUPS, POSITION, ("altitude",))
 """Channels that may repeat samples, by their clock."""
 

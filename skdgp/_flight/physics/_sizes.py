@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.frames import SEA_LEVEL_DENSITY
-from skdgp._flight.physics._list import CHANNELS, LIFT
+from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
+from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT
 from skdgp._flight.physics._signals import PHYSICS, signals_of
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
@@ -64,6 +64,14 @@ def _radius(moment: str) -> Callable[[Sizes], float]:
     return lambda sizes: np.sqrt(sizes[moment] / sizes["mass"]) / sizes["span"]
 
 
+def _yaw_over_both(sizes: Sizes) -> float:
+    return sizes["Izz"] / (sizes["Ixx"] + sizes["Iyy"])
+
+
+def _product_over_moments(sizes: Sizes) -> float:
+    return abs(sizes["Ixz"]) / np.sqrt(sizes["Ixx"] * sizes["Izz"])
+
+
 def _size_of(name: str) -> Callable[[Sizes], float]:
     return lambda sizes: abs(sizes[name])
 
@@ -82,6 +90,10 @@ LAWS = (
     Law("radius of gyration in roll over span", _radius("Ixx"), 0.05, 0.35, "F-104 0.12, flying wings 0.19"),
     Law("radius of gyration in pitch over span", _radius("Iyy"), 0.03, 0.85, "eta 0.05, X-15 0.58"),
     Law("radius of gyration in yaw over span", _radius("Izz"), 0.08, 0.9, "gliders 0.13, X-15 0.58"),
+    Law("Izz over Ixx + Iyy", _yaw_over_both, 0.5, 1.1, "A-4 0.63, flat bodies 1"),
+    Law("Ixz over the root of Ixx Izz", _product_over_moments, 0.0, 0.4, "T-6 0.15, XB-70 0.12, gliders 0.04"),
+    Law("mass times the slope of ax over the thrust", _size_of("mass_by_thrust"), 0.55, 1.8,
+        "1 by Newton's second law", "mass_by_thrust"),
     Law("lift coefficient at the median of the flights", _size_of("CL"), 0.03, 2.5,
         "F-104 at sea level 0.07, flaps 2.2", "CL"),
     Law("CL_alpha over that of a wing of this aspect ratio", _over_lift_slope("CZ_alpha"), 0.4, 2.0,
@@ -102,19 +114,33 @@ OF_LOAD = {"mass": 1.0, "wing_area": -1.0, "airspeed": -2.0}
 POWERS = {
     "CL": OF_LOAD,
     "CZ_alpha": OF_LOAD,
+    "mass_by_thrust": {"mass": 1.0, "thrust": -1.0},
     "Cl_p": {"Ixx": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
     "Cm_q": {"Iyy": 1.0, "wing_area": -1.0, "chord": -2.0, "airspeed": -1.0},
     "Cn_r": {"Izz": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
 }
+# Sizes that are given together, in one unit
+TOGETHER = {"Ixx": ("Iyy", "Izz", "Ixz")}
 FOOT = 0.3048
+POUND = 0.45359237
 OF_LENGTHS = {"ft": FOOT, "cm": 0.01, "mm": 0.001, "in": FOOT / 12}
-SI_UNITS = {"mass": "kg", "span": "m", "chord": "m", "wing_area": "m^2", "airspeed": "m/s"}
+SI_UNITS = {
+    "mass": "kg",
+    "span": "m",
+    "chord": "m",
+    "wing_area": "m^2",
+    "airspeed": "m/s",
+    "Ixx": "kg m^2",
+    "thrust": "N",
+}
 # Other units of sizes, in the SI unit
 UNITS = {
-    "mass": {"lb": 0.45359237, "g": 0.001},
+    "mass": {"lb": POUND, "g": 0.001},
     "span": OF_LENGTHS,
     "chord": OF_LENGTHS,
     "wing_area": {"ft^2": FOOT**2, "dm^2": 0.01, "cm^2": 1e-4},
+    "Ixx": {"slug ft^2": 1.3558179, "lb ft^2": POUND * FOOT**2, "g m^2": 0.001, "kg cm^2": 1e-4},
+    "thrust": {"lbf": POUND * STANDARD_GRAVITY},
     "airspeed": {"kt": 1852 / 3600, "ft/s": FOOT, "km/h": 1 / 3.6},
 }
 
@@ -160,8 +186,8 @@ def _distance_from_usual(sizes: Sizes) -> float:
     distances = []
     for law in LAWS:
         with suppress(KeyError):
-            middle = np.sqrt(max(law.least, 1e-3) * law.most)
-            distances.append(abs(np.log(law.value(sizes) / middle)))
+            value, least = np.maximum([law.value(sizes), law.least], 1e-3)
+            distances.append(abs(np.log(value / np.sqrt(least * law.most))))
     return float(np.mean(distances))
 
 
@@ -182,7 +208,7 @@ def _in_other_unit(
     sizes: Sizes, name: str, factor: float, estimated: Collection[str]
 ) -> dict[str, float]:
     """Return the sizes with one in another unit, and the numbers that follow from it."""
-    powers = {name: 1.0}
+    powers = dict.fromkeys((name, *TOGETHER.get(name, ())), 1.0)
     for follower, power in ESTIMATES.get(name, {}).items():
         if follower in estimated:
             powers[follower] = power
@@ -198,7 +224,10 @@ def _in_other_unit(
 def sizes_in_flight(
     flights: FlightTable, mass: float, wing_area: float
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return median airspeed, density and CL of flights, and CZ_alpha by their vane, with standard deviations."""
+    """Return numbers of flights and their standard deviations, by the channels that they have.
+
+    Median airspeed, density and CL, CZ_alpha by the vane, and the mass times the slope of ax over the thrust.
+    """
     measured = FlightTable.of(at_centre_of_gravity(flights.table))
     signals = signals_of(measured, CHANNELS)
     numbers: dict[str, float] = {}
@@ -212,6 +241,14 @@ def sizes_in_flight(
     if "az" in signals:
         loads = -2 * mass * signals["az"] / (density * wing_area * signals["airspeed"] ** 2)
         numbers["CL"] = float(np.nanmedian(loads))
+    for name, drive in DRIVES.items():
+        slope = drive.slopes(signals).get(0.0)
+        if slope is not None and slope.n_effective >= PHYSICS.least_samples:
+            numbers |= {
+                "thrust": float(np.nanmedian(signals[name])),
+                "mass_by_thrust": mass * slope.value,
+            }
+            stds["mass_by_thrust"] = mass * slope.std
     slope = LIFT.slopes(signals).get(0.0)
     if slope is not None and slope.n_effective >= PHYSICS.least_samples:
         scale = 2 * mass / (density * wing_area)

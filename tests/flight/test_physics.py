@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from dataclasses import replace
 
 import log_errors
 import numpy as np
@@ -414,6 +415,27 @@ def test_late_vanes_are_named_and_no_surface(ordinary, rows):
     assert channels_of(contradictions(table.drop(columns=GPS))) == vanes
 
 
+SURFACES = ["elevator", "aileron", "rudder"]
+
+
+@pytest.mark.parametrize(
+    ("names", "seconds", "without"),
+    [(SURFACES, 0.3, []), (log_errors.VELOCITY, 1.0, []), (log_errors.VELOCITY, 1.0, VANES)],
+)
+def test_channels_that_are_late_together_are_one_mistake(ordinary, names, seconds, without):
+    """Velocities of GPS later than a corrector takes, and surfaces that follow their effects."""
+    (found,) = contradictions(log_errors.late(ordinary.drop(columns=without), seconds, names))
+    assert {*found.numbers["late"]} == {*names}
+    assert found.numbers["lag"] == pytest.approx(seconds, abs=0.1)
+
+
+@pytest.mark.parametrize("factor", [0.9, 0.95, 1.05, 1.1])
+def test_a_small_error_of_the_scale_of_the_airspeed(ordinary, factor):
+    (found,) = contradictions(scaled(ordinary, {"airspeed": factor}))
+    assert found.numbers["channels"] == ["airspeed"]
+    assert found.numbers["slope"] == pytest.approx(1 / factor, rel=0.02)
+
+
 def test_the_scale_of_the_airspeed_without_gps(ordinary):
     """alpha follows q + az / V."""
     wrong = scaled(ordinary.drop(columns=GPS), {"airspeed": 3.6})
@@ -511,6 +533,40 @@ def test_one_size_of_another_unit_is_asked_for(name, size, unit):
     assert question.code is Code.SIZES_QUESTIONED
     asked = {found.channel: found.numbers["value"] for found in question.numbers["asked"]}
     assert asked[size] == pytest.approx(right[size])
+
+
+@pytest.mark.parametrize(
+    ("changed", "law"),
+    [
+        ({"Ixx": 79500.0, "Iyy": 4810.0}, "Ixx / Iyy over the aspect ratio"),
+        ({"Ixx": 81300.0, "Izz": 4810.0}, "Izz over Ixx + Iyy"),
+        ({"Ixz": 12000.0}, "Ixz over the root of Ixx Izz"),
+    ],
+)
+def test_moments_of_inertia_that_no_aeroplane_has(changed, law):
+    question = question_of_sizes(published("F-104") | changed, {})
+    assert law in {found.channel for found in question.numbers["laws"]}
+
+
+def test_the_unit_of_the_inertia_is_asked_for():
+    right = published("Zagi")
+    bare = {name: right[name] for name in NAMES}
+    question = question_of_sizes(bare | {name: right[name] / 0.001 for name in INERTIA}, {})
+    asked = [(found.channel, found.numbers["unit"]) for found in question.numbers["asked"]]
+    assert ("Ixx", "g m^2") in asked
+
+
+@pytest.mark.parametrize(("size", "factor"), [("mass", 1 / 0.45359237), ("thrust_x", 1 / 4.44822)])
+def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
+    """Newton's second law: the slope of ax over the thrust is 1 / mass."""
+    aircraft = first_minute().aircraft
+    assert aircraft.question_of_sizes(FlightTable.of(flight)) is None
+    if size == "mass":
+        aircraft = replace(aircraft, mass=factor * aircraft.mass)
+    else:
+        flight = flight.assign(thrust_x=factor * flight["thrust_x"])
+    question = aircraft.question_of_sizes(FlightTable.of(flight))
+    assert size.removesuffix("_x") in {found.channel for found in question.numbers["asked"]}
 
 
 def test_the_aircraft_is_judged_when_it_is_read():

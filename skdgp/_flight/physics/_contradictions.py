@@ -56,10 +56,8 @@ def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
     signals = signals_of(flights, CHANNELS)
     contradictions, confirmed = _contradictions_in(signals)
     causes = _causes(contradictions, confirmed)
-    is_turned = any(each.relation is TURNING for each in contradictions)
-    are_several = is_turned or len(contradictions) >= PHYSICS.several
     doubted = {name for each in contradictions for name in each.channels}
-    for mistake in _candidates(signals, contradictions) if are_several else ():
+    for mistake in _candidates(signals, contradictions):
         is_possible = len(mistake.channels) > 1 and not doubted.isdisjoint(mistake.channels)
         if is_possible and _are_sound(mistake.undone(signals)):
             return [mistake]
@@ -68,12 +66,20 @@ def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
     return [*causes]
 
 
-def _candidates(signals: Signals, contradictions: Iterable[Contradiction]) -> Iterator[Mistake]:
-    """Yield the mistakes of channels that the signals have, each delay that a contradiction shows for late ones."""
-    lags = sorted({abs(each.lag[0]) for each in contradictions if each.lag is not None})
+def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterator[Mistake]:
+    """Yield the mistakes that several contradictions may follow from, of channels that the signals have.
+
+    Channels are late together by a lag that one of the contradictions shows.
+    """
+    is_turned = any(each.relation is TURNING for each in contradictions)
+    are_several = is_turned or len(contradictions) >= PHYSICS.several
+    lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]
     for mistake in MISTAKES:
         own = mistake.of(signals)
-        yield from [replace(own, lag=lag) for lag in lags] if own.late else [own]
+        if not own.late and are_several:
+            yield own
+        elif own.late and len(lags) > 1:
+            yield from [replace(own, lag=lag) for lag in sorted({*lags})]
 
 
 def _are_sound(signals: Signals) -> bool:

@@ -64,6 +64,11 @@ def _radius(moment: str) -> Callable[[Sizes], float]:
     return lambda sizes: np.sqrt(sizes[moment] / sizes["mass"]) / sizes["span"]
 
 
+def _roll_over_pitch(sizes: Sizes) -> float:
+    """Return Ixx / Iyy over the aspect ratio, about the wing area over the square of the length."""
+    return sizes["Ixx"] / sizes["Iyy"] / _aspect_ratio(sizes)
+
+
 def _yaw_over_both(sizes: Sizes) -> float:
     return sizes["Izz"] / (sizes["Ixx"] + sizes["Iyy"])
 
@@ -90,10 +95,11 @@ LAWS = (
     Law("radius of gyration in roll over span", _radius("Ixx"), 0.05, 0.35, "F-104 0.12, flying wings 0.19"),
     Law("radius of gyration in pitch over span", _radius("Iyy"), 0.03, 0.85, "eta 0.05, X-15 0.58"),
     Law("radius of gyration in yaw over span", _radius("Izz"), 0.08, 0.9, "gliders 0.13, X-15 0.58"),
+    Law("Ixx / Iyy over the aspect ratio", _roll_over_pitch, 0.012, 1.0, "X-15 0.018, Cessna 310 0.60"),
     Law("Izz over Ixx + Iyy", _yaw_over_both, 0.5, 1.1, "A-4 0.63, flat bodies 1"),
-    Law("Ixz over the root of Ixx Izz", _product_over_moments, 0.0, 0.4, "T-6 0.15, XB-70 0.12, gliders 0.04"),
-    Law("mass times the slope of ax over the thrust", _size_of("mass_by_thrust"), 0.55, 1.8,
-        "1 by Newton's second law", "mass_by_thrust"),
+    Law("Ixz over the root of Ixx Izz", _product_over_moments, 0.0, 0.4, "gliders 0.04, T-6 0.15"),
+    Law("mass times the slope of ax over the thrust", _size_of("mass_by_thrust"), 0.5, 1.8,
+        "Newton's second law 1, records of ATTAS 0.80 to 0.90", "mass_by_thrust"),
     Law("lift coefficient at the median of the flights", _size_of("CL"), 0.03, 2.5,
         "F-104 at sea level 0.07, flaps 2.2", "CL"),
     Law("CL_alpha over that of a wing of this aspect ratio", _over_lift_slope("CZ_alpha"), 0.4, 2.0,

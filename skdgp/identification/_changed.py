@@ -183,7 +183,7 @@ def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float
     longest = min(WINDOW_TIMES * lasting, LONGEST_LAG * n)
     autocovariance = correlate(e, e, method="fft")[n - 1 :] / (n - k * lasting)
     window = np.maximum(1 - np.arange(n) / longest, 0.0)
-    covariance = fitting @ matmul_toeplitz(autocovariance * window, fitting.T)
+    covariance: Any = fitting @ matmul_toeplitz(autocovariance * window, fitting.T)
     return weights, covariance, 1.5 * n / longest
 
 

@@ -107,7 +107,7 @@ def _simulated(
     starts = pd.DataFrame([part.iloc[0] for part in parts])[names].reset_index(drop=True)
     starts = starts.astype(float)
     if wind_known:
-        starts["psi"] = wrapped(starts["psi"])  # the flight turns more than once
+        starts["psi"] = wrapped(starts["psi"].to_numpy())  # the flight turns more than once
     with warnings.catch_warnings():
         # an end is an error without bound
         warnings.simplefilter("ignore", SimulationWarning)

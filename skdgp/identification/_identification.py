@@ -141,18 +141,16 @@ class Identification:
 
     def summary(self) -> str:
         """Return the text of the command line: scores of all test flights together and of each, and the verdict."""
-        together = f"{len(self.evaluations)} test flight(s) together"
-        tables = {together: score_table(self.evaluations)}
+        table = score_table(self.evaluations)
         if len(self.evaluations) > 1:
             for flight in self.evaluations:
-                tables[f"flight {flight.name}"] = score_table([flight]).tail(1)
-        lines = [f"{self.aircraft.name}: {self.fit.summary}"]
-        for title, table in tables.items():
-            form: Any = {
-                name: ("{:.1f}" if "%" in name else "{:.3f}").format for name in map(str, table)
-            }
-            lines += ["", title, table.to_string(formatters=form)]
-        lines.append("")
+                table.loc[f"flight {flight.name}"] = score_table([flight]).loc["mean"]
+        form: Any = {
+            name: ("{:.1f}" if "%" in name else "{:.3f}").format for name in map(str, table)
+        }
+        title = f"{len(self.evaluations)} test flight(s) together"
+        lines = [f"{self.aircraft.name}: {self.fit.summary}", "", title]
+        lines += [table.to_string(formatters=form), ""]
         if self.fit.reconstruction is not None:
             lines.append(self.fit.reconstruction.clause)
         if self.changes is not None:

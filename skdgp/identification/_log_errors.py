@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -41,7 +41,8 @@ def fit_least_squares(table: pd.DataFrame, Y: pd.DataFrame) -> dict[str, dict[st
     """Return intercept and slopes of each coefficient (n, 6) by regressors (n, d), where it is observed."""
     names = ["intercept", *map(str, table)]
     weights = _linear_weights(table.to_numpy(), np.asarray(Y, dtype=float))
-    return pd.DataFrame(weights, names, COEFFICIENTS).to_dict()
+    fitted: Any = pd.DataFrame(weights, names, COEFFICIENTS).to_dict()
+    return fitted
 
 
 def _linear_weights(X: Matrix, Y: Matrix) -> Matrix:

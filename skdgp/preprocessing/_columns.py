@@ -252,10 +252,8 @@ class RegressorSelector(TableTransformer):
         The selected columns, in order; ``transform`` needs these.
     absent_ : list of str
         Controls of the named set that the table does not have.
-    data_min_, data_max_ : ndarray (d,)
-        Range of each regressor over the rows of ``fit`` that have a target.
     ranges_ : dict of str to tuple of float
-        Range of each flight channel of the table over these rows.
+        Range of each regressor and flight channel over the rows of ``fit`` that have a target.
 
     Warns
     -----
@@ -295,22 +293,19 @@ class RegressorSelector(TableTransformer):
         if is_targeted:
             targets = np.asarray(y, dtype=float).reshape(len(table), -1)
             table = table[np.isfinite(targets).any(axis=1)]
-        values = numeric(table, self.regressors_)
-        values = values[np.isfinite(values).all(axis=1)]
-        self.data_min_ = values.min(axis=0) if len(values) else None
-        self.data_max_ = values.max(axis=0) if len(values) else None
-        channels = table[present(table, CHANNELS)].select_dtypes("number").dropna(axis=1, how="all")
+        names = dict.fromkeys([*present(table, CHANNELS), *self.regressors_])
+        channels = table[[*names]].select_dtypes("number").dropna(axis=1, how="all")
         limits = channels.agg(["min", "max"]).astype(float)
         self.ranges_ = {name: tuple(limits[name].tolist()) for name in limits}
-        if is_targeted and len(values):
-            self._warn_of_constant(values)
+        if is_targeted:
+            self._warn_of_constant(limits)
         return self
 
-    def _warn_of_constant(self, values):
+    def _warn_of_constant(self, limits: pd.DataFrame) -> None:
         """Warn of regressors that vary by less than a billionth of themselves."""
-        is_still = np.ptp(values, axis=0) <= 1e-9 * np.abs(values).max(axis=0)
-        if is_still.any():
-            names = np.array(self.regressors_, dtype=object)[is_still].tolist()
+        is_still = limits.loc["max"] - limits.loc["min"] <= 1e-9 * limits.abs().max()
+        names = [name for name in self.regressors_ if is_still.get(name)]
+        if names:
             finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
             report(finding, FlightDataWarning)
 
@@ -351,7 +346,9 @@ class RegressorSelector(TableTransformer):
 
     def in_simulation(self) -> dict[str, Any]:
         """Return the regressors, their limits, and the flown ranges of other channels."""
-        limits = None if self.data_min_ is None else np.array([self.data_min_, self.data_max_])
+        limits = None
+        if {*self.regressors_} <= {*self.ranges_}:
+            limits = np.array([self.ranges_[name] for name in self.regressors_]).T
         return {"regressors": self.regressors_, "limits": limits, "flown": self.ranges_}
 
     def _from_set(self, table):

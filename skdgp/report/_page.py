@@ -304,8 +304,8 @@ def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame], draw: b
     parts = []
     for flight in flights:
         shown = scores[flight.name]
-        held = shown["in 95 % band [%]"]
-        body = table(shown.assign(**{held.name: held.map(_coverage)}), SCORES)
+        held = shown["in 95 % band [%]"].map(_coverage)
+        body = table(shown.assign(**{"in 95 % band [%]": held}), SCORES)
         if draw and (len(flights) <= SHOWN_FLIGHTS or flight.name == worst):
             body += _figures(flight)
         parts.append(section(f"Test flight {flight.name}", body))

@@ -138,12 +138,10 @@ def _scores(
     if len(baselines) == len(flights):
         linear = np.concatenate(baselines)
         table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
-    has_std = np.zeros(len(mean), dtype=bool)
-    begin = 0
-    for flight in flights:
-        has_std[begin + flight.rows] = True
-        begin += len(flight.mean)
-    bands = expected[has_std], mean[has_std], np.concatenate(std)[has_std]
+    bands = []
+    for values in (reference, [flight.mean for flight in flights], std):
+        with_std = [of[flight.rows] for of, flight in zip(values, flights, strict=True)]
+        bands.append(np.concatenate(with_std))
     table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
     table["interval_coverage"] = interval_coverage(*bands, **each)
     return table

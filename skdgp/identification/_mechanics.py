@@ -28,7 +28,18 @@ from skdgp.dynamics import (
 from skdgp.identification._free_flight import simulation_errors
 
 # Facts of a trim in metrics.json
-TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta", "controls")
+TRIM = (
+    "airspeed",
+    "altitude",
+    "density",
+    "climb",
+    "alpha",
+    "beta",
+    "phi",
+    "theta",
+    "controls",
+    "beyond",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,20 +77,12 @@ class FlightMechanics:
         """Return it as plain values, SI units and radians."""
         plain: dict[str, Any] = {"notes": [note.text for note in self.notes]}
         if self.trim is not None:
-            trim = pd.Series(vars(self.trim))[[*TRIM]].to_dict()
-            beyond = {name: list(values) for name, values in self.trim.beyond.items()}
-            plain["trim"] = trim | {"beyond": beyond}
+            plain["trim"] = {name: getattr(self.trim, name) for name in TRIM}
         plain["derivatives"] = self.derivatives.to_dict("index")
-        modes = self.modes
-        if modes is not None:
-            modes = modes.drop(columns="eigenvalue")
-        tables = {
-            "modes": modes,
-            "simulation": self.simulation,
-        }
-        for name, table in tables.items():
-            if table is not None:
-                plain[name] = table.to_dict("index")
+        if self.modes is not None:
+            plain["modes"] = self.modes.drop(columns="eigenvalue").to_dict("index")
+        if self.simulation is not None:
+            plain["simulation"] = self.simulation.to_dict("index")
         return plain
 
 

@@ -13,9 +13,9 @@ from skdgp.identification._mechanics import FlightMechanics as FlightMechanics
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
     FlightPipeline,
-    flight_regressors,
     make_identification_pipeline,
 )
+from skdgp.identification._pipeline import flight_regressors as flight_regressors
 from skdgp.identification._prepare import check_identified as check_identified
 from skdgp.identification._prepare import usable_flights_of_model as usable_flights_of_model
 from skdgp.identification._record import FitRecord as FitRecord
@@ -30,7 +30,6 @@ __all__ = [
     "ModelFileError",
     "Verdict",
     "changed",
-    "flight_regressors",
     "identify",
     "load_model",
     "make_identification_pipeline",

@@ -26,8 +26,8 @@ from skdgp.identification._log_errors import linear_terms
 from skdgp.identification._pipeline import (
     FlightPipeline,
     band_of,
+    flight_regressors,
     named_regressors,
-    transformed,
 )
 from skdgp.metrics import (
     interval_coverage,
@@ -177,7 +177,7 @@ def evaluate(
     notify(f"evaluating {name}")
     loads = {key: options[key] for key in ("thrust", "external_forces")}
     corrected = pipeline[:1].transform(flight)
-    X, noise_ratio, motion = transformed(pipeline[1:], corrected)
+    X, noise_ratio, motion = flight_regressors(pipeline[1:], corrected)
     checked = replace(flight, table=corrected)
     states = corrected
     if motion is not None:  # beside the logged inputs

@@ -184,24 +184,20 @@ def make_identification_pipeline(
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector]:
-    r"""Return the regressors (n, d) that a pipeline predicts from, and how much noisier they are than in the fit.
+def flight_regressors(
+    pipeline: Pipeline, flight: Any
+) -> tuple[Matrix, Vector, pd.DataFrame | None]:
+    r"""Return what a pipeline predicts from, how much noisier it is than in the fit, and the reconstructed flight.
 
-    In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
+    These are regressors (n, d), a ratio of variances (n,), and None without reconstruction. In gusts the
+    aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
     proportional to the variance of the gusts. Where `FlightPathReconstruction` reconstructs
-    flights, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio of
-    variances (n,) is
+    flights, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
     as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
     """
-    regressors, ratio, _ = transformed(pipeline, flight)
-    return regressors, ratio
-
-
-def transformed(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector, pd.DataFrame | None]:
-    """Return both of `flight_regressors`, and the flight as it was reconstructed, None without reconstruction."""
     ratio = None
     motion = None
     for _, step in pipeline.steps[:-1]:
@@ -255,7 +251,7 @@ class FlightPipeline(Pipeline):
     - a :class:`skdgp.DependentGPRegressor` at the end gets ``time`` and ``flight`` of each row, and
       the slopes that the motion of the air shows without vanes;
     - ``predict(flight, return_std=True)`` includes the noise of the regressors, which is larger in
-      rougher air, see :func:`flight_regressors`.
+      rougher air: by the ratio of the variances of the gusts.
 
     A ``Pipeline`` of the same steps is without these, and its bands lack the errors of the log and
     those by the rates of the air.
@@ -501,7 +497,7 @@ class FlightPipeline(Pipeline):
         uncertain = params.get("return_std") or params.get("return_cov")
         by_ratio = uncertain and params.get("include_input_noise", True) is True
         check_is_fitted(self)
-        regressors, ratio = flight_regressors(self, X)
+        regressors, ratio, _ = flight_regressors(self, X)
         if by_ratio and isinstance(self[-1], DependentGPRegressor):
             params = params | {"include_input_noise": ratio}
         if not uncertain:

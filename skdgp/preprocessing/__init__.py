@@ -10,7 +10,6 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 """
 
 from skdgp._flight.faults import FlightDataWarning
-from skdgp.estimation import AirMotion, estimate_air_motion
 from skdgp.preprocessing._cleaning import FlightCheck, FlightSmoother, inspect_flight
 from skdgp.preprocessing._cleaning import clean as clean
 from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer, RegressorSelector
@@ -18,7 +17,6 @@ from skdgp.preprocessing._flight_path import FlightPathReconstruction
 from skdgp.preprocessing._lag import LagCorrector
 
 __all__ = [
-    "AirMotion",
     "ElevonSplitter",
     "FlightCheck",
     "FlightDataWarning",
@@ -27,6 +25,5 @@ __all__ = [
     "LagCorrector",
     "RateNondimensionalizer",
     "RegressorSelector",
-    "estimate_air_motion",
     "inspect_flight",
 ]

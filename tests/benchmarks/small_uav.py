@@ -30,7 +30,7 @@ from uav_flight import (
     truth_of,
 )
 
-from skdgp.preprocessing import estimate_air_motion
+from skdgp.estimation import estimate_air_motion
 
 NORMAL_95 = 1.96
 SEED = 91

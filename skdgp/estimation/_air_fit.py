@@ -232,7 +232,7 @@ class AirFit:
             filter_pass = filtered(linear, self.noise_search.noise(record))
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovations.covariance))
             e = matrix_vector(L_inverse, filter_pass.innovations.values)
-            slopes = innovation_slopes(linear, filter_pass, L_inverse)
+            slopes = L_inverse @ innovation_slopes(linear, filter_pass)
             has_instruments = by_instruments and not self.is_known
             scores = self._add_scores(sums, record.flight, e, slopes, has_instruments)
             if has_instruments:

@@ -38,7 +38,6 @@ noises.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -272,48 +271,21 @@ def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     return (by_late + by_early) / 6
 
 
-def innovation_slopes(
-    linear: Linearization, filter_pass: Pass, factors: Array | None = None
-) -> Array:
-    """Return d innovation / d parameters and instruments (n - 1, m, q), the gains being given.
-
-    With ``factors`` (n - 1, m, m) each is multiplied by its factor.
-    """
-    slopes = np.empty_like(linear.E)
-    for steps, Z in _parts_of_state_slopes(linear, filter_pass):
-        part = -(linear.D[steps] @ Z[:-1] + linear.E[steps])
-        slopes[steps] = part if factors is None else factors[steps] @ part
-    return slopes
+def innovation_slopes(linear: Linearization, filter_pass: Pass) -> Array:
+    """Return d innovation / d parameters and instruments (n - 1, m, q), the gains being given."""
+    return -(linear.D @ state_slopes(linear, filter_pass)[:-1] + linear.E)
 
 
 def state_slopes(linear: Linearization, filter_pass: Pass) -> Array:
     """Return d filtered states / d parameters and instruments (n, N, q), the gains being given."""
     n, N, q = linear.Theta.shape
-    slopes = np.zeros((n + 1, N, q))
-    for steps, Z in _parts_of_state_slopes(linear, filter_pass):
-        slopes[steps.start + 1 : steps.stop + 1] = Z[1:]
-    return slopes
-
-
-def _parts_of_state_slopes(
-    linear: Linearization, filter_pass: Pass
-) -> Iterator[tuple[slice, Array]]:
-    """Yield slices of steps, which fit the cache, and the slopes of the states before and after these steps."""
-    n, N, q = linear.Theta.shape
-    last = np.zeros((N, q))
-    for first in range(0, n, STEPS_IN_MEMORY):
-        steps = slice(first, min(first + STEPS_IN_MEMORY, n))
-        gain = filter_pass.gain[steps]
-        correction = np.eye(N) - gain @ linear.H[steps]  # I - K H
-        T = correction @ linear.Phi[steps]
-        B = correction @ linear.Theta[steps] - gain @ linear.F[steps]  # (I - K H) Theta - K F
-        Z = np.empty((len(T) + 1, N, q))
-        Z[0] = last
-        for k in range(len(T)):
-            np.matmul(T[k], Z[k], out=Z[k + 1])
-            Z[k + 1] += B[k]
-        last = Z[-1]
-        yield steps, Z
+    correction = np.eye(N) - filter_pass.gain @ linear.H  # I - K H
+    T = correction @ linear.Phi
+    B = correction @ linear.Theta - filter_pass.gain @ linear.F  # (I - K H) Theta - K F
+    Z = np.zeros((n + 1, N, q))
+    for k in range(n):
+        Z[k + 1] = T[k] @ Z[k] + B[k]
+    return Z
 
 
 def smoothed(linear: Linearization, filter_pass: Pass) -> tuple[Matrix, Array]:

@@ -23,7 +23,7 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from numpy.random import default_rng
 from threadpoolctl import threadpool_limits
 
-from skdgp import DependentGPRegressor, datasets, design
+from skdgp import DependentGPRegressor, datasets
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.identification import FlightMechanics, Identification
 from skdgp.inference import BlockSettings, SearchSettings
@@ -290,8 +290,8 @@ def slope_std():
 @pytest.fixture
 def few_manoeuvres(monkeypatch):
     """Let plans of pages and of the command line choose from few candidates."""
-    monkeypatch.setitem(design.plan.__kwdefaults__, "widths", (1.0,))
-    monkeypatch.setitem(design.plan.__kwdefaults__, "multisines", ())
+    monkeypatch.setattr("skdgp.design._library.WIDTHS", (1.0,))
+    monkeypatch.setattr("skdgp.design._library.MULTISINES", ())
 
 
 @pytest.fixture

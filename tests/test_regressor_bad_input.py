@@ -254,28 +254,3 @@ class TestFewRows:
         with warnings.catch_warnings():
             warnings.simplefilter("error", FewRowsWarning)
             model.fit(X, Y)
-
-
-@pytest.fixture(scope="module")
-def small():
-    X = default_rng(0).normal(size=(40, 2))
-    options = {"structure": "joint", "max_iter": 15, "random_state": 0}
-    return DependentGPRegressor(**options).fit(X, np.sin(X))
-
-
-class TestPlainRows:
-    """What passes the door without scikit-learn's full check is what would pass it unchanged."""
-
-    @pytest.mark.parametrize(
-        ("X", "says"),
-        [
-            (np.ones((0, 2)), "0 sample"),
-            (np.ones((1, 2, 1)), "dim 3"),
-            (np.array([[1.0, -np.inf]]), "infinity"),
-            (np.array([[1.0, 1j]]), "Complex"),
-            (np.array([["a", "b"]]), "could not convert"),
-        ],
-    )
-    def test_what_is_no_sample_is_refused(self, small, X, says):
-        with pytest.raises(ValueError, match=says):
-            small.predict(X)

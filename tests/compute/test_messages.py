@@ -62,10 +62,10 @@ def test_the_advice_of_a_cause_follows_the_statement():
     cause = Finding(Code.AIR_NOT_CONVERGED, numbers={"contradictions": [], "agrees": True})
     numbers = {"cause": cause, "angles_lack_gusts": True}
     finding = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
-    assert finding.clause.endswith(f": {Code.AIR_NOT_CONVERGED.statement}")
-    assert finding.text.startswith("Gusts without vanes are not known: ")
-    assert " converge. The channels agree by physics. Give " in finding.text
-    assert finding.text.endswith(". alpha and beta lack them.")
+    begin, end = "Gusts without vanes are not known: ", " alpha and beta lack them."
+    assert Code.AIR_NOT_CONVERGED.statement in finding.clause
+    advice = " The channels agree by physics. Give "
+    assert finding.text.index(begin) < finding.text.index(advice) < finding.text.index(end)
 
 
 FEW = default_rng(0).normal(size=(12, 4))

@@ -415,7 +415,7 @@ def test_an_unstable_roll_loop_is_not_the_pitch_loops(with_spiral):
     assert np.isfinite(table["value"]["roll"]).all()
     assert table["value"]["pitch"]["gain"] == -np.inf
     (cause,) = table.attrs["unstable"]
-    assert cause.startswith("oscillation of")
+    assert "oscillation of" in cause
 
 
 def test_px4_without_airspeed_does_not_scale_its_gains():

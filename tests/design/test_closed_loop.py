@@ -7,20 +7,17 @@ from pathlib import Path
 import pytest
 
 from skdgp import datasets
-from skdgp.design import _library
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "closed_loop.py"
 
 
 @pytest.fixture
-def example(monkeypatch, first_minute):
+def example(monkeypatch, first_minute, few_manoeuvres):
     """Return the module of the example, with the aircraft of the shared flights and few manoeuvres."""
     monkeypatch.setattr(datasets, "load_example_flights", lambda turbulence: first_minute())
     spec = importlib.util.spec_from_file_location("closed_loop", EXAMPLE)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    monkeypatch.setattr(_library, "WIDTHS", (1.0,))
-    monkeypatch.setattr(_library, "MULTISINES", ())
     monkeypatch.setattr(module, "fly", partial(short, module.fly))
     return module
 

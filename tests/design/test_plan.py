@@ -14,7 +14,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
-from skdgp.design import Envelope, _library, plan
+from skdgp.design import Envelope, plan
 from skdgp.design._planner import _errors as expected_errors
 from skdgp.dynamics import (
     Air,
@@ -46,8 +46,8 @@ OPTIONS = {
 def few():
     """Plan with few manoeuvres, to be fast."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_library, "WIDTHS", (1.0,))
-        patch.setattr(_library, "MULTISINES", ())
+        patch.setattr("skdgp.design._library.WIDTHS", (1.0,))
+        patch.setattr("skdgp.design._library.MULTISINES", ())
         yield
 
 
@@ -82,8 +82,8 @@ def ask(model, uav, point):
 def planned(ask):
     goal = ["Cm_alpha", "Cm_q"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_library, "WIDTHS", (1.0, 2.5))
-        patch.setattr(_library, "MULTISINES", (5.0, 10.0))
+        patch.setattr("skdgp.design._library.WIDTHS", (1.0, 2.5))
+        patch.setattr("skdgp.design._library.MULTISINES", (5.0, 10.0))
         return ask(goal=goal, seconds=14.0, envelope=LIMITED)
 
 

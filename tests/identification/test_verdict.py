@@ -363,7 +363,9 @@ def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
 def test_bands_that_hold_everything_are_too_wide():
     flight = evaluation(error=0.1)
     wide = replace(flight, prediction_std=3 * flight.prediction_std)
-    assert verdict([wide]).warnings[0].startswith("95 % bands are too wide: they hold CX 100.0 %")
+    found = verdict([wide]).findings[0]
+    assert found.code is Code.BANDS_TOO_WIDE
+    assert found.numbers["coverages"]["CX"] == 1.0
 
 
 @pytest.mark.parametrize("where", ["fit", "test"])
@@ -481,9 +483,7 @@ class TestMechanics:
         found = mechanics_of(flight, train=flight.drop(columns="elevator"), aircraft=heavy)
         assert found.derivatives.empty
         assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
-        notes = found.to_dict()["notes"]
-        assert notes[0].startswith("No steady flight was found at ")
-        assert any(note.startswith("No derivatives: ") for note in notes)
+        assert len(found.to_dict()["notes"]) == 2
 
     def test_is_plain_for_json(self, flight):
         found = mechanics_of(flight).to_dict()
@@ -525,5 +525,4 @@ def test_warnings_are_ranked():
         Code.NO_ELEVATOR,
     ]
     assert found.findings[0].numbers["worse"] == 6
-    assert found.warnings[3].endswith("(1 more of this kind)")
     assert verdict().warnings == ()

@@ -126,7 +126,7 @@ class TestChoices:
 
     def test_another_instance_where_the_first_is_not_there(self, whole, ulog):
         log = ulog().gyros(self.t, self.t, instance=2)
-        assert whole(log).attrs["sources"]["p"].startswith("vehicle_angular_velocity#2.")
+        assert whole(log).attrs["sources"]["p"].split(".")[0] == "vehicle_angular_velocity#2"
 
     def test_the_servo_file_is_believed_before_the_rules(self, whole, log):
         log.topic("actuator_motors", self.t, control=np.tile([0.0, 0.7], (600, 1)))

@@ -59,7 +59,7 @@ class TestSummary:
         words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'gx_dps' \(.* 'p'"
         with pytest.warns(UserWarning, match=words):
             (remark,) = inspect_log(path).remarks
-        assert remark.startswith("columns of unknown names: 'ias' (did you mean 'airspeed' [m/s]?)")
+        assert "columns of unknown names: 'ias' (did you mean 'airspeed' [m/s]?)" in remark
         assert "sensor_0, sensor_1" in remark
         found = inspect_log(path, rename={"ias": "airspeed", "de": "elevator", "gx_dps": "p"})
         assert set(found.columns.index) == {"airspeed", "elevator", "p"}
@@ -70,7 +70,7 @@ class TestSummary:
         table.loc[200:260, "alpha"] = table.alpha[200]
         summary = inspect_log(write(table))
         (remark,) = summary.remarks
-        assert remark.startswith("flight a: alpha is stuck at")
+        assert "flight a: alpha is stuck at" in remark
         assert "(4.02 to 5.2 s, 60 samples)" in remark
         assert remark[:30] in str(summary)
 

@@ -348,23 +348,17 @@ def _with_servos(
     :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
     :math:`E^T \delta + (I - E^T E) u`. Outputs are the states, and then the outputs of the aircraft.
     """
-    n_body = len(LINEAR_STATES)
-    n_inputs = len(lagging)
-    E = np.eye(n_inputs)[lagging]
-    n_states = n_body + len(E)
+    E = np.eye(len(lagging))[lagging]
+    n_states = len(LINEAR_STATES) + len(E)
     # Rows of these matrices are linear in (x, delta, u).
-    x_and_delta = np.eye(n_states, n_states + n_inputs)
-    delta = x_and_delta[n_body:]
+    states = np.eye(n_states, n_states + len(lagging))
+    controls = np.hstack([E.T, np.eye(len(lagging)) - E.T @ E])
+    x_and_controls = block_diag(np.eye(len(LINEAR_STATES)), controls)
     commands = np.hstack([np.zeros((len(E), n_states)), E])
-    controls = np.hstack([E.T, np.eye(n_inputs) - E.T @ E])
-    x_and_controls = block_diag(np.eye(n_body), controls)
-    n_paths = x_dot_z.shape[:-2]
-    rates = np.zeros((*n_paths, *x_and_delta.shape))
-    rates[..., :n_body, :] = x_dot_z @ x_and_controls
-    rates[..., n_body:, :] = (commands - delta) / lag[..., None, None]
-    outputs = np.zeros((*n_paths, n_states + len(OUTPUTS), n_states + n_inputs))
-    outputs[..., :n_states, :] = x_and_delta
-    outputs[..., n_states:, :] = y_z @ x_and_controls
+    delta_dot = (commands - states[len(LINEAR_STATES) :]) / lag[..., None, None]
+    rates = np.concatenate([x_dot_z @ x_and_controls, delta_dot], axis=-2)
+    same = np.broadcast_to(states, (*lag.shape, *states.shape))
+    outputs = np.concatenate([same, y_z @ x_and_controls], axis=-2)
     A, B = np.split(rates, [n_states], axis=-1)
     C, D = np.split(outputs, [n_states], axis=-1)
     return A, B, C, D

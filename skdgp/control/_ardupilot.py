@@ -417,7 +417,7 @@ class _Flights:
             link.answer(line, sender)
         return f"{seconds:g} s were flown"
 
-    def _advance(self, commands: Mapping[str, float], duration: float) -> str:
+    def _advance(self, commands: dict[str, float], duration: float) -> str:
         """Fly for a ``duration`` [s] with constant commands; return why the flight is over, "" while it is not."""
         self.channels = self.simulator.step(commands, duration)
         altitude = self.channels["altitude"]  # NaN if the flight has ended

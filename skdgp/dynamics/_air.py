@@ -236,11 +236,11 @@ def _fitted(
 
     def loss(logarithms: Vector) -> float:
         S = spectrum(logarithms)
-        variance = max(np.mean(power / S), CALM)
+        variance = max(float(np.mean(power / S)), CALM)
         prior = 0.5 * ((logarithms[0] - np.log(LENGTH)) / LENGTH_STD) ** 2
-        return len(S) * np.log(variance) + np.log(S).sum() + prior
+        return float(len(S) * np.log(variance) + np.log(S).sum() + prior)
 
-    bounds = np.log([(shortest, LONGEST), NOISES][: 1 + is_noisy])
+    bounds: Any = np.log([(shortest, LONGEST), NOISES][: 1 + is_noisy])
     start = np.clip(np.log([LENGTH, NOISE][: 1 + is_noisy]), *bounds.T)
     best = minimize(loss, start, bounds=bounds).x
     return float(np.sqrt(np.mean(power / spectrum(best)))), float(np.exp(best[0]))

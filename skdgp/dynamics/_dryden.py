@@ -133,8 +133,9 @@ def gust_stream(
 ) -> Iterator[Gusts]:
     """Yield the gusts of `dryden_gusts` without end, (n_draws * n_flights, 3) each, ``step`` [s] apart."""
     systems = []
-    for speed, *size in zip(np.broadcast_to(airspeed, len(length)), length, intensity, strict=True):
-        A, B, C = dryden_system(speed, *size, span)
+    speeds = np.broadcast_to(airspeed, len(length))
+    for speed, scales, sigmas in zip(speeds, length, intensity, strict=True):
+        A, B, C = dryden_system(speed, scales, sigmas, span)
         systems.append((A, C, solve_continuous_lyapunov(A, -B @ B.T)))
     A, C, covariance = (
         np.tile(matrices, (n_draws, 1, 1)) for matrices in zip(*systems, strict=True)

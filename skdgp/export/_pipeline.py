@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from scipy.linalg import lapack, rq
@@ -38,6 +38,8 @@ from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiO
 REFERENCE_ROWS = 40
 REFERENCE_STEP = 0.5
 NO_FUNCTIONS = Readout(np.empty(0), np.empty((0, 0)))
+# Terms, readout, weights of the trend and its root in the explained variance, of a part
+Learned: TypeAlias = tuple[tuple[Term, ...], Readout, Vector, Matrix]
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
 
@@ -238,7 +240,7 @@ def _parts(posterior: SinglePosterior, errors: PosteriorWithErrors | None) -> li
     else:
         parts = _sparse(cast(SparsePosterior, posterior), roots)
     outputs = zip(parts, priors, variance.tolist(), strict=True)
-    return [Part(*part, prior, of_functions) for part, prior, of_functions in outputs]
+    return [Part(*part, trend_prior=R, prior_variance=a) for part, R, a in outputs]
 
 
 def _unused(d: int) -> Part:
@@ -255,7 +257,7 @@ def _square_root(root: Matrix) -> Matrix:
 
 def _exact(
     posterior: ExactPosterior, kernels: list[Any], center: Vector, tau: Matrix, roots: Array
-) -> list[tuple]:
+) -> list[Learned]:
     """Return terms, readout, weights and root of the trend of each output of an exact posterior.
 
     The samples are the centres. The basis is the covariance with the observed values, the readout C^-1 y and
@@ -281,7 +283,7 @@ def _exact(
     return parts
 
 
-def _sparse(posterior: SparsePosterior, roots: Array) -> list[tuple]:
+def _sparse(posterior: SparsePosterior, roots: Array) -> list[Learned]:
     """Return the same of each output of a sparse posterior; the inducing inputs are the centres."""
     parts = []
     for i, of_prior in enumerate(roots):

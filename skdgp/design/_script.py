@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,29 +17,21 @@ from skdgp._flight.tables import check_full_deflection, check_names
 SCRIPT = Path(__file__).with_name("replay.lua")
 
 
-class Servo(NamedTuple):
-    """ArduPilot's commands of a servo function."""
-
-    function: ServoFunction
-    sign: float  # of a command that moves the control as in docs/notation.md
-    is_range: bool = False  # from 0 to 1, not from -1 to 1
-    scale: float = (
-        4500.0  # scaled command at full deflection: centidegrees of a range of 45 degrees
-    )
-
-
-# ArduPilot's positive commands raise the nose, roll and yaw right, move elevons and halves of a
-# V-tail up
+# ArduPilot's functions of servos, and the sign of a command that moves the control as in docs/notation.md: positive
+# commands raise the nose, roll and yaw right, move elevons and halves of a V-tail up
 ARDUPILOT = {
-    "elevator": Servo(ServoFunction.ELEVATOR, -1.0),
-    "aileron": Servo(ServoFunction.AILERON, 1.0),
-    "rudder": Servo(ServoFunction.RUDDER, -1.0),
-    "throttle": Servo(ServoFunction.THROTTLE, 1.0, is_range=True, scale=100.0),
-    "elevon_left": Servo(ServoFunction.ELEVON_LEFT, -1.0),
-    "elevon_right": Servo(ServoFunction.ELEVON_RIGHT, -1.0),
-    "vtail_left": Servo(ServoFunction.VTAIL_LEFT, -1.0),
-    "vtail_right": Servo(ServoFunction.VTAIL_RIGHT, -1.0),
+    "elevator": (ServoFunction.ELEVATOR, -1.0),
+    "aileron": (ServoFunction.AILERON, 1.0),
+    "rudder": (ServoFunction.RUDDER, -1.0),
+    "throttle": (ServoFunction.THROTTLE, 1.0),
+    "elevon_left": (ServoFunction.ELEVON_LEFT, -1.0),
+    "elevon_right": (ServoFunction.ELEVON_RIGHT, -1.0),
+    "vtail_left": (ServoFunction.VTAIL_LEFT, -1.0),
+    "vtail_right": (ServoFunction.VTAIL_RIGHT, -1.0),
 }
+# Scaled commands at full deflection: centidegrees of a range of 45 degrees, and percent
+SURFACE_SCALE = 4500.0
+THROTTLE_SCALE = 100.0
 # Surfaces that several axes move
 MIXES = {
     "elevon_left": {"elevator": 1.0, "aileron": 1.0},
@@ -167,13 +159,14 @@ def _surface(
     name: str, full: float, mix: Mapping[str, float], axes: Iterable[str]
 ) -> dict[str, Any]:
     """Return the commands of a surface for the script."""
-    servo = ARDUPILOT[name]
+    function, sign = ARDUPILOT[name]
+    is_throttle = name == "throttle"
     return {
         "name": name,
-        "servo": servo.function,
-        "full": servo.sign * full,
-        "range": servo.is_range,
-        "scale": servo.scale,
+        "servo": function,
+        "full": sign * full,
+        "range": is_throttle,  # from 0 to 1, not from -1 to 1
+        "scale": THROTTLE_SCALE if is_throttle else SURFACE_SCALE,
         "parts": [mix.get(axis, 0.0) for axis in axes],
     }
 

@@ -113,31 +113,6 @@ class TestBounds:
             quick(model.kernel_, trend="constant").fit(X, level)
 
 
-def known_noise(model, clock):
-    """Return the noise that a model has learned, for a model that is told it."""
-    known = {"noise_variance": model.noise_variance_ + model.misfit_variance_, "random_state": 0}
-    if clock:
-        known["input_noise"] = np.sqrt(np.diag(model.input_covariance_))
-    return known
-
-
-class TestTerms:
-    @pytest.mark.parametrize(
-        ("inference", "clock"),
-        [("exact", {}), ("exact", {"time": 0.1 * np.arange(40)}), ("sparse", {})],
-        ids=["exact", "time series", "sparse"],
-    )
-    def test_without_a_search_it_is_the_model(self, inference, clock):
-        X, Y = waves()
-        options = {"structure": "joint", "inference": inference, "n_inducing": 40}
-        model = DependentGPRegressor(random_state=0, **options).fit(X, Y, **clock)
-        options |= known_noise(model, clock)
-        same = DependentGPRegressor(model.kernel_, optimizer=None, **options).fit(X, Y, **clock)
-        assert_allclose(same.predict(X, True), model.predict(X, True), rtol=1e-6, atol=1e-9)
-        likelihood = model.log_marginal_likelihood_value_
-        assert same.log_marginal_likelihood_value_ == pytest.approx(likelihood, abs=1e-6)
-
-
 class TestKernelsOfScikitLearn:
     @pytest.mark.parametrize(
         "kernel", [ConstantKernel() * RBF([1.0]), RBF() + Matern(), RBF(2.0, "fixed")]

@@ -1,11 +1,13 @@
-"""The rigid body against Newton and Euler; flights with known answers are in test_check_cases.py."""
+"""The rigid body against Newton and Euler, and a top whose motion is known."""
 
 import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from skdgp.dynamics import (
+    Aircraft,
     quaternion_to_matrix,
     rigid_body_derivative,
 )
@@ -33,3 +35,22 @@ def test_derivative_is_newton_and_euler(aircraft):
         assert_allclose(derivative[6:10], sign * turning, atol=1e-7)
         euler = np.linalg.solve(aircraft.inertia, m - np.cross(rates, aircraft.inertia @ rates))
         assert_allclose(derivative[10:], euler, atol=1e-12)
+
+
+def test_a_symmetric_top_precesses_at_its_closed_rate():
+    """p + i q turns at (Izz - Ixx) / Ixx r while r stays (Goldstein, Poole & Safko 2002, section 5.6).
+
+    The idea is that of case 2 of Jackson et al. (NASA/TM-2015-218675).
+    """
+    sizes = {"mass": 2.0, "wing_area": 0.02, "span": 0.1, "chord": 0.2}
+    top = Aircraft(inertia=np.diag([0.5, 0.5, 0.8]), **sizes)
+    nothing, times = np.zeros(3), np.linspace(0, 10, 1001)
+    start = np.concatenate([np.zeros(6), [1.0, 0.0, 0.0, 0.0], [0.6, -0.2, 1.5]])
+
+    def rate(t, state):
+        return rigid_body_derivative(state, nothing, nothing, top, 0.0)
+
+    states = solve_ivp(rate, (0, 10), start, "DOP853", times, rtol=1e-12, atol=1e-12).y
+    p, q, r = states[10:]
+    assert_allclose(p + 1j * q, (0.6 - 0.2j) * np.exp(0.9j * times), atol=1e-9)
+    assert_allclose(r, 1.5, rtol=1e-12)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
@@ -79,6 +80,18 @@ class TestSpacing:
         most = np.isfinite(Y).sum(axis=0).max()
         still = np.column_stack([X, np.full(len(X), 3.0)])
         assert_allclose(self.smallest(still, Y)[..., :3], most ** (-1 / 3))
+
+
+@pytest.mark.parametrize(
+    ("n", "d", "least"),
+    [(1000, 1, 1.0), (1000, 3, 1 / 9), (20, 9, 0.3), (60, 9, 0.1), (1000, 9, 0.05)],
+)
+def test_slopes_of_a_trend_are_not_nearly_certain_to_be_zero(n, d, least):
+    """Of few rows n at least 6 / n, of few regressors d^-2, in deviations of output and regressor."""
+    rng = default_rng(0)
+    X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, 1))
+    bounds = LinearTrend().initialize(X / X.std(axis=0), Y / Y.std(), 0).parameter_bounds
+    assert_allclose(bounds["slope_scale"][..., 0], least)
 
 
 class TestRefused:

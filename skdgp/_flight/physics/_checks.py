@@ -300,38 +300,36 @@ def _lags_before_angle(slopes: dict[float, Slope], best: float) -> list[float]:
     return [lag for lag in lags if lag <= first and 1 + slopes[lag].explained >= least]
 
 
-class Alternative(NamedTuple):
-    """Two relations of one response: with the channel of another axis, and with its own."""
-
-    wrong: Relation
-    right: Relation
-
-    def judge(self, signals: Signals) -> Contradiction | None:
-        """Return the contradiction of a wrong channel that explains the response better than the right one."""
-        slopes = self.wrong.slopes(signals)
-        if not slopes:
-            return None
-        best = _most_explained(slopes)
-        right = self.right.slopes(signals)
-        t = best.t(NONE.least, NONE.most)
-        explained = _most_explained(right).explained if right else 0.0
-        if _is_weak(best, t) or best.explained <= explained:
-            return None
-        return _of_slope(self.wrong, NONE, best, t)
-
-
 class Exchange(NamedTuple):
-    """Two channels, each of which explains the response of the other better."""
+    """Two channels that stand for others: undone, each of two relations explains its response better."""
 
-    first: Alternative
-    second: Alternative
+    channels: tuple[str, str]
+    relations: tuple[Relation, Relation]
+    undone: Callable[[Signals], Signals]
+    #: What the channels are if both relations show it
+    words: str = "exchanged"
 
     def judge(self, signals: Signals) -> Contradiction | None:
-        """Return the contradiction of the first response, if both channels are exchanged."""
-        contradiction = self.first.judge(signals)
-        if contradiction is None or self.second.judge(signals) is None:
+        """Return the contradiction of the first relation, if both show it."""
+        if not {*self.channels} <= signals.channels.keys():
             return None
-        return contradiction
+        undone = self.undone(signals)
+        found = []
+        for relation in self.relations:
+            slopes = relation.slopes(undone)
+            if not slopes:
+                return None
+            best = _most_explained(slopes)
+            t = best.t(NONE.least, NONE.most)
+            others = [slope.explained for slope in relation.slopes(signals).values()]
+            if _is_weak(best, t) or best.explained <= max(others, default=0.0):
+                return None
+            found.append((best, t))
+        first, second = self.relations
+        uses = (first.needs | second.needs) - {*self.channels}
+        words = f"{first.x} ({' and '.join(self.channels)} {self.words})"
+        shown = replace(first, channels=self.channels, uses=tuple(sorted(uses)), x=words)
+        return _of_slope(shown, NONE, *found[0])
 
 
 def _most_explained(slopes: dict[float, Slope]) -> Slope:

@@ -6,6 +6,8 @@ are linear in angles, rates and surfaces.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
@@ -13,6 +15,7 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE,
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_per_rotation
 from skdgp._flight.physics._regression import Regression
 from skdgp._flight.physics._signals import PHYSICS, Signals
+from skdgp._flight.tables import by_name
 
 # -- attitude and position
 
@@ -171,14 +174,19 @@ def _level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vec
     return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
 
 
-def horizontal_force(flight: Signals, axis: int, in_earth_axes: bool) -> Regression:
-    """Return the terms along north or east, with accelerometers in body axes, or as if they were in earth axes."""
-    force = flight.vector(SPECIFIC_FORCE)
-    if not in_earth_axes:
-        force = _in_earth_axes(flight, force)
+def horizontal_force(flight: Signals, axis: int) -> Regression:
+    """Return the terms along north or east."""
     change = flight.change(flight.vector(EARTH_VELOCITY))
-    impulse = flight.integral(force)
+    impulse = flight.integral(_in_earth_axes(flight, flight.vector(SPECIFIC_FORCE)))
     return Regression.with_intercept(change[:, axis], impulse[:, axis])
+
+
+def in_body_axes(flight: Signals) -> Signals:
+    """Return the signals with the specific force turned from earth to body axes, R^T f, where the attitude is known."""
+    if not {*EULER, *SPECIFIC_FORCE} <= flight.channels.keys():
+        return flight
+    force = np.einsum("nji,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
+    return replace(flight, channels=flight.channels | by_name(SPECIFIC_FORCE, force))
 
 
 def _in_earth_axes(flight: Signals, force: Matrix) -> Matrix:

@@ -22,7 +22,6 @@ from skdgp._flight.physics._checks import (
     LEVEL,
     NEGATIVE,
     POSITIVE,
-    Alternative,
     Equality,
     Exchange,
     Interval,
@@ -30,7 +29,6 @@ from skdgp._flight.physics._checks import (
     Relation,
     Sign,
 )
-from skdgp._flight.physics._regression import Regression
 from skdgp._flight.physics._signals import (
     AIRSPEED_LAGS,
     KINEMATIC_LAGS,
@@ -294,69 +292,45 @@ OFFSETS = (
 # -- exchanges
 
 
-def _alternative_with_exchanged(relation: Relation, first: str, second: str) -> Alternative:
-    """Return an integral as if two channels were exchanged, beside the one as they are."""
-
-    def regression(flight: Signals) -> Regression:
-        return relation.regression(flight.exchanged(first, second))
-
-    response, rate = relation.channels
-    other = second if rate == first else first
-    wrong = replace(
-        relation,
-        channels=(rate, other),
-        uses=(response, *relation.uses),
-        x=f"the integral of {other}",
-        regression=regression,
-    )
-    return Alternative(wrong, relation)
-
-
-def _alternative_by_other_axis(
-    name: str, wrong: str, right: str, others: tuple[str, ...], response_of_other: str
-) -> Alternative:
-    """Return a response by the channel of another axis and by its own one, beside other effects."""
-    by_wrong = _relation_of_response(name, (wrong, right, *others))
-    by_right = _relation_of_response(name, (right, wrong, *others))
-    uses = (name, response_of_other, "airspeed")
-    return Alternative(replace(by_wrong, channels=(wrong, right), uses=uses), by_right)
-
-
-def _relation_of_horizontal_force(axis: int, axes: str) -> Relation:
-    """Return the relation of a change of velocity with an accelerometer, taken in "body" or "earth" axes."""
+def _relation_of_horizontal_force(axis: int) -> Relation:
+    """Return the relation of a change of velocity with an accelerometer."""
     return Relation(
         channels=("ax", "ay"),
         uses=FORCE_CHANNELS,
         y=f"the change of {EARTH_VELOCITY[axis]}",
-        x=f"the integral of {SPECIFIC_FORCE[axis]} taken in {axes} axes",
-        regression=partial(equations.horizontal_force, axis=axis, in_earth_axes=axes == "earth"),
+        x=f"the integral of {SPECIFIC_FORCE[axis]}",
+        regression=partial(equations.horizontal_force, axis=axis),
     )
 
 
-def _alternative_in_earth_axes(axis: int) -> Alternative:
-    """Return a change of velocity by an accelerometer in earth axes, beside the one in body axes."""
-    return Alternative(
-        _relation_of_horizontal_force(axis, "earth"), _relation_of_horizontal_force(axis, "body")
-    )
+def _exchange(first: str, second: str, *relations: Relation) -> Exchange:
+    """Return the check of two channels that stand for each other, by the two relations that they are in."""
+    by_first, by_second = relations
+    undone = partial(Signals.exchanged, first=first, second=second)
+    return Exchange((first, second), (by_first, by_second), undone)
 
 
 # Accelerometers in earth axes, from which other contradictions follow
-EARTH_AXES = Exchange(_alternative_in_earth_axes(0), _alternative_in_earth_axes(1))
+EARTH_AXES = Exchange(
+    ("ax", "ay"),
+    (_relation_of_horizontal_force(0), _relation_of_horizontal_force(1)),
+    equations.in_body_axes,
+    "in earth axes",
+)
 EXCHANGES = (
-    Exchange(
-        _alternative_with_exchanged(PITCH, "q", "r"), _alternative_with_exchanged(YAW, "q", "r")
+    _exchange("q", "r", PITCH, YAW),
+    _exchange("v_north", "v_east", NORTH, EAST),
+    _exchange(
+        "elevator",
+        "aileron",
+        _relation_of_response("p", ("aileron", "elevator", "beta", "p", "r", "rudder")),
+        _relation_of_response("q", ("elevator", "aileron", "alpha", "q")),
     ),
-    Exchange(
-        _alternative_with_exchanged(NORTH, "v_north", "v_east"),
-        _alternative_with_exchanged(EAST, "v_north", "v_east"),
-    ),
-    Exchange(
-        _alternative_by_other_axis("p", "elevator", "aileron", ("beta", "p", "r", "rudder"), "q"),
-        _alternative_by_other_axis("q", "aileron", "elevator", ("alpha", "q"), "p"),
-    ),
-    Exchange(
-        _alternative_by_other_axis("az", "beta", "alpha", ("q", "elevator"), "ay"),
-        _alternative_by_other_axis("ay", "alpha", "beta", LATERAL_EFFECTS, "az"),
+    _exchange(
+        "beta",
+        "alpha",
+        _relation_of_response("az", ("alpha", "beta", "q", "elevator")),
+        _relation_of_response("ay", ("beta", "alpha", *LATERAL_EFFECTS)),
     ),
 )
 

@@ -8,8 +8,9 @@ length is checked: where no message begins, reading continues at the next two fi
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -170,8 +171,11 @@ NAMING = "the parameters SERVOn_FUNCTION"
 # that are logged, and that there are
 MOST_SERVOS = 16
 MOST_OUTPUTS = 32
-# speeds [rpm] of a message of two engines
-ENGINES = {"RPM": ("rpm1", "rpm2")}
+# fields of the speeds [rpm] of several engines, in logs and telemetry
+ENGINES = {
+    "RPM": ("rpm1", "rpm2"),
+    "ESC_TELEMETRY_1_TO_4": tuple(f"rpm[{k}]" for k in range(4)),
+}
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
 TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK, and of tailsitters
@@ -292,27 +296,19 @@ def _log(
     kind = FRAMES.get((program, frame), VEHICLES.get(program))
     vehicle = vehicle_of(kind, parameters)
     topics, of_ratio = _with_last_ratio(topics, changes)
-    controls, commands, lifts, unread = outputs_of(topics.get("RCOU", NOTHING), parameters)
-    lifting: States = ()
-    if vehicle == "VTOL":
-        lifting = lifts or lifting_modes("MODE", "ModeNum")
-    return Log(
+    log = Log(
         kind="ArduPilot DataFlash",
         topics=topics,
-        rules=in_vehicle_axes(with_engines(RULES, topics, ENGINES, lifting), parameters),
+        rules=RULES,
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=(*remarks, *of_ratio, *unread),
+        remarks=(*remarks, *of_ratio),
         landed=(("STAT", "isFlying", 0.0, 0.0),),
-        outputs=("RCOU",),
         naming=NAMING,
-        controls=controls,
         aliases=ALIASES,
-        lifting=lifting,
-        commands=commands,
-        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
+    return by_parameters(log, "RCOU.C{}", lifting_modes("MODE", "ModeNum"))
 
 
 def _firmware(texts: list[str]) -> str:
@@ -355,7 +351,7 @@ def vehicle_of(vehicle: str | None, parameters: Mapping[str, float]) -> str | No
     return "VTOL" if vehicle == "fixed wing" and has_rotors else vehicle
 
 
-def in_vehicle_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
+def _in_vehicle_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
     """Return rules whose inertial sensors are turned by AHRS_TRIM, from axes of the board to those of the attitude.
 
     As by get_rotation_autopilot_body_to_vehicle_body of AP_AHRS.
@@ -477,14 +473,18 @@ class _File:
         return units
 
 
-def outputs_of(
-    topic: Topic, parameters: Mapping[str, float], name: str = "RCOU.C{}"
-) -> tuple[dict[str, Control], dict[str, Control], States, list[str]]:
-    """Return controls, commands, lifting and remarks of a `Log`, of outputs whose channels n have a ``name``.
+def by_parameters(
+    log: Log, channel: str, modes: States, hover: States = (), positions: Sequence[str] = ()
+) -> Log:
+    """Return a log with what the parameters of ArduPilot say of its outputs and inertial sensors.
 
-    Surfaces are by SERVOn_FUNCTION, single and mixed, commands are the engines of a twin, and motors lift.
+    Outputs n are named by ``channel``. Surfaces are by SERVOn_FUNCTION, single and mixed, commands are
+    the engines of a twin. A VTOL lifts in ``hover``, and while a motor lifts, or without one in
+    ``modes``. ``positions`` are parameters of the sensors in place of ArduPilot's.
     """
-    outputs = _logged_outputs(topic, parameters, name)
+    name, _ = channel.split(".")
+    parameters = log.parameters
+    outputs = _logged_outputs(log.topics.get(name, NOTHING), parameters, channel)
     servos = _servos_of(outputs, parameters)
     controls: dict[str, Control] = {}
     commands: dict[str, Control] = {}
@@ -497,7 +497,8 @@ def outputs_of(
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
     lifts = _lifting(outputs, parameters)
-    remarks = []
+    lifting = (*hover, *(lifts or modes)) if log.vehicle == "VTOL" else ()
+    remarks = [*log.remarks]
     unread = _unread(controls, servos, parameters) if outputs else []
     if unread:
         remarks.append(f"outputs {', '.join(unread)} move surfaces that are not read")
@@ -505,7 +506,17 @@ def outputs_of(
         remarks.append(
             "Q_TILT_MASK has every motor that lifts: transitions are left out of flights by the mode alone"
         )
-    return controls, commands, lifts, remarks
+    rules = with_engines(log.rules, log.topics, ENGINES, lifting)
+    return replace(
+        log,
+        rules=_in_vehicle_axes(rules, parameters),
+        remarks=tuple(remarks),
+        outputs=(name,),
+        controls=controls,
+        commands=commands,
+        lifting=lifting,
+        sensor_positions=stated_positions(parameters, positions or IMU_POSITIONS),
+    )
 
 
 def _unread(

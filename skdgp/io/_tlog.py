@@ -23,12 +23,11 @@ from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FOR
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import (
     AIRSPEED_USES,
-    IMU_POSITIONS,
+    ENGINES,
     NAMING,
     TRIM,
-    in_vehicle_axes,
+    by_parameters,
     lifting_modes,
-    outputs_of,
     vehicle_of,
 )
 from skdgp.io._log import (
@@ -37,7 +36,6 @@ from skdgp.io._log import (
     QUATERNION,
     Log,
     Rule,
-    States,
     Topic,
     centi,
     damage,
@@ -48,9 +46,7 @@ from skdgp.io._log import (
     numeric_fields,
     rows_in,
     scaling,
-    stated_positions,
     whole,
-    with_engines,
 )
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import IMU_POSITIONS as PX4_IMU_POSITIONS
@@ -137,11 +133,6 @@ RULES = (
     Rule(("wind_north", "wind_east"), "WIND_COV", ("wind_x", "wind_y")),
     Rule(("throttle",), "VFR_HUD", ("throttle",), centi),
 )
-# speeds [rpm] of engines, of which those count that run
-ENGINES = {
-    "RPM": ("rpm1", "rpm2"),
-    "ESC_TELEMETRY_1_TO_4": tuple(f"rpm[{k}]" for k in range(4)),
-}
 # further instances of sensors, which have messages of their own
 ALIASES = {
     "SCALED_IMU": ("SCALED_IMU2", "SCALED_IMU3"),
@@ -172,41 +163,29 @@ def read_tlog(path: Path) -> Log:
     for message in by_name.pop("PARAM_VALUE", {}).values():
         parameters[message.param_id] = _parameter(message, is_px4)
     topics = _topics(by_name)
-    controls, commands, lifts, unread = outputs_of(
-        topics.get(OUTPUTS, NOTHING), parameters, OUTPUTS + ".servo{}_raw"
-    )
-    vehicle = _vehicle(topics, vehicles, parameters)
-    lifting: States = ()
-    if vehicle == "VTOL":
-        modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
-        lifting = (HOVER, *(lifts or modes))
-    rules = with_engines(RULES, topics, ENGINES, lifting)
     of_trim: tuple[str, ...] = ()
     if not is_px4:
         attitude = topics["ATTITUDE"]
         pitch = attitude["pitch"] + _pitch_trim(parameters)
         topics["ATTITUDE"] = attitude.with_fields(pitch=pitch)
-        rules = in_vehicle_axes(rules, parameters)
         of_trim = () if TRIM[0] in parameters else (UNKNOWN_TRIM,)
-    positions = PX4_IMU_POSITIONS if is_px4 else IMU_POSITIONS
-    return Log(
+    log = Log(
         kind="MAVLink telemetry",
         topics=topics,
-        rules=rules,
+        rules=RULES,
         parameters=parameters,
         firmware="PX4" if is_px4 else "ArduPilot",
-        vehicle=vehicle,
-        remarks=(*damage(skipped), *others, *of_trim, *unread),
+        vehicle=_vehicle(topics, vehicles, parameters),
+        remarks=(*damage(skipped), *others, *of_trim),
         landed=(("EXTENDED_SYS_STATE", "landed_state", 1.0, 1.0),),
-        outputs=(OUTPUTS,),
         naming=PX4_NAMING if is_px4 else f"{NAMING} (fetch them while the ground station records)",
-        controls=controls,
         aliases=ALIASES,
-        lifting=lifting,
-        commands=commands,
-        sensor_positions=stated_positions(parameters, positions),
         sensor_tilt=TILT_STD if of_trim else 0.0,
     )
+    # no mode, and other positions, of PX4
+    modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
+    positions = PX4_IMU_POSITIONS if is_px4 else ()
+    return by_parameters(log, OUTPUTS + ".servo{}_raw", modes, (HOVER,), positions)
 
 
 def _system(messages: list[Any]) -> tuple[int, list[str]]:

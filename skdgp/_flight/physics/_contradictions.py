@@ -12,6 +12,7 @@ from skdgp._flight.channels import ELEVONS, MIXED
 from skdgp._flight.faults import dead_channels
 from skdgp._flight.physics._checks import (
     Contradiction,
+    Equality,
     Exchange,
     Mistake,
     Relation,
@@ -84,7 +85,8 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
 
 def _are_sound(signals: Signals) -> bool:
     """Return whether no check contradicts the signals."""
-    checks = (EARTH_AXES, *EQUALITIES, *SIGNS, *EXCHANGES, *OFFSETS)
+    checks: list[Equality | Sign | Exchange] = [EARTH_AXES, *EQUALITIES, *SIGNS, *EXCHANGES]
+    checks += OFFSETS
     return not any(isinstance(check.judge(signals), Contradiction) for check in checks)
 
 

@@ -28,8 +28,8 @@ def attitude(flight: Signals, axis: int, others: tuple[int, ...]) -> Regression:
     """
     slopes = euler_per_rotation(flight["phi"], flight["theta"])[:, axis]
     own = slopes[:, axis] * flight[RATES[axis]]
-    coupling = sum(slopes[:, other] * flight[RATES[other]] for other in others)
-    return _integrated(flight, flight[EULER[axis]], own, coupling)
+    by_others = [slopes[:, other] * flight[RATES[other]] for other in others]
+    return _integrated(flight, flight[EULER[axis]], own, np.sum(by_others, axis=0))
 
 
 def turning(flight: Signals) -> Regression:

@@ -354,6 +354,7 @@ MISTAKES = (
     Mistake(turned=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
-RELATIONS = [check.relation for check in (*EQUALITIES, *SIGNS, *OFFSETS)]
+CHECKS: list[Equality | Sign] = [*EQUALITIES, *SIGNS, *OFFSETS]
+RELATIONS = [check.relation for check in CHECKS]
 CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[relation.needs for relation in RELATIONS]))
 """Channels that the checks use."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp._flight.channels import ELEVONS, EULER, POSITION, by_elevons
+from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, POSITION, by_elevons
 from skdgp._flight.clock import median_step, n_rows
 from skdgp._flight.faults import on_ground
 from skdgp._flight.frames import euler_to_matrix
@@ -169,7 +169,10 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
         for rows, clock in zip(segments, clocks, strict=True):
             parts.append(_averaged(*_samples(name, time[rows], values[rows]), clock))
         channel = np.concatenate(parts)
-        if np.isfinite(channel).any():
+        # a surface that never moves has no effect
+        sampled = values[np.isfinite(values)]
+        is_still = name in ALL_SURFACES and (sampled == sampled[:1]).all()
+        if np.isfinite(channel).any() and not is_still:
             channels[name] = channel
     is_on_ground = channels.pop("ground") > 0
     if {*ELEVONS} <= channels.keys():

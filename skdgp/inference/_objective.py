@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from threading import Event
 from typing import NamedTuple
 
@@ -109,10 +109,12 @@ def climb(
     *,
     noise_alone: bool = False,
     stage: str = "fit",
+    least: Callable[[MultiOutputKernel], float] = lambda kernel: -np.inf,
 ) -> Point:
     """Return the best kernel and noise found from these, which the kernel keeps if ``noise_alone``.
 
-    The likelihoods of the blocks add up.
+    The likelihoods of the blocks add up. The climb ends early where their sum will hardly reach
+    ``least`` of its kernel.
     """
     objective = Objective(kernel, blocks, len(noise))
     bounds = np.concatenate([kernel.bounds, np.log(noise_bounds)])
@@ -127,5 +129,6 @@ def climb(
             stop,
             max_iter=max_iter,
             stage=stage,
+            least=lambda z: least(objective.at(z * objective.unit)[0]),
         )
     return Point(*objective.at(end.theta * objective.unit), end)

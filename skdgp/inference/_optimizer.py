@@ -48,6 +48,10 @@ class OptimizerSettings:
     accepted: float = 1e-4
     poor: float = 0.25
     good: float = 0.75
+    #: Steps whose rise shows how far a climb may still come, and how many times that (trials: no
+    #: structure that would have had a weight was given up)
+    recent: int = 10
+    times: float = 10.0
 
 
 SETTINGS = OptimizerSettings()
@@ -70,6 +74,7 @@ def maximize(
     *,
     max_iter: int,
     stage: str = "fit",
+    least: Callable[[Vector], float] = lambda theta: -np.inf,
     settings: OptimizerSettings = SETTINGS,
 ) -> Optimum:
     """Return the end of a search that starts at ``theta``.
@@ -88,6 +93,9 @@ def maximize(
         Largest number of steps, each with one evaluation.
     stage : str
         Name of the stage for progress listeners.
+    least : callable
+        theta -> the value that the end must reach to count. The search ends, not converged, where
+        ``settings.times`` the rise of the last steps would not reach it.
     settings : OptimizerSettings
 
     Returns
@@ -105,26 +113,29 @@ def maximize(
     theta = np.clip(theta, *bounds.T)
     point = objective(theta)
     correction = np.zeros_like(point.information)
-    damping, least, most = settings.damping
+    damping, smallest, largest = settings.damping
+    values = [point.value]
     n_iter = 0
     try:
         while not _is_stationary(theta, point, bounds, settings):
             curvature = point.information + correction
-            if damping > most:
+            if damping > largest:
                 step = _step(theta, point, curvature, bounds, settings.damping[0], settings.longest)
                 is_flat = 0.5 * step @ point.gradient < settings.gradient
                 return Optimum(theta, point.value, n_iter, bool(is_flat))
-            if n_iter == max_iter or stop.is_set():
+            is_hopeless = point.value + _prospect(values, settings) < least(theta)
+            if n_iter == max_iter or is_hopeless or stop.is_set():
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
-            target = theta + _step(theta, point, curvature, bounds, damping, settings.longest)
-            end = np.clip(_on_grid(target, point.information, settings), *bounds.T)
-            predicted = _predicted_rise(end - theta, point, curvature)
-            if predicted <= settings.promise:
-                end = np.clip(target, *bounds.T)
-                predicted = _predicted_rise(end - theta, point, curvature)
-            step = end - theta
+            step = _step(theta, point, curvature, bounds, damping, settings.longest)
+            end = theta + step
+            predicted = _predicted_rise(step, point, curvature)
+            if predicted > settings.promise:
+                end = _on_grid(end, point.information, bounds, settings)
+                step = end - theta
+                predicted = _predicted_rise(step, point, curvature)
             other = _evaluated(objective, end) if predicted > 0 else None
+            values.append(point.value)
             if other is None:
                 damping *= 4.0
                 continue
@@ -136,9 +147,10 @@ def maximize(
             if rise < settings.poor * predicted:
                 damping *= 4.0
             elif rise > settings.good * predicted:
-                damping = max(least, damping / 3.0)
+                damping = max(smallest, damping / 3.0)
             if is_taken:
                 theta, point = end, other
+                values[-1] = point.value
             notify(_counted(stage, n_iter, max_iter), n_iter, point.value)
     except KeyboardInterrupt:
         if not keeps_best():
@@ -146,6 +158,13 @@ def maximize(
         stop.set()
         return Optimum(theta, point.value, n_iter, False)
     return Optimum(theta, point.value, n_iter, True)
+
+
+def _prospect(values: list[float], settings: OptimizerSettings) -> float:
+    """Return how far the likelihood may still rise, from its ``values`` after each step."""
+    if len(values) <= settings.recent:
+        return np.inf
+    return settings.times * (values[-1] - values[-1 - settings.recent])
 
 
 def _counted(stage: str, n_iter: int, max_iter: int) -> str:
@@ -167,22 +186,32 @@ def _is_stationary(theta, point, bounds, settings):
 
 
 def _step(theta, point, curvature, bounds, damping, longest):
-    """Return the damped step of the free hyperparameters, zero for the others.
+    """Return the damped step inside the bounds, of which none is longer than ``longest``.
 
+    Hyperparameters that the step would take beyond these limits end there, and the others follow.
     Where the curvature is not positive definite the damping is larger.
     """
     free = _free(theta, point.gradient, bounds)
-    of_free = curvature[np.ix_(free, free)]
-    unit = np.diag(np.diag(point.information)[free] + 1.0)
-    while True:
+    step = np.zeros(len(theta))
+    lowest, highest = np.clip((bounds - theta[:, None]).T, -longest, longest)
+    unit = np.diag(point.information) + 1.0
+    while free.any():
+        gradient = point.gradient - curvature @ step
+        of_free = curvature[np.ix_(free, free)]
         try:
-            factor = cho_factor(of_free + damping * unit)
-            break
+            factor = cho_factor(of_free + np.diag(damping * unit[free]))
         except np.linalg.LinAlgError:
             damping = max(4.0 * damping, 1e-6)
-    step = np.zeros(len(theta))
-    step[free] = cho_solve(factor, point.gradient[free])
-    return np.clip(step, -longest, longest)  # where the likelihood is flat steps are long
+            continue
+        target = step.copy()
+        target[free] = cho_solve(factor, gradient[free])
+        step = np.clip(target, lowest, highest)
+        limited = free & (step != target)
+        if not limited.any():
+            return step
+        step[free & ~limited] = 0.0
+        free = free & ~limited
+    return step
 
 
 def _standard_errors(information):
@@ -195,13 +224,15 @@ def _predicted_rise(step, point, curvature):
     return step @ point.gradient - 0.5 * step @ curvature @ step
 
 
-def _on_grid(theta, information, settings):
-    """Return the centre of the cell of a grid that theta is in, so that no amplitude is zero.
+def _on_grid(theta, information, bounds, settings):
+    """Return the centre of the cell of a grid that theta is in, so that no amplitude is zero, or a bound.
 
     The spacing is a power of two, as the standard errors have rounding errors too.
     """
     spacing = np.exp2(np.round(np.log2(settings.grid * _standard_errors(information))))
-    return spacing * (np.floor(theta / spacing) + 0.5)
+    centre = np.clip(spacing * (np.floor(theta / spacing) + 0.5), *bounds.T)
+    at_bound = (theta <= bounds[:, 0]) | (theta >= bounds[:, 1])
+    return np.where(at_bound, theta, centre)
 
 
 def _corrected(S, A, step, change):

@@ -33,6 +33,7 @@ from skdgp.inference._outliers import SETTINGS as SETTINGS_OF_OUTLIERS
 from skdgp.inference._outliers import contaminated_variances, gross_outliers
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._shifts import found_shifts, price_of_shifts
+from skdgp.inference._starts import SETTINGS as SETTINGS_OF_STARTS
 from skdgp.inference._starts import (
     from_simpler,
     narrowed,
@@ -43,6 +44,7 @@ from skdgp.inference._starts import (
 from skdgp.inference._structures import (
     contains,
     has_shared_latents,
+    least_score,
     n_mattering,
     price_of,
     with_shifts,
@@ -186,8 +188,8 @@ def search(
             shift, aligned = found
             shared = [k for k, kernel in enumerate(kernels) if has_shared_latents(kernel)]
             likeliest = kernels[max(shared, key=lambda k: ends[k].score())]
-            end = problem.end_of(with_shifts(likeliest, shift, X), alone, [], aligned)
-            ends.append(end._replace(price=end.price + price_of_shifts(shift)))
+            moved = with_shifts(likeliest, shift, X)
+            ends.append(problem.end_of(moved, alone, ends, aligned, price_of_shifts(shift)))
     loading = problem.known.loading
     return [end._replace(loading=loading, interrupted=problem.stop.is_set()) for end in ends]
 
@@ -327,44 +329,65 @@ class _Search:
         self,
         kernel: MultiOutputKernel,
         alone: _OutputsAlone | None,
-        simpler: Sequence[Hyperparameters],
+        ends: Sequence[Hyperparameters],
         aligned: Matrix | None = None,
+        price: float = 0.0,
     ) -> Hyperparameters:
         """Return the hyperparameters of a kernel where its climbs end, the likeliest of all starts (stages 3 and 4).
 
-        Amplitudes start from the outputs, or from those that are ``aligned`` (n, P).
+        Amplitudes start from the outputs, or from those that are ``aligned`` (n, P). The kernel pays
+        ``price`` beside its hyperparameters. A climb that falls behind the ``ends`` of other kernels
+        is given up.
         """
+        Y = self.Y if aligned is None else aligned
         singles = None if alone is None else alone.kernels
-        start = starting_kernel(kernel, self.X, self.Y if aligned is None else aligned, singles)
+        start = starting_kernel(kernel, self.X, Y, singles)
         noise, bounds = self._noise(start)
         noise = noise if alone is None else alone.noise
-        starts = [(start, noise)]
-        for end in simpler:
-            if contains(kernel, end.kernel):
-                starts.append((from_simpler(start, end.kernel), end.noise))
-        starts = [max(starts, key=self._likelihood)]
+        if singles is not None and len(singles) == 1:
+            starts = []
+            for apart in SETTINGS_OF_STARTS.apart:
+                starts.append((starting_kernel(kernel, self.X, Y, singles, apart), noise))
+        else:
+            starts = [(start, noise)]
+            for end in ends if aligned is None else ():
+                if contains(kernel, end.kernel):
+                    starts.append((from_simpler(start, end.kernel), end.noise))
+            starts = [max(starts, key=self._likelihood)]
         for _ in range(self.options.n_restarts):
             starts.append(redrawn(start, bounds, self.random_state))
         n_iter = self.options.max_iter
         if self.options.input_noise:
             n_iter = min(n_iter, self.options.settings.exact_iterations)
-        ends: list[Hyperparameters] = []
+        score = least_score([end.score() for end in ends])
+        found: list[Hyperparameters] = []
         for of_kernel, of_noise in starts:
-            if not ends or not self.stop.is_set():
-                ends.append(self._climb(of_kernel, of_noise, bounds, self.blocks, n_iter))
-        best = max(ends, key=lambda end: end.log_likelihood)
+            if not found or not self.stop.is_set():
+                end = self._climb(
+                    of_kernel,
+                    of_noise,
+                    bounds,
+                    self.blocks,
+                    n_iter,
+                    least=lambda kernel: score + self._price(kernel) + price,
+                )
+                found.append(end)
+        best = max(found, key=lambda end: end.log_likelihood)
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)
+        return best._replace(price=self._price(best.kernel) + price)
+
+    def _price(self, kernel):
         n_values = sum(block.n_values for block in self.blocks)
-        return best._replace(price=price_of(n_mattering(best.kernel, self.X), n_values))
+        return price_of(n_mattering(kernel, self.X), n_values)
 
     def _likelihood(self, start):
         kernel, noise = start
         objective = Objective(kernel, self.blocks, len(noise))
         return objective.value(np.concatenate([kernel.theta, np.log(noise)]))
 
-    def _climb(self, kernel, noise, bounds, blocks, max_iter) -> Hyperparameters:
-        point = climb(kernel, noise, bounds, blocks, max_iter, self.stop)
+    def _climb(self, kernel, noise, bounds, blocks, max_iter, **options) -> Hyperparameters:
+        point = climb(kernel, noise, bounds, blocks, max_iter, self.stop, **options)
         return Hyperparameters(
             point.kernel,
             point.noise,

@@ -115,6 +115,11 @@ def price_of(n_hyperparameters: int, n_values: int) -> float:
     return p * n_values / (n_values - p - 1.0)
 
 
+def least_score(scores: Sequence[float], settings: StructureSettings = SETTINGS) -> float:
+    """Return the score from which a structure beside others with these scores would have a weight."""
+    return max(scores, default=-np.inf) + np.log(settings.least_weight)
+
+
 def structure_weights(scores: Sequence[float], settings: StructureSettings = SETTINGS) -> Vector:
     """Return the weights (K,), which add up to one, of kernels with these scores, learned from the same values."""
     lowest = -np.finfo(float).max / 2  # of kernels without a likelihood

@@ -52,6 +52,29 @@ def test_keeps_to_the_bounds():
     assert (seen <= bounds[:, 1]).all()
 
 
+def test_a_step_to_a_bound_takes_the_others_along():
+    """One step of a quadratic ends at the top inside the bounds, wherever it would end without them."""
+    curvature = np.array([[2.0, 1.9], [1.9, 2.0]])
+
+    def slope(theta):
+        away = theta - [-3.0, 2.0]
+        return Likelihood(-0.5 * away @ curvature @ away, -curvature @ away, curvature)
+
+    bounds = np.array([[0.0, 5.0], [-5.0, 5.0]])
+    best = maximize(slope, np.array([0.5, 0.0]), bounds, Event(), max_iter=8)
+    assert best.converged
+    assert_allclose(best.theta, [0.0, 2.0 - 0.95 * 3.0], atol=1e-3)
+
+
+def test_a_climb_that_will_not_come_far_enough_is_given_up():
+    start = np.array([-1.2, 1.0])
+    reached = maximize(ridge, start, BOUNDS, Event(), max_iter=200, least=lambda theta: -1.0)
+    given_up = maximize(ridge, start, BOUNDS, Event(), max_iter=200, least=lambda theta: 1e3)
+    assert reached.converged
+    assert not given_up.converged
+    assert given_up.n_iter < reached.n_iter
+
+
 def test_information_that_is_wrong_by_a_factor_takes_a_few_more_steps():
     """The changes of the gradient show what the information lacks."""
 

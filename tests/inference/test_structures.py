@@ -129,3 +129,17 @@ def test_weights_are_those_of_akaike():
     weights = structure_weights(scores)
     np.testing.assert_allclose(weights[:3], expected / expected.sum(), rtol=1e-6)
     assert weights[3] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_and_a_fast_part_of_one_output_have_latents_of_their_own(seed):
+    """One process alone explains them less likely."""
+    rng = np.random.default_rng(seed)
+    X = rng.uniform(-3, 3, (150, 1))
+    y = 2 * np.sin(0.7 * X[:, 0]) + 0.3 * np.sin(9 * X[:, 0]) + 0.1 * rng.normal(size=150)
+    one, several = (
+        DependentGPRegressor(ConvolvedGaussian(n_latent), random_state=0).fit(X, y)
+        for n_latent in (0, 2)
+    )
+    more = several.log_marginal_likelihood_value_ - one.log_marginal_likelihood_value_
+    assert more > 1.0

@@ -118,7 +118,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
         loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable[:, k])
         rows += _rows(loop, loop_margins)
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
-    table.attrs["unstable"] = stability.causes(linear, loops)
+    table.attrs["unstable"] = stability.causes(linear, loops, unstable)
     return table
 
 
@@ -215,7 +215,8 @@ class _GainSearch(NamedTuple):
         return best
 
     def none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
-        causes = self.stability.causes(self.linear, loops)
+        unstable_paths = self.stability.unstable(self.linear, loops)
+        causes = self.stability.causes(self.linear, loops, unstable_paths)
         unstable = ""
         if causes:
             parts = [f"by the {name} in {part:.0%} of the paths" for name, part in causes.items()]
@@ -413,13 +414,12 @@ class _Stability(NamedTuple):
         angle = np.unwrap(np.angle(characteristic), axis=-1)
         return np.round((angle[:, 0] - angle[:, -1]) / np.pi)
 
-    def causes(self, linear, loops) -> dict[str, float]:
+    def causes(self, linear, loops, unstable: Mask) -> dict[str, float]:
         """Return the modes by which the closed loops are unstable, and the fractions of the paths, or of the mean.
 
         A mode that the aircraft has without loops is named; another one has the frequency of the least determinant.
         """
         K = _gains(linear, loops, self.s)
-        unstable = self.unstable(linear, loops)
         first = min(1, len(unstable) - 1)  # the mean counts where there are no paths
         causes: dict[str, float] = {}
         for path in range(first, len(unstable)):

@@ -29,9 +29,6 @@ ARDUPILOT = {
     "vtail_left": (ServoFunction.VTAIL_LEFT, -1.0),
     "vtail_right": (ServoFunction.VTAIL_RIGHT, -1.0),
 }
-# Scaled commands at full deflection: centidegrees of a range of 45 degrees, and percent
-SURFACE_SCALE = 4500.0
-THROTTLE_SCALE = 100.0
 # Surfaces that several axes move
 MIXES = {
     "elevon_left": {"elevator": 1.0, "aileron": 1.0},
@@ -166,7 +163,7 @@ def _surface(
         "servo": function,
         "full": sign * full,
         "range": is_throttle,  # from 0 to 1, not from -1 to 1
-        "scale": THROTTLE_SCALE if is_throttle else SURFACE_SCALE,
+        "scale": 100.0 if is_throttle else 4500.0,  # percent, centidegrees of a range of 45 degrees
         "parts": [mix.get(axis, 0.0) for axis in axes],
     }
 

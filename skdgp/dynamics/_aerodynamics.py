@@ -369,7 +369,14 @@ class Coefficients:
     def __init__(self, steps: list, n_regressors: int, seconds: float | None = None):
         self.seconds = seconds
         *transforms, self.regressor = map(_without_names, steps)
-        self.shift, self.scale, self.others = scaling_of(transforms, n_regressors)
+        scalers = list(takewhile(_is_linear, transforms))
+        self.others = transforms[len(scalers) :]
+        # of the scalers, x = shift + scale z
+        ends = np.stack([np.zeros(n_regressors), np.ones(n_regressors)])
+        for scaler in reversed(scalers):
+            ends = scaler.inverse_transform(ends)
+        self.shift, at_one = ends
+        self.scale = at_one - self.shift
         names = list(vars(self.regressor).get("output_names_", NO_NAMES))
         self.order = self._order(names)
 
@@ -477,16 +484,6 @@ def flown_perturbation(rows: Array, seconds: float | None, window: float = 20.0)
     parts = np.array_split(rows, min(n_windows, max(1, len(rows) // 10)))
     deviations = np.concatenate([part - part.mean(axis=0) for part in parts])
     return deviations.std(axis=0)
-
-
-def scaling_of(steps: list, n_regressors: int) -> tuple[Array, Array, list]:
-    """Return shift and scale of the scalers that begin the steps, x = shift + scale z, and the other steps."""
-    scalers = list(takewhile(_is_linear, steps))
-    ends = np.stack([np.zeros(n_regressors), np.ones(n_regressors)])
-    for step in reversed(scalers):
-        ends = step.inverse_transform(ends)
-    shift, at_one = ends
-    return shift, at_one - shift, steps[len(scalers) :]
 
 
 def _is_linear(step: Any) -> bool:

@@ -101,13 +101,13 @@ class Servos:
         A lag is drawn above 10 ms, or above itself where it is shorter; servos without a lag have none.
         """
         errors = np.random.default_rng(random_state).standard_normal(n_paths)
-        if self.lag == 0.0:
-            return np.zeros(n_paths), np.maximum(self.delay - errors * self.delay_std, 0.0)
-        fastest = min(self.lag, LEAST_LAG)
-        # reflected there: what a lag cannot be shorter it may be longer
-        lags = fastest + np.abs(self.lag + errors * self.lag_std - fastest)
-        if self.lag_std > 0:
-            errors = (lags - self.lag) / self.lag_std
+        lags = np.zeros(n_paths)
+        if self.lag > 0.0:
+            fastest = min(self.lag, LEAST_LAG)
+            # reflected there: what a lag cannot be shorter it may be longer
+            lags = fastest + np.abs(self.lag + errors * self.lag_std - fastest)
+            if self.lag_std > 0:
+                errors = (lags - self.lag) / self.lag_std
         return lags, np.maximum(self.delay - errors * self.delay_std, 0.0)
 
     def at_rest(self, commands: Deflections) -> ServoState:

@@ -349,17 +349,18 @@ def with_stated_position(
     table: pd.DataFrame, origin: dict[str, Origin], sources: list[Source], log: Log
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return the table with the position of its accelerometers, if the log states it, and an unknown tilt."""
+    constants: dict[str, tuple[float, str]] = {}
     for source in sources:
-        stated = log.sensor_positions.get(source.instance)
-        if source.columns == SPECIFIC_FORCE and stated is not None:
-            words, position = stated
-            columns = dict(zip(SENSOR_POSITION, position, strict=True))
-            table = _in_order(table.assign(**columns))
-            origin = origin | dict.fromkeys(SENSOR_POSITION, Origin(words, np.nan))
-        if source.columns == SPECIFIC_FORCE and log.sensor_tilt:
-            table = _in_order(table.assign(sensor_tilt=log.sensor_tilt))
-            origin = origin | {"sensor_tilt": Origin("not stated by the log", np.nan)}
-    return table, origin
+        if source.columns == SPECIFIC_FORCE:
+            words, position = log.sensor_positions.get(source.instance, ("", ()))
+            for name, coordinate in zip(SENSOR_POSITION, position, strict=False):
+                constants[name] = (coordinate, words)
+            if log.sensor_tilt:
+                constants["sensor_tilt"] = (log.sensor_tilt, "not stated by the log")
+    for name, (constant, words) in constants.items():
+        table = table.assign(**{name: constant})
+        origin = origin | {name: Origin(words, np.nan)}
+    return _in_order(table), origin
 
 
 def _in_order(table: pd.DataFrame) -> pd.DataFrame:

@@ -569,11 +569,9 @@ def lacking_servos(log: Log) -> str:
     """Return the message that nothing in a log tells which outputs move surfaces."""
     if not log.has_wings:
         return no_wings(log)
-    logged = [name for name in log.outputs if name in log.topics]
-    outputs = "" if logged else f"some of {list(log.outputs)} and "
     return (
-        f"Got outputs {logged} without parameters that name their surfaces, but expected {outputs}"
-        f"{log.naming}: log them, or write the servo file by hand."
+        f"Got a log without parameters that name the surfaces of its outputs, but expected some of {[*log.outputs]} "
+        f"and {log.naming}: log them, or write the servo file by hand."
     )
 
 

@@ -75,15 +75,13 @@ def names_of(regressors: str | Sequence[str]) -> Sequence[str]:
 
 def regressor_columns(tables: Iterable[pd.DataFrame], regressors: Sequence[str]) -> list[str]:
     """Return the measured columns of the tables that regressors are made from."""
-    mixed = {*ELEVONS} if {*MIXED} & {*regressors} else set()
-    columns: dict[str, None] = {}
-    for table in tables:
-        needed = {"airspeed"} | mixed
-        for name in regressors:
-            bare = str(name).removesuffix(HAT)
-            needed.add(bare if bare in table else bare.removesuffix("_dot"))
-        columns |= dict.fromkeys(name for name in table.columns if name in needed)
-    return list(columns)
+    needed = {"airspeed"}
+    if not {*MIXED}.isdisjoint(regressors):
+        needed |= {*ELEVONS}
+    for name in regressors:
+        bare = str(name).removesuffix(HAT)
+        needed |= {bare, bare.removesuffix("_dot")}
+    return list(dict.fromkeys(name for table in tables for name in table if name in needed))
 
 
 def usable_flights(

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.model_selection import cross_val_score
 
 from skdgp import DependentGPRegressor, listening
@@ -125,17 +124,6 @@ class TestListening:
         assert n_calls > 0
         fit()
         assert len(calls) == n_calls
-
-    def test_a_press_before_a_search_ends_it_at_its_first_evaluation(self):
-        X = default_rng(0).normal(size=(30, 2))
-        model = DependentGPRegressor(n_latent=1, structure="joint", random_state=0)
-        with listening(lambda *news: None, keep_best=True):
-            signal.raise_signal(signal.SIGINT)
-            with pytest.warns(ConvergenceWarning, match="interrupted"):
-                model.fit(X, np.sin(X[:, 0]))
-        assert model.interrupted_
-        assert np.isfinite(model.predict(X)).all()
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     @pytest.mark.parametrize("presses", [1, 2])
     def test_a_press_that_no_evaluation_takes_is_not_lost(self, presses):

@@ -531,11 +531,3 @@ def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
         suggest_gains(linear, [loop], probability=95)
     with pytest.raises(ValueError, match="without paths"):
         suggest_gains(linear_of(glider), [loop])
-
-
-def test_paths_have_intervals_and_probabilities(linear):
-    loops = autopilot_loops(PX4, FULL)
-    found = margins(linear, loops)
-    assert (found["lower"] <= found["value"])["roll"].all()
-    assert (found["value"] <= found["upper"])["roll"].all()
-    assert found["probability"].drop("crossover", level="quantity").between(0, 1).all()

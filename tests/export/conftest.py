@@ -44,25 +44,29 @@ AIRCRAFT = Aircraft(
 )  # fmt: skip
 
 
+# Of a textbook aircraft, by REGRESSORS
+LEVEL = np.array([-0.03, 0.0, -0.2, 0.0, 0.02, 0.0])
+SLOPES = np.array([
+    [0.3, 0, 0, 0, 0, 0], [0, -0.5, 0, 0, 0, 0.1], [-4.5, 0, -5, -0.4, 0, 0],
+    [0, -0.05, 0, 0, 0.15, 0], [-0.5, 0, -9, -0.9, 0, 0], [0, 0.08, 0, 0, 0, -0.08],
+])  # fmt: skip
+
+
 def make_flight(n, seed, noise=1e-3):
     """Return a flight of random states, and the coefficients of a textbook aircraft with curves."""
     rng = default_rng(seed)
-    x = {name: rng.normal(0.0, 0.1, n) for name in REGRESSORS}
-    x["q_hat"] /= 20
+    X = rng.normal(0.0, 0.1, (6, n)).T * [1.0, 1.0, 0.05, 1.0, 1.0, 1.0]
     speed = rng.uniform(20.0, 30.0, n)
-    Y = np.stack([
-        -0.03 + 0.3 * x["alpha"] + 4 * x["alpha"] ** 2, -0.5 * x["beta"] + 0.1 * x["rudder"],
-        -0.2 - 4.5 * x["alpha"] - 5 * x["q_hat"] - 0.4 * x["elevator"] + 0.1 * np.sin(20 * x["alpha"]),
-        -0.05 * x["beta"] + 0.15 * x["aileron"],
-        0.02 - 0.5 * x["alpha"] - 9 * x["q_hat"] - 0.9 * x["elevator"] + x["alpha"] * x["elevator"],
-        0.08 * x["beta"] - 0.08 * x["rudder"],
-    ], axis=-1)  # fmt: skip
-    flight = {"alpha": x["alpha"], "beta": x["beta"], "rudder": x["rudder"], "airspeed": speed}
-    flight["q"] = x["q_hat"] * 2 * speed / AIRCRAFT.chord
-    flight["elevon_left"] = x["elevator"] + x["aileron"]
-    flight["elevon_right"] = x["elevator"] - x["aileron"]
-    flight = pd.DataFrame(flight).assign(time=0.1 * np.arange(n))
-    return flight, pd.DataFrame(Y + rng.normal(0.0, noise, Y.shape), columns=COEFFICIENTS)
+    alpha, beta, q_hat, elevator, aileron, rudder = X.T
+    Y = LEVEL + X @ SLOPES.T + rng.normal(0.0, noise, (n, 6))
+    Y[:, 0] += 4 * alpha**2
+    Y[:, 2] += 0.1 * np.sin(20 * alpha)
+    Y[:, 4] += alpha * elevator
+    flight = pd.DataFrame({"time": 0.1 * np.arange(n), "airspeed": speed, "alpha": alpha})
+    elevons = {"elevon_left": elevator + aileron, "elevon_right": elevator - aileron}
+    q = q_hat * 2 * speed / AIRCRAFT.chord
+    flight = flight.assign(beta=beta, rudder=rudder, q=q, **elevons)
+    return flight, pd.DataFrame(Y, columns=COEFFICIENTS)
 
 
 def pipeline_of(regressor, aircraft=AIRCRAFT, **options):

@@ -57,20 +57,6 @@ def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
     assert (np.diag(learned.input_covariance_) > 0).all()
 
 
-def test_parts_of_weight_zero_have_no_functions(fitted):
-    fit = fitted("average")
-    pipeline = copy.deepcopy(fit.pipeline)
-    posterior = pipeline[-1].posterior_.posterior
-    first = np.arange(posterior.mixture.shape[1]) % 2 == 0
-    posterior.mixture = np.zeros_like(posterior.mixture)
-    posterior.mixture[0, first] = 1.0
-    posterior.mixture[-1, ~first] = 1.0
-    model = portable_model(pipeline, fit.aircraft)
-    sizes = np.array([len(part.terms) for part in model.parts]).reshape(model.mixture.shape)
-    assert (model.mixture == 0.0).any()
-    assert not sizes[model.mixture == 0.0].any()
-
-
 def test_the_reference_is_the_prediction_of_the_pipeline(case):
     """At exact regressors, in and near the flights."""
     reference = case.model.reference

@@ -129,11 +129,10 @@ class TestCommand:
         for airborne in (True, False):
             flight = named_flights([whole], airborne=airborne)["whole"]
             assert len(flight.table) == len(read_flight(whole, airborne=airborne)) > 0
-        (tmp_path / "uav.json").write_text(Aircraft.estimate(3.0, 1.8).to_json())
-        files = ["--aircraft", str(tmp_path / "uav.json"), "-o", str(tmp_path / "out")]
-        assert command(["identify", str(whole), *files]) == 1
+        sizes = ["--mass", "3", "--span", "1.8", "-o", str(tmp_path / "out")]
+        assert command(["identify", str(whole), *sizes]) == 1
         assert "CA_SV_CSn_TYPE" in capsys.readouterr().err
-        assert command(["identify", str(whole), *files, "--airborne", "300", *SLOPES]) == 1
+        assert command(["identify", str(whole), *sizes, "--airborne", "300", *SLOPES]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
 

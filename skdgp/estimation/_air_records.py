@@ -8,12 +8,12 @@ gusts.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.linalg import matrix_vector
+from skdgp._compute.linalg import least_squares, matrix_vector
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA
 from skdgp._flight.holds import error_between_samples, interpolated_rows
@@ -96,11 +96,12 @@ class Record(NamedTuple):
         }
         for k, surface in enumerate(inputs.T):
             X = sums[periods[k]]
-            residual = surface - X @ _least_squares(X, surface)
+            # by the normal equations, as rows are many
+            residual = surface - X @ least_squares(X.T @ X, X.T @ surface)
             rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, np.finfo(float).tiny)
             X_rest = X[1:] - rho * X[:-1]
             whitened = surface[1:] - rho * surface[:-1]
-            answers[:, k] = X @ _least_squares(X_rest, whitened)
+            answers[:, k] = X @ least_squares(X_rest.T @ X_rest, X_rest.T @ whitened)
         return self._replace(answers=answers)
 
     def earth_velocity(self) -> Matrix:
@@ -160,12 +161,6 @@ def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSe
     places = np.arange(n) + edges[-1] + 1
     sums = [total[places - near] - total[places - far] for near, far in pairwise(edges)]
     return np.concatenate(sums, axis=1)
-
-
-def _least_squares(X: Matrix, y: Vector) -> Vector:
-    """Return the least-squares coefficients of y by X, of many rows, by the normal equations."""
-    coefficients: Any = np.linalg.lstsq(X.T @ X, X.T @ y, rcond=None)[0]
-    return coefficients
 
 
 def records_of(

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
@@ -59,7 +60,7 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
             slopes.append(by_pitot)
             residuals.append(error)
         residual = np.concatenate(residuals)
-        pitot = pitot - np.linalg.lstsq(np.vstack(slopes), residual, rcond=None)[0]
+        pitot = pitot - least_squares(np.vstack(slopes), residual)
     variance = _sample_variance(residual[len(prior) :], records, settings)
     return SteadyWind(pitot, variance)
 
@@ -114,7 +115,7 @@ class SteadyRegression:
             free = np.flatnonzero(of_row & ~is_held)
             if len(free):
                 residual = C[:, row] - X[:, held] @ x[held]
-                x[free] = np.linalg.lstsq(X[:, free], residual, rcond=None)[0]
+                x[free] = least_squares(X[:, free], residual)
         return x
 
 

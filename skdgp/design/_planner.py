@@ -213,9 +213,7 @@ def plan(
     _warn_unlimited(envelope, aerodynamics)
     goal = _check_goal(goal, aerodynamics, axes)
     amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
-    # a quarter of Lanchester's phugoid, sqrt(2) pi V / g
-    quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
-    pause = max(RESPONSE, quarter)
+    pause = _pause(trim)
     time = seconds - RESPONSE
     rehearsal = Rehearsal(aerodynamics, aircraft, trim, amplitudes, envelope, thrust)
     with one_blas_thread(), warnings.catch_warnings():
@@ -238,18 +236,29 @@ def plan(
     before = derivatives.get("std", pd.Series(dtype=float))
     errors = _errors(before, aerodynamics, np.concatenate([rows[k] for k in chosen]))
     flown = [available[k] for k in chosen]
-    numbered = [item.flight.assign(flight=k) for k, item in enumerate(flown)]
     goal = _taught(goal, aerodynamics, flown)
     return Plan(
         train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
         manoeuvres=_timetable(flown, pause, RESPONSE),
-        flight=pd.concat(numbered, ignore_index=True),
+        flight=_numbered(flown),
         errors=errors.reindex(goal),
         limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
         aircraft=aircraft,
         margin=envelope.margin,
     )
+
+
+def _pause(trim: Trim) -> float:
+    """Return the pause [s] at the trim: a quarter of Lanchester's phugoid, sqrt(2) pi V / g, or more."""
+    quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
+    return max(RESPONSE, quarter)
+
+
+def _numbered(flown: Sequence[Rehearsed]) -> pd.DataFrame:
+    """Return the flights of manoeuvres in one table, with their numbers in the column ``flight``."""
+    parts = [item.flight.assign(flight=k) for k, item in enumerate(flown)]
+    return pd.concat(parts, ignore_index=True)
 
 
 def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None:

@@ -228,9 +228,8 @@ def _outside_training(
 ) -> dict[str, tuple[float, float, float]]:
     """Return the regressors (d,) outside their training ranges: name to (value, smallest, largest)."""
     outside = {}
-    for (name, (low, high)), value in zip(
-        model.training_ranges.items(), regressors.tolist(), strict=False
-    ):
+    for k, (name, (low, high)) in enumerate(model.training_ranges.items()):
+        value = float(regressors[k])
         if not low <= value <= high:
             outside[name] = (value, low, high)
     return outside

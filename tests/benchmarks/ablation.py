@@ -157,7 +157,7 @@ def prepared(name, air, steps, targets, data, _commit):
         asked[where] = rows_of(pipeline, flight, aircraft, loads, is_known=name not in REAL)
     derivatives = None if name in REAL else derivatives_of(name, aircraft, flown)
     X = np.asarray(pipeline[:-1].transform(log))
-    errors = pipeline._function_errors(pipeline[:1].transform(log), X, Y, has_vanes=True)
+    errors = pipeline._facts(pipeline[:1].transform(log), X, Y)["errors"]
     return Prepared(pipeline, X, Y, clock, pipeline.seconds_, asked, derivatives, errors)
 
 

@@ -6,6 +6,7 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LinearRegression
 
@@ -193,3 +194,20 @@ def test_an_attenuated_slope_is_restored_in_the_mean():
     points = np.array([[-1.0], [2.0]])
     mean = 2 * points + calibration(points, np.ones(2))
     assert_allclose(mean, 1.6 * points, rtol=0.02, atol=0.02)
+
+
+def test_an_aircraft_follows_the_rolling_air_by_its_damping():
+    """Of p' = d (p_g - p) in gusts of a first-order process, cov(p, p_g) over the variance of p_g."""
+    airspeed, density = 20.0, 1.2
+    pipeline = FlightPipeline([], aircraft=AIRCRAFT)
+    pipeline.conditions_ = {"density": density}
+    pipeline.least_squares_ = {"Cl": {"p_hat": -0.4}, "Cm": {}, "Cn": {"r_hat": 0.1}}
+    load = 0.5 * density * airspeed**2 * AIRCRAFT.wing_area
+    d = 0.4 * load * AIRCRAFT.span**2 / (2 * airspeed * AIRCRAFT.inertia[0, 0])
+    step = 0.002
+    kept = np.exp(-step * np.pi * airspeed / (4 * AIRCRAFT.span))
+    gust = lfilter([1.0], [1.0, -kept], default_rng(0).standard_normal(1_000_000))
+    left = np.exp(-d * step)
+    rate = lfilter([1.0 - left], [1.0, -left], gust)
+    simulated = np.cov(rate, gust)[0, 1] / np.var(gust)
+    assert_allclose(pipeline._followed(airspeed), [simulated, 0.0, 0.0], rtol=0.03)

@@ -256,7 +256,7 @@ def _relation_of_drive(name: str, unit: str) -> Relation:
 DRIVES = {name: _relation_of_drive(name, "1/kg") for name in ("thrust", "thrust_x")}
 
 
-SIGNS = (
+SIGNS: tuple[Sign, ...] = (
     Sign(relation=FALL, admissible=GUSTY, noise=0.003),
     _sign_of_accelerometer("ax", axis=0),
     _sign_of_accelerometer("ay", axis=1),

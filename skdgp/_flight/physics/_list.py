@@ -256,7 +256,7 @@ def _relation_of_drive(name: str, unit: str) -> Relation:
 DRIVES = {name: _relation_of_drive(name, "1/kg") for name in ("thrust", "thrust_x")}
 
 
-SIGNS: tuple[Sign, ...] = (
+SIGNS = (
     Sign(relation=FALL, admissible=GUSTY, noise=0.003),
     _sign_of_accelerometer("ax", axis=0),
     _sign_of_accelerometer("ay", axis=1),
@@ -271,7 +271,8 @@ SIGNS: tuple[Sign, ...] = (
     _sign_of_effect("q", ("elevator", "alpha", "q"), NEGATIVE),
     _sign_of_effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
     Sign(relation=_relation_of_drive("throttle", "m/s^2"), admissible=POSITIVE, noise=0.01),
-    *[Sign(relation=drive, admissible=POSITIVE) for drive in DRIVES.values()],
+    Sign(relation=DRIVES["thrust"], admissible=POSITIVE),
+    Sign(relation=DRIVES["thrust_x"], admissible=POSITIVE),
 )
 
 SCALE = replace(

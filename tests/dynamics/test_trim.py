@@ -41,6 +41,19 @@ def of_columns(glider):
 
 
 class TestKnownAnswers:
+    def test_level_flight_balances_lift_drag_and_pitch(self, glider, textbook):
+        """X + T = m g sin theta, Z = -m g cos theta, Cm = 0, for thrust along the body's x axis."""
+        found = trim(textbook, glider.aircraft, 20.0, **AIR)
+        felt = found.alpha, found.controls["elevator"]
+        CX, CZ, Cm = (glider.level + glider.slopes[:, [0, 5]] @ felt)[[0, 2, 4]]
+        qS = 0.5 * DENSITY * 20.0**2 * glider.aircraft.wing_area
+        weight = glider.aircraft.mass * GRAVITY
+        assert_allclose(qS * CX + found.controls["thrust"], weight * np.sin(found.theta))
+        assert_allclose(qS * CZ, -weight * np.cos(found.theta))
+        assert_allclose(found.theta, found.alpha)
+        assert_allclose(Cm, 0.0, atol=1e-9)
+        assert_allclose([found.phi, found.beta, *found.rates], [0.0] * 5, atol=1e-12)
+
     def test_a_glide_has_the_slope_of_drag_over_lift(self, textbook, glider):
         found = trim(textbook, glider.aircraft, 18.0, thrust=None, climb=None, **AIR)
         CX, _, CZ, *_ = found.coefficients
@@ -112,6 +125,20 @@ class TestShape:
         )
         with pytest.raises(ValueError, match=r"lacks values of \['throttle'\], .*give fixed="):
             trim(of_columns(names), glider.aircraft, 20.0, **AIR)
+
+    def test_elevons_are_controls_as_others_are(self, glider, textbook):
+        mix = np.array([[0.5, 0.5], [0.5, -0.5]])  # elevator and aileron of left and right
+
+        def by_elevons(X):
+            return textbook(np.column_stack([X[:, :5], X[:, 5:7] @ mix.T, X[:, 7]]))
+
+        elevons = ["elevon_left", "elevon_right"]
+        model = Aerodynamics(by_elevons, [*glider.names[:5], *elevons, "rudder"])
+        found, usual = (
+            trim(one, glider.aircraft, 20.0, bank=0.4, **AIR).controls for one in (model, textbook)
+        )
+        mixed = mix @ [found[name] for name in elevons]
+        assert_allclose(mixed, [usual["elevator"], usual["aileron"]])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import copy
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from sklearn.preprocessing import (
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import as_aerodynamics
-from skdgp.export import portable_model
+from skdgp.export import export_model, portable_model
 from skdgp.inference import AveragePosterior, ExactPosterior, SparsePosterior
 from skdgp.preprocessing import RegressorSelector
 
@@ -162,3 +163,8 @@ def test_the_reader_of_the_examples_imports_numpy_alone(example):
     text = Path(example("read_portable").__file__).read_text()
     imports = re.findall(r"^(?:import|from) (\w+)", text, re.MULTILINE)
     assert imports == ["argparse", "json", "numpy"]
+
+
+def test_a_model_too_large_for_a_format_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="a model of 134 MB, but expected at most 67 MB"):
+        export_model(tmp_path, SimpleNamespace(nbytes=2**27), "c")

@@ -48,6 +48,8 @@ def test_a_jittered_clock_stays_as_it_is():
     assert unrounded(time)[1] == 0.0
     few = np.array([0.0, 0.03, 0.07])
     assert unrounded(few)[1] == 0.0
+    changed = np.cumsum(np.repeat([0.02, 0.03], 600))
+    assert unrounded(changed)[1] == 0.0
 
 
 STEP, PERIOD, N = 0.02, 5, 2000  # 10 Hz in a log of 50 Hz

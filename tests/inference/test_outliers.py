@@ -39,3 +39,9 @@ def test_normal_noise_is_taken_as_normal():
         X, y = table(seed, n=60)
         noise = DependentGPRegressor(random_state=0).fit(X, y).noise_variance_[0]
         assert noise == pytest.approx(0.01, rel=0.5)
+
+
+@pytest.mark.filterwarnings("ignore:Got 4 rows")
+def test_a_table_of_fewer_rows_than_neighbours_is_fitted():
+    X, y = table(0, n=4)
+    assert np.isfinite(DependentGPRegressor(random_state=0).fit(X, y).predict(X)).all()

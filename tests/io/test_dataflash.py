@@ -89,6 +89,12 @@ class TestWhatTheLogSaysOfItself:
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
         assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
 
+    def test_scaled_integers(self, read, dataflash):
+        values = {"c": [-1.25, 1.25], "C": [3.5, 350.25], "L": [48.1234567, -9.0]}
+        log = dataflash().topic("S", [0.1, 0.2], **{code: (code, v) for code, v in values.items()})
+        for code, expected in values.items():
+            assert_allclose(read(log).topics["S"][code], expected, rtol=1e-12)
+
     def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
         log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=[1, 2, 3, 4])
         kind = log.types["ABC"][0]

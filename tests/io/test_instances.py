@@ -80,6 +80,15 @@ class TestArduPilot:
         table = told("of 2, the healthiest", log, airborne=False)
         assert_is_the_true_airspeed(table)
 
+    def test_the_lane_of_the_estimator(self, told, plane):
+        log = plane()
+        for lane, speed in enumerate((1.0, 9.0)):
+            velocity = dict.fromkeys(("VN", "VE", "VD"), speed)
+            log.topic("XKF1", SLOW + lane * 1e-3, C=("B", lane), **velocity)
+            log.topic("XKF4", SLOW + lane * 1e-3, C=("B", lane), PI=("B", 1))
+        table = told("used by the autopilot: XKF4.PI", log, airborne=False)
+        assert_allclose(table.v_north.dropna(), 9.0)
+
     def test_the_primary_counts_at_each_time(self, told, plane):
         """Both are called healthy, and the primary changes at 25 s."""
         log = plane()

@@ -90,6 +90,26 @@ class TestDamage:
         assert times(log) == list(range(1, 5000))
         assert log.remarks == SKIPPED
 
+    def test_a_wrong_length_costs_what_stands_before_the_next_mark(self, read):
+        """PX4 writes marks for this case all along the file."""
+        mark = message("S", bytes.fromhex("2f731320250cbb12"))
+        broken = b"\xff\x04D" + ticks(3)[0][3:]
+        parts = [[*ticks(*range(k, k + 100)), mark] for k in range(4, 5004, 100)]
+        log = read(*TICK, *ticks(1, 2), broken, *(each for part in parts for each in part))
+        assert times(log) == [1, 2, *range(104, 5004)]
+        assert log.remarks == SKIPPED
+
+    def test_cut_off_anywhere(self, read):
+        messages = [*TICK, *ticks(1, 2, 3, 4)]
+        whole = b"".join(messages)
+        first = len(b"".join(messages[:3]))
+        for length in range(first, len(whole)):
+            log = read(whole[:length])
+            assert times(log) == list(range(1, 2 + (length - first) // len(messages[-1])))
+        for length in range(first):
+            with pytest.raises(FlightReadError, match="without any data"):
+                read(whole[:length])
+
     @pytest.mark.parametrize("text", ["bad:float x;", "bad:"])
     def test_a_topic_without_time_is_none(self, read, text):
         log = read(definition(text), *TICK, subscription(5, "bad"), *ticks(1, 2))

@@ -76,7 +76,7 @@ PATH_ERROR_Z = 4
 AIR_ROLL_STATE = 5
 RATE_STATES = slice(6, 9)
 """Places of the states: the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
-CONSTANT_STEP = 1e-5
+CONSTANT_STEP = 1e-3
 """Step of constants in slopes, in their own units."""
 
 
@@ -87,9 +87,11 @@ class Layout(NamedTuple):
     columns: Indices  # (d,) its term
     names: list[str]  # of the k parameters of a flight
     surfaces: list[str]
+    #: Whether slopes by the instruments follow those by the parameters; not where derivatives are held
+    by_instruments: bool = True
 
     @classmethod
-    def of(cls, derivatives: list[str], surfaces: list[str]) -> Layout:
+    def of(cls, derivatives: list[str], surfaces: list[str], by_instruments: bool = True) -> Layout:
         """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
         terms = [*STATE_TERMS, *surfaces]
         rows, columns = [], []
@@ -98,7 +100,7 @@ class Layout(NamedTuple):
             rows.append(COEFFICIENTS.index(coefficient))
             columns.append(terms.index(term))
         names = [*derivatives, *AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS]
-        return cls(np.array(rows), np.array(columns), names, surfaces)
+        return cls(np.array(rows), np.array(columns), names, surfaces, by_instruments)
 
     @property
     def n_derivatives(self) -> int:
@@ -108,7 +110,7 @@ class Layout(NamedTuple):
     @property
     def n_slopes(self) -> int:
         """Number q of slopes by parameters and instruments."""
-        return len(self.names) + self.n_derivatives
+        return len(self.names) + self.by_instruments * self.n_derivatives
 
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
@@ -136,9 +138,10 @@ class Layout(NamedTuple):
         At a given motion; by constants (n, m, c) they are given.
         """
         by_rows = by_variables[..., COEFFICIENT_ERRORS][:, :, self.rows]
-        by_derivatives = by_rows * terms[:, None, self.columns]
-        by_instruments = by_rows * instrument_terms[:, None, self.columns]
-        return np.concatenate([by_derivatives, by_constants, by_instruments], axis=-1)
+        parts = [by_rows * terms[:, None, self.columns], by_constants]
+        if self.by_instruments:
+            parts.append(by_rows * instrument_terms[:, None, self.columns])
+        return np.concatenate(parts, axis=-1)
 
 
 def motion_model(

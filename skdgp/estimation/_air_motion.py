@@ -300,7 +300,7 @@ def estimate_air_motion(
         AirFit,
         records,
         aircraft,
-        Layout.of(list(priors.derivatives), priors.surfaces),
+        Layout.of(list(priors.derivatives), priors.surfaces, by_instruments=known is None),
         priors.parameters(n_flights),
         noises,
         settings,

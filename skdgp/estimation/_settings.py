@@ -187,8 +187,8 @@ class AirSettings:
     shorter: float = 0.5
     least_fraction: float = 0.25
     longer: float = 1.4
-    # squared length of the last two steps, in standard deviations of all parameters: 0.15 of one's
-    tolerance: float = 2.0
+    # squared length of the last two steps, in standard deviations of all parameters
+    tolerance: float = 0.5
     # squared length of the last step of the noises
     noise_tolerance: float = 5.0
     # log likelihood for each sample that a solution may lie below the best pass: sound ones of simulated flights

@@ -43,7 +43,7 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     values = np.array(Y, dtype=float)
     if values.ndim not in (1, 2):
         raise ValueError(f"Got targets of shape {values.shape}, but expected (n,) or (n, P).")
-    observed = np.flatnonzero(~np.isnan(values.reshape(len(values), -1)).all(axis=1))
+    observed = np.flatnonzero(~np.isnan(np.atleast_2d(values.T)).all(axis=0))
     if n_samples < len(observed):  # the middles of equal parts stay
         middles = (np.arange(n_samples) + 0.5) * len(observed) / n_samples
         chosen = np.zeros(len(values), dtype=bool)

@@ -129,7 +129,7 @@ class FlightTable:
         """Return a column as floats, NaN where it is absent."""
         if name not in self.table:
             return np.full(len(self.table), np.nan)
-        return self.table[name].to_numpy(float, na_value=np.nan)
+        return numeric(self.table, [name])[:, 0]
 
     def numeric_channels(self, names: Iterable[str]) -> dict[str, Vector]:
         """Return those of the channels that are in the table and hold numbers, as copies."""

@@ -532,7 +532,7 @@ def _n_observed(y: Any) -> int:
     """Return the number of rows with any target."""
     if y is None:
         return 0
-    return int(np.isfinite(np.asarray(y, dtype=float)).reshape(len(y), -1).any(axis=1).sum())
+    return int(np.isfinite(np.atleast_2d(np.asarray(y, dtype=float).T)).any(axis=0).sum())
 
 
 def is_of_coefficients(y: Any) -> bool:

@@ -47,6 +47,8 @@ FASTEST_JUMP = 300.0
 LARGEST_MIDDLE = 30.0
 # [rad], 40 degrees: larger deflections may be commands; the largest of seven logs is 0.31
 LARGEST_DEFLECTION = 0.7
+# least median specific force with gravity, in g
+LEAST_FORCE = 0.5
 
 
 class Law(NamedTuple):
@@ -81,6 +83,12 @@ def _specific_force(flights: FlightTable) -> float:
     return _quantile(np.linalg.norm(force, axis=0), 0.5)
 
 
+def _force_with_gravity(flights: FlightTable) -> float:
+    """Return the median specific force, NaN if it is too small even in g: gravity was removed."""
+    force = _specific_force(flights)
+    return force if force > LEAST_FORCE else np.nan
+
+
 def _density_over_standard(flights: FlightTable) -> float:
     """Return the median density over that of the standard atmosphere at the median altitude."""
     height = _quantile(flights.column("altitude"), 0.5)
@@ -112,7 +120,7 @@ LAWS = (
         "cent, or 'throttle [%]' in the header).",
     ),
     Law(
-        _specific_force,
+        _force_with_gravity,
         2.0,
         np.inf,
         "Got a specific force ax, ay, az of {value:.3g} (median magnitude), but expected near 9.8 m/s^2: this "

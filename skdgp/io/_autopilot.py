@@ -44,6 +44,7 @@ from skdgp.io._log import (
     Control,
     Log,
     Rule,
+    Servo,
     States,
     full_throws,
     no_wings,
@@ -67,6 +68,8 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
+# fields that are times
+TIMES = {"timestamp", "timestamp_sample", "TimeUS"}
 # while motors may run
 ARMED: States = (
     ("actuator_armed", "armed", 1, 1),
@@ -297,13 +300,16 @@ def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
     for name, control in controls.items():
         for _, servo in control:
             if servo.field not in log.topics.get(servo.topic, NOTHING):
-                outputs = {
-                    output: [*log.topics.get(output, NOTHING).fields] for output in log.outputs
-                }
-                raise FlightReadError(
-                    f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one "
-                    f"of {outputs}."
-                )
+                raise FlightReadError(_lacking_channel(log, name, servo))
+
+
+def _lacking_channel(log: Log, name: str, servo: Servo) -> str:
+    """Return the message that the log lacks the channel of a servo, with the outputs that it has."""
+    outputs = {}
+    for output in log.outputs:
+        if output in log.topics:
+            outputs[output] = sorted(log.topics[output].fields.keys() - TIMES)
+    return f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one of {outputs}."
 
 
 def to_table(sources: list[Source]) -> tuple[pd.DataFrame, dict[str, Origin]]:

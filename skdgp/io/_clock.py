@@ -112,7 +112,10 @@ def _restarts(time: Vector) -> list[int]:
     for block in falls.tolist():
         start = max(block - 3, 0) * size
         window = time[start : (block + 5) * size]
-        restarts.add(start + int(np.argmin(np.diff(window))) + 1)
+        middle = (steady[block] + steady[block + 1]) / 2
+        # before the restart messages are later than the middle, behind it earlier
+        balance = np.cumsum(np.where(window > middle, 1, -1))
+        restarts.add(start + int(np.argmax(balance)) + 1)
     return sorted(restarts - {len(time)})
 
 

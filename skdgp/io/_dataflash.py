@@ -206,7 +206,8 @@ def read_dataflash(path: Path) -> Log:
     if not data.startswith(MARK):
         raise FlightReadError(
             "Got a file that does not begin as a DataFlash log does, but expected a "
-            "binary log of ArduPilot (.bin): is it empty, in text, or of another kind?"
+            "binary log of ArduPilot: is it empty, in text, or of another kind? A log of PX4 is named .ulg, one of "
+            "ArduPilot .bin."
         )
     file = _File(data)
     messages = file.messages()
@@ -331,11 +332,12 @@ def _with_last_ratio(
         topic = topics[name]
         ratios = {}
         for time, key, value in changes:
-            if key == RATIOS[name] and 0 < value < np.inf:
+            if key == RATIOS[name] and np.isfinite(time) and 0 < value < np.inf:
                 ratios[time] = value
-        values = np.array([*ratios.values()])
+        times = np.sort([*ratios])
+        values = np.array([ratios[time] for time in times])
         if "Airspeed" in topic and len(np.unique(values)) > 1:
-            at = values[last_before(np.array([*ratios]), topic.time)]
+            at = values[last_before(times, topic.time)]
             scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)
             topics = topics | {name: topic.with_fields(Airspeed=scaled)}
             remarks = (

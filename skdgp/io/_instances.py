@@ -198,18 +198,23 @@ def _words(rule: Rule, names: list[str]) -> str:
 
 
 def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
-    """Return the root mean square of the engines that drive, at the times of the first."""
-    time = readings[0].time[readings[0].valid]
+    """Return the root mean square of the engines that drive, at the times of the first of these."""
     speeds = {}
     for reading in readings:
-        name, valid = reading.instance.name, reading.valid
-        speeds[name] = np.interp(time, reading.time[valid], reading.values[valid, 0])
-    names = fastest(speeds, log.lifts(time)) or tuple(speeds)
+        drives = reading.valid & ~log.lifts(reading.time)
+        speeds[reading.instance.name] = reading.values[drives, 0]
+    names = fastest(speeds) or tuple(speeds)
+    running = [reading for reading in readings if reading.instance.name in names]
+    time = running[0].time[running[0].valid]
+    columns = []
+    for reading in running:
+        valid = reading.valid
+        columns.append(np.interp(time, reading.time[valid], reading.values[valid, 0]))
     return Source(
         columns=rule.columns,
         name=_words(rule, [*names]),
         time=time,
-        values=root_mean_square(np.column_stack([speeds[name] for name in names])),
+        values=root_mean_square(np.column_stack(columns)),
         note=_joined(", ", rule.note, engines_note(len(names))),
     )
 

@@ -369,19 +369,19 @@ def driving(
 ) -> tuple[str, ...]:
     """Return the fields of engines that drive the aircraft forward."""
     topic = topics.get(name, NOTHING)
-    speeds = {field_name: topic[field_name] for field_name in fields if field_name in topic}
-    return fastest(speeds, rows_in(lifting, topics, topic.time))
+    topic = topic.select(~rows_in(lifting, topics, topic.time))
+    return fastest({field_name: topic[field_name] for field_name in fields if field_name in topic})
 
 
-def fastest(speeds: Mapping[str, Vector], lifts: Mask) -> tuple[str, ...]:
-    """Return the names of engines that run while no rotor lifts the aircraft.
+def fastest(speeds: Mapping[str, Vector]) -> tuple[str, ...]:
+    """Return the names of engines that run, by their speeds while no rotor lifts the aircraft.
 
     A motor that only spins down after hover and transition is slower on average than `LEAST_SPEED`
     times the fastest.
     """
-    if lifts.all():
-        return ()
-    means = {name: np.abs(np.nan_to_num(speed[~lifts])).mean() for name, speed in speeds.items()}
+    means = {}
+    for name, speed in speeds.items():
+        means[name] = np.abs(np.nan_to_num(speed)).mean() if len(speed) else 0.0
     least = LEAST_SPEED * max(means.values(), default=0.0)
     return tuple(name for name, mean in means.items() if mean > least)
 
@@ -569,9 +569,11 @@ def lacking_servos(log: Log) -> str:
     """Return the message that nothing in a log tells which outputs move surfaces."""
     if not log.has_wings:
         return no_wings(log)
+    has_outputs = any(name in log.topics for name in log.outputs)
+    outputs = "" if has_outputs else f"some of {[*log.outputs]} and "
     return (
-        f"Got a log without parameters that name the surfaces of its outputs, but expected some of {[*log.outputs]} "
-        f"and {log.naming}: log them, or write the servo file by hand."
+        f"Got a log without parameters that name the surfaces of its outputs, but expected {outputs}{log.naming}: "
+        "log them, or write the servo file by hand."
     )
 
 
@@ -614,16 +616,25 @@ def _servo(name: str, entry: Any) -> Servo | float:
         raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
     if isinstance(entry, str):
         return _throw(name, entry)
-    is_whole = isinstance(entry, dict) and entry.keys() == KEYS
-    points = _points(entry["points"]) if is_whole else np.empty((0, 2))
-    is_calibration = len(points) > 1 and _increases(points[:, 0])
-    if not is_calibration or np.abs(points[:, 1]).max() > np.pi / 2:
+    if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
         raise FlightReadError(
-            f"Got {entry} for {name}, but expected a channel, and points of its values, each once, and angles [rad], "
-            'at most pi/2: channel = "RCOU.C2", points = [[1100, -0.35], [1900, 0.35]].'
+            f'Got {entry} for {name}, but expected a channel, as in channel = "RCOU.C2".'
+        )
+    if entry.keys() - KEYS:
+        raise FlightReadError(f"Got {[*entry]} for {name}, but expected only {sorted(KEYS)}.")
+    points = _points(entry.get("points"))
+    if len(points) < 2 or not _increases(points[:, 0]):
+        raise FlightReadError(
+            f"Got {entry} for {name}, but expected points of finite numbers, values of the channel, each once, and "
+            "angles [rad]: points = [[1100, -0.35], [1900, 0.35]]."
+        )
+    largest = np.abs(points[:, 1]).max()
+    if largest > np.pi / 2:
+        raise FlightReadError(
+            f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
         )
     inputs, angles = points.T.tolist()
-    return Servo(str(entry["channel"]), tuple(inputs), tuple(angles))
+    return Servo(entry["channel"], tuple(inputs), tuple(angles))
 
 
 def _points(entries: Any) -> Matrix:

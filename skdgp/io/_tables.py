@@ -287,6 +287,8 @@ def _check_rows(records: Any, names: list[str], above: int, separator: str) -> s
 
 # the names that pandas gives to an index without one
 INDEX = re.compile(r"__index_level_\d+__")
+# types of Parquet whose cells are no single numbers, texts or times
+NO_CELLS = re.compile("list|struct|map|union|binary")
 
 
 def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
@@ -294,7 +296,7 @@ def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
 
     ``rename`` is not needed, as names have no units.
 
-    Raise FlightReadError if it is damaged, ImportError without pyarrow.
+    Raise FlightReadError if it is damaged or has columns of lists, structs or bytes, ImportError without pyarrow.
     """
     try:
         import pyarrow.parquet
@@ -319,4 +321,12 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
         check_width(len(names))
         check_names(name.strip() for name in names)
         columns = [name for name in names if not INDEX.match(name)]
-        return file.read(columns=columns).replace_schema_metadata(None).to_pandas()
+        table = file.read(columns=columns).replace_schema_metadata(None)
+    types = {field.name: str(field.type) for field in table.schema}
+    no_cells = {name: kind for name, kind in types.items() if NO_CELLS.search(kind)}
+    if no_cells:
+        raise FlightReadError(
+            f"Got columns of types {no_cells}, but expected one number or text in each row: drop them, or write one "
+            "column for each value."
+        )
+    return table.to_pandas()

@@ -229,7 +229,7 @@ def read_ulog(path: Path) -> Log:
     if not data.startswith(HEADER):
         raise FlightReadError(
             "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, "
-            "or of another kind?"
+            "or of another kind? A log of PX4 is named .ulg, one of ArduPilot .bin."
         )
     try:
         # where pyulog tells of damage

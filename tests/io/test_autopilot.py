@@ -241,6 +241,11 @@ class TestRefusals:
             ulog().topic("cpuload", self.t, load=np.zeros(1500)),
         )
 
+    def test_a_log_under_the_suffix_of_another_autopilot(self, refused, px4, ardupilot):
+        words = "A log of PX4 is named .ulg, one of ArduPilot .bin"
+        refused(words, px4, "log.bin")
+        refused(words, ardupilot, "log.ulg")
+
     ABSENT = {"rudder": {"channel": "RCOU.C4", "points": [[0, 0], [1, 1]]}}
 
     @pytest.mark.parametrize(
@@ -248,7 +253,10 @@ class TestRefusals:
         [
             ({"airborne": -1.0}, "airborne=-1.0, but expected True"),
             ({"servos": {"canard": {}}}, "'canard' in the servo file"),
-            ({"servos": ABSENT}, "no such field: expected one of"),
+            (
+                {"servos": ABSENT},
+                r"no such field: expected one of {'actuator_outputs': \['output.0.",
+            ),
         ],
     )
     def test_options_that_make_no_sense(self, refused, px4, tmp_path, options, message):

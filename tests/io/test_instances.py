@@ -326,8 +326,18 @@ class TestVehicles:
         late = late[["throttle", "differential_throttle"]].dropna()
         assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
 
-    def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane):
-        """Four lift until 20 s, then the fifth pushes."""
+    def test_an_engine_whose_telemetry_ends_is_chosen_by_its_own_mean(self, read, plane):
+        """It stands, and tells nothing from 15 s on."""
+        log = plane()
+        log.topic("ESC", SLOW[SLOW < 15], Instance=("B", 0), RPM=0.0)
+        log.topic("ESC", SLOW, Instance=("B", 1), RPM=6000.0)
+        speed = read(log, airborne=False).propeller_speed.dropna()
+        assert_allclose(speed, 200 * np.pi, rtol=1e-6)
+        assert len(speed) > 1400
+
+    @pytest.mark.parametrize("are_silent", [False, True])
+    def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane, are_silent):
+        """Four lift until 20 s, and tell no speed afterwards or zero; then the fifth pushes."""
         lifts = SLOW < 20
         motors = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
         log = plane("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, **motors)
@@ -335,10 +345,14 @@ class TestVehicles:
         log.topic("RCOU", SLOW, **dict.fromkeys(("C5", "C6", "C7", "C8"), pulse))
         for k in range(5):
             rpm = 6000.0 * (lifts == (k < 4))
-            log.topic("ESC", SLOW + 1e-4 * k, Instance=("B", k), RPM=rpm)
+            told_rows = lifts if are_silent and k < 4 else slice(None)
+            time = SLOW + 1e-4 * k
+            log.topic("ESC", time[told_rows], Instance=("B", k), RPM=rpm[told_rows])
         log.topic("ARSP", SLOW, I=("B", 0), Airspeed=TRUE, H=("B", 1))
         table = told("rotors lift", log)
-        assert_allclose(table.propeller_speed[table.time > 20.5], 200 * np.pi, rtol=1e-6)
+        late = table.propeller_speed[table.time > 20.5]
+        assert_allclose(late, 200 * np.pi, rtol=1e-6)
+        assert len(late) > 900
 
     def test_the_motor_that_drives_a_vtol_of_px4(self, told, px4):
         lifts = SLOW < 20

@@ -56,7 +56,10 @@ NO_NUMBER = r"in column 'alpha' at row 0 \(3 rows are not numbers\)"
 REFUSED = {
     "timestamp": ("alpha", pa.array([NOON] * 3), NO_NUMBER),
     "text": ("alpha", pa.array(["high"] * 3), NO_NUMBER),
-    "list": ("alpha", pa.array([[1.0, 2.0]] * 3), NO_NUMBER),
+    "list": ("alpha", pa.array([[1.0, 2.0]] * 3), r"types {'alpha': 'list<.*drop them"),
+    "list of flights": ("flight", pa.array([["a"]] * 3), r"types {'flight': 'list<"),
+    "struct": ("flight", pa.array([{"name": "a"}] * 3), r"types {'flight': 'struct<"),
+    "bytes": ("alpha", pa.array([b"0.5"] * 3), r"types {'alpha': 'binary'"),
 }
 
 

@@ -57,6 +57,8 @@ class TestUnitsThatNumbersGiveAway:
         refused("looks like g", table(ax=0.02, ay=0.0, az=-1.01))
         refused("looks like milliseconds", table(time=20.0 * np.arange(50)))
         assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)
+        # gravity was removed
+        assert read(table(ax=0.2, ay=0.0, az=-0.2)).az.mean() == pytest.approx(-0.2)
 
     def test_values_of_another_column(self, refused):
         """A name is missing in the header, so the airspeed stands under alpha."""

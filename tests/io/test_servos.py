@@ -40,14 +40,15 @@ class TestRefusals:
                 "25",
                 'expected the angle at full throw, up to 90 degrees, as in rudder = "25 deg"',
             ),
-            ("rudder", {}, "expected a channel, and points"),
-            ("rudder", ENDS | {"point": 1}, "'point': 1} for rudder"),
-            ("rudder", {"channel": "a.b"}, "a channel, and points"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "a channel, and points"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [10**400, 0.2]]}, "a channel, and points"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [2, np.nan]]}, "a channel, and points"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [1, 0.2]]}, "its values, each once"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [2, 20.0]]}, "at most pi/2"),
+            ("rudder", {}, "expected a channel, as in channel = "),
+            ("rudder", ENDS | {"channel": 4}, "expected a channel, as in channel = "),
+            ("rudder", ENDS | {"point": 1}, "'point'] for rudder, but expected only"),
+            ("rudder", {"channel": "a.b"}, "points of finite numbers"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "points of finite numbers"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [10**400, 0.2]]}, "points of finite numbers"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2, np.nan]]}, "points of finite numbers"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [1, 0.2]]}, "values of the channel, each once"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2, 20.0]]}, "radians, at most pi/2"),
         ],
     )
     def test_entries(self, name, entry, message):
@@ -136,7 +137,9 @@ class TestFullThrow:
         words = r"min, trim, max of aileron on RCOU.C1 \(1900.0, 1500.0, 1900.0\)"
         refused(words, log, servos="full throw")
         log = ulog().topic("airspeed", [0.1, 0.2], true_airspeed_m_s=[1, 2])
-        refused("without parameters that name", log, servos="full throw")
+        refused(r"expected some of \['actuator_servos'.*CA_SV", log, servos="full throw")
+        log.topic("actuator_servos", [0.1, 0.2], control=np.zeros((2, 2)))
+        refused(r"but expected the parameters CA_SV", log, servos="full throw")
 
     def test_elevons_of_px4_take_nothing_from_a_fixed_mixer(self, parse, ulog):
         log = ulog(**parameters_of({0: (5, -0.5, 0.5, 0), 1: (6, 0.5, 0.5, 0)}))

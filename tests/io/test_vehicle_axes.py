@@ -105,7 +105,10 @@ def test_the_airspeed_before_a_new_ratio_is_scaled_to_it(told, dataflash, flight
     time = flight.time(10)
     ratio = np.where(time < 25.05, 2.0, 2.88)
     log.topic("ARSP", time, **ARSPD, Airspeed=np.sqrt(ratio * 100.0))
-    log.rows("PARM", "QNf", "TimeUS,Name,Value", [(25_050_000, b"ARSPD_RATIO", 2.88)])
+    changes = (25_050_000, b"ARSPD_RATIO", 2.88), (20_000_000, b"ARSPD_RATIO", 2.0)
+    log.rows("PARM", "QNf", "TimeUS,Name,Value", changes)
+    # out of order in the file
+    log.data[-2:] = [(30_000_000, message) for _, message in log.data[-2:]]
     table = told("ARSPD_RATIO changed from 2 to 2.88", log, airborne=False)
     assert_allclose(table["airspeed"].dropna(), np.sqrt(2.88 * 100.0), rtol=1e-4)
 

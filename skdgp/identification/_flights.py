@@ -13,13 +13,10 @@ from skdgp._flight.channels import (
     ALL_SURFACES,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
+from skdgp._flight.copies import without_copies
 from skdgp._flight.faults import without_ground
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import (
-    FlightTable,
-    check_table,
-    without_copies,
-)
+from skdgp._flight.tables import FlightTable, check_table
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 
 Flights = dict[str, FlightTable]

@@ -569,6 +569,14 @@ def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
     assert size.removesuffix("_x") in {found.channel for found in question.numbers["asked"]}
 
 
+def test_noise_of_the_thrust_questions_no_mass(first_minute, flight):
+    """Noise three times the spread, each value for ten rows, attenuates the slope to 0.27 / mass."""
+    thrust = flight["thrust_x"]
+    noise = default_rng(0).normal(0.0, 3 * thrust.std(), len(thrust) // 10)
+    noisy = FlightTable.of(flight.assign(thrust_x=thrust + np.repeat(noise, 10)))
+    assert first_minute().aircraft.question_of_sizes(noisy) is None
+
+
 def test_the_aircraft_is_judged_when_it_is_read():
     with pytest.warns(FindingWarning, match=r"Check these .*span 11 m \(1100 cm\)"):
         Aircraft.estimate(1111.0, 1100.0)

@@ -27,7 +27,8 @@ class Interval(NamedTuple):
 EQUAL = Interval(1 / 1.5, 1.5, "1")
 # gusts move the air past the aircraft, which follows them
 GUSTY = Interval(-0.5, 1.5, "0 to 1")
-# of a calibrated pitot tube: 0.988 to 1.000 in 66 sound flights; indicated airspeed at 2000 m has 1.1
+# of a calibrated pitot tube: 0.988 to 1.000 in 66 sound flights, on which it was set; indicated airspeed at 2000 m
+# has 1.1
 CALIBRATED = Interval(0.97, 1.03, "0.97 to 1.03")
 # of the sine of the angle from heading to course through the air; a sideslip that stays is smaller
 AHEAD = Interval(-0.15, 0.15, "-0.15 to 0.15")

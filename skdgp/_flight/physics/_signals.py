@@ -55,7 +55,8 @@ class PhysicsSettings:
     usual_vane_lag: float = 0.15
     least_vane_t: float = 10.0
     # a response is earlier than its surface by no more than this [s], where filters of recorders differ; the
-    # largest t beyond was 5.5 in 64 sound flights, and surfaces late by 0.3 s had 10 and more
+    # largest t beyond was 5.5 in 64 sound flights, and surfaces late by 0.3 s had 10 and more: set on the
+    # flights that judge it
     usual_lead: float = 0.15
     least_lead_t: float = 10.0
     # contradictions from which on a mistake of several channels at once is looked for

@@ -15,6 +15,7 @@ import numpy as np
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
 from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT
+from skdgp._flight.physics._regression import Slope
 from skdgp._flight.physics._signals import PHYSICS, signals_of
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
@@ -250,17 +251,24 @@ def sizes_in_flight(
     for name, drive in DRIVES.items():
         slope = drive.slopes(signals).get(0.0)
         if slope is not None and slope.n_effective >= PHYSICS.least_samples:
-            numbers |= {
-                "thrust": float(np.nanmedian(signals[name])),
-                "mass_by_thrust": mass * slope.value,
-            }
-            stds["mass_by_thrust"] = mass * slope.std
+            middle, std = _in_bounds(slope)
+            numbers["thrust"] = float(np.nanmedian(signals[name]))
+            numbers["mass_by_thrust"] = mass * middle
+            stds["mass_by_thrust"] = mass * std
     slope = LIFT.slopes(signals).get(0.0)
     if slope is not None and slope.n_effective >= PHYSICS.least_samples:
         scale = 2 * mass / (density * wing_area)
-        # noise of the vane attenuates the slope; the reverse regression bounds it (Frisch 1934)
-        largest = slope.value / slope.correlation**2
-        numbers["CZ_alpha"] = scale * (slope.value + largest) / 2
-        bounds = abs(largest - slope.value) / 2
-        stds["CZ_alpha"] = scale * (slope.std + bounds / LEAST_T)
+        middle, std = _in_bounds(slope)
+        numbers["CZ_alpha"] = scale * middle
+        stds["CZ_alpha"] = scale * std
     return numbers, stds
+
+
+def _in_bounds(slope: Slope) -> tuple[float, float]:
+    """Return the middle of the bounds of a slope, and a standard deviation that covers both.
+
+    Noise of the regressor attenuates the slope; the reverse regression bounds it (Frisch 1934).
+    """
+    largest = slope.value / slope.correlation**2
+    bounds = abs(largest - slope.value) / 2
+    return (slope.value + largest) / 2, slope.std + bounds / LEAST_T

@@ -58,7 +58,7 @@ TIME = 30.0 + STEP * np.arange(N)
 
 def held(period=PERIOD):
     """Return flights of a channel sampled every ``period`` rows, which begins and ends steadily, and of noise."""
-    fresh = np.arange(2, N, period)
+    fresh = np.rint(np.arange(2, N, period)).astype(int)
     rows = np.maximum(np.searchsorted(fresh, np.arange(N), side="right") - 1, 0)
     samples = np.sin(2.0 * TIME[fresh])
     samples[:3], samples[-3:] = samples[3], samples[-4]
@@ -74,6 +74,13 @@ def test_rate_and_rows_of_a_held_channel():
     assert hold.names == ["elevator"]
     assert hold.rate == pytest.approx(1 / (PERIOD * STEP), rel=0.02)
     assert_array_equal(np.flatnonzero(~hold.repeated), fresh)
+
+
+def test_a_channel_whose_period_is_no_multiple_of_the_rows():
+    flights, fresh = held(period=2.45)
+    (hold,) = find_holds(flights, [("elevator",)])
+    assert hold.rate == pytest.approx(1 / (2.45 * STEP), rel=0.01)
+    assert not hold.repeated[fresh[4:-4]].any()
 
 
 def test_a_channel_that_changes_less_than_once_a_second_is_not_sampled_slowly():

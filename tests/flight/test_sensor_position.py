@@ -90,3 +90,9 @@ def test_measured_angular_accelerations_count():
     flight = at_rest().assign(p_dot=spin[0], q_dot=spin[1], r_dot=spin[2])
     moved = at_centre_of_gravity(placed(flight, ARM))
     assert_allclose(moved[FORCES], np.broadcast_to(-np.cross(spin, ARM), (len(flight), 3)))
+
+
+def test_gyros_slower_than_accelerometers_tell_the_rotation_between_their_samples():
+    flight = placed(tumbling(ARM), ARM)
+    flight.loc[np.arange(len(flight)) % 2 == 1, RATES] = np.nan
+    assert_allclose(at_centre_of_gravity(flight)[FORCES][5:-5], 0.0, atol=5e-3)

@@ -189,6 +189,15 @@ class TestIdentify:
             "evaluating latlon",
         ]
 
+    @pytest.mark.filterwarnings("ignore")
+    def test_holds_out_the_last_quarter_of_a_single_flight(self, example):
+        aircraft, train, _ = example
+        single = train[train["flight"] == "latlon"]
+        found = identify(single, aircraft, samples=40, regressor=QUICK, horizon=1.0)
+        (held_out,) = of_code(found, "HELD_OUT_QUARTER")
+        assert held_out.flight == "latlon"
+        assert found.fit.flights == {"latlon, first three quarters": 300}
+
     @pytest.mark.parametrize(
         ("change", "error", "message"),
         [
@@ -279,6 +288,13 @@ class TestIdentify:
         bare = example[2].drop(columns="flight")
         assert list(named_flights([bare, bare])) == ["flight 1", "flight 2"]
         assert list(named_flights(bare, default="test flight")) == ["test flight 1"]
+
+    def test_refuses_a_flight_that_comes_twice(self, example):
+        aircraft, train, test = example
+        with pytest.raises(ValueError, match=r"'lateral' in table 1 and in table 2.*give a dict"):
+            identify([train, train], aircraft, test=test)
+        with pytest.raises(ValueError, match="Got 2 flights in the table 'both'"):
+            identify({"both": train}, aircraft, test=test)
 
 
 @pytest.fixture

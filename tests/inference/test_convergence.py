@@ -45,6 +45,9 @@ def changed(X, Y, change):
         return X[:, ::-1], Y, X[:, ::-1]
     if change == "outputs":
         return X, Y[:, ::-1], X
+    if change == "a constant":
+        more = np.column_stack([X, np.full(len(X), 0.6)])
+        return more, Y, more
     if change == "signs":
         return -X, Y, -X
     return X + 1e-12 * rng.normal(size=X.shape), Y, X
@@ -60,7 +63,10 @@ def usual():
     return X, Y, *DependentGPRegressor(random_state=0).fit(X, Y).predict(X, return_std=True)
 
 
-@pytest.mark.parametrize("change", ["rows", "regressors", "outputs", "signs", "rounding", "seed"])
+@pytest.mark.filterwarnings("ignore:The regressors .* constant")
+@pytest.mark.parametrize(
+    "change", ["rows", "regressors", "outputs", "signs", "a constant", "rounding", "seed"]
+)
 def test_the_same_table_in_another_form_has_the_same_model(usual, change):
     X, Y, mean, std = usual
     Xc, Yc, at = changed(X, Y, change)

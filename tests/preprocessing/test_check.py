@@ -82,6 +82,13 @@ class TestCleanLogs:
         table = log()
         assert faults(table.assign(airspeed=quantum * (table.airspeed / quantum).round())) == []
 
+    def test_a_filtered_heading_on_a_grid_is_not_stuck_where_it_turns_back(self):
+        table = log()
+        turns = np.abs(np.cos(0.4 * table.time)) < 0.2
+        noise = np.convolve(default_rng(0).normal(size=len(table)), np.ones(5) / 5, "same")
+        heading = 0.3 + 0.02 * np.sin(0.4 * table.time) + 0.002 * noise * ~turns
+        assert faults(table.assign(psi=1e-4 * (heading / 1e-4).round())) == []
+
     def test_the_example_flights_have_none(self, first_minute):
         flights = first_minute()
         assert faults(flights.train) == faults(flights.test) == []
@@ -91,6 +98,10 @@ class TestCleanLogs:
         table = log()
         assert faults(table) == []
         assert faults(table.assign(alpha=np.rad2deg(table.alpha))) == []
+
+    def test_a_channel_without_noise_is_not_stuck_at_its_extremes(self):
+        table = log()
+        assert faults(table.assign(airspeed=np.float32(30 + np.sin(0.1 * table.time)))) == []
 
     def test_a_coarse_resolution_in_steady_flight_is_not_stuck(self):
         """Airspeed rounded to 0.01 m/s, slow and almost without noise, interpolated to another clock."""

@@ -212,6 +212,14 @@ def test_a_flight_of_jsbsim(jsbsim_flight):
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
 
 
+def test_degrees_are_refused_in_fit_and_transform():
+    table = flight().assign(alpha=np.linspace(-1.0, 1.0, 1200))  # rad
+    wrong = table.assign(alpha=np.rad2deg(table["alpha"]))
+    for use in (FlightSmoother().fit, FlightSmoother().fit(table).transform):
+        with pytest.raises(ValueError, match="these look like degrees"):
+            use(wrong)
+
+
 def test_a_missing_column_is_named_once_with_its_flight():
     smoother = FlightSmoother().fit(flight())
     words = r"The flight 'two' lacks the columns 'beta'\. Rename"

@@ -17,7 +17,7 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, VANES
+from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, VANES
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._log_errors import dynamic_load
@@ -43,6 +43,8 @@ ACCELEROMETER_OFFSET = 0.05  # [m/s^2]
 # Standard deviation of the slope of a regressor that did not move in the fit, more than any
 # derivative by an angle or a fraction [1/unit]
 UNLEARNED_SLOPE = 10.0
+# Variance of a correlation between -1 and 1 of which nothing is known
+CORRELATION_VARIANCE = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -62,8 +64,9 @@ class Changes:
     of a constant error of each vane, 0.3 deg, and of each accelerometer, 0.05 m/s², and of the errors
     of regressors, of standard deviations s, and of unknown slopes of regressors that did not move in
     the fit. Errors of regressors flatten slopes J the more, the less an aircraft
-    moves (Fuller 1987, section 1.1), by :math:`(S^{-1} - S_0^{-1})_j s_j^2 J_j`, where S and
-    :math:`S_0` are the covariances of the regressors in the flight and in the fit.
+    moves (Fuller 1987, section 1.1), by :math:`(S^{-1} - S_0^{-1}) E J`, where S and :math:`S_0` are
+    the covariances of the regressors in the flight and in the fit, and E is that of their errors,
+    whose correlations are unknown within symmetric and within lateral regressors.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
@@ -219,9 +222,15 @@ def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vecto
         accelerations[axis, :, axis] = ACCELEROMETER_OFFSET * by_acceleration[rows]
     trained = training_inputs(regressor.posterior_)
     slopes = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    flattened = (_precision(X) - _precision(trained)) * (_noise_variances(pipeline) * slopes)[
-        :, None
-    ]
+    # of the products of errors and slopes, with correlations from -1 to 1 within the symmetric and lateral ones
+    variances = _noise_variances(pipeline)
+    is_lateral = np.array(
+        [name.removesuffix(HAT) in MIRRORED for name in regressor_names(pipeline)]
+    )
+    correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
+    np.fill_diagonal(correlations, 1.0)
+    std = np.sqrt(slopes**2 @ (correlations * variances[:, None] * variances))
+    flattened = (_precision(X) - _precision(trained)) * std[:, None]
     unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
     effects = [
         np.moveaxis(regressor.predict_gradient(at) * vanes, -1, 0),

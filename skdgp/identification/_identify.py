@@ -13,7 +13,7 @@ from typing import Any, cast
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_findings, report
-from skdgp._flight.channels import ALL_SURFACES, ELEVONS, HIGH_LIFT
+from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor, FitCode
@@ -140,8 +140,6 @@ def identify(
         columns = regressor_columns([flight.table for flight in train.values()], names)
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
         tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
-        if "elevator" in names and {"elevator", *ELEVONS}.isdisjoint(columns):
-            report(Finding(Code.NO_ELEVATOR))  # other regressors take its effect
         learned_from = FlightTable.together(train.values())
         given = loads_of(learned_from.table, aircraft, names, **loads)
         if units is not None:

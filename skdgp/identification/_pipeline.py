@@ -226,8 +226,15 @@ def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
 
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    columns = pipeline["standardscaler"].inverse_transform(regressors)
-    return pd.DataFrame(columns, columns=regressor_names(pipeline))
+    mean, scale = scaling_of(pipeline)
+    return pd.DataFrame(regressors * scale + mean, columns=regressor_names(pipeline))
+
+
+def scaling_of(pipeline: Pipeline) -> tuple[Vector, Vector]:
+    """Return the means and scales (d,) by which regressors are standardised, 0 and 1 without a scaler."""
+    scaler = step_of(pipeline, StandardScaler)
+    d = len(regressor_names(pipeline))
+    return (np.zeros(d), np.ones(d)) if scaler is None else (scaler.mean_, scaler.scale_)
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
@@ -389,7 +396,7 @@ class FlightPipeline(Pipeline):
             return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
         names = outputs, regressor_names(self)
-        scale = self["standardscaler"].scale_
+        _, scale = scaling_of(self)
         if reconstruction.air_motion_ is not None:
             return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
         if with_codes(reconstruction.doubts_, Code.GUSTS_UNKNOWN):
@@ -408,7 +415,7 @@ class FlightPipeline(Pipeline):
             std = std * np.sqrt(self._followed(airspeed))
         of_rates = dict(zip((f"{name}{HAT}" for name in RATES), std, strict=True))
         of_regressors = np.array([of_rates.get(name, 0.0) for name in regressor_names(self)])
-        scaled = of_regressors / self["standardscaler"].scale_
+        scaled = of_regressors / scaling_of(self)[1]
         complete = X[np.isfinite(X).all(axis=1)]
         errors = [attenuation(complete, scaled, slopes) for slopes in linear_slopes(X, y)]
         return errors_of_slopes(np.array(errors), complete.mean(axis=0))
@@ -456,8 +463,8 @@ class FlightPipeline(Pipeline):
             None if corrector is None else corrector.lags_,
             0.0 if check is None else check.airspeed_scale_.left(),
         )
-        scaler = self["standardscaler"]  # X = (x - mean) / scale
-        units = -scaler.mean_ / scaler.scale_, 1 / scaler.scale_, np.ones(len(COEFFICIENTS))
+        mean, scale = scaling_of(self)  # X = (x - mean) / scale
+        units = -mean / scale, 1 / scale, np.ones(len(COEFFICIENTS))
         self.log_errors_ = errors.in_units(*units)
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
@@ -517,7 +524,7 @@ class FlightPipeline(Pipeline):
         return r2_of_observed(measured, mean, sample_weight)
 
     def mean_of_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Matrix:
-        """Return the mean coefficients (n, P) of logged rows, from the two of `flight_regressors`."""
+        """Return the mean coefficients (n, P) of logged rows, from the first two of `flight_regressors`."""
         mean = self[-1].predict(regressors, **params)
         return np.asarray(mean + self._added(regressors, noise_ratio))
 

@@ -293,9 +293,12 @@ class RegressorSelector(TableTransformer):
         if is_targeted:
             targets = np.asarray(y, dtype=float).reshape(len(table), -1)
             table = table[np.isfinite(targets).any(axis=1)]
-        names = dict.fromkeys([*present(table, CHANNELS), *self.regressors_])
-        channels = table[[*names]].select_dtypes("number").dropna(axis=1, how="all")
+        channels = table[present(table, CHANNELS)].select_dtypes("number").dropna(axis=1, how="all")
+        regressors = pd.DataFrame(numeric(table, self.regressors_), columns=self.regressors_)
         limits = channels.agg(["min", "max"]).astype(float)
+        known = regressors[np.isfinite(regressors).all(axis=1)]
+        if len(known):
+            limits[self.regressors_] = known.agg(["min", "max"])
         self.ranges_ = {name: tuple(limits[name].tolist()) for name in limits}
         if is_targeted:
             self._warn_of_constant(limits)
@@ -361,6 +364,8 @@ class RegressorSelector(TableTransformer):
         self.absent_ = [name for name in present(CONTROLS, names) if name not in table]
         if {*SURFACES} <= {*self.absent_}:
             check_columns(table, SURFACES)
+        if "elevator" in self.absent_:  # other regressors take its effect
+            report(Finding(Code.NO_ELEVATOR), FlightDataWarning)
         for name in present(AUXILIARY, table):
             if np.nanstd(numeric(table, [name])) > LEAST_MOTION:
                 names.append(name)

@@ -132,13 +132,18 @@ def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
     assert (other.p_values["Cm"] < 0.01).all()
 
 
-def with_noise_of_alpha(seed, size):
-    """Return a flight with motion of a ``size`` whose alpha is measured with the noise ALPHA_NOISE."""
+def with_noise_of_alpha(seed, size, of_q=0.0):
+    """Return a flight with motion of a ``size`` whose alpha is measured with the noise ALPHA_NOISE.
+
+    A part of this noise, ``of_q``, is also in q.
+    """
     true, Y = flight(seed, 0.0)
     rng = np.random.default_rng(1000 + seed)
     X = size * true
     measured = X.copy()
-    measured["alpha"] += ALPHA_NOISE * rng.normal(size=len(X))
+    noise = ALPHA_NOISE * rng.normal(size=len(X))
+    measured["alpha"] += noise
+    measured["q_hat"] += of_q * noise
     Y = X.to_numpy() @ SLOPES + 0.02 * lasting(rng, Y.shape, 5)
     return measured, Y
 
@@ -160,6 +165,15 @@ def test_slopes_that_noise_flattens_in_a_gentle_flight_are_no_change():
     assert in_fit * abs(expected) < rows["std"].mean() < 1.5 * abs(expected)
 
     assert p_value(pipeline, with_noise_of_alpha(20, 1.0), change=0.2) < 0.01
+
+
+def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight():
+    """Its covariance with q biases the slope by q too, and the less an aircraft moves, the more."""
+    of_q = -0.3
+    noise = np.array([ALPHA_NOISE, 0.3 * ALPHA_NOISE, 0.0])
+    pipeline = learned(*with_noise_of_alpha(0, 1.0, of_q), noise)
+    assert alarms(changes(pipeline, several(with_noise_of_alpha, 0.3, of_q))) < 0.2
+    assert p_value(pipeline, with_noise_of_alpha(20, 1.0, of_q), change=0.2) < 0.01
 
 
 def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight(model):

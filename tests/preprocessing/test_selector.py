@@ -66,6 +66,15 @@ def test_ranges_are_those_of_the_channels_in_rows_with_a_target():
     assert selector.ranges_ == {"alpha": (0.0, 0.3), "phi": (-0.5, 0.2)}
 
 
+def test_limits_are_those_of_rows_with_all_regressors_of_any_type():
+    table = pd.DataFrame({"q_hat": [1.0, 3.0, 99.0], "alpha": [0.2, 0.1, np.nan]}).assign(
+        gear=[True, False, True]
+    )
+    selector = RegressorSelector(["alpha", "q_hat", "gear"]).fit(table)
+    limits = selector.in_simulation()["limits"]
+    np.testing.assert_array_equal(limits, [[0.1, 1.0, 0.0], [0.2, 3.0, 1.0]])
+
+
 def test_truth_only_by_name_and_with_a_warning():
     assert not any(
         name.endswith("_true") for name in RegressorSelector("classical").fit(EVERY).regressors_
@@ -103,6 +112,7 @@ def test_what_cannot_be_selected(regressors, change, match):
         RegressorSelector(regressors).fit(change(EVERY))
 
 
+@pytest.mark.filterwarnings("ignore:Got flights without an elevator")
 @pytest.mark.parametrize(
     "absent", [["throttle"], ["elevator"], ["rudder"], ["throttle", "aileron", "rudder"]]
 )
@@ -110,6 +120,11 @@ def test_controls_that_the_aircraft_does_not_have(absent):
     selector = RegressorSelector("classical").fit(EVERY.drop(columns=absent))
     assert sorted(selector.absent_) == sorted(absent)
     assert selector.regressors_ == [name for name in CLASSICAL if name not in absent]
+
+
+def test_flights_without_an_elevator_are_told():
+    with pytest.warns(UserWarning, match="without an elevator"):
+        RegressorSelector().fit(EVERY.drop(columns="elevator"))
 
 
 def test_a_rate_of_change_without_neighbours():

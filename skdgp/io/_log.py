@@ -622,19 +622,24 @@ def _servo(name: str, entry: Any) -> Servo | float:
         )
     if entry.keys() - KEYS:
         raise FlightReadError(f"Got {[*entry]} for {name}, but expected only {sorted(KEYS)}.")
-    points = _points(entry.get("points"))
+    inputs, angles = _calibration(name, entry.get("points")).T.tolist()
+    return Servo(entry["channel"], tuple(inputs), tuple(angles))
+
+
+def _calibration(name: str, entries: Any) -> Matrix:
+    """Return the points (n, 2) of a surface; raise FlightReadError if they make no sense."""
+    points = _points(entries)
     if len(points) < 2 or not _increases(points[:, 0]):
         raise FlightReadError(
-            f"Got {entry} for {name}, but expected points of finite numbers, values of the channel, each once, and "
-            "angles [rad]: points = [[1100, -0.35], [1900, 0.35]]."
+            f"Got points = {entries} for {name}, but expected points of finite numbers, values of the channel, each "
+            "once, and angles [rad]: points = [[1100, -0.35], [1900, 0.35]]."
         )
     largest = np.abs(points[:, 1]).max()
     if largest > np.pi / 2:
         raise FlightReadError(
             f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
         )
-    inputs, angles = points.T.tolist()
-    return Servo(entry["channel"], tuple(inputs), tuple(angles))
+    return points
 
 
 def _points(entries: Any) -> Matrix:

@@ -63,6 +63,12 @@ class TestFromFlight:
         assert_allclose(found.intensity, TRUE.intensity, rtol=0.1)
         assert_allclose(found.length, TRUE.length, rtol=0.25)
 
+    def test_weak_gusts_in_noise_are_no_noise(self):
+        weak = Turbulence(np.full(3, 0.2), TRUE.length)
+        found = Turbulence.from_flight(flights(weak, 1, 300.0, 0.5, seed=0), SPAN)
+        assert_allclose(found.intensity, weak.intensity, rtol=0.1)
+        assert_allclose(found.length, weak.length, rtol=0.25)
+
     def test_u_and_v_have_one_intensity_and_length_in_any_direction(self):
         tables = [flights(TRUE, 2, 300.0, 0.1, seed=1, heading=heading) for heading in (0.0, 2.0)]
         for found in (Turbulence.from_flight(table, SPAN) for table in tables):
@@ -165,6 +171,13 @@ class TestSimulate:
         assert_allclose(by_table["p"].std(), asked["p"].std(), rtol=0.4)
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
+
+    def test_a_row_of_a_wind_may_lack(self):
+        wind = pd.DataFrame(gusts_of(TRUE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
+        wind["time"] = STEP * np.arange(400)
+        whole = flown(learned(), air=wind)
+        wind.loc[100, "wind_east"] = np.nan
+        assert_allclose(flown(learned(), air=wind)["p"].std(), whole["p"].std(), rtol=0.05)
 
     def test_what_is_not_said_is_as_in_the_training_flights(self):
         known = learned(turbulence=TRUE)

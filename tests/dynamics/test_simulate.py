@@ -137,6 +137,13 @@ class TestEquations:
         angles = Rotation.from_matrix(truth[6:15].reshape(3, 3)).as_euler("ZYX")
         assert_allclose(end[["psi", "theta", "phi"]], angles, atol=1e-7)
 
+    def test_is_of_fourth_order_in_the_step(self, fly):
+        exact, half, whole = (
+            fly(dt=dt, duration=2.0)[STATES].iloc[-1] for dt in (0.005, 0.02, 0.04)
+        )
+        errors = [np.abs(end - exact).max() for end in (whole, half)]
+        assert 3.6 < np.log2(errors[0] / errors[1]) < 4.5
+
 
 class TestRegressors:
     @pytest.mark.parametrize("chord", [0.4, 0.55])

@@ -70,7 +70,13 @@ def test_equals_the_pipeline(written, read, tmp_path):
 
 
 WRONG = {
-    "trend": lambda model: replace(model, shift=model.shift + 0.001),
+    "trend": lambda model: replace(
+        model,
+        parts=[
+            replace(model.parts[0], trend_weights=model.parts[0].trend_weights + 0.001),
+            *model.parts[1:],
+        ],
+    ),
     "deviation": lambda model: replace(
         model,
         parts=[replace(part, prior_variance=part.prior_variance + 1e-4) for part in model.parts],

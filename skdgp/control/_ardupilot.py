@@ -60,6 +60,8 @@ LONGEST_FRAME = 0.09
 NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
+# Silence [s] of an autopilot after which another one may fly
+HANDOVER = 1.0
 
 
 class Packet(NamedTuple):
@@ -329,7 +331,7 @@ def fly(
     Warns
     -----
     UserWarning
-        If other bytes come, which are ignored.
+        If other bytes come, or packets of a second autopilot, which are ignored.
     SimulationWarning
         When the flight leaves the training range of a regressor, once a second at most.
     """
@@ -395,12 +397,24 @@ class _Flights:
         """Answer packets; return why the flight is over."""
         last = sys.maxsize  # number of the last packet
         autopilot = None  # address of its sender
+        heard = -np.inf  # time of the last packet [s]
+        has_warned = False
         line = ""
         while self.simulator.time < seconds:
             received = link.receive(wait)
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
+            now = time.monotonic()
+            if sender != autopilot and now < heard + HANDOVER:
+                if not has_warned:
+                    warn(
+                        f"Got packets of two autopilots, {autopilot} and {sender}, but expected one: those of the "
+                        "second are ignored."
+                    )
+                has_warned = True
+                continue
+            heard = now
             # ArduPilot repeats a packet whose answer it did not get
             if packet.number != last or sender != autopilot:
                 if packet.number < last or sender != autopilot:

@@ -133,7 +133,7 @@ def suggest_gains(
     """Return the loops with the largest gains that have both margins with a probability.
 
     P, I, D and FF of a loop keep their ratios. The loops are taken in turn, each with the others closed
-    at their new gains, until none changes, which takes two to four rounds.
+    at their new gains, until none changes.
 
     Parameters
     ----------
@@ -152,8 +152,9 @@ def suggest_gains(
     Raises
     ------
     ValueError
-        If the linear model has no paths, the probability is not between 0 and 1, or no gains between a
-        twentieth and twenty times the present ones have the margins or none settle.
+        If `margins` refuses the loops, the linear model has no paths, the probability is not between 0 and 1,
+        no gains between a twentieth and twenty times the present ones have the margins, or gains still
+        change after ten rounds.
     """
     _check(linear, loops)
     if linear.paths is None:
@@ -179,7 +180,11 @@ def suggest_gains(
             rises[k] = search.largest(loops, rises, k)
         if np.array_equal(rises, before):
             return _risen(loops, rises)
-    raise search.none_found(loops, int(np.argmax(rises != before)))
+    changing = [loop.name for loop, changes in zip(loops, rises != before, strict=True) if changes]
+    raise ValueError(
+        f"Got gains of {changing} that still change after {ROUNDS} rounds over the loops, but expected that they "
+        "settle: lower the wanted margins, or suggest gains of fewer loops."
+    )
 
 
 class _GainSearch(NamedTuple):

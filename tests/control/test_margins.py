@@ -444,6 +444,12 @@ def test_a_control_without_gains_is_named():
         autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1}, {"aileron": 0.4, "rudder": 0.3})
 
 
+def test_gains_that_do_not_settle_are_said(linear, monkeypatch):
+    monkeypatch.setattr("skdgp.control._margins.ROUNDS", 1)
+    with pytest.raises(ValueError, match=r"\['roll', .* that still change after 1 rounds"):
+        suggest_gains(linear, autopilot_loops(PX4, FULL))
+
+
 def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
     """However many rounds the search takes; these could be raised much farther."""
     (pitch,) = autopilot_loops(PX4, {"elevator": FULL["elevator"]})

@@ -19,8 +19,10 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,
+    Coefficients,
     as_aerodynamics,
     check_aircraft,
+    steps_by_choice,
 )
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.inference import (
@@ -79,8 +81,10 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     simulated = as_aerodynamics(pipeline)
     learned = simulated.learned
     if learned is None:
+        _, behind = steps_by_choice(pipeline)
+        other, *_ = Coefficients(behind, len(simulated.regressors)).others
         raise ValueError(
-            f"Got steps other than scalers behind the choice of regressors, which have no portable form. {REMEDY}"
+            f"Got {type(other).__name__} behind the choice of regressors, which has no portable form. {REMEDY}"
         )
     shift, scale = learned.shift, learned.scale
     posterior = regressor.posterior_

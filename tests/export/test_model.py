@@ -133,7 +133,7 @@ def learned(steps, table):
         ([FIRST, OF_ALPHA, START], "'MinMaxScaler'. before the choice of regressors"),
         (
             [OF_ALPHA, MinMaxScaler(clip=True), START],
-            "other than scalers behind the choice of regressors",
+            "Got MinMaxScaler behind the choice of regressors",
         ),
         (
             [RegressorSelector(["flap angle"]), TREND],

@@ -120,20 +120,14 @@ def maximize(
         while not _is_stationary(theta, point, bounds, settings):
             curvature = point.information + correction
             if damping > largest:
-                step = _step(theta, point, curvature, bounds, settings.damping[0], settings.longest)
-                is_flat = 0.5 * step @ point.gradient < settings.gradient
-                return Optimum(theta, point.value, n_iter, bool(is_flat))
+                is_flat = _is_flat(theta, point, curvature, bounds, settings)
+                return Optimum(theta, point.value, n_iter, is_flat)
             is_hopeless = point.value + _prospect(values, settings) < least(theta)
             if n_iter == max_iter or is_hopeless or stop.is_set():
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
-            step = _step(theta, point, curvature, bounds, damping, settings.longest)
-            end = theta + step
-            predicted = _predicted_rise(step, point, curvature)
-            if predicted > settings.promise:
-                end = _on_grid(end, point.information, bounds, settings)
-                step = end - theta
-                predicted = _predicted_rise(step, point, curvature)
+            end, predicted = _proposed(theta, point, curvature, bounds, damping, settings)
+            step = end - theta
             other = _evaluated(objective, end) if predicted > 0 else None
             values.append(point.value)
             if other is None:
@@ -183,6 +177,23 @@ def _is_stationary(theta, point, bounds, settings):
     free = _free(theta, point.gradient, bounds)
     error = _standard_errors(point.information)
     return bool(np.all(np.abs(point.gradient * error)[free] <= settings.gradient))
+
+
+def _is_flat(theta, point, curvature, bounds, settings):
+    """Return whether a step promises nothing, though rounding hides whether the likelihood rises."""
+    step = _step(theta, point, curvature, bounds, settings.damping[0], settings.longest)
+    return bool(0.5 * step @ point.gradient < settings.gradient)
+
+
+def _proposed(theta, point, curvature, bounds, damping, settings):
+    """Return the end of a step, on the grid if it promises much, and its predicted rise."""
+    step = _step(theta, point, curvature, bounds, damping, settings.longest)
+    end = theta + step
+    predicted = _predicted_rise(step, point, curvature)
+    if predicted <= settings.promise:
+        return end, predicted
+    end = _on_grid(end, point.information, bounds, settings)
+    return end, _predicted_rise(end - theta, point, curvature)
 
 
 def _step(theta, point, curvature, bounds, damping, longest):

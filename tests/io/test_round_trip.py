@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose
 
 from skdgp.io import read_flight
 
@@ -35,7 +35,10 @@ def test_csv(tmp_path, flights, quoting, separator, mark):
     found = read_flight(tmp_path / "log.csv")
     assert set(found) == set(table)
     for name in table:
-        assert_array_equal(found[name], table[name])
+        if name == "flight":
+            assert found[name].tolist() == table[name].tolist()
+        else:  # old versions of pandas round the last digit
+            assert_allclose(found[name], table[name], rtol=4e-16)
 
 
 WHOLE = ["uint16", "Int32", "boolean"]

@@ -345,9 +345,11 @@ class _Search:
         noise, bounds = self._noise(start)
         noise = noise if alone is None else alone.noise
         if singles is not None and len(singles) == 1:
-            starts = []
+            of_output = {}  # one of a kernel with one latent
             for apart in SETTINGS_OF_STARTS.apart:
-                starts.append((starting_kernel(kernel, self.X, Y, singles, apart), noise))
+                other = starting_kernel(kernel, self.X, Y, singles, apart)
+                of_output[other.theta.tobytes()] = other, noise
+            starts = list(of_output.values())
         else:
             starts = [(start, noise)]
             for end in ends if aligned is None else ():

@@ -240,6 +240,7 @@ class Console:
         self._steps = ""
         self._evaluations = ""
         self._steps_began = self._began
+        self._first_step = 0
         self._last_step = (0, 0)
         self._done = threading.Event()
 
@@ -313,15 +314,15 @@ class Console:
         now = time.monotonic()
         done = progress.done
         if (done, progress.total) < self._last_step or self._steps == "":
-            self._steps_began = now
+            self._steps_began, self._first_step = now, done
         self._last_step = done, progress.total
         filled = round(BAR * done / progress.total)
         bar = "#" * filled + "-" * (BAR - filled)
         name = "" if progress in STAGES else f"{progress} "
         self._steps = f" · {name}[{bar}] {done} of {progress.total}"
-        if done:
-            left = (now - self._steps_began) * (progress.total - done) / done
-            self._steps += f", < {left:.0f} s left"
+        if done > self._first_step:
+            left = (now - self._steps_began) * (progress.total - done) / (done - self._first_step)
+            self._steps += f", about {left:.0f} s left"
 
     def _end_progress(self):
         if not self._done.is_set():

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from contextlib import redirect_stderr, redirect_stdout
+from types import SimpleNamespace
 
 import pytest
 
@@ -73,8 +74,24 @@ def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():
         until = time.monotonic() + 30.0
         while "3 of 8" not in stream.getvalue() and time.monotonic() < until:
             time.sleep(0.01)
-    pattern = r"transforming · estimating the air \[####-{6}\] 3 of 8, < \d+ s left · \d+ s"
+    pattern = r"transforming · estimating the air \[####-{6}\] 3 of 8, about \d+ s left · \d+ s"
     assert re.search(pattern, stream.getvalue())
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_time_that_is_left_is_by_the_rate_of_the_steps_since_the_first_notice(
+    first, monkeypatch
+):
+    seconds = iter(range(100))
+    clock = SimpleNamespace(monotonic=lambda: next(seconds))
+    stream = io.StringIO()
+    with Console(stream, period=1000.0) as console:
+        monkeypatch.setattr("skdgp._cli._shared.time", clock)
+        left = []
+        for done in range(first, first + 3):
+            console._count_steps(Progress("estimating the air", done, 100))
+            left += re.findall(r", about (\d+) s left", console._steps)
+    assert left == [str(99 - first), str(98 - first)]
 
 
 class Watched(io.StringIO):

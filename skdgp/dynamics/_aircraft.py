@@ -164,10 +164,8 @@ class Aircraft:
             stds |= dict(zip(names, derivatives["std"].tolist(), strict=True))
         estimated: set[str] = set()
         for factor in (self.deviations or {}).values():
-            if factor.source != "given":
+            if factor.is_estimate:
                 estimated |= factor.powers.keys()
-        if "wing_area" in estimated:
-            estimated.add("chord")
         return question_of_sizes(sizes, stds, estimated)
 
     def relative_std(self, size: str) -> float:

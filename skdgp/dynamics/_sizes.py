@@ -51,12 +51,15 @@ class ScaleFactor:
         Of a learned model, an error that adds to its coefficients, such as an error of the thrust:
         the change by an error of 100 %, of coefficients and their slopes by regressors, "CX",
         "CX_alpha", ...
+    is_estimate : bool
+        Whether the quantities follow from usual ratios of a kind of aircraft, not from a measurement.
     """
 
     std: float
     powers: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
     added: Mapping[str, float] = field(default_factory=dict)
+    is_estimate: bool = False
 
     def __post_init__(self):
         std = check_number("std of a scale factor", self.std, is_open=False)
@@ -182,6 +185,7 @@ class Factor(NamedTuple):
     value: float
     std: float  # Relative
     source: str
+    is_given: bool = False
 
 
 def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
@@ -198,12 +202,16 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     for name, factor in factors.items():
         if factor.std > 0:
             powers = _powers(values, name, is_length_given)
-            deviations[name] = ScaleFactor(factor.std, powers, factor.source)
+            deviations[name] = ScaleFactor(
+                factor.std, powers, factor.source, is_estimate=not factor.is_given
+            )
     result = {name: derived[name] for name in QUANTITIES}
     if inertia is None:
         inertia = np.diag([derived[moment] for moment in MOMENTS])
         source = f"none, usual of {kind} aircraft"
-        deviations["product of inertia"] = ScaleFactor(PRODUCT_STD, {PRODUCT: 1.0}, source)
+        deviations["product of inertia"] = ScaleFactor(
+            PRODUCT_STD, {PRODUCT: 1.0}, source, is_estimate=True
+        )
     return result | {"inertia": inertia, "deviations": deviations}
 
 
@@ -214,7 +222,8 @@ def _factors(
     measured = {}
     for name, value in sizes.items():
         if value is not None:
-            measured[name.replace("_", " ")] = Factor(*value_and_std(name, value), "given")
+            number, std = value_and_std(name, value)
+            measured[name.replace("_", " ")] = Factor(number, std, "given", is_given=True)
     length = measured.pop("length", None)
     factors = {}
     if "chord" not in measured:

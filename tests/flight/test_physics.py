@@ -21,7 +21,7 @@ from skdgp._flight.physics import (
 )
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
-from skdgp.dynamics import Aircraft, euler_to_matrix
+from skdgp.dynamics import Aircraft, ScaleFactor, euler_to_matrix
 from skdgp.io import inspect_log, read_flight
 
 ELEVONS = ["elevon_left", "elevon_right"]
@@ -554,6 +554,15 @@ def test_the_unit_of_the_inertia_is_asked_for():
     question = question_of_sizes(bare | {name: right[name] / 0.001 for name in INERTIA}, {})
     asked = [(found.channel, found.numbers["unit"]) for found in question.numbers["asked"]]
     assert ("Ixx", "g m^2") in asked
+
+
+def test_a_size_of_another_source_is_asked_for():
+    weighed = {"weight": ScaleFactor(0.02, {"mass": 1.0}, "scale of 2021")}
+    inertia = np.diag([0.8, 1.1, 1.8])
+    sizes = {"mass": 13500.0, "inertia": inertia, "wing_area": 0.55, "span": 2.9, "chord": 0.19}
+    question = Aircraft(**sizes, deviations=weighed).question_of_sizes()
+    asked = [(found.channel, found.numbers["unit"]) for found in question.numbers["asked"]]
+    assert ("mass", "g") in asked
 
 
 @pytest.mark.parametrize(("size", "factor"), [("mass", 1 / 0.45359237), ("thrust_x", 1 / 4.44822)])

@@ -6,6 +6,7 @@ import numpy as np
 
 from skdgp._compute.findings import Finding
 from skdgp._compute.messages import report
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.findings import Code
 from skdgp._flight.frames import wrapped
@@ -16,6 +17,8 @@ COPIED = 0.5
 ROUNDED = 4
 # median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
 SAME_ATTITUDE = 0.05
+# variance of that distance, over the variance of the attitude, below which they are of one flight; a guess
+UNSHARED = 0.1
 
 
 def without_copies(
@@ -58,8 +61,15 @@ def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
         return False
     angles = unwrapped(other.table, EULER)
     there = interpolated(flight.time[is_inside], other.time, angles, beyond=np.nan)
-    apart = wrapped(unwrapped(flight.table, EULER)[is_inside] - there)
-    return bool(np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE)
+    own = unwrapped(flight.table, EULER)[is_inside]
+    apart = wrapped(own - there)
+    is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
+    return bool(is_near and _total_variance(apart) < UNSHARED * _total_variance(own))
+
+
+def _total_variance(angles: Matrix) -> float:
+    """Return the sum of the variances of angles (n, 3) [rad^2]."""
+    return float(np.nanvar(angles, axis=0).sum())
 
 
 def _motion(flight: FlightTable) -> set[tuple[float, ...]]:

@@ -1,8 +1,12 @@
 """A flight that is given twice teaches nothing the second time, and tells nothing as a test."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn.utils import Bunch
+
+from skdgp._flight.copies import copies
+from skdgp._flight.tables import FlightTable
 
 SENSORS = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
 
@@ -36,6 +40,37 @@ def telemetry(flights):
 def test_other_flights_are_no_copies(flights, said_of):
     said = said_of(flights.train, flights.aircraft, test={"test": flights.test})
     assert "has the rows" not in said
+
+
+ANGLES = {"elevator": "theta", "aileron": "phi", "rudder": "psi"}
+
+
+@pytest.fixture
+def doublets():
+    """Return flights about one trim, by the surface whose doublet at 2 s decays in one angle."""
+    time = np.arange(0.0, 20.0, 0.02)
+    since = np.clip(time - 2.0, 0.0, None)
+    response = 0.15 * np.exp(-since / 2.0) * np.sin(2.0 * since)
+    flights = {}
+    for seed, (surface, angle) in enumerate(ANGLES.items()):
+        noise = np.random.default_rng(seed).normal(0.0, 0.001, (len(time), len(SENSORS)))
+        table = pd.DataFrame(noise, columns=SENSORS).assign(time=time)
+        table[angle] += response
+        flights[surface] = table
+    return flights
+
+
+def test_doublets_of_different_surfaces_at_one_trim_are_no_copies(doublets):
+    flights = {name: FlightTable.of(table) for name, table in doublets.items()}
+    assert copies(flights, flights) == {}
+
+
+def test_telemetry_of_a_doublet_is_a_copy(doublets):
+    for name, table in doublets.items():
+        sent = table.iloc[3::10].reset_index(drop=True)
+        sent[SENSORS] += np.random.default_rng(3).normal(0.0, 0.001, (len(sent), len(SENSORS)))
+        flights = {surface: FlightTable.of(flight) for surface, flight in doublets.items()}
+        assert copies({"sent": FlightTable.of(sent)}, flights) == {"sent": name}
 
 
 @pytest.mark.parametrize("copy", [part(slice(100, 600)), part(slice(None, None, 2)), telemetry])

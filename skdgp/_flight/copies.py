@@ -36,14 +36,16 @@ def without_copies(
 def copies(flights: dict[str, FlightTable], others: dict[str, FlightTable]) -> dict[str, str]:
     """Return by name the flights that are another one's copy: most of their rows are rows of it, at whatever time.
 
-    Where both are the same flights, each pair is told once.
+    Where both are the same flights, those that are copied stay, so that the copies of each other do not all go.
     """
     rows = {id(flight): _motion(flight) for flight in [*flights.values(), *others.values()]}
     found: dict[str, str] = {}
     for name, flight in flights.items():
+        if flights is others and name in found.values():
+            continue
         for other_name, other in others.items():
-            is_told = flights is others and found.get(other_name) == name
-            if flight is other or is_told:
+            is_left_out = flights is others and other_name in found
+            if flight is other or is_left_out:
                 continue
             own = rows[id(flight)]
             has_its_rows = len(own & rows[id(other)]) > COPIED * len(own)

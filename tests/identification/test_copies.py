@@ -73,6 +73,25 @@ def test_telemetry_of_a_doublet_is_a_copy(doublets):
         assert copies({"sent": FlightTable.of(sent)}, flights) == {"sent": name}
 
 
+CHAINS = {
+    "a log and its halves": ([(0, 1000), (0, 550), (450, 1000)], ["1", "2"]),
+    "halves and their log": ([(0, 550), (450, 1000), (0, 1000)], ["2"]),
+    "each overlaps the next": ([(0, 500), (200, 700), (400, 900)], ["1"]),
+    "three of one": ([(0, 500), (0, 500), (0, 500)], ["2"]),
+}
+
+
+@pytest.mark.parametrize(("ranges", "kept"), CHAINS.values(), ids=CHAINS)
+def test_of_a_chain_of_copies_what_was_copied_is_kept(ranges, kept, doublets):
+    table = doublets["elevator"]
+    flights = {}
+    for name, (begin, end) in enumerate(ranges):
+        flights[str(name)] = FlightTable.of(table.iloc[begin:end].reset_index(drop=True))
+    found = copies(flights, flights)
+    assert [name for name in flights if name not in found] == kept
+    assert {*found.values()} <= {*kept}
+
+
 @pytest.mark.parametrize("copy", [part(slice(100, 600)), part(slice(None, None, 2)), telemetry])
 def test_a_copied_test_flight_beside_another_is_left_out(flights, copy, said_of):
     test = {"again": copy(flights), "test": flights.test}

@@ -160,12 +160,15 @@ class Code(Kind):
         "got {path}, written with {differences}: its predictions may differ",
         "Compare a few, fit it again, or install those versions.",
     )
-    FLIGHT_TWICE = "flight {flight!r} has the rows of flight {other!r}, and is left out"
+    FLIGHT_TWICE = (
+        "flight {flight!r} repeats flight {other!r} (its rows or its attitude), and is left out"
+    )
     COPY_LEFT_OUT = (
-        "test flight {flight!r} has the rows of training flight {other!r}, and is left out"
+        "test flight {flight!r} repeats training flight {other!r} (its rows or its attitude), "
+        "and is left out"
     )
     TESTED_ON_COPY = (
-        "test flight {flight!r} has the rows of training flight {other!r}",
+        "test flight {flight!r} repeats training flight {other!r} (its rows or its attitude)",
         "Its errors say nothing about other flights: test on another one.",
     )
 

@@ -182,7 +182,7 @@ class TestIdentify:
         assert "1 stand alone between gaps" in said
         assert "['rudder'] never change, so the model cannot learn" in said
         assert "constant over the samples" not in said  # it is said once, by name
-        assert "'latlon' has the rows of training flight 'latlon'" in said
+        assert "'latlon' repeats training flight 'latlon' (its rows or its attitude)" in said
 
     def test_several_test_flights_are_scored_together_too(self, metrics_of):
         metrics = metrics_of("--test", "lateral.csv", "test.csv")

@@ -39,7 +39,7 @@ def telemetry(flights):
 
 def test_other_flights_are_no_copies(flights, said_of):
     said = said_of(flights.train, flights.aircraft, test={"test": flights.test})
-    assert "has the rows" not in said
+    assert "its rows or its attitude" not in said
 
 
 ANGLES = {"elevator": "theta", "aileron": "phi", "rudder": "psi"}
@@ -96,16 +96,19 @@ def test_of_a_chain_of_copies_what_was_copied_is_kept(ranges, kept, doublets):
 def test_a_copied_test_flight_beside_another_is_left_out(flights, copy, said_of):
     test = {"again": copy(flights), "test": flights.test}
     said = said_of(flights.train, flights.aircraft, test=test)
-    assert "'again' has the rows of training flight 'latlon', and is left out" in said
+    assert (
+        "'again' repeats training flight 'latlon' (its rows or its attitude), and is left out"
+        in said
+    )
 
 
 def test_a_training_flight_that_comes_twice_counts_once(flights, said_of):
     train = {**flights.train, "again": flights.later}
     said = said_of(train, flights.aircraft, test={"test": flights.test})
-    assert "'latlon' has the rows of flight 'again'" in said
+    assert "'latlon' repeats flight 'again' (its rows or its attitude)" in said
 
 
 def test_a_copy_alone_is_told(flights, said_of):
     said = said_of(flights.train, flights.aircraft, test={"again": flights.later})
-    assert "'again' has the rows of training flight 'latlon'" in said
+    assert "'again' repeats training flight 'latlon' (its rows or its attitude)" in said
     assert "left out" not in said

@@ -523,7 +523,9 @@ def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float
 
 
 def _harmonics(settings: Mapping[str, float], options: int, lowest: float) -> list[Notch]:
-    """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic."""
+    """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic; none without width."""
+    if not settings["BW"] > 0:
+        return []
     is_double, is_triple = options & 1, options & 16
     n_each = 2 if is_double else 3 if is_triple else 1
     frequency = max(settings["FREQ"], 0.52 * settings["BW"])

@@ -468,6 +468,12 @@ def test_double_notches_and_harmonics_of_ardupilot_are_notches_at_their_frequenc
     assert len({notch.quality for notch in loop.gyro_notches}) == 1
 
 
+def test_a_harmonic_notch_without_width_is_none():
+    harmonic = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_BW": 0, "INS_HNTCH_OPTS": 1}
+    (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | harmonic, {"aileron": 0.4})
+    assert loop.gyro_notches == ()
+
+
 def test_a_notch_that_follows_the_engine_is_taken_at_its_lowest_frequency_and_named():
     follows = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 40.0, "INS_HNTCH_BW": 20.0}
     follows |= {"INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_FM_RAT": 0.7}

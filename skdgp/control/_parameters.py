@@ -42,7 +42,8 @@ ARDUPILOT_DEFAULTS = {
     "INS_GYRO_FILTER": 20.0,
 }
 # fmt: on
-# Notch filters of ArduPilot's gyros
+# Notch filters of ArduPilot's gyros, and of its rate controllers
+HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")
 HARMONIC_DEFAULTS = {
     "FREQ": 80.0,
     "BW": 40.0,
@@ -52,6 +53,15 @@ HARMONIC_DEFAULTS = {
     "FM_RAT": 1.0,
 }
 FILTER_DEFAULTS = {"NOTCH_Q": 2.0, "NOTCH_ATT": 40.0}
+NUMBERED_FILTERS = [f"FILT{n}" for n in range(1, 9)]
+ARDUPILOT_DEFAULTS |= {
+    f"{notch}_{end}": value
+    for notch in HARMONIC_NOTCHES
+    for end, value in HARMONIC_DEFAULTS.items()
+}
+ARDUPILOT_DEFAULTS |= {
+    f"{notch}_{end}": value for notch in NUMBERED_FILTERS for end, value in FILTER_DEFAULTS.items()
+}
 # Tracking modes of a harmonic notch: of a fixed frequency, and by the throttle
 FIXED, BY_THROTTLE = 0, 1
 NUMBERS = (int, float, np.number)
@@ -219,12 +229,6 @@ class Parameters:
         """Return the corner of a filter [Hz]; zero switches it off."""
         corner = self(name)
         return corner if corner > 0 else np.inf
-
-    def group(self, prefix: str, defaults: Mapping[str, float]) -> dict[str, float]:
-        """Return the parameters of a group by the ends of their names."""
-        names = {end: f"{prefix}_{end}" for end in defaults}
-        self.asked |= {*names.values()}
-        return {end: self.given.get(name, defaults[end]) for end, name in names.items()}
 
     def unread(self, prefixes: tuple[str, ...]) -> dict[str, float]:
         """Return the parameters with some beginnings of their names that are not zero, and were not asked."""
@@ -505,37 +509,39 @@ def servo_functions(given: Mapping[str, float]) -> dict[int, int]:
 def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float]]:
     """Return the notches of ArduPilot's gyros, and the modes of those whose frequency follows the engine.
 
-    These have their lowest frequency here, at which they are latest.
+    These are taken at their lowest frequency, where their phase lag is largest.
     """
     notches: list[Notch] = []
     following = {}
-    for group in ("INS_HNTCH", "INS_HNTC2"):
-        if not value(f"{group}_ENABLE"):
+    for name in HARMONIC_NOTCHES:
+        if not value(f"{name}_ENABLE"):
             continue
-        settings = value.group(group, HARMONIC_DEFAULTS)
-        lowest = settings["FREQ"]
-        follows = value(f"{group}_REF") and settings["MODE"] != FIXED
-        if follows:
-            following[f"{group}_MODE"] = settings["MODE"]
-            lowest *= settings["FM_RAT"] if settings["MODE"] == BY_THROTTLE else 1.0
-        notches += _harmonics(settings, int(value(f"{group}_OPTS")), lowest)
+        lowest = value(f"{name}_FREQ")
+        if value(f"{name}_REF") and value(f"{name}_MODE") != FIXED:
+            mode = value(f"{name}_MODE")
+            following[f"{name}_MODE"] = mode
+            lowest *= value(f"{name}_FM_RAT") if mode == BY_THROTTLE else 1.0
+        notches += _harmonics(value, name, lowest)
     return tuple(notches), following
 
 
-def _harmonics(settings: Mapping[str, float], options: int, lowest: float) -> list[Notch]:
+def _harmonics(value: Parameters, name: str, lowest: float) -> list[Notch]:
     """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic; none without width."""
-    if not settings["BW"] > 0:
+    width = value(f"{name}_BW")
+    if not width > 0:
         return []
+    options = int(value(f"{name}_OPTS"))
     is_double, is_triple = options & 1, options & 16
     n_each = 2 if is_double else 3 if is_triple else 1
-    frequency = max(settings["FREQ"], 0.52 * settings["BW"])
-    spread = settings["BW"] / (32 * frequency) if n_each > 1 else 0.0
+    frequency = max(value(f"{name}_FREQ"), 0.52 * width)
+    spread = width / (32 * frequency) if n_each > 1 else 0.0
     places = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[n_each]
-    (of_all,) = _notch(frequency, settings["BW"] / n_each, settings["ATT"])
+    (of_all,) = _notch(frequency, width / n_each, value(f"{name}_ATT"))
+    harmonics = int(value(f"{name}_HMNCS"))
     notches = []
     for k in range(16):
-        if int(settings["HMNCS"]) >> k & 1:
-            centre = max(lowest, 0.52 * settings["BW"]) * (k + 1)
+        if harmonics >> k & 1:
+            centre = max(lowest, 0.52 * width) * (k + 1)
             notches += [of_all._replace(frequency=centre * (1 + place)) for place in places]
     return notches
 
@@ -546,10 +552,10 @@ def _numbered_notch(value: Parameters, name: str) -> tuple[Notch, ...]:
     if not n or value(f"FILT{n}_TYPE") != 1:
         return ()
     frequency = value(f"FILT{n}_NOTCH_FREQ")
-    settings = value.group(f"FILT{n}", FILTER_DEFAULTS)
-    if not (frequency > 0 and settings["NOTCH_Q"] > 0 and settings["NOTCH_ATT"] > 0):
+    quality, attenuation = value(f"FILT{n}_NOTCH_Q"), value(f"FILT{n}_NOTCH_ATT")
+    if not (frequency > 0 and quality > 0 and attenuation > 0):
         return ()
-    return tuple(_notch(frequency, frequency / settings["NOTCH_Q"], settings["NOTCH_ATT"]))
+    return tuple(_notch(frequency, frequency / quality, attenuation))
 
 
 def _notch(frequency: float, width: float, attenuation: float) -> list[Notch]:

@@ -474,6 +474,21 @@ def test_a_harmonic_notch_without_width_is_none():
     assert loop.gyro_notches == ()
 
 
+@pytest.mark.parametrize(
+    ("notch", "lacking"),
+    [
+        ({"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 50.0}, "INS_HNTCH_BW 40, INS_HNTCH_ATT 40"),
+        (
+            {"RLL_RATE_NEF": 2, "FILT2_TYPE": 1, "FILT2_NOTCH_FREQ": 15.0},
+            "FILT2_NOTCH_Q 2, FILT2_NOTCH_ATT 40",
+        ),
+    ],
+)
+def test_settings_that_a_notch_lacks_are_told(notch, lacking):
+    with pytest.warns(UserWarning, match=f"The parameters lack .*{lacking}"):
+        autopilot_loops({"RLL_RATE_P": 0.1} | notch, {"aileron": 0.4})
+
+
 def test_a_notch_that_follows_the_engine_is_taken_at_its_lowest_frequency_and_named():
     follows = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 40.0, "INS_HNTCH_BW": 20.0}
     follows |= {"INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_FM_RAT": 0.7}

@@ -149,7 +149,7 @@ def _left_to_filter(
         return UNKNOWN, UNKNOWN
     servos, commands = servos_and_delay
     delay = commands.removal or 0.0
-    margin = min(SURE * commands.std, settings.least_lag)
+    margin = min(SURE * servos.delay_std, settings.least_lag)
     removed = delay + margin if abs(delay) >= log_step else 0.0
     return servos._replace(removal=0.0), commands._replace(removal=removed)
 

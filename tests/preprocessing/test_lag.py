@@ -12,6 +12,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from skdgp.dynamics import Aircraft
+from skdgp.estimation._lags import Lag, _left_to_filter
+from skdgp.estimation._settings import LAG_SETTINGS
 from skdgp.preprocessing import LagCorrector
 
 STEP = 0.025
@@ -300,3 +302,12 @@ def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limi
     found = corrector.transform(table)["aileron"]
     truth = delta[rows, 0]
     assert np.std(found - truth) < 0.4 * np.std(table["aileron"] - truth)
+
+
+def test_two_standard_deviations_of_a_delay_are_left_to_the_filter():
+    """Its own, beside the lag of the servos; at most 10 ms."""
+    commands = Lag(-0.05, std=0.1, removal=-0.05)
+    for delay_std, left in ((0.002, 0.004), (0.1, 0.01)):
+        servos = Lag(0.04, std=0.1, delay_std=delay_std)
+        _, late = _left_to_filter((servos, commands), 0.02, LAG_SETTINGS)
+        assert late.removal == pytest.approx(-0.05 + left)

@@ -15,9 +15,14 @@ from skdgp.estimation import FlightPath, FlightSensors
 from skdgp.estimation._air_covariance import (
     add_attenuation,
     add_delay_error,
+    add_model_error,
     correlated_scatter,
+    inflate,
+    misfit_of,
     sandwich,
     spread_of,
+    widen,
+    without_estimate,
 )
 from skdgp.estimation._air_linearization import N_STATES, Expansion, Layout, motion_model
 from skdgp.estimation._air_model import Inputs, Slipstream
@@ -150,6 +155,38 @@ def test_slopes_by_states_are_those_of_the_predictions():
         ):
             numeric = (getattr(later, field) - getattr(before, field)) / 2e-5
             assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
+
+
+def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
+    record, layout, value, calm = flight_of_sines(200)
+    moving = record._replace(inputs=record.inputs._replace(surfaces=5 * record.inputs.surfaces))
+    still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
+    gusty = calm.copy()
+    gusty[:, :3] += default_rng(0).standard_normal((200, 3))
+    at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
+    slopes, instruments = [], []
+    for flown, states in ((moving, calm), (moving, gusty), (still, gusty)):
+        linear = linearized(flown, layout, value, states)
+        for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
+            offset, slope = linear.E[:, 2, columns].T
+            of_pressure = offset * (offset @ slope) / (offset @ offset)
+            out.append(slope - of_pressure)
+    assert np.corrcoef(slopes)[0, 1] < 0.7
+    assert np.corrcoef(instruments)[0, 1] > 0.95
+    assert np.std(instruments[2]) < 0.01 * np.std(instruments[1])
+
+
+def test_a_delay_of_the_servos_is_that_of_later_commands():
+    """To first order in the delay, after the servos have started."""
+    record, layout, value, states = flight_of_sines()
+    d = 0.004
+    commands = np.sin(2 * record.time)[:, None]
+    sines = record._replace(inputs=record.inputs._replace(surfaces=np.tile(commands, 3)))
+    value = value | {"servo_delay": d}
+    delayed = Expansion(sines, layout, AIRCRAFT, value, states, DECAY).inputs.surfaces
+    later_commands = np.sin(2 * (record.time - d))[:, None]
+    later = servo_output(later_commands, value["servo_lag"], record.median_step)
+    assert_allclose(delayed[15:-1], np.tile(later, 3)[15:-1], atol=2 * d**2)
 
 
 def test_lag_of_a_ramp_is_the_lag():
@@ -321,6 +358,17 @@ def test_scatter_of_blocks_counts_neighbours_half():
     for before, after in pairwise(blocks):
         expected = expected + 0.5 * (np.outer(before, after) + np.outer(after, before))
     assert_allclose(correlated_scatter(blocks), expected)
+
+
+def test_covariances_in_named_steps_are_those_by_hand():
+    covariance = np.array([[4.0, 1.0], [1.0, 9.0]])
+    assert_allclose(widen(covariance, np.diag([16.0, 1.0])), [[16.0, 2.0], [2.0, 9.0]])
+    assert_allclose(inflate(covariance, 2.0), [[16.0, 4.0], [4.0, 36.0]])
+    assert_allclose(add_model_error(covariance, np.array([-5.0]), 0.2), [[5.0, 1.0], [1.0, 9.0]])
+    prior_std = np.array([1.0, 2.0])
+    assert_allclose(without_estimate(np.array([3.0, -1.0]), prior_std), [[10.0, -3.0], [-3.0, 5.0]])
+    assert misfit_of(np.array([3.0, 2.0]), prior_std) == pytest.approx(np.sqrt(5))
+    assert misfit_of(np.array([0.5, -0.2]), prior_std) == 1.0
 
 
 def test_error_of_a_slope_covers_its_attenuation():

@@ -26,7 +26,7 @@ from skdgp.identification._pipeline import (
     reconstruction_of,
     regressor_names,
 )
-from skdgp.inference import errors_of_slopes, training_inputs
+from skdgp.inference import FunctionErrors, errors_of_slopes, training_inputs
 
 WHOLE = "whole"
 MOST_NAMED = 3  # changes in the summary
@@ -40,8 +40,8 @@ MOST_ROWS = 100  # at which the covariance of the function is evaluated
 # Standard deviations of constant errors, from flight to flight (guesses)
 VANE_OFFSET = 0.005  # [rad]
 ACCELEROMETER_OFFSET = 0.05  # [m/s^2]
-# Standard deviation of the slope of a regressor that did not move in the fit, more than any
-# derivative by an angle or a fraction [1/unit]
+# Standard deviation of the slope of a regressor that did not move in the fit [1/unit] (guess; far above
+# slopes by surfaces and throttle)
 UNLEARNED_SLOPE = 10.0
 # Variance of a correlation between -1 and 1 of which nothing is known
 CORRELATION_VARIANCE = 1 / 3
@@ -71,7 +71,7 @@ class Changes:
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
     up to the lag L, six autocorrelation times but at most a quarter of the flight (Priestley 1981,
-    table 6.2, at frequency zero). Where :math:`\nu` is below k, or the flight has few independent
+    table 6.2, at frequency zero). Where :math:`\nu - k + 1` is not positive, or the flight has few independent
     samples, it is too short. The p-values of the coefficients are combined into the whole by Simes'
     test, which allows for positive dependence (Simes 1986).
 
@@ -110,7 +110,7 @@ class Changes:
         for name in deviations.nlargest(MOST_NAMED).index:
             change, std = table.loc[name]
             parts.append(f"{name} {change:+.2g} +- {std:.1g}")
-        return ", ".join(parts)
+        return ", ".join(parts) + " (+- one standard deviation)"
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values."""
@@ -215,28 +215,12 @@ def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vecto
     log_errors = getattr(pipeline, "log_errors_", None)
     if log_errors is not None:
         function = function - log_errors.covariance(at)
-    scale = pipeline["standardscaler"].scale_
-    vanes = np.isin(regressor_names(pipeline), VANES) * VANE_OFFSET / scale
-    accelerations = np.zeros((3, *mean.shape))  # by axis
-    for axis in range(3):
-        accelerations[axis, :, axis] = ACCELEROMETER_OFFSET * by_acceleration[rows]
     trained = training_inputs(regressor.posterior_)
-    slopes = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    # of the products of errors and slopes, with correlations from -1 to 1 within the symmetric and lateral ones
-    variances = _noise_variances(pipeline)
-    is_lateral = np.array(
-        [name.removesuffix(HAT) in MIRRORED for name in regressor_names(pipeline)]
-    )
-    correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
-    np.fill_diagonal(correlations, 1.0)
-    std = np.sqrt(slopes**2 @ (correlations * variances[:, None] * variances))
-    flattened = (_precision(X) - _precision(trained)) * std[:, None]
     unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
     effects = [
-        np.moveaxis(regressor.predict_gradient(at) * vanes, -1, 0),
+        _constant_errors(pipeline, at, by_acceleration[rows]),
         np.multiply.outer(unlearned.T, np.ones(len(COEFFICIENTS))),
-        accelerations,
-        errors_of_slopes(flattened, X.mean(axis=0)).linear(at),
+        _errors_by_noise(pipeline, X, trained).linear(at),
     ]
     fitting = np.linalg.pinv(Q[rows])  # G Q^T
     K = function.reshape(*mean.T.shape, *mean.T.shape)
@@ -244,6 +228,33 @@ def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vecto
     for i, a in enumerate(np.moveaxis(np.concatenate(effects), -1, 0)):  # (number of effects, n)
         covariance.append(fitting @ (K[i, :, i] + a.T @ a) @ fitting.T)
     return np.stack(covariance)
+
+
+def _constant_errors(pipeline: Pipeline, at: Matrix, by_acceleration: Vector) -> Array:
+    """Return the effects (d + 3, n, 6) of constant errors of vanes and accelerometers at regressors (n, d)."""
+    scale = pipeline["standardscaler"].scale_
+    vanes = np.isin(regressor_names(pipeline), VANES) * VANE_OFFSET / scale
+    accelerations = np.zeros((3, len(at), len(COEFFICIENTS)))  # by axis
+    for axis in range(3):
+        accelerations[axis, :, axis] = ACCELEROMETER_OFFSET * by_acceleration
+    by_vanes = np.moveaxis(pipeline[-1].predict_gradient(at) * vanes, -1, 0)
+    return np.concatenate([by_vanes, accelerations])
+
+
+def _errors_by_noise(pipeline: Pipeline, X: Matrix, trained: Matrix) -> FunctionErrors:
+    """Return the errors by noise of the regressors, which flattens slopes in a flight X other than in the fit."""
+    slopes = pipeline[-1].predict_gradient(trained.mean(axis=0, keepdims=True))[0]
+    variances = _noise_variances(pipeline)
+    is_lateral = np.array(
+        [name.removesuffix(HAT) in MIRRORED for name in regressor_names(pipeline)]
+    )
+    # c_k: standard deviation of row k of E J; correlations are unknown within symmetric and within
+    # lateral regressors
+    correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
+    np.fill_diagonal(correlations, 1.0)
+    flattening = np.sqrt(slopes**2 @ (correlations * variances[:, None] * variances))
+    flattened = (_precision(X) - _precision(trained)) * flattening[:, None]
+    return errors_of_slopes(flattened, X.mean(axis=0))
 
 
 def _precision(X: Matrix) -> Matrix:

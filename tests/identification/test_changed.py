@@ -113,6 +113,7 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     assert abs(row["change"] - 0.2) < 3 * row["std"]
     assert "has changed" in result.summary()[0]
     assert "Cm_alpha" in result.summary()[0]
+    assert result.summary()[0].endswith("(+- one standard deviation)")
     unchanged = changes(model, {"same": flight(100, 0.02)})
     assert unchanged.summary()[0].startswith("flight same: no change found")
 

@@ -77,7 +77,11 @@ AIR_ROLL_STATE = 5
 RATE_STATES = slice(6, 9)
 """Places of the states: the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
 CONSTANT_STEP = 1e-3
-"""Step of constants in slopes, in their own units."""
+"""Step of constants in slopes, in their own units.
+
+Small against the priors of the constants, but of the delay of servos, of which surfaces are linear.
+Derivatives of a flight that does not converge depend on it.
+"""
 
 
 class Layout(NamedTuple):

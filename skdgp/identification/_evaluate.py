@@ -77,8 +77,8 @@ class Evaluation:
     states : DataFrame
         The same with states and wind of the reconstructed path, where the flight was reconstructed.
     measured, mean, std : (n, 6)
-        Measured CX CY CZ Cl Cm Cn with the smoothing of the fit, NaN = not observed; estimated ones,
-        and their deviations without noise.
+        Measured CX CY CZ Cl Cm Cn, smoothed by the flight's own spectra, or in the band of the fit where
+        that one vibrated; NaN = not observed; estimated ones, and their deviations without noise.
     prediction_std : (n, 6)
         Standard deviations of such measurements, which have the same errors of the log.
     rows : ndarray of int

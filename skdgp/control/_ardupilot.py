@@ -281,8 +281,9 @@ def fly(
     """Fly a model in ArduPilot's simulator: answer each packet of pulses with a step of the nonlinear motion.
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
-    that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot, or another
-    one, starts another flight; silence, ``seconds`` or Ctrl-C end it.
+    that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot starts
+    another flight, and so does another autopilot after one second of silence. Silence for ``wait``, ``seconds`` or
+    Ctrl-C end it.
 
     Parameters
     ----------
@@ -352,7 +353,7 @@ def fly(
             if not flights.n_steps:
                 raise
             reason = "ended by Ctrl-C"
-        if not flights.n_steps and not simulator.ended:
+        if not flights.n_starts:
             raise ValueError(
                 f"Got no packet at {link.name} for {wait:g} s, but expected ArduPilot: start "
                 "sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1."
@@ -388,9 +389,8 @@ class _Flights:
         """Put the aircraft at its trim, heading north."""
         self.channels = self.simulator.reset(self.at_trim, random_state=self.path)
         self._row_time = -np.inf  # of the last row of this flight [s]
-        self._told: set[str] = (
-            set()
-        )  # regressors that were warned of since all were in their ranges
+        # Regressors that were warned of since all were in their ranges
+        self._told: set[str] = set()
         self._told_time = -np.inf  # of the last warning [s]
 
     def serve(self, link: Link, wait: float, seconds: float) -> str:

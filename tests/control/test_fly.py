@@ -212,6 +212,16 @@ def test_a_flight_is_over_at_the_ground(flown):
     assert "at the ground" in flown(play, height=3.0).reason
 
 
+def test_a_flight_may_be_over_in_its_first_step(flown):
+    def play(autopilot):
+        with suppress(TimeoutError):
+            autopilot.send(NEUTRAL, rate=50)
+
+    result = flown(play, height=1e-9, wind=[0.0, 0.0, 2.0])
+    assert "at the ground" in result.reason
+    assert result.table.empty
+
+
 def test_wind_and_gusts_are_felt(flown):
     airspeeds = []
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 from sklearn.base import BaseEstimator
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, StandardScaler
@@ -391,7 +392,8 @@ class Coefficients:
     def _predicted(self, X: Array) -> Array:
         X = self.scaled(X)
         for step in self.others:
-            X = np.asarray(step.transform(X))
+            X = step.transform(X)
+            X = X if sparse.issparse(X) else np.asarray(X)
         return self.regressor.predict(X)
 
     def _order(self, names: list[str]) -> slice | list[int]:

@@ -7,7 +7,7 @@ from numpy.polynomial.hermite_e import hermegauss
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator, TransformerMixin
-from sklearn.linear_model import LinearRegression
+from sklearn.linear_model import LinearRegression, Ridge
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import (
     FunctionTransformer,
@@ -15,6 +15,7 @@ from sklearn.preprocessing import (
     MinMaxScaler,
     PolynomialFeatures,
     RobustScaler,
+    SplineTransformer,
     StandardScaler,
 )
 
@@ -73,6 +74,7 @@ BEHIND = {
     ),
     "bare": lambda: (LinearRegression(),),
     "polynomial": lambda: (StandardScaler(), PolynomialFeatures(2), LinearRegression()),
+    "sparse": lambda: (SplineTransformer(sparse_output=True), Ridge()),
     "tables": lambda: (
         StandardScaler().set_output(transform="pandas"),
         PolynomialFeatures(2).set_output(transform="pandas"),

@@ -8,6 +8,7 @@ import numpy as np
 
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.frames import without_sign_changes
+from skdgp._flight.tables import interpolated
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
     QUATERNION,
@@ -198,7 +199,10 @@ def _words(rule: Rule, names: list[str]) -> str:
 
 
 def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
-    """Return the root mean square of the engines that drive, at the times of the first of these."""
+    """Return the root mean square of the engines that drive, at the times of the first of these.
+
+    It is left out where one of them tells no speed, before its first message or after its last.
+    """
     speeds = {}
     for reading in readings:
         drives = reading.valid & ~log.lifts(reading.time)
@@ -209,12 +213,15 @@ def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
     columns = []
     for reading in running:
         valid = reading.valid
-        columns.append(np.interp(time, reading.time[valid], reading.values[valid, 0]))
+        speed = interpolated(time, reading.time[valid], reading.values[valid], beyond=np.nan)
+        columns.append(speed)
+    mean = root_mean_square(np.hstack(columns))
+    is_known = np.isfinite(mean[:, 0])
     return Source(
         columns=rule.columns,
         name=_words(rule, [*names]),
-        time=time,
-        values=root_mean_square(np.column_stack(columns)),
+        time=time[is_known],
+        values=mean[is_known],
         note=_joined(", ", rule.note, engines_note(len(names))),
     )
 

@@ -335,6 +335,18 @@ class TestVehicles:
         assert_allclose(speed, 200 * np.pi, rtol=1e-6)
         assert len(speed) > 1400
 
+    @pytest.mark.parametrize("silent", [0, 1])
+    def test_the_mean_of_engines_ends_with_the_telemetry_of_one(self, silent, read, plane):
+        """Its last speed is not that of the time afterwards."""
+        log = plane()
+        early = SLOW[SLOW < 30]
+        log.topic("ESC", early, Instance=("B", silent), RPM=6000.0)
+        log.topic("ESC", SLOW, Instance=("B", 1 - silent), RPM=np.where(SLOW < 30, 6000.0, 0.0))
+        table = read(log, airborne=False)
+        known = table[table.propeller_speed.notna()]
+        assert_allclose(known.time.max(), early[-1], atol=0.2)
+        assert_allclose(known.propeller_speed, 200 * np.pi, rtol=1e-6)
+
     @pytest.mark.parametrize("are_silent", [False, True])
     def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane, are_silent):
         """Four lift until 20 s, and tell no speed afterwards or zero; then the fifth pushes."""

@@ -148,6 +148,7 @@ def fly(run: Run) -> None:
     warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
     given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
     full = full_outputs(model.pipeline, model.aircraft, given, thrust)
+    gusts = _gusts_of(options, model)
     run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude + options.height, thrust)
 
@@ -164,7 +165,7 @@ def fly(run: Run) -> None:
         height=options.height,
         path=options.path,
         wind=options.wind,
-        gusts=_gusts_of(options, model),
+        gusts=gusts,
         thrust=thrust,
         port=options.port,
         wait=options.wait,

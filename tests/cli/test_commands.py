@@ -241,6 +241,16 @@ class TestFly:
         words = shlex.split("--airspeed 1 --full elevator=0.4")
         refused("Got no value of aileron, rudder.* at full output", "fly", *words)
 
+    def test_gusts_that_the_model_does_not_know_are_refused_before_the_trim(
+        self, refused, model, tmp_path
+    ):
+        pipeline = copy(model.pipeline)
+        pipeline.turbulence_ = None
+        calm = str(tmp_path / "calm.joblib")
+        save_model(calm, pipeline, model.aircraft, options=model.options)
+        words = shlex.split("--airspeed 1 --full aileron=0.4 elevator=0.4 rudder=0.3 --gusts flown")
+        refused("Got --gusts flown, but the model does not know", "fly", *words, model=calm)
+
 
 class TestDerivatives:
     def test_are_those_of_the_model(self, run, model, tmp_path):

@@ -309,7 +309,8 @@ def _lacking_channel(log: Log, name: str, servo: Servo) -> str:
     for output in log.outputs:
         if output in log.topics:
             outputs[output] = sorted(log.topics[output].fields.keys() - TIMES)
-    return f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one of {outputs}."
+    expected = outputs or [*log.outputs]
+    return f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one of {expected}."
 
 
 def to_table(sources: list[Source]) -> tuple[pd.DataFrame, dict[str, Origin]]:

@@ -79,7 +79,8 @@ RATE_STATES = slice(6, 9)
 CONSTANT_STEP = 1e-3
 """Step of constants in slopes, in their own units.
 
-Small against the priors of the constants, but of the delay of servos, of which surfaces are linear.
+Small against the priors of the constants, at most a third of one, but for the delay of servos, of which
+surfaces are linear.
 Derivatives of a flight that does not converge depend on it.
 """
 

@@ -61,10 +61,10 @@ class Changes:
     R are the autocovariances of the residuals of this fit, with Bartlett's window (Newey & West
     1987): rougher air widens it. K is the uncertainty of the function, without the errors of the log
     that the measured coefficients have, too. The :math:`a_j` are the effects of one standard deviation
-    of a constant error of each vane, 0.3 deg, and of each accelerometer, 0.05 m/s², and of the errors
-    of regressors, of standard deviations s, and of unknown slopes of regressors that did not move in
-    the fit. Errors of regressors flatten slopes J the more, the less an aircraft
-    moves (Fuller 1987, section 1.1), by :math:`(S^{-1} - S_0^{-1}) E J`, where S and :math:`S_0` are
+    of a constant error of each vane, 0.3 deg, and of each accelerometer, 0.05 m/s², of the errors
+    of regressors, and of unknown slopes of regressors that did not move in the fit. Errors of
+    regressors flatten slopes J the more, the less an aircraft moves (Fuller 1987, section 1.1), by
+    :math:`(S^{-1} - S_0^{-1}) E J`, where S and :math:`S_0` are
     the covariances of the regressors in the flight and in the fit, and E is that of their errors,
     whose correlations are unknown within symmetric and within lateral regressors.
 

@@ -98,7 +98,7 @@ def simulate(
         Number of functions drawn from the posterior to fly instead of the mean, each for a whole
         flight. Their spread is the uncertainty of the trajectory.
     random_state : int or RandomState, default=0
-        Of the paths.
+        Of the paths and the gusts; the gusts of the mean are drawn, too.
     thrust : "auto" or None, default="auto"
         "auto": the controls thrust_x ... thrust_n [N], [N m], or thrust [N] along the thrust line,
         or the propeller at propeller_speed [rad/s] or throttle. None: a glider, or a model whose
@@ -203,7 +203,8 @@ def _turbulence_met(
         return None
     tables = tables_of(air.wind)
     winds = []
-    for table, speed in zip(tables, speeds if len(tables) > 1 else [speeds.mean()], strict=False):
+    met = speeds if len(tables) > 1 else [speeds.mean()] * len(tables)
+    for table, speed in zip(tables, met, strict=True):
         winds.append(table[["time", *WIND]].assign(airspeed=speed))
     turbulence = turbulence_of_winds(winds, motion.aircraft.span) if winds else None
     turbulence = turbulence or motion.aerodynamics.turbulence
@@ -234,7 +235,7 @@ def _drawn_gusts(
         np.tile(turbulence.intensity, (n_starts, 1)),
         span,
         generator,
-        n_draws=math.prod(shape) // n_starts or 1,
+        n_draws=math.prod(shape) // n_starts,
     )
     return Gusts(*(by_components(part.reshape(-1, *shape, 3)) for part in drawn))
 

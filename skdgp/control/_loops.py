@@ -72,7 +72,7 @@ class Loop:
     error_corner: float = np.inf  #: Of the filter of the error [Hz]
     target_corner: float = np.inf  #: Of the filter of the commanded rate [Hz]
     gyro_notches: tuple[Notch, ...] = ()  #: Of the rates
-    error_notches: tuple[Notch, ...] = ()
+    error_notches: tuple[Notch, ...] = ()  #: Of the rate error
     target_notches: tuple[Notch, ...] = ()  #: Of the commanded rate
     derivative_of_error: bool = False
     forward_by_true_airspeed: bool = False  #: F is divided by true over equivalent airspeed
@@ -80,9 +80,7 @@ class Loop:
         0.0  #: Part of the rate of a coordinated turn, g phi / V, that is commanded
     )
     washout: float = 0.0  #: Corner of a high-pass filter of the rate error [rad/s]
-    slip: float = (
-        0.0  #: ArduPilot's YAW2SRV_SLIP: lateral acceleration that counts as a rate [rad s/m]
-    )
+    slip: float = 0.0  #: ArduPilot's YAW2SRV_SLIP: yaw rate per lateral acceleration [rad s/m]
     rudder: float = 0.0  #: Deflection of the rudder that is mixed in at an output of 1 [rad]
     #: Parameters of the gains P, I, D, FF, D_FF by name, with their values
     parameters: Mapping[str, float] | None = None

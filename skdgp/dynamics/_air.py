@@ -98,7 +98,7 @@ class Turbulence(NamedTuple):
     def from_flight(cls, flight: pd.DataFrame, span: float) -> Turbulence:
         r"""Return the turbulence of one or more flights.
 
-        The velocity over the ground less that through the air is the wind, with white noise of the sensors.
+        The wind is the ground velocity minus the velocity through the air, with white noise of the sensors.
         The spectra S are Dryden's; north and east have the mean of the spectra of u and v, which have one
         intensity and length, as in MIL-F-8785C. Lengths L and noises maximise the likelihood of the
         periodograms I, with a prior on the length,

@@ -172,7 +172,7 @@ class TestSimulate:
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
-    def test_a_row_of_a_wind_may_lack(self):
+    def test_a_wind_may_have_missing_values(self):
         wind = pd.DataFrame(gusts_of(TRUE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
         wind["time"] = STEP * np.arange(400)
         whole = flown(learned(), air=wind)

@@ -275,6 +275,13 @@ def test_the_yaw_damper_of_ardupilot_washes_out_a_steady_rate():
     assert_allclose(abs(fast), 0.3 * 0.5 * np.rad2deg(1.0) / 45, rtol=0.01)
 
 
+def test_the_yaw_damper_of_ardupilot_integrates_the_slip():
+    gains = {"YAW2SRV_DAMP": 0.5, "YAW2SRV_INT": 0.4, "YAW2SRV_SLIP": 3.0, "SCALING_SPEED": 20.0}
+    _, yaw = autopilot_loops({"RLL_RATE_P": 0.2} | gains, {"aileron": 0.4, "rudder": 0.3})
+    (of_slip,) = yaw.feedback(np.array([2j]), 20.0, 1.225)["ay"]
+    assert_allclose(of_slip, -0.3 / 45 * 0.5 * 0.4 * 3.0 / 2j)
+
+
 def response(loop, frequency, of):
     """Return the command for a channel at a frequency [Hz]."""
     return loop.feedback(np.array([2j * np.pi * frequency]), 20.0, 1.225)[of][0]

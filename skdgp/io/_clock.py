@@ -9,9 +9,9 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+import pandas as pd
 
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp._flight.clock import CLOCK, runs_between, slices
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
@@ -22,14 +22,12 @@ from skdgp.io._log import Topic
 class StampSettings:
     """Settings of the search for restarts of a clock and wrong time stamps."""
 
-    # messages of a block, whose median time is compared with the next block's
-    block_size: int = 25
+    # neighbouring messages of whose times the median is taken
+    n_neighbours: int = 101
     # a clock that goes back by more than this was restarted [s]; messages out of order are less late
     restart_step: float = 5.0
     # distance of valid stamps from the medians of a part [s]
     margin: float = 5.0
-    # longest step between medians that widens this margin [s]
-    largest_step: float = 60.0
 
 
 @dataclass(frozen=True)
@@ -54,28 +52,32 @@ RESAMPLING = ResamplingSettings()
 
 def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
     """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
-    order, time = _in_file_order(topics)
-    restarts = _restarts(time)
+    logged = [np.column_stack([topic.order, topic.time]) for topic in topics.values()]
+    messages = np.concatenate(logged)
+    order, time = messages[np.argsort(messages[:, 0], kind="stable")].T
+    steady = _steady(time)
+    restarts = 1 + np.flatnonzero(np.diff(steady) < -STAMPS.restart_step)
     parts = []
     n_wrong: Counter[str] = Counter()
     for run in slices(restarts, len(time)):
         first, last = order[run][[0, -1]]
-        low, high = _valid_times(time[run])
+        low = steady[run].min() - STAMPS.margin
+        high = steady[run].max() + STAMPS.margin
         part = {}
         for name, topic in topics.items():
-            logged = topic.select((topic.order >= first) & (topic.order <= last))
-            valid = logged.select((logged.time >= low) & (logged.time <= high))
-            n_wrong[name] += len(logged) - len(valid)
+            of_run = topic.select((topic.order >= first) & (topic.order <= last))
+            valid = of_run.select((of_run.time >= low) & (of_run.time <= high))
+            n_wrong[name] += len(of_run) - len(valid)
             if len(valid):
                 part[name] = _increasing(valid)
         parts.append(part)
     return parts, _remarks(time, restarts, n_wrong)
 
 
-def _remarks(time: Vector, restarts: list[int], n_wrong: Counter[str]) -> list[str]:
+def _remarks(time: Vector, restarts: Indices, n_wrong: Counter[str]) -> list[str]:
     """Return remarks on restarts of a clock, of these the first, and on wrong times."""
     remarks = []
-    if restarts:
+    if len(restarts):
         before, after = time[restarts[0] - 1 : restarts[0] + 1]
         remarks.append(
             f"the clock was set back {len(restarts)} times (from {before:.1f} s to {after:.1f} s): each time a new "
@@ -95,47 +97,10 @@ def _increasing(topic: Topic) -> Topic:
     return topic.select(rows)
 
 
-def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
-    """Return places in the file and times of all messages, in the order of the file."""
-    order = np.concatenate([topic.order for topic in topics.values()])
-    time = np.concatenate([topic.time for topic in topics.values()])
-    rows = np.argsort(order, kind="stable")
-    return order[rows], time[rows]
-
-
-def _restarts(time: Vector) -> list[int]:
-    """Return the first messages of clocks that were set back."""
-    size = STAMPS.block_size
-    steady = _steady(time)
-    restarts = set()
-    falls = np.flatnonzero(np.diff(steady) < -STAMPS.restart_step)
-    for block in falls.tolist():
-        start = max(block - 3, 0) * size
-        window = time[start : (block + 5) * size]
-        middle = (steady[block] + steady[block + 1]) / 2
-        # before the restart messages are later than the middle, behind it earlier
-        balance = np.cumsum(np.where(window > middle, 1, -1))
-        restarts.add(start + int(np.argmax(balance)) + 1)
-    return sorted(restarts - {len(time)})
-
-
-def _valid_times(time: Vector) -> tuple[float, float]:
-    """Return the earliest and the latest time that messages of a part may have."""
-    steady = _steady(time)
-    step = np.abs(np.diff(steady)).max(initial=0.0)
-    margin = STAMPS.margin + min(step, STAMPS.largest_step)
-    return steady.min() - margin, steady.max() + margin
-
-
 def _steady(time: Vector) -> Vector:
-    """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
-    size = min(STAMPS.block_size, len(time))
-    n_blocks = len(time) // size
-    blocks = time[: n_blocks * size].reshape(n_blocks, size)
-    medians = np.pad(np.median(blocks, axis=1), 2, mode="edge")
-    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and
-    # 1.15.3 returns 0.
-    return np.median(sliding_window_view(medians, 5), axis=1)
+    """Return the median time of the neighbours of each message."""
+    rows = pd.Series(time).rolling(STAMPS.n_neighbours, center=True, min_periods=1)
+    return rows.median().to_numpy()
 
 
 def usual_step(step: Vector) -> float:

@@ -21,7 +21,7 @@ from skdgp._flight.physics import (
 )
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
-from skdgp.dynamics import Aircraft, ScaleFactor, euler_to_matrix
+from skdgp.dynamics import Aircraft, ScaleFactor, air_velocity, euler_to_matrix
 from skdgp.io import inspect_log, read_flight
 
 ELEVONS = ["elevon_left", "elevon_right"]
@@ -436,6 +436,30 @@ def test_a_small_error_of_the_scale_of_the_airspeed(ordinary, factor):
     assert found.numbers["slope"] == pytest.approx(1 / factor, rel=0.02)
 
 
+COPIES = {
+    "alpha": lambda flight: flight["theta"],
+    "psi": lambda flight: np.arctan2(flight["v_east"], flight["v_north"]),
+    "airspeed": lambda flight: np.hypot(flight["v_north"], flight["v_east"]).round(2),
+}
+
+
+@pytest.mark.parametrize("name", COPIES)
+def test_a_copy_of_another_signal_is_no_sensor(ordinary, name):
+    found = contradictions(ordinary.assign(**{name: COPIES[name]}))
+    assert channels_of(found) == {name}
+
+
+def test_a_simulated_airspeed_in_still_air_is_the_ground_speed(ordinary):
+    """Without noise the wind is what both differ by, and of still air that is nothing."""
+    angles = [ordinary[name] for name in ("phi", "theta", "psi")]
+    through_air = air_velocity(*(ordinary[name] for name in ("airspeed", "alpha", "beta")))
+    velocity = np.einsum("nij,nj->ni", euler_to_matrix(*angles), through_air)
+    still = with_columns(ordinary, log_errors.VELOCITY, velocity)
+    level = still.assign(airspeed=np.hypot(still["v_north"], still["v_east"]))
+    accused = [each.numbers["y"] for each in contradictions(level)]
+    assert "airspeed" not in accused
+
+
 def test_the_scale_of_the_airspeed_without_gps(ordinary):
     """alpha follows q + az / V."""
     wrong = scaled(ordinary.drop(columns=GPS), {"airspeed": 3.6})
@@ -604,6 +628,7 @@ def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):
     ("mass", "span", "factor", "asked"),
     [
         (450.0, 2.8, 1.0, "mass .* kg"),
+        (45.0, 1.4, 1.0, "CL_alpha over that of a wing .* span 1.4 m"),
         (45.0, 280.0, 1.0, r"span 2.8 m \(280 cm\)"),
         (45.0, 2.8 / FOOT, 1.0, r"span 2.8 m \(9.186 ft\)"),
         (45.0, 2.8, 1 / FOOT, r"airspeed 3\d.* m/s \(.* ft/s\)"),

@@ -37,6 +37,8 @@ LEVEL = Interval(-0.05, 0.05, "-0.05 to 0.05")
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 NONE = Interval(0.0, 0.0, "0")
+# of signals of different origin
+UNALIKE = Interval(0.0, 0.0, "another signal")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,6 +245,8 @@ class Sign:
     angle: str | None = None
     #: Whether x causes y, which then is not earlier
     is_cause: bool = False
+    #: Least ratio of explained to unexplained variance of a contradiction
+    least_explained: float = 0.0
     #: Another sign that must be wrong, too. Accelerometers ahead of the centre of gravity feel the
     #: yawing by beta, so the sign of ay alone tells nothing.
     witness: Sign | None = None
@@ -262,7 +266,7 @@ class Sign:
                 return late
         slope = self._judged_slope(slopes, signals)
         t = slope.t(self.admissible.least, self.admissible.most)
-        if _is_weak(slope, t):
+        if _is_weak(slope, t) or slope.explained < self.least_explained:
             return None
         if self.witness is not None and self.witness.judge(signals) is None:
             return None

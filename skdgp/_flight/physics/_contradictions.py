@@ -20,9 +20,9 @@ from skdgp._flight.physics._checks import (
 )
 from skdgp._flight.physics._list import (
     CHANNELS,
-    EARTH_AXES,
     EQUALITIES,
     EXCHANGES,
+    FIRST,
     MISTAKES,
     OFFSETS,
     SIGNS,
@@ -85,8 +85,8 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
 
 def _are_sound(signals: Signals) -> bool:
     """Return whether no check contradicts the signals."""
-    checks: list[Equality | Sign | Exchange] = [EARTH_AXES, *EQUALITIES, *SIGNS, *EXCHANGES]
-    checks += OFFSETS
+    checks: list[Equality | Sign | Exchange] = [*FIRST, *EQUALITIES, *SIGNS]
+    checks += [*EXCHANGES, *OFFSETS]
     return not any(isinstance(check.judge(signals), Contradiction) for check in checks)
 
 
@@ -100,7 +100,7 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
             confirmed.update(judgement.channels)
     # others may be consequences of the first
     contradictions = [
-        *_contradicted([EARTH_AXES], signals),
+        *_contradicted(FIRST, signals),
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
         *_contradicted(EXCHANGES, signals),

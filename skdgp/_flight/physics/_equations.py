@@ -12,7 +12,7 @@ import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.frames import STANDARD_GRAVITY, euler_per_rotation
+from skdgp._flight.frames import STANDARD_GRAVITY, euler_per_rotation, wrapped
 from skdgp._flight.physics._regression import Regression
 from skdgp._flight.physics._signals import PHYSICS, Signals
 from skdgp._flight.tables import by_name
@@ -91,6 +91,28 @@ def incidence_through_the_air(flight: Signals) -> Regression:
     """Return V alpha less the ground velocity along z in a steady wind, which a constant error of alpha makes."""
     ground, wind = _velocity_terms(flight, 2)
     return Regression(flight["airspeed"] * flight["alpha"] - ground, flight["airspeed"], wind)
+
+
+def alpha_by_attitude(flight: Signals) -> Regression:
+    """Return alpha and theta, which differ by the flight-path angle."""
+    return Regression.with_intercept(flight["alpha"], flight["theta"])
+
+
+def heading_by_course(flight: Signals) -> Regression:
+    """Return the changes of the heading and of the course over the ground, which differ by wind and sideslip."""
+    course = np.arctan2(flight["v_east"], flight["v_north"])
+    change = wrapped(flight.change(course))
+    return Regression.with_intercept(flight.change(flight["psi"]), change)
+
+
+def airspeed_by_ground_speed(flight: Signals) -> Regression:
+    """Return the airspeed and the speed over the ground, which differ where the wind is across the heading."""
+    ground, _ = _velocity_terms(flight, 1)
+    airspeed = flight["airspeed"]
+    across = np.abs(ground / airspeed - np.sin(flight["beta"]))
+    ground_speed = np.hypot(flight["v_north"], flight["v_east"])
+    in_wind = np.where(across > PHYSICS.least_drift, ground_speed, np.nan)
+    return Regression.with_intercept(airspeed, in_wind)
 
 
 def _velocity_terms(flight: Signals, axis: int) -> tuple[Vector, list[Vector]]:

@@ -22,6 +22,7 @@ from skdgp._flight.physics._checks import (
     LEVEL,
     NEGATIVE,
     POSITIVE,
+    UNALIKE,
     Equality,
     Exchange,
     Interval,
@@ -256,6 +257,29 @@ def _relation_of_drive(name: str, unit: str) -> Relation:
 DRIVES = {name: _relation_of_drive(name, "1/kg") for name in ("thrust", "thrust_x")}
 
 
+def _copy(name: str, other: str, uses: tuple[str, ...], regression: Callable) -> Sign:
+    """Return the check that a channel is no copy of another signal."""
+    relation = Relation(
+        channels=(name,),
+        uses=uses,
+        y=name,
+        x=other,
+        regression=regression,
+        causes=(f"a copy of {other}",),
+    )
+    return Sign(relation=relation, admissible=UNALIKE, least_explained=PHYSICS.copied)
+
+
+COPIES = (
+    _copy("alpha", "theta", ("theta",), equations.alpha_by_attitude),
+    _copy("psi", "the course over the ground", EARTH_VELOCITY[:2], equations.heading_by_course),
+    _copy(
+        "airspeed",
+        "the speed over the ground",
+        ("beta", *EULER, *EARTH_VELOCITY),
+        equations.airspeed_by_ground_speed,
+    ),
+)
 SIGNS = (
     Sign(relation=FALL, admissible=GUSTY, noise=0.003),
     _sign_of_accelerometer("ax", axis=0),
@@ -311,13 +335,14 @@ def _exchange(first: str, second: str, *relations: Relation) -> Exchange:
     return Exchange((first, second), (by_first, by_second), undone)
 
 
-# Accelerometers in earth axes, from which other contradictions follow
 EARTH_AXES = Exchange(
     ("ax", "ay"),
     (_relation_of_horizontal_force(0), _relation_of_horizontal_force(1)),
     equations.in_body_axes,
     "in earth axes",
 )
+FIRST: list[Sign | Exchange] = [*COPIES, EARTH_AXES]
+"""From which other contradictions follow."""
 EXCHANGES = (
     _exchange("q", "r", PITCH, YAW),
     _exchange("v_north", "v_east", NORTH, EAST),
@@ -355,7 +380,7 @@ MISTAKES = (
     Mistake(turned=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
-CHECKS: list[Equality | Sign] = [*EQUALITIES, *SIGNS, *OFFSETS]
+CHECKS: list[Equality | Sign] = [*COPIES, *EQUALITIES, *SIGNS, *OFFSETS]
 RELATIONS = [check.relation for check in CHECKS]
 CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[relation.needs for relation in RELATIONS]))
 """Channels that the checks use."""

@@ -64,6 +64,11 @@ class PhysicsSettings:
     # least correlation at a lag that is a contradiction, whatever the slope (guess)
     lagged_correlation: float = 0.5
 
+    # least ratio of explained to unexplained variance of a copy: equal but for rounding and means of samples
+    copied: float = 1e6
+    # least part of the wind across the heading in the airspeed that tells it from the speed over the ground (guess)
+    least_drift: float = 0.05
+
     # signs and exchanges: least partial correlation; feedback, lags and gusts cause weaker ones
     least_correlation: float = 0.3
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best

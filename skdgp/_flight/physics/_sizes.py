@@ -204,9 +204,10 @@ def _broken(sizes: Sizes, stds: Mapping[str, float]) -> list[Law]:
     for law in LAWS:
         with suppress(KeyError):
             value = law.value(sizes)
-            relative = LEAST_T * stds.get(law.uncertain, 0.0)
-            margin = relative * value / max(abs(sizes.get(law.uncertain, 1.0)), 1e-12)
-            if value - margin > law.most or value + margin < law.least:
+            relative = stds.get(law.uncertain, 0.0) / max(abs(sizes.get(law.uncertain, 1.0)), 1e-12)
+            # the numbers are positive, so their logarithms have the error
+            factor = np.exp(min(LEAST_T * relative, 100.0))
+            if value > factor * law.most or factor * value < law.least:
                 broken.append(law)
     return broken
 

@@ -14,13 +14,14 @@ variables: Soderstrom & Stoica 1989, chapter 8). Noises move by Fisher scoring (
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from skdgp._compute.linalg import keep_freed_memory, matrix_vector
 from skdgp._compute.messages import Progress, notify
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import RATE_STATES, Expansion, Layout
 from skdgp.estimation._air_noise import NoiseSearch
@@ -32,7 +33,13 @@ from skdgp.estimation._air_start import (
     pitot_equation,
     steady_wind,
 )
-from skdgp.estimation._kalman import Linearization, Pass, filtered, innovation_slopes
+from skdgp.estimation._kalman import (
+    Linearization,
+    Pass,
+    Slopes,
+    filtered,
+    parameter_slopes,
+)
 from skdgp.estimation._settings import AirSettings
 
 
@@ -41,6 +48,7 @@ class FittedRecord(NamedTuple):
 
     record: Record
     linear: Linearization
+    slopes: Callable[[slice], Slopes]  # of some steps by parameters and instruments
     filter_pass: Pass
     scores: Matrix
     log_likelihood: float  # of the innovations, but for a constant
@@ -228,19 +236,28 @@ class AirFit:
         for record, states in zip(self.records, self.states, strict=True):
             if not self.is_known:
                 self._add_steady_wind(sums, record)
-            linear = self.expansion(record, states).linearization()
+            expansion = self.expansion(record, states)
+            linear, slopes = expansion.linearization(), expansion.slopes()
             filter_pass = filtered(linear, self.noise_search.noise(record))
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovations.covariance))
             e = matrix_vector(L_inverse, filter_pass.innovations.values)
-            slopes = L_inverse @ innovation_slopes(linear, filter_pass)
+            products: Any = 0.0
+            weighted = []
+            for steps, by_parameters, _ in parameter_slopes(linear, filter_pass, slopes):
+                whitened = L_inverse[steps] @ by_parameters
+                rows = whitened.reshape(-1, whitened.shape[2])
+                products = products + rows.T @ rows
+                weighted.append((e[steps, None] @ whitened)[:, 0])
             has_instruments = by_instruments and not self.is_known
-            scores = self._add_scores(sums, record.flight, e, slopes, has_instruments)
+            scores = self._add_scores(
+                sums, record.flight, np.concatenate(weighted), products, has_instruments
+            )
             if has_instruments:
                 # for the instruments of the next pass
                 record = record.with_answers(e, self.settings)
             determinants = np.log(np.einsum("nii->ni", L_inverse)).sum()
             log_likelihood = float(determinants - 0.5 * np.sum(e**2))
-            fitted.append(FittedRecord(record, linear, filter_pass, scores, log_likelihood))
+            fitted.append(FittedRecord(record, linear, slopes, filter_pass, scores, log_likelihood))
         return sums, fitted
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:
@@ -253,19 +270,17 @@ class AirFit:
             sums.add(equation.places, weighted @ equation.residual, weighted @ equation.slopes)
 
     def _add_scores(
-        self, sums: Sums, flight: int, e: Matrix, slopes: Array, has_instruments: bool
+        self, sums: Sums, flight: int, weighted: Matrix, products: Matrix, has_instruments: bool
     ) -> Matrix:
-        """Add and return the scores (n - 1, p) of whitened innovations (n - 1, m) with slopes (n - 1, m, q).
+        """Add and return the scores (n - 1, p) of a record.
 
-        The slopes are by the parameters of a flight and, behind these, by the instruments.
+        With slopes S of whitened innovations e by the parameters of a flight and, behind these, by the
+        instruments, ``weighted`` are S^T e of each sample (n - 1, q), and ``products`` the sum of S^T S.
         """
         places = self.parameters.places[flight]
         own = np.flatnonzero(places >= self.parameters.n_held)
-        rows = slopes.reshape(-1, slopes.shape[2])
-        products = rows.T @ rows
-        weighted = (e[:, None] @ slopes)[:, 0]
         if has_instruments:
-            used = np.arange(self.layout.n_derivatives, slopes.shape[2])
+            used = np.arange(self.layout.n_derivatives, len(products))
             of_own = products[np.ix_(used, own)]
             weights = _projection(products[np.ix_(used, used)], of_own, self.settings)
             scores = weighted[:, used] @ weights

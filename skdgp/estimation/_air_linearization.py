@@ -20,8 +20,9 @@ slopes by states and derivatives
           \frac{\partial h}{\partial C} \frac{d C}{d z}, \quad
           \frac{d C_i}{d C_{ij}} = \mathrm{term}_j.
 
-Slopes by constants, such as the lag of the servos, are differences of the predictions. Instruments are the
-derivatives by derivatives with the terms in the motion that surfaces alone cause.
+Constants move the air velocity, the readings, or surfaces and thrust, whose loads count as errors of the coefficients;
+these slopes are differences. Instruments are the slopes by derivatives with the terms in the motion that surfaces alone
+cause.
 
 n samples, m sensors, N states, k parameters of a flight, of which the first d are derivatives of the
 coefficients and c are constants, f terms. Slopes by z are by the N states of a sample, the k parameters, and the d
@@ -31,7 +32,6 @@ instruments, the last two q together.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -52,6 +52,7 @@ from skdgp.estimation._air_model import (
     Inputs,
     Slipstream,
     differentiated,
+    sensors,
 )
 from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
@@ -64,7 +65,7 @@ from skdgp.estimation._air_parameters import (
     stacked,
 )
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._kalman import Linearization
+from skdgp.estimation._kalman import Linearization, Slopes
 from skdgp.estimation._sensors import INERTIAL_READINGS, SENSORS, SensorErrors
 from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
@@ -76,13 +77,12 @@ PATH_ERROR_Z = 4
 AIR_ROLL_STATE = 5
 RATE_STATES = slice(6, 9)
 """Places of the states: the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
-CONSTANT_STEP = 1e-3
-"""Step of constants in slopes, in their own units.
-
-Small against the priors of the constants, at most a third of one, but for the delay of servos, of which
-surfaces are linear.
-Derivatives of a flight that does not converge depend on it.
-"""
+CONSTANTS = (*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS)
+"""Parameters of a flight behind the derivatives."""
+LOAD_CONSTANTS = ("servo_lag", "servo_delay", "thrust_scale", "slipstream")
+"""Constants that change the loads by surfaces and thrust."""
+CONSTANT_STEP = 1e-5
+"""Step of constants in slopes, in their own units."""
 
 
 class Layout(NamedTuple):
@@ -104,18 +104,13 @@ class Layout(NamedTuple):
             coefficient, term = name.split("_", 1)
             rows.append(COEFFICIENTS.index(coefficient))
             columns.append(terms.index(term))
-        names = [*derivatives, *AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS]
+        names = [*derivatives, *CONSTANTS]
         return cls(np.array(rows), np.array(columns), names, surfaces, by_instruments)
 
     @property
     def n_derivatives(self) -> int:
         """Number of derivatives."""
         return len(self.rows)
-
-    @property
-    def n_slopes(self) -> int:
-        """Number q of slopes by parameters and instruments."""
-        return len(self.names) + self.by_instruments * self.n_derivatives
 
     def of_coefficient(self, name: str) -> Indices:
         """Return the places of the derivatives of a coefficient."""
@@ -130,36 +125,28 @@ class Layout(NamedTuple):
         """Return whether each derivative is by one of the state's terms."""
         return np.isin(self.columns, [STATE_TERMS.index(name) for name in terms])
 
-    @property
-    def constants(self) -> list[str]:
-        """Names of the constants, the parameters behind the derivatives."""
-        return self.names[self.n_derivatives :]
+    def by_terms(self, by_coefficients: Array, terms: Matrix) -> Array:
+        """Return d h / d derivatives and instruments (n, m, d or 2 d), from d h / d coefficients (n, m, 6).
 
-    def slopes(
-        self, by_variables: Array, terms: Matrix, instrument_terms: Matrix, by_constants: Array
-    ) -> Array:
-        """Return d h / d parameters and instruments (n, m, q), from d h / d variables (n, m, 13).
-
-        At a given motion; by constants (n, m, c) they are given.
+        ``terms`` (n, f or 2 f) are of the derivatives and, behind these, of the instruments.
         """
-        by_rows = by_variables[..., COEFFICIENT_ERRORS][:, :, self.rows]
-        parts = [by_rows * terms[:, None, self.columns], by_constants]
+        rows, columns = self.rows, self.columns
         if self.by_instruments:
-            parts.append(by_rows * instrument_terms[:, None, self.columns])
-        return np.concatenate(parts, axis=-1)
+            rows = np.tile(rows, 2)
+            columns = np.concatenate([columns, columns + terms.shape[1] // 2])
+        return by_coefficients[:, :, rows] * terms[:, None, columns]
 
 
 def motion_model(
     record: Record, layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]
 ) -> AirMotionModel:
-    """Return the equations of motion of the aircraft, and of the sensors of a record, at parameters by name."""
+    """Return the equations of motion of the aircraft in a record at parameters by name."""
     derivatives = np.zeros((6, len(STATE_TERMS) + len(layout.surfaces)))
     names = layout.names[: layout.n_derivatives]
     derivatives[layout.rows, layout.columns] = [value[name] for name in names]
     reached = np.isin(layout.surfaces, TAIL).astype(float)
     slipstream = Slipstream(value["slipstream"], record.mean_thrust, reached)
-    arm = record.position + stacked(value, *ARM)
-    return AirMotionModel(aircraft, derivatives, arm, slipstream)
+    return AirMotionModel(aircraft, derivatives, slipstream)
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
@@ -174,9 +161,9 @@ def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tu
 
 
 def slopes_by_constants(
-    function: Callable[[Mapping[str, Any]], Matrix], value: Mapping[str, Any], names: Sequence[str]
+    function: Callable[[Mapping[str, Any]], Array], value: Mapping[str, Any], names: Sequence[str]
 ) -> Array:
-    """Return the slopes (n, k, c) of a function (n, k) of parameters by name, by some of them."""
+    """Return the slopes (..., c) of a function (...) of parameters by name, by some of them."""
     here = function(value)
     slopes = []
     for name in names:
@@ -207,14 +194,11 @@ class Expansion:
         self.aircraft = aircraft
         self.value = value
         self.states = states
-        self.decay = decay
         self.settings = settings
+        # of the m sensors that have any sample, after each step
+        self.measured = record.measured[1:, record.sampled]
         self.model = motion_model(record, layout, aircraft, value)
-        logged = record.inputs
-        surfaces = servo_output(logged.surfaces, value["servo_lag"], record.median_step)
-        late = value["servo_delay"] * np.gradient(surfaces, record.median_step, axis=0)
-        thrust = logged.thrust * (1 + value["thrust_scale"])
-        self.inputs = Inputs(surfaces - late, thrust, logged.density)
+        self.inputs = self._inputs_at(value)
         self.end_inputs = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
         tau = self.model.relative_thrust(np.linalg.norm(self.air, axis=1), self.inputs)
@@ -222,135 +206,145 @@ class Expansion:
         # gusts and errors of the path decay, and the air velocity with them
         self.remaining = np.exp(-record.time_step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
-        self.start = _variables(self.air, states)[:-1]  # (n - 1, 13) before each step
-        # of the m sensors that have any sample, after each step
-        self.measured = record.measured[1:, record.sampled]
-        self.is_sampled = np.isfinite(self.measured)
+        # variables (n - 1, 13) before and after each step, and after it along the recorded path
+        self.start = _variables(self.air, states)[:-1]
+        motion = self._moved(self.start)
+        self.by_start = differentiated(self._moved, self.start)  # of the motion, (n - 1, 6, 13)
+        self.predicted = states[:-1] * self.remaining  # (n - 1, N)
+        self.predicted[:, RATE_STATES] = motion[:, BODY_RATES]
+        self.end = _variables(motion[:, AIR_VELOCITY], self.predicted)
+        corrected = matrix_vector(self.air_by_state[1:], self.predicted - states[1:])
+        self.along = _variables(self.air[1:] + corrected, self.predicted)
+        self.instants = (self.start, self.end, self.along)
+        self.rows = (slice(-1), slice(1, None), slice(1, None))  # of their inputs
+        self.past_by_end = differentiated(self._readings, self.end)  # (n - 1, m, 13)
+        self.path_by_along = differentiated(self._readings, self.along)
 
-    def moved(self, start: Array) -> Array:
-        """Return the motion (..., n - 1, 6) after the step from variables (..., n - 1, 13) of each sample."""
+    def _inputs_at(self, value: Mapping[str, Any]) -> Inputs:
+        """Return the inputs at parameters by name: surfaces behind the servos, and thrust."""
+        logged = self.record.inputs
+        step = self.record.median_step
+        surfaces = servo_output(logged.surfaces, value["servo_lag"], step)
+        late = value["servo_delay"] * np.gradient(surfaces, step, axis=0)
+        thrust = logged.thrust * (1 + value["thrust_scale"])
+        return Inputs(surfaces - late, thrust, logged.density)
+
+    def _moved(self, start: Matrix) -> Matrix:
+        """Return the motion (n - 1, 6) after the step from variables (n - 1, 13) of each sample."""
         drift = matrix_vector(self.drift_by_state, self.states[:-1])
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
         return self.model.step(start, gravity, drift, self.inputs, self.record.time_step)
 
-    @cached_property
-    def motion(self) -> Matrix:
-        """Motion (n - 1, 6) after each step."""
-        return self.moved(self.start)
+    def _readings(self, end: Matrix) -> Matrix:
+        """Return the readings of the m sensors (n - 1, m) at variables (n - 1, 13) after each step."""
+        return self._readings_at(self.value, self.model.accelerations(end, self.end_inputs), end)
 
-    @cached_property
-    def by_start(self) -> Array:
-        """Slopes of the motion after each step by the variables before it, (n - 1, 6, 13)."""
-        return differentiated(self.moved, self.start)
-
-    @cached_property
-    def predicted(self) -> Matrix:
-        """States (n - 1, N) after each step."""
-        states = self.states[:-1] * self.remaining
-        states[:, RATE_STATES] = self.motion[:, BODY_RATES]
-        return states
-
-    @property
-    def end(self) -> Matrix:
-        """Variables (n - 1, 13) after each step."""
-        return _variables(self.motion[:, AIR_VELOCITY], self.predicted)
-
-    def along_path(self, predicted: Matrix) -> Matrix:
-        """Return the variables (n - 1, 13) after each step by the recorded path and predicted states."""
-        change = matrix_vector(self.air_by_state[1:], predicted - self.states[1:])
-        return _variables(self.air[1:] + change, predicted)
-
-    def readings(self, end: Array) -> Array:
-        """Return the readings of the m sensors (..., n - 1, m) at variables (..., n - 1, 13) after each step."""
-        truth = self.model.sensors(end, self.end_inputs)
-        return SensorErrors.of(self.value).readings(truth)[..., self.record.sampled]
-
-    def predictions(self, predicted: Matrix) -> Matrix:
-        """Return rates after each step, readings of the past alone, and along the path (n - 1, 3 + 2 m).
-
-        Those along the path are at given ``predicted`` states.
-        """
-        ends = np.stack([self.end, self.along_path(predicted)])
-        return np.concatenate([self.motion[:, BODY_RATES], *self.readings(ends)], axis=1)
-
-    def _at(self, value: Mapping[str, Any]) -> Expansion:
-        """Return the expansion at other parameters."""
-        return Expansion(
-            self.record,
-            self.layout,
-            self.aircraft,
-            value,
-            self.states,
-            self.decay,
-            self.settings,
-        )
+    def _readings_at(self, value: Mapping[str, Any], loads: Matrix, end: Matrix) -> Matrix:
+        """Return the readings at given constants of the sensors, and accelerations (n - 1, 6)."""
+        truth = sensors(loads, end, self.record.position + stacked(value, *ARM))
+        return SensorErrors.of(value).readings(truth)[:, self.record.sampled]
 
     def linearization(self) -> Linearization:
         """Return the linear filter about the states and parameters."""
-        end = self.end
-        along = self.along_path(self.predicted)
-        past_by_end = differentiated(self.readings, end)
-        path_by_variables = differentiated(self.readings, along)
-        Phi, D = self._slopes_by_states(past_by_end)
-        Theta, E, F = self._slopes_by_parameters(past_by_end, path_by_variables)
+        Phi, D = self._slopes_by_states()
         end_by_state = _by_states(self.air_by_state[1:])
         missing, vibration = self._added_noise()
         return Linearization(
             states=self.states,
             predicted=self.predicted,
             Phi=Phi,
-            Theta=Theta,
-            past_error=self._errors(self.readings(end)),
+            past_error=self._errors(self.end),
             D=D,
-            L=past_by_end @ end_by_state,
-            E=E,
-            path_error=self._errors(self.readings(along)),
-            H=path_by_variables @ end_by_state,
-            F=F,
+            L=self.past_by_end @ end_by_state,
+            path_error=self._errors(self.along),
+            H=self.path_by_along @ end_by_state,
             time_step=self.record.time_step,
             surface_noise=self._surface_noise(),
-            surface_reading_variance=self._surface_reading_variance(past_by_end),
+            surface_reading_variance=self._surface_reading_variance(),
             missing=missing,
             vibration=vibration,
         )
 
-    def _slopes_by_states(self, past_by_end: Array) -> tuple[Array, Array]:
+    def _slopes_by_states(self) -> tuple[Array, Array]:
         """Return slopes of the states after each step, and of readings of the past, by the states before."""
         by_state = self.by_start @ _by_states(self.air_by_state[:-1])
         by_state[:, AIR_VELOCITY] += self.record.time_step[:, None, None] * self.drift_by_state
         Phi = self.remaining[:, :, None] * np.eye(N_STATES)
         Phi[:, RATE_STATES] = by_state[:, BODY_RATES]
-        D = past_by_end[..., MOTION] @ by_state
-        D[..., AIR_ROLL_STATE] += past_by_end[..., AIR_ROLL] * self.remaining[:, [AIR_ROLL_STATE]]
+        D = self.past_by_end[..., MOTION] @ by_state
+        by_air_roll = self.past_by_end[..., AIR_ROLL]
+        D[..., AIR_ROLL_STATE] += by_air_roll * self.remaining[:, [AIR_ROLL_STATE]]
         return Phi, D
 
-    def _slopes_by_parameters(
-        self, past_by_end: Array, path_by_variables: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return slopes of the states, of readings of the past, and along the path, by parameters and instruments."""
+    def slopes(self) -> Callable[[slice], Slopes]:
+        """Return the slopes by parameters and instruments, as a function of some steps."""
         layout = self.layout
-        predicted = self.predicted
-        by_constants = slopes_by_constants(
-            lambda value: self._at(value).predictions(predicted), self.value, layout.constants
-        )
-        m = past_by_end.shape[1]
-        rates, past, path = np.split(by_constants, [3, 3 + m], axis=1)
-        instrument_terms = self.instrument_terms()
-        end_terms = self._end_terms(self.end)
+        motion_by_coefficients = self.by_start[..., COEFFICIENT_ERRORS]
+        past_by_step = self.past_by_end[..., MOTION] @ motion_by_coefficients
+        past_by_end = self.past_by_end[..., COEFFICIENT_ERRORS]
+        path_by_end = self.path_by_along[..., COEFFICIENT_ERRORS]
+        terms = [
+            self.model.terms(variables, self.inputs.part(rows), variables[:, AIR_ROLL])
+            for variables, rows in zip(self.instants, self.rows, strict=True)
+        ]
         # terms within a step are the mean of the terms at its ends
-        terms = self.model.terms(self.start, self.inputs.part(slice(-1)), self.start[:, AIR_ROLL])
-        step_terms = 0.5 * (terms + end_terms), means_of_neighbours(instrument_terms)
-        motion = layout.slopes(
-            self.by_start, *step_terms, np.zeros((len(terms), 6, rates.shape[2]))
+        terms[0] = 0.5 * (terms[0] + terms[1])
+        if layout.by_instruments:
+            caused = self.instrument_terms()
+            of_instruments = means_of_neighbours(caused), caused[1:], caused[1:]
+            terms = [np.hstack(pair) for pair in zip(terms, of_instruments, strict=True)]
+        step_terms, end_terms, path_terms = terms
+        by_constants = self._slopes_by_constants()
+        m = past_by_end.shape[1]
+
+        def of_steps(steps: slice) -> Slopes:
+            rates = layout.by_terms(motion_by_coefficients[steps, BODY_RATES], step_terms[steps])
+            past = layout.by_terms(past_by_end[steps], end_terms[steps])
+            past += layout.by_terms(past_by_step[steps], step_terms[steps])
+            path = layout.by_terms(path_by_end[steps], path_terms[steps])
+            by_derivatives = np.concatenate([rates, past, path], axis=1)
+            own, of_instruments = np.split(by_derivatives, [layout.n_derivatives], axis=2)
+            values = np.concatenate([own, by_constants[steps], of_instruments], axis=2)
+            rates, past, path = np.split(values, [3, 3 + m], axis=1)
+            states = np.zeros((len(values), N_STATES, values.shape[2]))
+            states[:, RATE_STATES] = rates
+            return Slopes(states, past, path)
+
+        return of_steps
+
+    def _slopes_by_constants(self) -> Array:
+        """Return slopes of rates after each step, readings of the past and along the path (n - 1, 3 + 2 m, c)."""
+        by_loads = slopes_by_constants(self._errors_by_loads, self.value, LOAD_CONSTANTS)
+        of_start, of_end, of_path = by_loads
+        before, after = self.air_by_state[:-1], self.air_by_state[1:]
+        motion = self.by_start @ _by_constants(before, self.start, 0.5 * (of_start + of_end))
+        end = _by_constants(after, self.end, of_end)
+        end[:, MOTION] = motion
+        past = self.past_by_end @ end + self._by_sensors(self.end)
+        along = _by_constants(after, self.along, of_path)
+        path = self.path_by_along @ along + self._by_sensors(self.along)
+        return np.concatenate([motion[:, BODY_RATES], past, path], axis=1)
+
+    def _errors_by_loads(self, value: Mapping[str, Any]) -> Array:
+        """Return the errors of the coefficients (3, n - 1, 6) that replace all loads at other constants.
+
+        Before each step, after it, and after it along the recorded path.
+        """
+        model = motion_model(self.record, self.layout, self.aircraft, value)
+        inputs = self._inputs_at(value)
+        errors = []
+        for variables, rows in zip(self.instants, self.rows, strict=True):
+            loads = model.accelerations(variables, inputs.part(rows))
+            airspeed = np.linalg.norm(variables[:, AIR_VELOCITY], axis=1)
+            errors.append(self.model.coefficient_errors(loads, airspeed, self.inputs.part(rows)))
+        return np.stack(errors)
+
+    def _by_sensors(self, end: Matrix) -> Array:
+        """Return slopes of the readings (n - 1, m, c) by constants of the sensors, at variables after each step."""
+        loads = self.model.accelerations(end, self.end_inputs)
+        return slopes_by_constants(
+            lambda value: self._readings_at(value, loads, end), self.value, CONSTANTS
         )
-        Theta = np.zeros((len(terms), N_STATES, layout.n_slopes))
-        Theta[:, RATE_STATES] = motion[:, BODY_RATES]
-        Theta[:, RATE_STATES, layout.n_derivatives : len(layout.names)] = rates
-        E = layout.slopes(past_by_end, end_terms, instrument_terms[1:], past)
-        E += past_by_end[..., MOTION] @ motion  # through the motion
-        along_terms = self._end_terms(self.along_path(predicted))
-        F = layout.slopes(path_by_variables, along_terms, instrument_terms[1:], path)
-        return Theta, E, F
 
     def instrument_terms(self) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
@@ -383,18 +377,14 @@ class Expansion:
         thrust[:, 0] -= answers[:, -1]
         return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
 
-    def _end_terms(self, end: Matrix) -> Matrix:
-        """Return the terms (n - 1, f) of the coefficients at variables (n - 1, 13) after each step."""
-        return self.model.terms(end, self.end_inputs, end[:, AIR_ROLL])
-
-    def _errors(self, values: Matrix) -> Matrix:
-        """Return measured less predicted readings (n - 1, m), zero where not sampled."""
-        return np.where(self.is_sampled, self.measured - values, 0.0)
+    def _errors(self, end: Matrix) -> Matrix:
+        """Return measured less predicted readings (n - 1, m) at variables after each step, zero where not sampled."""
+        return np.nan_to_num(self.measured - self._readings(end))
 
     def _added_noise(self) -> tuple[Matrix, Matrix]:
         """Return variances (n - 1, m) where a sensor is not sampled, and the covariance (m, m) of vibration."""
         not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
-        missing = np.where(self.is_sampled, 0.0, not_sampled)
+        missing = np.where(np.isfinite(self.measured), 0.0, not_sampled)
         vibration = np.zeros((len(SENSORS), len(SENSORS)))
         vibration[INERTIAL_READINGS, INERTIAL_READINGS] = self.record.vibration
         sampled = self.record.sampled
@@ -415,9 +405,9 @@ class Expansion:
         covariance[:, RATE_STATES, RATE_STATES] = push @ push.mT
         return covariance
 
-    def _surface_reading_variance(self, by_variables: Array) -> Matrix:
+    def _surface_reading_variance(self) -> Matrix:
         """Return the variance of readings (n - 1, m) by the errors of surfaces between samples."""
-        by_surfaces = by_variables[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
+        by_surfaces = self.past_by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         error = self.record.surface_errors[1:] * self.surface_effect[1:]
         return np.sum((by_surfaces * error[:, None]) ** 2, axis=-1)
 
@@ -444,6 +434,20 @@ def _by_states(air_by_state: Array) -> Array:
     slopes[:, BODY_RATES, RATE_STATES] = np.eye(3)
     slopes[:, AIR_ROLL, AIR_ROLL_STATE] = 1.0
     return slopes
+
+
+def _by_constants(air_by_state: Array, variables: Matrix, by_loads: Array) -> Array:
+    """Return d variables of the model / d constants (n, 13, c), from those of the errors by loads (n, 6, 4)."""
+    slopes = np.zeros((len(variables), N_VARIABLES, len(CONSTANTS)))
+    slopes[:, COEFFICIENT_ERRORS, _places(LOAD_CONSTANTS)] = by_loads
+    slopes[:, AIR_VELOCITY, _places(WINDS)] = air_by_state[..., GUST]
+    slopes[:, AIR_VELOCITY, _places(ARM)] = -cross_matrix(variables[:, BODY_RATES])
+    return slopes
+
+
+def _places(names: Sequence[str]) -> list[int]:
+    """Return the places of constants by name."""
+    return [CONSTANTS.index(name) for name in names]
 
 
 def means_of_neighbours(values: Array) -> Array:

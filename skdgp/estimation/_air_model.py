@@ -85,25 +85,20 @@ class Slipstream(NamedTuple):
 
 
 class AirMotionModel:
-    """Equations of motion and sensors of an aircraft with coefficients linear in their derivatives.
+    """Equations of motion of an aircraft with coefficients linear in their derivatives.
 
     Parameters
     ----------
     aircraft : Aircraft
     derivatives : ndarray (6, k)
         Of CX ... Cn by `STATE_TERMS` and the surfaces.
-    arm : ndarray (3,)
-        Position of the inertial sensors relative to the centre of gravity [m].
     slipstream : Slipstream
         Of the propeller on surfaces of the tail.
     """
 
-    def __init__(
-        self, aircraft: Aircraft, derivatives: Matrix, arm: Vector, slipstream: Slipstream
-    ) -> None:
+    def __init__(self, aircraft: Aircraft, derivatives: Matrix, slipstream: Slipstream) -> None:
         self.aircraft = aircraft
         self.derivatives = derivatives
-        self.arm = arm
         self.slipstream = slipstream
 
     @property
@@ -139,14 +134,21 @@ class AirMotionModel:
         spin = moment @ self.aircraft.inertia_inverse
         return np.concatenate([specific_force, spin], axis=-1)
 
+    def coefficient_errors(self, accelerations: Matrix, airspeed: Vector, inputs: Inputs) -> Matrix:
+        """Return the errors of the coefficients (n, 6) that change `accelerations` by (n, 6)."""
+        force = self.aircraft.mass * accelerations[:, :3]
+        moment = accelerations[:, 3:] @ self.aircraft.inertia
+        pressure = dynamic_pressure(airspeed, inputs.density)[:, None]
+        loads = np.concatenate([force, moment / self.aircraft.moment_lengths], axis=1)
+        return loads / (pressure * self.aircraft.wing_area)
+
     def coefficients(
         self, specific_force: Matrix, rates: Matrix, spin: Matrix, air: Matrix, inputs: Inputs
     ) -> Matrix:
         """Return the coefficients (n, 6) at which `accelerations` are ``specific_force`` and ``spin``."""
         state = np.concatenate([air, rates, np.zeros((len(air), 7))], axis=1)
         lacking = np.concatenate([specific_force, spin], axis=1) - self.accelerations(state, inputs)
-        slopes = differentiated(lambda moved: self.accelerations(moved, inputs), state)
-        errors = np.linalg.solve(slopes[..., COEFFICIENT_ERRORS], lacking[..., None])[..., 0]
+        errors = self.coefficient_errors(lacking, np.linalg.norm(air, axis=1), inputs)
         return np.asarray(self.terms(state, inputs) @ self.derivatives.T + errors)
 
     def step(
@@ -175,24 +177,32 @@ class AirMotionModel:
         state = np.concatenate([start, gravity], axis=-1)
         return rk4_step(change, 0.0, state, 1.0)[..., :6]
 
-    def sensors(self, state: Array, inputs: Inputs) -> Array:
-        """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., n, 9) at variables (..., n, 13)."""
-        rates = state[..., BODY_RATES]
-        loads = self.accelerations(state, inputs)
-        turning = acceleration_by_rotation(loads[..., 3:], rates, self.arm)
-        air = np.stack(air_data(state[..., AIR_VELOCITY]), axis=-1)
-        return np.concatenate([loads[..., :3] + turning, rates, air], axis=-1)
-
     def relative_thrust(self, airspeed: Array, inputs: Inputs) -> Array:
         """Return thrust over dynamic pressure and wing area (..., n)."""
         pressure = dynamic_pressure(airspeed, inputs.density)
         return inputs.thrust[:, 0] / (pressure * self.aircraft.wing_area)
 
 
-def differentiated(function: Callable[[Array], Array], state: Matrix) -> Array:
-    """Return the derivatives (n, k, 13) of a function (..., n, 13) -> (..., n, k) at states (n, 13)."""
+def sensors(loads: Array, state: Array, arm: Vector) -> Array:
+    """Return ax, ay, az, p, q, r, airspeed, alpha, beta (..., 9) at accelerations (..., 6) and variables (..., 13).
+
+    ``arm`` is the position of the inertial sensors relative to the centre of gravity [m].
+    """
+    rates = state[..., BODY_RATES]
+    turning = acceleration_by_rotation(loads[..., 3:], rates, arm)
+    air = np.stack(air_data(state[..., AIR_VELOCITY]), axis=-1)
+    return np.concatenate([loads[..., :3] + turning, rates, air], axis=-1)
+
+
+def differentiated(function: Callable[[Matrix], Matrix], state: Matrix) -> Array:
+    """Return the derivatives (n, k, 13) of a function (n, 13) -> (n, k) at states (n, 13)."""
     moves = np.full(N_VARIABLES, 1e-6)
     # velocities move by the airspeed times as much
     moves[AIR_VELOCITY] *= np.sqrt(np.mean(state[:, AIR_VELOCITY] ** 2) * 3)
-    change = function(state + np.diag(moves)[:, None]) - function(state)
-    return np.moveaxis(change / moves[:, None, None], 0, -1)
+    here = function(state)
+    slopes = []
+    for place, move in enumerate(moves):
+        moved = state.copy()
+        moved[:, place] += move
+        slopes.append((function(moved) - here) / move)
+    return np.stack(slopes, axis=-1)

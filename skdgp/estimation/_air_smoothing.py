@@ -19,6 +19,7 @@ from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECI
 from skdgp._flight.frames import air_data, air_data_slopes, rotation_to_euler
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import (
+    CONSTANTS,
     GUST,
     N_STATES,
     RATE_STATES,
@@ -27,7 +28,7 @@ from skdgp.estimation._air_linearization import (
 )
 from skdgp.estimation._air_parameters import WINDS, stacked
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._kalman import smoothed, state_slopes
+from skdgp.estimation._kalman import parameter_slopes, smoothed
 
 ESTIMATED = (*AIR_DATA, *RATES, *WIND)
 """Smoothed columns, each with its standard deviation."""
@@ -63,13 +64,19 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     G[:, OF_WIND, GUST] = np.eye(3)
     # the first parameters of a flight are derivatives, and what is behind them instruments
     n = len(layout.names)
-    s = G @ state_slopes(item.linear, item.filter_pass)[..., :n]
-    s[..., layout.n_derivatives :] += slopes_by_constants(
-        lambda moved: _estimated(record, moved, states), value, layout.constants
+    by_constants = slopes_by_constants(
+        lambda moved: _estimated(record, moved, states), value, CONSTANTS
     )
     places = fit.parameters.places[record.flight]
     C = covariance[np.ix_(places, places)]
-    variance = _variances(G, P) + _variances(s, C)
+    variance = _variances(G, P)
+    # the first sample has its states from no other
+    variance[:1] += _variances(by_constants[:1], C[layout.n_derivatives :, layout.n_derivatives :])
+    for steps, _, Z in parameter_slopes(item.linear, item.filter_pass, item.slopes):
+        rows = slice(steps.start + 1, steps.stop + 1)
+        s = G[rows] @ Z[..., :n]
+        s[..., layout.n_derivatives :] += by_constants[rows]
+        variance[rows] += _variances(s, C)
     return _estimated(record, value, states), np.sqrt(variance)
 
 

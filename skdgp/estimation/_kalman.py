@@ -38,6 +38,7 @@ noises.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ STEPS_IN_MEMORY = 256  # whose matrices are in memory at a time
 
 
 class Linearization(NamedTuple):
-    """A record of n samples of m sensors, linear in N states, parameters and instruments, about states X.
+    """A record of n samples of m sensors, linear in N states, about states X.
 
     Errors of the predictions behind each step are measured less predicted.
     """
@@ -58,14 +59,11 @@ class Linearization(NamedTuple):
     states: Matrix  # (n, N) X, filtered states of the last pass
     predicted: Matrix  # (n - 1, N) states of samples 1 to n - 1, from X
     Phi: Array  # (n - 1, N, N) predicted state by the state before
-    Theta: Array  # (n - 1, N, q) by parameters and instruments
     past_error: Matrix  # (n - 1, m) epsilon, of a prediction from the past alone
     D: Array  # (n - 1, m, N) its prediction by the state before
     L: Array  # (n - 1, m, N) by a push at the end of the step
-    E: Array  # (n - 1, m, q) by parameters and instruments
     path_error: Matrix  # (n - 1, m) y, of a prediction with the recorded motion
     H: Array  # (n - 1, m, N) its prediction by the predicted state
-    F: Array  # (n - 1, m, q) by parameters and instruments
     time_step: Vector  # (n - 1,) length of each step [s]
     surface_noise: Array  # (n - 1, N, N) covariance of the states by surfaces, per kappa^2
     surface_reading_variance: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
@@ -83,6 +81,14 @@ class Linearization(NamedTuple):
         """Return the linearization of at most ``n_steps`` steps in the middle."""
         first = max(len(self.time_step) - n_steps, 0) // 2
         return self.part(first, first + n_steps)
+
+
+class Slopes(NamedTuple):
+    """Slopes of k steps by q parameters and instruments."""
+
+    Theta: Array  # (k, N, q) of the states after each step
+    E: Array  # (k, m, q) of the prediction behind epsilon
+    F: Array  # (k, m, q) of the prediction behind y
 
 
 class Noise(NamedTuple):
@@ -271,21 +277,27 @@ def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     return (by_late + by_early) / 6
 
 
-def innovation_slopes(linear: Linearization, filter_pass: Pass) -> Array:
-    """Return d innovation / d parameters and instruments (n - 1, m, q), the gains being given."""
-    return -(linear.D @ state_slopes(linear, filter_pass)[:-1] + linear.E)
+def parameter_slopes(
+    linear: Linearization, filter_pass: Pass, slopes: Callable[[slice], Slopes]
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Yield some steps, and the slopes of innovations (k, m, q) and of filtered states after the steps (k, N, q).
 
-
-def state_slopes(linear: Linearization, filter_pass: Pass) -> Array:
-    """Return d filtered states / d parameters and instruments (n, N, q), the gains being given."""
-    n, N, q = linear.Theta.shape
-    correction = np.eye(N) - filter_pass.gain @ linear.H  # I - K H
-    T = correction @ linear.Phi
-    B = correction @ linear.Theta - filter_pass.gain @ linear.F  # (I - K H) Theta - K F
-    Z = np.zeros((n + 1, N, q))
-    for k in range(n):
-        Z[k + 1] = T[k] @ Z[k] + B[k]
-    return Z
+    By parameters and instruments at given gains; ``slopes`` are of the predictions.
+    """
+    end: Array | float = 0.0
+    for first in range(0, len(linear.time_step), STEPS_IN_MEMORY):
+        steps = slice(first, first + STEPS_IN_MEMORY)
+        Theta, E, F = slopes(steps)
+        gain = filter_pass.gain[steps]
+        correction = np.eye(Theta.shape[1]) - gain @ linear.H[steps]  # I - K H
+        T = correction @ linear.Phi[steps]
+        Z = np.empty((len(T) + 1, *Theta.shape[1:]))
+        Z[0] = end
+        Z[1:] = correction @ Theta - gain @ F  # (I - K H) Theta - K F
+        for k in range(len(T)):
+            Z[k + 1] += T[k] @ Z[k]
+        yield steps, -(linear.D[steps] @ Z[:-1] + E), Z[1:]
+        end = Z[-1]
 
 
 def smoothed(linear: Linearization, filter_pass: Pass) -> tuple[Matrix, Array]:

@@ -24,8 +24,14 @@ from skdgp.estimation._air_covariance import (
     widen,
     without_estimate,
 )
-from skdgp.estimation._air_linearization import N_STATES, Expansion, Layout, motion_model
-from skdgp.estimation._air_model import Inputs, Slipstream
+from skdgp.estimation._air_linearization import (
+    CONSTANTS,
+    N_STATES,
+    Expansion,
+    Layout,
+    motion_model,
+)
+from skdgp.estimation._air_model import Inputs, Slipstream, sensors
 from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
     DERIVATIVES,
@@ -38,9 +44,10 @@ from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import (
     Linearization,
     Noise,
+    Slopes,
     filtered,
-    innovation_slopes,
     innovations,
+    parameter_slopes,
     smoothed,
 )
 from skdgp.estimation._least_squares import Equations, GaussianPrior, solve
@@ -107,8 +114,16 @@ def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():
 DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))
 
 
-def linearized(record, layout, value, states):
-    return Expansion(record, layout, AIRCRAFT, value, states, DECAY).linearization()
+def expanded(record, layout, value, states):
+    return Expansion(record, layout, AIRCRAFT, value, states, DECAY)
+
+
+def linearized(*parts):
+    return expanded(*parts).linearization()
+
+
+def slopes_at(*parts):
+    return expanded(*parts).slopes()(slice(None))
 
 
 def moved(name, move):
@@ -120,21 +135,22 @@ def moved(name, move):
 @pytest.mark.parametrize("name", flight_of_sines()[1].names)
 def test_slopes_by_parameters_are_those_of_the_predictions(name):
     here, step = moved(name, 0.0), 1e-5
+    slopes_here = slopes_at(*flight_of_sines())
     later, before = moved(name, step), moved(name, -step)
     j = flight_of_sines()[1].names.index(name)
     pairs = (
-        ("predicted", here.Theta),
-        ("past_error", -here.E),
-        ("path_error", -here.F),
+        ("predicted", slopes_here.Theta),
+        ("past_error", -slopes_here.E),
+        ("path_error", -slopes_here.F),
     )
     for field, slopes in pairs:
         numeric = (getattr(later, field) - getattr(before, field)) / (2 * step)
         if field == "path_error":  # the state that it starts from moves as well
-            numeric += (here.H @ here.Theta)[..., j]
+            numeric += (here.H @ slopes_here.Theta)[..., j]
         scale = np.abs(numeric).max() + 1e-3
         # terms within a step are taken as the mean of its ends, which is least true of rates
         atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
-        if name in flight_of_sines()[1].constants:
+        if name in CONSTANTS:
             atol = 0.01
         assert_allclose(slopes[..., j] / scale, numeric / scale, atol=atol)
 
@@ -166,9 +182,9 @@ def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
     at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
     slopes, instruments = [], []
     for flown, states in ((moving, calm), (moving, gusty), (still, gusty)):
-        linear = linearized(flown, layout, value, states)
+        E = slopes_at(flown, layout, value, states).E
         for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
-            offset, slope = linear.E[:, 2, columns].T
+            offset, slope = E[:, 2, columns].T
             of_pressure = offset * (offset @ slope) / (offset @ offset)
             out.append(slope - of_pressure)
     assert np.corrcoef(slopes)[0, 1] < 0.7
@@ -224,14 +240,17 @@ def test_roll_of_the_air_is_no_roll_of_the_aircraft():
     expected = model.accelerations(errors, inputs) - model.accelerations(still, inputs)
     assert np.abs(expected).max() > 0.1
     assert_allclose(change, expected, atol=1e-12)
-    readings = [model.sensors(variables, inputs)[0, 3:6] for variables in (still, rolling)]
+    readings = [
+        sensors(model.accelerations(variables, inputs), variables, np.zeros(3))[0, 3:6]
+        for variables in (still, rolling)
+    ]
     assert_allclose(*readings)
 
 
 def test_slope_by_a_lag_of_zero_is_that_above_it():
     record, layout, value, states = flight_of_sines()
     at_zero, above = (
-        linearized(record, layout, value | {"servo_lag": lag}, states) for lag in (0.0, 1e-3)
+        slopes_at(record, layout, value | {"servo_lag": lag}, states) for lag in (0.0, 1e-3)
     )
     j = layout.names.index("servo_lag")
     expected = above.E[..., j]
@@ -245,19 +264,15 @@ def linear_system(rng, n=7, N=3, m=2):
     H = rng.standard_normal((n - 1, m, N))
     y = rng.standard_normal((n - 1, m))
     shared = rng.standard_normal((m, 1))
-    zero = np.zeros((n - 1, 0, 0))
     linear = Linearization(
         states=np.zeros((n, N)),
         predicted=np.zeros((n - 1, N)),
         Phi=Phi,
-        Theta=zero,
         past_error=y,
         D=H @ Phi,
         L=H,
-        E=zero,
         path_error=y,
         H=H,
-        F=zero,
         time_step=rng.uniform(0.1, 0.2, n - 1),
         surface_noise=np.zeros((n - 1, N, N)),
         surface_reading_variance=np.zeros((n - 1, m)),
@@ -328,17 +343,22 @@ def test_linear_smoother_has_the_conditional_distribution():
 def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
     linear, noises = linear_system(default_rng(3))
     (n, N), m = linear.states.shape, linear.past_error.shape[1]
-    slopes = default_rng(4).standard_normal((n - 1, N, 1))
-    linear = linear._replace(Theta=slopes, E=linear.H @ slopes, F=np.zeros((n - 1, m, 1)))
+    Theta = default_rng(4).standard_normal((n - 1, N, 1))
+    slopes = Slopes(Theta, linear.H @ Theta, np.zeros((n - 1, m, 1)))
     run = filtered(linear, noises)
-    push = 1e-6 * (linear.H @ slopes)[..., 0]
+    push = 1e-6 * (linear.H @ Theta)[..., 0]
     moved = linear._replace(
-        predicted=linear.predicted + 1e-6 * slopes[..., 0],
+        predicted=linear.predicted + 1e-6 * Theta[..., 0],
         past_error=linear.past_error - push,
         path_error=linear.path_error - push,
     )
-    change = (filtered(moved, noises).innovations.values - run.innovations.values) / 1e-6
-    assert_allclose(innovation_slopes(linear, run)[..., 0], change, atol=1e-6)
+    again = filtered(moved, noises)
+    found = parameter_slopes(linear, run, lambda steps: Slopes(*(part[steps] for part in slopes)))
+    ((_, of_innovations, of_states),) = found
+    change = (again.innovations.values - run.innovations.values) / 1e-6
+    assert_allclose(of_innovations[..., 0], change, atol=1e-6)
+    change = (again.states - run.states)[1:] / 1e-6
+    assert_allclose(of_states[..., 0], change, atol=1e-6)
 
 
 def test_sandwich_of_a_regression_is_the_covariance_of_its_coefficients():

@@ -25,6 +25,7 @@ from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
     Aircraft,
     Trim,
+    as_aerodynamics,
     linearize,
     stability_derivatives,
     trim,
@@ -246,7 +247,8 @@ def plan(run: Run) -> None:
     model, thrust = read_model_to_fly(options)
     altitude = options.altitude
     if altitude is None:  # the highest of the training flights
-        altitude = envelope.altitudes(model.pipeline)[1]
+        flown = as_aerodynamics(model.pipeline).flown
+        _, altitude = flown.get("altitude", (0.0, 100.0))
     with listening(run.console.progress):
         planned = plan_flight(
             model.pipeline,

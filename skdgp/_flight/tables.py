@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any
@@ -340,20 +340,29 @@ def check_number(
     raise ValueError(f"Got {name}={value!r}, but expected {bound}.")
 
 
-def check_full_deflection(name: str, value: object, unit: str = "") -> float:
-    """Return the value of a control at full output, which is above zero; raise ValueError at others.
+def check_full_deflections(
+    full: object, known: Iterable[str], units: Mapping[str, str] | None = None
+) -> dict[str, float]:
+    """Return the values at full output of some of the ``known`` controls, above zero; raise ValueError at others.
 
     The unit of surfaces is by default rad, and a right angle is the most.
     """
-    if not unit and name in (*ALL_SURFACES, *HIGH_LIFT):
-        unit = "rad"
-    number = check_number(f"full deflection of the {name}", value, unit=unit)
-    if unit == "rad" and number > np.pi / 2:
+    if not isinstance(full, Mapping):
         raise ValueError(
-            f"Got a full deflection of the {name} of {number:g} rad, but expected at most {np.pi / 2:.3g}: "
-            "radians, not degrees."
+            f"Got full deflections {full!r}, but expected deflections by name: {{control: value}}."
         )
-    return number
+    check_names(full, known, "controls with a full deflection")
+    values = {}
+    for name, value in full.items():
+        unit = "rad" if name in (*ALL_SURFACES, *HIGH_LIFT) else ""
+        unit = (units or {}).get(name) or unit
+        values[name] = check_number(f"full deflection of the {name}", value, unit=unit)
+        if unit == "rad" and values[name] > np.pi / 2:
+            raise ValueError(
+                f"Got a full deflection of the {name} of {value:g} rad, but expected at most {np.pi / 2:.3g}: "
+                "radians, not degrees."
+            )
+    return values
 
 
 def check_numbers(name: str, values: object, *sizes: int, unit: str = "") -> Array:

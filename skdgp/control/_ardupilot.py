@@ -27,7 +27,7 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, standard_density
 from skdgp._flight.servo_functions import ServoRange
-from skdgp._flight.tables import by_name, check_full_deflection, check_number
+from skdgp._flight.tables import by_name, check_full_deflections, check_number
 from skdgp.control._margins import effect_of
 from skdgp.control._parameters import WEIGHTS, servo_functions
 from skdgp.dynamics import (
@@ -84,79 +84,59 @@ def read_packet(data: bytes) -> Packet | None:
 
 
 class Servo(NamedTuple):
-    """An output of the autopilot: its place among the pulses, and its weighted values at some of them [us]."""
+    """An output of the autopilot: its place among the pulses, and its part of a control at some of them [us]."""
 
     place: int
     pulses: tuple[float, ...]
-    #: -1, 0, 1 of a surface, 0 and 1 of a throttle, or in reverse, times the weight
-    outputs: Vector
+    values: Vector
 
-    def output(self, pulse: float) -> float:
-        """Return the output at a pulse, by straight lines."""
-        return float(np.interp(pulse, self.pulses, self.outputs))
+    def __call__(self, pulse: float) -> float:
+        """Return the part of the control at a pulse, by straight lines."""
+        return float(np.interp(pulse, self.pulses, self.values))
 
 
-def servos_of(parameters: Mapping[str, float]) -> dict[str, list[Servo]]:
-    """Return the servos of each control by ArduPilot's ``SERVOn_*``, by default aileron, elevator, throttle, rudder.
+def servos_of(
+    gains: Mapping[str, float], parameters: Mapping[str, float]
+) -> dict[str, list[Servo]]:
+    """Return the servos of controls by ArduPilot's ``SERVOn_*``, by default aileron, elevator, throttle, rudder.
 
-    Raises ValueError if the pulses of a servo do not increase.
+    The ``gains`` are the controls at an output of 1, which rolls right, pitches up or yaws right. Raises
+    ValueError if the pulses of a servo do not increase.
     """
     functions = servo_functions(parameters)
     servos: dict[str, list[Servo]] = {}
-    for control, weights in WEIGHTS.items():
-        for function, weight in weights.items():
+    for control, gain in gains.items():
+        is_surface = control in RAISED
+        servos[control] = []
+        for function, weight in WEIGHTS[control if is_surface else "throttle"].items():
             numbers = [n for n in functions if functions[n] == function]
             for n in numbers:
-                servo = _servo(parameters, n, weight / len(numbers), control in RAISED)
-                servos.setdefault(control, []).append(servo)
+                at_1 = gain * weight / len(numbers)
+                servos[control].append(_servo(parameters, n, at_1, is_surface))
     return servos
 
 
-def _servo(parameters: Mapping[str, float], n: int, weight: float, is_surface: bool) -> Servo:
-    """Return servo n, whose outputs begin at the first pulse, of a surface in the middle."""
+def _servo(parameters: Mapping[str, float], n: int, at_1: float, is_surface: bool) -> Servo:
+    """Return servo n with its part of a control at an output of 1; those of a surface begin at -1."""
     low, middle, high, is_reversed = ServoRange.of(parameters, n)
     if not low <= middle <= high or low == high:
         raise ValueError(
             f"Got SERVO{n}_MIN {low:g}, TRIM {middle:g} and MAX {high:g}, but expected pulses that increase."
         )
     used = (low, middle, high) if is_surface else (low, high)
-    outputs = weight * np.linspace(-1.0 if is_surface else 0.0, 1.0, len(used))
-    return Servo(n - 1, used, outputs[::-1] if is_reversed else outputs)
+    values = at_1 * np.linspace(-1.0 if is_surface else 0.0, 1.0, len(used))
+    return Servo(n - 1, used, values[::-1] if is_reversed else values)
 
 
-class Outputs:
-    """Outputs of an autopilot as controls of a model.
-
-    A positive output rolls right, pitches up or yaws right, as in ArduPilot: the model says which
-    deflections do. A control whose servos send no pulse keeps its value of the trim.
-    """
-
-    def __init__(
-        self,
-        linear: LinearModel,
-        steady: Trim,
-        full: Mapping[str, float],
-        parameters: Mapping[str, float],
-    ) -> None:
-        self.steady = steady.controls
-        servos = servos_of(parameters)
-        self.servos: dict[str, list[Servo]] = {}
-        self.gains: dict[str, float] = {}
-        for name in full:
-            self.servos[name] = servos.get(name if name in RAISED else "throttle", [])
-            sign = _effect(linear, name) if name in RAISED else 1.0
-            self.gains[name] = sign * full[name]
-
-    def commands(self, pulses: Sequence[int]) -> dict[str, float]:
-        """Return the commanded controls by name."""
-        commands = dict(self.steady)
-        sent = dict(enumerate(pulses))
-        for name, servos in self.servos.items():
-            of_servos = [sent.get(servo.place, 0) for servo in servos]
-            if min(of_servos, default=0) > NO_PULSE:
-                outputs = map(Servo.output, servos, of_servos)
-                commands[name] = self.gains[name] * sum(outputs)
-        return commands
+def commands_of(pulses: Sequence[int], servos: Mapping[str, list[Servo]]) -> dict[str, float]:
+    """Return the commanded controls by name, without those whose servos get no pulse."""
+    sent = dict(enumerate(pulses))
+    commands = {}
+    for name, of_control in servos.items():
+        of_servos = [sent.get(servo.place, 0) for servo in of_control]
+        if min(of_servos, default=0) > NO_PULSE:
+            commands[name] = sum(map(Servo.__call__, of_control, of_servos))
+    return commands
 
 
 def full_outputs(
@@ -175,13 +155,7 @@ def full_outputs(
     known = [name for name in moved if name in controls]
     if engine in (None, "throttle"):
         full = {"throttle": 1.0, **full}
-    for name, value in full.items():
-        if name not in known and name != "throttle":
-            raise ValueError(
-                f"Got full={dict(full)!r}, but {name!r} is no control of this model: expected values of "
-                f"{', '.join(known) or 'none'}."
-            )
-        check_full_deflection(name, value)
+    full = check_full_deflections(full, [*known, "throttle"])
     lacking = [name for name in known if name not in full]
     if lacking:
         raise ValueError(
@@ -192,7 +166,9 @@ def full_outputs(
 
 
 def _effect(linear: LinearModel, control: str) -> float:
-    """Return the sign of the effect of a surface on its rate; raise ValueError if it has none."""
+    """Return the sign of the effect of a surface on its rate, 1 of others; raise ValueError if it has none."""
+    if control not in RAISED:
+        return 1.0
     effect = effect_of(linear, control, RAISED[control])
     if effect == 0.0:
         raise ValueError(
@@ -340,10 +316,11 @@ def fly(
     check_number("wait", wait, unit="s")
     linear = linearize(model, aircraft, steady, thrust=thrust)
     full = full_outputs(model, aircraft, full, thrust)
-    outputs = Outputs(linear, steady, full, parameters or {})
+    gains = {name: _effect(linear, name) * value for name, value in full.items()}
+    servos = servos_of(gains, parameters or {})
     air = Air(wind=wind, gusts=gusts)
     simulator = Simulator(model, aircraft, LONGEST_STEP, air=air, thrust=thrust)
-    flights = _Flights(simulator, outputs, steady, steady.altitude - height, path)
+    flights = _Flights(simulator, servos, steady, steady.altitude - height, path)
     with Link(address, port) as link, one_blas_thread():
         if ready is not None:
             ready()
@@ -367,13 +344,15 @@ class _Flights:
     def __init__(
         self,
         simulator: Simulator,
-        outputs: Outputs,
+        servos: Mapping[str, list[Servo]],
         steady: Trim,
         ground: float,
         path: int | None,
     ) -> None:
         self.simulator = simulator
-        self.outputs = outputs
+        self.servos = servos
+        self.steady = steady
+        # by name: the airspeed counts, in any wind
         names = ("airspeed", "alpha", "beta", "phi", "theta", "altitude")
         self.at_trim = {name: vars(steady)[name] for name in names}
         self.at_trim |= by_name(RATE_NAMES, steady.rates)
@@ -422,8 +401,9 @@ class _Flights:
                     self.n_starts += 1
                 last, autopilot = packet.number, sender
                 began = time.perf_counter()
-                commands = self.outputs.commands(packet.pulses)
-                if reason := self._advance(commands, min(1.0 / max(packet.rate, 1), LONGEST_FRAME)):
+                commands = self.steady.controls | commands_of(packet.pulses, self.servos)
+                duration = min(1.0 / max(packet.rate, 1), LONGEST_FRAME)
+                if reason := self._advance(commands, duration):
                     return f"the flight ended after {self.simulator.time:.1f} s: {reason}"
                 line = self._readings()
                 self.computing += time.perf_counter() - began

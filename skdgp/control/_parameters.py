@@ -16,7 +16,7 @@ import numpy as np
 
 from skdgp._compute.messages import warn
 from skdgp._flight.servo_functions import ServoFunction
-from skdgp._flight.tables import check_full_deflection
+from skdgp._flight.tables import check_full_deflections
 from skdgp.control._loops import GAINS, LOOP_AXES, Loop, Notch
 
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
@@ -286,7 +286,7 @@ def autopilot_loops(
     """
     given = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
     _check_parameters(given)
-    _check_full(full)
+    full = check_full_deflections(full, [surface for *_, surface in LOOP_AXES.values()])
     is_px4 = any(name.startswith(OF_PX4) for name in given)
     is_ardupilot = any(name.startswith(OF_ARDUPILOT) for name in given)
     if is_px4 and is_ardupilot:
@@ -358,17 +358,6 @@ def _check_parameters(given: Mapping[str, float]) -> None:
     for name in POSITIVE & {*given}:
         if not given[name] > 0 and (is_scaled or not name.startswith("FW_AIRSPD")):
             raise ValueError(f"Got {name}={given[name]:g}, but expected a number above zero.")
-
-
-def _check_full(full: Mapping[str, float]) -> None:
-    """Raise ValueError where full deflections are no mapping of surfaces to positive angles up to 90 degrees."""
-    surfaces = [surface for *_, surface in LOOP_AXES.values()]
-    if not isinstance(full, Mapping) or not full or not {*full} <= {*surfaces}:
-        raise ValueError(
-            f"Got full={full!r}, but expected deflections [rad] at full output of some of {surfaces}."
-        )
-    for name, value in full.items():
-        check_full_deflection(name, value)
 
 
 def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop], dict[str, float]]:

@@ -27,7 +27,7 @@ from skdgp.design._envelope import (
     common_range,
     regressors_of,
 )
-from skdgp.design._library import RESPONSE, ROW_STEP, input_bands, library
+from skdgp.design._library import RESPONSE, ROW_STEP, duration_of, input_bands, library
 from skdgp.design._rehearsal import Rehearsal, Rehearsed
 from skdgp.dynamics import (
     Aerodynamics,
@@ -46,6 +46,8 @@ CONTROLS = (*SURFACES, "throttle")
 UNBOUNDED = ("thrust", "propeller_speed")
 # Responses that are drawn
 RESPONSES = ("alpha", "airspeed", "phi", "beta")
+# Range of a control that the model does not know
+NOWHERE = (np.nan, np.nan)
 # Least relative reduction of the errors of the goal
 WORTH = 0.002
 # Information assumed of everything, relative to the largest of a manoeuvre
@@ -210,12 +212,13 @@ def plan(
     aerodynamics = as_aerodynamics(model)
     _check_options(seconds, axes, limits or {})
     check_names(axes, trim.controls, "controls of the trim")
-    _warn_unlimited(envelope, aerodynamics)
+    rehearsal = Rehearsal(aerodynamics, aircraft, trim, tuple(axes), envelope, thrust)
+    _warn_unlimited(rehearsal)
     goal = _check_goal(goal, aerodynamics, axes)
     amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
-    pause = _pause(trim)
+    # a quarter of Lanchester's phugoid, or more
+    pause = max(RESPONSE, np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
     time = seconds - RESPONSE
-    rehearsal = Rehearsal(aerodynamics, aircraft, trim, amplitudes, envelope, thrust)
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
         notify("planning: library", 0, 0.0)
@@ -224,41 +227,28 @@ def plan(
         available = rehearsal.inside(library(bands, amplitudes), time, pause)
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
         rows = [_rows(item, aircraft, aerodynamics) for item in available]
-        durations = np.array([item.duration for item in available])
+        durations = np.array([duration_of(item.inputs) for item in available])
         chosen = _chosen(aerodynamics, rows, durations + pause, time, goal)
         if not chosen:
             raise ValueError(
-                f"Got the goal {goal}, but {seconds:g} s of manoeuvres of {list(axes)} within their "
-                f"limits lower its errors too little: move other axes, raise their limits, or ask for "
-                f"another goal."
+                f"Got the goal {goal}, but {seconds:g} s of manoeuvres of {list(axes)} within their limits lower its "
+                "errors too little: move other axes, raise their limits, or ask for another goal."
             )
         derivatives = stability_derivatives(model, aircraft, trim, thrust=thrust)
     before = derivatives.get("std", pd.Series(dtype=float))
     errors = _errors(before, aerodynamics, np.concatenate([rows[k] for k in chosen]))
     flown = [available[k] for k in chosen]
-    goal = _taught(goal, aerodynamics, flown)
+    flights = [item.flight.assign(flight=k) for k, item in enumerate(flown)]
     return Plan(
         train=wavetrain([item.inputs for item in flown], pause=pause, limits=amplitudes),
         trim=trim,
         manoeuvres=_timetable(flown, pause, RESPONSE),
-        flight=_numbered(flown),
-        errors=errors.reindex(goal),
+        flight=pd.concat(flights, ignore_index=True),
+        errors=errors.reindex(_taught(goal, aerodynamics, flown)),
         limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
         aircraft=aircraft,
         margin=envelope.margin,
     )
-
-
-def _pause(trim: Trim) -> float:
-    """Return the pause [s] at the trim: a quarter of Lanchester's phugoid, sqrt(2) pi V / g, or more."""
-    quarter = np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY)
-    return max(RESPONSE, quarter)
-
-
-def _numbered(flown: Sequence[Rehearsed]) -> pd.DataFrame:
-    """Return the flights of manoeuvres in one table, with their numbers in the column ``flight``."""
-    parts = [item.flight.assign(flight=k) for k, item in enumerate(flown)]
-    return pd.concat(parts, ignore_index=True)
 
 
 def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None:
@@ -269,8 +259,7 @@ def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None
         )
     if check_number("seconds", seconds) > MOST_SECONDS:
         raise ValueError(
-            f"Got seconds={seconds!r}, but expected at most {MOST_SECONDS:g}: plan a shorter "
-            f"flight, and fly it again."
+            f"Got seconds={seconds!r}, but expected at most {MOST_SECONDS:g}: plan a shorter flight, and fly it again."
         )
     check_names(limits, axes, "axes to move")
     for axis, limit in limits.items():
@@ -282,26 +271,23 @@ def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None
             )
 
 
-def _warn_unlimited(envelope: Envelope, model: Aerodynamics) -> None:
+def _warn_unlimited(rehearsal: Rehearsal) -> None:
     """Warn of quantities with neither a limit nor a known range."""
-    free = envelope.unlimited(model)
-    if free and model.is_uncertain:
+    if np.isinf(rehearsal.envelope.growth) or not rehearsal.model.is_uncertain:
+        return
+    free = [name for name in OPTIONS if np.isinf(rehearsal.bounds[name]).all()]
+    if free:
         options = ", ".join(OPTIONS[name] for name in free)
         warn(
-            f"The model does not know the flown range of {', '.join(free)}, so nothing limits "
-            f"them: a manoeuvre may turn the aircraft over or dive. Limit them by the "
-            f"envelope ({options}), or fit the model again.",
-            UserWarning,
+            f"The model does not know the flown range of {', '.join(free)}, so nothing limits them: a manoeuvre may "
+            f"turn the aircraft over or dive. Limit them by the envelope ({options}), or fit the model again."
         )
 
 
-def _derivative_places(model: Aerodynamics) -> dict[str, int]:
+def _derivatives(model: Aerodynamics) -> dict[str, int]:
     """Return the place of the regressor of each derivative of the model, such as ``Cm_q``."""
-    places = {}
-    for coefficient in COEFFICIENTS:
-        for k, name in enumerate(model.regressors):
-            places[f"{coefficient}_{name.removesuffix(HAT)}"] = k
-    return places
+    names = [name.removesuffix(HAT) for name in model.regressors]
+    return {f"{C}_{name}": k for C in COEFFICIENTS for k, name in enumerate(names)}
 
 
 def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[str]) -> list[str]:
@@ -309,42 +295,40 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[
 
     Raises ValueError if the model cannot tell of one.
     """
-    places = _derivative_places(model)
+    places = _derivatives(model)
     if goal is None:
-        return _without({*CONTROLS} - {*axes}, places, model)
+        return _moved(places, model, axes)
     if isinstance(goal, str) or not len(goal) or not {*goal} <= places.keys():
         raise ValueError(
-            f"Got the goal {goal!r}, but the model has the regressors {list(model.regressors)}: "
-            f"give a list of derivatives such as {next(iter(places))!r}, or learn a model with that "
-            f"regressor."
+            f"Got the goal {goal!r}, but the model has the regressors {list(model.regressors)}: give a list of "
+            f"derivatives such as {next(iter(places))!r}, or learn a model with that regressor."
         )
     for name in goal:
-        place = places[name]
-        if model.limits is not None and np.ptp(model.limits[:, place]) == 0:
+        low, high = model.training_ranges.get(model.regressors[places[name]], UNLIMITED)
+        if low == high:
             raise ValueError(
-                f"Got the goal {name}, but {model.regressors[place]} did not move in the flights that "
-                f"the model was learned from: learn from a flight in which it moves, or ask for "
-                f"another goal."
+                f"Got the goal {name}, but its regressor did not move in the flights that the model was learned "
+                "from: learn from a flight in which it moves, or ask for another goal."
             )
     return list(goal)
 
 
-def _without(controls: set[str], goal: Iterable[str], model: Aerodynamics) -> list[str]:
-    """Return the derivatives of a goal that are not by any of these controls."""
-    places = _derivative_places(model)
-    return [name for name in goal if model.regressors[places[name]] not in controls]
+def _moved(goal: Iterable[str], model: Aerodynamics, axes: Iterable[str]) -> list[str]:
+    """Return the derivatives of a goal that are not by a control other than the axes."""
+    still = {*CONTROLS} - {*axes}
+    places = _derivatives(model)
+    return [name for name in goal if model.regressors[places[name]] not in still]
 
 
 def _taught(goal: Sequence[str], model: Aerodynamics, flown: Sequence[Rehearsed]) -> list[str]:
     """Return the derivatives of a goal that the chosen manoeuvres teach; warn of the others."""
-    moved = {axis for item in flown for axis in item.inputs}
-    taught = _without({*CONTROLS} - moved, goal, model)
+    taught = _moved(goal, model, [axis for item in flown for axis in item.inputs])
     lost = [name for name in goal if name not in taught]
     if lost:
         warn(
-            f"The plan has no manoeuvre that moves the controls of {', '.join(lost)}, as others lower "
-            "the errors of the goal more, or the limits leave no room: nothing is expected of them. "
-            "Give more seconds, wider limits, or these derivatives alone as the goal."
+            f"The plan has no manoeuvre that moves the controls of {', '.join(lost)}, as others lower the errors of "
+            "the goal more, or the limits leave no room: nothing is expected of them. Give more seconds, wider "
+            "limits, or these derivatives alone as the goal."
         )
     return taught
 
@@ -353,23 +337,17 @@ def _amplitudes(
     trim: Trim, model: Aerodynamics, axes: Sequence[str], limits: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the largest deviations of the axes, by default within the training ranges."""
-    flown = model.training_ranges
     amplitudes = {}
     for axis in axes:
-        if axis not in limits and axis not in flown:
-            raise ValueError(
-                f"Got no limit of the {axis}, and the model does not say what was flown: give "
-                f"limits={{{axis!r}: ...}} (--limits)."
-            )
-        ends = UNLIMITED if axis in limits else flown[axis]
-        low, high = common_range(ends, WHOLE_RANGE.get(axis, UNLIMITED))
+        flown = UNLIMITED if axis in limits else model.training_ranges.get(axis, NOWHERE)
+        low, high = common_range(flown, WHOLE_RANGE.get(axis, UNLIMITED))
         value = trim.controls[axis]
         room = min(value - low, high - value)
         if not room > 0:
             raise ValueError(
-                f"Got a trim with the {axis} at {value:.3g}, but a range of {low:.3g} to {high:.3g}, "
-                f"which leaves it no room: give limits={{{axis!r}: ...}} (--limits), leave it out of "
-                f"the axes, or choose another trim."
+                f"Got no limit of the {axis}, and its trim at {value:.3g} has no room in what was flown or is "
+                f"possible, {low:.3g} to {high:.3g}: give limits={{{axis!r}: ...}} (--limits), leave it out of the "
+                "axes, or choose another trim."
             )
         amplitudes[axis] = float(min(limits.get(axis, np.inf), room))
     return amplitudes
@@ -400,7 +378,7 @@ def _chosen(
     known = VAGUE * np.diag(np.maximum(moved, UNMOVED))
     if model.learned is not None:
         known += information(model.learned.training_rows())
-    places = _derivative_places(model)
+    places = _derivatives(model)
     slopes = [1 + places[name] for name in goal]  # behind the constant
 
     def gain(chosen: list[int]) -> float:
@@ -442,17 +420,17 @@ def _errors(before: pd.Series, model: Aerodynamics, rows: Matrix) -> pd.DataFram
     if model.learned is not None:
         known = information(model.learned.training_rows())
         ratio = np.sqrt(variances(known + information(rows)) / variances(known))[1:]
-        ratios = {name: ratio[k] for name, k in _derivative_places(model).items()}
+        ratios = {name: ratio[k] for name, k in _derivatives(model).items()}
         expected = before * pd.Series(ratios)
     return pd.DataFrame({"before": before, "expected": expected}, dtype=float)
 
 
 def _timetable(flown: Sequence[Rehearsed], pause: float, end: float) -> pd.DataFrame:
     """Return the manoeuvres one after another, with the pause after each and at the end."""
-    rows = []
-    start = pause
-    for item in flown:
-        rows.append({"start": start, "name": item.name, "duration": item.duration, "pause": pause})
-        start += item.duration + pause
-    rows[-1]["pause"] = end
-    return pd.DataFrame(rows).assign(scale=[item.scale for item in flown])
+    table = pd.DataFrame({"name": [item.name for item in flown]})
+    table["duration"] = [duration_of(item.inputs) for item in flown]
+    table["pause"] = [*[pause] * (len(flown) - 1), end]
+    table["scale"] = [item.scale for item in flown]
+    ends = (table["duration"] + pause).cumsum()
+    table.insert(0, "start", pause + ends.shift(fill_value=0.0))
+    return table

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import notify
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
-from skdgp.design._envelope import Envelope, option_of
+from skdgp.design._envelope import OPTIONS, Envelope, Range, quantities, regressors_of
 from skdgp.design._library import RATE, RESPONSE, ROW_STEP, Inputs, duration_of, scaled
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, simulate
 
@@ -23,8 +23,7 @@ LEAST_SCALE = 0.2
 SHRINK = (0.7, 0.98)
 
 
-@dataclass(frozen=True, eq=False)
-class Rehearsed:
+class Rehearsed(NamedTuple):
     """A manoeuvre that stays inside the limits, and its flight with the response after it."""
 
     name: str
@@ -32,34 +31,20 @@ class Rehearsed:
     scale: float  # relative to the limits of the axes
     flight: pd.DataFrame
 
-    @property
-    def duration(self) -> float:
-        """How long its inputs last [s]."""
-        return duration_of(self.inputs)
-
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """Simulations of manoeuvres from a trim, by the mean of a model in calm air.
-
-    Parameters
-    ----------
-    model, aircraft, trim, thrust
-        As of `simulate`.
-    amplitudes : mapping of str to float
-        Limits of the axes.
-    envelope : Envelope
-    """
+    """Simulations of manoeuvres of some axes from a trim, by the mean of a model in calm air, inside an envelope."""
 
     model: Aerodynamics
     aircraft: Aircraft
     trim: Trim
-    amplitudes: Mapping[str, float]
+    axes: tuple[str, ...]
     envelope: Envelope
     thrust: Any
 
     @property
-    def bounds(self) -> dict[str, tuple[float, float]]:
+    def bounds(self) -> dict[str, Range]:
         """The lowest and the highest value of each limited channel."""
         return self.envelope.bounds(self.model)
 
@@ -75,7 +60,7 @@ class Rehearsal:
         notify(f"planning: size of {len(scales)} manoeuvres", 0, np.nan)
         while scales:
             sized = {name: scaled(full[name], scale) for name, scale in scales.items()}
-            for name, flight in self.flights(sized).items():
+            for name, flight in self._flights(sized).items():
                 factors = self._factors(sized[name], flight, centre)
                 scale = scales.pop(name)
                 if factors.min() >= 1.0:
@@ -88,13 +73,12 @@ class Rehearsal:
                     scales[name] = scale
         if not inside:
             raise ValueError(
-                f"Got an envelope that every manoeuvre leaves even at {LEAST_SCALE:.0%} "
-                f"of the limits; the last one leaves it by {cause} ({option_of(cause)}): widen this "
-                f"limit, or fly another airspeed or altitude."
+                f"Got an envelope that every manoeuvre leaves even at {LEAST_SCALE:.0%} of the limits; the last one "
+                f"leaves it by {_with_option(cause)}: widen this limit, or fly another airspeed or altitude."
             )
         return inside
 
-    def flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
+    def _flights(self, manoeuvres: Mapping[str, Inputs]) -> dict[str, pd.DataFrame]:
         """Return the flights of manoeuvres, each with its response after it."""
         longest = max(map(duration_of, manoeuvres.values())) + RESPONSE
         tables = []
@@ -114,24 +98,26 @@ class Rehearsal:
         flights = {}
         parts = np.array_split(np.arange(len(flown)), len(tables))
         for (name, inputs), rows in zip(manoeuvres.items(), parts, strict=True):
-            flight = flown.iloc[rows]
-            is_recorded = flight["time"] <= duration_of(inputs) + RESPONSE + ROUNDING
-            flights[name] = flight[is_recorded].reset_index(drop=True)
+            flight = flown.iloc[rows].reset_index(drop=True)
+            flights[name] = flight[flight["time"] <= duration_of(inputs) + RESPONSE + ROUNDING]
         return flights
 
     def _channels(self, flight: pd.DataFrame) -> pd.DataFrame:
-        return self.envelope.channels(flight, self.aircraft, self.model)
+        """Return the values of each of the bounds along one flight."""
+        values = quantities(flight)
+        names = self.model.regressors
+        values[[*names]] = regressors_of(flight, self.aircraft, names)
+        return values[[*self.bounds]]
 
     def _centre(self) -> pd.Series:
         """Return the limited channels in trimmed flight; raise ValueError if they leave their limits."""
-        nothing: Inputs = {next(iter(self.amplitudes)): Steps([1.0], [0.0])}
-        centre = self._channels(self.flights({"trim": nothing})["trim"]).iloc[0]
+        nothing: Inputs = {self.axes[0]: Steps([1.0], [0.0])}
+        centre = self._channels(self._flights({"trim": nothing})["trim"]).iloc[0]
         for name, (low, high) in self.bounds.items():
             if centre[name] < low or centre[name] > high:
                 raise ValueError(
-                    f"Got an envelope that trimmed flight at {self.trim.airspeed:g} m/s and "
-                    f"{self.trim.altitude:.0f} m leaves by {name} ({option_of(name)}): widen this "
-                    f"limit, or choose another airspeed or altitude."
+                    f"Got an envelope that trimmed flight at {self.trim.airspeed:g} m/s and {self.trim.altitude:.0f} m "
+                    f"leaves by {_with_option(name)}: widen this limit, or choose another airspeed or altitude."
                 )
         return centre
 
@@ -141,12 +127,17 @@ class Rehearsal:
             return pd.Series({"the end of the simulation": 0.0})
         unattended = duration_of(inputs) + REACTION + ROUNDING
         response = self._channels(flight[flight["time"] <= unattended]) - centre
-        is_response = ~response.columns.isin([*self.amplitudes])  # a control has none
+        is_response = ~response.columns.isin(self.axes)  # a control has none
         response *= 1.0 + self.envelope.margin * is_response
         low, high = np.array([*self.bounds.values()]).T - centre.to_numpy()
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = response.rdiv(1.0) * np.where(response > 0, high, low)
         return factors.where(np.isfinite(factors), np.inf).min()
+
+
+def _with_option(name: str) -> str:
+    """Return a limited channel with the option that changes its limit."""
+    return f"{name} ({OPTIONS.get(name, '--growth')})"
 
 
 def _that_last(manoeuvres: Mapping[str, Inputs], longest: float) -> dict[str, Inputs]:

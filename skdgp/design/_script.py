@@ -12,7 +12,7 @@ import pandas as pd
 
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
 from skdgp._flight.servo_functions import ServoFunction
-from skdgp._flight.tables import check_full_deflection, check_names
+from skdgp._flight.tables import check_full_deflections
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 
@@ -106,11 +106,10 @@ def ardupilot_script(
 
 def surface_mixes(axes: Sequence[str], full: Mapping[str, float]) -> dict[str, dict[str, float]]:
     """Return the gains of the axes that move each surface of ArduPilot; raise ValueError as `ardupilot_script`."""
-    check_names(full, ARDUPILOT, "servo functions of ArduPilot")
+    check_full_deflections(full, ARDUPILOT)
     mixes = {}
     still = dict.fromkeys(axes)
-    for name, value in full.items():
-        check_full_deflection(name, value)
+    for name in full:
         gains = MIXES.get(name, {name: 1.0})
         mix = {axis: gain for axis, gain in gains.items() if axis in axes}
         if mix:

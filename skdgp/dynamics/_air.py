@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -129,7 +128,7 @@ class Turbulence(NamedTuple):
         check_radians(flight, (*EULER, "alpha", "beta"))
         winds = [_wind_of(flight.iloc[segment][columns].dropna()) for segment in flights.segments]
         long = [wind for wind in winds if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION]
-        found = turbulence_of_winds(long, span, is_noisy=True)
+        found = turbulence_of_winds(long, span)
         if found is None:
             raise ValueError(
                 "Got flights that are too short, or too rarely sampled, to show gusts, but expected a flight of "
@@ -154,9 +153,7 @@ class Turbulence(NamedTuple):
         return np.array([p, q, r])
 
 
-def turbulence_of_winds(
-    winds: Sequence[pd.DataFrame], span: float, *, is_noisy: bool = False
-) -> Turbulence | None:
+def turbulence_of_winds(winds: Sequence[pd.DataFrame], span: float) -> Turbulence | None:
     """Return the turbulence of winds, by `Turbulence.from_flight`; None where they are too short to show gusts.
 
     Each has time, airspeed at which it was met, wind_north, wind_east, wind_down. Winds of a few seconds show
@@ -167,15 +164,10 @@ def turbulence_of_winds(
         return None
     wave_number, interval, north, east, down = np.concatenate(parts).T
     shortest = max(SAMPLES * interval.min(), 4.0 * span / np.pi)
-    spectra = {
-        _horizontal_spectrum: 0.5 * (north + east),
-        _vertical_spectrum: down,
-    }
-    axes = []
-    for unit_spectrum, power in spectra.items():
-        unit = partial(unit_spectrum, wave_number)
-        axes.append(_fitted(unit, power, interval, shortest, is_noisy))
-    horizontal, vertical = axes
+    along = partial(_horizontal_spectrum, wave_number)
+    across = partial(_vertical_spectrum, wave_number)
+    horizontal = _fitted(along, 0.5 * (north + east), interval, shortest)
+    vertical = _fitted(across, down, interval, shortest)
     intensity, length = np.transpose([horizontal, horizontal, vertical])
     speeds = [wind["airspeed"].mean() for wind in winds]
     durations = [np.ptp(wind["time"]) for wind in winds]
@@ -212,11 +204,6 @@ def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
     return wind
 
 
-def _along_spectrum(wave_number: Array, length: Array) -> Array:
-    """Return the spectrum of u of unit variance without lags: see `dryden_system`."""
-    return 2 * length / (1 + (length * wave_number) ** 2)
-
-
 def _vertical_spectrum(wave_number: Array, length: Array) -> Array:
     """Return the spectrum of v and w of unit variance without lags."""
     x = (length * wave_number) ** 2
@@ -224,19 +211,20 @@ def _vertical_spectrum(wave_number: Array, length: Array) -> Array:
 
 
 def _horizontal_spectrum(wave_number: Array, length: Array) -> Array:
-    """Return the spectrum of unit variance of u and v, whatever the direction of the flight."""
-    return (_along_spectrum(wave_number, length) + _vertical_spectrum(wave_number, length)) / 2
+    """Return the spectrum of unit variance of u and v, whatever the direction of the flight: see `dryden_system`."""
+    of_u = 2 * length / (1 + (length * wave_number) ** 2)
+    return (of_u + _vertical_spectrum(wave_number, length)) / 2
 
 
 def _fitted(
-    unit_spectrum: Callable, power: Vector, interval: Vector, shortest: float, is_noisy: bool
+    unit_spectrum: Callable, power: Vector, interval: Vector, shortest: float
 ) -> tuple[float, float]:
     """Return intensity [m/s] and length [m] of an axis with a periodogram (n,)."""
 
     def spectrum(logarithms: Vector) -> Vector:
         """Return the spectrum of gusts of unit variance and noise, whose spectrum is the interval."""
-        length, *noise = np.exp(logarithms)
-        return unit_spectrum(length) + sum(noise) * interval
+        length, noise = np.exp(logarithms)
+        return unit_spectrum(length) + noise * interval
 
     def loss(logarithms: Vector) -> float:
         S = spectrum(logarithms)
@@ -244,11 +232,9 @@ def _fitted(
         prior = 0.5 * ((logarithms[0] - np.log(LENGTH)) / LENGTH_STD) ** 2
         return float(len(S) * np.log(variance) + np.log(S).sum() + prior)
 
-    bounds: Any = np.log([(shortest, LONGEST), NOISES][: 1 + is_noisy])
-    fits = []
-    for start in product([LENGTH], *[NOISE_STARTS][:is_noisy]):
-        inside = np.clip(np.log(start), *bounds.T)
-        fits.append(minimize(loss, inside, bounds=bounds))
+    bounds: Any = np.log([(shortest, LONGEST), NOISES])
+    starts = np.log([(LENGTH, noise) for noise in NOISE_STARTS]).clip(*bounds.T)
+    fits = [minimize(loss, start, bounds=bounds) for start in starts]
     best = min(fits, key=lambda fit: fit.fun).x
     return float(np.sqrt(np.mean(power / spectrum(best)))), float(np.exp(best[0]))
 

@@ -25,7 +25,7 @@ from skdgp._flight.physics import question_of_sizes, sizes_in_flight
 from skdgp._flight.tables import (
     FlightTable,
     as_floats,
-    check_full_deflection,
+    check_full_deflections,
     sensor_position,
     with_sensors_at,
 )
@@ -122,7 +122,8 @@ class Aircraft:
         self._set("deviations", checked or None)
         self._set("propeller", _part(Propeller, _sized(self.propeller), "propeller"))
         self._set("thrust_line", _part(ThrustLine, self.thrust_line, "thrust_line"))
-        self._set("full_deflections", _full_deflections(self.full_deflections))
+        full = check_full_deflections(self.full_deflections or {}, SURFACES)
+        self._set("full_deflections", full or None)
         self._set("sensor_position", _sensor_position(self.sensor_position, self.span))
 
     def _set(self, name: str, value: Any) -> None:
@@ -290,19 +291,6 @@ def _questioned(aircraft: Aircraft) -> Aircraft:
     if question is not None:
         report(question)
     return aircraft
-
-
-def _full_deflections(values: Any) -> dict[str, float] | None:
-    """Return checked deflections by control, None without any."""
-    if not values:
-        return None
-    if not isinstance(values, Mapping):
-        raise TypeError(
-            f"Got {type(values).__name__} for full_deflections, but expected a mapping of controls "
-            f"to angles [rad]."
-        )
-    check_keys(values, SURFACES, [], "full_deflections")
-    return {name: check_full_deflection(name, value) for name, value in values.items()}
 
 
 def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:

@@ -106,8 +106,8 @@ class LinearModel:
         -------
         DataFrame
             Columns ``eigenvalue`` [1/s], ``frequency`` [rad/s], undamped, ``damping``,
-            ``time_constant`` [s], negative where it diverges, ``time_to_half``, ``time_to_double``,
-            ``period`` [s], infinite where there is none. With paths also ``frequency_std``,
+            ``time_constant`` [s], negative where it diverges, of half or double amplitude after 0.69 times
+            it, ``period`` [s], infinite where there is none. With paths also ``frequency_std``,
             ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which hold 95 %
             of the paths: the upper one is infinite where some do not decay.
         """

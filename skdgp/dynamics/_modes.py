@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import chain, combinations
 from typing import Any
 
@@ -27,7 +26,7 @@ def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
     participation = pd.DataFrame(_participation(left, right), names)
     modes = _named(_units(eigenvalues), participation, eigenvalues)
-    table = pd.DataFrame([_row(eigenvalues[list(unit)]) for unit in modes.values()], list(modes))
+    table = pd.DataFrame([_row(eigenvalues[unit]) for unit in modes.values()], list(modes))
     if paths is not None:
         _add_spread(table, paths[:, rows][:, :, rows], eigenvalues, list(modes.values()))
     return table
@@ -42,7 +41,7 @@ def _participation(left: np.ndarray, right: np.ndarray) -> Array:
 
 
 def _add_spread(
-    table: pd.DataFrame, paths: Array, eigenvalues: np.ndarray, units: list[tuple[int, ...]]
+    table: pd.DataFrame, paths: Array, eigenvalues: np.ndarray, units: list[list[int]]
 ) -> None:
     """Add the standard deviations and limits over the paths (n_paths, n, n) to the table of modes."""
     values = []
@@ -50,7 +49,7 @@ def _add_spread(
         roots = np.linalg.eigvals(path)
         # in the order of the eigenvalues that they lie nearest to
         _, order = linear_sum_assignment(np.abs(eigenvalues[:, None] - roots))
-        values.append([_values(roots[order[list(unit)]]) for unit in units])
+        values.append([_values(roots[order[unit]]) for unit in units])
     frequency, damping, decay = np.moveaxis(np.array(values), -1, 0)  # (n_paths, modes) each
     table["frequency_std"] = frequency.std(axis=0, ddof=1)
     table["damping_std"] = damping.std(axis=0, ddof=1)
@@ -60,22 +59,21 @@ def _add_spread(
         table["time_constant_upper"] = np.where(slowest > 0, 1.0 / slowest, np.inf)
 
 
-def _units(eigenvalues: np.ndarray) -> list[tuple[int, ...]]:
+def _units(eigenvalues: np.ndarray) -> list[list[int]]:
     """Return pairs of conjugate eigenvalues, positive imaginary part first, and single real ones."""
-    units: list[tuple[int, ...]] = []
+    units = []
     for k, value in enumerate(eigenvalues):
-        if value.imag > 0:
-            units.append((k, int(np.argmin(np.abs(eigenvalues - value.conj())))))
-        elif value.imag == 0:
-            units.append((k,))
+        conjugate = int(np.argmin(np.abs(eigenvalues - value.conj())))
+        if value.imag >= 0:
+            units.append([k, conjugate] if value.imag else [k])
     return units
 
 
 def _named(
-    units: list[tuple[int, ...]], participation: pd.DataFrame, eigenvalues: Array
-) -> dict[str, tuple[int, ...]]:
+    units: list[list[int]], participation: pd.DataFrame, eigenvalues: Array
+) -> dict[str, list[int]]:
     """Return the units by name, of the participation of the states in each eigenvalue."""
-    named: dict[str, tuple[int, ...]] = {}
+    named: dict[str, list[int]] = {}
     states = set(participation.index)
     if states.issuperset(LONGITUDINAL):
         along, units = _split(units, participation.loc[[*LONGITUDINAL]], 4)
@@ -84,22 +82,20 @@ def _named(
         named |= _numbered("phugoid", long, eigenvalues)
     if states.issuperset(LATERAL):
         dutch, slow = _split(units, participation.loc[["v", "r"]], 2)
+        roll, spiral = _split(slow, participation.loc[["p"]], 1)
         named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= _named_by_rolling(slow, participation.loc["p"].to_numpy())
+        named |= _numbered("roll", roll, eigenvalues)
+        named |= _numbered("spiral" if roll else "roll-spiral", spiral, eigenvalues)
     return named or _numbered("mode", units, eigenvalues)
 
 
-def _named_by_rolling(units: list[tuple[int, ...]], rolling: Array) -> dict[str, tuple[int, ...]]:
-    """Return roll and spiral by the participation of the roll rate, or the oscillation that they have become."""
-    units.sort(key=lambda unit: -rolling[list(unit)].sum())
-    names = ("roll", "spiral") if len(units) == 2 else ("roll-spiral",)
-    return dict(zip(names, units, strict=True))
-
-
 def _split(
-    units: list[tuple[int, ...]], participation: pd.DataFrame, size: int
-) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
-    """Return the units, ``size`` eigenvalues, with the largest participation of some states, and the others."""
+    units: list[list[int]], participation: pd.DataFrame, size: int
+) -> tuple[list[list[int]], list[list[int]]]:
+    """Return the units, ``size`` eigenvalues, with the largest participation of some states, and the others.
+
+    A pair is not taken apart: there may be no such units.
+    """
     share = participation.sum().to_numpy()
     subsets = chain.from_iterable(combinations(units, n) for n in range(1, size + 1))
     fitting = [subset for subset in subsets if sum(map(len, subset)) == size]
@@ -107,13 +103,12 @@ def _split(
     return list(best), [unit for unit in units if unit not in best]
 
 
-def _numbered(name: str, units: Sequence, eigenvalues: np.ndarray) -> dict[str, tuple[int, ...]]:
+def _numbered(name: str, units: list[list[int]], eigenvalues: np.ndarray) -> dict[str, list[int]]:
     """Return a single unit by its name; several with numbers, the fastest first."""
     units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
-    names = [name]
-    if len(units) > 1:
-        names = [f"{name} {k}" for k in range(1, len(units) + 1)]
-    return dict(zip(names, units, strict=True))
+    if len(units) == 1:
+        return {name: units[0]}
+    return {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
 
 
 def _values(roots: np.ndarray) -> tuple[float, float, float]:
@@ -126,12 +121,11 @@ def _values(roots: np.ndarray) -> tuple[float, float, float]:
 
 def _row(roots: np.ndarray) -> dict[str, Any]:
     frequency, damping, decay = _values(roots)
+    turn = abs(roots[0].imag)
     return {
         "eigenvalue": roots[0],
         "frequency": frequency,
         "damping": damping,
         "time_constant": 1.0 / decay if decay else np.inf,
-        "time_to_half": np.log(2.0) / decay if decay > 0 else np.inf,
-        "time_to_double": -np.log(2.0) / decay if decay < 0 else np.inf,
-        "period": 2.0 * np.pi / abs(roots[0].imag) if roots[0].imag else np.inf,
+        "period": 2.0 * np.pi / turn if turn else np.inf,
     }

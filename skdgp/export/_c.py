@@ -93,7 +93,7 @@ def _header(model: PortableModel) -> dict[str, Any]:
     functions = max(len(readout.weights) for readout in model.readouts)
     name = re.sub(r"[^ -~]|[*\\$]", "?", model.aircraft.name)
     return constants | {
-        "hash": model.content_hash,
+        "created": model.provenance.get("created", "at an unknown time"),
         "aircraft": name.replace("??", "? ?"),  # which can stand in a comment
         "size": sum(table.nbytes for table in _tables(model).values()),
         "stack": 8 * (functions + 5 * len(inputs) + 2 + 2 * len(model.mixture)),

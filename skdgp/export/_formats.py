@@ -39,7 +39,7 @@ def save_portable(path: str | os.PathLike[str], model: PortableModel) -> Path:
             f"Got {type(model).__name__} to save, but expected a PortableModel: make one with "
             "skdgp.export.portable_model(pipeline, aircraft)."
         )
-    head = {"format": FORMAT, "version": VERSION, "content_hash": model.content_hash}
+    head = {"format": FORMAT, "version": VERSION}
     text = json.dumps(head | model.head(), indent=1, allow_nan=False)
 
     def write(temporary: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.tables import check_full_deflection
+from skdgp._flight.tables import check_full_deflections
 from skdgp.dynamics import Aircraft, Propeller
 from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
@@ -122,21 +122,14 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
     """Return the deflections at a command of 1, given or of the aircraft; ValueError if one is not known."""
     units = _units(model)
     commands = units if model.aircraft.propeller is not None else units | {"thrust": "N"}
-    for name, value in full.items():
-        if name not in commands:
-            raise ValueError(
-                f"Got a full deflection of {name!r}, but expected one of the commands of this "
-                f"model: {', '.join(commands) or 'it has none'}."
-            )
-        check_full_deflection(name, value, unit=commands[name])
+    given = check_full_deflections(full, commands, commands)
     by_unit = {name: 1.0 for name, unit in units.items() if unit == FULL_THROW}
-    known = {**(model.aircraft.full_deflections or {}), **by_unit, **full}
+    known = {**(model.aircraft.full_deflections or {}), **by_unit, **given}
     if lacking := [name for name in units if name not in known]:
         raise ValueError(
             f"Got no full deflection of {', '.join(lacking)}, but expected those at a command of 1 [rad]: give "
             f"full (--full {' '.join(f'{name}=...' for name in lacking)})."
         )
-    given = {name: float(value) for name, value in full.items()}
     return {name: float(known[name]) for name in units} | given
 
 

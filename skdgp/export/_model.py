@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
 from itertools import chain
 from typing import Any
 
@@ -285,16 +282,6 @@ class PortableModel:
             "term_inverse_widths": np.array(inverse_widths).reshape(-1, d),
             "centres": np.concatenate(centres),
         }
-
-    @cached_property
-    def content_hash(self) -> str:
-        """SHA-256 of regressors, outputs and arrays, as hexadecimal digits."""
-        formulas = [asdict(regressor) for regressor in self.regressors]
-        digest = hashlib.sha256(json.dumps([formulas, self.outputs]).encode())
-        for name, array in sorted(self.arrays().items()):
-            digest.update(f"{name} {array.shape} ".encode())
-            digest.update(np.ascontiguousarray(array, dtype="<f8"))
-        return digest.hexdigest()
 
 
 # Arrays of a model

@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from skdgp.export import portable_model
-from skdgp.identification import load_model, save_model
+from skdgp.identification import save_model
 
 
 @pytest.fixture
@@ -33,7 +32,6 @@ def test_portable(run, path):
     assert numbers["files"] == {"model.npz": (folder / "model.npz").stat().st_size}
     with np.load(folder / "model.npz") as file:
         head = json.loads(file["model.json"])
-    assert head["content_hash"] == portable_model(**load_model(path)).content_hash
     assert head["provenance"]["flights"] == ["monday"]
     assert head["provenance"]["versions"]["numpy"] == np.__version__
 

@@ -36,24 +36,15 @@ GROWTH = 0.1
 SLOW = 1.0
 # Interval of values over the paths
 INTERVAL = (0.05, 0.95)
-# Usual requirements: gain [dB], phase [deg], sensitivity
-GAIN = 6.0
-PHASE = 45.0
-SENSITIVITY = 2.0
+# Usual requirements [dB], [deg]: least gain and phase, largest sensitivity
+REQUIRED = {"gain": 6.0, "phase": 45.0, "sensitivity": 2.0}
+# Margins of a loop that is not stable
+OF_UNSTABLE = {"gain": -np.inf, "phase": -np.inf, "sensitivity": np.inf}
 # Largest factor of suggested gains [dB], up or down, and the two steps of the search
 LARGEST_FACTOR = 26.0
 STEPS = (2.0, 0.25)
 # Most rounds over the loops, since each changes the others
 ROUNDS = 10
-
-
-class Margins(NamedTuple):
-    """Of one loop: gain [dB], phase [deg], sensitivity, and crossover [rad/s]; of the mean, then of each path."""
-
-    gain: Vector
-    phase: Vector
-    sensitivity: Vector
-    crossover: Vector
 
 
 def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
@@ -115,7 +106,9 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     unstable = stability.unstable(linear, loops)
     rows = []
     for k, loop in enumerate(loops):
-        loop_margins = _marked(_margins_of(transfer[..., k], s.imag), unstable[:, k])
+        loop_margins = _margins_of(transfer[..., k], s.imag)
+        for quantity, value in OF_UNSTABLE.items():
+            loop_margins[quantity][unstable[:, k]] = value
         rows += _rows(loop, loop_margins)
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
     table.attrs["unstable"] = stability.causes(linear, loops, unstable)
@@ -206,16 +199,13 @@ class _GainSearch(NamedTuple):
         others = np.where(np.arange(len(loops)) == k, 0.0, rises)
         risen = _risen(loops, others)
         transfer = _of_loops(self.responses, self.linear, risen, self.s)[..., k]
-        largest = LARGEST_FACTOR
         coarse, fine = STEPS
-        best = None
-        for decibels in np.arange(largest, -largest - coarse, -coarse):
-            if self.is_enough(decibels, risen, k, transfer):
-                best = float(decibels)
-                break
-        if best is None:
-            raise self.none_found(loops, k)
-        while best < largest and self.is_enough(best + fine, risen, k, transfer):
+        best = LARGEST_FACTOR
+        while not self.is_enough(best, risen, k, transfer):
+            best -= coarse
+            if best < -LARGEST_FACTOR:
+                raise self.none_found(loops, k)
+        while best < LARGEST_FACTOR and self.is_enough(best + fine, risen, k, transfer):
             best += fine
         return best
 
@@ -238,9 +228,8 @@ class _GainSearch(NamedTuple):
         Its loop transfer function (n_paths, n) is proportional to its gains.
         """
         loop_margins = _margins_of(_factor(decibels) * transfer, self.s.imag)
-        is_good = (loop_margins.gain >= self.gain_margin) & (
-            loop_margins.phase >= self.phase_margin
-        )
+        has_gain = loop_margins["gain"] >= self.gain_margin
+        is_good = has_gain & (loop_margins["phase"] >= self.phase_margin)
         if np.mean(is_good) < self.probability:
             return False
         risen = [*loops]
@@ -451,8 +440,8 @@ def _bound(w: Array) -> Array:
     return GROWTH / (1.0 + (w / SLOW) ** 2)
 
 
-def _margins_of(transfer: Matrix, w: Vector) -> Margins:
-    """Return the margins of loop transfer functions (n_models, n) at frequencies w [rad/s].
+def _margins_of(transfer: Matrix, w: Vector) -> dict[str, Vector]:
+    """Return the margins of loop transfer functions (n_models, n) at frequencies w [rad/s], as of `margins`.
 
     Of several crossings the smallest phase margin counts, and the smallest rise of the gain. Without a
     crossing the margin is infinite, and the frequency unknown.
@@ -473,9 +462,12 @@ def _margins_of(transfer: Matrix, w: Vector) -> Margins:
         gains = -np.interp(crossings, places, of_size)
         rows.append([gains[gains > 0].min(initial=np.inf), phase, crossover])
     gain, phase, crossings = np.transpose(rows)
-    crossover = np.exp(np.interp(crossings, places, np.log(w)))
-    sensitivity = (1 / np.abs(1 + transfer)).max(axis=-1)
-    return Margins(gain, phase, sensitivity, crossover)
+    return {
+        "gain": gain,
+        "phase": phase,
+        "sensitivity": (1 / np.abs(1 + transfer)).max(axis=-1),
+        "crossover": np.exp(np.interp(crossings, places, np.log(w))),
+    }
 
 
 def _smallest(values, places):
@@ -494,34 +486,19 @@ def _zeros(values, *, falling=False):
     return first - values[first] / (values[first + 1] - values[first])
 
 
-def _marked(loop_margins: Margins, unstable) -> Margins:
-    """Return the margins, of unstable loops minus infinity, with an infinite sensitivity."""
-    return loop_margins._replace(
-        gain=np.where(unstable, -np.inf, loop_margins.gain),
-        phase=np.where(unstable, -np.inf, loop_margins.phase),
-        sensitivity=np.where(unstable, np.inf, loop_margins.sensitivity),
-    )
-
-
 def _rows(loop, loop_margins):
     """Return the rows of one loop from the margins of the mean and of the paths."""
-    required = {
-        "gain": lambda x: x >= GAIN,
-        "phase": lambda x: x >= PHASE,
-        "sensitivity": lambda x: x <= SENSITIVITY,
-        "crossover": None,
-    }
     rows = []
-    for quantity, meets in required.items():
-        value, *paths = loop_margins._asdict()[quantity].tolist()
+    for quantity, (value, *paths) in loop_margins.items():
         values = np.array(paths)
-        row = {"loop": loop.name, "quantity": quantity, "value": value}
+        row = {"loop": loop.name, "quantity": quantity, "value": float(value)}
         row |= {"lower": np.nan, "upper": np.nan, "probability": np.nan}
         known = values[~np.isnan(values)]
         if len(known):
-            low, high = np.quantile(known, INTERVAL, method="nearest")
-            row |= {"lower": float(low), "upper": float(high)}
-        if paths and meets is not None:
-            row["probability"] = float(np.mean(meets(values)))
+            row["lower"], row["upper"] = np.quantile(known, INTERVAL, method="nearest").tolist()
+        if paths and quantity in REQUIRED:
+            required = REQUIRED[quantity]
+            meets = values <= required if quantity == "sensitivity" else values >= required
+            row["probability"] = float(np.mean(meets))
         rows.append(row)
     return rows

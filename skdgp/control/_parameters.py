@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from skdgp._compute.messages import warn
 from skdgp._flight.servo_functions import ServoFunction
-from skdgp._flight.tables import check_full_deflections
+from skdgp._flight.tables import as_floats, check_full_deflections
 from skdgp.control._loops import GAINS, LOOP_AXES, Loop, Notch
 
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
@@ -44,35 +43,16 @@ ARDUPILOT_DEFAULTS = {
 # fmt: on
 # Notch filters of ArduPilot's gyros, and of its rate controllers
 HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")
-HARMONIC_DEFAULTS = {
-    "FREQ": 80.0,
-    "BW": 40.0,
-    "ATT": 40.0,
-    "HMNCS": 3.0,
-    "MODE": 1.0,
-    "FM_RAT": 1.0,
-}
-FILTER_DEFAULTS = {"NOTCH_Q": 2.0, "NOTCH_ATT": 40.0}
-NUMBERED_FILTERS = [f"FILT{n}" for n in range(1, 9)]
-ARDUPILOT_DEFAULTS |= {
-    f"{notch}_{end}": value
-    for notch in HARMONIC_NOTCHES
-    for end, value in HARMONIC_DEFAULTS.items()
-}
-ARDUPILOT_DEFAULTS |= {
-    f"{notch}_{end}": value for notch in NUMBERED_FILTERS for end, value in FILTER_DEFAULTS.items()
-}
 # Tracking modes of a harmonic notch: of a fixed frequency, and by the throttle
 FIXED, BY_THROTTLE = 0, 1
-NUMBERS = (int, float, np.number)
 # Parameters that divide
 POSITIVE = {
     *("FW_AIRSPD_TRIM", "FW_AIRSPD_STALL", "FW_AIRSPD_MAX", "FW_R_TC", "FW_P_TC"),
     *("SCALING_SPEED", "AIRSPEED_MIN", "AIRSPEED_MAX", "ARSPD_FBW_MIN", "ARSPD_FBW_MAX"),
     *("RLL2SRV_TCONST", "PTCH2SRV_TCONST"),
 }
-NAME = re.compile(r"[A-Z][A-Z0-9_]{1,16}")
-DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d")
+# Name and value, which may go on behind a decimal comma
+NAMED = re.compile(r"\b([A-Z][A-Z0-9_]{1,16})[\s,:=]+([^\s,:=]+)(,\d)?")
 # Comments of ground stations and of ArduPilot's default files
 COMMENT = re.compile(r"#.*|//.*|\[[^\]]*\]")
 # Vehicle and component before the name, in files of QGroundControl
@@ -152,14 +132,22 @@ def read_parameters(path: str | Path) -> dict[str, float]:
                 f"Got the line {line.strip()!r} in {path}, but expected all parameters in one file: put those of "
                 "the other file in its place."
             )
-        words = re.split(r"[\s,:=]+", text)
-        if words[0] == "@delete":
-            found.pop(words[-1], None)
+        if text.startswith("@delete"):
+            found.pop(text.split()[-1], None)
             continue
         if vehicle := VEHICLE.match(text):
             vehicles.add(vehicle[1])
-        name, number = _parameter(words, text, f"{line.strip()!r} in {path}")
-        if number is None:
+        named = NAMED.search(text)
+        if named is None:
+            continue
+        name, value, decimals = named.groups()
+        number = np.nan if decimals else float(as_floats(value))
+        if not np.isfinite(number):
+            if name.startswith(OF_LAWS):
+                raise ValueError(
+                    f"Got the line {line.strip()!r} in {path}, but expected a number with a decimal point behind "
+                    f"{name}: save the parameters again."
+                )
             continue
         if found.get(name, number) != number:
             raise ValueError(
@@ -179,31 +167,6 @@ def read_parameters(path: str | Path) -> dict[str, float]:
     return found
 
 
-def _parameter(words: list[str], text: str, place: str) -> tuple[str, float | None]:
-    """Return the first name in a line and the number behind it, None for none; ValueError if a law needs a number."""
-    for name, value in pairwise(words):
-        if NAME.fullmatch(name):
-            number = _number(value)
-            behind = text.split(name, 1)[1].lstrip(" \t,:=")
-            if DECIMAL_COMMA.match(behind):
-                number = None
-            if number is None and name.startswith(OF_LAWS):
-                raise ValueError(
-                    f"Got the line {place}, but expected a number with a decimal point behind {name}: save the "
-                    "parameters again."
-                )
-            return name, number
-    return "", None
-
-
-def _number(text: str) -> float | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if np.isfinite(number) else None
-
-
 class Parameters:
     """Parameters of an autopilot with the defaults of its firmware; it remembers what was asked and absent."""
 
@@ -214,13 +177,13 @@ class Parameters:
         #: Defaults other than zero that count
         self.absent: dict[str, float] = {}
 
-    def __call__(self, name: str, former: str = "") -> float:
-        """Return a parameter, by its name or the one of earlier firmware, or its default, zero where there is none."""
+    def __call__(self, name: str, former: str = "", default: float = 0.0) -> float:
+        """Return a parameter, by its name or the one of earlier firmware, or its default by the firmware."""
         self.asked |= {name, former}
         for key in (name, former):
             if key in self.given:
                 return self.given[key]
-        default = self.defaults.get(name, 0.0)
+        default = self.defaults.get(name, default)
         if default and not WITHOUT_EFFECT.fullmatch(name):
             self.absent[name] = default
         return default
@@ -350,8 +313,7 @@ def _warn_of_open(loops: list[Loop], full: Mapping[str, float]) -> None:
 def _check_parameters(given: Mapping[str, float]) -> None:
     """Raise ValueError of parameters of control laws that are no finite numbers, or divide and are not above zero."""
     for name, value in given.items():
-        is_number = isinstance(value, NUMBERS) and np.isfinite(value)
-        if str(name).startswith(OF_LAWS) and not is_number:
+        if str(name).startswith(OF_LAWS) and not np.isfinite(as_floats(value)).all():
             raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
     # without scaling by the airspeed that of the trim does not count
     is_scaled = given.get("FW_ARSP_SCALE_EN", 1)
@@ -505,28 +467,27 @@ def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float
     for name in HARMONIC_NOTCHES:
         if not value(f"{name}_ENABLE"):
             continue
-        lowest = value(f"{name}_FREQ")
-        if value(f"{name}_REF") and value(f"{name}_MODE") != FIXED:
-            mode = value(f"{name}_MODE")
+        lowest = value(f"{name}_FREQ", default=80.0)
+        if value(f"{name}_REF") and (mode := value(f"{name}_MODE", default=1.0)) != FIXED:
             following[f"{name}_MODE"] = mode
-            lowest *= value(f"{name}_FM_RAT") if mode == BY_THROTTLE else 1.0
+            lowest *= value(f"{name}_FM_RAT", default=1.0) if mode == BY_THROTTLE else 1.0
         notches += _harmonics(value, name, lowest)
     return tuple(notches), following
 
 
 def _harmonics(value: Parameters, name: str, lowest: float) -> list[Notch]:
     """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic; none without width."""
-    width = value(f"{name}_BW")
+    width = value(f"{name}_BW", default=40.0)
     if not width > 0:
         return []
     options = int(value(f"{name}_OPTS"))
     is_double, is_triple = options & 1, options & 16
     n_each = 2 if is_double else 3 if is_triple else 1
-    frequency = max(value(f"{name}_FREQ"), 0.52 * width)
+    frequency = max(value(f"{name}_FREQ", default=80.0), 0.52 * width)
     spread = width / (32 * frequency) if n_each > 1 else 0.0
     places = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[n_each]
-    (of_all,) = _notch(frequency, width / n_each, value(f"{name}_ATT"))
-    harmonics = int(value(f"{name}_HMNCS"))
+    (of_all,) = _notch(frequency, width / n_each, value(f"{name}_ATT", default=40.0))
+    harmonics = int(value(f"{name}_HMNCS", default=3.0))
     notches = []
     for k in range(16):
         if harmonics >> k & 1:
@@ -541,7 +502,8 @@ def _numbered_notch(value: Parameters, name: str) -> tuple[Notch, ...]:
     if not n or value(f"FILT{n}_TYPE") != 1:
         return ()
     frequency = value(f"FILT{n}_NOTCH_FREQ")
-    quality, attenuation = value(f"FILT{n}_NOTCH_Q"), value(f"FILT{n}_NOTCH_ATT")
+    quality = value(f"FILT{n}_NOTCH_Q", default=2.0)
+    attenuation = value(f"FILT{n}_NOTCH_ATT", default=40.0)
     if not (frequency > 0 and quality > 0 and attenuation > 0):
         return ()
     return tuple(_notch(frequency, frequency / quality, attenuation))

@@ -59,8 +59,6 @@ ROUNDING = 1e-6
 # Longest flight [s], and deflection that no surface has [rad]
 MOST_SECONDS = 1800.0
 MOST_DEFLECTION = 0.5 * np.pi
-# Facts of the trim in plan.json
-TRIM = ("airspeed", "altitude", "climb", "alpha", "beta", "phi", "theta", "state", "controls")
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +120,9 @@ class Plan:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values, SI units and radians."""
-        trim = pd.Series(vars(self.trim))[[*TRIM]]
         return {
             "aircraft": self.aircraft.name,
-            "trim": plain(trim.to_dict()),
+            "trim": plain(vars(self.trim)),
             "manoeuvres": self.manoeuvres.to_dict("records"),
             "margin": self.margin,
             "limits": self.limits.to_dict("index"),

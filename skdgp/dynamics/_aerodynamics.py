@@ -179,11 +179,6 @@ class Aerodynamics:
             return {}
         return dict(zip(self.regressors, map(tuple, self.limits.T.tolist()), strict=True))
 
-    @property
-    def has_path_slopes(self) -> bool:
-        """Whether these are functions drawn from a posterior, with slopes of their own."""
-        return self.n_paths is not None and self.slopes is not None
-
     def lengths(self, aircraft: Aircraft) -> dict[str, float]:
         """Return span and chord of the non-dimensional rates [m], by default of the aircraft that flies."""
         return {"span": self.span or aircraft.span, "chord": self.chord or aircraft.chord}
@@ -214,7 +209,8 @@ class Aerodynamics:
             )
         if perturbation is None or self.perturbation is None or self.learned is None:
             return replace(self, perturbation=None)
-        slopes, sampler = self.learned.averaged(self.perturbation)
+        _, slopes = self.learned.mean_function(self.perturbation)
+        sampler = partial(self.learned.sample, perturbation=self.perturbation)
         return replace(self, slopes=slopes, sampler=sampler)
 
     def sample(self, n_paths: int, random_state: Any = 0, *, rounded: bool = False) -> Aerodynamics:
@@ -405,42 +401,38 @@ class Coefficients:
                     f"Got a model of outputs {shape[1:]}, but expected all six coefficients "
                     f"{', '.join(COEFFICIENTS)}."
                 )
-            return slice(None)
+            names = list(COEFFICIENTS)
         lacking = [name for name in COEFFICIENTS if name not in names]
         if lacking:
             raise ValueError(
                 f"Got a model of {names}, but flight needs all six coefficients: it lacks {lacking}. "
                 "Fit it on a table of all of them (aerodynamic_coefficients gives it)."
             )
-        if names == list(COEFFICIENTS):
-            return slice(None)
-        return [names.index(name) for name in COEFFICIENTS]
+        order = [names.index(name) for name in COEFFICIENTS]
+        return slice(None) if order == list(range(len(names))) else order
 
-    def averaged(self, perturbation: Array) -> tuple[Callable, Callable]:
-        """Return the slopes of the mean and the sampler, with slopes over a perturbation (d,)."""
-        spread = perturbation / np.abs(self.scale)
-        return self.mean_function(spread)[1], partial(self.sample, spread=spread)
+    def mean_function(self, perturbation: Array | None = None) -> tuple[Callable, Callable]:
+        """Return the mean (n, 6) and its slopes (n, 6, d), functions of regressors (n, d).
 
-    def mean_function(self, spread: Array | None = None) -> tuple[Callable, Callable]:
-        """Return the mean (n, 6), and its slopes (n, 6, d) over a perturbation of the inputs of the regressor (d,).
-
-        They are functions of regressors (n, d).
+        Slopes are local, or over a perturbation (d,).
         """
-        values, slopes = self._functions(self.regressor.mean_path(), spread)
+        values, slopes = self._functions(self.regressor.mean_path(), perturbation)
         return lambda X: values(X[None])[0], lambda X: slopes(X[None])[0]
 
     def sample(
-        self, n_paths: int, random_state: Any, spread: Array | None = None
+        self, n_paths: int, random_state: Any, perturbation: Array | None = None
     ) -> tuple[Callable, ...]:
-        """Return values and slopes of functions drawn from the posterior, slopes as of `slopes`.
+        """Return values and slopes of functions drawn from the posterior, slopes as of `mean_function`.
 
         Then both as simulations evaluate them, whose errors are far below those of the integration.
         """
         paths = self.regressor.sample_paths(n_paths, random_state)
-        return *self._functions(paths, spread), *self._functions(paths.rounded(), spread)
+        rounded = paths.rounded()
+        return *self._functions(paths, perturbation), *self._functions(rounded, perturbation)
 
-    def _functions(self, paths: Any, spread: Array | None) -> tuple[Callable, Callable]:
+    def _functions(self, paths: Any, perturbation: Array | None) -> tuple[Callable, Callable]:
         """Return values and slopes of functions of the posterior, at regressors (n_paths, n, d)."""
+        spread = None if perturbation is None else perturbation / np.abs(self.scale)
 
         def values(X: Array) -> Array:
             return paths.each(self.scaled(X))[..., self.order]
@@ -458,10 +450,8 @@ class Coefficients:
     def function_errors(self) -> Any:
         """The errors of the function that come from the time series, None where none are known."""
         errors = self.regressor.function_errors()
-        return None if errors is None else self._in_units(errors)
-
-    def _in_units(self, errors: Any) -> Any:
-        """Return errors of the outputs as functions of the regressors in units and order of a flight."""
+        if errors is None:
+            return None
         units = np.ones(errors.weights.shape[-1])
         return errors.in_units(self.shift, self.scale, units).of_outputs(self.order)
 

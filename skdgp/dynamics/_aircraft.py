@@ -117,11 +117,11 @@ class Aircraft:
         deviations |= of_inertia
         checked = {}
         for name, factor in deviations.items():
-            checked[name] = _part(ScaleFactor, factor, f"deviations of {name}")
+            checked[name] = _built(ScaleFactor, factor, f"deviations of {name}")
         self._set("inertia", _inertia(inertia))
         self._set("deviations", checked or None)
-        self._set("propeller", _part(Propeller, _sized(self.propeller), "propeller"))
-        self._set("thrust_line", _part(ThrustLine, self.thrust_line, "thrust_line"))
+        self._set("propeller", _built(Propeller, _sized(self.propeller), "propeller"))
+        self._set("thrust_line", _built(ThrustLine, self.thrust_line, "thrust_line"))
         full = check_full_deflections(self.full_deflections or {}, SURFACES)
         self._set("full_deflections", full or None)
         self._set("sensor_position", _sensor_position(self.sensor_position, self.span))
@@ -163,10 +163,8 @@ class Aircraft:
             names = [str(name) for name in derivatives.index]
             sizes |= dict(zip(names, derivatives["value"].tolist(), strict=True))
             stds |= dict(zip(names, derivatives["std"].tolist(), strict=True))
-        estimated: set[str] = set()
-        for factor in (self.deviations or {}).values():
-            if factor.is_estimate:
-                estimated |= factor.powers.keys()
+        estimates = [each for each in (self.deviations or {}).values() if each.is_estimate]
+        estimated = {name for each in estimates for name in each.powers}
         return question_of_sizes(sizes, stds, estimated)
 
     def relative_std(self, size: str) -> float:
@@ -264,7 +262,7 @@ class Aircraft:
             keys = [*signature(cls.estimate).parameters, *parts]
             check_keys(values, keys, ["mass", "span"], what)
             return cls.estimate(**values)
-        return _questioned(_build(cls, values, what))
+        return _questioned(_built(cls, values, what))
 
     def to_dict(self) -> dict:
         """Return plain numbers, lists and dictionaries that `from_dict` reads back."""
@@ -367,28 +365,19 @@ def _sized(propeller: Any) -> Any:
     return Propeller.from_size(**propeller)
 
 
-def _part(kind: type, part: Any, what: str) -> Any:
-    """Return an object of a kind, built if it is a mapping, or None."""
-    if isinstance(part, Mapping):
-        return _build(kind, part, what)
-    if part is not None and not isinstance(part, kind):
-        raise TypeError(
-            f"Got {type(part).__name__} for {what}, but expected {kind.__name__} or a mapping."
-        )
-    return part
-
-
-def _build(kind: type, values: Mapping, what: str) -> Any:
-    """Return ``kind(**values)``, with errors that name missing keys and the nearest to unknown ones."""
-    if not isinstance(values, Mapping):
+def _built(kind: type, value: Any, what: str) -> Any:
+    """Return an object of a kind, built if it is a mapping, or None; raise ValueError at other values and keys."""
+    if value is None or isinstance(value, kind):
+        return value
+    if not isinstance(value, Mapping):
         raise ValueError(
-            f"Got {type(values).__name__} in {what}, but expected named values (key: value)."
+            f"Got {type(value).__name__} for {what}, but expected {kind.__name__} or a mapping."
         )
     parameters = signature(kind).parameters.values()
     names = [parameter.name for parameter in parameters]
     required = [parameter.name for parameter in parameters if parameter.default is Parameter.empty]
-    check_keys(values, names, required, what)
-    return kind(**values)
+    check_keys(value, names, required, what)
+    return kind(**value)
 
 
 def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], what: str) -> None:

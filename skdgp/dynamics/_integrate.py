@@ -132,7 +132,9 @@ class Integrator:
         n_kept = min(clock.n_steps, round(SLOPES_KEPT / clock.dt))
         self._renewal = n_kept // self._stride
         # slopes that are kept for one step save nothing
-        self._has_tangents = motion.aerodynamics.has_path_slopes and n_kept > 1
+        model = motion.aerodynamics
+        has_path_slopes = model.n_paths is not None and model.slopes is not None
+        self._has_tangents = has_path_slopes and n_kept > 1
 
     def begin(self, step: int, last: End) -> Moment:
         """Return what happens at the beginning of a step, with what the ``last`` one reached."""

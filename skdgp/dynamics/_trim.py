@@ -209,6 +209,11 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
     check_settled(now)
     aircraft = steady.motion.aircraft
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
+    beyond = {}
+    ranges = steady.motion.aerodynamics.training_ranges
+    for (name, (low, high)), value in zip(ranges.items(), now.regressors.tolist(), strict=False):
+        if not low <= value <= high:
+            beyond[name] = (value, low, high)
     return Trim(
         state=state,
         controls={name: float(flight[name]) for name in steady.controls},
@@ -219,20 +224,8 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         coefficients=now.coefficients,
         thrust=float((now.force - aerodynamic) @ aircraft.engine_line.direction),
         residual=float(np.abs(now.derivative[ACCELERATIONS]).max()),
-        beyond=_outside_training(steady.motion.aerodynamics, now.regressors),
+        beyond=beyond,
     )
-
-
-def _outside_training(
-    model: Aerodynamics, regressors: Array
-) -> dict[str, tuple[float, float, float]]:
-    """Return the regressors (d,) outside their training ranges: name to (value, smallest, largest)."""
-    outside = {}
-    for k, (name, (low, high)) in enumerate(model.training_ranges.items()):
-        value = float(regressors[k])
-        if not low <= value <= high:
-            outside[name] = (value, low, high)
-    return outside
 
 
 class SteadyFlight:
@@ -405,27 +398,21 @@ class SteadyFlight:
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
-        residuals = best.fun[:6]  # without the angle of the path
         accelerations = []
-        for (name, unit), value in zip(ACCELERATION_UNITS.items(), residuals, strict=True):
+        for (name, unit), value in zip(ACCELERATION_UNITS.items(), best.fun, strict=False):
             accelerations.append(f"{name} = {value:.3g} {unit}")
+        ends = []
+        for name, value in zip(self.unknowns, best.x, strict=True):
+            for limit in self.limits[name]:
+                if abs(value - limit) < 1e-3 * min(1.0, np.ptp(self.limits[name])):
+                    ends.append(f"{name} at its limit {limit:.4g}")
         given = {"airspeed": airspeed, **self.given}
         conditions = ", ".join(f"{name} {value:g}" for name, value in given.items())
         return (
             f"There is no trim of {self.motion.aircraft.name} at {conditions} (SI units): nearest to it "
-            f"are left {', '.join(accelerations)}, with {self._ends(best.x) or 'nothing at a limit'}. Ask "
+            f"are left {', '.join(accelerations)}, with {', '.join(ends) or 'nothing at a limit'}. Ask "
             "for another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )
-
-    def _ends(self, x: Array) -> str:
-        """Return the unknowns at a limit."""
-        ends = []
-        for name, value in zip(self.unknowns, x, strict=True):
-            low, high = self.limits[name]
-            for limit in (low, high):
-                if abs(value - limit) < 1e-3 * min(1.0, high - low):
-                    ends.append(f"{name} at its limit {limit:.4g}")
-        return ", ".join(ends)
 
 
 def _training_ranges(motion: Motion) -> dict[str, tuple[float, float]]:

@@ -27,8 +27,6 @@ FOOT = 0.3048
 POUND_FORCE = 4.4482216152605
 SLUG = POUND_FORCE / FOOT
 FOOT_POUND = POUND_FORCE * FOOT
-AXES = {"CX": "X", "CY": "Y", "CZ": "Z", "Cl": "ROLL", "Cm": "PITCH", "Cn": "YAW"}
-REFERENCES = {"Cl": "metrics/bw-ft", "Cm": "metrics/cbarw-ft", "Cn": "metrics/bw-ft"}
 # Command, the command of JSBSim's trim, and position
 SURFACES = {
     "elevator": ("fcs/elevator-cmd-norm", "fcs/pitch-trim-cmd-norm", "fcs/elevator-pos-rad"),
@@ -183,38 +181,24 @@ def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Ele
     return _filled("aircraft.xml", values)
 
 
-def _has_engine(aircraft: Aircraft, full: Mapping[str, float]) -> bool:
-    """Return whether JSBSim's trim can find the throttle.
-
-    It moves the throttles of engines and no other property, so the file has one without power.
-    """
-    if aircraft.propeller is None:
-        return "thrust" in full
-    return aircraft.propeller.speed_range is not None
-
-
 def _add_thrust(root: Element, aircraft: Aircraft, full: Mapping[str, float]) -> None:
-    """Add thrust and torque of the propeller, and remove parts that the aircraft does not have."""
+    """Add thrust and torque of the propeller, or the thrust at full throttle.
+
+    JSBSim's trim moves the throttles of engines and no other property, so the file has one without power.
+    """
     reactions = _part(root, "external_reactions")
-    moment = _part(reactions, "moment")
+    force = _part(reactions, "force")
     propeller = aircraft.propeller
-    if not _has_engine(aircraft, full):
-        root.remove(_part(root, "propulsion"))
-    if propeller is None:
-        reactions.remove(moment)
-        if "thrust" in full:
-            thrust = _apply("product", full["thrust"] / POUND_FORCE, THROTTLE)
-            _part(reactions, "force").insert(0, _function("propulsion/thrust-lbs", thrust))
-        return
-    reactions.insert(0, _named("property", SPEED))
-    thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
-    _part(reactions, "force").insert(0, _function("propulsion/thrust-lbs", thrust))
-    if propeller.torque_coefficients:
+    if propeller is not None:
+        reactions.insert(0, _named("property", SPEED))
+        thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
+        force.insert(0, _function("propulsion/thrust-lbs", thrust))
         factor = -propeller.rotation / FOOT_POUND
-        torque = _propeller(propeller, propeller.torque_coefficients, 5, factor)
-        moment.insert(0, _function("propulsion/torque-lbsft", torque))
-    else:
-        reactions.remove(moment)
+        torque = _propeller(propeller, propeller.torque_coefficients or [0.0], 5, factor)
+        _part(reactions, "moment").insert(0, _function("propulsion/torque-lbsft", torque))
+    elif "thrust" in full:
+        thrust = _apply("product", full["thrust"] / POUND_FORCE, THROTTLE)
+        force.insert(0, _function("propulsion/thrust-lbs", thrust))
 
 
 def _propeller(
@@ -241,12 +225,8 @@ def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]
     for name in SURFACES:
         if name in model.regressor_names:
             channel.extend(_surface(name, full[name], *model.servos.tolist()))
-    settable = [] if _has_engine(model.aircraft, full) else [THROTTLE]
-    for regressor in model.regressors:
-        if not regressor.power and regressor.name not in SOURCES:
-            settable.append(f"fcs/{regressor.name}")
-    for place, name in enumerate(settable):
-        control.insert(place, _named("property", name, value="0"))
+    names = [r.name for r in model.regressors if not r.power and r.name not in SOURCES]
+    control[:0] = [_named("property", f"fcs/{name}", value="0") for name in names]
 
 
 def _surface(name: str, full: float, lag: float, delay: float, rate_limit: float) -> Element:
@@ -265,18 +245,17 @@ def _surface(name: str, full: float, lag: float, delay: float, rate_limit: float
 
 
 def _add_aerodynamics(root: Element, model: PortableModel) -> None:
-    """Add regressors, coefficients and loads."""
-    aerodynamics = _part(root, "aerodynamics")
+    """Add regressors and coefficients before the loads."""
+    functions = []
     for regressor in model.regressors:
         value = _apply("product", *_source(regressor, model.aircraft))
-        aerodynamics.append(_function(f"aero/regressor/{regressor.name}", value))
+        functions.append(_function(f"aero/regressor/{regressor.name}", value))
     for name, shift, scale in zip(model.regressor_names, model.shift, model.scale, strict=True):
         value = _apply("product", 1 / scale, _apply("difference", f"aero/regressor/{name}", shift))
-        aerodynamics.append(_function(f"aero/scaled/{name}", value))
+        functions.append(_function(f"aero/scaled/{name}", value))
     for coefficient in COEFFICIENTS:
-        aerodynamics.extend(_coefficient(model, coefficient))
-    for coefficient in COEFFICIENTS:
-        aerodynamics.append(_load(coefficient))
+        functions += _coefficient(model, coefficient)
+    _part(root, "aerodynamics")[:0] = functions
 
 
 def _source(regressor: Regressor, aircraft: Aircraft) -> list:
@@ -291,22 +270,6 @@ def _source(regressor: Regressor, aircraft: Aircraft) -> list:
     if regressor.power:
         return [name, "aero/bi2vel", regressor.length / aircraft.span]
     return [name, factor] if factor != 1.0 else [name]
-
-
-def _load(coefficient: str) -> Element:
-    """Return the force or the moment of a coefficient."""
-    axis = AXES[coefficient]
-    factors = ["aero/qbar-psf", "metrics/Sw-sqft"]
-    if coefficient in REFERENCES:
-        node = Element("axis", name=axis)
-        kind = "moment"
-        factors.append(REFERENCES[coefficient])
-    else:
-        node = Element("axis", name=axis, unit="LBS")
-        kind = "force"
-    product = _apply("product", *factors, f"aero/coefficient/{coefficient}")
-    node.append(_function(f"aero/{kind}/{axis}", product))
-    return node
 
 
 def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:

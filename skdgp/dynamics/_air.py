@@ -56,6 +56,7 @@ CALM = 1e-16
 # Variances of the noise of a sample over that of the gusts: limits, and starts of the fit, as the
 # likelihood of weak gusts has several maxima
 NOISES = (1e-4, 1e4)
+NO_NOISE = (1e-12, 1e-12)
 NOISE_STARTS = (0.01, 1.0, 100.0)
 
 
@@ -128,7 +129,7 @@ class Turbulence(NamedTuple):
         check_radians(flight, (*EULER, "alpha", "beta"))
         winds = [_wind_of(flight.iloc[segment][columns].dropna()) for segment in flights.segments]
         long = [wind for wind in winds if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION]
-        found = turbulence_of_winds(long, span)
+        found = turbulence_of_winds(long, span, NOISES)
         if found is None:
             raise ValueError(
                 "Got flights that are too short, or too rarely sampled, to show gusts, but expected a flight of "
@@ -153,21 +154,25 @@ class Turbulence(NamedTuple):
         return np.array([p, q, r])
 
 
-def turbulence_of_winds(winds: Sequence[pd.DataFrame], span: float) -> Turbulence | None:
+def turbulence_of_winds(
+    winds: Sequence[pd.DataFrame], span: float, noises: tuple[float, float] = NO_NOISE
+) -> Turbulence | None:
     """Return the turbulence of winds, by `Turbulence.from_flight`; None where they are too short to show gusts.
 
     Each has time, airspeed at which it was met, wind_north, wind_east, wind_down. Winds of a few seconds show
-    the rates of the gusts, not their lengths.
+    the rates of the gusts, not their lengths. ``noises`` are limits of the variance of a sample's noise over that
+    of the gusts.
     """
     parts = [_periodogram(wind, span) for wind in winds]
     if sum(map(len, parts)) < FEWEST:
         return None
     wave_number, interval, north, east, down = np.concatenate(parts).T
     shortest = max(SAMPLES * interval.min(), 4.0 * span / np.pi)
+    limits = [(shortest, LONGEST), noises]
     along = partial(_horizontal_spectrum, wave_number)
     across = partial(_vertical_spectrum, wave_number)
-    horizontal = _fitted(along, 0.5 * (north + east), interval, shortest)
-    vertical = _fitted(across, down, interval, shortest)
+    horizontal = _fitted(along, 0.5 * (north + east), interval, limits)
+    vertical = _fitted(across, down, interval, limits)
     intensity, length = np.transpose([horizontal, horizontal, vertical])
     speeds = [wind["airspeed"].mean() for wind in winds]
     durations = [np.ptp(wind["time"]) for wind in winds]
@@ -217,9 +222,9 @@ def _horizontal_spectrum(wave_number: Array, length: Array) -> Array:
 
 
 def _fitted(
-    unit_spectrum: Callable, power: Vector, interval: Vector, shortest: float
+    unit_spectrum: Callable, power: Vector, interval: Vector, limits: list[tuple[float, float]]
 ) -> tuple[float, float]:
-    """Return intensity [m/s] and length [m] of an axis with a periodogram (n,)."""
+    """Return intensity [m/s] and length [m] of an axis with a periodogram (n,), by limits of length and noise."""
 
     def spectrum(logarithms: Vector) -> Vector:
         """Return the spectrum of gusts of unit variance and noise, whose spectrum is the interval."""
@@ -232,7 +237,7 @@ def _fitted(
         prior = 0.5 * ((logarithms[0] - np.log(LENGTH)) / LENGTH_STD) ** 2
         return float(len(S) * np.log(variance) + np.log(S).sum() + prior)
 
-    bounds: Any = np.log([(shortest, LONGEST), NOISES])
+    bounds: Any = np.log(limits)
     starts = np.log([(LENGTH, noise) for noise in NOISE_STARTS]).clip(*bounds.T)
     fits = [minimize(loss, start, bounds=bounds) for start in starts]
     best = min(fits, key=lambda fit: fit.fun).x

@@ -145,7 +145,7 @@ class Integrator:
         controls, _ = self._deflected(servos, commands, commands, 0.0)
         drift = self._drift(stage)
         tangent = last.tangent
-        now = self.motion.at(state, controls, air, last.implicit, drift, tangent=tangent)
+        now = self.motion.at(state, controls, air, last.implicit, drift, tangent)
         if self._has_tangents and tangent is None:
             tangent = self._tangent(now.regressors, now.coefficients - drift)
         wind = None if air is None else air.velocity(state[..., ATTITUDE])
@@ -180,7 +180,7 @@ class Integrator:
         controls, _ = self._deflected(begin.servos, begin.commands, commands, t)
         guess = begin.now.implicit
         drift = self._drift(stage)
-        return self.motion.at(state, controls, air, guess, drift, tangent=begin.tangent)
+        return self.motion.at(state, controls, air, guess, drift, begin.tangent)
 
     def _deflected(
         self, servos: ServoState, first: Mapping, commands: Mapping, elapsed: float
@@ -197,19 +197,15 @@ class Integrator:
 
     def _corrected(self, stages: list[Instant], tangent: Tangent) -> tuple[Array | float, Tangent]:
         """Return the change of the states by the errors of the tangent in a step, and the next tangent."""
-        *_, middle, last = (stage.regressors for stage in stages)
+        last = stages[-1].regressors
         distance = last - tangent.regressors
-        is_far = tangent.is_far(distance)
         n_steps = tangent.steps + 1
         is_near = bool((np.abs(distance) <= STEADY * tangent.reach).all())
         if is_near and n_steps < self._stride:
             return 0.0, tangent._replace(steps=n_steps)
         coefficients = self.motion.evaluated(last)
-        if is_far:
-            # Simpson's rule; the error is zero at the beginning, and at the end, without a tangent
-            halfway = self.motion.evaluated(middle) - tangent(middle)
-            change = self.dt * self.motion.response(stages[-1], (2.0 / 3.0) * halfway)
-            return change, self._tangent(last, coefficients)
+        if tangent.is_far(distance):  # the model was evaluated
+            return 0.0, self._tangent(last, coefficients)
         error = coefficients - tangent.linear(distance)
         change = 0.5 * n_steps * self.dt * self.motion.response(stages[-1], error)
         if tangent.age + 1 >= self._renewal:
@@ -347,20 +343,11 @@ def _record(
 
 def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     """Return which trajectories cannot go on, (...) by reason; only reasons that apply."""
-    motion = np.abs(state[..., 3:])
     # comparisons with NaN are false
-    if (
-        motion[..., :3].max() < LARGEST_VELOCITY
-        and motion[..., 7:].max() < LARGEST_RATE
-        and now.airspeed.min() >= LEAST_AIRSPEED
-        and np.isfinite(now.derivative).all()
-        and np.isfinite(now.density).all()
-        and np.all(now.settled)
-    ):
-        return {}
+    motion = np.abs(state[..., 3:])
+    is_slow = motion[..., :3].max(axis=-1) < LARGEST_VELOCITY
+    is_turning_slowly = motion[..., 7:].max(axis=-1) < LARGEST_RATE
     is_finite = np.isfinite(now.derivative).all(axis=-1)
-    is_slow = (np.abs(state[..., VELOCITY]) < LARGEST_VELOCITY).all(axis=-1)
-    is_turning_slowly = (np.abs(state[..., RATES]) < LARGEST_RATE).all(axis=-1)
     reasons: dict[str, Any] = {
         "airspeed": now.airspeed < LEAST_AIRSPEED,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),

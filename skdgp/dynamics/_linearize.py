@@ -289,7 +289,7 @@ def jacobian(
 def _mechanics(motion: Motion, controls: Mapping, inputs: Sequence[str], zC: Array) -> Array:
     """Return x_dot = F(z, C), X = G(z, C) and y = H(z, C) as one vector, of (x, u, C) (..., 12 + k + 6)."""
     x, u, C = np.split(zC, [len(LINEAR_STATES), len(LINEAR_STATES) + len(inputs)], axis=-1)
-    now = motion.at(_with_quaternion(x), {**controls, **by_name(inputs, u)}, coefficients=C)
+    now = motion.at(_with_quaternion(x), {**controls, **by_name(inputs, u)}, model=lambda X: C)
     F = _x_dot(x, now)
     air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
     specific_force = now.force / motion.aircraft.mass

@@ -266,24 +266,22 @@ class Motion:
         air: LocalAir | None = None,
         guess: Array | None = None,
         drift: Array | float = 0.0,
-        coefficients: Array | None = None,
-        tangent: Tangent | None = None,
+        model: Callable[[Array], Array] | None = None,
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
         ``guess`` (..., 8) starts the search for the channels of `FROM_LOADS`, best from the last call.
-        ``drift`` (..., 6) is added to the coefficients. Given ``coefficients`` (..., 6) take the
-        place of the model's, a ``tangent`` takes the place of the model.
+        ``drift`` (..., 6) is added to the coefficients, which are the aerodynamics', or those of another
+        ``model`` of the regressors, such as a tangent.
         """
-        model = self.evaluated if tangent is None else tangent
+        model = model or self.evaluated
         flow = self._flow(state, air)
         X = self._explicit(state, controls, flow, air)
         values = {**controls, "airspeed": flow.airspeed, "density": flow.density}
         other_loads = propulsive_loads(values, self.aircraft, self.thrust)
 
         def loaded() -> Instant:
-            C = model(X) + drift if coefficients is None else coefficients
-            return self._loaded(state, X, C, flow, other_loads)
+            return self._loaded(state, X, model(X) + drift, flow, other_loads)
 
         def loaded_by(guess: Array) -> Instant:
             for k, place in zip(self._implicit_places, self._load_places, strict=True):

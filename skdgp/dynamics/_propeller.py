@@ -77,23 +77,23 @@ class Propeller:
 
     def __post_init__(self):
         check_choice("rotation", self.rotation, (1, -1))
-        self._set("diameter", check_number("diameter", self.diameter, unit="m"))
-        self._set("load_std", check_number("load_std", self.load_std, is_open=False))
         thrust = check_numbers("thrust_coefficients", self.thrust_coefficients, 1, 2, 3)
-        self._set("thrust_coefficients", tuple(thrust.tolist()))
         torque = check_numbers("torque_coefficients", self.torque_coefficients, 0, 1, 2, 3)
-        self._set("torque_coefficients", tuple(torque.tolist()))
+        checked: dict[str, Any] = {
+            "diameter": check_number("diameter", self.diameter, unit="m"),
+            "load_std": check_number("load_std", self.load_std, is_open=False),
+            "thrust_coefficients": tuple(thrust.tolist()),
+            "torque_coefficients": tuple(torque.tolist()),
+        }
         if self.speed_range is not None:
             idle, full = check_numbers("speed_range", self.speed_range, 2).tolist()
             if not 0 <= idle < full:
                 raise ValueError(
                     f"Got speed_range={self.speed_range!r}, but expected 0 <= idle < full [rad/s]."
                 )
-            self._set("speed_range", (idle, full))
-
-    def _set(self, name: str, value: Any) -> None:
-        """Store a checked value."""
-        object.__setattr__(self, name, value)
+            checked["speed_range"] = (idle, full)
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""

@@ -118,33 +118,29 @@ def warn_of(record: Trajectories, motion: Motion, farthest: Array) -> None:
 
     ``farthest`` (n_times, ...) is as of `farthest_beyond`.
     """
-    for message in (_ended_message(record), _beyond_message(record, motion, farthest)):
-        if message:
-            warn(message, SimulationWarning)
+    if (record.ended != FLYING).any():
+        warn(_ended_message(record), SimulationWarning)
+    if farthest.any():
+        warn(_beyond_message(record, motion, farthest), SimulationWarning)
 
 
 def _ended_message(record: Trajectories) -> str:
-    """Return a sentence on trajectories that ended early, "" without any."""
-    counts = {text: np.count_nonzero(record.ended == name) for name, text in REASONS.items()}
-    n_ended = sum(counts.values())
-    if not n_ended:
-        return ""
-    reasons = [f"{text}: {count}" for text, count in counts.items() if count]
+    """Return a sentence on trajectories that ended early."""
+    names, counts = np.unique(record.ended[record.ended != FLYING], return_counts=True)
+    reasons = [f"{REASONS[name]}: {n}" for name, n in zip(names, counts, strict=True)]
     first = record.time[record.end.min()]
     return (
-        f"{n_ended} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
+        f"{counts.sum()} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
         f"its start ({', '.join(reasons)}). Their rows are NaN from there on, and the column ended "
         "says why. Look at start, controls, wind and thrust; try a smaller dt."
     )
 
 
 def _beyond_message(record: Trajectories, motion: Motion, farthest: Array) -> str:
-    """Return a sentence on trajectories that left the training ranges, "" without any."""
+    """Return a sentence on trajectories that left the training ranges."""
     model = motion.aerodynamics
     farthest = farthest.reshape(len(record.time), -1)
     outside = farthest > 0
-    if not outside.any():
-        return ""
     first = int(np.argmax(outside.any(axis=1)))
     k = farthest[first][outside[first]][0] - 1
     low, high = model.limits[:, k]

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 from _common import Kept, finish, parser_of
-from log_errors import EULER, FORCES, GRAVITY, RATES, VELOCITY, ahead, late, without_gravity
+from log_errors import EULER, FORCES, GRAVITY, RATES, VELOCITY, elsewhere, late, without_gravity
 from numpy.random import default_rng
 from scipy import signal
 from uav_flight import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, Fleet, logged
@@ -73,7 +73,7 @@ def without(table, *names):
 
 def ways(table, span):
     """Return the sound ways to record a flight, by name."""
-    moved = ahead(table, ARM * span)
+    moved = elsewhere(table, (ARM * span, 0, 0))
     return {
         "as logged": table,
         "smoothed": smoothed(table),

@@ -3,9 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import shake
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy import signal
 from scipy.interpolate import CubicSpline
 
 from skdgp._flight.clock import uniform_grid, unrounded
@@ -110,27 +111,20 @@ def test_a_channel_of_splines_shows_its_samples():
 
 
 RATE = 40.0
-NAMES = ["p", "q", "r", "elevator"]
 
 
 def shaken(size):
     """Return motion below 4 Hz, with a vibration of the rates whose frequency changes, 8 to 14 Hz."""
-    rng = default_rng(2)
-    n = 4800
-    window = signal.windows.hann(20)
-    motion = signal.fftconvolve(rng.normal(size=(n, 4)), window[:, None], "same", axes=0)
-    table = pd.DataFrame(motion, columns=NAMES).assign(time=np.arange(n) / RATE)
-    frequency = 11 + 3 * np.sin(0.2 * table["time"])
-    wave = np.sin(2 * np.pi * np.cumsum(frequency) / RATE)
+    table = make_flight({"p q r elevator": (0, 1, 0)}, 4800, 1 / RATE, width=4, seed=2)
     for name in ("p", "q", "r"):
-        table[name] += size * table[name].std() * wave
+        table[name] += size * shake(table["time"])
     return table
 
 
 @pytest.mark.parametrize(("vibration", "noise"), [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
 def test_vibration_of_the_rates_and_noise_of_the_surfaces_do_not_widen_it(vibration, noise):
     table = shaken(vibration)
-    table["elevator"] += noise * table["elevator"].std() * default_rng(0).normal(size=len(table))
+    table["elevator"] += noise * default_rng(0).normal(size=len(table))
     assert 1.5 < motion_band_of(table) < 5.0
 
 
@@ -139,9 +133,7 @@ def test_forces_beyond_it_are_vibration():
     rng = default_rng(1)
     band = motion_band_of(table)
     for name in ("ax", "ay", "az"):
-        table[name] = table["elevator"] + 0.5 * table["elevator"].std() * rng.normal(
-            size=len(table)
-        )
+        table[name] = table["elevator"] + 0.5 * rng.normal(size=len(table))
     assert not vibrates_beyond(table, band)
     shaking = table["p"] - shaken(0.0)["p"]
     table["ax"] += 3 * shaking

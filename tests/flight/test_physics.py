@@ -29,6 +29,7 @@ FORCES = ["ax", "ay", "az"]
 DEGREES = 180 / np.pi
 GRAVITY = 9.80665
 FOOT = 0.3048
+AHEAD = (1.8, 0.0, 0.0)  # of the centre of gravity [m]
 
 
 @pytest.fixture(scope="module")
@@ -83,14 +84,9 @@ def east_north_up(flight):
 
 def held(flight, rates):
     """Return a flight of 40 Hz whose channels are sampled and held at rates [Hz]."""
-    rows = np.arange(len(flight))
-    slower = flight.copy()
     for names, rate in rates.items():
-        n = 40 // rate
-        slower = with_columns(
-            slower, names.split(), flight[names.split()].to_numpy()[rows // n * n]
-        )
-    return slower
+        flight = log_errors.held(flight, names.split(), 40 // rate)
+    return flight
 
 
 def vibrating(flight):
@@ -319,7 +315,7 @@ CLEAN = {
     "slow servos": lambda flight: held(flight, {"elevon_left elevon_right rudder throttle": 5}),
     "late GPS": lambda flight: log_errors.late(flight, 0.2, log_errors.VELOCITY),
     "no vanes": lambda flight: flight.drop(columns=["alpha", "beta"]),
-    "no vanes, accelerometers ahead": lambda flight: log_errors.ahead(flight, 1.8).drop(
+    "no vanes, accelerometers ahead": lambda flight: log_errors.elsewhere(flight, AHEAD).drop(
         columns=["alpha", "beta"]
     ),
 }
@@ -333,17 +329,17 @@ def test_good_flights_have_none(flights, logged, name):
 
 @pytest.mark.parametrize("moved", [False, True])
 def test_a_reversed_rudder_is_found_without_vanes(flight, moved):
-    log = log_errors.ahead(flight, 1.8) if moved else flight
+    log = log_errors.elsewhere(flight, AHEAD) if moved else flight
     found = contradictions(opposite(log.drop(columns=["alpha", "beta"]), "rudder"))
     assert channels_of(found) == {"rudder"}
 
 
 def test_a_known_position_of_the_accelerometers_ends_a_contradiction(flight):
     """Five metres ahead, they contradict the ground velocity."""
-    log = log_errors.ahead(flight, 5.0)
+    place = (5.0, 0.0, 0.0)
+    log = log_errors.elsewhere(flight, place)
     assert contradictions(log)
-    placed = log.assign(sensor_position_x=5.0, sensor_position_y=0.0, sensor_position_z=0.0)
-    assert contradictions(placed) == []
+    assert contradictions(log_errors.placed(log, place)) == []
 
 
 @pytest.mark.parametrize("name", ["r", "airspeed"])

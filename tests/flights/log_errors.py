@@ -10,16 +10,26 @@ FORCES = ["ax", "ay", "az"]
 RATES = ["p", "q", "r"]
 EULER = ["phi", "theta", "psi"]
 VELOCITY = ["v_north", "v_east", "v_down"]
+POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 
 
-def ahead(table, arm):
-    """Return a table whose accelerometers are ahead of the centre of gravity [m]."""
-    p, q, r = rates = table[RATES].to_numpy().T
-    step = np.median(np.diff(table["time"]))
-    _, q_dot, r_dot = signal.savgol_filter(rates, 15, 2, 1, step, axis=1)
+def elsewhere(table, place, spin=None):
+    """Return a table whose accelerometers are at a place (3,) from the centre of gravity [m].
+
+    ``spin`` (n, 3) is the angular acceleration, by default the slope of the rates.
+    """
+    rates = table[RATES].to_numpy()
+    if spin is None:
+        step = np.median(np.diff(table["time"]))
+        spin = signal.savgol_filter(rates, 15, 2, 1, step, axis=0)
     moved = table.copy()
-    moved[FORCES] += arm * np.stack([-(q**2) - r**2, p * q + r_dot, p * r - q_dot], axis=1)
+    moved[FORCES] += np.cross(spin, place) + np.cross(rates, np.cross(rates, place))
     return moved
+
+
+def placed(table, place):
+    """Return a table that states where its inertial sensors are."""
+    return table.assign(**dict(zip(POSITION, place, strict=True)))
 
 
 def late(table, seconds, names):
@@ -30,6 +40,18 @@ def late(table, seconds, names):
         values = np.unwrap(table[name]) if name in EULER else table[name]
         delayed[name] = np.interp(time - seconds, time, values)
     return delayed
+
+
+def held(table, names, every):
+    """Return a table in which channels are sampled at one row of so many, and repeated."""
+    rows = np.arange(len(table)) // every * every
+    return table.assign(**table[names].iloc[rows].set_index(table.index))
+
+
+def shake(time, phase=0.0):
+    """Return an oscillation of 8 to 14 Hz, whose frequency changes."""
+    turns = np.cumsum(11 + 3 * np.sin(0.2 * time)) * np.median(np.diff(time))
+    return np.sin(2 * np.pi * turns + phase)
 
 
 def without_gravity(table):

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import placed
+from made_flights import make_flight
 from numpy.testing import assert_allclose
 from sklearn.base import clone
 
@@ -23,30 +25,16 @@ SIGNS = {
     "CZ_alpha": -1, "Cm_alpha": -1, "Cm_q": -1, "Cl_p": -1, "Cn_beta": 1, "Cn_r": -1,
     "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
-WAVES = [
-    "alpha",
-    "beta",
-    "p",
-    "q",
-    "r",
-    "elevator",
-    "aileron",
-    "rudder",
-    "throttle",
-    "ax",
-    "ay",
-    "az",
-]
+LEVELS = {
+    "alpha beta p q r elevator aileron rudder throttle ax ay": (0, 0.07, 0),
+    "az": (-9.8, 0.07, 0),
+    "airspeed": (20, 0.7, 0),
+}
 
 
 def table(n=240):
     """Return a flight without thrust and attitude."""
-    t = np.arange(n) * 0.05
-    k = np.arange(len(WAVES))
-    waves = 0.1 * np.sin(np.outer(t, 0.7 + 0.31 * k) + k)
-    waves[:, -1] -= 9.8
-    speed = {"airspeed": 20 + np.sin(0.3 * t), "density": 1.2}
-    return pd.DataFrame(waves, columns=WAVES).assign(time=t, **speed)
+    return make_flight(LEVELS, n, 0.05).assign(density=1.2)
 
 
 class TestThrust:
@@ -81,10 +69,8 @@ class TestThrust:
 @pytest.mark.parametrize(("stated", "differs"), [(0.3, True), (0.805, False), (0.0, False)])
 def test_two_positions_of_the_inertial_sensors(stated, differs, said_of):
     """Zero is the centre of gravity, to which the forces of a simulation refer."""
-    placed = replace(UNKNOWN, sensor_position=(0.8, 0.0, 0.0))
-    position = dict.fromkeys(("sensor_position_y", "sensor_position_z"), 0.0)
-    flight = table(200).assign(sensor_position_x=stated, **position)
-    said = said_of(flight, placed)
+    known = replace(UNKNOWN, sensor_position=(0.8, 0.0, 0.0))
+    said = said_of(placed(table(200), (stated, 0.0, 0.0)), known)
     assert ("states inertial sensors 0.5 m from where the" in said) is differs
 
 
@@ -102,12 +88,12 @@ def quietly(*flights, regressor=QUICK, **options):
 @pytest.mark.usefixtures("no_mechanics")
 def test_a_position_that_all_flights_state_is_the_models():
     """A flight that states none is then read with it, and one that states another is told."""
-    position = {"sensor_position_x": 0.3, "sensor_position_y": 0.0, "sensor_position_z": 0.1}
-    stated = table().assign(**position)
+    place = (0.3, 0.0, 0.1)
+    stated = placed(table(), place)
     unstated, other = (table().assign(q=factor * stated["q"]) for factor in (1.1, 1.2))
-    other = other.assign(**position)
+    other = placed(other, place)
     result = quietly({"first": stated, "second": other}, aircraft=UNKNOWN, samples=60)
-    assert_allclose(result.aircraft.sensor_position, (0.3, 0.0, 0.1))
+    assert_allclose(result.aircraft.sensor_position, place)
     three = {"first": stated, "second": unstated, "third": other}
     only_one = quietly(three, aircraft=UNKNOWN, samples=60)
     assert only_one.aircraft.sensor_position is None

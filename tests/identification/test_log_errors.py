@@ -3,9 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import placed
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LinearRegression
@@ -37,17 +38,14 @@ STEP = 0.02
 @pytest.fixture(scope="module")
 def flown():
     """A flight of smooth motion that a linear model explains, and its regressors."""
-    rng = default_rng(0)
-    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
-    noise = rng.standard_normal((3000, len(names)))
-    motion = gaussian_filter1d(noise, 12.0, axis=0)
-    table = pd.DataFrame(0.05 * motion / motion.std(axis=0), columns=names)
-    table = table.assign(time=STEP * np.arange(3000), airspeed=20.0, density=1.2)
-    X = table[names].copy()
+    names = "alpha beta p q r elevator aileron rudder"
+    table = make_flight({names: (0, 0.05, 0)}, 3000, STEP, width=12)
+    table = table.assign(airspeed=20.0, density=1.2)
+    X = table[names.split()].copy()
     for rate, length in (("p", 2.0), ("q", 0.3), ("r", 2.0)):
         X[rate] *= length / 40.0
     X.columns = REGRESSORS
-    slopes = rng.normal(size=(len(names), 6))
+    slopes = default_rng(0).normal(size=(8, 6))
     force = (X.to_numpy() @ slopes)[:, :3] * 0.5 * 1.2 * 20.0**2 * 0.6 / 3.0
     return table.assign(ax=force[:, 0], ay=force[:, 1], az=force[:, 2]), X, slopes
 
@@ -104,8 +102,8 @@ def test_sensors_elsewhere_change_slopes_by_what_is_added(flown):
     table, X, _ = flown
     Y = aerodynamic_coefficients(table, AIRCRAFT, thrust=None, cutoff=None)
     errors = learned_errors(table, AIRCRAFT, X, least_squares_of(X, Y), None, 0.0)
-    position = {"sensor_position_x": 0.0, "sensor_position_y": 0.0, "sensor_position_z": 0.03}
-    there = aerodynamic_coefficients(table.assign(**position), AIRCRAFT, thrust=None, cutoff=None)
+    above = placed(table, (0.0, 0.0, 0.03))
+    there = aerodynamic_coefficients(above, AIRCRAFT, thrust=None, cutoff=None)
     change = LinearRegression().fit(X, there - Y).coef_
     got = slopes_of(errors, 2)
     assert_allclose(got, change, atol=0.02 * np.abs(change).max())

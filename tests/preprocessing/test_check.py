@@ -5,10 +5,12 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import VELOCITY
+from log_errors import held as sampled
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
-from scipy.ndimage import gaussian_filter1d
 from sklearn.pipeline import make_pipeline
 
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -24,21 +26,16 @@ STEP = 0.025
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
 # Mean, deviation of a slow wave, and noise
 LEVELS = {
-    "airspeed": (30, 2, 0.3), "alpha": (0.06, 0.03, 0.005), "beta": (0, 0.03, 0.005),
-    **dict.fromkeys("pqr", (0, 0.2, 0.002)), "ax": (0, 1, 0.05), "ay": (0, 1, 0.05), "az": (-9.8, 2, 0.05),
-    **dict.fromkeys(("v_north", "v_east", "v_down"), (10, 5, 0.1)),
+    "airspeed": (30, 2, 0.3), "alpha": (0.06, 0.03, 0.005), "beta": (0, 0.03, 0.005), "p q r": (0, 0.2, 0.002),
+    "ax ay": (0, 1, 0.05), "az": (-9.8, 2, 0.05), "v_north v_east v_down": (10, 5, 0.1),
 }  # fmt: skip
 
 
 def log(seed=0, name="sortie"):
     """Return a flight of a minute of noisy sensors and a pilot's controls."""
-    rng = default_rng(seed)
-    time = STEP * np.arange(2400)
-    table = pd.DataFrame({"time": time, "flight": name})
-    for column, (mean, spread, noise) in LEVELS.items():
-        wave = gaussian_filter1d(rng.normal(size=time.size), 20)
-        table[column] = mean + spread * wave / wave.std() + rng.normal(0, noise, time.size)
-    return table.assign(density=1.2, elevator=np.where(time % 10 < 1, 0.1, 0.0), throttle=0.6)
+    table = make_flight(LEVELS, seed=seed)
+    elevator = np.where(table["time"] % 10 < 1, 0.1, 0.0)
+    return table.assign(flight=name, density=1.2, elevator=elevator, throttle=0.6)
 
 
 def faults(table):
@@ -64,15 +61,9 @@ def held(channel, first, last, table=None):
     return spoilt(channel, slice(first, last), table.loc[first, channel], table)
 
 
-def slower(table, *channels):
-    """Return a flight with channels sampled at 5 Hz and held."""
-    held = table[[*channels]][::8].reindex(table.index).ffill()
-    return table.assign(**held)
-
-
 class TestCleanLogs:
     def test_a_sensor_slower_than_the_table_is_not_stuck(self):
-        table = slower(log(), "v_north", "v_east", "v_down")
+        table = sampled(log(), VELOCITY, 8)
         assert faults(table) == []
         assert faults(table.assign(v_north=table["v_north"][::8].reindex(table.index))) == []
         assert faults(held("v_north", 800, 1000, table)) == [["v_north", "stuck"]]

@@ -3,43 +3,27 @@
 import warnings
 
 import numpy as np
-import pandas as pd
 import pytest
+from log_errors import VELOCITY, held
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.estimation import flights_of
 from skdgp.preprocessing import FlightCheck, LagCorrector
 
-STEP = 0.02
-TIME = STEP * np.arange(3000)
-VELOCITY = ["v_north", "v_east", "v_down"]
-
-
-def motion(name):
-    """Return a channel that moves below 1 Hz."""
-    rng = default_rng([*map(ord, name)])
-    frequencies = rng.uniform(0.1, 0.8, 4)
-    phases = rng.uniform(0, 2 * np.pi, 4)
-    return 0.05 * np.sin(2 * np.pi * frequencies * TIME[:, None] + phases).sum(axis=1)
+N = 3000
+SURFACES = ["elevator", "aileron", "rudder"]
+LEVELS = {
+    "p q r ax ay az phi theta psi v_north v_east v_down": (0, 0.07, 0.001),
+    "airspeed": (15, 0.07, 0.001),
+    "elevator aileron rudder": (0, 0.07, 0),
+}
 
 
 def log():
-    """Return a flight at 50 Hz of sensors with noise, and surfaces."""
-    names = [*"pqr", "ax", "ay", "az", "phi", "theta", "psi", *VELOCITY, "airspeed"]
-    table = {"time": TIME, "density": 1.2}
-    for name in names:
-        table[name] = motion(name) + 0.001 * default_rng(len(table)).normal(size=len(TIME))
-    surfaces = {name: motion(name) for name in ("elevator", "aileron", "rudder")}
-    return pd.DataFrame(table | surfaces).assign(airspeed=lambda t: t["airspeed"] + 15.0)
-
-
-def held(table, names, rate):
-    """Return a table in which channels are sampled at a rate [Hz], and repeated."""
-    number = np.floor(TIME * rate + 1e-9)
-    is_fresh = np.diff(number, prepend=-1) > 0
-    sampled = table.loc[is_fresh, names].reindex(table.index)
-    return table.assign(**sampled.ffill()), is_fresh
+    """Return a flight at 50 Hz of sensors with noise, and surfaces, which move below 1 Hz."""
+    return make_flight(LEVELS, N, 0.02).assign(density=1.2)
 
 
 def checked(table):
@@ -53,34 +37,32 @@ def checked(table):
     return out, rates
 
 
-@pytest.mark.parametrize("rate", [5.0, 10.0, 12.5, 25.0])
-def test_surfaces_between_samples_follow_their_motion(rate):
-    names = ["elevator", "aileron", "rudder"]
+@pytest.mark.parametrize("every", [2, 4, 5, 10])
+def test_surfaces_between_samples_follow_their_motion(every):
     true = log()
-    table, is_fresh = held(true, names, rate)
+    table = held(true, SURFACES, every)
     out, rates = checked(table)
-    assert_allclose(list(rates.values()), [rate], rtol=0.01)
-    assert_array_equal(out[names][is_fresh], true[names][is_fresh])
+    assert_allclose(list(rates.values()), [50 / every], rtol=0.01)
+    assert_array_equal(out[SURFACES][::every], true[SURFACES][::every])
     inner = slice(50, -50)
-    error = (out[names] - true[names])[inner].std()
-    assert np.all(error < 0.1 * (table[names] - true[names])[inner].std())
+    error = (out[SURFACES] - true[SURFACES])[inner].std()
+    assert np.all(error < 0.1 * (table[SURFACES] - true[SURFACES])[inner].std())
 
 
 def test_sensors_of_slower_clocks_count_each_sample_once():
-    table, is_fresh = held(log(), VELOCITY, 5.0)
-    sparse = table.assign(**table.loc[is_fresh, VELOCITY].reindex(table.index))
-    (expected,) = flights_of(sparse)
-    (sensors,) = flights_of(table)
-    assert_array_equal(sensors.sensors.velocity, expected.sensors.velocity)
-    assert len(np.flatnonzero(np.isfinite(sensors.sensors.velocity[:, 0]))) == 300
+    table = held(log(), VELOCITY, 10)
+    sparse = table.assign(**table[VELOCITY][::10].reindex(table.index))
+    velocity, expected = (flights_of(each)[0].sensors.velocity for each in (table, sparse))
+    assert_array_equal(velocity, expected)
+    assert np.isfinite(velocity[:, 0]).sum() == 300
     lag = LagCorrector({"gps": 0.1})
     assert_array_equal(lag.fit_transform(table)[VELOCITY], lag.fit_transform(sparse)[VELOCITY])
 
 
 def steps(width):
     """Return inputs of steps [rows], with pauses."""
-    values = np.zeros(len(TIME))
-    for k, start in enumerate(range(20, len(TIME) - 9 * width, 9 * width + 7)):
+    values = np.zeros(N)
+    for k, start in enumerate(range(20, N - 9 * width, 9 * width + 7)):
         for first, last, level in ((0, 3, 1), (3, 5, -1), (5, 6, 1), (6, 7, -1)):
             rows = slice(start + first * width, start + last * width)
             values[rows] = level * 0.1 * (-1) ** k
@@ -89,7 +71,7 @@ def steps(width):
 
 @pytest.mark.parametrize(
     "elevator",
-    [steps(10), np.round(motion("elevator"), 2), np.round(default_rng(0).normal(size=3000))],
+    [steps(10), log()["elevator"].round(2), np.round(default_rng(0).normal(size=N))],
     ids=["3-2-1-1", "coarse", "coarse noise"],
 )
 def test_inputs_that_stand_still_are_no_slow_clock(elevator):

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import make_flight
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal, assert_series_equal
 from sklearn.base import clone
@@ -37,30 +38,28 @@ TRANSFORMERS = [
 ]
 
 
-WAVES = ["alpha", "beta", "p", "q", "r", "p_dot", "q_dot", "r_dot", "ax", "ay", "az"]
-SMALL = ["elevon_left", "elevon_right", "rudder", "phi", "theta", "psi"]
+LEVELS = {
+    "alpha beta p q r p_dot q_dot r_dot ax ay az": (0, 0.4, 0.02),
+    "elevon_left elevon_right rudder phi theta psi": (0, 0.07, 0.02),
+    "airspeed": (30, 0.7, 0),
+}
 # What stands still, and strangers: text, truth and an unknown column
 STILL = {"throttle": 0.5, "v_north": 30.0, "v_east": 1.0, "v_down": 0.0}
 STILL |= {"alpha_true": 0.0, "remark": "a word", "my_sensor": 1}
 
 
-def flight(name, rng):
+def flight(name, seed):
     """Return a flight with every regressor's raw material."""
-    t = 0.02 * np.arange(150)
-    k = np.arange(len(WAVES + SMALL))
-    waves = np.sin(np.outer(t, 1 + 0.1 * k) + k) * np.where(k < len(WAVES), 1.0, 0.1)
-    waves += rng.normal(0, 0.02, waves.shape)
-    table = pd.DataFrame(waves, columns=[*WAVES, *SMALL])
+    table = make_flight(LEVELS, 150, 0.02, seed=seed)
     left, right = table["elevon_left"], table["elevon_right"]
-    table = table.assign(elevator=(left + right) / 2, aileron=(left - right) / 2, **STILL)
-    return table.assign(time=t, flight=name, airspeed=30 + np.sin(t))
+    surfaces = {"elevator": (left + right) / 2, "aileron": (left - right) / 2}
+    return table.assign(flight=name, **surfaces, **STILL)
 
 
 @cache
 def smoothed_table():
-    rng = default_rng(3)
-    flights = pd.concat([flight(name, rng) for name in ("one", "two")], ignore_index=True)
-    return FlightSmoother().fit_transform(flights)
+    flights = [flight("one", 3), flight("two", 4)]
+    return FlightSmoother().fit_transform(pd.concat(flights, ignore_index=True))
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import signal
@@ -178,13 +179,10 @@ def test_senseless_cutoffs(cutoff, message):
 
 def flight(name="one", n=1200):
     """Return a table of measured channels whose heading passes through pi."""
-    rng = default_rng(6)
-    t = clock(n)
-    names = ["airspeed", "alpha", "beta", "p", "q", "r", "elevator", "psi"]
-    table = pd.DataFrame(rng.normal(0, 0.005, (n, len(names))), columns=names)
-    table["airspeed"] += 30.0
-    table["psi"] += np.angle(np.exp(1j * (3.0 + 0.3 * t)))
-    return table.assign(time=t, flight=name)
+    levels = {"airspeed": (30, 0, 0.005), "alpha beta p q r elevator psi": (0, 0, 0.005)}
+    table = make_flight(levels, n, 1 / RATE)
+    table["psi"] += np.angle(np.exp(1j * (3.0 + 0.3 * table["time"])))
+    return table.assign(flight=name)
 
 
 def test_automatic_columns_are_the_measured_ones():

@@ -4,6 +4,7 @@ import importlib
 import os
 import re
 import signal
+import socket
 import sys
 import tempfile
 import time
@@ -31,7 +32,8 @@ from skdgp.inference import BlockSettings, SearchSettings
 # Of processes that tests start, as _threads below for this one
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+ROOT = Path(__file__).resolve().parents[1]
+SHARED_DATA = ROOT.parent / "shared" / "data"
 
 # Nothing is written beside the tests
 set_hypothesis_home_dir(Path(tempfile.gettempdir()) / "hypothesis")
@@ -172,27 +174,34 @@ def command():
 
 
 @pytest.fixture(scope="session")
-def code_of_section():
-    """Return a function of a page under docs and a heading: the Python code of this section, in one."""
+def blocks_of():
+    """Return a function of a page under docs, a language and a heading: the blocks of code of the page or section."""
 
-    def code(page, heading):
-        text = (Path(__file__).resolve().parents[1] / "docs" / page).read_text(encoding="utf-8")
-        section = text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
-        return "\n".join(re.findall(r"^```python\n(.*?)^```", section, re.DOTALL | re.MULTILINE))
+    def blocks_of(page, language="python", heading=None):
+        text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+        if heading is not None:
+            text = text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+        return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
-    return code
+    return blocks_of
 
 
 @pytest.fixture(scope="session")
-def kernel_of_the_page():
+def kernel_of_the_page(blocks_of):
     """Return the class of kernels.md, in a module, since instances are pickled by the name of their class."""
-    page = Path(__file__).resolve().parents[1] / "docs" / "kernels.md"
     made = sys.modules.setdefault("kernels_of_the_page", ModuleType("kernels_of_the_page"))
-    text = page.read_text(encoding="utf-8")
-    for code in re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE):
+    for code in blocks_of("kernels.md"):
         if "\nclass " in code:
-            exec(compile(code, page.name, "exec"), vars(made))
+            exec(compile(code, "kernels.md", "exec"), vars(made))
     return made.SharedMatern
+
+
+@pytest.fixture
+def port():
+    """Return a port that nobody uses."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
 
 
 @pytest.fixture(scope="session")

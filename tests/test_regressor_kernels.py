@@ -156,19 +156,3 @@ class TestSamples:
         assert_allclose(stacked.mean(axis=1) / std, mean.T.ravel() / std, atol=0.03)
         assert_allclose(np.cov(stacked.T / std, rowvar=False), cov / np.outer(std, std), atol=0.04)
         assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)
-
-
-@pytest.mark.parametrize("inference", ["exact", "sparse"])
-def test_paths_are_in_the_units_of_the_outputs(inference):
-    X, Y = waves()
-    model = quick(GIVEN[0], inference=inference, n_inducing=20, max_iter=10).fit(X, Y)
-    at = np.array([[2.2], [14.0]])
-    paths = model.sample_paths(3000, random_state=0)
-    mean, std = model.predict(at, return_std=True)
-    values = paths(at)
-    assert_allclose((values.mean(axis=0) - mean) / std, 0.0, atol=0.08)
-    assert_allclose(values.std(axis=0) / std, 1.0, atol=0.06)
-    slopes = paths.gradient(at).mean(axis=0)
-    assert_allclose(slopes[0, :, 0], model.predict_gradient(at)[0, :, 0], rtol=0.1)
-    some = model.sample_y(at, 3000, random_state=0)
-    assert_array_equal(some, np.moveaxis(values, 0, -1))

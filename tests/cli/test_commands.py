@@ -197,12 +197,6 @@ class TestFly:
         "--airspeed 35 --full aileron=0.4 elevator=0.4 rudder=0.3 --height 100 --gusts 5"
     )
 
-    @pytest.fixture
-    def port(self):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
-            return free.getsockname()[1]
-
     def test_answers_an_autopilot(self, run, port, tmp_path):
         is_over = threading.Event()
 

@@ -99,27 +99,22 @@ QUICK = {
 }
 
 
-def blocks(language):
-    text = PAGE.read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("hasty_fits", "few_manoeuvres", "no_mechanics")
 @pytest.mark.filterwarnings("ignore:Flight 'two_altitudes' lasts 7.48 s")
-def test_commands_and_code_of_the_page_run(folder, tmp_path, monkeypatch, command):
+def test_commands_and_code_of_the_page_run(folder, tmp_path, monkeypatch, command, blocks_of):
     monkeypatch.chdir(tmp_path)
     for ours, theirs in {"lateral": "monday", "latlon": "tuesday", "test": "wednesday"}.items():
         table = pd.read_csv(folder / f"{ours}.csv")
         table.assign(time=table["time"] + 30.0).to_csv(f"{theirs}.csv", index=False)
     (tmp_path / "uav.json").write_bytes((folder / "uav.json").read_bytes())
     with patch.dict(sys.modules, {"matplotlib": None}):
-        for line in "".join(blocks("sh")).splitlines():
+        for line in "".join(blocks_of(PAGE.name, "sh")).splitlines():
             words = shlex.split(line)[1:]
             assert command([*words, *QUICK.get(words[0], [])]) == 0, line
     assert (tmp_path / "sweep" / "modes.csv").is_file()
     names = {}
-    for block in blocks("python"):
+    for block in blocks_of(PAGE.name):
         exec(compile(block, PAGE.name, "exec"), names)
 
 

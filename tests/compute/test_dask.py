@@ -1,8 +1,5 @@
 """joblib's backend of Dask, a real cluster of two worker processes: the same numbers as in one process."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from joblib import parallel_config
@@ -15,16 +12,14 @@ from skdgp import DependentGPRegressor
 pytest.importorskip(
     "distributed", reason='dask.distributed is not installed: pip install "skdgp[dask]"'
 )
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "inference.md"
 
 
 @pytest.mark.slow
-def test_the_page_runs_and_workers_find_the_same_models():
+def test_the_page_runs_and_workers_find_the_same_models(blocks_of):
     """Two worker processes import the package once for the whole test."""
-    code = re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE)
     names = {}
-    for number, block in enumerate(code, start=1):
-        exec(compile(block, f"{PAGE.name}, block {number}", "exec"), names)
+    for number, block in enumerate(blocks_of("inference.md"), start=1):
+        exec(compile(block, f"inference.md, block {number}", "exec"), names)
         if "LocalCluster" in block:
             assert_same_models()
     assert names["client"].status == "closed"

@@ -32,13 +32,6 @@ def steady(glider):
     return trim(glider.model(), glider.aircraft, 20.0, altitude=250.0)
 
 
-@pytest.fixture
-def port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]
-
-
 class Autopilot:
     """A stand-in for ArduPilot: what it sends, and the lines that it gets."""
 

@@ -148,13 +148,51 @@ def test_the_rudder_follows_the_roll_loop(parameters, mix, linear):
     assert not np.allclose(margins(linear, [loop])["value"]["roll"], expected, rtol=1e-3)
 
 
-def test_the_derivative_of_px4_has_a_filter_of_first_order():
-    """AlphaFilter of VehicleAngularVelocity."""
-    gains = UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_D": 0.02, "IMU_DGYRO_CUTOFF": 25.0}
-    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
-    s = 1j * np.array([1.0, 30.0, 500.0])
-    expected = -0.4 * (0.1 + 0.02 * s / (1.0 + s / (2 * np.pi * 25.0)))
-    assert_allclose(roll.feedback(s, 20.0, 1.225)["p"], expected)
+UNIT = np.rad2deg(1.0) / 45.0  # outputs of ArduPilot are degrees of 45
+ROLL = {"RLL_RATE_P": 1e-9, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.3, "RLL2SRV_TCONST": 0.4}
+PITCH = {name.replace("RLL", "PTCH"): value for name, value in ROLL.items()}
+RATE = {"RLL_RATE_P": 0.2, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.0, "SCALING_SPEED": 15.0}
+RATE |= {"INS_GYRO_FILTER": 0.0}
+SLIP = {"YAW2SRV_DAMP": 0.5, "YAW2SRV_INT": 0.4, "YAW2SRV_SLIP": 3.0, "SCALING_SPEED": 20.0}
+# The last loop of parameters and full deflections: its command for a channel at s, 20 m/s and density 0.9
+LAWS = {
+    "AlphaFilter of PX4's derivative": (
+        UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_D": 0.02, "IMU_DGYRO_CUTOFF": 25.0}, {"aileron": 0.4}, "p", 30j,
+        lambda s: -0.4 * (0.1 + 0.02 * s / (1.0 + s / (2 * np.pi * 25.0))),
+    ),
+    "PX4's feed-forward alone": (
+        UNFILTERED | {"FW_RR_P": 0.0, "FW_RR_FF": 0.3, "FW_R_TC": 0.5}, {"aileron": 0.4}, "phi", 2j,
+        lambda s: -0.4 * 0.3 / 0.5,
+    ),
+    **{f"PX4 without airspeed, {name}": (
+        PX4 | {name: value}, {"aileron": 0.4}, "p", 1e9j, lambda s: -0.4 * PX4["FW_RR_P"]
+    ) for name, value in (("FW_ARSP_MODE", 1.0), ("FW_USE_AIRSPD", 0.0))},
+    # AP_FW_Controller: "FF should be scaled by scaler/eas2tas"
+    "ArduPilot's feed-forward of roll": (
+        ROLL, {"aileron": 0.4}, "phi", 1e-6, lambda s: -0.4 * 0.3 * UNIT * 15 / 20 / 0.4
+    ),
+    "ArduPilot's feed-forward of pitch": (
+        PITCH, {"elevator": 0.4}, "theta", 1e-6, lambda s: -0.4 * 0.3 * UNIT * 15 / 20 / 0.4
+    ),
+    "ArduPilot's rate": (
+        RATE, {"aileron": 0.4}, "p", 1e-6, lambda s: -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9
+    ),
+    # RLL2SRV_TCONST of the firmware
+    "ArduPilot's attitude": (
+        RATE, {"aileron": 0.4}, "phi", 1e-6, lambda s: -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9 / 0.5
+    ),
+    "ArduPilot's yaw damper integrates the slip": (
+        {"RLL_RATE_P": 0.2} | SLIP, {"aileron": 0.4, "rudder": 0.3}, "ay", 2j,
+        lambda s: -0.3 / 45 * 0.5 * 0.4 * 3.0 / s * 1.225 / 0.9,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("parameters", "full", "channel", "s", "law"), LAWS.values(), ids=LAWS)
+def test_laws_are_those_of_the_firmware(parameters, full, channel, s, law):
+    loop = autopilot_loops(parameters, full)[-1]
+    found = loop.feedback(np.array([s + 0j]), 20.0, 0.9)[channel]
+    assert_allclose(found, law(s), rtol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -174,26 +212,6 @@ def test_airspeeds_that_a_file_lacks_are_the_firmwares_defaults(gains, limits, t
     for airspeed in (1.0, 10.0, 30.0, 100.0):
         scaling = trim / np.clip(airspeed, *limits)
         assert_allclose(roll.feedback(fast, airspeed, 1.225)["p"], scaling**2 * at_trim)
-
-
-@pytest.mark.parametrize("name", ["roll", "pitch"])
-def test_the_feed_forward_of_ardupilot_falls_with_the_air(name):
-    """AP_FW_Controller: "FF should be scaled by scaler/eas2tas"."""
-    rate, attitude, control = {
-        "roll": ("RLL", "phi", "aileron"),
-        "pitch": ("PTCH", "theta", "elevator"),
-    }[name]
-    gains = {"P": 1e-9, "I": 0.0, "FF": 0.3}
-    parameters = {f"{rate}_RATE_{gain}": value for gain, value in gains.items()}
-    parameters[f"{rate}2SRV_TCONST"] = 0.4
-    (loop,) = autopilot_loops(parameters, {control: 0.4})
-    density = 0.9
-    to_true = np.sqrt(1.225 / density)
-    scaler = 15.0 / (20.0 / to_true)
-    expected = -0.4 * 0.3 * np.rad2deg(1.0) / 45 * scaler / to_true / 0.4
-    assert_allclose(
-        loop.feedback(np.array([1e-6 + 0j]), 20.0, density)[attitude], expected, rtol=1e-3
-    )
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -257,29 +275,12 @@ def linear_of_path(linear, number):
     return replace(linear, **tables, paths=None)
 
 
-def test_outputs_of_ardupilot_are_degrees_of_45():
-    """A rate of 1 rad/s at twice the scaling speed: P deg / 45, over four."""
-    parameters = {"RLL_RATE_P": 0.2, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.0}
-    parameters |= {"SCALING_SPEED": 15.0, "INS_GYRO_FILTER": 0.0}
-    (roll,) = autopilot_loops(parameters, {"aileron": 0.4})
-    laws = roll.feedback(np.array([1e-6 + 0j]), 30.0, 1.225)
-    assert_allclose(laws["p"], -0.4 * 0.2 * np.rad2deg(1.0) / 45 / 4, rtol=1e-6)
-    assert_allclose(laws["phi"], laws["p"] / 0.5, rtol=1e-5)  # RLL2SRV_TCONST of the firmware
-
-
 def test_the_yaw_damper_of_ardupilot_washes_out_a_steady_rate():
     parameters = {"RLL_RATE_P": 0.2, "YAW2SRV_DAMP": 0.5, "SCALING_SPEED": 20.0}
     _, yaw = autopilot_loops(parameters, {"aileron": 0.4, "rudder": 0.3})
     slow, fast = yaw.feedback(np.array([1e-4j, 5j]), 20.0, 1.225)["r"]
     assert abs(slow) < 1e-3 * abs(fast)
     assert_allclose(abs(fast), 0.3 * 0.5 * np.rad2deg(1.0) / 45, rtol=0.01)
-
-
-def test_the_yaw_damper_of_ardupilot_integrates_the_slip():
-    gains = {"YAW2SRV_DAMP": 0.5, "YAW2SRV_INT": 0.4, "YAW2SRV_SLIP": 3.0, "SCALING_SPEED": 20.0}
-    _, yaw = autopilot_loops({"RLL_RATE_P": 0.2} | gains, {"aileron": 0.4, "rudder": 0.3})
-    (of_slip,) = yaw.feedback(np.array([2j]), 20.0, 1.225)["ay"]
-    assert_allclose(of_slip, -0.3 / 45 * 0.5 * 0.4 * 3.0 / 2j)
 
 
 def response(loop, frequency, of):
@@ -425,19 +426,6 @@ def test_an_unstable_roll_loop_is_not_the_pitch_loops(with_spiral):
     assert "oscillation of" in cause
 
 
-def test_px4_without_airspeed_does_not_scale_its_gains():
-    for parameters in ({"FW_ARSP_MODE": 1.0}, {"FW_USE_AIRSPD": 0.0}):
-        (roll,) = autopilot_loops(PX4 | parameters, {"aileron": 0.4})
-        assert_allclose(roll.feedback(np.array([1e9j]), 30.0, 1.0)["p"], -0.4 * PX4["FW_RR_P"])
-
-
-def test_a_feed_forward_alone_closes_the_loop_of_the_attitude():
-    gains = UNFILTERED | {"FW_RR_P": 0.0, "FW_RR_FF": 0.3, "FW_R_TC": 0.5}
-    (roll,) = autopilot_loops(gains, {"aileron": 0.4})
-    laws = roll.feedback(np.array([2j]), 20.0, 1.225)
-    assert_allclose(laws["phi"], -0.4 * 0.3 / 0.5)
-
-
 def test_parameters_that_do_not_count_are_no_errors():
     """The trim's airspeed of gains that are not scaled, the yaw controller of a rudder that is left out."""
     autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4})
@@ -465,20 +453,42 @@ def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
     assert_allclose(chosen.P / weak.P, 10 ** (26 / 20))
 
 
-def test_double_notches_and_harmonics_of_ardupilot_are_notches_at_their_frequencies():
-    harmonic = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0, "INS_HNTCH_BW": 10.0}
-    harmonic |= {"INS_HNTCH_HMNCS": 5, "INS_HNTCH_OPTS": 1, "INS_HNTCH_ATT": 40.0}
-    (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | harmonic, {"aileron": 0.4})
-    spread = 10.0 / (32 * 20.0)
-    expected = [f * (1 + sign * spread) for f in (20.0, 60.0) for sign in (-1, 1)]
-    assert_allclose([notch.frequency for notch in loop.gyro_notches], expected)
-    assert len({notch.quality for notch in loop.gyro_notches}) == 1
+HARMONIC = {"RLL_RATE_P": 0.1, "INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0}
+# Half of what separates the two of a double notch, of 10 Hz about 20 Hz
+SPREAD = 10.0 / (32 * 20.0)
 
 
-def test_a_harmonic_notch_without_width_is_none():
-    harmonic = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_BW": 0, "INS_HNTCH_OPTS": 1}
-    (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | harmonic, {"aileron": 0.4})
-    assert loop.gyro_notches == ()
+@pytest.mark.parametrize(
+    ("notch", "frequencies"),
+    [
+        (
+            {"INS_HNTCH_BW": 10.0, "INS_HNTCH_HMNCS": 5, "INS_HNTCH_OPTS": 1},
+            [20 - 20 * SPREAD, 20 + 20 * SPREAD, 60 - 60 * SPREAD, 60 + 60 * SPREAD],
+        ),
+        ({"INS_HNTCH_BW": 0, "INS_HNTCH_OPTS": 1}, []),
+        # of one that follows the engine the lowest frequency
+        (
+            {
+                "INS_HNTCH_BW": 20.0,
+                "INS_HNTCH_MODE": 1,
+                "INS_HNTCH_REF": 0.3,
+                "INS_HNTCH_FM_RAT": 0.7,
+            },
+            [14.0, 28.0],
+        ),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*INS_HNTCH_MODE 1")
+def test_double_notches_and_harmonics_of_ardupilot_are_notches(notch, frequencies):
+    (loop,) = autopilot_loops(HARMONIC | notch, {"aileron": 0.4})
+    assert_allclose([notch.frequency for notch in loop.gyro_notches], frequencies)
+    assert len({notch.quality for notch in loop.gyro_notches}) <= 1
+
+
+def test_a_notch_that_follows_the_engine_is_named():
+    follows = {"INS_HNTCH_BW": 20.0, "INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3}
+    with pytest.warns(UserWarning, match="INS_HNTCH_MODE 1"):
+        autopilot_loops(HARMONIC | follows, {"aileron": 0.4})
 
 
 @pytest.mark.parametrize(
@@ -494,14 +504,6 @@ def test_a_harmonic_notch_without_width_is_none():
 def test_settings_that_a_notch_lacks_are_told(notch, lacking):
     with pytest.warns(UserWarning, match=f"The parameters lack .*{lacking}"):
         autopilot_loops({"RLL_RATE_P": 0.1} | notch, {"aileron": 0.4})
-
-
-def test_a_notch_that_follows_the_engine_is_taken_at_its_lowest_frequency_and_named():
-    follows = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 40.0, "INS_HNTCH_BW": 20.0}
-    follows |= {"INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_FM_RAT": 0.7}
-    with pytest.warns(UserWarning, match="INS_HNTCH_MODE 1"):
-        (loop,) = autopilot_loops({"RLL_RATE_P": 0.1} | follows, {"aileron": 0.4})
-    assert_allclose([notch.frequency for notch in loop.gyro_notches], [28.0, 56.0])
 
 
 @pytest.mark.parametrize(

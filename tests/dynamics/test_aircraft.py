@@ -1,8 +1,6 @@
 """The aircraft's door: what comes back, and what is refused with which words."""
 
 import json
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,9 +53,8 @@ def test_toml_says_the_same_as_json(tmp_path):
     assert Aircraft.from_file(tmp_path / "a.toml") == Aircraft.from_dict(GOOD)
 
 
-def test_the_aircraft_file_of_the_page_is_one(tmp_path):
-    page = Path(__file__).parents[2] / "docs" / "dynamics.md"
-    (text,) = re.findall(r"```toml\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+def test_the_aircraft_file_of_the_page_is_one(tmp_path, blocks_of):
+    (text,) = blocks_of("dynamics.md", "toml")
     (tmp_path / "delta.toml").write_text(text)
     aircraft = Aircraft.from_file(tmp_path / "delta.toml")
     assert aircraft.propeller.thrust(600.0, 0.0) > 0

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import elsewhere
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -14,7 +15,6 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
-FORCES = ["ax", "ay", "az"]
 
 
 def relative(got, expected):
@@ -38,18 +38,11 @@ def test_rates_are_differentiated_where_accelerations_are_not_measured(
     assert_frame_equal(aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got)
 
 
-def sensed_at(flight, arm):
-    """Return a flight whose accelerometers are at ``arm`` [m] from the centre of gravity."""
-    omega, omega_dot = flight[["p", "q", "r"]].to_numpy(), flight[DERIVATIVES].to_numpy()
-    added = np.cross(omega_dot, arm) + np.cross(omega, np.cross(omega, arm))
-    return flight.assign(**dict(zip(FORCES, (flight[FORCES] + added).to_numpy().T, strict=True)))
-
-
 def test_sensors_half_a_metre_ahead_give_the_same_coefficients(
     simulated, aircraft, true_coefficients
 ):
     arm = (0.5, 0.1, -0.2)
-    flight = sensed_at(simulated, arm)
+    flight = elsewhere(simulated, arm, simulated[DERIVATIVES])
     placed = replace(aircraft, sensor_position=arm)
     assert (
         relative(aerodynamic_coefficients(flight, aircraft, cutoff=None), true_coefficients).max()
@@ -159,16 +152,7 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
             "airspeed 0 m/s at row 7 and .* rows",
         ),
         (lambda f: f.assign(time=f["time"].where(f.index != 7, 0.0)), "expected time to increase"),
-        (lambda f: f.assign(phi=np.rad2deg(f["phi"])), "Got magnitudes up to {.phi.: .*deg2rad"),
-        (
-            lambda f: f.drop(columns="phi").assign(q=100 * f["q"] + 60),
-            "Got {.q.: .* values of another column",
-        ),
         (lambda f: f.assign(density=1.1e-3), "Got a density of 0.0011"),
-        (
-            lambda f: f.assign(ax=f["ax"] / 9.8, ay=f["ay"] / 9.8, az=f["az"] / 9.8),
-            "looks like g. Multiply by 9.80665",
-        ),
         (lambda f: f.assign(ax="fast"), "columns of type .*'ax': .* expected numbers"),
         (
             lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]),

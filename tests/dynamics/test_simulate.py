@@ -359,20 +359,14 @@ class TestEnsembles:
             values = commands(t)
             return {**values, "elevator": values["elevator"] + np.interp(t, [1.0, 1.04], [0, 0.05])}
 
+        bends = np.zeros((6, 8))
+        bends[2, 0], bends[4, [0, 3, 5]] = 5.0, [-2.0, -900.0, 3.0]
+
         def curved(X):
-            alpha, q, elevator = X[..., 0], X[..., 3], X[..., 5]
-            C = glider.level + X @ glider.slopes.T
-            C[..., 2] += 20.0 * alpha**3
-            C[..., 4] += 3.0 * elevator**2 - 2.0 * alpha**2 - 900.0 * q**2
-            return C
+            return glider.level + X @ glider.slopes.T + X**2 @ bends.T
 
         def curved_slopes(X):
-            slopes = np.tile(glider.slopes, (*X.shape[:-1], 1, 1))
-            slopes[..., 2, 0] += 60.0 * X[..., 0] ** 2
-            slopes[..., 4, 0] -= 4.0 * X[..., 0]
-            slopes[..., 4, 3] -= 1800.0 * X[..., 3]
-            slopes[..., 4, 5] += 6.0 * X[..., 5]
-            return slopes
+            return glider.slopes + 2 * bends * X[..., None, :]
 
         one = curved, curved_slopes
         model = Aerodynamics(curved, glider.names, sampler=lambda n_paths, random_state: one)

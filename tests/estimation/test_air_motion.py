@@ -9,12 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import uav_flight
+from log_errors import elsewhere, held
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
 from pandas.testing import assert_frame_equal
 from sklearn.base import clone
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp.design import three_two_one_one
 from skdgp.dynamics import Aircraft, Servos, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
 from skdgp.model_selection import thin_targets
@@ -53,11 +55,7 @@ def pulses(time, starts):
     """Return 3-2-1-1s (n, 3) of elevator, aileron, rudder, one after the other, both ways."""
     inputs = np.zeros((len(time), 3))
     for k, start in enumerate(starts):
-        since = time - start
-        unit = np.select(
-            [since < 0, since < 0.6, since < 1.0, since < 1.2, since < 1.4], [0, 1, -1, 1, -1]
-        )
-        inputs[:, k % 3] += 0.12 * unit * (-1) ** (k // 3)
+        inputs[:, k % 3] += three_two_one_one(0.2, 0.12 * (-1) ** (k // 3))(time - start)
     return inputs
 
 
@@ -92,14 +90,12 @@ def flown(
     fleet.pulses[:] = 0.0
     fleet.pulses[:, 0] += pulses(uav_flight.STEP * np.arange(len(fleet.pulses)), starts)
     rows = fleet.fly()[:, 0]
-    if arm is not None:
-        spin, rates = rows[:, 3:6], rows[:, 17:20]
-        rows[:, :3] += np.cross(spin, arm) + np.cross(rates, np.cross(rates, arm))
     table = uav_flight.logged(rows, rng, "ideal")
+    if arm is not None:
+        table = elsewhere(table, arm, rows[:, 3:6])
     table[SURFACES] = rows[:, 23:26] if deflections else rows[:, 26:29]
     alpha = table.pop("alpha_true")
-    sizes = ("mass", "wing_area", "span", "chord", "inertia")
-    aircraft = Aircraft(**{name: plane[name] for name in sizes}, sensor_position=arm)
+    aircraft = replace(uav_flight.aircraft_of(plane), sensor_position=arm)
     pressure = 0.5 * table["density"] * table["airspeed"] ** 2
     loading = (table["thrust_x"] / (pressure * plane["wing_area"])).mean()
     return Flown(table, alpha, uav_flight.truth_of(plane, alpha.mean(), loading), aircraft)
@@ -193,7 +189,7 @@ def test_surfaces_of_slow_clocks_are_known_by_their_samples_alone():
     """Whether rows repeat the samples, or hold a spline through them."""
     flight = flown(GUSTY, 6.0)
     table = flight.table
-    table[SURFACES] = table.loc[np.arange(len(table)) // 5 * 5, SURFACES].to_numpy()
+    table = held(table, SURFACES, 5)
     with pytest.warns(FlightDataWarning, match="slower clocks"):
         between = FlightCheck().fit_transform(table)
     assert np.any(between[SURFACES] != table[SURFACES])

@@ -5,13 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from log_errors import EULER, FORCES, RATES, VELOCITY
+from made_flights import flight_of_motion
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from skdgp.dynamics import Aircraft, euler_to_matrix
-from skdgp.estimation import FlightPath, FlightSensors
+from skdgp.estimation import FlightPath, flights_of
 from skdgp.estimation._air_covariance import (
     add_attenuation,
     add_delay_error,
@@ -412,7 +414,34 @@ def test_a_search_that_still_moves_has_the_spread_of_its_last_passes():
 
 
 EPS = 1e-6
-BIASES = ("ax_bias", "ay_bias", "az_bias", "p_bias", "q_bias", "r_bias")
+TURN, SPEED = 0.4, 25.0
+WIND = np.array([3.0, -2.0, 0.0])
+INERTIAL = [*FORCES, *RATES]
+
+
+def attitude(t):
+    """Return the attitude in a turn, pitched and banked."""
+    return Rotation.from_euler("ZYX", np.stack([TURN * t + 0.7, 0.1 + 0 * t, 0.5 + 0 * t], axis=-1))
+
+
+def velocity(t):
+    """Return the velocity over the ground in a circle over moving air."""
+    circle = np.stack([np.cos(TURN * t), np.sin(TURN * t), 0.1 + 0 * t], axis=-1)
+    return SPEED * circle + WIND
+
+
+def sensors_of(table):
+    """Return the sensors of a table of one flight."""
+    (flight,) = flights_of(table)
+    return flight.sensors
+
+
+def constants_of(**values):
+    """Return the constants of a path that are zero but for some."""
+    constants = np.zeros(len(PLACE))
+    for name, value in values.items():
+        constants[PLACE[name]] = value
+    return constants
 
 
 @pytest.fixture
@@ -420,22 +449,11 @@ def near_path():
     """Sensors of a turning flight, and a path near it that is no solution."""
     rng = default_rng(4)
     n = 12
-    time = 0.04 * np.arange(n)
-    angles = np.column_stack([0.3 * time, 0.1 + 0.2 * time, 0.3 * np.sin(time)])
-    readings = rng.normal([0.5, -0.3, -9.0, 0.1, 0.2, 0.3, 25.0, 0.1, 0.05], 0.1, (n, 9))
-    sensors = FlightSensors(
-        time=time,
-        segment=np.zeros(n, dtype=int),
-        readings=readings,
-        velocity=rng.normal([24.0, 5.0, 1.0], 0.1, (n, 3)),
-        attitude=Rotation.from_euler("ZYX", angles),
-        attitude_sampled=np.ones(n, dtype=bool),
-        position=np.zeros((n, 3)),
-        lever_acceleration=np.zeros((n, 3)),
-    )
-    constants = np.zeros(len(PLACE))
-    constants[PLACE["p_bias"]] = 0.01
-    constants[PLACE["wind_east"]] = 4.0
+    table = flight_of_motion(0.04 * np.arange(n), attitude, velocity, WIND)
+    sensed = [*INERTIAL, "airspeed", "alpha", "beta", *VELOCITY]
+    table[sensed] += rng.normal(0, 0.05, (n, len(sensed)))
+    sensors = sensors_of(table)
+    constants = constants_of(p_bias=0.01, wind_east=4.0)
     path = FlightPath.initial(sensors).moved(0.1 * rng.standard_normal((n, 9)), constants)
     return sensors, path
 
@@ -467,57 +485,28 @@ def test_slopes_by_constants_are_those_of_the_residuals(name, near_path):
     """Those by lags are of first order only: see the recovery of lags."""
     sensors, path = near_path
     base = equations(path, sensors)
-    constants = np.zeros(len(PLACE))
-    constants[PLACE[name]] = EPS
-    moved = equations(path.moved(np.zeros((len(sensors.time), 9)), constants), sensors)
+    states = np.zeros((len(sensors.time), 9))
+    moved = equations(path.moved(states, constants_of(**{name: EPS})), sensors)
     slope = (moved.residual - base.residual) / EPS
     assert_allclose(slope, base.d_constants[:, :, PLACE[name]], atol=1e-3, rtol=1e-3)
 
 
 @pytest.mark.parametrize("delay", [0, 3])
 def test_a_turn_of_late_sensors_in_wind_and_gusts_solves_them(delay):
-    """Pitched and banked, in a circle over moving air: rates and forces by their formulas."""
-    n, step, rate, speed, phi, theta = 40, 0.01, 0.4, 25.0, 0.5, 0.1
-    wind, biases = np.array([3.0, -2.0, 0.0]), 0.02 * np.arange(1, 7)
+    n, step = 40, 0.01
     lags = {"velocity_lag": 0.032 if delay else 0.004, "attitude_lag": 0.027 if delay else -0.003}
     time = step * np.arange(n)
     correlation = np.exp(-step / 2.0)
     gust = np.multiply.outer(correlation ** np.arange(n), [0.5, -0.4, 0.3])
-
-    def attitude(t):
-        return Rotation.from_euler("ZYX", np.array([rate * t + 0.7, theta + 0 * t, phi + 0 * t]).T)
-
-    def velocity(t):
-        circle = np.array([np.cos(rate * t), np.sin(rate * t), 0.1 + 0 * t])
-        return speed * circle.T + wind
-
-    centripetal = speed * rate * np.array([-np.sin(rate * time), np.cos(rate * time), 0 * time]).T
-    force = attitude(time).inv().apply(centripetal - [0.0, 0.0, 9.80665])
-    turning = rate * np.array(
-        [-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)]
-    )
-    u, v, w = attitude(time).inv().apply(velocity(time) - wind - gust).T
-    airspeed = np.sqrt(u**2 + v**2 + w**2)
-    air_data = np.column_stack([airspeed, np.arctan2(w, u), np.arcsin(v / airspeed)])
-    inertial = np.column_stack([force, np.tile(turning, (n, 1))]) + biases
-    sensors = FlightSensors(
-        time=time,
-        segment=np.zeros(n, dtype=int),
-        readings=np.column_stack([inertial, air_data]),
-        velocity=velocity(time - lags["velocity_lag"]),
-        attitude=attitude(time - lags["attitude_lag"]),
-        attitude_sampled=np.ones(n, dtype=bool),
-        position=np.zeros((n, 3)),
-        lever_acceleration=np.zeros((n, 3)),
-    )
-    values = dict(zip(BIASES, biases, strict=True)) | lags
-    values |= {"wind_north": wind[0], "wind_east": wind[1]}
-    constants = np.zeros(len(PLACE))
-    for name, value in values.items():
-        constants[PLACE[name]] = value
+    table = flight_of_motion(time, attitude, velocity, WIND + gust)
+    biases = {f"{name}_bias": 0.02 * k for k, name in enumerate(INERTIAL, start=1)}
+    table[INERTIAL] += [*biases.values()]
+    table[VELOCITY] = velocity(time - lags["velocity_lag"])
+    table[EULER] = attitude(time - lags["attitude_lag"]).as_euler("ZYX")[:, ::-1]
+    constants = constants_of(**biases, **lags, wind_north=WIND[0], wind_east=WIND[1])
     path = FlightPath(velocity(time), attitude(time), gust, constants)
-    delays = np.full(2, delay)
-    found = path_equations(path, sensors, np.full(n - 1, correlation), delays, 3.0)
+    correlations = np.full(n - 1, correlation)
+    found = path_equations(path, sensors_of(table), correlations, np.full(2, delay), 3.0)
     residual = found.residual[: n - 1 - delay]
     assert np.isfinite(residual).all()
     assert_allclose(residual, 0.0, atol=2e-4)

@@ -51,10 +51,10 @@ def test_what_cannot_be_exported(command, path, words, message, tmp_path, capsys
     assert not (tmp_path / "new").exists()
 
 
-def test_code_of_the_page_runs(fitted, code_of_section, tmp_path, monkeypatch):
+def test_code_of_the_page_runs(fitted, blocks_of, tmp_path, monkeypatch):
     """The Python of the section of export.md, in one namespace."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()
     save_model("results/model.joblib", **fitted("sparse"))
-    exec(code_of_section("export.md", "The portable model"), {})
+    exec("\n".join(blocks_of("export.md", heading="The portable model")), {})
     assert (tmp_path / "model.npz").stat().st_size > 0

@@ -181,12 +181,12 @@ def test_trim_is_that_of_jsbsim(load, fitted, portable_of, propeller):
 @pytest.mark.slow
 @pytest.mark.usefixtures("short_flights", "short_fits")
 @pytest.mark.parametrize("short_flights", [1500], indirect=True)
-def test_code_of_the_page_flies_steadily(code_of_section, tmp_path, monkeypatch):
+def test_code_of_the_page_flies_steadily(blocks_of, tmp_path, monkeypatch):
     """The aircraft of export.md, whose trim by JSBSim is that of this package, flown for 10 s."""
     pytest.importorskip("jsbsim", reason="flies the page: pip install jsbsim")
     monkeypatch.chdir(tmp_path)
     names = {}
-    exec(code_of_section("export.md", "JSBSim"), names)
+    exec("\n".join(blocks_of("export.md", heading="JSBSim")), names)
     fdm, steady = names["fdm"], names["steady"]
     assert fdm["aero/alpha-rad"] == pytest.approx(steady.alpha, rel=0.01)
     assert fdm["fcs/throttle-cmd-norm"] == pytest.approx(steady.controls["throttle"], rel=0.01)

@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import FORCES, POSITION, RATES, placed
+from made_flights import flight_of_motion
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy.spatial.transform import Rotation
@@ -10,9 +12,6 @@ from scipy.spatial.transform import Rotation
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.preprocessing import FlightPathReconstruction
 
-RATES = ["p", "q", "r"]
-FORCES = ["ax", "ay", "az"]
-POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 ARM = np.array([0.5, -0.2, 0.3])
 STEP = 0.01
 
@@ -24,23 +23,18 @@ def at_rest():
 
 
 def tumbling(arm):
-    """Return rates of a rigid body, and what sensors at ``arm`` read of its rotation about the origin.
+    """Return what sensors at ``arm`` read of a rigid body that rotates about the origin, without gravity."""
 
-    Their acceleration is the second derivative of R(t) r, by differences of the attitude.
-    """
-    time = np.arange(-2 * STEP, 6, STEP)
-    angles = np.column_stack([0.7 * np.sin(time), 0.4 * np.cos(1.3 * time), 0.5 * time])
-    attitude = Rotation.from_euler("ZYX", angles)
-    place = attitude.apply(arm)
-    acceleration = (place[2:] - 2 * place[1:-1] + place[:-2]) / STEP**2
-    rates = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * STEP)
-    force = attitude[1:-1].inv().apply(acceleration)
-    columns = dict(zip((*RATES, *FORCES), np.hstack([rates, force]).T, strict=True))
-    return pd.DataFrame({"time": time[1:-1], **columns})
+    def attitude(t):
+        return Rotation.from_euler(
+            "ZYX", np.stack([0.7 * np.sin(t), 0.4 * np.cos(1.3 * t), 0.5 * t], axis=-1)
+        )
 
+    def velocity(t):
+        return (attitude(t + 1e-4).apply(arm) - attitude(t - 1e-4).apply(arm)) / 2e-4
 
-def placed(flight, arm):
-    return flight.assign(**dict(zip(POSITION, arm, strict=True)))
+    flight = flight_of_motion(np.arange(0, 6, STEP), attitude, velocity, gravity=0.0)
+    return flight[["time", *RATES, *FORCES]]
 
 
 def at_centre_of_gravity(flight):

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.signal import lfilter
+from made_flights import lasting
 from scipy.stats import kstest
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -18,15 +18,6 @@ ALPHA_NOISE = 0.03
 # force coefficients of 1 m/s^2: mass over dynamic pressure and wing area of 12 kg, 20 m/s, 1.3 m^2
 BY_ACCELERATION = 0.04
 SLOPES = np.array([[0.3, 0.0, -4.0, 0.0, -0.5, 0.0], [0.0] * 6, [0.0] * 4 + [-0.6, 0.0]])
-
-
-def lasting(rng, shape, memory):
-    """Return noise of variance 1 whose correlation falls by e in ``memory`` rows."""
-    keep = np.exp(-1 / memory)
-    noise = rng.normal(size=shape)
-    size = np.sqrt(1 - keep**2)
-    noise[0] /= size  # the first one has a variance of 1, too
-    return lfilter([size], [1.0, -keep], noise, axis=0)
 
 
 def flight(seed, noise):

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import FORCES, shake
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
@@ -232,10 +233,7 @@ def test_a_throttle_brings_the_airspeed_among_the_regressors(throttle, moves, ex
 def shaken(flight):
     """Return a flight whose accelerometers feel a vibration of 8 m/s^2, of 8 to 14 Hz."""
     time = flight["time"].to_numpy()
-    phase = 2 * np.pi * np.cumsum(11 + 3 * np.sin(0.2 * time)) / 40
-    forces = {}
-    for k, name in enumerate(("ax", "ay", "az")):
-        forces[name] = flight[name] + 8 * np.sin(phase + k)
+    forces = {name: flight[name] + 8 * shake(time, k) for k, name in enumerate(FORCES)}
     return flight.assign(**forces)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.signal import lfilter
 
 from skdgp.inference import Data
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
@@ -20,19 +19,6 @@ def stacked_covariances(features, arrays):
         K[row : row + len(x), features.columns(i)] = features.Kfu(i, x)
         row += len(x)
     return K
-
-
-@pytest.fixture(scope="session")
-def wandering():
-    """Return a function to a time series (n,) of variance one whose correlation falls by 1/e in ``memory`` samples."""
-
-    def series(rng, n, memory):
-        keep = np.exp(-1 / memory)
-        values = rng.normal(size=n)
-        values[1:] *= np.sqrt(1 - keep**2)
-        return lfilter([1.0], [1.0, -keep], values)
-
-    return series
 
 
 @pytest.fixture(scope="session")

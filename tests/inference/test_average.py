@@ -102,16 +102,6 @@ class TestMixture:
             expected += weight * member.covariance(AT)
         assert_allclose(same.covariance(AT), expected, rtol=1e-9, atol=1e-12)
 
-    def test_paths_have_its_mean_and_covariance(self, mixture):
-        n, at = 2000, AT[:4]
-        values = mixture.paths(n, 1).values(at[None]).swapaxes(1, 2).reshape(n, -1)  # output-major
-        covariance = mixture.covariance(at)
-        size = np.sqrt(np.diag(covariance))
-        mean = mixture.predict(at).T.ravel()
-        assert_allclose(values.mean(axis=0) / size, mean / size, atol=0.1)
-        scale = np.outer(size, size)
-        assert_allclose(np.cov(values.T) / scale, covariance / scale, atol=0.15)
-
     def test_slopes_of_paths_are_those_of_their_values(self, mixture, central_difference):
         paths = mixture.paths(20, 0)
         slopes = central_difference(lambda step: paths.each((AT + step)[None]), np.zeros(D))

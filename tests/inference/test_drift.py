@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_flights import lasting
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
@@ -20,13 +21,13 @@ STEP, MEMORY, DRIFT, WHITE = 0.05, 0.5, 0.09, 0.01
 
 
 @pytest.fixture
-def log(wandering):
+def log():
     """Four flights, each with its own clock from zero and its own drift."""
     rng = default_rng(5)
     time = np.tile(STEP * np.arange(300), 4)
     phase = np.repeat(np.arange(4), 300)
     x = np.sin(2 * np.pi * 0.1 * time + phase) + 0.1 * rng.normal(size=1200)
-    drift = np.concatenate([wandering(rng, 300, MEMORY / STEP) for _ in range(4)])
+    drift = np.concatenate([lasting(rng, 300, MEMORY / STEP) for _ in range(4)])
     drifting = 2 * x + np.sqrt(DRIFT) * drift + rng.normal(0, np.sqrt(WHITE), 1200)
     steady = rng.normal(0, 0.3, 1200) - x
     return x[:, None], np.column_stack([drifting, steady]), time, phase

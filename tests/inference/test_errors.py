@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_flights import lasting
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -14,11 +15,11 @@ WITHIN = 5 / np.sqrt(2 * N_DRAWN)
 
 
 @pytest.fixture(scope="module")
-def series(wandering):
+def series():
     """Return a flight with lasting noise and a kink: regressors, two outputs, time."""
     rng = default_rng(0)
-    X = np.column_stack([wandering(rng, 240, 8), 5 * wandering(rng, 240, 5)])
-    noise = 0.1 * np.column_stack([wandering(rng, 240, 3), wandering(rng, 240, 3)])
+    X = lasting(rng, (240, 2), 7) * [1, 5]
+    noise = 0.1 * lasting(rng, (240, 2), 3)
     Y = np.column_stack([X[:, 0] + np.abs(X[:, 0]), 0.3 * X[:, 1] - X[:, 0]]) + noise
     return X, 10.0 * Y, np.arange(240.0)
 
@@ -95,15 +96,15 @@ def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes():
 
 
 @pytest.mark.parametrize("memory", [0.01, 4.0])
-def test_slopes_of_a_line_err_as_stated(wandering, memory):
+def test_slopes_of_a_line_err_as_stated(memory):
     """White and lasting noise: errors over deviations have a root mean square near one."""
     truth = [1.0, -0.5, 0.3, 0.0]
     model = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
     ratios = []
     for seed in range(4):
         rng = default_rng(seed)
-        x = np.column_stack([wandering(rng, 700, 10) for _ in truth])
-        model.fit(x, x @ truth + 0.5 * wandering(rng, 700, memory), time=np.arange(700.0))
+        x = lasting(rng, (700, 4), 10)
+        model.fit(x, x @ truth + 0.5 * lasting(rng, 700, memory), time=np.arange(700.0))
         spread = model.sample_paths(200, random_state=0).gradient(x[:1])[:, 0].std(axis=0)
         ratios.append((model.predict_gradient(x[:1])[0] - truth) / spread)
     assert 0.6 < np.sqrt(np.mean(np.square(ratios))) < 1.4

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_flights import lasting
 from numpy.random import default_rng
 from sklearn.base import clone
 
@@ -34,10 +35,10 @@ def variance_of(function, x, y, scale=1.0, flight=0):
 
 class TestVariance:
     @pytest.mark.parametrize("memory", [0.01, 4.5])
-    def test_is_the_mean_square_of_the_error_of_the_function(self, wandering, memory):
+    def test_is_the_mean_square_of_the_error_of_the_function(self, memory):
         """Of a wrong function; of the true one it is a small part of the noise, white or lasting."""
         x, _, truth = log_of(np.abs, 8000)
-        y = truth + NOISE * wandering(default_rng(1), 8000, memory)[:, None]
+        y = truth + NOISE * lasting(default_rng(1), (8000, 1), memory)
         found = variance_of(lambda x: 0.5 * x + 0.4, x, y)
         assert found[0] == pytest.approx(np.mean((truth - 0.5 * x - 0.4) ** 2), rel=0.15)
         assert variance_of(np.abs, x, y)[0] < 0.02 * NOISE**2

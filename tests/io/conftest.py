@@ -60,14 +60,6 @@ class LogWriter:
         return self.head + b"".join(self.parts())
 
 
-def ulog_message(kind, payload):
-    return struct.pack("<HB", len(payload), ord(kind)) + payload
-
-
-def ulog_keyed(kind, key, payload):
-    return ulog_message(kind, bytes([len(key)]) + key.encode() + payload)
-
-
 def typed(field, n):
     """Return the type of a field of a ULog and its values, (n,) or (n, k): truth values, or numbers."""
     kind, values = field if isinstance(field, tuple) else ("", field)
@@ -85,14 +77,22 @@ class ULogWriter(LogWriter):
     suffix = ".ulg"
     head = b"ULog\x01\x12\x35\x01" + bytes(8)
 
+    @staticmethod
+    def message(kind, payload):
+        return struct.pack("<HB", len(payload), ord(kind)) + payload
+
+    @staticmethod
+    def keyed(kind, key, payload):
+        return ULogWriter.message(kind, bytes([len(key)]) + key.encode() + payload)
+
     def __init__(self, **parameters):
         super().__init__()
         self.formats = set()
-        self.definitions.append(ulog_message("B", bytes(40)))
-        self.definitions.append(ulog_keyed("I", "char[3] sys_name", b"PX4"))
+        self.definitions.append(self.message("B", bytes(40)))
+        self.definitions.append(self.keyed("I", "char[3] sys_name", b"PX4"))
         for name, value in parameters.items():
             kind, code = ("int32_t", "i") if isinstance(value, int) else ("float", "f")
-            self.definitions.append(ulog_keyed("P", f"{kind} {name}", struct.pack(code, value)))
+            self.definitions.append(self.keyed("P", f"{kind} {name}", struct.pack(code, value)))
 
     def topic(self, name, time, *, instance=0, **fields):
         """Add a topic; a field is numbers, (n, k), (n,) or one, or with its type ``("float[4]", values)``."""
@@ -101,10 +101,10 @@ class ULogWriter(LogWriter):
             self.formats.add(name)
             layout = "".join(f"{kind} {field};" for field, (kind, _) in fields.items())
             text = f"{name}:uint64_t timestamp;{layout}"
-            self.definitions.append(ulog_message("F", text.encode()))
+            self.definitions.append(self.message("F", text.encode()))
         number = len(self.subscriptions)
         subscription = struct.pack("<BH", instance, number) + name.encode()
-        self.subscriptions.append(ulog_message("A", subscription))
+        self.subscriptions.append(self.message("A", subscription))
         columns = []
         for kind, values in fields.values():
             code = ULOG_CODES[kind.split("[")[0]]
@@ -114,7 +114,7 @@ class ULogWriter(LogWriter):
             payload = struct.pack("<HQ", number, round(t * 1e6))
             for code, cells in columns:
                 payload += struct.pack(f"<{cells.shape[1]}{code}", *cells[row].tolist())
-            self.data.append((t, ulog_message("D", payload)))
+            self.data.append((t, self.message("D", payload)))
         return self
 
     def gyros(self, time, rate, **fields):

@@ -203,19 +203,6 @@ class TestFlights:
         log.topic("vehicle_local_position", self.t, x=0 * down, y=0 * down, z=down)
         assert read(log).time.min() == pytest.approx(22.5, abs=0.1)
 
-    def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, told, dataflash):
-        def log(airspeed, t):
-            log = dataflash("ArduPlane V4.5.1").gyros(t, t % 1)
-            return log.topic("ARSP", t, Airspeed=airspeed + 0 * t)
-
-        t = np.arange(100, 140, 0.05)
-        again = log(25.0, t - 95)
-        messages = again.parts()[-len(again.data) :]
-        words = r"set back 1 times \(from 139.9 s to 5.0 s\)"
-        table = told(words, bytes(log(20.0, t)) + b"".join(messages), "log.bin")
-        assert_allclose(spans(table), [[100.0, 140.0], [5.0, 45.0]], atol=0.2)
-        assert_allclose(table.groupby("flight").airspeed.median(), [20.0, 25.0], atol=0.2)
-
     def test_an_airspeed_sensor_that_dies_ends_no_flight(self, read, log):
         """It stops at 40 s, at a ground speed of 15 m/s throughout."""
         measured = np.where(self.t < 40, 20.0 + np.sin(self.t), np.nan)
@@ -356,6 +343,19 @@ class TestStamps:
         with pytest.warns(FlightDataWarning, match="4 of 500 messages have a time that cannot be"):
             table = recorded(stamps, time - 100)
         assert_allclose(table["p"], table["time"] - 100, atol=1e-5)
+
+    @pytest.mark.parametrize("place", [-60, -5, 5, 60])
+    @pytest.mark.parametrize("kind", ["ulog", "dataflash"])
+    def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, told, request, kind, place):
+        """Both stretches have times from 10 to 42 s, and near the restart one message has a wrong time."""
+        time = np.arange(10, 50, 0.02)
+        times = np.append(time, time - 8)
+        times[len(time) + place] = 5000.0
+        log = request.getfixturevalue(kind)().gyros(times, np.repeat([1.0, 2.0], len(time)))
+        log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
+        words = r"the clock was set back 1 times \(from \d+\.\d s to 2\.\d s\)"
+        rates = told(words, log, airborne=False).groupby("flight").p
+        assert_allclose([rates.min(), rates.max()], [[1.0, 2.0]] * 2)
 
     def test_messages_out_of_order_are_sorted(self, recorded):
         time = np.arange(500) * 0.02

@@ -1,6 +1,5 @@
 """Damaged logs: whatever the bytes, a table, or one error; soon, in little memory, with no other warning."""
 
-import struct
 import time
 import tracemalloc
 import warnings
@@ -128,14 +127,9 @@ def test_damaged_logs(logs, tmp_path, suffix):
     assert suffix not in AUTOPILOTS or outcomes.count("read") > 0.7 * len(outcomes)
 
 
-ULOG_HEAD = b"ULog\x01\x12\x35\x01" + bytes(8)
-
-
-def ulog_of(*messages):
-    log = ULOG_HEAD
-    for message in (b"B" + bytes(40), *messages):
-        log += struct.pack("<HB", len(message) - 1, message[0]) + message[1:]
-    return log
+# A head, flags, and a definition of letters alone
+LETTERS = b"ULog\x01\x12\x35\x01" + bytes(8) + b"\x28\x00B" + bytes(40)
+LETTERS += b"\x2f\x75F" + b"F" * 29_999
 
 
 def wide(n):
@@ -161,7 +155,7 @@ BOMBS = {
         "line 2 has 1 cells, the header has 9000",
     ),
     "remarks": ("log.csv", lambda: b"#\n" * 100_000, "is empty"),
-    "letters": ("log.ulg", lambda: ulog_of(b"F" * 30_000), "without any data"),
+    "letters": ("log.ulg", lambda: LETTERS, "without any data"),
     "marks": ("log.bin", lambda: b"\xa3\x95" * 50_000, "no message has a TimeUS"),
 }
 

@@ -68,6 +68,27 @@ def assert_is_the_true_airspeed(table):
     assert_wave(table[10:-10], "airspeed", 1.0, mean=18.0, atol=0.02)
 
 
+def airspeed_of(log, number, airspeed, health=1, time=SLOW, **fields):
+    """Add the airspeed of an instance of ArduPilot's sensors, and its health."""
+    instance = {"I": ("B", number), "Airspeed": airspeed, "H": ("B", health)}
+    return log.topic("ARSP", time + 1e-3 * number, **instance, **fields)
+
+
+def with_lanes(log, speeds, primary):
+    """Add the velocities of two lanes of ArduPilot's estimator, and which of them is used."""
+    for lane, speed in enumerate(speeds):
+        time = SLOW + lane * 1e-3
+        log.topic("XKF1", time, C=("B", lane), **dict.fromkeys(("VN", "VE", "VD"), speed))
+        log.topic("XKF4", time, C=("B", lane), PI=("B", primary))
+    return log
+
+
+def assert_lanes_are_apart(table, highest, lowest):
+    """The first flight has the velocity of one lane, the second of the other."""
+    first, second = (flight.v_north.dropna() for _, flight in table.groupby("flight"))
+    assert first.max() < highest < lowest < second.min()
+
+
 class TestArduPilot:
     @pytest.mark.parametrize("own_message", [False, True])
     def test_a_healthy_sensor_stands_in_for_a_failed_one(self, told, own_message, plane):
@@ -81,53 +102,39 @@ class TestArduPilot:
         assert_is_the_true_airspeed(table)
 
     def test_the_lane_of_the_estimator(self, told, plane):
-        log = plane()
-        for lane, speed in enumerate((1.0, 9.0)):
-            velocity = dict.fromkeys(("VN", "VE", "VD"), speed)
-            log.topic("XKF1", SLOW + lane * 1e-3, C=("B", lane), **velocity)
-            log.topic("XKF4", SLOW + lane * 1e-3, C=("B", lane), PI=("B", 1))
+        log = with_lanes(plane(), (1.0, 9.0), 1)
         table = told("used by the autopilot: XKF4.PI", log, airborne=False)
         assert_allclose(table.v_north.dropna(), 9.0)
 
     def test_the_primary_counts_at_each_time(self, told, plane):
         """Both are called healthy, and the primary changes at 25 s."""
         log = plane()
-        primary = ("B", SLOW > 25)
         for number, airspeed in enumerate((np.where(SLOW > 25, 8.0, 20.0), 20.0)):
-            instance = {"I": ("B", number), "Airspeed": airspeed}
-            log.topic("ARSP", SLOW + number * 1e-3, **instance, H=("B", 1), Pri=primary)
+            airspeed_of(log, number, airspeed, Pri=("B", SLOW > 25))
         table = told(r"of ARSP and ARSP#1.Airspeed \(of 2, used", log, airborne=False)
         assert_allclose(table.airspeed.dropna(), 20.0)
         assert table.airspeed[10:-10].isna().mean() < 0.02
 
     def test_lanes_that_differ_are_cut_where_they_change(self, told, plane):
-        log = plane()
-        for lane, speed in enumerate((1.0, 9.0)):
-            velocity = dict.fromkeys(("VN", "VE", "VD"), speed + 0.1 * np.sin(SLOW))
-            log.topic("XKF1", SLOW + lane * 1e-3, C=("B", lane), **velocity)
-            log.topic("XKF4", SLOW + lane * 1e-3, C=("B", lane), PI=("B", SLOW > 25))
+        wave = 0.1 * np.sin(SLOW)
+        log = with_lanes(plane(), (1.0 + wave, 9.0 + wave), SLOW > 25)
         table = told("another instance, so a new flight begins, at 25.", log, airborne=False)
-        first, second = (flight.v_north.dropna() for _, flight in table.groupby("flight"))
-        assert first.max() < 1.2 < 8.8 < second.min()
+        assert_lanes_are_apart(table, 1.2, 8.8)
 
     @pytest.mark.parametrize("is_logged", [True, False])
     def test_a_sensor_that_dies_in_flight(self, told, is_logged, plane):
         """It is unhealthy from 30 s on, or no longer logged."""
-        log = plane()
         lives = SLOW < 30
-        time = SLOW if is_logged else SLOW[lives]
-        airspeed = np.where(lives, TRUE, 0.0)[: len(time)]
-        log.topic("ARSP", time, I=("B", 0), Airspeed=airspeed, H=("B", lives[: len(time)]))
-        log.topic("ARSP", SLOW + 1e-3, I=("B", 1), Airspeed=TRUE, H=("B", 1))
+        rows = slice(None) if is_logged else lives
+        log = airspeed_of(plane(), 0, np.where(lives, TRUE, 0.0)[rows], lives[rows], SLOW[rows])
+        airspeed_of(log, 1, TRUE)
         table = told(r"of ARSP#1.Airspeed \(of 2, the healthiest", log, airborne=False)
         assert_is_the_true_airspeed(table)
 
     def test_the_primary_of_the_parameters(self, told, plane):
         """The other one, which is called healthy too, reads less by a third."""
         log = plane(ARSPD_PRIMARY=1.0)
-        for number, airspeed in enumerate((0.7 * TRUE, TRUE)):
-            instance = {"I": ("B", number), "Airspeed": airspeed}
-            log.topic("ARSP", SLOW + number * 1e-3, **instance, H=("B", 1))
+        airspeed_of(airspeed_of(log, 0, 0.7 * TRUE), 1, TRUE)
         table = told("used by the autopilot: ARSPD_PRIMARY", log, airborne=False)
         assert_is_the_true_airspeed(table)
 
@@ -196,8 +203,7 @@ class TestResets:
         counter = ("uint8_t", late)
         log.topic("vehicle_local_position", SLOW, **velocity, vxy_reset_counter=counter)
         table = told(r"a new flight begins, at 25.0 s", log, airborne=False)
-        first, second = (flight.v_north.dropna() for _, flight in table.groupby("flight"))
-        assert first.max() < 14.1 < 16.9 < second.min()
+        assert_lanes_are_apart(table, 14.1, 16.9)
 
     def test_an_attitude_that_is_reset_is_cut(self, told, ulog):
         half = (0.1 * T - 0.6 * (T < 25)) / 2
@@ -220,6 +226,56 @@ class TestResets:
         assert_is_cut(table)
 
 
+RUNNING = 200 * np.pi  # rad/s, of 6000 1/min
+
+
+def turning(log, number, rpm, time=SLOW):
+    """Add the speed of an engine as its controller tells it."""
+    return log.topic("ESC", time + 1e-4 * number, Instance=("B", number), RPM=rpm)
+
+
+# Speeds that a log adds, the one that is read [rad/s], and the times of which it is known [s]
+ENGINES = {
+    "the one that runs": (
+        lambda log: log.topic("RPM", SLOW, rpm1=0.0, rpm2=6000.0), RUNNING, (10, 40),
+    ),
+    "the controller that runs": (
+        lambda log: log.topic("ESC1", SLOW, RPM=("e", 0.0)).topic("ESC2", SLOW, RPM=("e", 6000.0)),
+        RUNNING, (10, 40),
+    ),
+    "thrust goes with the squares of all": (
+        lambda log: turning(turning(log, 0, np.where(SLOW > 25, 0.0, 6000.0)), 1, 6000.0),
+        RUNNING / np.sqrt(2), (25.2, 40),
+    ),
+    "an unhealthy sensor does not count": (
+        lambda log: log.topic("RPM", SLOW, I=("B", 0), RPM=9000.0, H=("B", 0))
+                       .topic("RPM", SLOW + 1e-3, I=("B", 1), RPM=6000.0, H=("B", 1)),
+        RUNNING, (10, 40),
+    ),
+    # it stands, and tells nothing from 15 s on
+    "one whose telemetry ends is chosen by its own mean": (
+        lambda log: turning(turning(log, 0, 0.0, SLOW[SLOW < 15]), 1, 6000.0), RUNNING, (10, 40),
+    ),
+    # its last speed is not that of the time afterwards
+    **{f"a mean ends with the telemetry of number {silent}": (
+        lambda log, silent=silent: turning(
+            turning(log, silent, 6000.0, SLOW[SLOW < 30]), 1 - silent, np.where(SLOW < 30, 6000.0, 0.0)
+        ),
+        RUNNING, (10, 30),
+    ) for silent in (0, 1)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("add", "speed", "known"), ENGINES.values(), ids=ENGINES)
+def test_the_speed_of_the_engines(read, plane, add, speed, known):
+    table = read(add(plane()), airborne=False)
+    begin, end = known
+    found = table[table.propeller_speed.notna() & (table.time > begin)]
+    assert_allclose(found.propeller_speed, speed, rtol=1e-6)
+    assert_allclose([found.time.min(), found.time.max()], known, atol=0.25)
+    assert len(found) > 0.9 * (end - begin) * 50
+
+
 class TestVehicles:
     @pytest.mark.parametrize(("kind", "axis", "sign"), [(2, 0, 1), (1, 2, -1)])
     def test_a_vtol_is_read_in_forward_flight_alone(self, read, told, kind, axis, sign, px4):
@@ -234,15 +290,6 @@ class TestVehicles:
         assert_allclose(table.throttle, 0.55, rtol=1e-6)
         whole = read(log, airborne=False)  # without that warning
         assert_allclose(whole.time.min(), T[0])
-
-    def test_thrust_goes_with_the_squares_of_all_engines(self, read, plane):
-        log = plane()
-        for number, speed in enumerate((0.0, 6000.0)):
-            rpm = np.where(SLOW > 25, speed, 6000.0)
-            log.topic("ESC", SLOW, Instance=("B", number), RPM=rpm)
-        table = read(log, airborne=False)
-        late = table[table.time > 25.2].propeller_speed.dropna()
-        assert_allclose(late, 200 * np.pi / np.sqrt(2), rtol=1e-6)
 
     def test_a_surface_that_is_reversed_is_in_parts_of_its_throw(self, read, plane):
         log = plane(SERVO4_FUNCTION=21.0).topic("RCOU", SLOW, C4=pulse(0.3))
@@ -304,14 +351,6 @@ class TestVehicles:
         assert_allclose(table.flap, 0.4, atol=1e-6)
         assert_allclose(table.differential_throttle, 0.1, atol=1e-6)
 
-    def test_an_engine_whose_speed_sensor_is_unhealthy_does_not_count(self, read, plane):
-        log = plane()
-        for number, speed in enumerate((9000.0, 6000.0)):
-            message = {"I": ("B", number), "RPM": speed, "H": ("B", number)}
-            log.topic("RPM", SLOW + number * 1e-3, **message)
-        table = read(log, airborne=False)
-        assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
-
     def test_an_engine_that_is_switched_off(self, read, px4):
         """The right one of two gets no number from 25 s on; the thrust that was asked for stays."""
         log = px4(CA_ROTOR0_PY=-0.5, CA_ROTOR1_PY=0.5)
@@ -326,27 +365,6 @@ class TestVehicles:
         late = late[["throttle", "differential_throttle"]].dropna()
         assert_allclose(late, [[0.3, 0.6]] * len(late), rtol=1e-6)
 
-    def test_an_engine_whose_telemetry_ends_is_chosen_by_its_own_mean(self, read, plane):
-        """It stands, and tells nothing from 15 s on."""
-        log = plane()
-        log.topic("ESC", SLOW[SLOW < 15], Instance=("B", 0), RPM=0.0)
-        log.topic("ESC", SLOW, Instance=("B", 1), RPM=6000.0)
-        speed = read(log, airborne=False).propeller_speed.dropna()
-        assert_allclose(speed, 200 * np.pi, rtol=1e-6)
-        assert len(speed) > 1400
-
-    @pytest.mark.parametrize("silent", [0, 1])
-    def test_the_mean_of_engines_ends_with_the_telemetry_of_one(self, silent, read, plane):
-        """Its last speed is not that of the time afterwards."""
-        log = plane()
-        early = SLOW[SLOW < 30]
-        log.topic("ESC", early, Instance=("B", silent), RPM=6000.0)
-        log.topic("ESC", SLOW, Instance=("B", 1 - silent), RPM=np.where(SLOW < 30, 6000.0, 0.0))
-        table = read(log, airborne=False)
-        known = table[table.propeller_speed.notna()]
-        assert_allclose(known.time.max(), early[-1], atol=0.2)
-        assert_allclose(known.propeller_speed, 200 * np.pi, rtol=1e-6)
-
     @pytest.mark.parametrize("are_silent", [False, True])
     def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane, are_silent):
         """Four lift until 20 s, and tell no speed afterwards or zero; then the fifth pushes."""
@@ -358,12 +376,10 @@ class TestVehicles:
         for k in range(5):
             rpm = 6000.0 * (lifts == (k < 4))
             told_rows = lifts if are_silent and k < 4 else slice(None)
-            time = SLOW + 1e-4 * k
-            log.topic("ESC", time[told_rows], Instance=("B", k), RPM=rpm[told_rows])
-        log.topic("ARSP", SLOW, I=("B", 0), Airspeed=TRUE, H=("B", 1))
-        table = told("rotors lift", log)
+            turning(log, k, rpm[told_rows], SLOW[told_rows])
+        table = told("rotors lift", airspeed_of(log, 0, TRUE))
         late = table.propeller_speed[table.time > 20.5]
-        assert_allclose(late, 200 * np.pi, rtol=1e-6)
+        assert_allclose(late, RUNNING, rtol=1e-6)
         assert len(late) > 900
 
     def test_the_motor_that_drives_a_vtol_of_px4(self, told, px4):
@@ -375,16 +391,6 @@ class TestVehicles:
         log.topic("actuator_motors", SLOW, control=commands)
         table = told("rotors lift", log)
         assert_allclose(table.throttle[table.time > 20.5], 0.7, rtol=1e-6)
-
-    @pytest.mark.parametrize("name", ["RPM", "ESC2"])
-    def test_the_engine_that_runs(self, read, name, plane):
-        log = plane()
-        if name == "RPM":
-            log.topic("RPM", SLOW, rpm1=0.0, rpm2=6000.0)
-        else:
-            log.topic("ESC1", SLOW, RPM=("e", 0.0)).topic("ESC2", SLOW, RPM=("e", 6000.0))
-        table = read(log, airborne=False)
-        assert_allclose(table.propeller_speed.dropna(), 200 * np.pi, rtol=1e-6)
 
     def test_surfaces_beyond_the_number_of_surfaces_are_none(self, allocated):
         """Their types are left from an earlier configuration, and their outputs are not used."""

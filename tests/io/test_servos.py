@@ -1,8 +1,5 @@
 """Servo files: pulses to angles, refusals, templates, mixtures; the code of the page of logs."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -156,14 +153,7 @@ def test_reversed_outputs(parse, dataflash):
     assert ends == {"elevon_left": 1.0, "elevon_right": -1.0}
 
 
-PAGE = (Path(__file__).parents[2] / "docs" / "logs.md").read_text(encoding="utf-8")
-
-
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)
-
-
-def test_the_code_runs(write, monkeypatch, ulog, flight):
+def test_the_code_runs(write, monkeypatch, ulog, flight, blocks_of):
     t = flight.time(50)
     log = ulog(MAV_TYPE=1).gyros(t, flight["p"](t))
     controls = flight.at(t, "aileron", "elevator", "rudder", "throttle")
@@ -171,7 +161,7 @@ def test_the_code_runs(write, monkeypatch, ulog, flight):
     log.topic("airspeed", t, true_airspeed_m_s=flight["airspeed"](t))
     monkeypatch.chdir(write(log, "sortie.ulg").parent)
     names = {}
-    for block in blocks("python"):
+    for block in blocks_of("logs.md"):
         exec(compile(block, "logs.md", "exec"), names)
 
 
@@ -185,8 +175,8 @@ def test_servos_of_px4(parse, ulog, topic, parameters):
     assert servo.channel == f"{topic}.control[1]"
 
 
-def test_the_servo_file_is_one(tmp_path):
-    (text,) = blocks("toml")
+def test_the_servo_file_is_one(tmp_path, blocks_of):
+    (text,) = blocks_of("logs.md", "toml")
     (tmp_path / "servo.toml").write_text(text)
     servos = read_servos(tmp_path / "servo.toml")
     assert servos["elevator"].angles == (0.35, 0.0, -0.35)

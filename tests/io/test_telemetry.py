@@ -33,9 +33,9 @@ def with_sent(mavlink, tlog, at):
         number = getattr(mavlink, f"MAVLINK_MSG_ID_{name}")
         return int.from_bytes(message[15:18], "little") == number
 
-    def with_sent(name, further, without=None):
+    def with_sent(name, further, without=None, given=tlog):
         log = []
-        for message in tlog:
+        for message in given:
             if without is None or not is_of(message, without):
                 log.append(message)
             if is_of(message, name):
@@ -102,14 +102,13 @@ def test_an_airspeed_without_a_sensor_is_no_measurement(tlog, read, mavlink, wit
 
 
 @pytest.mark.parametrize("told_by", ["state", "motors", "mode", "tailsitter"])
-def test_a_vtol_is_read_in_forward_flight_alone(tlog, told, mavlink, plane, at, with_sent, told_by):
+def test_a_vtol_is_read_in_forward_flight_alone(
+    told, mavlink, plane, mavlink_parameters, with_sent, told_by
+):
     """It hovers until 20 s, by MAV_VTOL_STATE, the pulse of a motor that lifts, or QHOVER (18), also of MAV_TYPE 20."""
     parameters = {} if told_by in ("state", "tailsitter") else {b"Q_ENABLE": 1.0}
     if told_by == "motors":
         parameters[b"SERVO5_FUNCTION"] = 33.0
-    log = []
-    for name, value in parameters.items():
-        log.append(at(tlog[0], mavlink.MAVLink_param_value_message(name, value, 9, 2, 0)))
 
     def telling(message):
         sent = plane.decode(bytearray(message[8:]))
@@ -123,10 +122,9 @@ def test_a_vtol_is_read_in_forward_flight_alone(tlog, told, mavlink, plane, at, 
         pulses += [1600 if hovers else 1000, 1500, 1500, 1500]
         return [mavlink.MAVLink_servo_output_raw_message(sent.time_usec, 0, *pulses)]
 
-    replaced = {"mode": "HEARTBEAT", "tailsitter": "HEARTBEAT", "motors": "SERVO_OUTPUT_RAW"}.get(
-        told_by
-    )
-    log += with_sent("SERVO_OUTPUT_RAW", telling, without=replaced)
+    replaced = {"mode": "HEARTBEAT", "tailsitter": "HEARTBEAT", "motors": "SERVO_OUTPUT_RAW"}
+    given = mavlink_parameters(parameters)
+    log = with_sent("SERVO_OUTPUT_RAW", telling, replaced.get(told_by), given)
     table = told("rotors lift", log)
     assert 19.8 < table.time.min() < 20.5
 

@@ -9,6 +9,7 @@ from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
+from skdgp.design import three_two_one_one
 from skdgp.estimation import flights_of
 from skdgp.preprocessing import FlightCheck, LagCorrector
 
@@ -59,19 +60,19 @@ def test_sensors_of_slower_clocks_count_each_sample_once():
     assert_array_equal(lag.fit_transform(table)[VELOCITY], lag.fit_transform(sparse)[VELOCITY])
 
 
-def steps(width):
-    """Return inputs of steps [rows], with pauses."""
-    values = np.zeros(N)
-    for k, start in enumerate(range(20, N - 9 * width, 9 * width + 7)):
-        for first, last, level in ((0, 3, 1), (3, 5, -1), (5, 6, 1), (6, 7, -1)):
-            rows = slice(start + first * width, start + last * width)
-            values[rows] = level * 0.1 * (-1) ** k
-    return values
+def steps():
+    """Return 3-2-1-1s with pauses."""
+    time = 0.02 * np.arange(N)
+    starts = np.arange(0.4, 58.0, 1.94)
+    inputs = [
+        three_two_one_one(0.2, 0.1 * (-1) ** k)(time - start) for k, start in enumerate(starts)
+    ]
+    return np.sum(inputs, axis=0)
 
 
 @pytest.mark.parametrize(
     "elevator",
-    [steps(10), log()["elevator"].round(2), np.round(default_rng(0).normal(size=N))],
+    [steps(), log()["elevator"].round(2), np.round(default_rng(0).normal(size=N))],
     ids=["3-2-1-1", "coarse", "coarse noise"],
 )
 def test_inputs_that_stand_still_are_no_slow_clock(elevator):

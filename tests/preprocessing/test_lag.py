@@ -3,17 +3,16 @@
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import elsewhere, placed
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from skdgp.dynamics import Aircraft
-from skdgp.estimation._lags import Lag, _left_to_filter
-from skdgp.estimation._settings import LAG_SETTINGS
 from skdgp.preprocessing import LagCorrector
 
 STEP = 0.025
@@ -45,13 +44,9 @@ def linear_aircraft(seed, air=0.0, surfaces=0.0, servos=0.0, seconds=60.0, width
     smoothed over ``width`` samples.
     """
     rng = default_rng(seed)
-    time = STEP * np.arange(-80, round(seconds / STEP) + 80)
-
-    def wave():
-        values = gaussian_filter1d(rng.normal(size=time.size), width)
-        return values / values.std()
-
-    p, q, r, alpha, beta, elevator, aileron, rudder = (wave() for _ in range(8))
+    names = {"p q r alpha beta elevator aileron rudder": (0, 1, 0)}
+    waves = make_flight(names, round(seconds / STEP) + 160, STEP, width=width, seed=seed)
+    time, p, q, r, alpha, beta, elevator, aileron, rudder = waves.to_numpy().T
     accelerations = {
         "p": 3 * aileron - p + beta,
         "q": 2 * elevator - q - alpha,
@@ -142,6 +137,9 @@ class TestEstimate:
         applied = corrector.lags_.applied
         assert applied["surfaces"] == pytest.approx(-removed, abs=0.01)
         assert applied["servos"] == 0.0
+        if removed:  # but for two standard deviations, at most 10 ms
+            left = applied["surfaces"] - corrector.lags_.lag["surfaces"]
+            assert left == pytest.approx(min(2 * corrector.servos_.delay_std, 0.01), abs=1e-6)
         # slow inputs tell the sum
         found = corrector.servos_
         assert found.lag + found.delay == pytest.approx(servos + delay, abs=0.02)
@@ -156,15 +154,11 @@ class TestEstimate:
     def test_sensors_ahead_of_the_centre_of_gravity_are_not_late(self, latlon):
         """Wherever their position is stated: a lag of GPS would be their rotation."""
         flight = latlon[:1200]
-        ahead = Aircraft.estimate(mass=45.0, span=2.8, sensor_position=(0.5, 0.0, 0.0))
-        turning = flight[["p", "q", "r"]].to_numpy()
-        spin = np.gradient(turning, flight["time"], axis=0)
-        arm = np.array([0.5, 0.0, 0.0])
-        moved = np.cross(spin, arm) + np.cross(turning, np.cross(turning, arm))
-        flight = flight.assign(**(flight[["ax", "ay", "az"]] + moved))
-        columns = flight.assign(sensor_position_x=0.5, sensor_position_y=0.0, sensor_position_z=0.0)
+        place = (0.5, 0.0, 0.0)
+        ahead = Aircraft.estimate(mass=45.0, span=2.8, sensor_position=place)
+        flight = elsewhere(flight, place)
         of_aircraft = LagCorrector(aircraft=ahead).fit(flight).lags_
-        assert_frame_equal(of_aircraft, lags_of(columns))
+        assert_frame_equal(of_aircraft, lags_of(placed(flight, place)))
         assert of_aircraft.applied["gps"] == 0.0
 
     def test_channels_that_have_nothing_to_do_with_each_other_tell_nothing(self):
@@ -302,12 +296,3 @@ def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limi
     found = corrector.transform(table)["aileron"]
     truth = delta[rows, 0]
     assert np.std(found - truth) < 0.4 * np.std(table["aileron"] - truth)
-
-
-def test_two_standard_deviations_of_a_delay_are_left_to_the_filter():
-    """Its own, beside the lag of the servos; at most 10 ms."""
-    commands = Lag(-0.05, std=0.1, removal=-0.05)
-    for delay_std, left in ((0.002, 0.004), (0.1, 0.01)):
-        servos = Lag(0.04, std=0.1, delay_std=delay_std)
-        _, late = _left_to_filter((servos, commands), 0.02, LAG_SETTINGS)
-        assert late.removal == pytest.approx(-0.05 + left)

@@ -7,15 +7,17 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
+from log_errors import EULER as ATTITUDE
+from log_errors import FORCES, POSITION, RATES, VELOCITY, elsewhere, late
+from made_flights import flight_of_motion, lasting
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
-from skdgp.dynamics import Aircraft, Servos, air_data
+from skdgp.dynamics import Aircraft, Servos
 from skdgp.estimation import PATH_CHANNELS, air_columns, estimate_path, flights_of
 from skdgp.preprocessing import (
     FlightDataWarning,
@@ -25,13 +27,7 @@ from skdgp.preprocessing import (
     _flight_path,
 )
 
-GRAVITY = 9.80665
-FORCES = ["ax", "ay", "az"]
-RATES = ["p", "q", "r"]
-ATTITUDE = ["phi", "theta", "psi"]
 AIR = ["airspeed", "alpha", "beta"]
-VELOCITY = ["v_north", "v_east", "v_down"]
-POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 SIZES = {
     "mass": 2.0,
     "inertia": np.diag([0.2, 0.3, 0.4]),
@@ -48,7 +44,6 @@ SHEET = {
     **dict.fromkeys(VELOCITY, 0.1),
     "airspeed": 0.3,
 }
-STEP = 0.005  # of the true motion [s]
 MEAN_WIND = np.array([3.0, -2.0, 0.0])
 
 
@@ -67,31 +62,28 @@ def motion(t, turn, loop):
 
 
 def flown(seconds=30.0, rate=25.0, *, gusts=0.0, seed=0, turn=0.3, loop=0.0):
-    """A flight whose attitude and motion are given functions of time: all else follows, without the package.
+    """A flight whose attitude and motion are given functions of time, with noise of the sensors.
 
     Heading turns at ``turn`` (0: straight at constant speed), or the nose is carried through the
     vertical at ``loop`` [rad/s]; gusts are a random walk [m/s in one second].
     """
     rng = default_rng(seed)
-    t = np.arange(-1.0, seconds + 1.0, STEP)
-    attitude, through_air = motion(t, turn, loop)
-    velocity = attitude.apply(through_air) + MEAN_WIND
-    walk = gusts * np.sqrt(STEP) * np.cumsum(rng.standard_normal((len(t), 3)), axis=0)
-    wind = MEAN_WIND + walk - walk.mean(axis=0)
-    turning = np.zeros((len(t), 3))
-    turning[1:-1] = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / (2 * STEP)
-    air = np.column_stack(air_data(attitude.inv().apply(velocity - wind)))
-    angles = np.unwrap(attitude.as_euler("ZYX")[:, ::-1], axis=0)
-    force = attitude.inv().apply(CubicSpline(t, velocity)(t, 1) - [0, 0, GRAVITY])
-    truth = np.column_stack([force, turning, angles, air, velocity, wind])
     clock = np.arange(0, seconds, 1 / rate)
-    table = pd.DataFrame({"time": clock, "flight": "one"})
-    for name, values in zip(
-        [*FORCES, *RATES, *ATTITUDE, *AIR, *VELOCITY, *WIND], truth.T, strict=True
-    ):
-        table[f"{name}_true"] = np.interp(clock, t, values)
-        if name in SHEET:
-            table[name] = table[f"{name}_true"] + rng.normal(0, SHEET[name], len(clock))
+
+    def attitude(t):
+        return motion(t, turn, loop)[0]
+
+    def velocity(t):
+        turned, through_air = motion(t, turn, loop)
+        return turned.apply(through_air) + MEAN_WIND
+
+    walk = gusts / np.sqrt(rate) * np.cumsum(rng.standard_normal((len(clock), 3)), axis=0)
+    wind = MEAN_WIND + walk - walk.mean(axis=0)
+    truth = flight_of_motion(clock, attitude, velocity, wind).drop(columns="time")
+    truth[WIND] = wind
+    table = truth.add_suffix("_true").assign(time=clock, flight="one")
+    for name, std in SHEET.items():
+        table[name] = truth[name] + rng.normal(0, std, len(clock))
     return table
 
 
@@ -179,10 +171,8 @@ class TestRecovery:
         """Sensors two metres ahead; their acceleration is that of the true rotation."""
         table = flown(20.0)
         arm = np.array([2.0, 0.1, -0.2])
-        omega = true(table, RATES)
-        spin = CubicSpline(table["time"], omega)(table["time"], 1)
-        far = table.copy()
-        far[FORCES] += np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
+        spin = CubicSpline(table["time"], true(table, RATES))(table["time"], 1)
+        far = elsewhere(table, arm, spin)
         reconstruction = fitted(far, aircraft=Aircraft(**SIZES, sensor_position=arm))
         out = reconstruction.transform(far)
         assert_near(table, out, shares(0.2) | dict.fromkeys(FORCES, 0.08))
@@ -219,7 +209,7 @@ class TestRecovery:
 class TestHonesty:
     def test_parts_of_a_long_flight_bound_the_memory_and_leave_no_seam(self):
         """Paths differ by little of their error where parts of 250 rows meet."""
-        table = flown(40.0, gusts=0.5)
+        table = flown(40.0, gusts=0.5, seed=2)
         reconstruction = fitted(table[:250])
         found = []
         peaks = []
@@ -286,20 +276,10 @@ class TestIncomplete:
         assert fitted(both).missing_ == ["p"]
 
 
-def late(table, names, seconds):
-    delayed = table.copy()
-    for name in names:
-        delayed[name] = np.interp(table.time - seconds, table.time, table[name])
-    return delayed
-
-
 def wandering(table, names, std):
     """The table with errors of exponential correlation over 5 s."""
-    memory = np.exp(-np.median(np.diff(table.time)) / 5.0)
-    white = default_rng(5).standard_normal((len(table), len(names)))
-    wandered = table.copy()
-    wandered[names] += lfilter([std * np.sqrt(1 - memory**2)], [1, -memory], white, axis=0)
-    return wandered
+    errors = std * lasting(default_rng(5), (len(table), len(names)), 5.0 * 25.0)
+    return table.assign(**(table[names] + errors))
 
 
 class TestInconsistent:
@@ -319,7 +299,7 @@ class TestInconsistent:
         ids=["attitude wanders", "velocity wanders", "air data without noise"],
     )
     def test_contradictions_are_named_and_the_flights_pass(self, damage, sensor, is_smoothed):
-        table = damage(flown(20.0, gusts=0.1))
+        table = damage(flown(20.0, gusts=0.1, seed=2))
         reconstruction = fitted(table)
         assert not reconstruction.used_
         found = {found.sensor: found.is_smoothed for found in reconstruction.contradictions_}
@@ -334,7 +314,7 @@ class TestInconsistent:
 
     def test_it_is_used_after_correction_of_lags(self):
         table, _, best = reconstructed(seconds=20.0, gusts=0.3)
-        delayed = late(late(table, ATTITUDE, 0.2), VELOCITY, 0.3)
+        delayed = late(late(table, 0.2, ATTITUDE), 0.3, VELOCITY)
         steps = make_pipeline(LagCorrector(), FlightPathReconstruction())
         out = steps.fit_transform(delayed)
         assert steps[-1].used_

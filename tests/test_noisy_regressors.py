@@ -3,11 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import GLIDER
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
-from skdgp.dynamics import Aircraft
 from skdgp.identification import flight_regressors
 
 SIGMA = 0.08  # of the regressor
@@ -80,8 +80,7 @@ def test_without_reconstruction_regressors_are_as_noisy_as_those_of_the_fit():
     t = np.arange(0, 20, 0.1)
     flight = pd.DataFrame({"time": t, "airspeed": 12.0, "alpha": 0.1 * np.sin(t)})
     flight["q"] = 0.1 * np.cos(t)
-    uav = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-    model = make_identification_pipeline(uav, regressors=["alpha"], cutoff=None)
+    model = make_identification_pipeline(GLIDER, regressors=["alpha"], cutoff=None)
     model.fit(flight, pd.DataFrame({"CZ": -4 * flight["alpha"]}))
     assert model["flightpathreconstruction"].missing_[0] == "p"
     assert_array_equal(flight_regressors(model, flight)[1], np.ones(len(t)))

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
@@ -19,10 +20,8 @@ from skdgp.metrics import SCORERS
 def flights():
     """Three short flights of a table, one coefficient not always observed."""
     rng = default_rng(0)
-    X = pd.DataFrame(
-        rng.normal(size=(60, 3)) * [0.05, 0.3, 10.0] + [0.1, 0, 40],
-        columns=["alpha", "q", "airspeed"],
-    )
+    levels = {"alpha": (0.1, 0.05, 0), "q": (0, 0.3, 0), "airspeed": (40, 10, 0)}
+    X = make_flight(levels, 60, width=0).drop(columns="time")
     lift = -4 * X["alpha"] + 0.1 * np.sin(5 * X["q"])
     Y = pd.DataFrame({"CZ": lift, "Cm": 0.1 - 0.2 * lift + 0.01 * X["q"]}) + rng.normal(
         0, 0.005, (60, 2)

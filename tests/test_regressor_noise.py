@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from made_flights import lasting
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.signal import lfilter
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
@@ -63,9 +63,8 @@ def test_noise_of_each_value_is_the_alpha_of_scikit_learn(inference):
 def test_lasting_errors_widen_bands_by_noise_of_each_value_as_by_common_noise(inference):
     """One of 300 values that is ten times as precise is nearly no news."""
     rng = default_rng(0)
-    X = lfilter([0.1], [1.0, -0.9], rng.normal(size=(300, 2)), axis=0)
-    lasting = lfilter([0.6], [1.0, -0.8], rng.normal(size=300))
-    y = X @ [1.0, -0.5] + 0.3 * lasting
+    X = lasting(rng, (300, 2), 9.5)
+    y = X @ [1.0, -0.5] + 0.3 * lasting(rng, 300, 4.5)
     variance = np.full(300, 0.09)
     variance[150] = 0.0009
     stds = []

@@ -6,10 +6,10 @@ from copy import copy
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import lasting
 from matplotlib.figure import Figure
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.signal import lfilter
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
@@ -170,8 +170,8 @@ SLOPES[[0, 2, 4]] = [-0.01, 0.2, 0, 0], [-0.3, -4.5, 0, 0], [0.02, -0.6, -9, -1]
 def flown_rows(n, size, seed):
     """Return regressors of n rows of a flight, and coefficients with errors that last five rows."""
     rng = default_rng(seed)
-    X = size * lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 3)), axis=0)
-    noise = 0.01 * lfilter([1.0], [1.0, -0.8], rng.standard_normal((n, 6)), axis=0)
+    X = 1.7 * size * lasting(rng, (n, 3), 4.5)
+    noise = 0.017 * lasting(rng, (n, 6), 4.5)
     noise[:, [1, 3, 5]] *= 1e-5  # there is a trim
     table = pd.DataFrame(X, columns=["alpha", "q_hat", "elevator"])
     return table, np.column_stack([np.ones(n), X]) @ SLOPES.T + noise

@@ -6,12 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from log_errors import elsewhere
+from made_flights import GLIDER
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy import signal
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import aerodynamic_coefficients
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
@@ -80,7 +81,6 @@ def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
 
 
-GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
 FORCE = 0.5 * 1.2 * 12.0**2 * 0.5  # dynamic pressure and wing area of `surge` [N]
 
 

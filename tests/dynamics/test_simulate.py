@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.integrate import solve_ivp
@@ -149,10 +150,8 @@ class TestRegressors:
     @pytest.mark.parametrize("chord", [0.4, 0.55])
     def test_are_rebuilt_as_the_pipeline_builds_them(self, fly, glider, chord):
         """Also with another span, or another span and chord, than the aircraft has."""
-        rng = default_rng(1)
-        words = ["alpha", "beta", "p", "q", "r", "elevon_left", "elevon_right", "rudder"]
-        log = pd.DataFrame(rng.normal(0, 0.1, (200, 8)), columns=words)
-        log["airspeed"] = rng.uniform(18, 26, 200)
+        words = "alpha beta p q r elevon_left elevon_right rudder"
+        log = make_flight({words: (0, 0.1, 0), "airspeed": (22, 2, 0)}, 200, width=0)
         model = make_pipeline(
             ElevonSplitter(), RateNondimensionalizer(span=2.0, chord=chord),
             RegressorSelector([*glider.names, "airspeed"]), StandardScaler(), LinearRegression(),

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import GLIDER
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
@@ -12,7 +13,6 @@ from sklearn.pipeline import Pipeline
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
-    Aircraft,
     Drift,
     SimulationWarning,
     Turbulence,
@@ -25,11 +25,8 @@ from skdgp.dynamics._air import turbulence_of_winds
 from skdgp.identification import make_identification_pipeline
 
 WIND = ["wind_north", "wind_east", "wind_down"]
-SPAN, SPEED, STEP = 2.0, 25.0, 0.05
+SPAN, SPEED, STEP = GLIDER.span, 25.0, 0.05
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
-AIRCRAFT = Aircraft(
-    mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=SPAN, chord=0.25
-)
 
 
 def times(turbulence, factor):
@@ -103,7 +100,7 @@ class TestPipeline:
     @pytest.fixture
     def pipeline(self):
         return make_identification_pipeline(
-            AIRCRAFT, regressors=self.names, reconstruction="passthrough", cutoff=None,
+            GLIDER, regressors=self.names, reconstruction="passthrough", cutoff=None,
             regressor=LinearRegression(),
         )  # fmt: skip
 
@@ -147,7 +144,7 @@ OPTIONS = {"duration": 1.0, "dt": 0.05, "thrust": None, "n_paths": 40}
 
 
 def flown(model, **options):
-    return simulate(model, AIRCRAFT, controls={}, **{"x0": START} | OPTIONS | options)
+    return simulate(model, GLIDER, controls={}, **{"x0": START} | OPTIONS | options)
 
 
 class TestSimulate:

@@ -52,7 +52,7 @@ SLOPES = np.array([
 ])  # fmt: skip
 
 
-def make_flight(n, seed, noise=1e-3):
+def textbook_flight(n, seed, noise=1e-3):
     """Return a flight of random states, and the coefficients of a textbook aircraft with curves."""
     rng = default_rng(seed)
     X = rng.normal(0.0, 0.1, (6, n)).T * [1.0, 1.0, 0.05, 1.0, 1.0, 1.0]
@@ -121,7 +121,7 @@ def fitted(cut_short):
         options = {"max_iter": 2, "random_state": 0} | KINDS[kind]
         if "kernel" not in options:
             options["n_latent"] = 1
-        flight, Y = make_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
+        flight, Y = textbook_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
         with cut_short(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of few rows
             model = pipeline_of(DependentGPRegressor(**options)).fit(flight, Y)
@@ -135,7 +135,7 @@ def fitted(cut_short):
 @pytest.fixture
 def in_another_order():
     """Return a trend of coefficients that are not in their usual order, and the aircraft."""
-    flight, Y = make_flight(28, 0)
+    flight, Y = textbook_flight(28, 0)
     learner = DependentGPRegressor(structure="trend", random_state=0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of few rows
@@ -220,7 +220,10 @@ def case_of(request, fitted, portable_of):
             model = request.getfixturevalue("identified")
             portable = portable_model(model.pipeline, model.aircraft)
         else:
-            model, portable = fitted(kind) | {"flight": make_flight(30, 3)[0]}, portable_of(kind)
+            model, portable = (
+                fitted(kind) | {"flight": textbook_flight(30, 3)[0]},
+                portable_of(kind),
+            )
             model = Bunch(**model)
         rng = default_rng(5)
         flown = np.asarray(model.pipeline[:-2].transform(model.flight))
@@ -262,4 +265,4 @@ def portable(portable_of, kind):
 @pytest.fixture(scope="session")
 def flight():
     """Return a flight that no model has seen."""
-    return make_flight(30, 3)[0]
+    return textbook_flight(30, 3)[0]

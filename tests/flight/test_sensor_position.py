@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 from log_errors import FORCES, POSITION, RATES, placed
-from made_flights import flight_of_motion
+from made_flights import GLIDER, flight_of_motion
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from scipy.spatial.transform import Rotation
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.preprocessing import FlightPathReconstruction
 
 ARM = np.array([0.5, -0.2, 0.3])
@@ -72,10 +72,9 @@ def test_sensors_at_the_centre_or_at_an_unknown_place_read_as_they_are(stated):
     ("x", "expected"), [(200.0, "expected metres"), (np.inf, "Got infinite values")]
 )
 def test_columns_that_are_no_metres_are_refused(x, expected):
-    aircraft = Aircraft(mass=2.0, inertia=np.eye(3), wing_area=0.5, span=2.0, chord=0.25)
     flight = at_rest().assign(az=-9.8, airspeed=20.0, density=1.2)
     with pytest.raises(ValueError, match=expected):
-        aerodynamic_coefficients(placed(flight, [x, 0.0, 0.0]), aircraft, thrust=None)
+        aerodynamic_coefficients(placed(flight, [x, 0.0, 0.0]), GLIDER, thrust=None)
 
 
 def test_measured_angular_accelerations_count():

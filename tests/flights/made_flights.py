@@ -6,9 +6,10 @@ from numpy.random import default_rng
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from skdgp.dynamics import air_data
+from skdgp.dynamics import Aircraft, air_data
 
 GRAVITY = 9.80665
+GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
 SENSED = ["ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "airspeed", "alpha", "beta"]
 SENSED += ["v_north", "v_east", "v_down"]
 STEP = 1e-4  # of the differences of a motion [s]

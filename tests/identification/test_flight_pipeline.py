@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from log_errors import FORCES, shake
+from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
@@ -205,13 +206,12 @@ def test_a_throttle_brings_the_airspeed_among_the_regressors(throttle, moves, ex
     """One that stands still above zero too: the thrust depends on the airspeed."""
     rng = default_rng(0)
     n = 250
-    names = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
+    names = "alpha beta p q r elevator aileron rudder"
     drifts = np.cumsum(rng.normal(size=(n, 2)), axis=0) / 20 * [1.0, moves]
-    flight = pd.DataFrame(rng.normal(size=(n, 8)), columns=names).assign(
-        time=0.05 * np.arange(n), airspeed=20 + drifts[:, 0], throttle=throttle + drifts[:, 1]
-    )
+    flight = make_flight({names: (0, 1, 0)}, n, 0.05, width=0)
+    flight = flight.assign(airspeed=20 + drifts[:, 0], throttle=throttle + drifts[:, 1])
     effects = rng.normal(size=(8, 6))
-    Y = pd.DataFrame(flight[names] @ effects + 0.1 * rng.normal(size=(n, 6)))
+    Y = pd.DataFrame(flight[names.split()] @ effects + 0.1 * rng.normal(size=(n, 6)))
     Y[0] += 20 * flight["throttle"] + 10 * (flight["airspeed"] - 20) * bool(expected)
     model = make_identification_pipeline(
         Aircraft.estimate(3.0, 1.8),

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_flights import lasting
 from numpy.random import default_rng
 from scipy.signal import lfilter
 
@@ -23,9 +24,7 @@ def test_is_never_less_than_one(values):
 X = np.linspace(0, 8, 3000)[:, None]
 TRUTH = np.sin(2 * X)
 # Lasting noise of variance 0.09
-NOISE = 0.3 * lfilter(
-    [np.sqrt(1 - 0.9**2)], [1.0, -0.9], default_rng(3).normal(size=(3000, 4)), axis=0
-)
+NOISE = 0.3 * lasting(default_rng(3), (3000, 4), 9.5)
 
 
 def fitted(X, Y):

@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 from log_errors import VELOCITY
 from log_errors import held as sampled
-from made_flights import make_flight
+from made_flights import GLIDER, make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 from sklearn.pipeline import make_pipeline
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.preprocessing import (
     FlightCheck,
     FlightDataWarning,
@@ -23,7 +23,6 @@ from skdgp.preprocessing import (
 )
 
 STEP = 0.025
-GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
 # Mean, deviation of a slow wave, and noise
 LEVELS = {
     "airspeed": (30, 2, 0.3), "alpha": (0.06, 0.03, 0.005), "beta": (0, 0.03, 0.005), "p q r": (0, 0.2, 0.002),

@@ -2,6 +2,7 @@
 
 import pickle
 import tracemalloc
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,7 +10,7 @@ import pandas as pd
 import pytest
 from log_errors import EULER as ATTITUDE
 from log_errors import FORCES, POSITION, RATES, VELOCITY, elsewhere, late
-from made_flights import flight_of_motion, lasting
+from made_flights import GLIDER, flight_of_motion, lasting
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -17,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 from sklearn.pipeline import make_pipeline
 
-from skdgp.dynamics import Aircraft, Servos
+from skdgp.dynamics import Servos
 from skdgp.estimation import PATH_CHANNELS, air_columns, estimate_path, flights_of
 from skdgp.preprocessing import (
     FlightDataWarning,
@@ -28,13 +29,6 @@ from skdgp.preprocessing import (
 )
 
 AIR = ["airspeed", "alpha", "beta"]
-SIZES = {
-    "mass": 2.0,
-    "inertia": np.diag([0.2, 0.3, 0.4]),
-    "wing_area": 0.5,
-    "span": 2.0,
-    "chord": 0.25,
-}
 WIND = ["wind_north", "wind_east", "wind_down"]
 # White noise of the sensors, standard deviation
 SHEET = {
@@ -173,7 +167,7 @@ class TestRecovery:
         arm = np.array([2.0, 0.1, -0.2])
         spin = CubicSpline(table["time"], true(table, RATES))(table["time"], 1)
         far = elsewhere(table, arm, spin)
-        reconstruction = fitted(far, aircraft=Aircraft(**SIZES, sensor_position=arm))
+        reconstruction = fitted(far, aircraft=replace(GLIDER, sensor_position=arm))
         out = reconstruction.transform(far)
         assert_near(table, out, shares(0.2) | dict.fromkeys(FORCES, 0.08))
         assert_allclose(out[POSITION], 0.0)

@@ -404,23 +404,44 @@ class FlightPipeline(Pipeline):
         return None
 
     def _errors_by_air(self, turbulence: Turbulence, X: Matrix, y: Any) -> FunctionErrors:
-        """Return the errors by rates of the air, noise of the regressors whose size follows from the gusts.
+        r"""Return the errors by rates of the air, noise of the regressors whose size follows from the gusts.
 
-        Gyros show it as far as the aircraft follows the air.
+        Gyros show it as far as the aircraft follows the air, and the angles of the flow by the gusts w that
+        cause it: a rate q_g of variance :math:`\sigma_q^2` that lags behind the slope of w by T has, at the
+        airspeed V,
+
+        .. math:: \mathrm{cov}(w / V, q_g) = T \sigma_q^2.
+
+        The horizontal axes of gusts are those of the mean wind in MIL-F-8785C, at low altitude, and those
+        of the flight in a frozen field. With any angle between them, rolling and pitching both have the mean
+        of their variances, and half of the squared covariance with w.
         """
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
         airspeed: Any = turbulence.airspeed  # of flights it is known
-        std = turbulence.rates(airspeed, aircraft.span) * aircraft.moment_lengths / (2 * airspeed)
+        roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
+        variance = np.array([(roll + pitch) / 2, (roll + pitch) / 2, yaw])
+        lag = np.array([4.0, 4.0, 3.0]) * aircraft.span / (np.pi * airspeed)  # MIL-F-8785C, 3.7.2.2
+        followed = np.ones(3)
         if self.least_squares_ and "density" in self.conditions_:
-            std = std * np.sqrt(self._followed(airspeed))
-        of_rates = dict(zip((f"{name}{HAT}" for name in RATES), std, strict=True))
-        of_regressors = np.array([of_rates.get(name, 0.0) for name in regressor_names(self)])
-        scaled = of_regressors / scaling_of(self)[1]
+            followed = self._followed(airspeed, lag)
+        unit = aircraft.moment_lengths / (2 * airspeed)
+        rates = [f"{name}{HAT}" for name in RATES]
+        own = pd.DataFrame(np.diag(followed * variance * unit**2), rates, rates)
+        by_pitch = np.sqrt(0.5) * pitch
+        flow = lag * unit * [[by_pitch, by_pitch, 0.0], [0.0, 0.0, yaw]]
+        of_flow = pd.DataFrame(flow, VANES, rates)
+        names = regressor_names(self)
+        scale = scaling_of(self)[1]
         complete = X[np.isfinite(X).all(axis=1)]
-        errors = [attenuation(complete, scaled, slopes) for slopes in linear_slopes(X, y)]
-        return errors_of_slopes(np.array(errors), complete.mean(axis=0))
+        linear = linear_slopes(X, y)
+        errors = []
+        for covariance in (own, of_flow):
+            of_regressors = covariance.reindex(index=names, columns=names, fill_value=0.0)
+            scaled = of_regressors.to_numpy() / np.outer(scale, scale)
+            errors.append([attenuation(complete, scaled, slopes) for slopes in linear])
+        return errors_of_slopes(np.concatenate(errors, axis=-1), complete.mean(axis=0))
 
-    def _followed(self, airspeed: float) -> Vector:
+    def _followed(self, airspeed: float, gust_time: Any) -> Vector:
         r"""Return the fraction (3,) of the variance of the rates of the air by which the aircraft's vary with them.
 
         By the damping d of an axis, :math:`\dot p = -d (p - p_g)`, and gusts of the correlation time T,
@@ -439,7 +460,6 @@ class FlightPipeline(Pipeline):
         ]
         by_rate = load * lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)
         damping = -by_rate * np.array(slopes)
-        gust_time = 4 * aircraft.span / (np.pi * airspeed)  # of the rolling air, MIL-F-8785C
         followed = np.maximum(damping, 0.0) * gust_time
         return np.where(damping > 0, followed / (1 + followed), 1.0)
 

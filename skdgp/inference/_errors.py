@@ -103,16 +103,17 @@ def errors_of_slopes(errors: Array, centre: Vector) -> FunctionErrors:
     return FunctionErrors(weights, centre)
 
 
-def attenuation(X: Matrix, std: Vector, slopes: Vector) -> Matrix:
-    r"""Return the errors (d, d) of slopes (d,) by noise of each regressor, of known standard deviations (d,).
+def attenuation(X: Matrix, covariance: Matrix, slopes: Vector) -> Matrix:
+    r"""Return the errors (d, d) of slopes (d,) by noise of each regressor, whose ``covariance`` (d, d) is known.
 
-    Noise of variance :math:`s_k^2` of a regressor flattens its slope and moves those of correlated ones. With
-    the covariance C of the regressors X (n, d) and slopes :math:`b_k`, they are off by
+    Its column k is the covariance :math:`c_k` of all regressors X (n, d) with the noise of the k-th, which
+    is :math:`s_k^2 e_k` for independent noise of variance :math:`s_k^2`. With the covariance C of the
+    regressors and slopes :math:`b_k`, all slopes are off by
 
-    .. math:: \frac{f_k}{1 - f_k} \frac{C^{-1} e_k}{e_k^T C^{-1} e_k} b_k, \quad
-              f_k = s_k^2\, e_k^T C^{-1} e_k
+    .. math:: \frac{C^{-1} c_k}{1 - f_k} b_k, \quad f_k = |e_k^T C^{-1} c_k|
 
-    (Fuller 1987, section 1.1), f at most `LARGEST_ATTENUATION`. Columns are by the noise of one regressor.
+    (Fuller 1987, section 1.1), :math:`c_k` at most as large as for f = `LARGEST_ATTENUATION`. Columns
+    are by the noise of one regressor.
 
     Examples
     --------
@@ -122,13 +123,13 @@ def attenuation(X: Matrix, std: Vector, slopes: Vector) -> Matrix:
     >>> exact, noise = rng.normal(size=(2, 10000, 1))
     >>> X = exact + 0.5 * noise
     >>> slope = np.linalg.lstsq(X, 2 * exact[:, 0], rcond=None)[0]
-    >>> bool(abs(slope + attenuation(X, np.array([0.5]), slope)[0] - 2) < 0.05)
+    >>> bool(abs(slope + attenuation(X, np.array([[0.25]]), slope)[0] - 2) < 0.05)
     True
     """
-    inverse = np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
-    size = np.maximum(np.diag(inverse), np.finfo(float).tiny)
-    fraction = np.minimum(std**2 * size, LARGEST_ATTENUATION)
-    return inverse / size * (fraction / (1.0 - fraction) * slopes)
+    error = np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True) @ covariance
+    fraction = np.abs(np.diag(error))
+    limit = LARGEST_ATTENUATION / np.maximum(fraction, LARGEST_ATTENUATION)
+    return error * limit / (1.0 - limit * fraction) * slopes
 
 
 def errors_by_input_noise(posterior: Posterior, std: Vector | None) -> FunctionErrors:
@@ -138,7 +139,7 @@ def errors_by_input_noise(posterior: Posterior, std: Vector | None) -> FunctionE
     if std is None:
         return errors_of_slopes(np.zeros((len(X), len(centre), 0)), centre)
     slopes = posterior.gradient(centre[None])[0]
-    of_outputs = [attenuation(x, std, b) for x, b in zip(X, slopes, strict=True)]
+    of_outputs = [attenuation(x, np.diag(std**2), b) for x, b in zip(X, slopes, strict=True)]
     return errors_of_slopes(np.stack(of_outputs), centre)
 
 

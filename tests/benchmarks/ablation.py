@@ -226,8 +226,8 @@ def without_errors(model):
     d = model.n_features_in_
     sources = {
         "attenuation": slice(0, d),
-        "rates of the air": slice(d, 2 * d),
-        "errors of the log": slice(2 * d, None),
+        "rates of the air": slice(d, 3 * d),
+        "errors of the log": slice(3 * d, None),
         "errors of the function": slice(None),
     }
     for source, place in sources.items():

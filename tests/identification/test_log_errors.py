@@ -14,9 +14,11 @@ from sklearn.linear_model import LinearRegression
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
     Aircraft,
+    Turbulence,
     aerodynamic_coefficients,
     as_aerodynamics,
 )
+from skdgp.dynamics._dryden import dryden_gusts
 from skdgp.estimation import AirspeedScale
 from skdgp.identification import FlightPipeline, make_identification_pipeline
 from skdgp.identification._log_errors import (
@@ -27,7 +29,12 @@ from skdgp.identification._log_errors import (
     learned_errors,
 )
 from skdgp.identification._pipeline import named_regressors
-from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
+from skdgp.preprocessing import (
+    FlightCheck,
+    FlightPathReconstruction,
+    LagCorrector,
+    RegressorSelector,
+)
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -211,4 +218,36 @@ def test_an_aircraft_follows_the_rolling_air_by_its_damping():
     left = np.exp(-d * step)
     rate = lfilter([1.0 - left], [1.0, -left], gust)
     simulated = np.cov(rate, gust)[0, 1] / np.var(gust)
-    assert_allclose(pipeline._followed(airspeed), [simulated, 1.0, 1.0], rtol=0.03)
+    gust_time = 4 * AIRCRAFT.span / (np.pi * airspeed)
+    assert_allclose(pipeline._followed(airspeed, gust_time), [simulated, 1.0, 1.0], rtol=0.03)
+
+
+def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
+    """Mean square of the errors of least squares, over the directions of the horizontal axes of the gusts."""
+    airspeed, rng = 20.0, default_rng(0)
+    turbulence = Turbulence(np.ones(3), np.full(3, 200.0), airspeed)
+    gusts = dryden_gusts(
+        100_000, STEP, airspeed, turbulence.length[None], np.ones((1, 3)), AIRCRAFT.span, rng
+    )
+    lags = np.array([1.0, 3.0, 4.0]) * AIRCRAFT.span / (np.pi * airspeed)
+    wind = (gusts.velocity + lags * gusts.acceleration)[:, 0]  # at a point, not over the span
+    X = rng.normal(scale=[0.01, 0.01, 0.1, 0.1, 0.1], size=(len(wind), 5))
+    X[:, :2] += wind[:, [2, 1]] / airspeed
+    slopes = np.zeros((5, 6))
+    slopes[2:, 3:] = np.diag([-0.4, -8.0, -0.1])
+    squares = []
+    for angle in np.radians([0, 45, 90, 135]):
+        turned = Rotation.from_euler("z", angle).apply(gusts.rates[:, 0])
+        felt = X.copy()
+        felt[:, 2:] -= turned * AIRCRAFT.moment_lengths / (2 * airspeed)
+        found = LinearRegression().fit(X, felt @ slopes).coef_
+        squares.append((found - slopes.T)[:, :2] ** 2)
+    pipeline = FlightPipeline(
+        [("regressorselector", RegressorSelector(REGRESSORS[:5])), ("model", LinearRegression())],
+        aircraft=AIRCRAFT,
+    )
+    pipeline["regressorselector"].fit(pd.DataFrame(X, columns=REGRESSORS[:5]))
+    pipeline.least_squares_ = {}
+    errors = pipeline._errors_by_air(turbulence, X, felt @ slopes)
+    stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
+    assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)

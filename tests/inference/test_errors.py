@@ -78,7 +78,7 @@ def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
     model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1)
     slope = model.fit(x, y).predict_gradient(x[:1])[0, 0]
     assert slope[0] == pytest.approx(1.2, rel=0.05)
-    assert attenuation(x, np.sqrt([0.4]), slope)[0] == pytest.approx(0.8, rel=0.05)
+    assert attenuation(x, np.array([[0.4]]), slope)[0] == pytest.approx(0.8, rel=0.05)
 
 
 def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes():
@@ -89,9 +89,9 @@ def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes():
     X = exact + rng.normal(size=(n, 2)) * [std, 0.0]
     for truth in ([-0.4, 0.2], [1.0, 0.0]):
         found = np.linalg.lstsq(X, exact @ truth)[0]
-        errors = attenuation(X, np.array([std, 0.0]), found)
+        errors = attenuation(X, np.diag([std**2, 0.0]), found)
         assert_allclose(found + errors.sum(axis=1), truth, atol=0.01)
-        large = attenuation(X, np.array([10.0, 0.0]), found)
+        large = attenuation(X, np.diag([100.0, 0.0]), found)
         assert_allclose(large[0, 0], found[0])
 
 

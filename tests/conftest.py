@@ -14,18 +14,17 @@ from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
 
 import joblib
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.configuration import set_hypothesis_home_dir
+from made_flights import LINEAR_GLIDER
 from numpy.random import default_rng
 from threadpoolctl import threadpool_limits
 
 from skdgp import DependentGPRegressor, datasets
-from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.identification import FlightMechanics, Identification
 from skdgp.inference import BlockSettings, SearchSettings
 
@@ -53,50 +52,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 collect_ignore = ["benchmarks"]  # scripts, which find each other only when they are run
 
 
-class Glider(NamedTuple):
-    """An aircraft whose coefficients are linear, (n, 6) at regressors (n, 8), and paths with slopes of 10 % scatter."""
-
-    aircraft: Aircraft
-    names: list[str]
-    level: np.ndarray  # (6,) at regressors of zero
-    slopes: np.ndarray  # (6, 8)
-
-    def model(self, slopes=None, *, has_paths=True, **options):
-        """Return its aerodynamics, with other slopes."""
-        slopes = self.slopes if slopes is None else slopes
-
-        def paths(n_paths, random_state):
-            factors = np.random.default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8))
-            drawn = factors * slopes
-
-            def values(X):
-                return self.level + X @ drawn.swapaxes(1, 2)
-
-            def slopes_of_paths(X):
-                return np.repeat(drawn[:, None], X.shape[1], axis=1)
-
-            return values, slopes_of_paths
-
-        options["sampler"] = paths if has_paths else None
-        return Aerodynamics(lambda X: self.level + X @ slopes.T, self.names, **options)
-
-
 @pytest.fixture(scope="session")
 def glider():
-    inertia = [[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]]
-    aircraft = Aircraft(
-        name="glider", mass=12, inertia=inertia, wing_area=1.3, span=2.6, chord=0.55
-    )
-    names = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
-    slopes = [
-        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
-        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
-        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
-        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
-        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
-        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
-    ]
-    return Glider(aircraft, names, np.array([-0.03, 0, -0.3, 0, 0.02, 0]), np.array(slopes))
+    return LINEAR_GLIDER
 
 
 @pytest.fixture(scope="session")

@@ -81,8 +81,8 @@ class TestScikitLearnContract:
     )
     def test_iterations_are_counted_within_their_limit(self, data, options):
         model = DependentGPRegressor(max_iter=3, n_latent=1, random_state=0, **options)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of so few iterations, and what they leave unexplained
+        with warnings.catch_warnings(action="ignore"):
+            # of so few iterations, and what they leave unexplained
             model.fit(*data)
         assert 1 <= model.n_iter_ <= 3 + 3  # with exact regressors, then noisy ones
 

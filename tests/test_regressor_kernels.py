@@ -107,8 +107,7 @@ class TestBounds:
     def test_from_the_data_are_not_told_nor_those_where_a_refit_starts(self):
         X, Y = waves()
         level = np.column_stack([Y[:, 0], 0.3 * X[:, 0]])  # a line needs no width
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings.catch_warnings(action="error"):
             model = quick(ConvolvedGaussian(1), trend="constant").fit(X, level)
             quick(model.kernel_, trend="constant").fit(X, level)
 

@@ -141,8 +141,7 @@ def limited(limit, function, *arguments):
     signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, limit)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             return function(*arguments)
     except (TimeoutError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"failed": repr(error)}

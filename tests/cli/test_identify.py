@@ -102,8 +102,7 @@ class TestIdentify:
         printed = identified[1].stdout.splitlines()
         regressor = DependentGPRegressor(max_iter=3, random_state=0)
         options = {"samples": 40, "horizon": 1.0, "regressor": regressor}
-        with warnings.catch_warnings():
-            warnings.simplefilter("default")
+        with warnings.catch_warnings(action="default"):
             warnings.showwarning = lambda *_: None
             result = identify_flights(
                 ["lateral.csv", folder / "latlon.csv"], "uav.json", test="test.csv", **options

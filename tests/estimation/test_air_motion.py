@@ -306,8 +306,7 @@ def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
 def test_flights_of_the_fit_are_transformed_as_others_are():
     flight = flown("calm", 4.0)
     step = FlightPathReconstruction(aircraft=flight.aircraft, settings=AirSettings(max_passes=3))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         at_once = clone(step).fit_transform(flight.table)
         assert_frame_equal(at_once, step.fit(flight.table).transform(flight.table))
 

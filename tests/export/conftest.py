@@ -99,8 +99,7 @@ def identified(once, first_minute, cut_short):
             inference="sparse", n_inducing=12, n_latent=1, max_iter=10, random_state=0
         )
         options = {"test": test, "samples": 120, "regressor": regressor, "horizon": 1.0}
-        with cut_short(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of few rows
+        with cut_short(), warnings.catch_warnings(action="ignore"):  # of few rows
             found = identify(train, data.aircraft, **options)
         learned = found.pipeline[-1]
         # Few rows show none; a longer flight shows some of this size
@@ -122,8 +121,7 @@ def fitted(cut_short):
         if "kernel" not in options:
             options["n_latent"] = 1
         flight, Y = textbook_flight(28, 0, 1e-6 if kind == "precise" else 1e-3)
-        with cut_short(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of few rows
+        with cut_short(), warnings.catch_warnings(action="ignore"):  # of few rows
             model = pipeline_of(DependentGPRegressor(**options)).fit(flight, Y)
         return Bunch(
             pipeline=model, aircraft=AIRCRAFT, created="2026-01-01", versions={"skdgp": "1"}
@@ -137,8 +135,7 @@ def in_another_order():
     """Return a trend of coefficients that are not in their usual order, and the aircraft."""
     flight, Y = textbook_flight(28, 0)
     learner = DependentGPRegressor(structure="trend", random_state=0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of few rows
+    with warnings.catch_warnings(action="ignore"):  # of few rows
         pipeline = pipeline_of(learner).fit(flight, Y[["Cm", "CX", "CY", "CZ", "Cl", "Cn"]])
     return pipeline, AIRCRAFT
 

@@ -27,8 +27,7 @@ def read(tmp_path):
 
     def read(table):
         table.to_csv(path, index=False)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             flown = read_flight(path)["time"]
         return flown, np.setdiff1d(table["time"].round(6), flown.round(6))
 

@@ -1,12 +1,14 @@
 """Flights for tests: channels that move about their means, and all that sensors read of a motion."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pandas as pd
 from numpy.random import default_rng
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from skdgp.dynamics import Aircraft, air_data
+from skdgp.dynamics import Aerodynamics, Aircraft, air_data
 
 GRAVITY = 9.80665
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
@@ -52,3 +54,49 @@ def lasting(rng, shape, memory):
     noise = rng.normal(size=shape)
     noise[1:] *= np.sqrt(1 - keep**2)
     return lfilter([1.0], [1.0, -keep], noise, axis=0)
+
+
+class Glider(NamedTuple):
+    """An aircraft whose coefficients are linear, (n, 6) at regressors (n, 8), and paths with slopes of 10 % scatter."""
+
+    aircraft: Aircraft
+    names: list[str]
+    level: np.ndarray  # (6,) at regressors of zero
+    slopes: np.ndarray  # (6, 8)
+
+    def model(self, slopes=None, *, has_paths=True, **options):
+        """Return its aerodynamics, with other slopes."""
+        slopes = self.slopes if slopes is None else slopes
+
+        def paths(n_paths, random_state):
+            factors = default_rng(random_state).normal(1.0, 0.1, (n_paths, 6, 8))
+            drawn = factors * slopes
+
+            def values(X):
+                return self.level + X @ drawn.swapaxes(1, 2)
+
+            def slopes_of_paths(X):
+                return np.repeat(drawn[:, None], X.shape[1], axis=1)
+
+            return values, slopes_of_paths
+
+        options["sampler"] = paths if has_paths else None
+        return Aerodynamics(lambda X: self.level + X @ slopes.T, self.names, **options)
+
+
+LINEAR_GLIDER = Glider(
+    Aircraft(
+        name="glider", mass=12, inertia=[[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]],
+        wing_area=1.3, span=2.6, chord=0.55,
+    ),
+    ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"],
+    np.array([-0.03, 0, -0.3, 0, 0.02, 0]),
+    np.array([
+        [0.35, 0, 0, 0, 0, 0.02, 0, 0],
+        [0, -0.5, 0.05, 0, 0.2, 0, 0.03, 0.1],
+        [-4.5, 0, 0, -3.0, 0, -0.4, 0, 0],
+        [0, -0.05, -0.4, 0, 0.1, 0, 0.1, 0.01],
+        [-0.6, 0, 0, -9.0, 0, -1.0, 0, 0],
+        [0, 0.08, -0.03, 0, -0.1, 0, 0, -0.06],
+    ]),
+)  # fmt: skip

@@ -65,8 +65,7 @@ CLOTHES = {
 @pytest.mark.parametrize("clothes", CLOTHES)
 def test_dtypes_index_and_order_of_columns_decide_nothing(clothes, learning, pipeline, plain):
     table, Y = learning
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         warnings.filterwarnings("ignore", "The indices of X and y differ", UserWarning)
         dressed = CLOTHES[clothes](table.copy(), default_rng(0))
         got = clone(pipeline).fit(dressed, Y).predict(dressed, return_std=True)
@@ -118,8 +117,7 @@ def test_a_faulty_table_gives_finite_numbers_or_one_error(
         faulty = FAULTS[number](
             faulty, name, rng.random(len(faulty)) < rng.choice([0.01, 0.5, 1.0]), rng
         )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         warnings.simplefilter("ignore", UserWarning)
         try:
             model = clone(pipeline).fit(faulty, Y.loc[faulty.index]) if of_training else fitted

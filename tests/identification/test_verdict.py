@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import LINEAR_GLIDER
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
 
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import FitCode
 from skdgp.dynamics import (
-    Aerodynamics,
     Air,
-    Aircraft,
     Turbulence,
     dryden_gusts,
     simulate,
@@ -27,14 +26,13 @@ from skdgp.identification import (
     Identification,
 )
 
-AIRCRAFT = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
-NAMES = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+AIRCRAFT = LINEAR_GLIDER.aircraft
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SETTINGS = {"thrust": None, "external_forces": [], "horizon": 4.0}
 FIT = FitRecord(
     inference="exact",
     weights={},
-    regressors=NAMES,
+    regressors=LINEAR_GLIDER.names,
     log_marginal_likelihood=0.0,
     iterations=1,
     converged=True,
@@ -55,16 +53,9 @@ FIT = FitRecord(
 
 def glider(elevator=-1.0):
     """Return a glider of which the effect of the elevator on the pitching moment is chosen."""
-
-    def coefficients(X):
-        alpha, beta, p, q, r, de, da, dr = X.T
-        lift = 0.3 + 4.5 * alpha
-        pitch = 0.02 - 0.6 * alpha - 9 * q + elevator * de
-        roll = -0.05 * beta - 0.4 * p + 0.1 * r + 0.1 * da
-        yaw = 0.08 * beta - 0.1 * r - 0.06 * dr
-        return np.stack([lift * alpha - 0.03, -0.5 * beta, -lift, roll, pitch, yaw], axis=-1)
-
-    return Aerodynamics(coefficients, NAMES)
+    slopes = LINEAR_GLIDER.slopes.copy()
+    slopes[4, 5] = elevator
+    return LINEAR_GLIDER.model(slopes, has_paths=False)
 
 
 def slow(time):

@@ -49,8 +49,7 @@ def expected(slopes):
 
 @pytest.fixture(scope="module", params=SWITCHES)
 def model(request):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         return fitted(**SWITCHES[request.param])
 
 

@@ -216,8 +216,7 @@ class TestDownstream:
         words = r"\['elevator', 'rudder'\] never change.*cannot learn"
         with pytest.warns(FlightDataWarning, match=words):
             RegressorSelector(["alpha", "elevator", "rudder"]).fit(table, targets)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings.catch_warnings(action="error"):
             RegressorSelector(["alpha", "rudder"]).fit(table)  # without targets nothing is learned
 
 

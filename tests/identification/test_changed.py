@@ -31,7 +31,9 @@ def learned(X, Y, noise=None):
     """Return a pipeline that knows an aircraft by a flight, whose regressors have some noise."""
     if noise is not None:
         noise = noise / StandardScaler().fit(X).scale_
-    regressor = DependentGPRegressor(structure="trend", input_noise=noise, random_state=0)
+    regressor = DependentGPRegressor(
+        structure="trend", input_noise=noise, max_iter=5, random_state=0
+    )
     pipeline = make_pipeline(RegressorSelector([*X]), StandardScaler(), regressor)
     return pipeline.fit(X, Y, dependentgpregressor__time=0.05 * X.index.to_numpy())
 

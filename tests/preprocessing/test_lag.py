@@ -104,8 +104,8 @@ class TestEstimate:
 
     @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03), (0.05, 0.02)])
     def test_commands_are_told_from_deflections_by_lag_and_delay(self, servos, delay):
-        truth = linear_aircraft(2, width=2)
-        table = linear_aircraft(2, servos=servos, surfaces=-delay, width=2)
+        truth = linear_aircraft(2, width=2, seconds=40)
+        table = linear_aircraft(2, servos=servos, surfaces=-delay, width=2, seconds=40)
         rng = default_rng(2)
         for name in ("p", "q", "r"):
             table[name] += rng.normal(0, 0.002 * np.std(table[name]), len(table))

@@ -143,7 +143,7 @@ def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:
     for item in fitted:
         if np.any(item.record.periods > 0):
             by_errors = surface_covariance(item.linear, fit.noise_search.noise(item.record))
-            fractions = np.linalg.solve(item.filter_pass.innovations.covariance, by_errors)
+            fractions = np.linalg.solve(item.filter_pass.innovation_covariance, by_errors)
             squared_length += np.einsum("nii->", fractions)
     return np.sqrt(1 + fit.settings.surface_correlation**2 * squared_length)
 

@@ -239,8 +239,8 @@ class AirFit:
             expansion = self.expansion(record, states)
             linear, slopes = expansion.linearization(), expansion.slopes()
             filter_pass = filtered(linear, self.noise_search.noise(record))
-            L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovations.covariance))
-            e = matrix_vector(L_inverse, filter_pass.innovations.values)
+            L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovation_covariance))
+            e = matrix_vector(L_inverse, filter_pass.innovations)
             products: Any = 0.0
             weighted = []
             for steps, by_parameters, _ in parameter_slopes(linear, filter_pass, slopes):

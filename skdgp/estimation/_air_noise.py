@@ -7,22 +7,31 @@ With innovations :math:`e_k` of covariance :math:`S_k = L_k L_k^T`, :math:`u = L
 .. math:: -\partial_i \log p = \sum_k d_i^T u + \frac{1}{2} (\operatorname{tr} V_i - u^T V_i u), \quad
           F_{ij} = \sum_k d_i^T d_j + \frac{1}{2} \operatorname{tr} V_i V_j,
 
-(Maine & Iliff 1981). Derivatives are differences between passes of the filter at sets of noises.
+(Maine & Iliff 1981).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from skdgp._compute.linalg import matrix_vector
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Array, Matrix
 from skdgp.estimation._air_parameters import PATH_ERRORS, GustProcesses, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._kalman import Innovations, Linearization, Noise, innovations
+from skdgp.estimation._kalman import (
+    Linearization,
+    Noise,
+    Pass,
+    both_sides,
+    filtered,
+    noise_slopes,
+)
 from skdgp.estimation._settings import AirSettings
+
+NOISE_STEP = 1e-6  # of the logarithms, in slopes of the noises
 
 
 class NoiseSearch:
@@ -58,13 +67,16 @@ class NoiseSearch:
         ``linears`` are parts of the records' linearizations, which represent the full records.
         """
         sums = Sums(self.psi, self.prior)
-        difference = self.settings.noise_difference
         for record, linear in zip(records, linears, strict=True):
             places = self.prior.free_places(record.flight)
-            moves = np.zeros((len(places) + 1, len(self.psi)))
-            moves[1:, places] = difference * np.eye(len(places))
-            found = innovations(linear, self.noise(record, self.psi + moves))
-            gradient, fisher = _likelihood_slopes(found, difference)
+            moves = np.zeros((len(places), len(self.psi)))
+            moves[:, places] = NOISE_STEP * np.eye(len(places))
+            noise = self.noise(record)
+            moved = self.noise(record, self.psi + moves)
+            change = [(later - now) / NOISE_STEP for later, now in zip(moved, noise, strict=True)]
+            filter_pass = filtered(linear, noise)
+            slopes = noise_slopes(linear, filter_pass, noise, Noise(*change))
+            gradient, fisher = _likelihood_slopes(filter_pass, slopes)
             weight = len(record.time_step) / len(linear.time_step)
             sums.add(places, weight * gradient, weight * fisher)
         information, score = sums.damped(self.settings.noise_damping)
@@ -123,19 +135,22 @@ def air_noise(
     )
 
 
-def _likelihood_slopes(found: Innovations, difference: float) -> tuple[Vector, Matrix]:
-    """Return gradient and Fisher information of -log likelihood, by differences of the sets to the first."""
-    e, S = found.values[:, 0], found.covariance[:, 0]
-    L_inverse = np.linalg.inv(np.linalg.cholesky(S))
-    u = matrix_vector(L_inverse, e)
-    gradient = []
-    rows = []
-    for moved in range(1, found.values.shape[1]):
-        d = matrix_vector(L_inverse, (found.values[:, moved] - e) / difference)
-        dS = (found.covariance[:, moved] - S) / difference
-        V = L_inverse @ dS @ L_inverse.mT
-        trace = np.einsum("nii->", V) - np.einsum("ni,nij,nj->", u, V, u)
-        gradient.append(np.sum(d * u) + 0.5 * trace)
-        rows.append(np.concatenate([d.ravel(), np.sqrt(0.5) * V.ravel()]))
-    J = np.array(rows)
-    return np.array(gradient), J @ J.T
+def _likelihood_slopes(
+    filter_pass: Pass, slopes: Iterable[tuple[slice, Array, Array]]
+) -> tuple[Any, Any]:
+    """Return gradient and Fisher information of -log likelihood, by slopes of innovations and covariances."""
+    L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovation_covariance))
+    whitened = matrix_vector(L_inverse, filter_pass.innovations)
+    gradient: Any = 0.0
+    fisher: Any = 0.0
+    for steps, de, dS in slopes:
+        u = whitened[steps]
+        d = (L_inverse[steps] @ de).swapaxes(1, 2)  # (k, s, m)
+        V = both_sides(L_inverse[steps], dS).swapaxes(1, 2)  # (k, s, m, m)
+        excess = np.eye(u.shape[1]) - u[:, :, None] * u[:, None]
+        gradient = gradient + np.einsum("ksm,km->s", d, u)
+        gradient = gradient + 0.5 * np.einsum("ksmn,kmn->s", V, excess)
+        for rows in (d, np.sqrt(0.5) * V):
+            J = rows.swapaxes(0, 1).reshape(rows.shape[1], -1)
+            fisher = fisher + J @ J.T
+    return gradient, fisher

@@ -30,7 +30,8 @@ slopes Z of the filtered states at given gains, an innovation has the slopes
 
 .. math:: Z_{k+1} = (I - K_k H_k) (\Phi_k Z_k + \Theta_k) - K_k F_k.
 
-Errors of the surfaces are :math:`\kappa` times their change within a step. They add to Q and R.
+Errors of the surfaces are :math:`\kappa` times their change within a step. They add to Q and R. Matrices of s sets
+of noises have the set as the third of four axes, so that one product serves all.
 
 n samples, N states, m sensors, q slopes by the parameters of a flight and the instruments, s sets of
 noises.
@@ -47,7 +48,7 @@ from scipy.linalg import lapack
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 
-STEPS_IN_MEMORY = 256  # whose matrices are in memory at a time
+STEPS_AT_A_TIME = 128  # whose slopes fit into the cache of a processor
 
 
 class Linearization(NamedTuple):
@@ -69,6 +70,10 @@ class Linearization(NamedTuple):
     surface_reading_variance: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
     missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
     vibration: Matrix  # (m, m) covariance of the sensors by vibration
+
+    def added_covariance(self) -> Array:
+        """Return the covariance (n - 1, m, m) that is added to those of the noises."""
+        return self.missing[..., None] * np.eye(len(self.vibration)) + self.vibration
 
     def part(self, first: int, last: int) -> Linearization:
         """Return the steps ``first`` to ``last`` - 1, with the state after them."""
@@ -101,180 +106,159 @@ class Noise(NamedTuple):
     start: Matrix  # (s, N) variances of the first state
 
 
-class Innovations(NamedTuple):
-    """Innovations of the past alone at s sets of noises, or at one."""
-
-    values: Array  # (n - 1, s, m)
-    covariance: Array  # (n - 1, s, m, m)
-
-
 class Pass(NamedTuple):
     """One pass of the filter at one set of noises."""
 
-    innovations: Innovations  # (n - 1, m), (n - 1, m, m)
+    innovations: Matrix  # (n - 1, m) of the past alone
+    innovation_covariance: Array  # (n - 1, m, m)
     states: Matrix  # (n, N)
     covariance: Array  # (n, N, N)
     predicted_covariance: Array  # (n - 1, N, N)
     gain: Array  # (n - 1, N, m)
 
 
-class _FilterMatrices(NamedTuple):
-    """Matrices of the linear filter, a few steps k at s sets of noises."""
+def filtered(linear: Linearization, noise: Noise) -> Pass:
+    """Return the filter's pass at one set of noises."""
+    Phi = linear.Phi
+    Q, R, R_past = (covariances[:, :, 0] for covariances in _covariances(linear, noise))
+    added = linear.added_covariance()
+    R = R + added
+    n, m, N = linear.H.shape
+    P = np.empty((n + 1, N, N))
+    P_predicted = np.empty((n, N, N))
+    K = np.empty((n, N, m))
+    P[0] = np.diag(noise.start[0])
+    for k in range(n):
+        P_predicted[k] = Phi[k] @ P[k] @ Phi[k].T + Q[k]
+        PHt = P_predicted[k] @ linear.H[k].T
+        K[k] = _gain(linear.H[k] @ PHt + R[k], PHt)
+        corrected = P_predicted[k] - K[k] @ PHt.T
+        P[k + 1] = 0.5 * (corrected + corrected.T)
+    # deviations from the expansion point
+    push = linear.predicted - linear.states[1:] + matrix_vector(K, linear.path_error)
+    T = Phi - K @ (linear.H @ Phi)
+    x = _propagated(T, push[..., None], 0.0)[..., 0]
+    return Pass(
+        innovations=linear.past_error - matrix_vector(linear.D, x[:-1]),
+        innovation_covariance=linear.D @ P[:-1] @ linear.D.mT + R_past + added,
+        states=linear.states + x,
+        covariance=P,
+        predicted_covariance=P_predicted,
+        gain=K,
+    )
 
-    Phi: Array  # (k, s, N, N)
-    Q: Array  # (k, s, N, N)
-    c: Array  # (k, N, 1) predicted less expansion point
-    H: Array  # (k, m, N)
-    R: Array  # (k, s, m, m)
-    y: Array  # (k, m, 1)
 
-    def step(self, x: Array, P: Array, k: int) -> tuple[Array, Array, Array, Array]:
-        """Return filtered state and covariance, predicted covariance and gain of sample k + 1."""
-        Phi, H = self.Phi[k], self.H[k]
-        x = Phi @ x
-        P_predicted = Phi @ P @ Phi.mT + self.Q[k]
-        PHt = P_predicted @ H.T
-        S = H @ PHt + self.R[k]
-        K = _gain(S, PHt)
-        x = self.c[k] + x + K @ (self.y[k] - H @ x)
-        P = P_predicted - K @ PHt.mT
-        return x, 0.5 * (P + P.mT), P_predicted, K
-
-    def of_one_set(self) -> _FilterMatrices:
-        """Return the matrices of the first set, without the axis of the sets."""
-        return self._replace(Phi=self.Phi[:, 0], Q=self.Q[:, 0], R=self.R[:, 0])
-
-
-def _gain(S: Array, PHt: Array) -> Array:
-    """Return P H^T S^-1; of one set of noises by LAPACK itself, as NumPy takes twice the time."""
-    if S.ndim > 2:
-        transposed: Any = np.linalg.solve(S, PHt.mT)
-        return transposed.mT
+def _gain(S: Matrix, PHt: Matrix) -> Matrix:
+    """Return P H^T S^-1, by LAPACK itself, as NumPy takes twice the time."""
     _, transposed, failed = lapack.dposv(S, PHt.T, lower=1)
     if failed:
         raise np.linalg.LinAlgError("An innovation covariance is not positive definite.")
     return transposed.T
 
 
-class _Steps(NamedTuple):
-    """Filtered steps k of a pass at s sets of noises."""
-
-    innovations: Innovations  # of the past alone
-    x: Array  # (k, s, N, 1) deviations from the expansion point
-    P: Array  # (k, s, N, N)
-    P_predicted: Array  # (k, s, N, N)
-    gain: Array  # (k, s, N, m)
-
-
-def filtered(linear: Linearization, noise: Noise) -> Pass:
-    """Return the filter's pass at one set of noises."""
-    steps = _filtered_steps(linear, noise, *_start(noise))
-    states = linear.states.copy()
-    states[1:] += steps.x[:, 0, :, 0]
-    e, S = steps.innovations
-    return Pass(
-        innovations=Innovations(e[:, 0], S[:, 0]),
-        states=states,
-        covariance=np.concatenate([[np.diag(noise.start[0])], steps.P[:, 0]]),
-        predicted_covariance=steps.P_predicted[:, 0],
-        gain=steps.gain[:, 0],
-    )
+def _propagated(T: Array, push: Array, start: Any) -> Array:
+    """Return x (k + 1, N, q) of x_{k+1} = T_k x_k + push_k, from its start."""
+    x = np.empty((len(T) + 1, *push.shape[1:]))
+    x[0] = start
+    x[1:] = push
+    for k in range(len(T)):
+        x[k + 1] += T[k] @ x[k]
+    return x
 
 
-def innovations(linear: Linearization, noise: Noise) -> Innovations:
-    """Return the innovations at all sets of noises."""
-    values = []
-    covariance = []
-    x, P = _start(noise)
-    for first in range(0, len(linear.time_step), STEPS_IN_MEMORY):
-        steps = _filtered_steps(linear.part(first, first + STEPS_IN_MEMORY), noise, x, P)
-        values.append(steps.innovations.values)
-        covariance.append(steps.innovations.covariance)
-        x, P = steps.x[-1], steps.P[-1]
-    return Innovations(np.concatenate(values), np.concatenate(covariance))
+def _covariances(linear: Linearization, noise: Noise) -> tuple[Array, Array, Array]:
+    """Return Q (n - 1, N, s, N), R (n - 1, m, s, m), and R with the noise of the step before (n - 1, m, s, m).
 
-
-def _start(noise: Noise) -> tuple[Array, Array]:
-    """Return deviation and covariance of the first sample."""
-    x = np.zeros((*noise.start.shape, 1))
-    return x, noise.start[:, :, None] * np.eye(x.shape[1])
-
-
-def _filtered_steps(linear: Linearization, noise: Noise, x: Array, P: Array) -> _Steps:
-    """Return some steps of the filter, from deviation and covariance of the sample before."""
-    matrices = _filter_matrices(linear, noise)
-    R = matrices.R
-    n, m, N = matrices.H.shape
-    xs = np.empty((n + 1, *x.shape))
-    Ps = np.empty((n + 1, *P.shape))
-    P_predicted = np.empty((n, *P.shape))
-    gain = np.empty((n, len(P), N, m))
-    xs[0], Ps[0] = x, P
-    sets: int | slice = slice(None)
-    if len(P) == 1:  # NumPy takes longer for a stack of one matrix
-        sets = 0
-        matrices = matrices.of_one_set()
-    for k in range(n):
-        step = matrices.step(xs[k, sets], Ps[k, sets], k)
-        xs[k + 1, sets], Ps[k + 1, sets], P_predicted[k, sets], gain[k, sets] = step
-    past = _past_innovations(linear, noise, R, xs[:-1], Ps[:-1])
-    return _Steps(past, xs[1:], Ps[1:], P_predicted, gain)
-
-
-def _filter_matrices(linear: Linearization, noise: Noise) -> _FilterMatrices:
-    """Return the matrices of the steps."""
-    h = linear.time_step[:, None, None]
-    Phi = np.repeat(linear.Phi[:, None], len(noise.density), axis=1)
-    decaying = np.flatnonzero(noise.decay[0] > 0)
-    Phi[:, :, decaying, decaying] = np.exp(-h * noise.decay[:, decaying])
-    Q = _step_noise(np.eye(Phi.shape[-1]), Phi, noise.density * h)
-    Q += noise.surface[:, None, None] * linear.surface_noise[:, None]
-    sensor = noise.sensor + linear.missing[:, None]
-    sensor = sensor + noise.surface[:, None] * linear.surface_reading_variance[:, None]
-    shift = linear.predicted - linear.states[1:]
-    return _FilterMatrices(
-        Phi=Phi,
-        Q=Q,
-        c=shift[:, :, None],
-        H=linear.H,
-        R=sensor[..., None] * np.eye(sensor.shape[-1]) + linear.vibration,
-        y=linear.path_error[:, :, None],
-    )
-
-
-def _past_innovations(
-    linear: Linearization, noise: Noise, R: Array, x: Array, P: Array
-) -> Innovations:
-    """Return the errors of predictions from the filtered sample before, and their covariances.
-
-    The noise of the step reaches the sensors through its end as well.
+    Those of density, surface and sensor of the noises, in which they are linear. The noise of a step reaches the
+    sensors through its end as well.
     """
-    D = linear.D[:, None]
-    L = linear.L[:, None]
-    e = linear.past_error[:, None, :, None] - D @ x
-    S = D @ P @ D.mT + R
-    S += _step_noise(L, D, noise.density * linear.time_step[:, None, None])
-    S += noise.surface[:, None, None] * (L @ linear.surface_noise[:, None] @ L.mT)
-    return Innovations(e[..., 0], S)
+    density = noise.density * linear.time_step[:, None, None]
+    L = linear.L
+    surface = noise.surface[:, None]
+    by_surfaces = surface * linear.surface_noise[:, :, None]
+    Q = _step_noise(np.eye(L.shape[2])[None], linear.Phi, density) + by_surfaces
+    variance = noise.sensor + surface * linear.surface_reading_variance[:, None]
+    R = variance.mT[..., None] * np.eye(L.shape[1])[:, None]
+    through_end = surface * (L @ linear.surface_noise @ L.mT)[:, :, None]
+    return Q, R, R + _step_noise(L, linear.D, density) + through_end
 
 
 def surface_covariance(linear: Linearization, noise: Noise) -> Array:
     """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
-    L = linear.L
-    of_readings = linear.surface_reading_variance[..., None] * np.eye(L.shape[1])
-    return noise.surface[0] * (L @ linear.surface_noise @ L.mT + of_readings)
+    of_surfaces = Noise(*(0.0 * values for values in noise))._replace(surface=noise.surface)
+    return _covariances(linear, of_surfaces)[2][:, :, 0]
 
 
 def _step_noise(late: Array, early: Array, variance: Array) -> Array:
-    """Return the covariance (..., k, k) that a step's white noise of ``variance`` (..., N) makes.
+    """Return the covariances (n - 1, k, s, k) that a step's white noise of ``variance`` (n - 1, s, N) makes.
 
-    The mean of G V G^T by Simpson's rule, for derivatives G (..., k, N) that change linearly from
+    The mean of G V G^T by Simpson's rule, for derivatives G (n - 1, k, N) that change linearly from
     ``early`` to ``late`` in the step: (L V (2 L + E)^T + E V (2 E + L)^T) / 6.
     """
-    V = variance[..., None, :]
-    by_late = (late * V) @ (2 * late + early).mT
-    by_early = (early * V) @ (2 * early + late).mT
+    V = variance[:, None]
+    by_late = _times(late[:, :, None] * V, (2 * late + early).mT)
+    by_early = _times(early[:, :, None] * V, (2 * early + late).mT)
     return (by_late + by_early) / 6
+
+
+def _times(values: Array, matrices: Array) -> Array:
+    """Return the products (n, a, s, b) of s sets of matrices (n, a, s, N) and ones of all sets (n, N, b)."""
+    n, a, s, N = values.shape
+    return (values.reshape(n, a * s, N) @ matrices).reshape(n, a, s, -1)
+
+
+def both_sides(A: Array, values: Array) -> Array:
+    """Return A V A^T (n, a, s, a) of s sets of matrices V (n, N, s, N)."""
+    n, N, s, _ = values.shape
+    left = (A @ values.reshape(n, N, s * N)).reshape(n, -1, s, N)
+    return _times(left, A.mT)
+
+
+def noise_slopes(
+    linear: Linearization, filter_pass: Pass, noise: Noise, change: Noise
+) -> Iterator[tuple[slice, Array, Array]]:
+    r"""Yield some steps, and slopes of the innovations (k, m, s) and of their covariances (k, m, s, m) by s numbers.
+
+    The ``noise`` of the pass has the slopes ``change`` (s,). With :math:`A = I - K H` and :math:`T = A \Phi`, covariance
+    and mean of the filtered states have the slopes (Gupta & Mehra 1974)
+
+    .. math:: P'_{k+1} = T P'_k T^T + A V A^T + K R' K^T, \quad
+              V = Q' + \Phi' P \Phi^T + \Phi P \Phi'^T, \\
+              x'_{k+1} = T x'_k + A (\Phi' x_k + (\Phi P'_k \Phi^T + V) H^T u) - K R' u, \quad
+              u = S^{-1} (y - H \Phi x_k).
+    """
+    N, s = linear.Phi.shape[1], len(change.start)
+    dP_start = change.start.T[..., None] * np.eye(N)[:, None]  # (N, s, N)
+    dx_start = np.zeros((N, s))
+    deviations = filter_pass.states - linear.states
+    for first in range(0, len(linear.time_step), STEPS_AT_A_TIME):
+        steps = slice(first, first + STEPS_AT_A_TIME)
+        part = linear.part(first, first + STEPS_AT_A_TIME)
+        Phi, H, K = part.Phi, part.H, filter_pass.gain[steps]
+        x = deviations[:-1][steps]
+        R = _covariances(part, noise)[1][:, :, 0] + part.added_covariance()
+        S = H @ filter_pass.predicted_covariance[steps] @ H.mT + R
+        error = part.path_error - matrix_vector(H, matrix_vector(Phi, x))
+        u = np.linalg.solve(S, error[..., None])
+        Htu = H.mT @ u
+        dQ, dR, dR_past = _covariances(part, change)
+        h = part.time_step[:, None, None]
+        dPhi = (-h * np.exp(-h * noise.decay) * change.decay).mT  # on the diagonal, (k, N, s)
+        turned = dPhi[..., None] * (filter_pass.covariance[:-1][steps] @ Phi.mT)[:, :, None]
+        V = dQ + turned + turned.swapaxes(1, 3)
+        A = np.eye(N) - K @ H
+        T = A @ Phi
+        dP = np.empty((len(T) + 1, N, s, N))
+        dP[0] = dP_start
+        dP[1:] = both_sides(A, V) + both_sides(K, dR)
+        for k in range(len(T)):
+            left = (T[k] @ dP[k].reshape(N, -1)).reshape(-1, N)
+            dP[k + 1] += (left @ T[k].T).reshape(N, s, N)
+        through_gain = Phi @ _times(dP[:-1], Phi.mT @ Htu)[..., 0] + _times(V, Htu)[..., 0]
+        push = A @ (dPhi * x[..., None] + through_gain) - K @ _times(dR, u)[..., 0]
+        dx = _propagated(T, push, dx_start)
+        yield steps, -(part.D @ dx[:-1]), both_sides(part.D, dP[:-1]) + dR_past
+        dP_start, dx_start = dP[-1], dx[-1]
 
 
 def parameter_slopes(
@@ -285,17 +269,12 @@ def parameter_slopes(
     By parameters and instruments at given gains; ``slopes`` are of the predictions.
     """
     end: Array | float = 0.0
-    for first in range(0, len(linear.time_step), STEPS_IN_MEMORY):
-        steps = slice(first, first + STEPS_IN_MEMORY)
+    for first in range(0, len(linear.time_step), STEPS_AT_A_TIME):
+        steps = slice(first, first + STEPS_AT_A_TIME)
         Theta, E, F = slopes(steps)
         gain = filter_pass.gain[steps]
-        correction = np.eye(Theta.shape[1]) - gain @ linear.H[steps]  # I - K H
-        T = correction @ linear.Phi[steps]
-        Z = np.empty((len(T) + 1, *Theta.shape[1:]))
-        Z[0] = end
-        Z[1:] = correction @ Theta - gain @ F  # (I - K H) Theta - K F
-        for k in range(len(T)):
-            Z[k + 1] += T[k] @ Z[k]
+        A = np.eye(Theta.shape[1]) - gain @ linear.H[steps]  # I - K H
+        Z = _propagated(A @ linear.Phi[steps], A @ Theta - gain @ F, end)
         yield steps, -(linear.D[steps] @ Z[:-1] + E), Z[1:]
         end = Z[-1]
 

@@ -194,8 +194,6 @@ class AirSettings:
     # log likelihood for each sample that a solution may lie below the best pass: sound ones of simulated flights
     # lie up to 0.65 below, of a log 0.59, false ones 0.25 and 1.6
     lost_likelihood: float = 1.0
-    # difference of the logarithm of a noise in numerical slopes
-    noise_difference: float = 1e-3
     # damping of steps of the noises, over the information
     noise_damping: float = 0.02
     # largest step of the logarithm of a noise; factors of this limit where steps turn back, and else

@@ -48,7 +48,7 @@ from skdgp.estimation._kalman import (
     Noise,
     Slopes,
     filtered,
-    innovations,
+    noise_slopes,
     parameter_slopes,
     smoothed,
 )
@@ -315,18 +315,50 @@ def joint_distribution(linear, noises):
 
 
 def test_linear_filter_has_the_innovations_of_the_joint_distribution():
-    """Of each of two sets of noises."""
     linear, noises = linear_system(default_rng(0))
-    found = innovations(linear, Noise(*(np.concatenate([part, 2 * part]) for part in noises)))
+    found = filtered(linear, noises)
     m, y = linear.past_error.shape[1], linear.past_error.ravel()
-    for number in range(2):
-        _, _, S = joint_distribution(linear, Noise(*((1 + number) * part for part in noises)))
-        for k in range(len(linear.past_error)):
-            past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
-            gain = S[now, past] @ np.linalg.inv(S[past, past])
-            covariance = S[now, now] - gain @ S[past, now]
-            assert_allclose(found.values[k, number], y[now] - gain @ y[past], atol=1e-10)
-            assert_allclose(found.covariance[k, number], covariance, atol=1e-10)
+    _, _, S = joint_distribution(linear, noises)
+    for k in range(len(linear.past_error)):
+        past, now = slice(0, k * m), slice(k * m, (k + 1) * m)
+        gain = S[now, past] @ np.linalg.inv(S[past, past])
+        covariance = S[now, now] - gain @ S[past, now]
+        assert_allclose(found.innovations[k], y[now] - gain @ y[past], atol=1e-10)
+        assert_allclose(found.innovation_covariance[k], covariance, atol=1e-10)
+
+
+@pytest.mark.parametrize("field", Noise._fields)
+def test_slopes_by_noises_are_those_of_the_filter(field):
+    """With a state that decays, without noise of its own, and surfaces that err."""
+    linear, noises = linear_system(default_rng(0))
+    push = default_rng(5).normal(size=(len(linear.time_step), 3, 3))
+    linear = linear._replace(
+        surface_noise=push @ push.mT, surface_reading_variance=push[:, 0, :2] ** 2
+    )
+    noises = noises._replace(
+        decay=np.array([[0.5, 0.0, 0.0]]),
+        density=np.array([[0.0, 1.0, 2.0]]),
+        surface=np.array([0.7]),
+    )
+
+    def run(noises):
+        Phi = linear.Phi.copy()
+        Phi[:, 0, 0] = np.exp(-linear.time_step * noises.decay[0, 0])
+        system = linear._replace(Phi=Phi)
+        return system, filtered(system, noises)
+
+    change = Noise(*(np.zeros_like(part) for part in noises))
+    getattr(change, field).flat[0] = 1.0
+    step = 1e-6
+    moved = Noise(*(part + step * slope for part, slope in zip(noises, change, strict=True)))
+    system, here = run(noises)
+    ((_, of_innovations, of_covariance),) = noise_slopes(system, here, noises, change)
+    _, later = run(moved)
+    found = (later.innovations - here.innovations) / step
+    assert_allclose(of_innovations[..., 0], found, atol=1e-5)
+    found = (later.innovation_covariance - here.innovation_covariance) / step
+    assert np.abs(found).max() > 0.01
+    assert_allclose(of_covariance[:, :, 0], found, atol=1e-5)
 
 
 def test_linear_smoother_has_the_conditional_distribution():
@@ -357,7 +389,7 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
     again = filtered(moved, noises)
     found = parameter_slopes(linear, run, lambda steps: Slopes(*(part[steps] for part in slopes)))
     ((_, of_innovations, of_states),) = found
-    change = (again.innovations.values - run.innovations.values) / 1e-6
+    change = (again.innovations - run.innovations) / 1e-6
     assert_allclose(of_innovations[..., 0], change, atol=1e-6)
     change = (again.states - run.states)[1:] / 1e-6
     assert_allclose(of_states[..., 0], change, atol=1e-6)

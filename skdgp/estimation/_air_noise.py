@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.linalg import matrix_vector
-from skdgp._compute.typing import Array, Matrix
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.estimation._air_parameters import PATH_ERRORS, GustProcesses, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import (

@@ -219,7 +219,7 @@ def noise_slopes(
 ) -> Iterator[tuple[slice, Array, Array]]:
     r"""Yield some steps, and slopes of the innovations (k, m, s) and of their covariances (k, m, s, m) by s numbers.
 
-    The ``noise`` of the pass has the slopes ``change`` (s,). With :math:`A = I - K H` and :math:`T = A \Phi`, covariance
+    The ``noise`` of the pass has the slopes ``change`` (s,). With :math:`A = I - K H`, :math:`T = A \Phi`, covariance
     and mean of the filtered states have the slopes (Gupta & Mehra 1974)
 
     .. math:: P'_{k+1} = T P'_k T^T + A V A^T + K R' K^T, \quad

@@ -11,14 +11,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 from skdgp._cli import _control, _learn, _use
-from skdgp._cli import _shared as opt
-from skdgp._cli._shared import Console, Run
+from skdgp._cli._shared import Commands, Console, Run, add_command
 
 __all__ = ["main"]
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-COMMANDS: opt.Commands = {**_learn.COMMANDS, **_use.COMMANDS, **_control.COMMANDS}
+COMMANDS: Commands = {**_learn.COMMANDS, **_use.COMMANDS, **_control.COMMANDS}
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
@@ -70,14 +69,13 @@ def _folder(options: argparse.Namespace) -> Path | None:
         nearest = next(
             path for path in (folder, *folder.parents) if path.exists() or path.is_symlink()
         )
+        is_writable = nearest.is_dir() and os.access(nearest, os.W_OK)
+        reason = f"{str(nearest)!r} is no folder that can be written to"
     except OSError as error:  # a name that is too long
+        is_writable, reason = False, str(error.strerror)
+    if not is_writable:
         raise OSError(
-            f"Got {str(folder)!r} as the folder for the outputs, but {error.strerror}: name another one after -o."
-        ) from error
-    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        raise OSError(
-            f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} is no folder "
-            "that can be written to: name another one after -o."
+            f"Got {str(folder)!r} as the folder for the outputs, but {reason}: name another one after -o."
         )
     return folder
 
@@ -95,7 +93,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for run, options in COMMANDS.items():
-        opt.add_command(commands, run, options)
+        add_command(commands, run, options)
     parsed = parser.parse_args(argv)
     strange = [word for word in argv if word != word.encode(errors="replace").decode()]
     if strange:  # no record of the run could hold it

@@ -8,8 +8,25 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._cli import _shared as opt
-from skdgp._cli._shared import Run, wrote
+from skdgp._cli._shared import (
+    AIRCRAFT,
+    AIRSPEED,
+    ALTITUDE,
+    FULL,
+    MODEL,
+    OUTPUT,
+    PATHS,
+    SEED,
+    Commands,
+    Run,
+    at_least,
+    changed,
+    checked,
+    from_zero,
+    number,
+    option,
+    positive,
+)
 from skdgp._cli._use import read_model_to_fly, trimmed, warn_unfit
 from skdgp._compute.files import csv_writer
 from skdgp.control import (
@@ -62,9 +79,7 @@ def margins(run: Run) -> None:
     numbers: dict[str, Any] = {
         "model": options.model,
         "parameters": options.params,
-        "servos": asdict(servos)
-        if np.isfinite(servos.rate_limit)
-        else asdict(servos) | {"rate_limit": None},
+        "servos": asdict(servos),
         "delay": options.delay,
         "margins": _records(now),
         "unstable": now.attrs["unstable"],
@@ -85,9 +100,7 @@ def margins(run: Run) -> None:
         texts += _suggestion_texts(options, gains, then)
         files["suggested.csv"] = csv_writer(gains)
         numbers |= {"gains": gains.to_dict("records"), "margins_suggested": _records(then)}
-    if run.folder is not None:
-        texts.append(wrote(run.write(files, "margins.json", numbers)))
-    run.print("\n".join(texts), numbers)
+    run.finish(texts, numbers, files, "margins.json")
 
 
 def _suggestion_texts(options: Any, gains: pd.DataFrame, then: pd.DataFrame) -> list[str]:
@@ -125,6 +138,12 @@ def _margin_text(table: pd.DataFrame) -> str:
     return shown.rename_axis(index=["", ""]).to_string()
 
 
+PARAMETERS = option(
+    "--params",
+    metavar="FILE",
+    help="parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
+    "elevator, throttle, rudder, 1100 to 1900 us)",
+)
 # Least height of gusts [m], which vanish at the ground
 LEAST_GUST_HEIGHT = 100.0
 
@@ -180,8 +199,6 @@ def fly(run: Run) -> None:
     outside = float((flown.table["beyond"] != "").mean()) if len(flown.table) else 0.0
     if outside:
         lines.append(f"{outside:.0%} of the flight is outside of what the model was learned from")
-    if run.folder is not None:
-        lines.append(wrote(run.write({"flight.csv": csv_writer(flown.table)})))
     numbers = {
         "model": options.model,
         "seconds": duration,
@@ -190,7 +207,7 @@ def fly(run: Run) -> None:
         "outside": outside,
         "reason": flown.reason,
     }
-    run.print("\n".join(lines), numbers)
+    run.finish(lines, numbers, {"flight.csv": csv_writer(flown.table)})
 
 
 def _gusts_of(options: Any, model: Any) -> Turbulence | None:
@@ -208,101 +225,118 @@ def _gusts_of(options: Any, model: Any) -> Turbulence | None:
     return flown
 
 
-COMMANDS: opt.Commands = {
+COMMANDS: Commands = {
     margins: {
-        "": {
-            **opt.shared("model", "--aircraft", "--airspeed", "--altitude", "--paths"),
-            **opt.shared("--seed", "--output"),
-            "--params": {
-                "metavar": "FILE",
-                "required": True,
-                "help": "parameters of PX4 or ArduPilot Plane, as a ground station saves them",
-            },
-            **opt.shared(
-                "--full",
+        "": [
+            MODEL,
+            AIRCRAFT,
+            AIRSPEED,
+            ALTITUDE,
+            PATHS,
+            SEED,
+            OUTPUT,
+            changed(
+                PARAMETERS,
+                required=True,
+                help="parameters of PX4 or ArduPilot Plane, as a ground station saves them",
+            ),
+            changed(
+                FULL,
                 required=True,
                 help="deflections [rad] with the servos at their ends (PX4: at an output of 1)",
             ),
-            "--delay": {
-                "metavar": "S",
-                "type": opt.from_zero(),
-                "default": 0.02,
-                "help": "of the commands before they are logged [s], from sampling and computing; the delay of the "
+            option(
+                "--delay",
+                metavar="S",
+                type=from_zero(),
+                default=0.02,
+                help="of the commands before they are logged [s], from sampling and computing; the delay of the "
                 "servos and the hold of the commands, which the flights show, come on top (default: 0.02)",
-            },
-            "--slopes": {
-                "choices": ["flown", "local"],
-                "default": "flown",
-                "help": "over the motion flown, or of small oscillations (default: flown)",
-            },
-            "--gain-margin": {
-                "metavar": "DB",
-                "type": opt.positive("dB"),
-                "default": 6.0,
-                "help": "wanted (default: 6)",
-            },
-            "--phase-margin": {
-                "metavar": "DEG",
-                "type": opt.positive("deg"),
-                "default": 45.0,
-                "help": "wanted (default: 45)",
-            },
-            "--probability": {
-                "metavar": "P",
-                "type": opt.checked("a probability between 0 and 1", float, lambda p: 0 < p < 1),
-                "default": 0.95,
-                "help": "of the wanted margins (default: 0.95)",
-            },
-        },
+            ),
+            option(
+                "--slopes",
+                choices=["flown", "local"],
+                default="flown",
+                help="over the motion flown, or of small oscillations (default: flown)",
+            ),
+            option(
+                "--gain-margin",
+                metavar="DB",
+                type=positive("dB"),
+                default=6.0,
+                help="wanted (default: 6)",
+            ),
+            option(
+                "--phase-margin",
+                metavar="DEG",
+                type=positive("deg"),
+                default=45.0,
+                help="wanted (default: 45)",
+            ),
+            option(
+                "--probability",
+                metavar="P",
+                type=checked("a probability between 0 and 1", float, lambda p: 0 < p < 1),
+                default=0.95,
+                help="of the wanted margins (default: 0.95)",
+            ),
+        ],
     },
     fly: {
-        "": {
-            **opt.shared("model", "--aircraft", "--airspeed", "--full", "--output"),
-            "--params": {
-                "metavar": "FILE",
-                "help": "parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
-                "elevator, throttle, rudder, 1100 to 1900 us)",
-            },
-            "--path": {
-                "metavar": "N",
-                "type": opt.at_least(0),
-                "help": "seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
-            },
-            "--height": {
-                "metavar": "M",
-                "type": opt.positive("m"),
-                "default": 100.0,
-                "help": "of the start above the ground [m] (default: 100)",
-            },
-            **opt.shared("--altitude", help="of the ground [m] (default: 0)"),
-            "--wind": {
-                "metavar": ("NORTH", "EAST", "DOWN"),
-                "type": opt.number(),
-                "nargs": 3,
-                "help": "velocity of the air [m/s] (default: 0 0 0)",
-            },
-            "--gusts": {
-                "metavar": "W|flown",
-                "type": opt.from_zero("flown"),
-                "help": "gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
-            },
-            "--seconds": {
-                "metavar": "S",
-                "type": opt.positive("seconds"),
-                "help": "of flight (default: until the autopilot is silent)",
-            },
-            "--wait": {
-                "metavar": "S",
-                "type": opt.positive("seconds"),
-                "default": 60.0,
-                "help": "longest silence of the autopilot [s] (default: 60)",
-            },
-            "--port": {
-                "metavar": "N",
-                "type": opt.at_least(1),
-                "default": 9002,
-                "help": "UDP port (default: 9002)",
-            },
-        },
+        "": [
+            MODEL,
+            AIRCRAFT,
+            AIRSPEED,
+            FULL,
+            OUTPUT,
+            PARAMETERS,
+            option(
+                "--path",
+                metavar="N",
+                type=at_least(0),
+                help="seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
+            ),
+            option(
+                "--height",
+                metavar="M",
+                type=positive("m"),
+                default=100.0,
+                help="of the start above the ground [m] (default: 100)",
+            ),
+            changed(ALTITUDE, help="of the ground [m] (default: 0)"),
+            option(
+                "--wind",
+                metavar=("NORTH", "EAST", "DOWN"),
+                type=number(),
+                nargs=3,
+                help="velocity of the air [m/s] (default: 0 0 0)",
+            ),
+            option(
+                "--gusts",
+                metavar="W|flown",
+                type=from_zero("flown"),
+                help="gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
+            ),
+            option(
+                "--seconds",
+                metavar="S",
+                type=positive("seconds"),
+                help="of flight (default: until the autopilot is silent)",
+            ),
+            option(
+                "--wait",
+                metavar="S",
+                type=positive("seconds"),
+                default=60.0,
+                help="longest silence of the autopilot [s] (default: 60)",
+            ),
+            option(
+                "--port",
+                metavar="N",
+                type=at_least(1),
+                default=9002,
+                help="UDP port (default: 9002)",
+            ),
+        ],
     },
 }

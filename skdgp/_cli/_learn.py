@@ -4,12 +4,28 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from skdgp._cli import _shared as opt
-from skdgp._cli._shared import Run
+from skdgp._cli._shared import (
+    AIRCRAFT,
+    FLIGHT,
+    HORIZON,
+    LOG,
+    MODEL,
+    OUTPUT,
+    SEED,
+    Commands,
+    Run,
+    at_least,
+    changed,
+    factors,
+    number,
+    option,
+    reading,
+    regressors,
+    size,
+)
 from skdgp._cli._use import read_model
 from skdgp._compute.files import without_nones
 from skdgp._compute.messages import listening
@@ -22,20 +38,9 @@ from skdgp.identification import validate as validate_flights
 from skdgp.io import inspect_log
 from skdgp.report import save_report
 
-SIZES = {
-    "mass": "[kg]",
-    "span": "of the wing [m]",
-    "wing_area": "[m^2]",
-    "chord": "mean chord of the wing [m]",
-    "length": "from nose to tail [m]",
-}
-ENGINE = {
-    "propeller": "diameter x pitch in inches, as printed on it, such as 10x5: the usual thrust of "
-    "this size",
-    "motor": "rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it "
-    "was not logged",
-}
-CONTENTS = {"report.html": "report", "metrics.json": "numbers", "model.joblib": "model"}
+SIZES = ("mass", "span", "wing_area", "chord", "length", "kind")
+MODEL_FILE = "model.joblib"
+CONTENTS = {"report.html": "report", "metrics.json": "numbers", MODEL_FILE: "model"}
 
 
 def inspect(run: Run) -> None:
@@ -54,12 +59,11 @@ def inspect(run: Run) -> None:
     """
     options = run.options
     run.console.stage("reading")
-    aircraft = None
-    if any(vars(options)[name] is not None for name in ("aircraft", "kind", *SIZES)):
-        sizes = _aircraft(run, options.log)
-        aircraft = Aircraft.from_file(sizes) if isinstance(sizes, str) else sizes
-    summary = inspect_log(options.log, aircraft=aircraft, **opt.reading(options))
-    run.print(str(summary), summary.to_dict())
+    given = vars(options)
+    is_named = any(given[name] is not None for name in ("aircraft", *SIZES))
+    aircraft = _aircraft(run, options.log) if is_named else None
+    summary = inspect_log(options.log, aircraft=aircraft, **reading(options))
+    run.print([str(summary)], summary.to_dict())
 
 
 def identify(run: Run) -> None:
@@ -111,45 +115,42 @@ def identify(run: Run) -> None:
         options.test,
         thrust=None if options.thrust == "none" else options.thrust,
         external_forces=options.external_forces,
-        reading=opt.reading(options),
+        reading=reading(options),
     )
 
 
-def _aircraft(run: Run, log: str) -> Aircraft | str:
-    """Return the file of the aircraft, or its estimate of a mass and a span."""
+def _aircraft(run: Run, log: str) -> Aircraft:
+    """Return the aircraft of a file, or its estimate of a mass and a span."""
     options = run.options
-    given = vars(options)
-    sizes = without_nones({name: given.get(name) for name in (*SIZES, "kind", "sensor_position")})
-    engine = without_nones({"--propeller": given.get("propeller"), "--motor": given.get("motor")})
-    if options.aircraft is not None and not sizes and not engine:
-        return options.aircraft
-    if options.aircraft is not None or not {"mass", "span"} <= sizes.keys():
-        got = [f"--{name.replace('_', '-')}" for name in sizes] + list(engine)
-        if options.aircraft is not None:
-            got.insert(0, "--aircraft")
+    names = ("aircraft", *SIZES, "sensor_position", "propeller", "motor")
+    given = without_nones({name: vars(options).get(name) for name in names})
+    if [*given] == ["aircraft"]:
+        return Aircraft.from_file(options.aircraft)
+    if "aircraft" in given or not {"mass", "span"} <= given.keys():
+        got = [f"--{name.replace('_', '-')}" for name in given]
         options.parser.error(
             f"got {' '.join(got) or 'no aircraft'}, but expected --aircraft FILE, or --mass and "
             "--span, of which the rest is estimated"
         )
-    if "--motor" in engine and "--propeller" not in engine:
+    motor = given.pop("motor", None)
+    if "propeller" in given:
+        given["propeller"] = _propeller(given["propeller"], motor)
+    elif motor is not None:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
-    if engine:
-        sizes["propeller"] = _propeller(options.propeller, options.motor)
-    return Aircraft.estimate(**sizes, name=Path(log).stem)
+    return Aircraft.estimate(**given, name=Path(log).stem)
 
 
 def _propeller(
     inches: tuple[float, float], rpm_per_volt_and_volts: tuple[float, float] | None
 ) -> Propeller:
     """Return the propeller of a diameter and a pitch, on a motor if there is one."""
-    diameter, pitch = 0.0254 * np.array(inches)  # [m]
+    size = 0.0254 * np.array(inches)  # [m]
     if rpm_per_volt_and_volts is None:
-        return Propeller.from_size(diameter, pitch)
+        return Propeller.from_size(*size)
     rpm_per_volt, voltage = rpm_per_volt_and_volts
-    motor_constant = rpm_per_volt * np.pi / 30
-    return Propeller.from_size(diameter, pitch, motor_constant=motor_constant, voltage=voltage)
+    return Propeller.from_size(*size, motor_constant=rpm_per_volt * np.pi / 30, voltage=voltage)
 
 
 def demo(run: Run) -> None:
@@ -191,14 +192,14 @@ def _identify(run, train, aircraft, test, title=None, **loads):
 def _finish(run: Run, result: Identification) -> None:
     """Write the outputs, where a folder is named, and print the summary."""
     result = replace(result, command=run.command_line)
-    lines: list[str] = []
+    lines = [result.summary()]
     if run.folder is not None:
         save_report(result, run.folder)
-        lines = [f"{what:<9}{run.folder / name}" for name, what in CONTENTS.items()]
-    run.print(
-        "\n".join([result.summary(), "", *lines[: 3 if result.train else 2]]).rstrip(),
-        result.metrics,
-    )
+        lines.append("")
+        for name, what in CONTENTS.items():
+            if name != MODEL_FILE or result.train:
+                lines.append(f"{what:<9}{run.folder / name}")
+    run.print(lines, result.metrics)
 
 
 def validate(run: Run) -> None:
@@ -218,110 +219,120 @@ def validate(run: Run) -> None:
     with listening(run.console.progress):
         model = read_model(options)
         result = validate_flights(
-            model, options.flight, horizon=options.horizon, reading=opt.reading(options)
+            model, options.flight, horizon=options.horizon, reading=reading(options)
         )
         _finish(run, result)
 
 
-LEARNING: dict[str, dict[str, Any]] = {
-    "--samples": {
-        "metavar": "N|all",
-        "type": opt.at_least(2, "all"),
-        "help": "rows to learn from (default: all, at most 30,000)",
-    },
-    "--regressors": {
-        "metavar": "SET",
-        "type": opt.regressors,
-        "default": "quasi-steady",
-        "help": (
-            "quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot "
-            "too), paper (accelerations too), or columns such as "
-            "alpha,beta,q_hat,elevator (default: quasi-steady)"
-        ),
-    },
-    "--max-iter": {
-        "metavar": "N",
-        "type": opt.at_least(1),
-        "help": "largest number of steps of the fit from each start (default: 300)",
-    },
-    **opt.shared("--seed"),
-}
-SIZE_OPTIONS = {}
-for name, text in SIZES.items():
-    option = f"--{name.replace('_', '-')}"
-    SIZE_OPTIONS[option] = {"metavar": "X", "type": opt.size, "help": text}
-ENGINE_OPTIONS = {}
-for name, text in ENGINE.items():
-    ENGINE_OPTIONS[f"--{name}"] = {"metavar": "AxB", "type": opt.factors, "help": text}
+LEARNING = [
+    option(
+        "--samples",
+        metavar="N|all",
+        type=at_least(2, "all"),
+        help="rows to learn from (default: all, at most 30,000)",
+    ),
+    option(
+        "--regressors",
+        metavar="SET",
+        type=regressors,
+        default="quasi-steady",
+        help="quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot "
+        "too), paper (accelerations too), or columns such as "
+        "alpha,beta,q_hat,elevator (default: quasi-steady)",
+    ),
+    option(
+        "--max-iter",
+        metavar="N",
+        type=at_least(1),
+        help="largest number of steps of the fit from each start (default: 300)",
+    ),
+    SEED,
+]
+SIZE_OPTIONS = [
+    option("--mass", metavar="X", type=size, help="[kg]"),
+    option("--span", metavar="X", type=size, help="of the wing [m]"),
+    option("--wing-area", metavar="X", type=size, help="[m^2]"),
+    option("--chord", metavar="X", type=size, help="mean chord of the wing [m]"),
+    option("--length", metavar="X", type=size, help="from nose to tail [m]"),
+    option(
+        "--kind",
+        choices=list(KINDS),
+        help="kind of the aircraft, for the estimates (default: conventional)",
+    ),
+]
+LEARNED_AIRCRAFT = changed(AIRCRAFT, help="the aircraft, JSON or TOML (or --mass and --span)")
 
-SIZE_OPTIONS["--kind"] = {
-    "choices": list(KINDS),
-    "help": "kind of the aircraft, for the estimates (default: conventional)",
-}
-
-COMMANDS: opt.Commands = {
+COMMANDS: Commands = {
     inspect: {
-        "": {
-            "log": {"metavar": "LOG", "help": "the log"},
-            **opt.shared("--servos", "--rename", "--airborne"),
-        },
-        "the aircraft": {
-            **opt.shared("--aircraft", help="the aircraft, JSON or TOML (or --mass and --span)"),
-            **SIZE_OPTIONS,
-        },
+        "": [option("log", metavar="LOG", help="the log"), *LOG],
+        "the aircraft": [LEARNED_AIRCRAFT, *SIZE_OPTIONS],
     },
     demo: {
-        "": {
-            **opt.shared("--horizon"),
-            **opt.shared("--output", default="skdgp-demo", help="folder (default: skdgp-demo)"),
-        },
+        "": [
+            HORIZON,
+            changed(OUTPUT, default="skdgp-demo", help="folder (default: skdgp-demo)"),
+        ],
         "model": LEARNING,
     },
     identify: {
-        "": {
-            "train": {"metavar": "TRAIN", "nargs": "+", "help": "flights to learn from"},
-            **opt.shared("--aircraft", help="the aircraft, JSON or TOML (or --mass and --span)"),
-            "--test": {
-                "metavar": "TEST",
-                "nargs": "+",
-                "help": "flights to judge the model on (default: the last of several, or the last "
+        "": [
+            option("train", metavar="TRAIN", nargs="+", help="flights to learn from"),
+            LEARNED_AIRCRAFT,
+            option(
+                "--test",
+                metavar="TEST",
+                nargs="+",
+                help="flights to judge the model on (default: the last of several, or the last "
                 "quarter of one, is held out)",
-            },
-            "--thrust": {
-                "choices": ["auto", "none"],
-                "default": "auto",
-                "help": "what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
+            ),
+            option(
+                "--thrust",
+                choices=["auto", "none"],
+                default="auto",
+                help="what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
                 "the coefficients",
-            },
-            "--external-forces": {
-                "metavar": "NAME",
-                "nargs": "+",
-                "default": [],
-                "help": "further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
-            },
-            **opt.shared(*opt.LOG, "--horizon"),
-            **opt.shared(
-                "--output",
+            ),
+            option(
+                "--external-forces",
+                metavar="NAME",
+                nargs="+",
+                default=[],
+                help="further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
+            ),
+            *LOG,
+            HORIZON,
+            changed(
+                OUTPUT,
                 default="skdgp-results",
                 help="folder for the outputs (default: skdgp-results)",
             ),
-        },
-        "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": {
-            **SIZE_OPTIONS,
-            **ENGINE_OPTIONS,
-            "--sensor-position": {
-                "metavar": ("X", "Y", "Z"),
-                "nargs": 3,
-                "type": opt.number(),
-                "help": "of the inertial sensors from the centre of gravity, forward, right, down [m], "
+        ],
+        "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": [
+            *SIZE_OPTIONS,
+            option(
+                "--propeller",
+                metavar="AxB",
+                type=factors,
+                help="diameter x pitch in inches, as printed on it, such as 10x5: the usual thrust of "
+                "this size",
+            ),
+            option(
+                "--motor",
+                metavar="AxB",
+                type=factors,
+                help="rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it "
+                "was not logged",
+            ),
+            option(
+                "--sensor-position",
+                metavar=("X", "Y", "Z"),
+                nargs=3,
+                type=number(),
+                help="of the inertial sensors from the centre of gravity, forward, right, down [m], "
                 "to about 1 cm",
-            },
-        },
+            ),
+        ],
         "model": LEARNING,
     },
-    validate: {
-        "": {
-            **opt.shared("model", "flight", "--aircraft", *opt.LOG, "--horizon", "--output"),
-        },
-    },
+    validate: {"": [MODEL, FLIGHT, AIRCRAFT, *LOG, HORIZON, OUTPUT]},
 }

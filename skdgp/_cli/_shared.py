@@ -11,7 +11,7 @@ import threading
 import time
 import warnings
 from argparse import Namespace
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from inspect import getdoc
@@ -23,9 +23,21 @@ from skdgp._compute.messages import FindingWarning, Progress
 from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
 from skdgp._regressor import FitCode
 
+Option: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
 # Functions of commands, with their options by groups
-Commands: TypeAlias = "dict[Callable, dict[str, dict[str, dict[str, Any]]]]"
+Commands: TypeAlias = dict[Callable, dict[str, list[Option]]]
 TRUST = "loading runs code that is in it, so open only files that you trust"
+
+
+def option(*names: str, **keywords: Any) -> Option:
+    """Return an option of a command, with the arguments of ``add_argument``."""
+    return names, keywords
+
+
+def changed(known: Option, **keywords: Any) -> Option:
+    """Return an option with other arguments."""
+    names, arguments = known
+    return names, arguments | keywords
 
 
 def checked(
@@ -50,14 +62,11 @@ def number(
     kind: type = float,
 ) -> Callable[[str], float | str]:
     """Return the type of finite numbers from ``least`` on, or of some words."""
-
-    def read(text: str) -> float | str:
-        return text if text in keywords else kind(text)
-
-    def accept(value: Any) -> bool:
-        return value in keywords or (least <= value and math.isfinite(value))
-
-    return checked(", or ".join([expected, *keywords]), read, accept)
+    return checked(
+        ", or ".join([expected, *keywords]),
+        lambda text: text if text in keywords else kind(text),
+        lambda value: value in keywords or (least <= value and math.isfinite(value)),
+    )
 
 
 def at_least(lowest: int, *keywords: str) -> Callable[[str], float | str]:
@@ -108,92 +117,73 @@ def regressors(text: str) -> str | list[str]:
     return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",")]
 
 
-# Options of every command that reads logs: how `reading` reads them
-LOG: dict[str, dict[str, Any]] = {
-    "--servos": {
-        "metavar": "FILE",
-        "help": "TOML for logs of autopilots: servos and angles, see docs/logs.md",
-    },
-    "--rename": {
-        "metavar": "OLD=NEW",
-        "nargs": "+",
-        "type": renaming,
-        "default": [],
-        "help": "names of a flight table for columns of tables, such as de=elevator for 'de' or 'de [deg]'",
-    },
-    "--airborne": {
-        "metavar": "V|all",
-        "type": positive("m/s", "all"),
-        "help": "airspeed [m/s] above which logs of autopilots are flights, or all of a log "
+# Options that several commands have. `reading` reads logs by these:
+LOG = [
+    option(
+        "--servos",
+        metavar="FILE",
+        help="TOML for logs of autopilots: servos and angles, see docs/logs.md",
+    ),
+    option(
+        "--rename",
+        metavar="OLD=NEW",
+        nargs="+",
+        type=renaming,
+        default=[],
+        help="names of a flight table for columns of tables, such as de=elevator for 'de' or 'de [deg]'",
+    ),
+    option(
+        "--airborne",
+        metavar="V|all",
+        type=positive("m/s", "all"),
+        help="airspeed [m/s] above which logs of autopilots are flights, or all of a log "
         "(default: estimated)",
-    },
-}
-AXIS_VALUES: dict[str, Any] = {
-    "metavar": "AXIS=X",
-    "type": axis_value,
-    "nargs": "+",
-    "default": [],
-}
-# Options that several commands have, with their arguments of ``add_argument``
-SHARED: dict[str, dict[str, Any]] = {
-    **LOG,
-    "model": {
-        "metavar": "MODEL",
-        "help": f"the model.joblib that identify wrote; {TRUST}",
-    },
-    "flight": {"metavar": "FLIGHT", "nargs": "+", "help": "flights, as of identify"},
-    "--aircraft": {
-        "metavar": "FILE",
-        "help": "the aircraft, JSON or TOML, as with another mass (default: the model's)",
-    },
-    "--horizon": {
-        "metavar": "S",
-        "type": positive("seconds"),
-        "default": 10.0,
-        "help": "seconds after which simulations start again (default: 10)",
-    },
-    "--seed": {
-        "metavar": "N",
-        "type": at_least(0),
-        "default": 0,
-        "help": "of random numbers (default: 0)",
-    },
-    "--output": {"metavar": "DIR", "help": "folder for the outputs"},
-    "--airspeed": {
-        "metavar": "V",
-        "type": positive("m/s"),
-        "required": True,
-        "help": "of the trim [m/s]",
-    },
-    "--altitude": {
-        "metavar": "M",
-        "type": number(),
-        "default": 0.0,
-        "help": "of the trim [m] (default: 0)",
-    },
-    "--paths": {
-        "metavar": "N",
-        "type": n_paths,
-        "default": 200,
-        "help": "aircraft of the posterior (default: 200)",
-    },
-    "--full": {
-        **AXIS_VALUES,
-        "help": "deflections [rad] at full output (default: of the aircraft file)",
-    },
-}
-# Options of every command
-COMMON: dict[str, dict[str, Any]] = {
-    "--json": {"action": "store_true", "help": "print JSON instead of text"},
-}
+    ),
+]
+MODEL = option("model", metavar="MODEL", help=f"the model.joblib that identify wrote; {TRUST}")
+FLIGHT = option("flight", metavar="FLIGHT", nargs="+", help="flights, as of identify")
+AIRCRAFT = option(
+    "--aircraft",
+    metavar="FILE",
+    help="the aircraft, JSON or TOML, as with another mass (default: the model's)",
+)
+HORIZON = option(
+    "--horizon",
+    metavar="S",
+    type=positive("seconds"),
+    default=10.0,
+    help="seconds after which simulations start again (default: 10)",
+)
+SEED = option(
+    "--seed", metavar="N", type=at_least(0), default=0, help="of random numbers (default: 0)"
+)
+OUTPUT = option("-o", "--output", metavar="DIR", help="folder for the outputs")
+AIRSPEED = option(
+    "--airspeed", metavar="V", type=positive("m/s"), required=True, help="of the trim [m/s]"
+)
+ALTITUDE = option(
+    "--altitude", metavar="M", type=number(), default=0.0, help="of the trim [m] (default: 0)"
+)
+PATHS = option(
+    "--paths",
+    metavar="N",
+    type=n_paths,
+    default=200,
+    help="aircraft of the posterior (default: 200)",
+)
+FULL = option(
+    "--full",
+    metavar="AXIS=X",
+    type=axis_value,
+    nargs="+",
+    default=[],
+    help="deflections [rad] at full output (default: of the aircraft file)",
+)
+# of every command
+JSON = option("--json", action="store_true", help="print JSON instead of text")
 
 
-def shared(*names: str, **changes: Any) -> dict[str, dict[str, Any]]:
-    """Return options that several commands have, with other arguments."""
-    return {name: {**SHARED[name], **changes} for name in names}
-
-
-def add_command(commands: Any, run: Callable, options: Mapping[str, Mapping[str, dict]]) -> None:
+def add_command(commands: Any, run: Callable, groups: Mapping[str, Sequence[Option]]) -> None:
     """Add a command, whose help is the docstring of ``run``, with its options by groups."""
     parser = commands.add_parser(
         run.__name__,
@@ -202,10 +192,10 @@ def add_command(commands: Any, run: Callable, options: Mapping[str, Mapping[str,
         allow_abbrev=False,
     )
     parser.set_defaults(run=run, parser=parser)
-    for title, group in {**options, "every command": COMMON}.items():
+    for title, options in {**groups, "every command": [JSON]}.items():
         target = parser.add_argument_group(title) if title else parser
-        for name, keywords in group.items():
-            target.add_argument(*["-o"] * (name == "--output"), name, **keywords)
+        for names, keywords in options:
+            target.add_argument(*names, **keywords)
 
 
 def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
@@ -233,16 +223,13 @@ class Console:
     def __init__(self, stream: TextIO | None = None, period: float | None = None) -> None:
         self.stream = sys.stderr if stream is None else stream
         self.messages: list[str] = []
-        self._is_terminal = self.stream.isatty()
-        self._period = period or (REFRESH if self._is_terminal else LINE_SECONDS)
-        self._began = time.monotonic()
-        self._stage = ""
-        self._steps = ""
-        self._evaluations = ""
-        self._steps_began = self._began
-        self._first_step = 0
-        self._last_step = (0, 0)
+        is_terminal = self.stream.isatty()
+        self._clear = CLEAR if is_terminal else ""
+        self._period = period or (REFRESH if is_terminal else LINE_SECONDS)
         self._done = threading.Event()
+        self._first_step = 0.0, 0  # time and number
+        self._last_step = 0
+        self.stage("")
 
     def __enter__(self) -> Console:
         self._warnings = warnings.catch_warnings()
@@ -271,10 +258,6 @@ class Console:
         """Print a line on standard error, where it can be written."""
         self._write(f"{self._clear}{text}\n")
 
-    @property
-    def _clear(self) -> str:
-        return CLEAR if self._is_terminal else ""
-
     def stage(self, text: str) -> None:
         """Show the stage that begins."""
         self._began = time.monotonic()
@@ -290,10 +273,10 @@ class Console:
     def _show_stages(self):
         while not self._done.wait(self._period):
             if self._stage:
-                seconds = f"{time.monotonic() - self._began:.0f} s"
-                line = f"{self._stage}{self._steps}{self._evaluations} · {seconds}"
+                seconds = time.monotonic() - self._began
+                line = f"{self._stage}{self._steps}{self._evaluations} · {seconds:.0f} s"
                 width = shutil.get_terminal_size().columns - 1
-                self._write(CLEAR + line[:width] if self._is_terminal else f"{line}\n")
+                self._write(CLEAR + line[:width] if self._clear else f"{line}\n")
 
     def progress(self, stage: str, n_evaluations: int, log_likelihood: float) -> None:
         """Note the stage of an identification; the listener of ``skdgp.listening``."""
@@ -312,16 +295,17 @@ class Console:
     def _count_steps(self, progress: Progress) -> None:
         """Keep the bar of a stage with a number of steps, and the time that is left at the rate of those done."""
         now = time.monotonic()
-        done = progress.done
-        if (done, progress.total) < self._last_step or self._steps == "":
-            self._steps_began, self._first_step = now, done
-        self._last_step = done, progress.total
-        filled = round(BAR * done / progress.total)
+        done, total = progress.done, progress.total
+        if not self._steps or done < self._last_step:
+            self._first_step = now, done
+        self._last_step = done
+        filled = round(BAR * done / total)
         bar = "#" * filled + "-" * (BAR - filled)
         name = "" if progress in STAGES else f"{progress} "
-        self._steps = f" · {name}[{bar}] {done} of {progress.total}"
-        if done > self._first_step:
-            left = (now - self._steps_began) * (progress.total - done) / (done - self._first_step)
+        self._steps = f" · {name}[{bar}] {done} of {total}"
+        began, first = self._first_step
+        if done > first:
+            left = (now - began) * (total - done) / (done - first)
             self._steps += f", about {left:.0f} s left"
 
     def _end_progress(self):
@@ -354,11 +338,6 @@ def _discard(stream) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def wrote(files: list[Path]) -> str:
-    """Return the line that names written files."""
-    return f"wrote {', '.join(map(str, files))}"
-
-
 @dataclass(frozen=True)
 class Run:
     """A running command; ``folder`` is None where nothing is to be written."""
@@ -368,34 +347,33 @@ class Run:
     folder: Path | None
     command_line: str
 
-    def write(
+    def finish(
         self,
-        writers: dict[str, Writer],
+        lines: list[str],
+        numbers: dict[str, Any],
+        files: Mapping[str, Writer],
         record: str = "",
-        numbers: dict | None = None,
-        stale: str = "",
-    ) -> list[Path]:
-        """Write all outputs, and numbers with the command line as a ``record`` in JSON, or none.
+    ) -> None:
+        """Write files into the folder, if there is one, all or none, and print the result with their names.
 
-        Returns where they are. Where a record of this name was before, a file ``stale`` that is not
-        written again is of that run, and is removed.
+        The numbers are one more file in JSON, of the name ``record``.
         """
-        if self.folder is None:
-            return []
-        self.console.stage("writing")
-        again = (self.folder / record).is_file()
-        if record:
-            text = json_text({"command": self.command_line} | (numbers or {}))
-            writers = writers | {record: text_writer(text)}
-        files = [self.folder / name for name in writers]
-        for path in files:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        write_together(self.folder, writers)
-        if again and stale and stale not in writers:
-            (self.folder / stale).unlink(missing_ok=True)
-        return files
+        if self.folder is not None:
+            self.console.stage("writing")
+            writers = dict(files)
+            if record:
+                writers[record] = text_writer(self._json(numbers))
+            for name in writers:
+                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+            write_together(self.folder, writers)
+            names = ", ".join(str(self.folder / name) for name in writers)
+            lines = [*lines, f"wrote {names}"]
+        self.print(lines, numbers)
 
-    def print(self, text: str, numbers: dict) -> None:
-        """Print the result: text, or on request JSON."""
-        record = {"command": self.command_line} | numbers
-        self.console.print(json_text(record).rstrip() if self.options.json else text)
+    def print(self, lines: list[str], numbers: dict[str, Any]) -> None:
+        """Print the result: lines of text, or on request numbers in JSON."""
+        text = self._json(numbers) if self.options.json else "\n".join(lines)
+        self.console.print(text.rstrip())
+
+    def _json(self, numbers: dict[str, Any]) -> str:
+        return json_text({"command": self.command_line} | numbers)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Mapping
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,28 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch
 
-from skdgp._cli import _shared as opt
-from skdgp._cli._shared import Run, wrote
+from skdgp._cli._shared import (
+    AIRCRAFT,
+    AIRSPEED,
+    ALTITUDE,
+    FLIGHT,
+    FULL,
+    LOG,
+    MODEL,
+    OUTPUT,
+    PATHS,
+    SEED,
+    Commands,
+    Run,
+    axis_value,
+    changed,
+    from_zero,
+    number,
+    option,
+    positive,
+    reading,
+    table_file,
+)
 from skdgp._compute.files import Writer, csv_writer, text_writer
 from skdgp._compute.messages import can_draw, listening, report, warn
 from skdgp._flight.excitation import AXES
@@ -102,29 +123,25 @@ def predict(run: Run) -> None:
         )
     run.console.stage("reading")
     model = read_model(options)
-    named = named_flights(options.flight, **opt.reading(options, model))
+    named = named_flights(options.flight, **reading(options, model))
     flights = usable_flights_of_model(model.pipeline, named, model.aircraft)
     run.console.stage("predicting")
-    parts = {}
-    for name, flight in flights.items():
-        parts[name] = _predictions(model.pipeline, flight, options.include_noise)
-    run.write({output.name: csv_writer(pd.concat(parts.values(), ignore_index=True))})
-    rows = {name: len(part) for name, part in parts.items()}
-    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
+    parts = [_predictions(model.pipeline, flight, options) for flight in flights.values()]
+    rows = dict(zip(flights, map(len, parts), strict=True))
     numbers = {
         "model": options.model,
         "output": options.output,
         "flights": rows,
         "include_noise": options.include_noise,
     }
-    run.print("\n".join([*lines, "", f"table    {options.output}"]), numbers)
+    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
+    table = pd.concat(parts, ignore_index=True)
+    run.finish(lines, numbers, {output.name: csv_writer(table)})
 
 
-def _predictions(
-    pipeline: FlightPipeline, flight: FlightTable, include_noise: bool
-) -> pd.DataFrame:
+def _predictions(pipeline: FlightPipeline, flight: FlightTable, options: Namespace) -> pd.DataFrame:
     """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
-    mean, std = pipeline.predict(flight, return_std=True, include_noise=include_noise)
+    mean, std = pipeline.predict(flight, return_std=True, include_noise=options.include_noise)
     table = flight.table[["flight", "time"]].reset_index(drop=True)
     names = pipeline[-1].output_names_
     table[names] = mean
@@ -154,28 +171,37 @@ def derivatives(run: Run) -> None:
         report(Finding(Code.TRIM_BEYOND, numbers={"names": beyond}))
     run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
-    tables = {}
-    modes = {}
     points = []
-    for k, point in enumerate(trims):
+    for point in trims:
         derivatives = stability_derivatives(model.pipeline, model.aircraft, point, **spread)
-        tables[k] = derivatives.assign(airspeed=point.airspeed, alpha=point.alpha, beta=point.beta)
-        linear = linearize(model.pipeline, model.aircraft, point, **spread)
-        modes[point.airspeed] = linear.modes()
-        points.append(
-            FlightMechanics(trim=point, derivatives=derivatives, modes=modes[point.airspeed])
-        )
-    table = pd.concat(tables)
+        modes = linearize(model.pipeline, model.aircraft, point, **spread).modes()
+        points.append(FlightMechanics(trim=point, derivatives=derivatives, modes=modes))
     numbers = {"model": options.model, "points": [point.to_dict() for point in points]}
     texts = [_derivatives_text(point) for point in points]
-    if run.folder is not None:
-        named = pd.concat(modes, names=["airspeed", "mode"]).drop(columns="eigenvalue")
-        files = {
-            "derivatives.csv": csv_writer(table.reset_index(names=["point", "derivative"])),
-            "modes.csv": csv_writer(named.reset_index()),
-        }
-        texts.append(wrote(run.write(files, "derivatives.json", numbers)))
-    run.print("\n\n".join(texts), numbers)
+    run.finish(["\n\n".join(texts), ""], numbers, _derivatives_files(points), "derivatives.json")
+
+
+def _derivatives_files(points: Sequence[FlightMechanics]) -> dict[str, Writer]:
+    """Return the writers of the tables of all trims."""
+    derivatives = {}
+    modes = {}
+    for k, point in enumerate(points):
+        at: Any = point.trim
+        where = {"airspeed": at.airspeed, "alpha": at.alpha, "beta": at.beta}
+        derivatives[k] = point.derivatives.assign(**where)
+        modes[at.airspeed] = _shown(point)
+    table = pd.concat(derivatives, names=["point", "derivative"])
+    of_modes = pd.concat(modes, names=["airspeed", "mode"])
+    return {
+        "derivatives.csv": csv_writer(table.reset_index()),
+        "modes.csv": csv_writer(of_modes.reset_index()),
+    }
+
+
+def _shown(mechanics: FlightMechanics) -> pd.DataFrame:
+    """Return the modes without complex numbers."""
+    modes: Any = mechanics.modes
+    return modes.drop(columns="eigenvalue")
 
 
 def trimmed(model: Bunch, airspeed: float, altitude: float, thrust: str | None) -> Trim:
@@ -189,7 +215,6 @@ def trimmed(model: Bunch, airspeed: float, altitude: float, thrust: str | None) 
 def _derivatives_text(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives with their standard deviations, and modes."""
     point: Any = mechanics.trim
-    modes: Any = mechanics.modes
     table = mechanics.derivatives
     controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
     flight = (
@@ -212,7 +237,7 @@ def _derivatives_text(mechanics: FlightMechanics) -> str:
             wide.rename_axis(index=None, columns=None).to_string(),
             "",
             "modes, in rad/s and s",
-            _table(modes.drop(columns="eigenvalue")),
+            _table(_shown(mechanics)),
         ]
     )
 
@@ -263,8 +288,10 @@ def plan(run: Run) -> None:
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     writers = _plan_writers(planned, full)
-    files = run.write(writers, "plan.json", numbers, stale="plan.lua")
-    run.print("\n".join([_plan_text(planned, full), *map(str, files)]), numbers)
+    folder: Any = run.folder
+    if "plan.lua" not in writers and (folder / "plan.json").is_file():
+        (folder / "plan.lua").unlink(missing_ok=True)  # of an earlier plan
+    run.finish(_plan_lines(planned, full), numbers, writers, "plan.json")
 
 
 def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
@@ -284,15 +311,18 @@ def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
     return writers
 
 
-def _plan_text(planned: Plan, full: dict[str, float]) -> str:
+def _plan_lines(planned: Plan, full: dict[str, float]) -> list[str]:
     """Return manoeuvres and standard deviations as tables."""
-    lines = [_table(planned.manoeuvres[["start", "name", "scale"]]), "", _table(planned.errors), ""]
-    lines += [_table(planned.limits.rename_axis("limit")), ""]
+    manoeuvres = planned.manoeuvres[["start", "name", "scale"]]
+    limits = planned.limits.rename_axis("limit")
+    lines = []
+    for table in (manoeuvres, planned.errors, limits):
+        lines += [_table(table), ""]
     if np.isinf(planned.limits).all(axis=None):
         lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not full:
         lines.append("no script for ArduPilot: --full gives the full deflections that it needs")
-    return "\n".join(lines)
+    return lines
 
 
 def _table(table: pd.DataFrame) -> str:
@@ -333,98 +363,98 @@ def export(run: Run) -> None:
             name = str(Path(file).relative_to(temporary))
             writers[name] = partial(shutil.copyfile, file)
             sizes[name] = Path(file).stat().st_size
-        run.write(writers)
-    numbers = {"model": options.model, "to": options.to, "files": sizes}
-    run.print(_export_text(options.output, numbers), numbers)
+        numbers = {"model": options.model, "to": options.to, "files": sizes}
+        lines = [f"{size / 1024:>9.1f} kB  {name}" for name, size in sizes.items()]
+        run.finish(lines, numbers, writers)
 
 
-def _export_text(folder: str, numbers: Mapping[str, Any]) -> str:
-    """Return the files with their sizes."""
-    lines = []
-    for name, size in numbers["files"].items():
-        lines.append(f"{size / 1024:>9.1f} kB  {Path(folder, name)}")
-    return "\n".join(lines)
-
-
-COMMANDS: opt.Commands = {
+COMMANDS: Commands = {
     predict: {
-        "": {
-            **opt.shared("model", "flight", *opt.LOG),
-            "--include-noise": {
-                "action": "store_true",
-                "help": "standard deviations of new measurements, not of the coefficients themselves",
-            },
-            "--output": {
-                "metavar": "FILE",
-                "type": opt.table_file,
-                "required": True,
-                "help": "the table, .csv",
-            },
-        },
+        "": [
+            MODEL,
+            FLIGHT,
+            *LOG,
+            option(
+                "--include-noise",
+                action="store_true",
+                help="standard deviations of new measurements, not of the coefficients themselves",
+            ),
+            changed(OUTPUT, metavar="FILE", type=table_file, required=True, help="the table, .csv"),
+        ],
     },
     derivatives: {
-        "": {
-            **opt.shared("model", "--aircraft", "--altitude", "--seed", "--output"),
-            **opt.shared("--airspeed", nargs="+", help="of the trims [m/s]"),
-            **opt.shared(
-                "--paths", help="of the posterior; 0: no standard deviations (default: 200)"
-            ),
-        },
+        "": [
+            MODEL,
+            AIRCRAFT,
+            ALTITUDE,
+            SEED,
+            OUTPUT,
+            changed(AIRSPEED, nargs="+", help="of the trims [m/s]"),
+            changed(PATHS, help="of the posterior; 0: no standard deviations (default: 200)"),
+        ],
     },
     plan: {
-        "": {
-            **opt.shared("model", "--aircraft"),
-            **opt.shared("--output", required=True),
-            **opt.shared("--airspeed"),
-            "--seconds": {
-                "metavar": "S",
-                "type": opt.positive("seconds"),
-                "required": True,
-                "help": "of all flights together",
-            },
-            "--axes": {"choices": AXES, "nargs": "+", "required": True, "help": "controls to move"},
-            "--goal": {
-                "metavar": "NAME",
-                "nargs": "+",
-                "help": "derivatives such as Cm_q Cn_rudder (default: all)",
-            },
-            **opt.shared(
-                "--altitude", default=None, help="[m] (default: the highest that was flown)"
+        "": [
+            MODEL,
+            AIRCRAFT,
+            changed(OUTPUT, required=True),
+            AIRSPEED,
+            option(
+                "--seconds",
+                metavar="S",
+                type=positive("seconds"),
+                required=True,
+                help="of all flights together",
             ),
-            **opt.shared(
-                "--full", help="deflections [rad] at the ends of the servos' ranges, for the script"
+            option("--axes", choices=AXES, nargs="+", required=True, help="controls to move"),
+            option(
+                "--goal",
+                metavar="NAME",
+                nargs="+",
+                help="derivatives such as Cm_q Cn_rudder (default: all)",
             ),
-        },
-        "limits": {
-            "--limits": {
-                **opt.AXIS_VALUES,
-                "help": "largest deviations from trim [rad] (default: as flown)",
-            },
-            "--max-bank": {"metavar": "RAD", "type": opt.positive("rad"), "help": "to either side"},
-            "--floor": {
-                "metavar": "M",
-                "type": opt.number(),
-                "help": "lowest altitude [m] (default: the lowest that was flown)",
-            },
-            "--growth": {
-                "metavar": "X",
-                "type": opt.from_zero("inf"),
-                "default": 0.2,
-                "help": "part of its range by which a quantity may leave its range in training; inf: no "
+            changed(ALTITUDE, default=None, help="[m] (default: the highest that was flown)"),
+            changed(
+                FULL, help="deflections [rad] at the ends of the servos' ranges, for the script"
+            ),
+        ],
+        "limits": [
+            option(
+                "--limits",
+                metavar="AXIS=X",
+                type=axis_value,
+                nargs="+",
+                default=[],
+                help="largest deviations from trim [rad] (default: as flown)",
+            ),
+            option("--max-bank", metavar="RAD", type=positive("rad"), help="to either side"),
+            option(
+                "--floor",
+                metavar="M",
+                type=number(),
+                help="lowest altitude [m] (default: the lowest that was flown)",
+            ),
+            option(
+                "--growth",
+                metavar="X",
+                type=from_zero("inf"),
+                default=0.2,
+                help="part of its range by which a quantity may leave its range in training; inf: no "
                 "limit (default: 0.2)",
-            },
-        },
+            ),
+        ],
     },
     export: {
-        "": {
-            **opt.shared("model", "--aircraft"),
-            **opt.shared("--output", required=True),
-            "--to": {"choices": list(FORMATS), "required": True, "help": "the format"},
-            **opt.shared(
-                "--full",
+        "": [
+            MODEL,
+            AIRCRAFT,
+            changed(OUTPUT, required=True),
+            option("--to", choices=list(FORMATS), required=True, help="the format"),
+            changed(
+                FULL,
                 help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
                 "file, else the largest that were flown), thrust [N] without a propeller",
             ),
-        },
+        ],
     },
 }

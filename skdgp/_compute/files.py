@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -14,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, BinaryIO, TypeAlias
+from typing import Any, TypeAlias
 
 import pandas as pd
 
@@ -73,16 +72,6 @@ def write_together(folder: Path, writers: dict[str, Writer]) -> None:
 def text_writer(text: str) -> Writer:
     """Return the writer of a text in UTF-8."""
     return lambda path: path.write_text(text, encoding="utf-8")
-
-
-def sha256_of(file: BinaryIO, size: int) -> bytes:
-    """Return the SHA-256 of the first bytes of a file, as hexadecimal digits; leave the file where they end."""
-    digest = hashlib.sha256()
-    file.seek(0)
-    while chunk := file.read(min(size, 2**20)):
-        digest.update(chunk)
-        size -= len(chunk)
-    return digest.hexdigest().encode()
 
 
 def plain(value: Any) -> Any:

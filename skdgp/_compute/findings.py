@@ -15,6 +15,7 @@ SHORT = "short"  # format spec of a shortened list
 GROUPED = "grouped"  # format spec of findings that are one text for each kind
 ADVICE = "advice"  # format spec of the advice of a finding
 OPTIONAL = re.compile(r"\[([^\[\]]*\{[^\[\]]*)\]")  # a part of a template with its fields
+FIELD = re.compile(r"\{(\w+)")
 
 
 class Severity(Enum):
@@ -120,9 +121,8 @@ class Finding:
         values = {"flight": self.flight, "channel": self.channel, **self.numbers}
 
         def known_part(match: re.Match) -> str:
-            part = match[1]
-            fields = [name for _, name, _, _ in WORDS.parse(part) if name]
-            return part if all(_is_known(values.get(name)) for name in fields) else ""
+            fields = FIELD.findall(match[1])
+            return match[1] if all(_is_known(values.get(name)) for name in fields) else ""
 
         return WORDS.vformat(OPTIONAL.sub(known_part, template), (), values)
 
@@ -155,8 +155,8 @@ def _groups(
     texts = []
     for group in groups.values():
         longest = max(group, key=lambda finding: finding.numbers.get("samples", 0))
-        channels = {str(finding.channel): None for finding in group}
-        channels.pop(str(longest.channel))
+        channels = dict.fromkeys(str(finding.channel) for finding in group)
+        del channels[str(longest.channel)]
         among = f": {shortened(list(channels))}" if channels else ""
         others = f" ({len(group) - 1} more of this kind{among})" if len(group) > 1 else ""
         texts.append((longest, others))

@@ -6,7 +6,6 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -39,7 +38,7 @@ REMEDIES = {
     "give a column airspeed [m/s].",
     **dict.fromkeys(
         ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot"),
-        " FlightSmoother(derivatives=['alpha', 'beta', 'p', 'q', 'r']) before this step adds rates of change.",
+        " FlightSmoother() before this step adds rates of change.",
     ),
     **dict.fromkeys(
         MIXED, " ElevonSplitter() before this step makes elevator and aileron of elevons."
@@ -64,14 +63,11 @@ class FlightTable:
         Time and flight of each row, and the segments without gaps.
     findings : tuple of Finding or None
         What was found in flights whose faults are removed; None of others.
-    airspeed_scale : AirspeedScale or None
-        Error of their airspeed, where it was estimated, as of `skdgp.estimation.airspeed_scale`.
     """
 
     table: pd.DataFrame
     clock: Clock
     findings: tuple[Finding, ...] | None = None
-    airspeed_scale: Any = None
 
     @classmethod
     def of(cls, table: object, needed: Iterable[str] = (), *, what: str = "flight") -> FlightTable:

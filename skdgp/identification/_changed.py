@@ -26,7 +26,7 @@ from skdgp.identification._pipeline import (
     reconstruction_of,
     regressor_names,
 )
-from skdgp.inference import FunctionErrors, errors_of_slopes, training_inputs
+from skdgp.inference import training_inputs
 
 WHOLE = "whole"
 MOST_NAMED = 3  # changes in the summary
@@ -104,12 +104,12 @@ class Changes:
         """Return the most certain changes of the coefficients of a flight that have changed."""
         p = self.p_values.loc[flight]
         table: Any = self.derivatives.loc[flight]
-        is_changed = table.index.str[:2].isin(p.index[p < LEVEL])
-        deviations = (table["change"] / table["std"]).abs()[is_changed]
-        parts = []
-        for name in deviations.nlargest(MOST_NAMED).index:
-            change, std = table.loc[name]
-            parts.append(f"{name} {change:+.2g} +- {std:.1g}")
+        table = table[table.index.str[:2].isin(p.index[p < LEVEL])]
+        certain = (table["change"] / table["std"]).abs().nlargest(MOST_NAMED).index
+        parts = [
+            f"{name} {change:+.2g} +- {std:.1g}"
+            for name, change, std in table.loc[certain].itertuples()
+        ]
         return ", ".join(parts) + " (+- one standard deviation)"
 
     def to_dict(self) -> dict[str, Any]:
@@ -151,8 +151,8 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, V
     """
     names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
     units = np.append(1.0, pipeline["standardscaler"].scale_)
-    p_values = {}
-    changes = {}
+    p_values = pd.DataFrame(index=[*COEFFICIENTS, WHOLE])
+    tables = {}
     for flight, (X, residuals, by_acceleration) in flights.items():
         is_known = np.isfinite(residuals).all(axis=1)
         X = X[is_known]
@@ -163,13 +163,13 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, V
             weights, covariance, freedom = residual_weights(Q, residuals[is_known, i])
             covariance = covariance + of_model[i]
             p.append(_p_value(weights, covariance, freedom))
-            values = np.array([weights, np.sqrt(np.diag(covariance))]) / units
-            for name, change in zip(names, values.T, strict=True):
-                changes[flight, coefficient + name] = change
+            std = np.sqrt(np.diag(covariance))
+            derivatives = [coefficient + name for name in names]
+            values = {"change": weights / units, "std": std / units}
+            tables[flight, coefficient] = pd.DataFrame(values, derivatives)
         p_values[flight] = [*p, combined(p)]
-    table = pd.DataFrame(changes, index=["change", "std"]).T.rename_axis(["flight", "derivative"])
-    columns = [*COEFFICIENTS, WHOLE]
-    return Changes(pd.DataFrame.from_dict(p_values, orient="index", columns=columns), table)
+    table = pd.concat(tables, names=["flight", "", "derivative"]).droplevel(1)
+    return Changes(p_values.T, table)
 
 
 def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:
@@ -217,15 +217,17 @@ def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vecto
         function = function - log_errors.covariance(at)
     trained = training_inputs(regressor.posterior_)
     unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
-    effects = [
-        _constant_errors(pipeline, at, by_acceleration[rows]),
-        np.multiply.outer(unlearned.T, np.ones(len(COEFFICIENTS))),
-        _errors_by_noise(pipeline, X, trained).linear(at),
-    ]
+    effects = np.concatenate(
+        [
+            _constant_errors(pipeline, at, by_acceleration[rows]),
+            np.multiply.outer(unlearned.T, np.ones(len(COEFFICIENTS))),
+            _flattening(pipeline, X, trained, at),
+        ]
+    )
     fitting = np.linalg.pinv(Q[rows])  # G Q^T
     K = function.reshape(*mean.T.shape, *mean.T.shape)
     covariance = []
-    for i, a in enumerate(np.moveaxis(np.concatenate(effects), -1, 0)):  # (number of effects, n)
+    for i, a in enumerate(np.moveaxis(effects, -1, 0)):  # (number of effects, n)
         covariance.append(fitting @ (K[i, :, i] + a.T @ a) @ fitting.T)
     return np.stack(covariance)
 
@@ -234,27 +236,25 @@ def _constant_errors(pipeline: Pipeline, at: Matrix, by_acceleration: Vector) ->
     """Return the effects (d + 3, n, 6) of constant errors of vanes and accelerometers at regressors (n, d)."""
     scale = pipeline["standardscaler"].scale_
     vanes = np.isin(regressor_names(pipeline), VANES) * VANE_OFFSET / scale
-    accelerations = np.zeros((3, len(at), len(COEFFICIENTS)))  # by axis
-    for axis in range(3):
-        accelerations[axis, :, axis] = ACCELEROMETER_OFFSET * by_acceleration
     by_vanes = np.moveaxis(pipeline[-1].predict_gradient(at) * vanes, -1, 0)
-    return np.concatenate([by_vanes, accelerations])
+    along_axes = np.eye(3, len(COEFFICIENTS))[:, None]
+    return np.concatenate([by_vanes, ACCELEROMETER_OFFSET * by_acceleration[:, None] * along_axes])
 
 
-def _errors_by_noise(pipeline: Pipeline, X: Matrix, trained: Matrix) -> FunctionErrors:
-    """Return the errors by noise of the regressors, which flattens slopes in a flight X other than in the fit."""
+def _flattening(pipeline: Pipeline, X: Matrix, trained: Matrix, at: Matrix) -> Array:
+    """Return the effects (d, n, 6) of noise of the regressors, by which a flight X flattens slopes otherwise."""
     slopes = pipeline[-1].predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    variances = _noise_variances(pipeline)
-    is_lateral = np.array(
-        [name.removesuffix(HAT) in MIRRORED for name in regressor_names(pipeline)]
+    std = np.sqrt(_noise_variances(pipeline))
+    is_lateral = np.isin(
+        [name.removesuffix(HAT) for name in regressor_names(pipeline)], [*MIRRORED]
     )
-    # c_k: standard deviation of row k of E J; correlations are unknown within symmetric and within
-    # lateral regressors
+    # standard deviations (6, d) of the columns of E J; correlations are unknown within symmetric and
+    # within lateral regressors
     correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
     np.fill_diagonal(correlations, 1.0)
-    flattening = np.sqrt(slopes**2 @ (correlations * variances[:, None] * variances))
-    flattened = (_precision(X) - _precision(trained)) * flattening[:, None]
-    return errors_of_slopes(flattened, X.mean(axis=0))
+    errors = np.sqrt((slopes * std) ** 2 @ correlations) * std
+    moved = (at - X.mean(axis=0)) @ (_precision(X) - _precision(trained))
+    return moved.T[:, :, None] * errors.T[:, None]
 
 
 def _precision(X: Matrix) -> Matrix:
@@ -272,6 +272,6 @@ def _noise_variances(pipeline: Pipeline) -> Vector:
     reconstruction = reconstruction_of(pipeline)
     if reconstruction is None or reconstruction.air_motion_ is None:
         return variances
-    air = reconstruction.air_motion_.air.mean()
-    std = np.array([air.get(f"{name}_std", 0.0) for name in regressor_names(pipeline)])
+    stds = [f"{name}_std" for name in regressor_names(pipeline)]
+    std = reconstruction.air_motion_.air.mean().reindex(stds, fill_value=0.0).to_numpy()
     return np.maximum(variances, (std / pipeline["standardscaler"].scale_) ** 2)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import notify
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     COEFFICIENTS,
@@ -26,9 +26,11 @@ from skdgp.identification._log_errors import linear_terms
 from skdgp.identification._pipeline import (
     FlightPipeline,
     band_of,
-    flight_regressors,
     named_regressors,
+    regressors_of,
+    with_path,
 )
+from skdgp.identification._pipeline import noise_ratio as noise_ratio_of
 from skdgp.metrics import (
     interval_coverage,
     median_relative_error,
@@ -81,8 +83,6 @@ class Evaluation:
         that one vibrated; NaN = not observed; estimated ones, and their deviations without noise.
     prediction_std : (n, 6)
         Standard deviations of such measurements, which have the same errors of the log.
-    rows : ndarray of int
-        Where standard deviations were computed; between them they are interpolated.
     regressors : (n, d)
         Inputs of the last step of the pipeline.
     baseline : (n, 6), optional
@@ -101,7 +101,6 @@ class Evaluation:
     mean: Matrix
     std: Matrix
     prediction_std: Matrix
-    rows: Indices
     regressors: Matrix
     baseline: Matrix | None = None
     truth: Matrix | None = None
@@ -109,41 +108,30 @@ class Evaluation:
 
 
 def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
-    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it.
-
-    Metrics of bands are of the rows where standard deviations were computed.
-    """
-    measured = [flight.measured for flight in flights]
-    bands = [flight.prediction_std for flight in flights]
-    against = {"measured": _scores(flights, measured, bands)}
-    truth = [flight.truth for flight in flights if flight.truth is not None]
-    if len(truth) == len(flights):
-        against["truth"] = _scores(flights, truth, [flight.std for flight in flights])
+    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it."""
+    against = {"measured": _scores(flights, "measured", "prediction_std")}
+    if all(flight.truth is not None for flight in flights):
+        against["truth"] = _scores(flights, "truth", "std")
     return against
 
 
-def _scores(
-    flights: Sequence[Evaluation],
-    reference: Sequence[Matrix],
-    std: Sequence[Matrix],
-) -> pd.DataFrame:
-    """Return coefficients by metrics: errors against a reference, and how bands hold values."""
-    expected = np.concatenate(reference)
-    mean = np.concatenate([flight.mean for flight in flights])
+def _scores(flights: Sequence[Evaluation], against: str, band: str) -> pd.DataFrame:
+    """Return coefficients by metrics: errors against a reference, and how bands hold its values."""
+
+    def joined(name: str) -> Matrix:
+        return np.concatenate([getattr(flight, name) for flight in flights])
+
+    expected, mean, std = joined(against), joined("mean"), joined(band)
     each: dict[str, Any] = {"multioutput": "raw_values"}
     table = pd.DataFrame(index=list(COEFFICIENTS))
     table["median_relative_error"] = median_relative_error(expected, mean, **each)
     table["normalized_rmse"] = normalized_rmse(expected, mean, **each)
-    baselines = [flight.baseline for flight in flights if flight.baseline is not None]
-    if len(baselines) == len(flights):
-        linear = np.concatenate(baselines)
+    if all(flight.baseline is not None for flight in flights):
+        linear = joined("baseline")
         table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
-    bands = []
-    for values in (reference, [flight.mean for flight in flights], std):
-        with_std = [of[flight.rows] for of, flight in zip(values, flights, strict=True)]
-        bands.append(np.concatenate(with_std))
-    table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
-    table["interval_coverage"] = interval_coverage(*bands, **each)
+    density = negative_log_predictive_density(expected, mean, std, **each)
+    table["negative_log_predictive_density"] = density
+    table["interval_coverage"] = interval_coverage(expected, mean, std, **each)
     return table
 
 
@@ -177,17 +165,15 @@ def evaluate(
     notify(f"evaluating {name}")
     loads = {key: options[key] for key in ("thrust", "external_forces")}
     corrected = pipeline[:1].transform(flight)
-    X, noise_ratio, motion = flight_regressors(pipeline[1:], corrected)
+    path = with_path(pipeline, corrected, first=1)
+    X, noise_ratio = regressors_of(pipeline, path), noise_ratio_of(pipeline, path)
     checked = replace(flight, table=corrected)
-    states = corrected
-    if motion is not None:  # beside the logged inputs
-        states = corrected.assign(**motion.drop(columns=[*ALL_SURFACES], errors="ignore"))
+    # beside the logged inputs
+    states = corrected.assign(**path.drop(columns=[*ALL_SURFACES], errors="ignore"))
     band = band_of(pipeline)
     measured = aerodynamic_coefficients(checked, aircraft, cutoff=without_vibration(band), **loads)
-    regressor = pipeline[-1]
     mean = pipeline.mean_of_rows(X, noise_ratio)
-    rows = std_rows(len(corrected))
-    std = _interpolated_std(regressor, X, noise_ratio, rows)
+    std = _std(pipeline[-1], X, noise_ratio)
     variance = std**2
     if pipeline.log_errors_ is not None:  # which the measured coefficients have, too
         variance = np.maximum(variance - pipeline.log_errors_.variance(X), 0.0)
@@ -202,8 +188,7 @@ def evaluate(
         measured=measured.to_numpy(),
         mean=mean,
         std=std,
-        prediction_std=np.sqrt(variance + regressor.noise_variance_),
-        rows=rows,
+        prediction_std=np.sqrt(variance + pipeline[-1].noise_variance_),
         regressors=X,
         truth=_truth(corrected, band),
         baseline=_baseline(pipeline, X),
@@ -211,19 +196,14 @@ def evaluate(
     )
 
 
-def std_rows(n: int) -> Indices:
-    """Return the rows of n at which standard deviations are computed; they cost N^2 each, means only N."""
+def _std(regressor: DependentGPRegressor, X: Matrix, noise_ratio: Vector) -> Matrix:
+    """Return standard deviations (n, 6), of a long flight by interpolation: they cost N^2 a row, means only N."""
+    n = len(X)
     step = int(np.ceil(n / MOST_STD_ROWS))
-    return np.arange(step // 2, n, step)
-
-
-def _interpolated_std(
-    regressor: DependentGPRegressor, X: Matrix, noise_ratio: Vector, rows: Indices
-) -> Matrix:
-    """Return standard deviations (n, 6), computed at some rows and interpolated between these."""
+    rows = np.arange(step // 2, n, step)
     ratio = noise_ratio[rows]
     _, std = regressor.predict(X[rows], return_std=True, include_input_noise=ratio)
-    every = np.arange(len(X))
+    every = np.arange(n)
     return np.column_stack([np.interp(every, rows, column) for column in std.T])
 
 

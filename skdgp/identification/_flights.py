@@ -38,7 +38,7 @@ def train_and_test(
     if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
         servos = FULL_THROW
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
-    if steps and max(steps) > 1 / SLOWEST:
+    if max(steps, default=0.0) > 1 / SLOWEST:
         report(Finding(Code.SLOW_LOG, numbers={"rate": float(1 / max(steps))}))
     train = without_copies(train, train, Code.FLIGHT_TWICE)
     if test is None:
@@ -55,10 +55,12 @@ def _without_last(flights: Flights) -> tuple[Flights, Flights]:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
         return {name: flights[name] for name in earlier}, {last: flight}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last))
-    rows = np.arange(len(flight.time))
-    first, rest = np.split(rows, [round(0.75 * len(rows))])
-    parts = {f"{last}, first three quarters": first, f"{last}, last quarter": rest}
-    (learned, tested) = ({name: flight.part(of).named(name)} for name, of in parts.items())
+    n = len(flight.time)
+    names = f"{last}, first three quarters", f"{last}, last quarter"
+    parts = np.split(np.arange(n), [round(0.75 * n)])
+    learned, tested = (
+        {name: flight.part(rows).named(name)} for name, rows in zip(names, parts, strict=True)
+    )
     return learned, tested
 
 
@@ -113,18 +115,15 @@ def named_flights(
     for number, (key, item) in enumerate(items, start=1):
         place: object = f"table {number}"
         what = "flight"
-        table = item
-        if is_log(item):
+        if isinstance(item, str | os.PathLike):
             place = item
-            what = f"log (skdgp inspect {item} says why)"
-            table = read_flight(item, **reading)
-        elif isinstance(item, str | os.PathLike):
-            place = item
-            table = read_flight(item, rename=rename)
-        if not is_log(item):
-            table = without_ground(check_table(table, what=what), key or f"{default} {number}")
-        if "flight" not in table:
-            table = table.assign(flight=f"{default} {number}")
+            if is_log(item):
+                what = f"log (skdgp inspect {item} says why)"
+            table = read_flight(item, **(reading if is_log(item) else {"rename": rename}))
+        else:
+            table = without_ground(check_table(item), key or f"{default} {number}")
+            if "flight" not in table:
+                table = table.assign(flight=f"{default} {number}")
         parts = FlightTable.of(table, needed, what=what).flights
         if key and len(parts) != 1:
             raise ValueError(

@@ -54,28 +54,26 @@ def simulation_errors(
     """
     _check_flights(tables, options["external_forces"])
     parts = _parts(tables, options["horizon"])
-    wind_known = all(map(_knows_wind, parts))
+    wind_known = all({*WIND, "psi"} <= {*part} for part in parts)
     flown = _simulated(pipeline, aircraft, parts, options["thrust"], wind_known)
     simulated = numeric(flown, STATES).reshape(len(parts), -1, len(STATES))
     elapsed = flown["time"].to_numpy()[: simulated.shape[1]]
     measured = np.array([_at(elapsed, part) for part in parts])
     # an infinite error where a simulation ended
     squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
-    edges = np.unique(np.arange(TIMES) * len(elapsed) // TIMES)
-    counts = np.diff([*edges, len(elapsed)])
-    means = np.add.reduceat(squares, edges, axis=0) / counts[:, None]
-    ends = np.append(elapsed[edges], elapsed[-1])
+    intervals = np.array_split(np.arange(len(elapsed)), min(TIMES, len(elapsed)))
+    means = np.array([squares[rows].mean(axis=0) for rows in intervals])
 
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
     # no noise of flights that are too short to show it
-    levels = [noise_level(table, STATES) for table in tables]
-    noise = np.nan_to_num(pd.DataFrame(levels).median())
-    limit = np.maximum(THRESHOLDS.error * spread, 3 * noise)
-    late = means > limit**2
-    first = np.where(late.any(axis=0), late.argmax(axis=0), -1)
-    errors = pd.DataFrame({"spread": spread, "limit": limit}, index=[*STATES])
+    levels = pd.DataFrame([noise_level(table, STATES) for table in tables])
+    errors = pd.DataFrame({"spread": spread}, index=[*STATES])
+    errors["limit"] = np.maximum(THRESHOLDS.error * spread, 3 * np.nan_to_num(levels.median()))
     errors["error"] = np.sqrt(means[-1])
-    errors["lasts"] = ends[first]
+    # of an error that is late in no interval the end
+    late = np.vstack([means > errors["limit"].to_numpy() ** 2, np.ones(len(STATES), bool)])
+    begins = [elapsed[rows[0]] for rows in intervals]
+    errors["lasts"] = np.array([*begins, elapsed[-1]])[late.argmax(axis=0)]
     errors["horizon"] = elapsed[-1]
     errors["wind_known"] = wind_known
     return errors
@@ -129,21 +127,14 @@ def _at(elapsed: Vector, part: pd.DataFrame) -> Matrix:
     return np.column_stack(columns)
 
 
-def _knows_wind(table: pd.DataFrame) -> bool:
-    """Return whether a table has the wind, and the heading that brings it into body axes."""
-    return {*WIND, "psi"} <= {*table}
-
-
 def _parts(tables: Sequence[pd.DataFrame], horizon: float) -> list[pd.DataFrame]:
     """Return parts of flights without gaps, of nearly equal length, spread over the flights.
 
     Their time begins at zero.
     """
-    segments: list[pd.DataFrame] = []
-    for table in tables:
-        segments += _segments(table)
-    lengths = [np.ptp(segment["time"]) for segment in segments]
+    segments = [segment for table in tables for segment in _segments(table)]
     if segments:
+        lengths = [np.ptp(segment["time"]) for segment in segments]
         horizon = min(horizon, float(np.median(lengths)))
     parts: list[pd.DataFrame] = []
     if horizon > 2 * STEP:

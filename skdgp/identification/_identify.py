@@ -154,11 +154,11 @@ def identify(
             **(pipeline or {}),
         )
         notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-        scale = airspeed_scale(learned_from.table)
-        table = without_airspeed_error(learned_from.table, scale.removable())
+        error = airspeed_scale(learned_from.table).removable()
+        table = without_airspeed_error(learned_from.table, error)
         Y = aerodynamic_coefficients(replace(learned_from, table=table), aircraft, **given)
         notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
-        model.fit(replace(learned_from, airspeed_scale=scale), Y)
+        model.fit(learned_from, Y)
         fit = fit_record(model)
         if fit.lags_corrected:
             numbers = {"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands}

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pickle
 import warnings
 from datetime import datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.files import sha256_of, software_versions, write_atomically
+from skdgp._compute.files import software_versions, write_atomically
 from skdgp._compute.messages import report
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
 MAGIC = b"\nskdgp model file "
 FORMAT = 12
-CHECKSUM, END = b', "sha256": "', b'"}\n'
-CHECKSUM_LENGTH = 64
-LONGEST_CLOSING = 2**14
+# of the last line, a SHA-256 of all bytes before it is between them
+CHECKSUM, END = ', "sha256": "', '"}\n'
+ENDING = 64 + len(END)
 # Packages whose versions may change predictions of a model that can be read
 MATTERS = ("skdgp", "scikit-learn", "numpy")
 
@@ -77,10 +78,14 @@ def _dump(path: Path, model: Bunch) -> None:
     Unpickling stops before that line. It ends in the SHA-256 of all bytes before the digest.
     """
     closing = {"format": FORMAT, "created": model.created, "versions": model.versions}
-    with path.open("x+b") as file:
-        pickle.dump(model, file, protocol=5)
-        file.write(MAGIC + json.dumps(closing).encode().removesuffix(b"}") + CHECKSUM)
-        file.write(sha256_of(file, file.tell()) + END)
+    line = json.dumps(closing).removesuffix("}") + CHECKSUM
+    content = pickle.dumps(model, protocol=5) + MAGIC + line.encode()
+    path.write_bytes(content + _ending(content))
+
+
+def _ending(content: bytes) -> bytes:
+    """Return the end of a file with this content."""
+    return (hashlib.sha256(content).hexdigest() + END).encode()
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
@@ -98,26 +103,24 @@ def load_model(path: str | os.PathLike) -> Bunch:
     off or was changed in a single bit, or cannot be read by the versions
     installed here. Warns if it was made by other versions of skdgp, scikit-learn or NumPy.
     """
-    path = Path(path)
-    with path.open("rb") as file:
-        made_by = _closing(file, path)["versions"]
-        installed = software_versions()
-        if any(made_by.get(name) != installed.get(name) for name in MATTERS):
-            differences = f"{_in_words(made_by)} (installed: {_in_words(installed)})"
-            numbers = {"path": str(path), "differences": differences}
-            report(Finding(Code.OTHER_VERSIONS, numbers=numbers))
-        file.seek(0)
-        try:
-            with warnings.catch_warnings():
-                # the versions are told above
-                warnings.simplefilter("ignore", InconsistentVersionWarning)
-                model = pickle.load(file)
-        except Exception as error:  # unpickling may raise anything
-            raise ModelFileError(
-                f"Got {path}, written with {_in_words(made_by)}, which cannot be read by "
-                f"{_in_words(installed)} here ({type(error).__name__}: {error}). Fit it again, or install those "
-                "versions."
-            ) from error
+    content = Path(path).read_bytes()
+    made_by = _closing(content, path)["versions"]
+    installed = software_versions()
+    if any(made_by.get(name) != installed.get(name) for name in MATTERS):
+        differences = f"{_in_words(made_by)} (installed: {_in_words(installed)})"
+        numbers = {"path": str(path), "differences": differences}
+        report(Finding(Code.OTHER_VERSIONS, numbers=numbers))
+    try:
+        with warnings.catch_warnings():
+            # the versions are told above
+            warnings.simplefilter("ignore", InconsistentVersionWarning)
+            model = pickle.loads(content)
+    except Exception as error:  # unpickling may raise anything
+        raise ModelFileError(
+            f"Got {path}, written with {_in_words(made_by)}, which cannot be read by "
+            f"{_in_words(installed)} here ({type(error).__name__}: {error}). Fit it again, or install those "
+            "versions."
+        ) from error
     if not _is_model(model):
         raise ModelFileError(
             f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and "
@@ -126,20 +129,16 @@ def load_model(path: str | os.PathLike) -> Bunch:
     return model
 
 
-def _closing(file: BinaryIO, path) -> dict:
-    """Return the file's last line, or raise ModelFileError if the file is not whole."""
-    size = file.seek(0, os.SEEK_END)
-    file.seek(max(0, size - LONGEST_CLOSING))
-    end = file.read()
-    before = size - CHECKSUM_LENGTH - len(END)
-    if before <= 0 or sha256_of(file, before) + END != end[before - size :]:
+def _closing(content: bytes, path: str | os.PathLike) -> dict:
+    """Return the last line of a file, or raise ModelFileError if the file is not whole."""
+    if _ending(content[:-ENDING]) != content[-ENDING:]:
         raise ModelFileError(
-            f"Got {path} ({size} bytes), which is not a whole skdgp model: its closing line is "
+            f"Got {path} ({len(content)} bytes), which is not a whole skdgp model: its closing line is "
             f"missing or does not fit. Expected a file that skdgp identify or "
             f"skdgp.identification.save_model wrote; if it is one, it was cut off or changed: "
             f"copy it again."
         )
-    closing = json.loads(end.split(MAGIC)[-1])
+    closing = json.loads(content.rpartition(MAGIC)[2])
     if closing["format"] != FORMAT:
         made_by = _in_words(closing["versions"])
         raise ModelFileError(

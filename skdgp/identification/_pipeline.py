@@ -17,7 +17,7 @@ from sklearn.utils.validation import check_consistent_length, check_is_fitted
 
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
+from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST
 from skdgp._flight.findings import Code, with_codes
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._regressor import DependentGPRegressor
@@ -54,7 +54,7 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-DIFFERENTIATED = (*VANES, *RATES)
+RECONSTRUCTION = "flightpathreconstruction"
 Step = TypeVar("Step")
 
 
@@ -156,16 +156,11 @@ def make_identification_pipeline(
             aircraft=None if external_forces else aircraft,
             thrust=thrust,
         )
-    # all for a named set, so that a search may choose; of a list its own
-    derivatives = list(DIFFERENTIATED)
-    if not isinstance(regressors, str):
-        named = {str(name).removesuffix(HAT) for name in regressors}
-        derivatives = [name for name in DIFFERENTIATED if f"{name}_dot" in named]
     steps = make_pipeline(
         FlightCheck(),
         LagCorrector(lags, aircraft=aircraft),
         FlightPathReconstruction(),
-        FlightSmoother(cutoff=cutoff, derivatives=derivatives),
+        FlightSmoother(cutoff=cutoff),
         ElevonSplitter(),
         RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
         RegressorSelector(regressors, engine=thrust is None),
@@ -180,17 +175,44 @@ def make_identification_pipeline(
         control_units=control_units,
         memory=memory,
     )
-    pipeline.set_params(flightpathreconstruction=reconstruction)
+    pipeline.set_params(**{RECONSTRUCTION: reconstruction})
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def flight_regressors(
-    pipeline: Pipeline, flight: Any
-) -> tuple[Matrix, Vector, pd.DataFrame | None]:
-    r"""Return what a pipeline predicts from, how much noisier it is than in the fit, and the reconstructed flight.
+def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector]:
+    """Return the regressors (n, d) of the last step, and by `noise_ratio` how noisy they are (n,)."""
+    path = with_path(pipeline, flight)
+    return regressors_of(pipeline, path), noise_ratio(pipeline, path)
 
-    These are regressors (n, d), a ratio of variances (n,), and None without reconstruction. In gusts the
-    aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
+
+def with_path(pipeline: Pipeline, flight: Any, first: int = 0) -> Any:
+    """Return a flight after the steps from the ``first`` to the reconstruction of its path."""
+    return _transformed(pipeline.steps[first : _end_of_path(pipeline)], flight)
+
+
+def regressors_of(pipeline: Pipeline, path: Any) -> Matrix:
+    """Return the regressors (n, d) of the last step for a flight by `with_path`."""
+    return np.asarray(_transformed(pipeline.steps[_end_of_path(pipeline) : -1], path))
+
+
+def _end_of_path(pipeline: Pipeline) -> int:
+    """Return the number of steps up to the reconstruction of paths; 0 without this step."""
+    names = [name for name, _ in pipeline.steps]
+    return names.index(RECONSTRUCTION) + 1 if RECONSTRUCTION in names else 0
+
+
+def _transformed(steps: Sequence[tuple[str, Any]], flight: Any) -> Any:
+    """Return a flight that fitted steps have transformed."""
+    for _, step in steps:
+        if step not in (None, "passthrough"):
+            flight = step.transform(flight)
+    return flight
+
+
+def noise_ratio(pipeline: Pipeline, path: Any) -> Vector:
+    r"""Return how noisy the regressors of a flight by `with_path` are: a variance over the one of the fit (n,).
+
+    In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
     proportional to the variance of the gusts. Where `FlightPathReconstruction` reconstructs
     flights, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio is
 
@@ -198,20 +220,11 @@ def flight_regressors(
 
     as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
     """
-    ratio = None
-    motion = None
-    for _, step in pipeline.steps[:-1]:
-        if step in (None, "passthrough"):
-            continue
-        flight = step.transform(flight)
-        if not isinstance(step, FlightPathReconstruction) or not step.used_:
-            continue
-        motion = flight
-        if "gust" in flight:
-            variance = flight["gust"].to_numpy() ** 2 + SENSOR_GUST**2
-            ratio = variance / (step.gust_std_**2 + SENSOR_GUST**2)
-    regressors = np.asarray(flight)
-    return regressors, np.ones(len(regressors)) if ratio is None else ratio, motion
+    reconstruction = reconstruction_of(pipeline)
+    if reconstruction is None or "gust" not in path:
+        return np.ones(len(path))
+    variance = path["gust"].to_numpy() ** 2 + SENSOR_GUST**2
+    return variance / (reconstruction.gust_std_**2 + SENSOR_GUST**2)
 
 
 def regressor_names(pipeline: Pipeline) -> list[str]:
@@ -527,7 +540,7 @@ class FlightPipeline(Pipeline):
         uncertain = params.get("return_std") or params.get("return_cov")
         by_ratio = uncertain and params.get("include_input_noise", True) is True
         check_is_fitted(self)
-        regressors, ratio, _ = flight_regressors(self, X)
+        regressors, ratio = flight_regressors(self, X)
         if by_ratio and isinstance(self[-1], DependentGPRegressor):
             params = params | {"include_input_noise": ratio}
         if not uncertain:
@@ -547,7 +560,7 @@ class FlightPipeline(Pipeline):
         return r2_of_observed(measured, mean, sample_weight)
 
     def mean_of_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Matrix:
-        """Return the mean coefficients (n, P) of logged rows, from the first two of `flight_regressors`."""
+        """Return the mean coefficients (n, P) of logged rows, by `flight_regressors`."""
         mean = self[-1].predict(regressors, **params)
         return np.asarray(mean + self._added(regressors, noise_ratio))
 

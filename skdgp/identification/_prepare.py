@@ -200,7 +200,7 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
     """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
     table = flights.table
     columns = regressor_columns([table], regressors)
-    missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), table.index, columns)
+    missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), columns=columns)
     complete = np.flatnonzero(~missing.any(axis=1))
     counts = {name: n for name, n in missing.sum().to_dict().items() if n}
     runs = flights.part(complete).segments if complete.size else []
@@ -213,11 +213,13 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
             "whole, and time in seconds?"
         )
     continuous = np.concatenate(rows)
-    n_left_out = len(table) - len(continuous)
-    if n_left_out:
-        n_alone = len(complete) - len(continuous)
-        numbers = {"left_out": n_left_out, "rows": len(table), "missing": counts}
-        numbers["alone"] = n_alone or None
+    if len(continuous) < len(table):
+        numbers = {
+            "left_out": len(table) - len(continuous),
+            "rows": len(table),
+            "missing": counts,
+            "alone": len(complete) - len(continuous) or None,
+        }
         report(Finding(Code.ROWS_LEFT_OUT, flight=flight, numbers=numbers))
     return flights.part(continuous).named(flight)
 
@@ -231,7 +233,8 @@ def loads_of(
 ) -> dict[str, Any]:
     """Return the loads of flights that are no part of the coefficients; warn where the thrust is one.
 
-    It is where the flights have a throttle, and nothing gives the thrust that this sets.
+    It is where the flights have a throttle, and nothing gives the thrust that this sets. Warn, too, if
+    then an engine changes it, and no regressor tells how.
     """
     has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
     has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
@@ -239,16 +242,10 @@ def loads_of(
         thrust = None
         if (table["throttle"] > 0).any():
             report(Finding(Code.THRUST_IN_COEFFICIENTS))
-    if thrust is None:
-        _warn_of_engine(table, regressors)
-    return {"thrust": thrust, "external_forces": list(external_forces)}
-
-
-def _warn_of_engine(table: pd.DataFrame, regressors: Sequence[str]) -> None:
-    """Warn if the thrust is part of the coefficients, an engine changes it, and no regressor tells how."""
     varied = [name for name in ENGINE_COLUMNS if name in table and table[name].nunique() > 1]
-    if varied and not {*varied} & {*regressors}:
+    if thrust is None and varied and {*varied}.isdisjoint(regressors):
         report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}))
+    return {"thrust": thrust, "external_forces": list(external_forces)}
 
 
 def assumptions(
@@ -259,10 +256,15 @@ def assumptions(
     Sizes are uncertain by errors of all causes together.
     """
     findings = []
-    factors = {**(aircraft.deviations or {}), **errors}
-    sizes = _uncertain_sizes(aircraft)
+    sizes = {}
+    for name, value in aircraft.sizes.items():
+        std = aircraft.relative_std(name)
+        if std:
+            label = f"{name.replace('_', ' ')} [{QUANTITIES.get(name, 'kg m^2')}]"
+            sizes[label] = value, std * value
     if sizes:
         findings.append(Finding(Code.SIZES_ESTIMATED, numbers={"sizes": sizes}))
+    factors = {**(aircraft.deviations or {}), **errors}
     sources = {}
     for name, factor in factors.items():
         if factor.source not in ("", "given"):
@@ -270,14 +272,3 @@ def assumptions(
     if sources:
         findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))
     return (*findings, *with_codes(reported, *ASSUMED))
-
-
-def _uncertain_sizes(aircraft: Aircraft) -> dict[str, tuple[float, float]]:
-    """Return value and standard deviation of each size that is uncertain, by name and unit."""
-    sizes = {}
-    for name, value in aircraft.sizes.items():
-        std = aircraft.relative_std(name)
-        if std:
-            label = f"{name.replace('_', ' ')} [{QUANTITIES.get(name, 'kg m^2')}]"
-            sizes[label] = value, std * value
-    return sizes

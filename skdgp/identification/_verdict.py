@@ -14,8 +14,8 @@ import pandas as pd
 
 from skdgp._compute.findings import Severity, clauses_of, texts_of
 from skdgp._compute.statistics import half_width
-from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, HAT, SPECIFIC_FORCE
-from skdgp._flight.findings import Code, Finding
+from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, SPECIFIC_FORCE
+from skdgp._flight.findings import Code, Finding, with_codes
 from skdgp._regressor import FitCode
 from skdgp.identification._evaluate import THRESHOLDS, Evaluation, scores
 from skdgp.identification._mechanics import FlightMechanics
@@ -185,6 +185,7 @@ def judge(
     unvarying = _not_varying(evaluations, table, fit)
     varying = table.drop(index=unvarying)
     warnings = [finding for finding in findings if finding.severity is Severity.WARNING]
+    warnings.sort(key=lambda finding: not isinstance(finding.code, FitCode))
     # the costliest first
     every = [
         *_doubts(fit, findings),
@@ -192,8 +193,7 @@ def judge(
         *_against_least_squares(varying),
         *_band_findings(table),
         *_if_any(Code.NOT_VARYING, names=unvarying),
-        *(finding for finding in warnings if isinstance(finding.code, FitCode)),
-        *(finding for finding in warnings if not isinstance(finding.code, FitCode)),
+        *warnings,
         *_training_findings(fit),
         *_error_findings(varying, _by_construction(evaluations, fit)),
         *mechanics.notes,
@@ -218,8 +218,12 @@ def _judged(purpose: str, findings: Sequence[Finding]) -> Use:
 
 
 def _if_any(code: Code, **numbers: Any) -> list[Finding]:
-    """Return a finding if the first of its numbers, names or values by name, is not empty."""
-    return [Finding(code, numbers=numbers)] if next(iter(numbers.values())) else []
+    """Return a finding if the first of its numbers, names or a series, is not empty."""
+    if not len(next(iter(numbers.values()))):
+        return []
+    for name, values in numbers.items():
+        numbers[name] = values.to_dict() if isinstance(values, pd.Series) else list(values)
+    return [Finding(code, numbers=numbers)]
 
 
 def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
@@ -228,10 +232,9 @@ def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
     for finding in [*fit.doubts, *findings]:
         if finding.severity is Severity.DOUBT:
             doubts.setdefault(finding.code, finding)
-    causes = [doubt.numbers.get("cause") for doubt in doubts.values()]
+    causes = [doubt.numbers["cause"] for doubt in doubts.values() if "cause" in doubt.numbers]
     # alpha and beta are wrong
-    failures = [cause for cause in causes if cause and cause.code is Code.AIR_NOT_CONVERGED]
-    return [*doubts.values(), *failures]
+    return [*doubts.values(), *with_codes(causes, Code.AIR_NOT_CONVERGED)]
 
 
 def _training_findings(fit: FitRecord) -> list[Finding]:
@@ -257,22 +260,20 @@ def _not_varying(
 
     An error below the spread judges a coefficient all the same, and so does a band that does not hold.
     """
-    measured = np.concatenate([flight.measured for flight in evaluations])
-    spread = np.nanstd(measured, axis=0)
-    noise = [fit.noise_std[name] for name in COEFFICIENTS]
-    is_still = pd.Series(spread < noise, index=list(COEFFICIENTS))
+    spread = np.nanstd(np.concatenate([flight.measured for flight in evaluations]), axis=0)
+    is_still = spread < pd.Series(fit.noise_std).reindex(table.index)
     is_excused = (table[COVERAGE] >= THRESHOLDS.held) & (table[NRMSE] > 1)
-    return [name for name in COEFFICIENTS if is_still[name] and is_excused[name]]
+    return list(table.index[is_still & is_excused])
 
 
 def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[str, str]:
     """Return coefficients that agree with their measurement by construction, and the vane that is missing."""
-    by_construction = {}
-    for coefficient, vane in VANES_OF.items():
-        is_measured = any(vane in flight.table for flight in evaluations)
-        if vane in fit.regressors and not is_measured:
-            by_construction[coefficient] = vane
-    return by_construction
+    measured = {name for flight in evaluations for name in flight.table}
+    return {
+        coefficient: vane
+        for coefficient, vane in VANES_OF.items()
+        if vane in fit.regressors and vane not in measured
+    }
 
 
 def _error_findings(varying: pd.DataFrame, vanes: dict[str, str]) -> list[Finding]:
@@ -281,9 +282,10 @@ def _error_findings(varying: pd.DataFrame, vanes: dict[str, str]) -> list[Findin
     mean_error = varying[NRMSE].mean()
     if mean_error > 1:
         findings.append(Finding(Code.DIVERGING, numbers={"error": mean_error}))
-    vanes = {name: vane for name, vane in vanes.items() if name in varying.index}
-    findings += _if_any(Code.BY_CONSTRUCTION, names=list(vanes), vanes=list(vanes.values()))
-    judged = varying.drop(index=list(vanes))
+    unjudged = varying.index.intersection([*vanes])
+    lacking = [vanes[name] for name in unjudged]
+    findings += _if_any(Code.BY_CONSTRUCTION, names=unjudged, vanes=lacking)
+    judged = varying.drop(index=unjudged)
     if judged.empty:
         return [*findings, Finding(Code.NOTHING_JUDGED)]
     errors = judged[NRMSE]
@@ -294,14 +296,13 @@ def _error_findings(varying: pd.DataFrame, vanes: dict[str, str]) -> list[Findin
     if not is_poor.any():
         numbers = {"smallest": errors.min(), "largest": errors.max()}
         return [*findings, Finding(Code.ERRORS_SMALL, numbers=numbers)]
-    numbers = {
-        "good": list(judged.index[~is_poor]),
-        "poor": list(judged.index[is_poor]),
-        "errors": errors[is_large].to_dict(),
-        "coverages": judged.loc[is_narrow, COVERAGE].to_dict(),
-    }
-    code = Code.ALL_ERRORS_TOO_LARGE if is_poor.all() else Code.ERRORS_TOO_LARGE
-    return [*findings, Finding(code, numbers=numbers)]
+    return findings + _if_any(
+        Code.ALL_ERRORS_TOO_LARGE if is_poor.all() else Code.ERRORS_TOO_LARGE,
+        poor=judged.index[is_poor],
+        good=judged.index[~is_poor],
+        errors=errors[is_large],
+        coverages=judged.loc[is_narrow, COVERAGE],
+    )
 
 
 def _simulation_findings(mechanics: FlightMechanics) -> list[Finding]:
@@ -333,12 +334,10 @@ def _control_findings(mechanics: FlightMechanics, varying: pd.DataFrame) -> list
     widths = _half_widths(mechanics)
     if mechanics.trim is None or widths.empty:
         return [Finding(Code.CONTROLS_MISSING)]
-    wide = widths[~(widths <= THRESHOLDS.band)]
-    findings += _if_any(Code.CONTROLS_TOO_UNCERTAIN, widths=wide.to_dict())
-    findings += _if_any(Code.TRIM_BEYOND, names=list(mechanics.trim.beyond))
     errors = varying[NRMSE].reindex(["Cl", "Cm", "Cn"])
-    poor = errors[errors > THRESHOLDS.error]
-    findings += _if_any(Code.MOMENTS_UNEXPLAINED, errors=poor.to_dict())
+    findings += _if_any(Code.CONTROLS_TOO_UNCERTAIN, widths=widths[~(widths <= THRESHOLDS.band)])
+    findings += _if_any(Code.TRIM_BEYOND, names=mechanics.trim.beyond)
+    findings += _if_any(Code.MOMENTS_UNEXPLAINED, errors=errors[errors > THRESHOLDS.error])
     known = {"width": widths.max(), "widest": widths.idxmax()}
     return [*findings, Finding(Code.CONTROLS_KNOWN, numbers=known)]
 
@@ -363,13 +362,12 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
     """
     if derivatives.empty:
         return []
-    signed = derivatives["value"].reindex([*USUAL_SIGNS]) * pd.Series(USUAL_SIGNS)
-    wrong = derivatives["value"].reindex(signed.index[signed < 0])
-    is_known = wrong.abs() > half_width(0.95) * derivatives["std"].reindex(wrong.index)
-    unknown = wrong[~is_known]
+    usual = pd.Series(USUAL_SIGNS).reindex(derivatives.index)
+    wrong = derivatives[derivatives["value"] * usual < 0]
+    is_known = wrong["value"].abs() > half_width(0.95) * wrong["std"]
     return [
-        *_if_any(Code.WRONG_SIGNS, values=wrong[is_known].to_dict()),
-        *_if_any(Code.SIGNS_UNKNOWN, values=unknown.to_dict()),
+        *_if_any(Code.WRONG_SIGNS, values=wrong["value"][is_known]),
+        *_if_any(Code.SIGNS_UNKNOWN, values=wrong["value"][~is_known]),
     ]
 
 
@@ -377,11 +375,9 @@ def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
     """Return the warning that least squares predicts better, if it does."""
     if LINEAR_NRMSE not in varying:
         return []
-    means = varying.mean()
-    limit = (1 + THRESHOLDS.tie) * means[LINEAR_NRMSE]
-    is_worse = varying[NRMSE] > (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
-    worse = list(varying.index[is_worse])
-    if (worse and len(worse) >= len(varying) / 2) or means[NRMSE] > limit:
+    limits = (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
+    worse = list(varying.index[varying[NRMSE] > limits])
+    if (worse and len(worse) >= len(varying) / 2) or varying[NRMSE].mean() > limits.mean():
         numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
         return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]
     return []
@@ -389,12 +385,9 @@ def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
 
 def _band_findings(table: pd.DataFrame) -> list[Finding]:
     """Return the findings of bands that are too narrow or too wide, of all coefficients."""
-    coverages = table[COVERAGE]
-    narrow = coverages[coverages < THRESHOLDS.coverage].to_dict()
-    wide = coverages[coverages > THRESHOLDS.widest].to_dict()
-    not_held = coverages[~(coverages >= THRESHOLDS.held)].to_dict()
+    held = table[COVERAGE]
     return [
-        *_if_any(Code.BANDS_TOO_NARROW, coverages=narrow),
-        *_if_any(Code.BANDS_TOO_WIDE, coverages=wide),
-        *_if_any(Code.BANDS_DO_NOT_HOLD, coverages=not_held),
+        *_if_any(Code.BANDS_TOO_NARROW, coverages=held[held < THRESHOLDS.coverage]),
+        *_if_any(Code.BANDS_TOO_WIDE, coverages=held[held > THRESHOLDS.widest]),
+        *_if_any(Code.BANDS_DO_NOT_HOLD, coverages=held[~(held >= THRESHOLDS.held)]),
     ]

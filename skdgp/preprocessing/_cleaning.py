@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import report
-from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
+from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     AIR_DATA,
@@ -35,7 +35,7 @@ from skdgp._flight.smoothing import band_limited, differentiate, smooth, vibrati
 from skdgp._flight.tables import FlightTable, by_name, check_columns, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
 from skdgp.estimation import airspeed_scale, without_airspeed_error
-from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrap_near
+from skdgp.preprocessing._table import TableTransformer, present, wrap_near
 
 LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
 BRIDGED = [name for name in CHANNELS if name not in ("time", "flight")]
@@ -144,34 +144,25 @@ class FlightCheck(TableTransformer):
     def __init__(self, *, ignore: Sequence[str] = ()) -> None:
         self.ignore = ignore
 
-    @fit_context(prefer_skip_nested_validation=True)
-    def fit_transform(self, X: Any, y: Any = None) -> Any:
-        """Fit to the flight table X, and return it transformed; y is ignored."""
-        flights = self._checked(X)
-        self._fit_table(flights)
-        return self._transform_table(self._reported(flights, X))
-
     def _checked(self, X):
         table = super()._checked(X)
         self._check_any(table, BRIDGED)
         return self._clean(X, table)
 
     def _as_table(self, X):
-        return self._reported(self._clean(X, super()._as_table(X)), X)
+        flights = self._clean(X, super()._as_table(X))
+        if flights is not X:  # of clean flights the findings are known
+            for finding in flights.findings or ():
+                report(finding, FlightDataWarning)
+        return flights
 
     def _clean(self, X: Any, table: pd.DataFrame) -> FlightTable:
         """Return the flights X without faults, which those that are clean have lost before."""
         is_clean = isinstance(X, FlightTable) and X.findings is not None
         return X if is_clean else clean(FlightTable.of(table), self.ignore)
 
-    def _reported(self, flights: FlightTable, X: Any) -> FlightTable:
-        """Report what was found in the flights X, unless it was known before; return them clean."""
-        for finding in flights.findings or () if flights is not X else ():
-            report(finding, FlightDataWarning)
-        return flights
-
     def _fit_table(self, flights):
-        self.airspeed_scale_ = flights.airspeed_scale or airspeed_scale(flights.table)
+        self.airspeed_scale_ = airspeed_scale(flights.table)
         removed = self.airspeed_scale_.removable()
         if removed:
             numbers = {"percent": 100 * removed, "std_percent": 100 * self.airspeed_scale_.std}
@@ -198,7 +189,7 @@ def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
         rates = {", ".join(hold.names): hold.rate for hold in holds}
         findings.append(Finding(Code.SLOW_CHANNELS, numbers={"rates": rates}))
     new = _bridged(measured, ignore) | between_samples(measured, controls)
-    table = with_columns(measured.table, new)
+    table = measured.table.assign(**new)
     return replace(flights, table=table, findings=tuple(findings))
 
 
@@ -263,8 +254,8 @@ class FlightSmoother(TableTransformer):
     columns : "auto" or list of str, default="auto"
         Columns to smooth. "auto": airspeed, alpha, beta, rates and accelerations, where present.
     derivatives : "auto" or list of str, default="auto"
-        Columns to differentiate into ``<name>_dot``. "auto": alpha and beta, where present. A
-        measured rate is kept.
+        Columns to differentiate into ``<name>_dot``. "auto": alpha, beta and rates, where present. A
+        measured ``<name>_dot`` is kept.
 
     Attributes
     ----------
@@ -312,7 +303,7 @@ class FlightSmoother(TableTransformer):
 
     def _fit_table(self, table):
         self.columns_ = present(SMOOTHED, table) if self.columns == "auto" else list(self.columns)
-        names = present(VANES, table) if self.derivatives == "auto" else list(self.derivatives)
+        names = present(IN_RADIANS, table) if self.derivatives == "auto" else list(self.derivatives)
         self.derivatives_ = [name for name in names if f"{name}_dot" not in table]
         check_columns(table, ["time", *self.columns_, *names])
         if self.columns == "auto" and not names:
@@ -333,13 +324,13 @@ class FlightSmoother(TableTransformer):
         wrap_near(new, table)
         for name, rate in self._apply(differentiate, self.derivatives_, table).items():
             new[f"{name}_dot"] = rate
-        smoothed = with_columns(table, new)
+        smoothed = table.assign(**new)
         if np.isinf(self.band_):
             return smoothed
         names = present((*SMOOTHED, *new, *CONTROLS), smoothed)
         names = list(dict.fromkeys(names))
         values = band_limited(numeric(smoothed, names), smoothed, self.band_)
-        return with_columns(smoothed, by_name(names, values))
+        return smoothed.assign(**by_name(names, values))
 
     def _columns_out(self, names):
         return names + [f"{name}_dot" for name in self.derivatives_]

@@ -25,14 +25,13 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import check_columns, check_spelling, numeric
+from skdgp._flight.tables import by_name, check_columns, check_spelling, numeric
 from skdgp._flight.units import check_airspeed
 from skdgp.dynamics import Mixing
 from skdgp.preprocessing._table import (
     TableTransformer,
     as_table,
     present,
-    with_columns,
     with_names,
 )
 
@@ -107,13 +106,7 @@ class ElevonSplitter(TableTransformer):
 
     def _fit_table(self, table):
         shape = (len(self.controls), len(self.surfaces))
-        mixing = self.mixing
-        if mixing is None:
-            mixing = ELEVON_MIXING
-            if shape != (2, 2):
-                raise ValueError(
-                    f"Got {shape[1]} surfaces for {shape[0]} controls and no mixing, but expected mixing."
-                )
+        mixing = ELEVON_MIXING if self.mixing is None else self.mixing
         self.mixing_ = np.array(mixing, dtype=float)
         if self.mixing_.shape != shape:
             raise ValueError(
@@ -124,7 +117,7 @@ class ElevonSplitter(TableTransformer):
         self._controls_of(table)
 
     def _transform_table(self, table):
-        return with_columns(table, self._controls_of(table))
+        return table.assign(**self._controls_of(table))
 
     def _columns_out(self, names):
         return with_names(names, self.controls) if {*self.surfaces} <= {*names} else names
@@ -196,7 +189,7 @@ class RateNondimensionalizer(TableTransformer):
         self._non_dimensional(table)
 
     def _transform_table(self, table):
-        return with_columns(table, self._non_dimensional(table))
+        return table.assign(**self._non_dimensional(table))
 
     def _columns_out(self, names):
         return with_names(names, [name + HAT for name in self.rates_])
@@ -253,7 +246,7 @@ class RegressorSelector(TableTransformer):
     absent_ : list of str
         Controls of the named set that the table does not have.
     ranges_ : dict of str to tuple of float
-        Range of each regressor and flight channel over the rows of ``fit`` that have a target.
+        Range of each regressor and flight channel over the rows of ``fit`` with all regressors and a target.
 
     Warns
     -----
@@ -289,28 +282,23 @@ class RegressorSelector(TableTransformer):
         """Select the regressors of the flight table X, and learn their range over the rows with a target y."""
         table = as_table(X)
         super().fit(table, y)
+        values = numeric(table, self.regressors_)
+        used = np.isfinite(values).all(axis=1)
         is_targeted = y is not None and len(y) == len(table)
         if is_targeted:
             targets = np.asarray(y, dtype=float).reshape(len(table), -1)
-            table = table[np.isfinite(targets).any(axis=1)]
-        channels = table[present(table, CHANNELS)].select_dtypes("number").dropna(axis=1, how="all")
-        regressors = pd.DataFrame(numeric(table, self.regressors_), columns=self.regressors_)
-        limits = channels.agg(["min", "max"]).astype(float)
-        known = regressors[np.isfinite(regressors).all(axis=1)]
-        if len(known):
-            limits[self.regressors_] = known.agg(["min", "max"])
-        self.ranges_ = {name: tuple(limits[name].tolist()) for name in limits}
-        if is_targeted:
-            self._warn_of_constant(limits)
-        return self
-
-    def _warn_of_constant(self, limits: pd.DataFrame) -> None:
-        """Warn of regressors that vary by less than a billionth of themselves."""
+            used &= np.isfinite(targets).any(axis=1)
+        table = table.assign(**by_name(self.regressors_, values))[used]
+        known = present(table, {*CHANNELS, *self.regressors_})
+        limits = table[known].select_dtypes("number").dropna(axis=1, how="all").agg(["min", "max"])
+        self.ranges_ = {name: tuple(limits[name].astype(float)) for name in limits}
+        # by less than a billionth of themselves
         is_still = limits.loc["max"] - limits.loc["min"] <= 1e-9 * limits.abs().max()
         names = [name for name in self.regressors_ if is_still.get(name)]
-        if names:
+        if is_targeted and names:
             finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
             report(finding, FlightDataWarning)
+        return self
 
     def _fit_table(self, table):
         self.absent_ = []

@@ -12,7 +12,7 @@ import pandas as pd
 
 from skdgp._compute.messages import Progress, notify, report
 from skdgp._compute.sklearn_compat import Interval
-from skdgp._compute.typing import Indices, Vector
+from skdgp._compute.typing import Indices
 from skdgp._flight.channels import (
     AIR_DATA,
     ALL_SURFACES,
@@ -35,7 +35,6 @@ from skdgp.estimation import (
     PATH_NOISE,
     RECONSTRUCTED,
     AirMotion,
-    AirSettings,
     FlightSensors,
     PathEstimate,
     PathSettings,
@@ -53,7 +52,6 @@ from skdgp.estimation import (
 from skdgp.preprocessing._cleaning import FlightSmoother
 from skdgp.preprocessing._table import (
     TableTransformer,
-    with_columns,
     with_names,
     wrap_near,
 )
@@ -70,8 +68,7 @@ class FlightPart(NamedTuple):
     @property
     def gust_std(self) -> float:
         """Change of the air's velocity in one second [m/s], root mean square of the two directions."""
-        stds = [self.estimate.noise[name] for name in GUSTS]
-        return _mean_std(stds, np.ones(len(stds)))
+        return _mean_std([self.estimate.noise[name] for name in GUSTS])
 
 
 class FlightPathReconstruction(TableTransformer):
@@ -112,8 +109,6 @@ class FlightPathReconstruction(TableTransformer):
         centre of gravity.
     thrust : str or None, default="auto"
         For ``aircraft``, as in `skdgp.dynamics.aerodynamic_coefficients`.
-    settings : AirSettings, optional
-        For ``aircraft``, as in `estimate_air_motion`.
 
     Attributes
     ----------
@@ -168,7 +163,6 @@ class FlightPathReconstruction(TableTransformer):
         "max_rows": [Interval(Integral, 1, None, closed="left")],
         "aircraft": [Aircraft, None],
         "thrust": [str, None],
-        "settings": [AirSettings, None],
     }
 
     def __init__(
@@ -177,12 +171,10 @@ class FlightPathReconstruction(TableTransformer):
         max_rows: int = 65536,
         aircraft: Aircraft | None = None,
         thrust: str | None = "auto",
-        settings: AirSettings | None = None,
     ) -> None:
         self.max_rows = max_rows
         self.aircraft = aircraft
         self.thrust = thrust
-        self.settings = settings
 
     def in_simulation(self) -> dict[str, Any]:
         """Return the servos."""
@@ -200,13 +192,14 @@ class FlightPathReconstruction(TableTransformer):
     def finding_(self) -> Finding:
         """Whether ``transform`` reconstructs flights, and why."""
         code = Code.PATHS_RECONSTRUCTED if self.used_ else Code.PATHS_SMOOTHED
+        contradictions = [
+            Finding(Code.SENSOR_CONTRADICTS, channel=sensor.sensor, numbers=sensor._asdict())
+            for sensor in self.contradictions_
+        ]
         numbers = {
             "missing": self.missing_,
-            "contradictions": [
-                Finding(Code.SENSOR_CONTRADICTS, channel=found.sensor, numbers=found._asdict())
-                for found in self.contradictions_
-            ],
-            "air": "" if self.air_motion_ is None else self.air_motion_.summary,
+            "contradictions": contradictions,
+            "air": self.air_motion_ and self.air_motion_.summary,
         }
         return Finding(code, numbers=numbers)
 
@@ -230,8 +223,8 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
         """Set the fitted attributes by the paths of the flights."""
         parts = self._estimated_paths(table, PATH_NOISE, learn=PATH_NOISE | GUSTS)
-        noise = pd.DataFrame([part.estimate.noise for part in parts])
         samples = [len(part.rows) for part in parts]
+        noise = pd.DataFrame([part.estimate.noise for part in parts])
         self.noise_std_ = {name: _mean_std(noise[name], samples) for name in PATH_NOISE}
         self.gust_std_ = _mean_std([part.gust_std for part in parts], samples)
         self.calibration_ = pd.concat(map(_calibration, parts), ignore_index=True)
@@ -246,8 +239,8 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
         if self.aircraft is None:
-            cause = Finding(Code.NO_AIRCRAFT)
-            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})]
+            numbers = {"cause": Finding(Code.NO_AIRCRAFT)}
+            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers=numbers)]
             return
         motion, self.doubts_ = self._estimated_motion(table)
         if motion is None:
@@ -258,7 +251,7 @@ class FlightPathReconstruction(TableTransformer):
             report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers))
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
-        changes = [motion.gust_change(number) for number, _ in enumerate(flights_of(table))]
+        changes = [motion.gust_change(number) for number in range(len(flights_of(table)))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
 
@@ -267,19 +260,14 @@ class FlightPathReconstruction(TableTransformer):
     ) -> tuple[AirMotion | None, list[Finding]]:
         """Return the motion of the air, None where it cannot be estimated, and its doubts."""
         aircraft: Any = self.aircraft
-        settings = self.settings or AirSettings()
         motion = None
-        cause = None
         try:
-            motion = estimate_air_motion(
-                table, aircraft, thrust=self.thrust, known=known, settings=settings
-            )
-            if not motion.converged:
-                cause = Finding(Code.AIR_NOT_CONVERGED, numbers=_agreement(table))
+            motion = estimate_air_motion(table, aircraft, thrust=self.thrust, known=known)
+            if motion.converged:
+                return motion, []
+            cause = Finding(Code.AIR_NOT_CONVERGED, numbers=_agreement(table))
         except ValueError as error:
             cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
-        if cause is None:
-            return motion, []
         numbers = {
             "cause": cause,
             "angles_lack_gusts": motion is None,
@@ -302,17 +290,19 @@ class FlightPathReconstruction(TableTransformer):
         if self.air_motion_ is not None:
             motion, _ = self._estimated_motion(table, self.air_motion_)
         if motion is None:
-            new = self._columns_by_path(table)
+            flights = self._columns_by_path(table)
         else:
-            new = self._columns_by_air(table, motion)
+            flights = self._columns_by_air(table, motion)
+        columns = pd.concat(flights).sort_index()
+        new = dict(zip(columns, columns.to_numpy(float).T, strict=True))
         wrap_near(new, table, EULER)
-        if {*SENSOR_POSITION} <= {*table.columns}:
+        if {*SENSOR_POSITION} <= {*table}:
             # the specific force is that at the centre of gravity
             new |= dict.fromkeys(SENSOR_POSITION, np.zeros(len(table)))
-        return with_columns(table, new)
+        return table.assign(**new)
 
-    def _columns_by_path(self, table: pd.DataFrame) -> dict[str, Vector]:
-        """Return the columns of flights by their most likely paths."""
+    def _columns_by_path(self, table: pd.DataFrame) -> list[pd.DataFrame]:
+        """Return the columns of flights, at their rows, by their most likely paths."""
         flights = []
         parts = self._estimated_paths(table, self.noise_std_, learn=GUSTS)
         _diverged(parts, table)
@@ -325,10 +315,10 @@ class FlightPathReconstruction(TableTransformer):
                 seconds = [np.ptp(part.sensors.time), PathSettings().gust_prior_seconds]
                 columns["gust"] = _mean_std(stds, seconds)
             flights.append(pd.DataFrame(columns, index=part.rows))
-        return _in_rows(flights)
+        return flights
 
-    def _columns_by_air(self, table: pd.DataFrame, motion: AirMotion) -> dict[str, Vector]:
-        """Return the columns of flights by the motion of their air."""
+    def _columns_by_air(self, table: pd.DataFrame, motion: AirMotion) -> list[pd.DataFrame]:
+        """Return the columns of flights, at their rows, by the motion of their air."""
         surfaces = [name for name in ALL_SURFACES if has_values(table, name)]
         deflections = numeric(table, surfaces)
         flights = []
@@ -338,7 +328,7 @@ class FlightPathReconstruction(TableTransformer):
             late = delayed_surfaces(sensors.time, deflections[rows], self.servos_.lag)
             columns |= by_name(surfaces, late)
             flights.append(pd.DataFrame(columns, index=rows))
-        return _in_rows(flights)
+        return flights
 
     def _columns_out(self, names):
         if self.aircraft is not None and self.aircraft.sensor_position is not None:
@@ -356,17 +346,16 @@ class FlightPathReconstruction(TableTransformer):
     ) -> list[FlightPart]:
         """Return the path of every flight, of each part of a long one."""
         places = []
-        for name, rows, flight_sensors in flights_of(table):
+        for name, rows, sensors in flights_of(table):
             for part, inner in overlapping_parts(len(rows), self.max_rows):
-                places.append((name, rows, flight_sensors, part, inner))
+                places.append((name, rows[part], sensors.part(part.start, part.stop), inner))
         parts = []
-        for number, (name, rows, flight_sensors, part, inner) in enumerate(places):
+        for number, (name, rows, sensors, inner) in enumerate(places):
             notify(Progress("reconstructing paths", number, len(places)))
-            sensors = flight_sensors.part(part.start, part.stop)
             estimate = estimate_path(sensors, noise | GUSTS, learn=learn)
-            estimate = estimate._replace(path=estimate.path.part(inner.start, inner.stop))
-            inner_sensors = sensors.part(inner.start, inner.stop)
-            parts.append(FlightPart(name, rows[part][inner], inner_sensors, estimate))
+            within = inner.start, inner.stop
+            estimate = estimate._replace(path=estimate.path.part(*within))
+            parts.append(FlightPart(name, rows[inner], sensors.part(*within), estimate))
         return parts
 
 
@@ -388,13 +377,7 @@ def _agreement(table: pd.DataFrame) -> dict[str, Any]:
     return {"contradictions": found, "agrees": not found}
 
 
-def _in_rows(flights: list[pd.DataFrame]) -> dict[str, Vector]:
-    """Return the columns of flights, whose indices are rows of the table, in the order of the rows."""
-    table = pd.concat(flights).sort_index()
-    return dict(zip(table.columns, table.to_numpy(float).T, strict=True))
-
-
-def _mean_std(stds: Any, weights: Any) -> float:
+def _mean_std(stds: Any, weights: Any = None) -> float:
     """Return the root of the weighted mean of variances."""
     return float(np.sqrt(np.average(np.square(stds), weights=weights)))
 

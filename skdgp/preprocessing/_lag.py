@@ -30,7 +30,7 @@ from skdgp.estimation import (
     removable,
     without_lag,
 )
-from skdgp.preprocessing._table import TableTransformer, present, with_columns, wrap_near
+from skdgp.preprocessing._table import TableTransformer, present, wrap_near
 
 GROUPS = {
     "air": AIR_DATA,
@@ -150,20 +150,17 @@ class LagCorrector(TableTransformer):
 
     def _given(self, table):
         """Return the given lags; raise ValueError if one is not finite, or names neither a group nor a column."""
-        lags = self.lags or {}
         rows = {}
-        for name, lag in lags.items():
+        for name, lag in (self.lags or {}).items():
             if name not in GROUPS and name not in table:
                 raise ValueError(
                     f"Got a lag of {name!r}, but expected groups {list(GROUPS)} or columns of the table."
                 )
-            if not isinstance(lag, Real) or not np.isfinite(float(lag)):
+            is_finite = isinstance(lag, Real) and np.isfinite(float(lag))
+            if not is_finite or (name == "servos" and lag < 0):
                 raise ValueError(
-                    f"Got the lag {lag!r} of {name!r}, but expected a finite number of seconds."
-                )
-            if name == "servos" and lag < 0:
-                raise ValueError(
-                    f"Got the lag {lag!r} of servos, but expected a time constant >= 0 s."
+                    f"Got the lag {lag!r} of {name!r}, but expected a finite number of seconds, of servos a "
+                    "time constant >= 0 s."
                 )
             rows[name] = (float(lag), np.nan, float(lag), "given")
         if rows:
@@ -184,10 +181,10 @@ class LagCorrector(TableTransformer):
                 repeats = name not in KINEMATIC
                 new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
         if lags.get("servos"):
-            moved = with_columns(table, new)
+            moved = table.assign(**new)
             new |= _deflections(moved, time, lags["servos"], self.rate_limit_)
         wrap_near(new, table)
-        return with_columns(table, new)
+        return table.assign(**new)
 
 
 def _deflections(

@@ -108,12 +108,5 @@ def wrap_near(new: dict[str, Vector], table: pd.DataFrame, names: Sequence[str] 
     """Shift the angles among new columns by multiples of 2 pi to less than pi from those of the table."""
     for name in present(names, new):
         reference = table[name].to_numpy(float, na_value=np.nan)
-        difference = np.where(np.isfinite(reference), new[name] - reference, 0.0)
-        new[name] = new[name] - 2 * np.pi * np.round(difference / (2 * np.pi))
-
-
-def with_columns(table: pd.DataFrame, new: dict[str, np.ndarray]) -> pd.DataFrame:
-    """Return the table with columns replaced in their place or added at the end."""
-    columns = pd.DataFrame(new, index=table.index)
-    replaced = table.assign(**columns[present(new, table)])
-    return pd.concat([replaced, columns.drop(columns=[*table], errors="ignore")], axis=1)
+        turns = np.round((new[name] - reference) / (2 * np.pi))
+        new[name] = new[name] - 2 * np.pi * np.nan_to_num(turns)

@@ -122,11 +122,11 @@ def render_report(result: Identification, effects: EffectsDisplay | None = None)
     count = f"flights: {len(result.train)} training, {len(result.evaluations)} test"
     meta = f"{result.aircraft.name} · {count} · {created:%d %B %Y, %H:%M}"
     with units_shown(result.units):
-        body = "\n".join(_sections(result, effects, can_draw()))
+        body = "\n".join(_sections(result, effects))
     return PAGE.substitute(title=escape(result.title), meta=escape(meta), body=body, style=STYLE)
 
 
-def _sections(result: Identification, effects: EffectsDisplay | None, draw: bool) -> list[str]:
+def _sections(result: Identification, effects: EffectsDisplay | None) -> list[str]:
     """Return all sections in their order; those without content are empty."""
     done = {**result.facts, "Command": result.command}
     done = {name: value for name, value in done.items() if value}
@@ -135,12 +135,12 @@ def _sections(result: Identification, effects: EffectsDisplay | None, draw: bool
         _verdict(result.verdict, scores),
         _changes(result.changes),
         section("What was assumed", bullets(result.assumed)),
-        "" if draw else paragraphs([NO_FIGURES]),
+        "" if can_draw() else paragraphs([NO_FIGURES]),
         _mechanics(result.mechanics),
         _simulation(result.mechanics),
-        *_flights(result.evaluations, scores, draw),
-        section("Effects", figure(effects, EFFECTS)) if draw and effects is not None else "",
-        _flown(result) if draw else "",
+        *_flights(result.evaluations, scores),
+        section("Effects", "" if effects is None else figure(effects, EFFECTS)),
+        _flown(result),
         section("What was done", facts(done), SIGN),
         section("How to read", paragraphs(HOW_TO_READ)),
     ]
@@ -191,11 +191,13 @@ def with_std(value: float, std: float | None) -> str:
 
 def marked(shown: str, lower: float, upper: float) -> str:
     """Return a value, marked if its band holds both signs."""
-    return shown if 0 < lower * upper < np.inf else f"▼ {shown}"
+    return f"▼ {shown}" if lower * upper <= 0 or np.isinf(lower * upper) else shown
 
 
 def figure(display: Display, caption: str) -> str:
-    """Return the picture of a display, an SVG file that a reader can save."""
+    """Return the picture of a display, an SVG file that a reader can save; nothing without matplotlib."""
+    if not can_draw():
+        return ""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -261,29 +263,27 @@ def _derivatives(table: pd.DataFrame) -> pd.DataFrame:
     is_of_plane = table["coefficient"].isin(SYMMETRIC) & ~is_lateral
     is_of_plane |= table["coefficient"].isin(ASYMMETRIC) & is_lateral
     table = table[is_of_plane & (table["regressor"] != "")]
-    values = []
-    for _, row in table.iterrows():
-        value = with_std(row["value"], row.get("std"))
-        values.append(marked(value, row.get("lower", 1.0), row.get("upper", 1.0)))
-    shown = pd.DataFrame({"model": values}, index=table.index)
-    if "std_aircraft" in table:
-        shown["± of aircraft"] = table["std_aircraft"]
-    if "per" in table:
-        shown["per"] = table["per"]
-    return shown
+    bands = table.reindex(columns=["value", "std", "lower", "upper"])
+    values = [
+        marked(with_std(value, std), lower, upper)
+        for value, std, lower, upper in bands.itertuples(index=False)
+    ]
+    shown = table.reindex(columns=["std_aircraft", "per"]).dropna(axis=1, how="all")
+    shown.insert(0, "model", values)
+    return shown.rename(columns={"std_aircraft": "± of aircraft"})
 
 
 def _modes(modes: pd.DataFrame) -> pd.DataFrame:
     """Return frequency, damping and time constant of each mode as text."""
-    shown = {}
-    for name, row in modes.drop(columns="eigenvalue").iterrows():
-        edges = row.get("time_constant_lower", 1.0), row.get("time_constant_upper", 1.0)
-        shown[name] = {
-            "frequency": with_std(row["frequency"], row.get("frequency_std")),
-            "damping": with_std(row["damping"], row.get("damping_std")),
-            "time constant": marked(number(row["time_constant"]), *edges),
-        }
-    return pd.DataFrame(shown).T
+    edges = ["time_constant_lower", "time_constant_upper"]
+    stds = ["frequency_std", "damping_std"]
+    known = modes.reindex(columns=modes.columns.union([*stds, *edges]))
+    shown = pd.DataFrame(index=modes.index)
+    for name in ("frequency", "damping"):
+        shown[name] = list(map(with_std, known[name], known[f"{name}_std"]))
+    constants = map(number, known["time_constant"])
+    shown["time constant"] = list(map(marked, constants, *(known[edge] for edge in edges)))
+    return shown
 
 
 def _simulation(mechanics: FlightMechanics) -> str:
@@ -297,7 +297,7 @@ def _simulation(mechanics: FlightMechanics) -> str:
     return section("Simulation", table(errors.set_axis(names), SIMULATION))
 
 
-def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame], draw: bool) -> list[str]:
+def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame]) -> list[str]:
     """Return errors and figures of each test flight; of many, figures of the one predicted worst."""
     errors = {name: table["NRMSE"]["mean"] for name, table in scores.items()}
     worst = max(errors, key=errors.__getitem__, default=None)
@@ -306,7 +306,7 @@ def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame], draw: b
         shown = scores[flight.name]
         held = shown["in 95 % band [%]"].map(_coverage)
         body = table(shown.assign(**{"in 95 % band [%]": held}), SCORES)
-        if draw and (len(flights) <= SHOWN_FLIGHTS or flight.name == worst):
+        if len(flights) <= SHOWN_FLIGHTS or flight.name == worst:
             body += _figures(flight)
         parts.append(section(f"Test flight {flight.name}", body))
     return parts
@@ -348,14 +348,14 @@ def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> sli
 
     Motion is the sum of squared steps, each column in units of its standard deviation.
     """
-    n = max(1, int(length / np.median(np.diff(time))))
+    n = max(2, int(length / np.median(np.diff(time))))
     if len(time) < 1.5 * n:
         return slice(None)
     spread = np.nanstd(values, axis=0)
-    steps = np.diff(values[:, spread > 0] / spread[spread > 0], axis=0)
-    moved = np.cumsum(np.nansum(steps**2, axis=1))
-    begin = int(np.argmax(moved[n - 1 :] - moved[: len(moved) - n + 1]))
-    return slice(begin, begin + n)
+    steps = np.diff(values, axis=0) / np.where(spread > 0, spread, np.inf)
+    motion = pd.Series(np.nansum(steps**2, axis=1)).rolling(n - 1).sum()
+    end = int(motion.argmax()) + 2
+    return slice(end - n, end)
 
 
 def _flown(result: Identification) -> str:

@@ -103,7 +103,7 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
 class TestPredict:
     def test_the_band_knows_how_rough_the_air_was(self, model, test_flight):
         """The variance that regressors carry is multiplied by the gusts of the flight over those of the fit."""
-        X, ratio, _ = flight_regressors(model, test_flight)
+        X, ratio = flight_regressors(model, test_flight)
         reconstruction = model["flightpathreconstruction"]
         gust = reconstruction.transform(test_flight)["gust"].to_numpy()
         fit = reconstruction.gust_std_

@@ -188,7 +188,7 @@ def flight(name="one", n=1200):
 def test_automatic_columns_are_the_measured_ones():
     smoother = FlightSmoother().fit(flight())
     assert smoother.columns_ == ["airspeed", "alpha", "beta", "p", "q", "r"]
-    assert smoother.derivatives_ == ["alpha", "beta"]
+    assert smoother.derivatives_ == ["alpha", "beta", "p", "q", "r"]
 
 
 def test_heading_passes_through_pi():

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import inspect
 import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
+from types import FrameType
 from typing import Any, TypeAlias
 
 from skdgp._compute.findings import Finding, PlainText
 
-# Files that are passed over in the search for the user's line of a warning
-LIBRARIES = tuple(
-    (importlib.util.find_spec(name).origin or "").removesuffix("__init__.py")  # type: ignore[union-attr]
-    for name in ("skdgp", "sklearn", "scipy", "joblib", "contextlib", "functools", "dataclasses")
+#: Packages that are passed over in the search for the user's line of a warning
+LIBRARIES = frozenset(
+    {"skdgp", "sklearn", "scipy", "joblib", "contextlib", "functools", "dataclasses"}
 )
 
 
@@ -35,13 +36,13 @@ _record: ContextVar[list[Finding] | None] = ContextVar("skdgp_findings", default
 def report(finding: Finding, category: type[FindingWarning] = FindingWarning) -> None:
     """Warn of a finding; a block around it may record it."""
     _keep(finding)
-    warnings.warn(category(finding), skip_file_prefixes=LIBRARIES)
+    warnings.warn(category(finding), stacklevel=_level_of_user())
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn by a text, which is recorded as a finding of the code ``MESSAGE``."""
     _keep(Finding(PlainText.MESSAGE, numbers={"text": " ".join(message.split())}))
-    warnings.warn(message, category, skip_file_prefixes=LIBRARIES)
+    warnings.warn(message, category, stacklevel=_level_of_user())
 
 
 def _keep(finding: Finding) -> None:
@@ -60,6 +61,21 @@ def recorded_findings() -> Iterator[list[Finding]]:
         yield record
     finally:
         _record.reset(token)
+
+
+def _level_of_user() -> int:
+    """Return the ``stacklevel``, seen from the function that warns, of the first line outside of ``LIBRARIES``."""
+    level = 0
+    frame = inspect.currentframe()
+    while frame is not None and _package_of(frame) in LIBRARIES:
+        frame = frame.f_back
+        level += 1
+    return level
+
+
+def _package_of(frame: FrameType) -> str:
+    """Return the first part of the name of a frame's module."""
+    return str(frame.f_globals.get("__name__", "")).partition(".")[0]
 
 
 Listener: TypeAlias = Callable[[str, int, float], Any]

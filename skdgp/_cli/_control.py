@@ -54,10 +54,10 @@ def margins(run: Run) -> None:
     options = run.options
     run.console.stage("reading")
     loops = autopilot_loops(options.params, dict(options.full))
-    model, thrust = read_model_to_fly(options)
+    model = read_model_to_fly(options)
     warn_unfit(model, "design a controller", "Do not set gains by these margins.")
     run.console.stage("trimming")
-    steady = trimmed(model, options.airspeed, options.altitude, thrust)
+    steady = trimmed(model, options.airspeed, options.altitude)
     run.console.stage("margins")
     linear = linearize(
         model.pipeline,
@@ -65,7 +65,7 @@ def margins(run: Run) -> None:
         steady,
         n_paths=options.paths,
         random_state=options.seed,
-        thrust=thrust,
+        thrust=model.thrust,
         delay=options.delay,
         perturbation=None if options.slopes == "local" else "flown",
     )
@@ -97,19 +97,15 @@ def margins(run: Run) -> None:
     else:
         gains = _gains_of(loops, suggested)
         then = margins_of(linear, suggested)
-        texts += _suggestion_texts(options, gains, then)
+        wanted = (
+            f"largest gains with {options.gain_margin:g} dB and {options.phase_margin:g} deg in "
+            f"{options.probability:.0%} of the aircraft"
+        )
+        texts += ["", wanted, gains.to_string(index=False)]
+        texts += ["", "margins with these gains", _margin_text(then)]
         files["suggested.csv"] = csv_writer(gains)
         numbers |= {"gains": gains.to_dict("records"), "margins_suggested": _records(then)}
     run.finish(texts, numbers, files, "margins.json")
-
-
-def _suggestion_texts(options: Any, gains: pd.DataFrame, then: pd.DataFrame) -> list[str]:
-    """Return suggested gains and their margins as text."""
-    asked = f"{options.gain_margin:g} dB and {options.phase_margin:g} deg"
-    share = f"{options.probability:.0%} of the aircraft"
-    wanted = f"largest gains with {asked} in {share}"
-    table = gains.to_string(index=False)
-    return ["", wanted, table, "", "margins with these gains", _margin_text(then)]
 
 
 def _records(table: pd.DataFrame) -> Any:
@@ -130,12 +126,8 @@ def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
 
 def _margin_text(table: pd.DataFrame) -> str:
     """Return margins as text."""
-    shown = table.copy()
-    numbers = shown.select_dtypes(float).columns
-    for name in numbers:
-        form = "{:.0%}" if name == "probability" else "{:.3g}"
-        shown[name] = [form.format(value) if not np.isnan(value) else "" for value in shown[name]]
-    return shown.rename_axis(index=["", ""]).to_string()
+    shown = table.rename_axis(index=["", ""])
+    return shown.to_string(float_format="{:.3g}".format, na_rep="")
 
 
 PARAMETERS = option(
@@ -163,13 +155,13 @@ def fly(run: Run) -> None:
     options = run.options
     run.console.stage("reading")
     parameters = read_parameters(options.params) if options.params else None
-    model, thrust = read_model_to_fly(options)
+    model = read_model_to_fly(options)
     warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
     given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
-    full = full_outputs(model.pipeline, model.aircraft, given, thrust)
+    full = full_outputs(model.pipeline, model.aircraft, given, model.thrust)
     gusts = _gusts_of(options, model)
     run.console.stage("trimming")
-    steady = trimmed(model, options.airspeed, options.altitude + options.height, thrust)
+    steady = trimmed(model, options.airspeed, options.altitude + options.height)
 
     def ready() -> None:
         run.console.end_stage()
@@ -185,7 +177,7 @@ def fly(run: Run) -> None:
         path=options.path,
         wind=options.wind,
         gusts=gusts,
-        thrust=thrust,
+        thrust=model.thrust,
         port=options.port,
         wait=options.wait,
         seconds=options.seconds or np.inf,

@@ -79,8 +79,8 @@ def read_model(options) -> Bunch:
     return model
 
 
-def read_model_to_fly(options) -> tuple[Bunch, str | None]:
-    """Return the model and its thrust in motion, "auto" or None; warn of loads, thrust and gusts of its flights."""
+def read_model_to_fly(options) -> Bunch:
+    """Return the model and its ``thrust`` in motion, "auto" or None; warn of loads, thrust and gusts of its flights."""
     model = read_model(options)
     learned = model.get("options", {})
     if learned.get("external_forces"):
@@ -88,8 +88,8 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             f"Motion is computed without the external forces {learned['external_forces']} of the "
             "flights that the model was learned from."
         )
-    thrust = learned.get("thrust", "auto")
-    if thrust is None:
+    model.thrust = learned.get("thrust", "auto")
+    if model.thrust is None:
         warn(
             "No thrust was subtracted in this model: where an engine ran, CX holds its thrust, and CD "
             "is drag less thrust."
@@ -102,7 +102,7 @@ def read_model_to_fly(options) -> tuple[Bunch, str | None]:
             f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are too "
             f"small: learn from flights in calmer air."
         )
-    return model, thrust
+    return model
 
 
 def predict(run: Run) -> None:
@@ -162,15 +162,15 @@ def derivatives(run: Run) -> None:
     """
     options = run.options
     run.console.stage("reading")
-    model, thrust = read_model_to_fly(options)
+    model = read_model_to_fly(options)
     run.console.stage("trimming")
     airspeeds = sorted(set(options.airspeed))
-    trims = [trimmed(model, airspeed, options.altitude, thrust) for airspeed in airspeeds]
+    trims = [trimmed(model, airspeed, options.altitude) for airspeed in airspeeds]
     beyond = sorted({name for point in trims for name in point.beyond})
     if beyond:
         report(Finding(Code.TRIM_BEYOND, numbers={"names": beyond}))
     run.console.stage("derivatives")
-    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": thrust}
+    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": model.thrust}
     points = []
     for point in trims:
         derivatives = stability_derivatives(model.pipeline, model.aircraft, point, **spread)
@@ -204,12 +204,11 @@ def _shown(mechanics: FlightMechanics) -> pd.DataFrame:
     return modes.drop(columns="eigenvalue")
 
 
-def trimmed(model: Bunch, airspeed: float, altitude: float, thrust: str | None) -> Trim:
+def trimmed(model: Bunch, airspeed: float, altitude: float) -> Trim:
     """Return steady level flight; without a thrust the climb follows."""
-    climb = None if thrust is None else 0.0
-    return trim(
-        model.pipeline, model.aircraft, airspeed, altitude=altitude, climb=climb, thrust=thrust
-    )
+    climb = None if model.thrust is None else 0.0
+    given = {"altitude": altitude, "climb": climb, "thrust": model.thrust}
+    return trim(model.pipeline, model.aircraft, airspeed, **given)
 
 
 def _derivatives_text(mechanics: FlightMechanics) -> str:
@@ -269,7 +268,7 @@ def plan(run: Run) -> None:
         surface_mixes([axis for axis in axes if axis != "throttle"], full)
     envelope = Envelope(bank=options.max_bank, altitude=options.floor, growth=float(options.growth))
     run.console.stage("reading")
-    model, thrust = read_model_to_fly(options)
+    model = read_model_to_fly(options)
     altitude = options.altitude
     if altitude is None:  # the highest of the training flights
         flown = as_aerodynamics(model.pipeline).flown
@@ -278,13 +277,13 @@ def plan(run: Run) -> None:
         planned = plan_flight(
             model.pipeline,
             model.aircraft,
-            trimmed(model, options.airspeed, altitude, thrust),
+            trimmed(model, options.airspeed, altitude),
             seconds=options.seconds,
             axes=axes,
             goal=options.goal,
             limits=dict(options.limits),
             envelope=envelope,
-            thrust=thrust,
+            thrust=model.thrust,
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     writers = _plan_writers(planned, full)

@@ -186,11 +186,6 @@ class Identification:
         return path
 
     @property
-    def units(self) -> dict[str, str]:
-        """Units of controls that differ from docs/notation.md."""
-        return dict(self.pipeline.control_units or {})
-
-    @property
     def facts(self) -> dict[str, str]:
         """What was done, as text."""
         paths = self.fit.reconstruction

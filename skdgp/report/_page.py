@@ -121,7 +121,7 @@ def render_report(result: Identification, effects: EffectsDisplay | None = None)
     created = datetime.fromisoformat(result.created)
     count = f"flights: {len(result.train)} training, {len(result.evaluations)} test"
     meta = f"{result.aircraft.name} · {count} · {created:%d %B %Y, %H:%M}"
-    with units_shown(result.units):
+    with units_shown(result.pipeline.control_units or {}):
         body = "\n".join(_sections(result, effects))
     return PAGE.substitute(title=escape(result.title), meta=escape(meta), body=body, style=STYLE)
 
@@ -344,18 +344,18 @@ def _figures(result: Evaluation) -> str:
 
 
 def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> slice:
-    """Return the rows of the ``length`` seconds with the most motion of ``values``; all rows of a short record.
+    """Return the ``length`` seconds, of consecutive ones, with the most motion of ``values``; all of a short record.
 
     Motion is the sum of squared steps, each column in units of its standard deviation.
     """
-    n = max(2, int(length / np.median(np.diff(time))))
+    n = max(1, int(length / np.median(np.diff(time))))
     if len(time) < 1.5 * n:
         return slice(None)
     spread = np.nanstd(values, axis=0)
-    steps = np.diff(values, axis=0) / np.where(spread > 0, spread, np.inf)
-    motion = pd.Series(np.nansum(steps**2, axis=1)).rolling(n - 1).sum()
-    end = int(motion.argmax()) + 2
-    return slice(end - n, end)
+    scaled = values / np.where(spread > 0, spread, np.inf)
+    excerpts = [slice(begin, begin + n) for begin in range(0, len(time) - n + 1, n)]
+    motion = [np.nansum(np.diff(scaled[rows], axis=0) ** 2) for rows in excerpts]
+    return excerpts[int(np.argmax(motion))]
 
 
 def _flown(result: Identification) -> str:

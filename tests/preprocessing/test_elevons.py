@@ -59,5 +59,5 @@ def test_neither_surfaces_nor_controls():
 def test_mixing_of_the_wrong_shape():
     with pytest.raises(ValueError, match=r"expected \(n_controls, n_surfaces\) = \(2, 2\)"):
         ElevonSplitter(mixing=[[1.0, 1.0, 0.0]]).fit(ELEVONS)
-    with pytest.raises(ValueError, match="expected mixing"):
+    with pytest.raises(ValueError, match=r"expected \(n_controls, n_surfaces\) = \(2, 3\)"):
         ElevonSplitter(surfaces=("a", "b", "c")).fit(ELEVONS)

@@ -144,10 +144,10 @@ def render(effects=None, **changes):
         "evaluations": [result()],
         "facts": {"Mass": "45 kg", "Samples": "755 of 14,400", "Kernel": ""},
         "aircraft": SimpleNamespace(name="brumby"),
+        "pipeline": SimpleNamespace(control_units=None),
         "created": "2026-05-04T12:30:00",
         "changes": None,
         "assumed": [],
-        "units": {},
         "command": None,
     }
     return render_report(SimpleNamespace(**given | changes), effects)

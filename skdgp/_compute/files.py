@@ -17,6 +17,8 @@ from typing import Any, TypeAlias
 
 import pandas as pd
 
+from skdgp._compute.findings import Finding, Kind
+
 Writer: TypeAlias = "Callable[[Path], object]"  # fills a file
 LARGEST_SIZE = 2**24  # bytes of a file that people write; a larger one is another file
 
@@ -76,6 +78,10 @@ def text_writer(text: str) -> Writer:
 
 def plain(value: Any) -> Any:
     """Return a value for JSON: None instead of NaN and infinity, text instead of types that JSON does not have."""
+    if isinstance(value, Finding):
+        value = value.to_dict()
+    if isinstance(value, Kind):
+        return value.label
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):

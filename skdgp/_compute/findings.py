@@ -107,13 +107,13 @@ class Finding:
         return f"{clause}. {self.advice}".strip()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
+        """Return it as values for `plain`."""
         return {
-            "code": self.code.label,
+            "code": self.code,
             "severity": self.severity.value,
             "flight": self.flight,
             "channel": self.channel,
-            "numbers": _plain(self.numbers),
+            "numbers": dict(self.numbers),
         }
 
     def _filled(self, template: str) -> str:
@@ -219,14 +219,3 @@ def _is_known(value: Any) -> bool:
     """Return whether a value is more than None, False, or an empty text or collection."""
     is_empty = isinstance(value, str | Mapping | list) and not value
     return value is not None and value is not False and not is_empty
-
-
-def _plain(value: Any) -> Any:
-    """Return a number of a finding, or several; further findings as plain values."""
-    if isinstance(value, Finding):
-        return value.to_dict()
-    if isinstance(value, Kind):
-        return value.label
-    if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list) else value

@@ -101,11 +101,9 @@ def _simulated(
     wind = [part[["time", *WIND]] for part in parts] if wind_known else None
     not_inputs = [*STATES, *WIND, "flight", "psi"]
     inputs = [part.drop(columns=not_inputs, errors="ignore") for part in parts]
-    names = [*STATES, "psi"] if wind_known else [*STATES]
-    starts = pd.DataFrame([part.iloc[0] for part in parts])[names].reset_index(drop=True)
-    starts = starts.astype(float)
-    if wind_known:
-        starts["psi"] = wrapped(starts["psi"].to_numpy())  # the flight turns more than once
+    starts = pd.DataFrame([numeric(part, STATES)[0] for part in parts], columns=[*STATES])
+    if wind_known:  # the flight turns more than once
+        starts["psi"] = wrapped(np.array([part["psi"].iloc[0] for part in parts]))
     with warnings.catch_warnings():
         # an end is an error without bound
         warnings.simplefilter("ignore", SimulationWarning)

@@ -130,7 +130,7 @@ class Identification:
             "test_together": _score_metrics(self.evaluations),
             "verdict": self.verdict.to_dict(),
             "flight_mechanics": self.mechanics.to_dict(),
-            "findings": [finding.to_dict() for finding in self.findings],
+            "findings": self.findings,
             "messages": self.messages,
             "assumed": self.assumed,
         }

@@ -27,20 +27,6 @@ from skdgp.dynamics import (
 )
 from skdgp.identification._free_flight import simulation_errors
 
-# Facts of a trim in metrics.json
-TRIM = (
-    "airspeed",
-    "altitude",
-    "density",
-    "climb",
-    "alpha",
-    "beta",
-    "phi",
-    "theta",
-    "controls",
-    "beyond",
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class FlightMechanics:
@@ -67,17 +53,11 @@ class FlightMechanics:
     simulation: pd.DataFrame | None = None
     notes: tuple[Finding, ...] = ()
 
-    @property
-    def mode_kinds(self) -> pd.Index:
-        """Kind of each mode: its name without the number, which several of one kind have."""
-        names = pd.Index([]) if self.modes is None else self.modes.index
-        return names.astype(str).str.replace(r" \d+$", "", regex=True)
-
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values, SI units and radians."""
         plain: dict[str, Any] = {"notes": [note.text for note in self.notes]}
         if self.trim is not None:
-            plain["trim"] = {name: getattr(self.trim, name) for name in TRIM}
+            plain["trim"] = dict(vars(self.trim))
         plain["derivatives"] = self.derivatives.to_dict("index")
         if self.modes is not None:
             plain["modes"] = self.modes.drop(columns="eigenvalue").to_dict("index")

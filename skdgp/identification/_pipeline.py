@@ -104,7 +104,7 @@ def make_identification_pipeline(
         With span and chord, for non-dimensional rates.
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
-    reconstruction : "auto", transformer or "passthrough", default="auto"
+    reconstruction : "auto", transformer or None, default="auto"
         "auto": ``FlightPathReconstruction(aircraft=aircraft)``, which reconstructs
         the flights if no sensor is missing or contradicts the others, and estimates gusts and lag
         of the servos of flights without vanes.
@@ -175,7 +175,7 @@ def make_identification_pipeline(
         control_units=control_units,
         memory=memory,
     )
-    pipeline.set_params(**{RECONSTRUCTION: reconstruction})
+    pipeline.set_params(**{RECONSTRUCTION: reconstruction or "passthrough"})
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
@@ -187,26 +187,18 @@ def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector]:
 
 def with_path(pipeline: Pipeline, flight: Any, first: int = 0) -> Any:
     """Return a flight after the steps from the ``first`` to the reconstruction of its path."""
-    return _transformed(pipeline.steps[first : _end_of_path(pipeline)], flight)
+    return pipeline[first : _end_of_path(pipeline)].transform(flight)
 
 
 def regressors_of(pipeline: Pipeline, path: Any) -> Matrix:
     """Return the regressors (n, d) of the last step for a flight by `with_path`."""
-    return np.asarray(_transformed(pipeline.steps[_end_of_path(pipeline) : -1], path))
+    return np.asarray(pipeline[_end_of_path(pipeline) : -1].transform(path))
 
 
 def _end_of_path(pipeline: Pipeline) -> int:
-    """Return the number of steps up to the reconstruction of paths; 0 without this step."""
+    """Return the number of steps up to the reconstruction of paths; 1 without this step."""
     names = [name for name, _ in pipeline.steps]
-    return names.index(RECONSTRUCTION) + 1 if RECONSTRUCTION in names else 0
-
-
-def _transformed(steps: Sequence[tuple[str, Any]], flight: Any) -> Any:
-    """Return a flight that fitted steps have transformed."""
-    for _, step in steps:
-        if step not in (None, "passthrough"):
-            flight = step.transform(flight)
-    return flight
+    return names.index(RECONSTRUCTION) + 1 if RECONSTRUCTION in names else 1
 
 
 def noise_ratio(pipeline: Pipeline, path: Any) -> Vector:
@@ -490,14 +482,13 @@ class FlightPipeline(Pipeline):
         if self.thrust is not None:
             self.errors_ = thrust_errors(flights, self.aircraft, named)
         corrector = step_of(self, LagCorrector)
-        check = step_of(self, FlightCheck)
         errors = learned_errors(
             flights,
             self.aircraft,
             named,
             self.least_squares_,
             None if corrector is None else corrector.lags_,
-            0.0 if check is None else check.airspeed_scale_.left(),
+            self[0].airspeed_scale_.left(),
         )
         mean, scale = scaling_of(self)  # X = (x - mean) / scale
         units = -mean / scale, 1 / scale, np.ones(len(COEFFICIENTS))
@@ -513,8 +504,7 @@ class FlightPipeline(Pipeline):
         ]
         self.seconds_ = float(sum(seconds))
         self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
-        medians = flights.median(numeric_only=True)
-        self.conditions_ = {str(name): float(value) for name, value in medians.items()}
+        self.conditions_ = flights.median(numeric_only=True).astype(float).to_dict()
         self.turbulence_ = None
         if self.aircraft is not None:
             with suppress(TypeError, ValueError):  # short flights, or columns that are missing

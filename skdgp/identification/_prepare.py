@@ -86,7 +86,7 @@ def regressor_columns(tables: Iterable[pd.DataFrame], regressors: Sequence[str])
 
 def usable_flights(
     flights: Flights,
-    aircraft: Aircraft | None,
+    aircraft: Aircraft,
     regressors: Sequence[str],
     columns: Sequence[str],
     *,
@@ -128,21 +128,19 @@ def _check_surfaces(name: str, table: pd.DataFrame, in_radians: bool) -> None:
         )
 
 
-def _warn_of_contradictions(flights: Flights, aircraft: Aircraft | None) -> None:
+def _warn_of_contradictions(flights: Flights, aircraft: Aircraft) -> None:
     """Warn of channels, and of sizes of the aircraft, that contradict others by physics, in all flights together."""
     together = FlightTable.together(flights.values())
     only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
         finding = replace(contradiction, flight=contradiction.flight or only).finding
         report(finding, FlightDataWarning)
-    question = None if aircraft is None else aircraft.question_of_sizes(together)
+    question = aircraft.question_of_sizes(together)
     if question is not None:
         report(question)
 
 
-def usable_flights_of_model(
-    pipeline: Pipeline, flights: Flights, aircraft: Aircraft | None = None
-) -> Flights:
+def usable_flights_of_model(pipeline: Pipeline, flights: Flights, aircraft: Aircraft) -> Flights:
     """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
 
     Flights that do not state the position of their inertial sensors get the aircraft's. Raises
@@ -181,17 +179,15 @@ def with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
     return replace(aircraft, sensor_position=stated[0].tolist())
 
 
-def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft | None) -> None:
+def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft) -> None:
     """Warn if a flight states another position of the inertial sensors than the aircraft.
 
     An aircraft without one was learned with
     the sensors at the centre of gravity, to which also the forces of a simulation refer.
     """
     stated = np.nan_to_num(sensor_position(table)).mean(axis=0)
-    if aircraft is None or not stated.any():
-        return
     distance = float(np.linalg.norm(stated - np.array(aircraft.sensor_position or np.zeros(3))))
-    if distance > POSITION_TOLERANCE:
+    if stated.any() and distance > POSITION_TOLERANCE:
         numbers = {"distance": distance}
         report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, numbers=numbers))
 

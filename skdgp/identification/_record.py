@@ -138,8 +138,8 @@ def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
     step = step_of(pipeline, LagCorrector)
     if step is None:
         return {}
-    table = step.lags_.astype(object).where(step.lags_.notna(), None)
-    return {str(group): dict(row) for group, row in table.iterrows()}
+    table: Any = step.lags_.astype(object)
+    return table.where(table.notna(), None).to_dict("index")
 
 
 def _by_coefficient(values: Vector) -> dict[str, float]:

@@ -282,7 +282,7 @@ def _error_findings(varying: pd.DataFrame, vanes: dict[str, str]) -> list[Findin
     mean_error = varying[NRMSE].mean()
     if mean_error > 1:
         findings.append(Finding(Code.DIVERGING, numbers={"error": mean_error}))
-    unjudged = varying.index.intersection([*vanes])
+    unjudged = [name for name in vanes if name in varying.index]
     lacking = [vanes[name] for name in unjudged]
     findings += _if_any(Code.BY_CONSTRUCTION, names=unjudged, vanes=lacking)
     judged = varying.drop(index=unjudged)
@@ -344,13 +344,13 @@ def _control_findings(mechanics: FlightMechanics, varying: pd.DataFrame) -> list
 
 def _half_widths(mechanics: FlightMechanics) -> pd.Series:
     """Return half widths of 95 % bands over values, of controls and fast modes; empty without controls."""
-    table = mechanics.derivatives
-    if table.empty:
-        return pd.Series(dtype=float)
-    bands = table.loc[table.index.isin(CONTROL_DERIVATIVES), ["value", "std"]]
+    table = mechanics.derivatives.reindex(columns=["value", "std"])
+    bands = table[table.index.isin(CONTROL_DERIVATIVES)]
     if mechanics.modes is not None and len(bands):
-        is_fast = mechanics.mode_kinds.isin(FAST_MODES)
-        fast = mechanics.modes.loc[is_fast, ["frequency", "frequency_std"]]
+        kinds = mechanics.modes.index.str.replace(
+            r" \d+$", "", regex=True
+        )  # of several of one kind
+        fast = mechanics.modes.loc[kinds.isin(FAST_MODES), ["frequency", "frequency_std"]]
         bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
     return half_width(0.95) * bands["std"] / bands["value"].abs()
 

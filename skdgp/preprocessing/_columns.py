@@ -348,24 +348,25 @@ class RegressorSelector(TableTransformer):
         names = [name + HAT if name + HAT in table else name for name in names]
         if ELEVONS[0] in table:
             check_columns(table, MIXED)
-        check_spelling(table, present(CONTROLS, names))
-        self.absent_ = [name for name in present(CONTROLS, names) if name not in table]
+        controls = present(CONTROLS, names)
+        check_spelling(table, controls)
+        self.absent_ = [name for name in controls if name not in table]
         if {*SURFACES} <= {*self.absent_}:
             check_columns(table, SURFACES)
         if "elevator" in self.absent_:  # other regressors take its effect
             report(Finding(Code.NO_ELEVATOR), FlightDataWarning)
+        names = [name for name in names if name not in self.absent_]
         for name in present(AUXILIARY, table):
             if np.nanstd(numeric(table, [name])) > LEAST_MOTION:
                 names.append(name)
-        names = [name for name in names if name not in self.absent_]
-        if not (self.engine and "throttle" in names):
-            return names
-        throttle = numeric(table, ["throttle"])
-        if np.nanstd(throttle) <= LEAST_MOTION:  # a constant thrust still depends on the airspeed
-            names.remove("throttle")
-            if np.nanmean(throttle) <= LEAST_MOTION:
-                return names
-        return list(dict.fromkeys([*names, "airspeed"]))
+        if self.engine and "throttle" in names:
+            throttle = numeric(table, ["throttle"])
+            motion, mean = np.nanstd(throttle), np.nanmean(throttle)
+            if motion <= LEAST_MOTION:
+                names.remove("throttle")
+            if max(motion, mean) > LEAST_MOTION:  # a constant thrust still depends on the airspeed
+                names.append("airspeed")
+        return names
 
 
 def _truth(names: Iterable[Any]) -> list[str]:

@@ -35,6 +35,7 @@ from skdgp.estimation import (
     PATH_NOISE,
     RECONSTRUCTED,
     AirMotion,
+    AirSettings,
     FlightSensors,
     PathEstimate,
     PathSettings,
@@ -109,6 +110,8 @@ class FlightPathReconstruction(TableTransformer):
         centre of gravity.
     thrust : str or None, default="auto"
         For ``aircraft``, as in `skdgp.dynamics.aerodynamic_coefficients`.
+    settings : AirSettings, optional
+        For ``aircraft``, as in `estimate_air_motion`.
 
     Attributes
     ----------
@@ -163,6 +166,7 @@ class FlightPathReconstruction(TableTransformer):
         "max_rows": [Interval(Integral, 1, None, closed="left")],
         "aircraft": [Aircraft, None],
         "thrust": [str, None],
+        "settings": [AirSettings, None],
     }
 
     def __init__(
@@ -171,10 +175,12 @@ class FlightPathReconstruction(TableTransformer):
         max_rows: int = 65536,
         aircraft: Aircraft | None = None,
         thrust: str | None = "auto",
+        settings: AirSettings | None = None,
     ) -> None:
         self.max_rows = max_rows
         self.aircraft = aircraft
         self.thrust = thrust
+        self.settings = settings
 
     def in_simulation(self) -> dict[str, Any]:
         """Return the servos."""
@@ -262,7 +268,13 @@ class FlightPathReconstruction(TableTransformer):
         aircraft: Any = self.aircraft
         motion = None
         try:
-            motion = estimate_air_motion(table, aircraft, thrust=self.thrust, known=known)
+            motion = estimate_air_motion(
+                table,
+                aircraft,
+                thrust=self.thrust,
+                known=known,
+                settings=self.settings or AirSettings(),
+            )
             if motion.converged:
                 return motion, []
             cause = Finding(Code.AIR_NOT_CONVERGED, numbers=_agreement(table))

@@ -45,6 +45,7 @@ PICTURE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "skdgp", "fon
 SHOWN_FLIGHTS = 3
 EXCERPT = 15.0  # length of the look at a flight [s] (guess)
 
+TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta")
 SYMMETRIC, ASYMMETRIC = ("CL", "CD", "Cm"), ("CY", "Cl", "Cn")
 JUDGEMENTS = {"yes": "✓ yes", "partly": "◐ partly", "no": "✗ no", "unknown": "? not known"}
 DERIVATIVES = (
@@ -241,12 +242,11 @@ def _changes(changes: Changes | None) -> str:
 def _mechanics(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives and modes."""
     parts = [paragraphs(note.text for note in mechanics.notes)]
-    steady = mechanics.to_dict().get("trim")
-    if steady is not None:
-        del steady["beyond"]
-        controls = steady.pop("controls")
+    trim = mechanics.trim
+    if trim is not None:
+        flight = {name: vars(trim)[name] for name in TRIM}
         shown = {}
-        for name, value in (steady | controls).items():
+        for name, value in (flight | trim.controls).items():
             factor, unit = display_unit("theta" if name == "climb" else name)
             shown[name] = f"{number(factor * value, '.4g')} {unit}"
         parts += [paragraphs(["Steady flight in the middle of the training range:"]), facts(shown)]
@@ -275,15 +275,15 @@ def _derivatives(table: pd.DataFrame) -> pd.DataFrame:
 
 def _modes(modes: pd.DataFrame) -> pd.DataFrame:
     """Return frequency, damping and time constant of each mode as text."""
-    edges = ["time_constant_lower", "time_constant_upper"]
-    stds = ["frequency_std", "damping_std"]
-    known = modes.reindex(columns=modes.columns.union([*stds, *edges]))
-    shown = pd.DataFrame(index=modes.index)
-    for name in ("frequency", "damping"):
-        shown[name] = list(map(with_std, known[name], known[f"{name}_std"]))
-    constants = map(number, known["time_constant"])
-    shown["time constant"] = list(map(marked, constants, *(known[edge] for edge in edges)))
-    return shown
+    shown = {}
+    for name, row in modes.drop(columns="eigenvalue").iterrows():
+        edges = row.get("time_constant_lower", 1.0), row.get("time_constant_upper", 1.0)
+        shown[name] = {
+            "frequency": with_std(row["frequency"], row.get("frequency_std")),
+            "damping": with_std(row["damping"], row.get("damping_std")),
+            "time constant": marked(number(row["time_constant"]), *edges),
+        }
+    return pd.DataFrame(shown).T
 
 
 def _simulation(mechanics: FlightMechanics) -> str:
@@ -344,18 +344,16 @@ def _figures(result: Evaluation) -> str:
 
 
 def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> slice:
-    """Return the ``length`` seconds, of consecutive ones, with the most motion of ``values``; all of a short record.
+    """Return the rows of the ``length`` seconds with the most motion of ``values``; all of a short record.
 
     Motion is the sum of squared steps, each column in units of its standard deviation.
     """
     n = max(1, int(length / np.median(np.diff(time))))
     if len(time) < 1.5 * n:
         return slice(None)
-    spread = np.nanstd(values, axis=0)
-    scaled = values / np.where(spread > 0, spread, np.inf)
-    excerpts = [slice(begin, begin + n) for begin in range(0, len(time) - n + 1, n)]
-    motion = [np.nansum(np.diff(scaled[rows], axis=0) ** 2) for rows in excerpts]
-    return excerpts[int(np.argmax(motion))]
+    motion = pd.DataFrame(values).diff().pow(2) / np.nanvar(values, axis=0)
+    begin = int(motion.sum(axis=1).rolling(n).sum().argmax()) + 1 - n
+    return slice(begin, begin + n)
 
 
 def _flown(result: Identification) -> str:

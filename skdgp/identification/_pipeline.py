@@ -504,7 +504,8 @@ class FlightPipeline(Pipeline):
         ]
         self.seconds_ = float(sum(seconds))
         self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
-        self.conditions_ = flights.median(numeric_only=True).astype(float).to_dict()
+        medians: Any = flights.median(numeric_only=True).astype(float)
+        self.conditions_ = medians.to_dict()
         self.turbulence_ = None
         if self.aircraft is not None:
             with suppress(TypeError, ValueError):  # short flights, or columns that are missing

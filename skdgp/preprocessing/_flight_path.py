@@ -245,8 +245,8 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
         if self.aircraft is None:
-            numbers = {"cause": Finding(Code.NO_AIRCRAFT)}
-            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers=numbers)]
+            cause = Finding(Code.NO_AIRCRAFT)
+            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})]
             return
         motion, self.doubts_ = self._estimated_motion(table)
         if motion is None:
@@ -306,7 +306,7 @@ class FlightPathReconstruction(TableTransformer):
         else:
             flights = self._columns_by_air(table, motion)
         columns = pd.concat(flights).sort_index()
-        new = dict(zip(columns, columns.to_numpy(float).T, strict=True))
+        new = by_name(list(columns), columns.to_numpy(float))
         wrap_near(new, table, EULER)
         if {*SENSOR_POSITION} <= {*table}:
             # the specific force is that at the centre of gravity

@@ -17,7 +17,7 @@ from sklearn.utils.validation import check_consistent_length, check_is_fitted
 
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST
+from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
 from skdgp._flight.findings import Code, with_codes
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._regressor import DependentGPRegressor

@@ -116,13 +116,18 @@ def test_a_spiral_does_not_count_where_the_roll_loop_is_open(with_spiral):
     assert suggest_gains(with_spiral, pitch)[0].P > 0.0
 
 
-def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_named(with_spiral):
-    weak = UNFILTERED | {"FW_RR_P": 1e-4}
-    table = margins(with_spiral, autopilot_loops(weak, {"aileron": FULL["aileron"]}))
+def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_named_and_is_not_the_pitch_loops(
+    with_spiral,
+):
+    """The elevator does not move the spiral."""
+    weak = PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}
+    roll, pitch, _ = autopilot_loops(weak, FULL)
+    table = margins(with_spiral, [roll, pitch])
     assert table["value"]["roll"]["gain"] == -np.inf
+    assert np.isfinite(table["value"]["pitch"]).all()
     assert table.attrs["unstable"] == {"spiral": pytest.approx(1.0)}
     with pytest.raises(ValueError, match="unstable by the spiral in 100% of the paths"):
-        suggest_gains(with_spiral, autopilot_loops(weak, {"aileron": FULL["aileron"]}))
+        suggest_gains(with_spiral, [roll])
 
 
 @pytest.mark.parametrize(
@@ -410,16 +415,9 @@ def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
         autopilot_loops(parameters, full)
 
 
-def test_an_unstable_roll_loop_is_not_the_pitch_loops(with_spiral):
-    """The elevator does not move the spiral, which a weak roll loop leaves unstable."""
-    loops = autopilot_loops(PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}, FULL)
-    loops = [loop for loop in loops if loop.name != "yaw"]
-    table = margins(with_spiral, loops)
-    assert table["value"]["roll"]["gain"] == -np.inf
-    assert np.isfinite(table["value"]["pitch"]).all()
-    # nor are too high gains of pitch the roll loop's
-    roll = autopilot_loops(PX4 | {"FW_RR_P": 0.5}, {"aileron": FULL["aileron"]})
-    table = margins(with_spiral, [*roll, loops[1].scaled(30.0)])
+def test_too_high_gains_of_pitch_are_not_the_roll_loops(with_spiral):
+    roll, pitch, _ = autopilot_loops(PX4 | {"FW_RR_P": 0.5}, FULL)
+    table = margins(with_spiral, [roll, pitch.scaled(30.0)])
     assert np.isfinite(table["value"]["roll"]).all()
     assert table["value"]["pitch"]["gain"] == -np.inf
     (cause,) = table.attrs["unstable"]

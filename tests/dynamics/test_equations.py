@@ -1,6 +1,7 @@
 """Equations behind derivatives, simulations and gusts: unsteady terms, drift, Dryden's spectra."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -18,6 +19,7 @@ from skdgp.dynamics import (
     dryden_gusts,
     euler_to_quaternion,
 )
+from skdgp.dynamics._air import turbulence_of_winds
 from skdgp.dynamics._dryden import dryden_system, rolling_gust
 from skdgp.dynamics._linearize import RELATIVE_STD, UnsteadyTerms, jacobian, unsteady_terms
 from skdgp.dynamics._simulate import drift_in_still_air
@@ -95,6 +97,22 @@ def test_with_alpha_dot_the_rest_of_it_is_uncertain():
 
 
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
+
+
+def test_winds_of_seconds_tell_the_rates_of_gusts():
+    """Of ten winds of ten seconds, and of one."""
+    n, step, speed, span = 201, 0.05, 25.0, 2.0
+    scales = np.tile(TRUE.length, (10, 1)), np.tile(TRUE.intensity, (10, 1))
+    gusts = dryden_gusts(n, step, speed, *scales, span, default_rng(3)).velocity
+    winds = []
+    for gust in gusts.swapaxes(0, 1):
+        wind = pd.DataFrame(gust, columns=["wind_north", "wind_east", "wind_down"])
+        winds.append(wind.assign(time=step * np.arange(n), airspeed=speed))
+    density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
+    for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):
+        found = turbulence_of_winds(some, span)
+        assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
+    assert turbulence_of_winds([winds[0][:20]], span) is None
 
 
 def learned_in(turbulence, drift):

@@ -1,6 +1,7 @@
 """Servos with delay, lag and rate limit, against independent solutions of T d'(t) = c(t - tau) - d(t), |d'| <= R."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
@@ -40,6 +41,20 @@ def test_held_commands_arrive_after_the_delay_and_are_followed(glider, level, fo
         return steps_of(dt * np.floor(t / dt + 1e-6))
 
     assert_allclose(table["aileron"], followed(held, time, 0.04, delay), atol=2e-4)
+
+
+@pytest.mark.parametrize("delay", [0.007, 0.033])
+def test_commands_that_change_within_steps_are_late_and_followed(glider, level, followed, delay):
+    """Those of a table are linear between its rows."""
+    time = 0.02 * np.arange(101)
+    table = pd.DataFrame({"time": time, **level.controls}).assign(aileron=0.05 * np.sin(5 * time))
+    found = flown(glider, level, Servos(0.04, delay), table)
+
+    def command(t):
+        return np.interp(t, time, table["aileron"])
+
+    expected = followed(command, found["time"].to_numpy(), 0.04, delay)
+    assert_allclose(found["aileron"], expected, atol=2e-4)
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.04])

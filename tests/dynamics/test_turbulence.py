@@ -21,7 +21,6 @@ from skdgp.dynamics import (
     dryden_gusts,
     simulate,
 )
-from skdgp.dynamics._air import turbulence_of_winds
 from skdgp.identification import make_identification_pipeline
 
 WIND = ["wind_north", "wind_east", "wind_down"]
@@ -71,19 +70,6 @@ class TestFromFlight:
         for found in (Turbulence.from_flight(table, SPAN) for table in tables):
             assert found.intensity[0] == found.intensity[1]
             assert_allclose(found.intensity, TRUE.intensity, rtol=0.15)
-
-    def test_winds_of_seconds_tell_the_rates(self):
-        """Of ten winds of ten seconds, and of one."""
-        time, gusts = STEP * np.arange(201), gusts_of(TRUE, 201, default_rng(3), 10).velocity
-        winds = [
-            pd.DataFrame(gust, columns=WIND).assign(time=time, airspeed=SPEED)
-            for gust in gusts.swapaxes(0, 1)
-        ]
-        density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
-        for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):
-            found = turbulence_of_winds(some, SPAN)
-            assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
-        assert turbulence_of_winds([winds[0][:20]], SPAN) is None
 
     def test_calm_air_is_calm(self):
         found = Turbulence.from_flight(flights(times(TRUE, 1e-6), 1, 300.0, 0.2, seed=2), SPAN)

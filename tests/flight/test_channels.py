@@ -1,4 +1,4 @@
-"""Channels of a flight: their clock, samples that are repeated, and the band of the motion."""
+"""Channels of a flight: their clock, samples that are repeated, the band of the motion, and flights that are copies."""
 
 import numpy as np
 import pandas as pd
@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 
 from skdgp._flight.clock import uniform_grid, unrounded
+from skdgp._flight.copies import copies
 from skdgp._flight.holds import (
     error_between_samples,
     find_holds,
@@ -165,3 +166,54 @@ def test_a_wave_beyond_it_is_removed_and_one_within_it_is_kept():
 def test_without_rates_and_surfaces_it_is_unknown():
     assert motion_band_of(shaken(0.0)[["time"]].assign(alpha=0.1)) == np.inf
     assert motion_band_of(shaken(0.0).iloc[:60]) == np.inf
+
+
+SENSORS = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
+ANGLES = {"elevator": "theta", "aileron": "phi", "rudder": "psi"}
+
+
+@pytest.fixture
+def doublets():
+    """Return flights about one trim, by the surface whose doublet at 2 s decays in one angle."""
+    time = np.arange(0.0, 20.0, 0.02)
+    since = np.clip(time - 2.0, 0.0, None)
+    response = 0.15 * np.exp(-since / 2.0) * np.sin(2.0 * since)
+    flights = {}
+    for seed, (surface, angle) in enumerate(ANGLES.items()):
+        noise = default_rng(seed).normal(0.0, 0.001, (len(time), len(SENSORS)))
+        table = pd.DataFrame(noise, columns=SENSORS).assign(time=time)
+        table[angle] += response
+        flights[surface] = table
+    return flights
+
+
+def test_doublets_of_different_surfaces_at_one_trim_are_no_copies(doublets):
+    flights = {name: FlightTable.of(table) for name, table in doublets.items()}
+    assert copies(flights, flights) == {}
+
+
+def test_telemetry_of_a_doublet_is_a_copy(doublets):
+    for name, table in doublets.items():
+        sent = table.iloc[3::10].reset_index(drop=True)
+        sent[SENSORS] += default_rng(3).normal(0.0, 0.001, (len(sent), len(SENSORS)))
+        flights = {surface: FlightTable.of(flight) for surface, flight in doublets.items()}
+        assert copies({"sent": FlightTable.of(sent)}, flights) == {"sent": name}
+
+
+CHAINS = {
+    "a log and its halves": ([(0, 1000), (0, 550), (450, 1000)], ["1", "2"]),
+    "halves and their log": ([(0, 550), (450, 1000), (0, 1000)], ["2"]),
+    "each overlaps the next": ([(0, 500), (200, 700), (400, 900)], ["1"]),
+    "three of one": ([(0, 500), (0, 500), (0, 500)], ["2"]),
+}
+
+
+@pytest.mark.parametrize(("ranges", "kept"), CHAINS.values(), ids=CHAINS)
+def test_of_a_chain_of_copies_what_was_copied_is_kept(ranges, kept, doublets):
+    table = doublets["elevator"]
+    flights = {}
+    for name, (begin, end) in enumerate(ranges):
+        flights[str(name)] = FlightTable.of(table.iloc[begin:end].reset_index(drop=True))
+    found = copies(flights, flights)
+    assert [name for name in flights if name not in found] == kept
+    assert {*found.values()} <= {*kept}

@@ -266,25 +266,21 @@ class TestTransform:
 
 @pytest.mark.parametrize("rate_limit", [2.0, 20.0])
 def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limit):
-    """Turns w' = -a w + b d, behind servos of 40 ms that move steps of many sizes at up to some 5 rad/s."""
+    """Turns w' = -a w + b d, behind servos of 40 ms that moves steps of many sizes at up to some 5 rad/s."""
     rng = default_rng(0)
     step = 0.004
     n = 20000
-    held = (rng.uniform(0.15, 0.8, (n // 37, 2)) / step).astype(int)
+    held = (rng.uniform(0.15, 0.8, (2, n // 37)) / step).astype(int)
     sizes = 0.08 * rng.normal(size=held.shape)
-    commands = np.stack([np.repeat(*each)[:n] for each in zip(sizes.T, held.T, strict=True)], -1)
+    commands = np.column_stack([np.repeat(*each)[:n] for each in zip(sizes, held, strict=True)])
     delta = np.zeros((n, 2))
     for k in range(n - 1):
         rate = np.clip((commands[k] - delta[k]) / 0.04, -rate_limit, rate_limit)
         delta[k + 1] = delta[k] + step * rate
-    turn = np.stack([lfilter([0, 10 * a * step], [1, a * step - 1], d)
-                     for a, d in zip((10.0, 6.0), delta.T, strict=True)], -1)  # fmt: skip
-    rows = slice(None, None, 5)
-    table = pd.DataFrame(commands[rows], columns=["aileron", "elevator"])
-    table["time"] = step * np.arange(n)[rows]
-    for name in ("ax", "ay", "az", "p", "q", "r"):
-        table[name] = rng.normal(0, 0.005, len(table))
-    table[["p", "q"]] += turn[rows]
+    turn = lfilter([0, 100 * step], [1, 10 * step - 1], delta, axis=0)
+    table = make_flight({"ax ay az p q r": (0, 0, 0.005)}, n // 5, 5 * step)
+    table[["p", "q"]] += turn[::5]
+    table[["aileron", "elevator"]] = commands[::5]
     if rate_limit == 20.0:
         assert LagCorrector().fit(table).servos_.rate_limit == np.inf
         return
@@ -292,5 +288,5 @@ def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limi
         corrector = LagCorrector().fit(table)
     assert corrector.servos_.rate_limit == pytest.approx(rate_limit, rel=0.3)
     found = corrector.transform(table)["aileron"]
-    truth = delta[rows, 0]
+    truth = delta[::5, 0]
     assert np.std(found - truth) < 0.4 * np.std(table["aileron"] - truth)

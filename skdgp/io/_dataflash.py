@@ -46,7 +46,6 @@ from skdgp.io._log import (
     stated_positions,
     turned,
     whole,
-    with_engines,
 )
 from skdgp.io._tables import FlightReadError
 
@@ -145,7 +144,7 @@ RULES = (
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),
-    Rule(("propeller_speed",), "RPM", ("RPM",), from_rpm, valid=("H",)),
+    Rule(("propeller_speed",), "RPM", ("RPM", "rpm1", "rpm2"), from_rpm, valid=("H",)),
     Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
 )
 
@@ -171,11 +170,6 @@ NAMING = "the parameters SERVOn_FUNCTION"
 # that are logged, and that there are
 MOST_SERVOS = 16
 MOST_OUTPUTS = 32
-# fields of the speeds [rpm] of several engines, in logs and telemetry
-ENGINES = {
-    "RPM": ("rpm1", "rpm2"),
-    "ESC_TELEMETRY_1_TO_4": tuple(f"rpm[{k}]" for k in range(4)),
-}
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
 TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK, and of tailsitters
@@ -508,10 +502,9 @@ def by_parameters(
         remarks.append(
             "Q_TILT_MASK has every motor that lifts: transitions are left out of flights by the mode alone"
         )
-    rules = with_engines(log.rules, log.topics, ENGINES, lifting)
     return replace(
         log,
-        rules=_in_vehicle_axes(rules, parameters),
+        rules=_in_vehicle_axes(log.rules, parameters),
         remarks=tuple(remarks),
         outputs=(name,),
         controls=controls,

@@ -8,7 +8,6 @@ import numpy as np
 
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.frames import without_sign_changes
-from skdgp._flight.tables import interpolated
 from skdgp.io._clock import usual_step
 from skdgp.io._log import (
     QUATERNION,
@@ -17,10 +16,8 @@ from skdgp.io._log import (
     Rule,
     Topic,
     Use,
-    engines_note,
     fastest,
     last_before,
-    root_mean_square,
     whole,
 )
 
@@ -115,6 +112,8 @@ def validity_fields(instances: list[Instance], rule: Rule) -> list[str]:
 
 def choose(log: Log, rule: Rule) -> Source | None:
     """Return the source of a rule's columns, or None if the log has none of its fields."""
+    if rule.columns == ENGINES:
+        return _mean_engine(log, rule)
     instances = []
     for instance in log.instances(rule.topic):
         if all(field in instance.topic for field in rule.fields):
@@ -125,10 +124,6 @@ def choose(log: Log, rule: Rule) -> Source | None:
         instances = instances[:1]
     use = _use(log, rule, instances)
     readings = [_readings(log, instance, rule, use) for instance in instances]
-    if rule.columns == ENGINES:
-        readings = [reading for reading in readings if reading.valid.any()] or readings[:1]
-        if len(readings) > 1:
-            return _mean_engine(log, rule, readings)
     return _source_of(rule, readings, use)
 
 
@@ -198,32 +193,28 @@ def _words(rule: Rule, names: list[str]) -> str:
     return f"{' and '.join(names[:3])}.{' '.join(rule.fields)}"
 
 
-def _mean_engine(log: Log, rule: Rule, readings: list[Readings]) -> Source:
-    """Return the root mean square of the engines that drive, at the times of the first of these.
+def _mean_engine(log: Log, rule: Rule) -> Source | None:
+    """Return the root mean square of the engines that drive, fields of the instances; None if none runs.
 
-    It is left out where one of them tells no speed, before its first message or after its last.
+    Thrusts go with the square of the speeds. It is at the times of the first of these, and left out where one
+    of them tells no speed, before its first message or after its last.
     """
-    speeds = {}
-    for reading in readings:
-        drives = reading.valid & ~log.lifts(reading.time)
-        speeds[reading.instance.name] = reading.values[drives, 0]
-    names = fastest(speeds) or tuple(speeds)
-    running = [reading for reading in readings if reading.instance.name in names]
-    time = running[0].time[running[0].valid]
-    columns = []
-    for reading in running:
-        valid = reading.valid
-        speed = interpolated(time, reading.time[valid], reading.values[valid], beyond=np.nan)
-        columns.append(speed)
-    mean = root_mean_square(np.hstack(columns))
-    is_known = np.isfinite(mean[:, 0])
-    return Source(
-        columns=rule.columns,
-        name=_words(rule, [*names]),
-        time=time[is_known],
-        values=mean[is_known],
-        note=_joined(", ", rule.note, engines_note(len(names))),
-    )
+    engines = {}
+    for instance in log.instances(rule.topic):
+        valid = is_valid(instance.topic, rule)
+        for field in rule.fields:
+            if field in instance.topic:
+                told = instance.topic.select(valid & np.isfinite(instance.topic[field]))
+                engines[f"{instance.name}.{field}"] = (told.time, rule.convert(told[field]))
+    names = fastest({name: speed[~log.lifts(time)] for name, (time, speed) in engines.items()})
+    if not names:
+        return None
+    time, _ = engines[names[0]]
+    speeds = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
+    mean = np.sqrt(np.mean(np.square(speeds), axis=0))
+    known = np.isfinite(mean)
+    note = f"root mean square of {len(names)} engines" if len(names) > 1 else ""
+    return Source(rule.columns, " and ".join(names[:3]), time[known], mean[known, None], note)
 
 
 def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:

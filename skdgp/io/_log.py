@@ -364,15 +364,6 @@ def stated_positions(
     return positions
 
 
-def driving(
-    topics: Mapping[str, Topic], name: str, fields: Iterable[str], lifting: States
-) -> tuple[str, ...]:
-    """Return the fields of engines that drive the aircraft forward."""
-    topic = topics.get(name, NOTHING)
-    topic = topic.select(~rows_in(lifting, topics, topic.time))
-    return fastest({field_name: topic[field_name] for field_name in fields if field_name in topic})
-
-
 def fastest(speeds: Mapping[str, Vector]) -> tuple[str, ...]:
     """Return the names of engines that run, by their speeds while no rotor lifts the aircraft.
 
@@ -386,43 +377,12 @@ def fastest(speeds: Mapping[str, Vector]) -> tuple[str, ...]:
     return tuple(name for name, mean in means.items() if mean > least)
 
 
-def with_engines(
-    rules: tuple[Rule, ...],
-    topics: Mapping[str, Topic],
-    engines: Mapping[str, Iterable[str]],
-    lifting: States,
-) -> tuple[Rule, ...]:
-    """Return rules after those of the engines that drive, whose speeds [rpm] are fields of topics by name."""
-    of_engines = []
-    for name, fields in engines.items():
-        running = driving(topics, name, fields, lifting)
-        if running:
-            note = engines_note(len(running))
-            of_engines.append(Rule(("propeller_speed",), name, running, mean_engine, note=note))
-    return (*of_engines, *rules)
-
-
-def engines_note(n_engines: int) -> str:
-    """Return how the propeller speed follows from engines, nothing of one engine."""
-    return f"root mean square of {n_engines} engines" if n_engines > 1 else ""
-
-
 def scaling(factor: float) -> Callable[[Array], Array]:
     """Return the conversion of a rule that multiplies fields by a factor."""
     return partial(np.multiply, factor)
 
 
 from_rpm = scaling(np.pi / 30)  # revolutions per minute to rad/s
-
-
-def root_mean_square(speeds: Matrix) -> Matrix:
-    """Return the root mean square of engines (n, k), whose thrusts go with the square of their speed."""
-    return np.sqrt(np.mean(np.square(speeds), axis=1, keepdims=True))
-
-
-def mean_engine(rpm: Matrix) -> Matrix:
-    """Return the root mean square of engines [rad/s]."""
-    return from_rpm(root_mean_square(rpm))
 
 
 milli = scaling(1e-3)

@@ -23,7 +23,6 @@ from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FOR
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import (
     AIRSPEED_USES,
-    ENGINES,
     NAMING,
     TRIM,
     by_parameters,
@@ -40,6 +39,7 @@ from skdgp.io._log import (
     centi,
     damage,
     density_at,
+    from_rpm,
     instance_name,
     last_before,
     milli,
@@ -105,6 +105,7 @@ def _density(hectopascals: Matrix) -> Matrix:
 GYROS = ("xgyro", "ygyro", "zgyro")
 ACCELEROMETERS = ("xacc", "yacc", "zacc")
 milli_g = scaling(1e-3 * STANDARD_GRAVITY)
+ESC = "ESC_TELEMETRY_1_TO_4"
 AIRSPEED = "of a sensor, or estimated on board"
 RULES = (
     Rule(RATES, "HIGHRES_IMU", GYROS),
@@ -132,6 +133,8 @@ RULES = (
     Rule(("wind_north", "wind_east"), "WIND", ("direction", "speed"), _wind_from),
     Rule(("wind_north", "wind_east"), "WIND_COV", ("wind_x", "wind_y")),
     Rule(("throttle",), "VFR_HUD", ("throttle",), centi),
+    Rule(("propeller_speed",), "RPM", ("rpm1", "rpm2"), from_rpm),
+    Rule(("propeller_speed",), ESC, tuple(f"rpm[{k}]" for k in range(4)), from_rpm),
 )
 # further instances of sensors, which have messages of their own
 ALIASES = {
@@ -139,7 +142,6 @@ ALIASES = {
     "SCALED_PRESSURE": ("SCALED_PRESSURE2", "SCALED_PRESSURE3"),
 }
 READ = {rule.topic for rule in RULES}.union(*ALIASES.values()) | {
-    *ENGINES,
     OUTPUTS,
     "EXTENDED_SYS_STATE",
     "HEARTBEAT",

@@ -16,7 +16,7 @@ import numpy as np
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, POSITION, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_matrix
 from skdgp.io._log import (
     DOWN,
@@ -32,16 +32,16 @@ from skdgp.io._log import (
     Topic,
     Use,
     damage,
-    driving,
+    fastest,
     from_rpm,
     in_force,
     instance_name,
     milli,
     numeric_fields,
+    rows_in,
     stated_positions,
     turned,
     whole,
-    with_engines,
 )
 from skdgp.io._tables import FlightReadError
 
@@ -102,6 +102,9 @@ def _wind(topic: str, used: tuple[Use, ...] = ()) -> Rule:
     return Rule(WIND, topic, ("windspeed_north", "windspeed_east"), used=used)
 
 
+MOST_ENGINES = 12
+MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
+ESC_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
 RULES = (
     Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
@@ -150,6 +153,7 @@ RULES = (
     Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
+    Rule(("propeller_speed",), "esc_status", ESC_FIELDS, from_rpm),
     Rule(("propeller_speed",), "rpm", ("rpm_estimate",), from_rpm),
     Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), from_rpm),
 )
@@ -183,18 +187,13 @@ TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
-NAMING = "the parameters CA_SV_CSn_TYPE, or the controls before a fixed mixer (actuator_controls_0)"
-MOST_ENGINES = 12
-MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
-ENGINES = {"esc_status": tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))}
+NAMING = "the parameters CA_SV_CSn_TRQ_R, _P, _Y, or the controls before a fixed mixer (actuator_controls_0)"
 MOST_SURFACES = 8  # of control allocation
 MOST_IMUS = 4
 # Parameters of the position of the IMUs, the same for all (ekf2_params)
 IMU_POSITIONS = ("EKF2_IMU_POS",) * MOST_IMUS
-# By CA_SV_CSn_TYPE: a left aileron, and so on. More of the output turns their trailing edges up,
-# against our signs.
-SURFACES = {1: "aileron", 3: "elevator", 4: "rudder", 5: "elevon_left", 6: "elevon_right"}
-# Ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No
+# CA_SV_CSn_TYPE of surfaces that turn the aircraft:
+# ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No
 # flaps, airbrakes, wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp).
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
 # Left and right flaps
@@ -305,12 +304,14 @@ def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> t
 
 
 def _rules(topics: Mapping[str, Topic], lifting: States, tilts: bool) -> tuple[Rule, ...]:
-    """Return the rules, with those of the motors and engines that drive forward.
+    """Return the rules, with that of the motors that drive forward.
 
     Several motors come first: other sources are one number for all, also where one is switched off.
     """
-    rules = with_engines((TILTED, *RULES) if tilts else RULES, topics, ENGINES, lifting)
-    motors = driving(topics, "actuator_motors", MOTOR_FIELDS, lifting)
+    rules = (TILTED, *RULES) if tilts else RULES
+    outputs = topics.get("actuator_motors", NOTHING)
+    driving = outputs.select(~rows_in(lifting, topics, outputs.time))
+    motors = fastest({name: driving[name] for name in MOTOR_FIELDS if name in driving})
     if not motors:
         return rules
     note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
@@ -422,17 +423,9 @@ def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> l
 
 
 def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
-    """Return the servos of control allocation, else of a plane mixed by fixed rules.
-
-    The torques of control allocation mix any number of surfaces in any way; elevons are then mixed.
-    """
+    """Return the servos of control allocation, whose torques mix any surfaces, else before a fixed mixer."""
     surfaces = _surfaces(topics, parameters)
-    mixed = _mixed_controls(surfaces) | _flaps(surfaces)
-    controls = _single_controls(surfaces) or _fixed_controls(topics)
-    if mixed:
-        for name in ELEVONS:
-            controls.pop(name, None)
-    return controls | mixed
+    return (_mixed_controls(surfaces) or _fixed_controls(topics)) | _flaps(surfaces)
 
 
 def _mixed_controls(surfaces: list[Surface]) -> dict[str, Control]:
@@ -476,15 +469,6 @@ def _unread(surfaces: list[Surface], parameters: Mapping[str, float]) -> list[st
         if opens or (kind in AILERONS and flap) or (kind in FLAPS and flap is None):
             unread.append(f"control[{number}] ({name}_TYPE {kind})")
     return [f"outputs {', '.join(unread)} move surfaces that are not read"] if unread else []
-
-
-def _single_controls(surfaces: list[Surface]) -> dict[str, Control]:
-    """Return the controls of one surface each: the first output of a type counts."""
-    controls: dict[str, Control] = {}
-    for surface in surfaces:
-        if surface.kind in SURFACES:
-            controls.setdefault(SURFACES[surface.kind], ((1.0, surface.servo(UP, DOWN)),))
-    return controls
 
 
 def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:

@@ -131,7 +131,7 @@ class TestCommand:
             assert len(flight.table) == len(read_flight(whole, airborne=airborne)) > 0
         sizes = ["--mass", "3", "--span", "1.8", "-o", str(tmp_path / "out")]
         assert command(["identify", str(whole), *sizes]) == 1
-        assert "CA_SV_CSn_TYPE" in capsys.readouterr().err
+        assert "CA_SV_CSn_TRQ_R" in capsys.readouterr().err
         assert command(["identify", str(whole), *sizes, "--airborne", "300", *SLOPES]) == 1
         assert "--airborne all" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()

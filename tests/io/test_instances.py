@@ -394,7 +394,7 @@ class TestVehicles:
 
     def test_surfaces_beyond_the_number_of_surfaces_are_none(self, allocated):
         """Their types are left from an earlier configuration, and their outputs are not used."""
-        kinds = {"CA_SV_CS0_TYPE": 3, "CA_SV_CS1_TYPE": 9}
+        kinds = {"CA_SV_CS0_TYPE": 3, "CA_SV_CS0_TRQ_P": 1.0, "CA_SV_CS1_TYPE": 9}
         table = allocated(0.1 * np.sin(SLOW), np.nan, CA_SV_CS_COUNT=1, **kinds)
         assert {"elevator", "flap"} & {*table} == {"elevator"}
 

@@ -167,7 +167,7 @@ def test_the_code_runs(write, monkeypatch, ulog, flight, blocks_of):
 
 @pytest.mark.parametrize(
     ("topic", "parameters"),
-    [("actuator_controls_0", {}), ("actuator_servos", {"CA_SV_CS0_TYPE": 4, "CA_SV_CS1_TYPE": 3})],
+    [("actuator_controls_0", {}), ("actuator_servos", {"CA_SV_CS1_TYPE": 3, "CA_SV_CS1_TRQ_P": 1.0})],
 )
 def test_servos_of_px4(parse, ulog, topic, parameters):
     log = ulog(**parameters).topic(topic, [0.1, 0.2], control=np.zeros((2, 4)))

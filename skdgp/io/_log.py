@@ -576,39 +576,23 @@ def _servo(name: str, entry: Any) -> Servo | float:
         raise FlightReadError(f"Got {name!r} in the servo file, but expected one of {list(MOVED)}.")
     if isinstance(entry, str):
         return _throw(name, entry)
-    if not isinstance(entry, dict) or not isinstance(entry.get("channel"), str):
+    try:
+        inputs, angles = np.transpose(sorted(entry["points"])).astype(float)
+        is_sound = len(inputs) > 1 and _increases(inputs) and np.isfinite([inputs, angles]).all()
+        is_sound &= {*entry} == KEYS and isinstance(entry["channel"], str)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        is_sound = False
+    if not is_sound:
         raise FlightReadError(
-            f'Got {entry} for {name}, but expected a channel, as in channel = "RCOU.C2".'
+            f"Got {name} = {entry}, but expected a channel and points, finite numbers, values of the channel, each "
+            'once, and angles [rad], alone: channel = "RCOU.C2", points = [[1100, -0.35], [1900, 0.35]].'
         )
-    if entry.keys() - KEYS:
-        raise FlightReadError(f"Got {[*entry]} for {name}, but expected only {sorted(KEYS)}.")
-    inputs, angles = _calibration(name, entry.get("points")).T.tolist()
-    return Servo(entry["channel"], tuple(inputs), tuple(angles))
-
-
-def _calibration(name: str, entries: Any) -> Matrix:
-    """Return the points (n, 2) of a surface; raise FlightReadError if they make no sense."""
-    points = _points(entries)
-    if len(points) < 2 or not _increases(points[:, 0]):
-        raise FlightReadError(
-            f"Got points = {entries} for {name}, but expected points of finite numbers, values of the channel, each "
-            "once, and angles [rad]: points = [[1100, -0.35], [1900, 0.35]]."
-        )
-    largest = np.abs(points[:, 1]).max()
+    largest = np.abs(angles).max()
     if largest > np.pi / 2:
         raise FlightReadError(
             f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
         )
-    return points
-
-
-def _points(entries: Any) -> Matrix:
-    """Return pairs of channel and angle (n, 2) in order of the channel; none if they are no finite numbers."""
-    try:
-        pairs = [[float(value), float(angle)] for value, angle in entries]
-    except (TypeError, ValueError, OverflowError):
-        return np.empty((0, 2))
-    return np.array(sorted(pairs)) if np.isfinite(pairs).all() else np.empty((0, 2))
+    return Servo(entry["channel"], tuple(inputs.tolist()), tuple(angles.tolist()))
 
 
 def _throw(name: str, text: str) -> float:

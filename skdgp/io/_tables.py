@@ -287,6 +287,8 @@ def _check_rows(records: Any, names: list[str], above: int, separator: str) -> s
 
 # the names that pandas gives to an index without one
 INDEX = re.compile(r"__index_level_\d+__")
+# types of pyarrow whose cells are no single numbers, texts or times
+NO_CELLS = re.compile("list|struct|map|union|binary")
 
 
 def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
@@ -318,25 +320,13 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
         names = file.schema_arrow.names
         check_width(len(names))
         check_names(name.strip() for name in names)
-        columns = [name for name in names if not INDEX.match(name)]
-        no_cells = {}
-        for name in columns:
-            kind = file.schema_arrow.field(name).type
-            if not _is_cell(kind, pyarrow.types):
-                no_cells[name] = str(kind)
+        kinds = {each.name: str(each.type) for each in file.schema_arrow}
+        no_cells = {name: kind for name, kind in kinds.items() if NO_CELLS.search(kind)}
         if no_cells:
             raise FlightReadError(
                 f"Got columns of types {no_cells}, but expected one number or text in each row: drop them, or write "
                 "one column for each value."
             )
+        columns = [name for name in names if not INDEX.match(name)]
         table = file.read(columns=columns).replace_schema_metadata(None)
     return table.to_pandas()
-
-
-def _is_cell(kind: Any, types: Any) -> bool:
-    """Return whether the cells of a type of pyarrow are single numbers, texts or times."""
-    if types.is_dictionary(kind):
-        kind = kind.value_type
-    if types.is_nested(kind) or types.is_fixed_size_binary(kind):
-        return False
-    return not (types.is_binary(kind) or types.is_large_binary(kind) or types.is_binary_view(kind))

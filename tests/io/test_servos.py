@@ -37,13 +37,13 @@ class TestRefusals:
                 "25",
                 'expected the angle at full throw, up to 90 degrees, as in rudder = "25 deg"',
             ),
-            ("rudder", {}, "expected a channel, as in channel = "),
-            ("rudder", ENDS | {"channel": 4}, "expected a channel, as in channel = "),
-            ("rudder", ENDS | {"point": 1}, "'point'] for rudder, but expected only"),
-            ("rudder", {"channel": "a.b"}, "points of finite numbers"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "points of finite numbers"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [10**400, 0.2]]}, "points of finite numbers"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [2, np.nan]]}, "points of finite numbers"),
+            ("rudder", {}, "expected a channel and points"),
+            ("rudder", ENDS | {"channel": 4}, "expected a channel and points"),
+            ("rudder", ENDS | {"point": 1}, "expected a channel and points"),
+            ("rudder", {"channel": "a.b"}, "expected a channel and points"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "expected a channel and points"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [10**400, 0.2]]}, "expected a channel and points"),
+            ("rudder", ENDS | {"points": [[1, 0.1], [2, np.nan]]}, "expected a channel and points"),
             ("rudder", ENDS | {"points": [[1, 0.1], [1, 0.2]]}, "values of the channel, each once"),
             ("rudder", ENDS | {"points": [[1, 0.1], [2, 20.0]]}, "radians, at most pi/2"),
         ],
@@ -167,7 +167,10 @@ def test_the_code_runs(write, monkeypatch, ulog, flight, blocks_of):
 
 @pytest.mark.parametrize(
     ("topic", "parameters"),
-    [("actuator_controls_0", {}), ("actuator_servos", {"CA_SV_CS1_TYPE": 3, "CA_SV_CS1_TRQ_P": 1.0})],
+    [
+        ("actuator_controls_0", {}),
+        ("actuator_servos", {"CA_SV_CS1_TYPE": 3, "CA_SV_CS1_TRQ_P": 1.0}),
+    ],
 )
 def test_servos_of_px4(parse, ulog, topic, parameters):
     log = ulog(**parameters).topic(topic, [0.1, 0.2], control=np.zeros((2, 4)))

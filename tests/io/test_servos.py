@@ -42,7 +42,11 @@ class TestRefusals:
             ("rudder", ENDS | {"point": 1}, "expected a channel and points"),
             ("rudder", {"channel": "a.b"}, "expected a channel and points"),
             ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "expected a channel and points"),
-            ("rudder", ENDS | {"points": [[1, 0.1], [10**400, 0.2]]}, "expected a channel and points"),
+            (
+                "rudder",
+                ENDS | {"points": [[1, 0.1], [10**400, 0.2]]},
+                "expected a channel and points",
+            ),
             ("rudder", ENDS | {"points": [[1, 0.1], [2, np.nan]]}, "expected a channel and points"),
             ("rudder", ENDS | {"points": [[1, 0.1], [1, 0.2]]}, "values of the channel, each once"),
             ("rudder", ENDS | {"points": [[1, 0.1], [2, 20.0]]}, "radians, at most pi/2"),

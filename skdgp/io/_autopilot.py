@@ -356,17 +356,15 @@ def with_stated_position(
     table: pd.DataFrame, origin: dict[str, Origin], sources: list[Source], log: Log
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return the table with the position of its accelerometers, if the log states it, and an unknown tilt."""
-    constants: dict[str, tuple[float, str]] = {}
     for source in sources:
         if source.columns == SPECIFIC_FORCE:
             words, position = log.sensor_positions.get(source.instance, ("", ()))
-            for name, coordinate in zip(SENSOR_POSITION, position, strict=False):
-                constants[name] = (coordinate, words)
+            constants = dict(zip(SENSOR_POSITION, position, strict=False))
+            table = table.assign(**constants)
+            origin = origin | dict.fromkeys(constants, Origin(words, np.nan))
             if log.sensor_tilt:
-                constants["sensor_tilt"] = (log.sensor_tilt, "not stated by the log")
-    for name, (constant, words) in constants.items():
-        table = table.assign(**{name: constant})
-        origin = origin | {name: Origin(words, np.nan)}
+                table = table.assign(sensor_tilt=log.sensor_tilt)
+                origin["sensor_tilt"] = Origin("not stated by the log", np.nan)
     return _in_order(table), origin
 
 
@@ -504,31 +502,26 @@ def _lift_off(table: pd.DataFrame, on_ground: Mask, first: int, last: int) -> in
 
 def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     """Return a flight without rows at its ends, at most a second, where slow channels have no value."""
-    time = flight["time"].to_numpy()
-    sampled = flight.notna().to_numpy()
-    sampled = sampled[:, sampled.any(axis=0)]
-    begins = time[sampled.argmax(axis=0)]
-    ends = time[::-1][sampled[::-1].argmax(axis=0)]
-    begin = begins[begins <= time[0] + FLIGHT.longest_edge].max()
-    end = ends[ends >= time[-1] - FLIGHT.longest_edge].min()
-    return flight[(time >= begin) & (time <= end)]
+    time = flight["time"]
+    sampled = [column.dropna().index for _, column in flight.items() if column.notna().any()]
+    begins = time[[rows[0] for rows in sampled]]
+    ends = time[[rows[-1] for rows in sampled]]
+    begin = begins[begins <= begins.min() + FLIGHT.longest_edge].max()
+    end = ends[ends >= ends.max() - FLIGHT.longest_edge].min()
+    return flight[time.between(begin, end)]
 
 
 def _no_flight_because(
     table: pd.DataFrame, speeds: Vector, least: float, landed: Mask, lifted: Mask
 ) -> str:
-    """Return why rows with these speeds (n,) hold no flight, which is faster than ``least`` [m/s]."""
-    channel = "airspeed" if "airspeed" in table else "ground speed"
-    highest = float(np.nanmax(speeds, initial=-np.inf))
-    is_excluded = landed.all() or lifted.all()
-    is_slow = np.isfinite(highest) and (highest <= least or not is_excluded)
-    reasons = {
-        "it reports to be landed throughout": landed.all(),
-        "rotors lift the VTOL, or it is in transition, throughout": lifted.all(),
-        "there is no valid airspeed": channel != "airspeed",
-        f"{channel} never stays above {least:.3g} m/s (highest {highest:.3g} m/s)": is_slow,
-    }
-    return ", ".join(reason for reason, holds in reasons.items() if holds)
+    """Return what rows with these speeds (n,) hold, where a flight is faster than ``least`` [m/s]."""
+    channel = "airspeed" if "airspeed" in table else "no valid airspeed, ground speed"
+    highest = np.nanmax(speeds, initial=0.0)
+    facts = f"{channel} up to {highest:.3g} m/s, where a flight stays above {least:.3g} m/s"
+    for mask, words in ((landed, "reports to be landed"), (lifted, "is lifted by rotors")):
+        if mask.any():
+            facts += f", {words} in {100 * mask.mean():.0f} % of the rows"
+    return facts
 
 
 def _speed(table: pd.DataFrame, log: Log) -> Vector:

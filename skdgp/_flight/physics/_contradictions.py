@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from skdgp._flight.channels import ELEVONS, MIXED
-from skdgp._flight.faults import dead_channels
 from skdgp._flight.physics._checks import (
     Contradiction,
     Equality,
@@ -29,7 +28,6 @@ from skdgp._flight.physics._list import (
     TURNING,
 )
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
-from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 
 
@@ -37,11 +35,7 @@ def find_contradictions(flights: FlightTable) -> list[Contradiction | Mistake]:
     """Return the relations that flights contradict, or the mistake of several channels that explains them.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
-    The specific force is that at the centre of gravity, where the position of the sensors is known.
-    Dead sensors count as not there.
     """
-    measured = flights.table.drop(columns=dead_channels(flights))
-    flights = replace(flights, table=at_centre_of_gravity(measured))
     contradictions = _contradictions_of(flights)
     if contradictions or len(flights.clock.names) < 2:
         return contradictions

@@ -10,9 +10,10 @@ import numpy as np
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, POSITION, by_elevons
 from skdgp._flight.clock import median_step, n_rows
-from skdgp._flight.faults import on_ground
+from skdgp._flight.faults import dead_channels, on_ground
 from skdgp._flight.frames import euler_to_matrix
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, without_repeats
+from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 
 
@@ -155,8 +156,11 @@ class Signals:
 def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
     """Return channels of flights at about ``PHYSICS.rate``, without the rows on the ground.
 
-    With elevons, elevator and aileron follow from them.
+    The specific force is that at the centre of gravity, where the position of the sensors is known. Dead sensors
+    count as not there. With elevons, elevator and aileron follow from them.
     """
+    living = flights.table.drop(columns=dead_channels(flights))
+    flights = replace(flights, table=at_centre_of_gravity(living))
     time = flights.time
     segments = [rows for rows in flights.segments if n_rows(rows) > 1]
     if not segments:

@@ -17,7 +17,6 @@ from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
 from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT
 from skdgp._flight.physics._regression import Slope
 from skdgp._flight.physics._signals import PHYSICS, signals_of
-from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.tables import FlightTable
 
 #: Sizes of an aircraft and medians of its flights [SI], and coefficients and derivatives, by name
@@ -29,10 +28,10 @@ MOST_ASKED = 3
 
 
 class Law(NamedTuple):
-    """A number without unit of sizes and derivatives, and its limits."""
+    """A number without unit, a product of powers of sizes and derivatives, and its limits."""
 
     text: str
-    value: Callable[[Sizes], float]
+    powers: Mapping[str, float]
     least: float
     most: float
     #: Aircraft at the limits
@@ -40,75 +39,59 @@ class Law(NamedTuple):
     #: Coefficient or derivative whose relative standard deviation the number has
     uncertain: str = ""
 
+    def value(self, sizes: Sizes) -> float:
+        """Return the number; raise KeyError if a size is not known."""
+        factors = []
+        for name, power in self.powers.items():
+            size = FOLLOWING[name](sizes) if name in FOLLOWING else sizes[name]
+            factors.append(abs(size) ** power)
+        return float(np.prod(factors))
+
 
 def usual_lift_slope(sizes: Sizes) -> float:
     """Return CL_alpha of a wing of the aspect ratio A, 2 pi A / (2 + sqrt(4 + A^2)) (Helmbold 1942)."""
-    ratio = _aspect_ratio(sizes)
+    ratio = sizes["span"] ** 2 / sizes["wing_area"]
     return 2 * np.pi * ratio / (2 + np.sqrt(4 + ratio**2))
 
 
-def _aspect_ratio(sizes: Sizes) -> float:
-    return sizes["span"] ** 2 / sizes["wing_area"]
+# Sizes that follow from others
+FOLLOWING: dict[str, Callable[[Sizes], float]] = {
+    "usual lift slope": usual_lift_slope,
+    "Ixx + Iyy": lambda sizes: sizes["Ixx"] + sizes["Iyy"],
+    "air": lambda sizes: sizes.get("density", SEA_LEVEL_DENSITY),
+}
 
 
-def _area_ratio(sizes: Sizes) -> float:
-    return sizes["span"] * sizes["chord"] / sizes["wing_area"]
-
-
-def _relative_density(sizes: Sizes) -> float:
-    density = sizes.get("density", SEA_LEVEL_DENSITY)
-    return 2 * sizes["mass"] / (density * sizes["wing_area"] * sizes["chord"])
-
-
-def _radius(moment: str) -> Callable[[Sizes], float]:
-    """Return the function of a radius of gyration over the span."""
-    return lambda sizes: np.sqrt(sizes[moment] / sizes["mass"]) / sizes["span"]
-
-
-def _roll_over_pitch(sizes: Sizes) -> float:
-    """Return Ixx / Iyy over the aspect ratio, about the wing area over the square of the length."""
-    return sizes["Ixx"] / sizes["Iyy"] / _aspect_ratio(sizes)
-
-
-def _yaw_over_both(sizes: Sizes) -> float:
-    return sizes["Izz"] / (sizes["Ixx"] + sizes["Iyy"])
-
-
-def _product_over_moments(sizes: Sizes) -> float:
-    return abs(sizes["Ixz"]) / np.sqrt(sizes["Ixx"] * sizes["Izz"])
-
-
-def _size_of(name: str) -> Callable[[Sizes], float]:
-    return lambda sizes: abs(sizes[name])
-
-
-def _over_lift_slope(name: str) -> Callable[[Sizes], float]:
-    return lambda sizes: abs(sizes[name]) / usual_lift_slope(sizes)
+def _radius(axis: str) -> dict[str, float]:
+    """Return the powers of a radius of gyration over the span."""
+    return {f"I{2 * axis}": 0.5, "mass": -0.5, "span": -1.0}
 
 
 # Of ten jets (Heffley & Jewell 1972, NASA CR-2144), two small UAVs (Beard & McLain 2012), light
 # aircraft and gliders (Raymer, Aircraft Design), with a third of room or more
 LAWS = (
-    Law("aspect ratio", _aspect_ratio, 0.7, 55.0, "X-24B 1.1, eta 51"),
-    Law("span times chord over wing area", _area_ratio, 0.6, 2.2, "rectangle 1, triangle 1.33"),
-    Law("relative density 2 m / (rho S c)", _relative_density, 1.0, 3000.0,
-        "Gossamer Albatross 2.4, X-15 at altitude 2000"),
-    Law("radius of gyration in roll over span", _radius("Ixx"), 0.05, 0.35, "F-104 0.12, flying wings 0.19"),
-    Law("radius of gyration in pitch over span", _radius("Iyy"), 0.03, 0.85, "eta 0.05, X-15 0.58"),
-    Law("radius of gyration in yaw over span", _radius("Izz"), 0.08, 0.9, "gliders 0.13, X-15 0.58"),
-    Law("Ixx / Iyy over the aspect ratio", _roll_over_pitch, 0.012, 1.0, "X-15 0.018, Cessna 310 0.60"),
-    Law("Izz over Ixx + Iyy", _yaw_over_both, 0.5, 1.1, "A-4 0.63, flat bodies 1"),
-    Law("Ixz over the root of Ixx Izz", _product_over_moments, 0.0, 0.4, "gliders 0.04, T-6 0.15"),
-    Law("mass times the slope of ax over the thrust", _size_of("mass_by_thrust"), 0.5, 1.8,
+    Law("aspect ratio", {"span": 2, "wing_area": -1}, 0.7, 55.0, "X-24B 1.1, eta 51"),
+    Law("span times chord over wing area", {"span": 1, "chord": 1, "wing_area": -1}, 0.6, 2.2,
+        "rectangle 1, triangle 1.33"),
+    Law("relative density m / (rho S c)", {"mass": 1, "air": -1, "wing_area": -1, "chord": -1}, 0.5, 1500.0,
+        "Gossamer Albatross 1.2, X-15 at altitude 1000"),
+    Law("radius of gyration in roll over span", _radius("x"), 0.05, 0.35, "F-104 0.12, flying wings 0.19"),
+    Law("radius of gyration in pitch over span", _radius("y"), 0.03, 0.85, "eta 0.05, X-15 0.58"),
+    Law("radius of gyration in yaw over span", _radius("z"), 0.08, 0.9, "gliders 0.13, X-15 0.58"),
+    Law("Ixx / Iyy over the aspect ratio", {"Ixx": 1, "Iyy": -1, "span": -2, "wing_area": 1}, 0.012, 1.0,
+        "X-15 0.018, Cessna 310 0.60"),
+    Law("Izz over Ixx + Iyy", {"Izz": 1, "Ixx + Iyy": -1}, 0.5, 1.1, "A-4 0.63, flat bodies 1"),
+    Law("Ixz over the root of Ixx Izz", {"Ixz": 1, "Ixx": -0.5, "Izz": -0.5}, 0.0, 0.4, "gliders 0.04, T-6 0.15"),
+    Law("mass times the slope of ax over the thrust", {"mass_by_thrust": 1}, 0.5, 1.8,
         "Newton's second law 1, records of ATTAS 0.80 to 0.90", "mass_by_thrust"),
-    Law("lift coefficient at the median of the flights", _size_of("CL"), 0.03, 2.5,
+    Law("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
         "F-104 at sea level 0.07, flaps 2.2", "CL"),
-    Law("CL_alpha over that of a wing of this aspect ratio", _over_lift_slope("CZ_alpha"), 0.4, 2.0,
+    Law("CL_alpha over that of a wing of this aspect ratio", {"CZ_alpha": 1, "usual lift slope": -1}, 0.4, 2.0,
         "Aerosonde 0.63, JetStar at Mach 0.75 1.5", "CZ_alpha"),
-    Law("Cl_p over CL_alpha of a wing of this aspect ratio", _over_lift_slope("Cl_p"), 0.02, 0.3,
+    Law("Cl_p over CL_alpha of a wing of this aspect ratio", {"Cl_p": 1, "usual lift slope": -1}, 0.02, 0.3,
         "0.06 to 0.11", "Cl_p"),
-    Law("Cm_q", _size_of("Cm_q"), 0.1, 150.0, "Skywalker X8 1.3, Aerosonde 38", "Cm_q"),
-    Law("Cn_r", _size_of("Cn_r"), 0.0, 3.0, "Zagi 0.004, X-15 1.0", "Cn_r"),
+    Law("Cm_q", {"Cm_q": 1}, 0.1, 150.0, "Skywalker X8 1.3, Aerosonde 38", "Cm_q"),
+    Law("Cn_r", {"Cn_r": 1}, 0.0, 3.0, "Zagi 0.004, X-15 1.0", "Cn_r"),
 )  # fmt: skip
 
 # Powers of mass and span in the sizes that are estimated by them
@@ -236,15 +219,14 @@ def sizes_in_flight(
 
     Median airspeed, density and CL, CZ_alpha by the vane, and the mass times the slope of ax over the thrust.
     """
-    measured = FlightTable.of(at_centre_of_gravity(flights.table))
-    signals = signals_of(measured, CHANNELS)
+    signals = signals_of(flights, CHANNELS)
     numbers: dict[str, float] = {}
     stds: dict[str, float] = {}
     if "airspeed" not in signals:
         return numbers, stds
     density = SEA_LEVEL_DENSITY
     if "density" in flights.table:
-        density = float(np.nanmedian(measured.column("density")))
+        density = float(np.nanmedian(flights.column("density")))
     numbers |= {"airspeed": float(np.nanmedian(signals["airspeed"])), "density": density}
     if "az" in signals:
         loads = -2 * mass * signals["az"] / (density * wing_area * signals["airspeed"] ** 2)

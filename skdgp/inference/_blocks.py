@@ -79,8 +79,9 @@ def spread_rows(X: Matrix, most: int) -> Indices:
 
 
 def _parts(X, most):
-    """Return the rows of each leaf, in the order of the tree."""
-    scaled = X / column_scale(X)
+    """Return the rows of each leaf, in the order of the tree, which mirrored regressors do not change."""
+    scaled = (X - X.mean(axis=0)) / column_scale(X)
+    scaled[:, np.mean(scaled**3, axis=0) < -1e-9] *= -1.0
     parts = [np.arange(len(X))]
     while max(map(len, parts)) > most:
         halves = []

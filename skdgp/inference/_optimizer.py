@@ -9,8 +9,8 @@ is
 
 for the hyperparameters that are not at a bound which g points out of. The damping lambda falls after
 steps that raise the likelihood as predicted, and rises after others (Nocedal & Wright 2006,
-algorithm 4.1). Steps end on a grid until they promise little: where a likelihood is flat they multiply
-rounding errors, which would choose between its maxima otherwise.
+algorithm 4.1). Steps end on grids: where a likelihood is flat they multiply rounding errors, which
+would choose between its maxima otherwise.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class OptimizerSettings:
     #: Spacing of the grid, over the standard error of a hyperparameter (trials with regressors that
     #: differ by 1e-12)
     grid: float = 0.05
-    #: Predicted rise [nats] up to which steps do not end on the grid (trials)
-    promise: float = 0.01
+    #: Fraction of the predicted rise of a step that is left on the grid, or the grid is finer
+    kept: float = 0.9
     #: Fractions of the predicted rise: above which a step is taken, below which the damping rises,
     #: and above which it falls
     accepted: float = 1e-4
@@ -188,14 +188,17 @@ def _is_flat(theta, point, curvature, bounds, settings):
 
 
 def _proposed(theta, point, curvature, bounds, damping, settings):
-    """Return the end of a step, on the grid if it promises much, and its predicted rise."""
+    """Return the end of a step, on the finest grid that it needs for most of its rise, and its predicted rise."""
     step = _step(theta, point, curvature, bounds, damping, settings.longest)
-    end = theta + step
-    predicted = _predicted_rise(step, point, curvature)
-    if predicted <= settings.promise:
-        return end, predicted
-    end = _on_grid(end, point.information, bounds, settings)
-    return end, _predicted_rise(end - theta, point, curvature)
+    promised = _predicted_rise(step, point, curvature)
+    spacing = settings.grid * _standard_errors(point.information)
+    while promised > 0.0:
+        end = _on_grid(theta + step, spacing, bounds)
+        predicted = _predicted_rise(end - theta, point, curvature)
+        if predicted > settings.kept * promised:
+            return end, predicted
+        spacing /= 3.0
+    return theta + step, promised
 
 
 def _step(theta, point, curvature, bounds, damping, longest):
@@ -237,13 +240,13 @@ def _predicted_rise(step, point, curvature):
     return step @ point.gradient - 0.5 * step @ curvature @ step
 
 
-def _on_grid(theta, information, bounds, settings):
+def _on_grid(theta, spacing, bounds):
     """Return the centre of the cell of a grid that theta is in, so that no amplitude is zero, or a bound.
 
     The spacing is a power of three, as the standard errors have rounding errors too: a centre is also
     one of a finer grid, so that no step begins between two cells.
     """
-    spacing = 3.0 ** np.round(np.log(settings.grid * _standard_errors(information)) / np.log(3.0))
+    spacing = 3.0 ** np.round(np.log(spacing) / np.log(3.0))
     centre = np.clip(spacing * (np.floor(theta / spacing) + 0.5), *bounds.T)
     at_bound = (theta <= bounds[:, 0]) | (theta >= bounds[:, 1])
     return np.where(at_bound, theta, centre)

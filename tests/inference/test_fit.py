@@ -122,11 +122,12 @@ class TestBlocks:
             assert np.diff(np.sort(X[rows, 0])).max() < 0.2  # everywhere
             assert np.median(np.diff(np.sort(X[rows, 0]))) < 3 / 20_000  # neighbours, too
 
-    def test_the_order_of_rows_does_not_matter(self):
+    @pytest.mark.parametrize("signs", [[1, 1, 1], [1, -1, -1]])
+    def test_the_order_of_rows_and_signs_of_regressors_do_not_matter(self, signs):
         X = default_rng(0).normal(size=(2000, 3))
         order = default_rng(1).permutation(2000)
         blocks = blocks_of_rows(X, X[:, :2])
-        shuffled = blocks_of_rows(X[order], X[order, :2])
+        shuffled = blocks_of_rows(signs * X[order], X[order, :2])
         for rows, others in zip(blocks, shuffled, strict=True):
             assert_array_equal(np.sort(order[others]), rows)
 

@@ -192,7 +192,8 @@ def with_path(pipeline: Pipeline, flight: Any, first: int = 0) -> Any:
 
 def regressors_of(pipeline: Pipeline, path: Any) -> Matrix:
     """Return the regressors (n, d) of the last step for a flight by `with_path`."""
-    return np.asarray(pipeline[_end_of_path(pipeline) : -1].transform(path))
+    steps = pipeline[_end_of_path(pipeline) : -1]
+    return np.asarray(steps.transform(path) if len(steps) else path)
 
 
 def _end_of_path(pipeline: Pipeline) -> int:

@@ -30,7 +30,6 @@ from skdgp._flight.tables import by_name
 from skdgp.datasets._autopilot import ALPHA, FLIGHT_PLANS, FlightControls, FlightPlan
 from skdgp.datasets._brumby import BRUMBY, BRUMBY_AERODYNAMICS, REGRESSORS, brumby_coefficients
 from skdgp.dynamics import (
-    GustyAir,
     Instant,
     LocalAir,
     Motion,
@@ -42,6 +41,7 @@ from skdgp.dynamics import (
     dryden_gusts,
     euler_to_quaternion,
     fly_record,
+    gusty_air,
     ned_to_body,
     propeller_loads,
 )
@@ -249,7 +249,7 @@ def fly_plans(
     time = np.arange(n_times) * STEP - SETTLING
     wind = np.array([plan.wind for plan in plans])
     gusts = _gusts(plans, 2 * n_times + 1, turbulence, rng)
-    air = GustyAir(lambda stage, state: LocalAir(wind), gusts)
+    air = gusty_air(lambda stage, state: LocalAir(wind), gusts)
     # in the steps alpha_dot and beta_dot lag by one evaluation
     motion = Motion(BRUMBY_AERODYNAMICS, BRUMBY, lagged=True)
     controls = FlightControls(plans, time, STEP)

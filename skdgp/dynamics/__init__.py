@@ -20,8 +20,8 @@ from skdgp.dynamics._aerodynamics import Drift as Drift
 from skdgp.dynamics._aerodynamics import Mixing as Mixing
 from skdgp.dynamics._aerodynamics import steps_by_choice as steps_by_choice
 from skdgp.dynamics._air import Air, Turbulence
-from skdgp.dynamics._air import GustyAir as GustyAir
 from skdgp.dynamics._air import LocalAir as LocalAir
+from skdgp.dynamics._air import gusty_air as gusty_air
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._aircraft import check_aircraft as check_aircraft
 from skdgp.dynamics._aircraft import with_sensor_position as with_sensor_position

@@ -334,15 +334,12 @@ class LocalAir(NamedTuple):
         return gust if self.wind is None else self.wind + gust
 
 
-@dataclass(frozen=True)
-class GustyAir:
-    """Gusts around each aircraft, on top of a wind."""
+def gusty_air(wind: AirAt, gusts: Gusts) -> AirAt:
+    """Return a function of a stage, or of several, to the air with gusts (n_stages, ..., 3) around each aircraft."""
 
-    wind: AirAt
-    gusts: Gusts  #: At each stage, (n_stages, ..., 3)
-
-    def __call__(self, stage: Any, state: Array) -> LocalAir:
-        """Return the air at a stage, or at several, and states (..., 13)."""
-        steady = self.wind(stage, state) or LocalAir()
-        velocity, acceleration, rotation = (part[stage] for part in self.gusts)
+    def air(stage: Any, state: Array) -> LocalAir:
+        steady = wind(stage, state) or LocalAir()
+        velocity, acceleration, rotation = (part[stage] for part in gusts)
         return steady._replace(gust=velocity, gust_rate=acceleration, rotation=rotation)
+
+    return air

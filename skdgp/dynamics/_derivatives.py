@@ -133,14 +133,17 @@ def stability_derivatives(
         raise ValueError(
             "Got coefficients or slopes that are not finite: the model is not defined there."
         )
-    columns: dict[str, np.ndarray] = {}
-    if frame.perturbation is not None:
-        columns["perturbation"] = np.broadcast_to(frame.perturbation, values.shape)
+    columns: dict[str, np.ndarray] = {"value": values}
+    perturbation = motion.aerodynamics.perturbation
+    if perturbation is not None:
+        # of the conventional quantities, NaN of the coefficients
+        of_columns = np.append(np.nan, perturbation) / frame.scale
+        columns["perturbation"] = np.broadcast_to(of_columns, values.shape)
     if n_paths and motion.aerodynamics.is_uncertain:
         columns |= _standard_deviations(motion, now, frame, n_paths, random_state)
     columns |= _errors_of_sizes(motion, frame, terms)
-    table = frame.table(values, columns)
-    table.attrs["slopes"] = "local" if frame.perturbation is None else "over the perturbation"
+    table = frame.table(columns)
+    table.attrs["slopes"] = "local" if perturbation is None else "over the perturbation"
     return table
 
 
@@ -165,7 +168,7 @@ def _standard_deviations(
     if errors is not None:
         values = errors.linear(now.regressors[None])[:, 0, :, None]
         slopes = np.moveaxis(errors.slopes(), -1, 0)
-        std_errors = frame.std(np.concatenate([values, slopes], axis=-1))
+        std_errors = np.linalg.norm(frame(np.concatenate([values, slopes], axis=-1)), axis=0)
     # the part that the errors of the function do not explain
     std_posterior = np.sqrt(np.maximum(std**2 - std_errors**2, 0.0))
     slopes = unsteady_terms(motion, now, terms[..., 1:]).errors
@@ -204,44 +207,35 @@ class _Frame:
         self.turn = np.vstack([np.eye(6), np.zeros((2, 6))])
         self.turn[LIFT, [0, 2]] = sine, -cosine
         self.turn[DRAG, [0, 2]] = -cosine, -sine
-        self.columns = list(motion.regressors)
+        self.names = ["", *motion.regressors]
         # slopes by the conventional quantities over slopes by the model's regressors, and 1 of coefficients
+        lengths = motion.aircraft.lengths
         self.scale = np.append(1.0, motion.factors(now.airspeed))
-        for k, name in enumerate(self.columns, start=1):
+        for k, name in enumerate(self.names):
             if name in LENGTHS:
-                length = motion.aircraft.lengths[LENGTHS[name]]
-                self.scale[k] /= rate_factor(name, length, now.airspeed)
-        # of the conventional quantities, (1 + d,), NaN of the coefficients
-        self.perturbation = None
-        if motion.aerodynamics.perturbation is not None:
-            self.perturbation = np.append(np.nan, motion.aerodynamics.perturbation) / self.scale
-        self.units = CHANNELS | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
-        self.names = ["", *self.columns]
+                self.scale[k] /= rate_factor(name, lengths[LENGTHS[name]], now.airspeed)
+        units = CHANNELS | dict.fromkeys(LENGTHS, "rad") | dict(motion.aerodynamics.units)
+        self.units = [units.get(name, "") for name in self.names]
 
     def __call__(self, terms: Array) -> Array:
         """Return values and derivatives (..., rows, 1 + columns) of coefficients and slopes (..., 6, 1 + d)."""
         rows = self.turn @ (terms * self.scale)
-        if "alpha" in self.columns:
+        if "alpha" in self.names:
             k = self.names.index("alpha")
             rows[..., LIFT, k] -= rows[..., DRAG, 0]
             rows[..., DRAG, k] += rows[..., LIFT, 0]
         return rows
 
-    def std(self, errors: Array) -> Array:
-        """Return the standard deviation (rows, 1 + columns) of independent errors (k, 6, 1 + d)."""
-        return np.linalg.norm(self(errors), axis=0)
-
-    def table(self, values: Array, columns: dict[str, np.ndarray]) -> pd.DataFrame:
+    def table(self, columns: dict[str, np.ndarray]) -> pd.DataFrame:
         """Return the table of values and standard deviations by name, (rows, 1 + columns) each."""
-        table = pd.DataFrame({"value": values.ravel()})
         flat = {name: column.ravel() for name, column in columns.items()}
+        table = pd.DataFrame({"value": flat.pop("value")})
         if "std" in flat:
-            half = half_width(0.95) * flat["std"]
-            table = table.assign(
-                std=flat.pop("std"), lower=table["value"] - half, upper=table["value"] + half
-            )
+            table["std"] = flat.pop("std")
+            half = half_width(0.95) * table["std"]
+            table["lower"], table["upper"] = table["value"] - half, table["value"] + half
         table["coefficient"] = np.repeat(np.array(ROWS, dtype=object), len(self.names))
         table["regressor"] = self.names * len(ROWS)
-        table["per"] = [self.units.get(name, "") for name in self.names] * len(ROWS)
+        table["per"] = self.units * len(ROWS)
         table.index = pd.Index((table["coefficient"] + "_" + table["regressor"]).str.rstrip("_"))
         return table.assign(**flat)

@@ -57,77 +57,83 @@ class StepClock(NamedTuple):
         return 0.5 * self.dt * np.arange(2 * self.n_steps + 1)
 
 
-def tables_of(*sources: Any) -> list[pd.DataFrame]:
-    """Return the tables among controls and winds, checked: a time that increases."""
-    tables = []
-    for source in sources:
-        tables += [table for table in _as_list(source) if isinstance(table, pd.DataFrame)]
+def tables_of(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
+    """Return a table, or the tables of a list, one for each start, checked; none of any other controls or wind."""
+    tables = list(source) if isinstance(source, list | tuple) else [source]
+    if not any(isinstance(table, pd.DataFrame) for table in tables):
+        return []
     for table in tables:
-        check_columns(check_table(table, what="table"), ["time"], what="table")
+        check_columns(check_table(table, what=what), ["time"], what=what)
         if not pd.api.types.is_numeric_dtype(table["time"]):
             raise ValueError(
-                f"Got a table whose time is {table['time'].dtype}, but expected seconds: "
+                f"Got {what} whose time is {table['time'].dtype}, but expected seconds: "
                 "(time - time.iloc[0]).dt.total_seconds() of stamps."
             )
         if not (np.diff(table["time"].to_numpy(float)) > 0).all():
             raise ValueError(
-                "Got a table whose time does not increase, but expected seconds, row after row."
+                f"Got {what} whose time does not increase, but expected seconds, row after row."
             )
+    if len(tables) not in (1, n_starts):
+        raise ValueError(
+            f"Got {len(tables)} tables as {what} for {n_starts} starts, but expected one, or as many."
+        )
     return tables
 
 
-def wind_schedule(wind: Any, clock: StepClock, n_starts: int) -> AirAt:
-    """Return a function (stage, state) to the air, None where it is still."""
+def wind_schedule(
+    wind: Any, tables: Sequence[pd.DataFrame], clock: StepClock, n_starts: int
+) -> AirAt:
+    """Return a function (stage, state) to the air by tables of a wind, or a constant; None where it is still."""
     if wind is None:
         return lambda stage, state: None
-    if not tables_of(wind):
-        constant = as_floats(wind)
-        if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
-            raise ValueError(
-                f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "
-                f"finite velocity of the air, north, east, down [m/s]; or a table with time."
-            )
-        return lambda stage, state: LocalAir(constant)
-    columns = columns_at_stages(as_tables(wind, "wind", n_starts), WIND, clock, "wind")
-    velocity = np.moveaxis(columns, 0, -1)
-    rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)
-    return lambda stage, state: LocalAir(velocity[stage], rate[stage])
+    if tables:
+        velocity = np.moveaxis(_at_stages(tables, WIND, clock, "wind"), 0, -1)
+        rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)
+        return lambda stage, state: LocalAir(velocity[stage], rate[stage])
+    constant = as_floats(wind)
+    if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
+        raise ValueError(
+            f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "
+            f"finite velocity of the air, north, east, down [m/s]; or a table with time."
+        )
+    return lambda stage, state: LocalAir(constant)
 
 
 def control_schedule(
-    controls: Any, clock: StepClock, names: Collection[str], n_starts: int
+    controls: Any,
+    tables: Sequence[pd.DataFrame],
+    clock: StepClock,
+    names: Collection[str],
+    n_starts: int,
 ) -> Callable:
     """Return a function (step, stage, observe) to controls by name, each () or (n_starts,).
 
-    ``names`` of controls choose columns of a table, which may be a whole log; ``observe()``
+    ``names`` of controls choose columns of the tables, which may be whole logs; ``observe()``
     returns what a feedback law sees.
     """
+    if tables:
+        chosen = [name for name in map(str, tables[0]) if name in names]
+        if not chosen:
+            raise ValueError(
+                f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft."
+            )
+        values = _at_stages(tables, chosen, clock, "controls")
+        return lambda step, stage, observe: dict(zip(chosen, values[:, stage], strict=True))
     if callable(controls):
         return _held(controls, clock)
-    if isinstance(controls, Mapping):
-        constants = _constants(controls, n_starts)
-        return lambda step, stage, observe: constants
-    tables = as_tables(controls, "controls", n_starts)
-    chosen = [name for name in map(str, tables[0]) if name in names]
-    if not chosen:
-        raise ValueError(
-            f"Got controls with columns {list(tables[0])}, none of which is a control of this aircraft."
+    if not isinstance(controls, Mapping):
+        raise TypeError(
+            f"Got {type(controls).__name__} as controls, but expected a table with a column time, a list of such "
+            "(one for each start), a mapping of constants, or a function."
         )
-    values = columns_at_stages(tables, chosen, clock, "controls")
-    return lambda step, stage, observe: dict(zip(chosen, values[:, stage], strict=True))
-
-
-def _constants(controls: Mapping, n_starts: int) -> dict[str, Array]:
-    """Return controls by name that are constant, each () or (n_starts,)."""
     constants = {str(name): as_floats(value) for name, value in controls.items()}
     for name, value in constants.items():
         if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
             raise ValueError(
-                f"Got control {name} of shape {value.shape}, not all finite, or not one for each of "
-                f"{n_starts} starts, but expected a finite number, or one for each start; what "
-                "varies is a table with time."
+                f"Got control {name} of shape {value.shape}, or not finite, but expected a finite number, or one for "
+                f"each of {n_starts} starts; what varies is a table with time."
             )
-    return constants
+    return lambda step, stage, observe: constants
 
 
 def _held(law: Callable, clock: StepClock) -> Callable:
@@ -143,52 +149,33 @@ def _held(law: Callable, clock: StepClock) -> Callable:
     return controls
 
 
-def as_tables(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
-    """Return a table, or a list of one for each start, as a list; raise TypeError or ValueError if it is neither."""
-    tables = _as_list(source)
-    if not all(isinstance(table, pd.DataFrame) for table in tables):
-        raise TypeError(
-            f"Got {type(source).__name__} as {what}, but expected a table with a column time, a list of "
-            "such (one for each start), a mapping of constants, or a function."
-        )
-    if len(tables) not in (1, n_starts):
-        raise ValueError(
-            f"Got {len(tables)} tables as {what} for {n_starts} starts, but expected one, or as many."
-        )
-    return tables
-
-
-def columns_at_stages(
-    tables: list[pd.DataFrame], names: Sequence[str], clock: StepClock, what: str
+def _at_stages(
+    tables: Sequence[pd.DataFrame], names: Sequence[str], clock: StepClock, what: str
 ) -> Array:
     """Return columns at every stage, linear between rows: (columns, n_stages), of several tables (..., n_starts)."""
-    parts = [_at_stages(table, names, clock, what) for table in tables]
-    return parts[0] if len(tables) == 1 else np.stack(parts, axis=-1)
+    parts = []
+    for table in tables:
+        check_columns(table, names, what=what)
+        time = table["time"].to_numpy(float) - table["time"].iloc[0]
+        values = numeric(table, names)
+        longest = np.diff(time, append=time[-1]).max()
+        is_needed = time <= clock.n_steps * clock.dt + longest
+        is_whole = np.isfinite(values[is_needed]).all(axis=0)
+        if not is_whole.all():
+            holes = np.array(names)[~is_whole].tolist()
+            raise ValueError(
+                f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them out."
+            )
+        parts.append(interpolated(clock.stages, time, values).T)
+    return parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
 
 
-def _at_stages(table: pd.DataFrame, names: Sequence[str], clock: StepClock, what: str) -> Array:
-    """Return columns of a table at every stage, (columns, n_stages)."""
-    check_columns(table, names, what=what)
-    time = table["time"].to_numpy(float) - table["time"].iloc[0]
-    values = numeric(table, names)
-    longest = np.diff(time, append=time[-1]).max()
-    is_needed = time <= clock.n_steps * clock.dt + longest
-    is_whole = np.isfinite(values[is_needed]).all(axis=0)
-    if not is_whole.all():
-        holes = np.array(names)[~is_whole].tolist()
-        raise ValueError(
-            f"Got {what} that are NaN or infinite in {holes}: interpolate them, or leave them out."
-        )
-    return interpolated(clock.stages, time, values).T
-
-
-def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, dt: float) -> None:
+def warn_of_clocks(starts: pd.DataFrame | Array, tables: Sequence[pd.DataFrame], dt: float) -> None:
     """Warn of a start that carries another time than the first row of the controls, which is the start."""
-    firsts = [table["time"].iloc[0] for table in tables_of(controls)]
-    if not (firsts and isinstance(starts, pd.DataFrame) and "time" in starts):
+    if not (tables and isinstance(starts, pd.DataFrame) and "time" in starts):
         return
     times = starts["time"].to_numpy(float)
-    begins = np.broadcast_to(firsts, times.shape)
+    begins = np.broadcast_to([table["time"].iloc[0] for table in tables], times.shape)
     off = np.abs(times - begins)
     k = int(np.argmax(off))
     if off[k] > dt:
@@ -197,7 +184,3 @@ def warn_of_clocks(starts: pd.DataFrame | Array, controls: Any, dt: float) -> No
             "the first row of each table counts as the start. Cut the controls, "
             "table[table['time'] >= start]."
         )
-
-
-def _as_list(source: Any) -> list:
-    return list(source) if isinstance(source, list | tuple) else [source]

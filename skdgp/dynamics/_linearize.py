@@ -33,7 +33,7 @@ from skdgp._flight.frames import (
     euler_to_quaternion,
     quaternion_to_euler,
 )
-from skdgp._flight.tables import by_name, check_number
+from skdgp._flight.tables import as_floats, by_name, check_number
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
@@ -383,18 +383,14 @@ def flight_point(
     motion: Motion, point: Any, controls: Mapping | None
 ) -> tuple[Array, dict[str, float]]:
     """Return state (13,) and controls of a trim, or of a state and its controls."""
-    if isinstance(point, Sequence) and any(isinstance(item, Trim) for item in point):
-        raise TypeError(
-            f"Got {len(point)} trims, but expected one: [linearize(model, aircraft, t) for t in trims]."
-        )
     if isinstance(point, Trim):
         controls = point.controls if controls is None else controls
         point = point.state
-    state = np.array(point, dtype=float)
+    state = as_floats(point)
     if state.shape != (13,) or not np.isfinite(state).all():
         raise ValueError(
             f"Got a point of shape {state.shape} or with values that are not finite, but expected a "
-            "Trim or a state of 13 finite numbers (STATE_NAMES)."
+            "Trim, one of several, or a state of 13 finite numbers (STATE_NAMES)."
         )
     if controls is None:
         raise ValueError(
@@ -419,19 +415,14 @@ def check_paths(n_paths: int) -> None:
 def transfer(
     A: Any, B: Any, C: Any, D: Any, states: Any, s: Array, unused: Collection[str] = UNUSED
 ) -> Array:
-    """Return C (s I - A)^-1 B + D at s (n,), (..., n, n_outputs, n_inputs), without ``unused`` states.
+    """Return C (s I - A)^-1 B + D at s (n,), (n, n_outputs, n_inputs), without ``unused`` states.
 
-    A, B, C, D are tables or arrays (..., :, :); ``states`` are the names of the rows of A.
+    A, B, C, D are tables or arrays; ``states`` are the names of the rows of A.
     """
     kept = [k for k, name in enumerate(states) if name not in unused]
-    A, B, C, D = (np.asarray(matrix) for matrix in (A, B, C, D))
-    A = A[..., kept, :][..., kept]
-    B = B[..., kept, :]
-    C = C[..., kept]
-    resolvent = s[:, None, None] * np.eye(len(kept)) - A[..., None, :, :]
-    shape = (*resolvent.shape[:-1], B.shape[-1])
-    response = np.linalg.solve(resolvent, np.broadcast_to(B[..., None, :, :], shape))
-    return C[..., None, :, :] @ response + D[..., None, :, :]
+    A, B, C, D = map(np.asarray, (A, B, C, D))
+    resolvent = s[:, None, None] * np.eye(len(kept)) - A[np.ix_(kept, kept)]
+    return C[:, kept] @ np.linalg.solve(resolvent, B[None, kept]) + D
 
 
 class UnsteadyTerms(NamedTuple):

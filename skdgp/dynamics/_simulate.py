@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,12 +18,11 @@ from skdgp._flight.frames import by_components
 from skdgp._flight.tables import check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, Drift, separate_generator
 from skdgp.dynamics._air import (
-    Air,
     AirAt,
-    GustyAir,
     LocalAir,
     Turbulence,
     as_air,
+    gusty_air,
     turbulence_of_winds,
 )
 from skdgp.dynamics._aircraft import Aircraft
@@ -152,14 +151,17 @@ def simulate(
     given_air = as_air(air)
     motion = Motion(model, aircraft, thrust=thrust, air=given_air)
     starts = as_starts(x0)
-    clock = StepClock.of(dt, duration, tables_of(controls, given_air.wind))
-    warn_of_clocks(starts, controls, clock.dt)
-    air_schedule = wind_schedule(given_air.wind, clock, len(starts))
+    n_starts = len(starts)
+    tables = tables_of(controls, "controls", n_starts)
+    winds = tables_of(given_air.wind, "wind", n_starts)
+    clock = StepClock.of(dt, duration, [*tables, *winds])
+    warn_of_clocks(starts, tables, clock.dt)
+    air_schedule = wind_schedule(given_air.wind, winds, clock, n_starts)
     names = {*motion.inputs, *PROPULSION}
-    commands = control_schedule(controls, clock, names, len(starts))
+    commands = control_schedule(controls, tables, clock, names, n_starts)
     states = initial_states(starts, partial(air_schedule, 0))
     speeds = _airspeeds(states, air_schedule)
-    turbulence = _turbulence_met(given_air, motion, speeds, n_paths)
+    turbulence = _turbulence_met(given_air.gusts, winds, motion, speeds, n_paths)
     drifts = None
     if n_paths is not None:
         states = np.tile(states, (n_paths, 1, 1))
@@ -174,15 +176,15 @@ def simulate(
         generator = separate_generator(random_state, 5)
         span = motion.aircraft.span
         gusts = _drawn_gusts(turbulence, clock, states.shape[:-1], speeds, span, generator)
-        if tables_of(given_air.wind):  # contains their velocity
+        if winds:  # contain their velocity
             velocity = np.zeros_like(gusts.velocity)
             gusts = gusts._replace(velocity=velocity, acceleration=velocity)
-        air_schedule = GustyAir(air_schedule, gusts)
+        air_schedule = gusty_air(air_schedule, gusts)
     record = fly_record(motion, commands, air_schedule, clock, states, drifts)
     farthest = farthest_beyond(motion, record.regressors)
     warn_of(record, motion, farthest)
-    table_times = [float(table["time"].iloc[0]) for table in tables_of(controls)]
-    first_times = np.broadcast_to(table_times or 0.0, len(starts))
+    first_times = [float(table["time"].iloc[0]) for table in tables]
+    first_times = np.broadcast_to(first_times or 0.0, n_starts)
     return trajectory_table(record, motion, farthest, first_times)
 
 
@@ -194,20 +196,18 @@ def _airspeeds(states: Array, air: AirAt) -> Vector:
 
 
 def _turbulence_met(
-    air: Air, motion: Motion, speeds: Vector, n_paths: int | None
+    gusts: Any, tables: Sequence[pd.DataFrame], motion: Motion, speeds: Vector, n_paths: int | None
 ) -> Turbulence | None:
     """Return the turbulence of the gusts to draw, None for none; warn where that of paths is not known."""
-    if air.gusts is None or isinstance(air.gusts, Turbulence):
-        return air.gusts
+    if gusts is None or isinstance(gusts, Turbulence):
+        return gusts
     if n_paths is None:
         return None
-    tables = tables_of(air.wind)
-    winds = []
     met = speeds if len(tables) > 1 else [speeds.mean()] * len(tables)
+    winds = []
     for table, speed in zip(tables, met, strict=True):
         winds.append(table[["time", *WIND]].assign(airspeed=speed))
-    turbulence = turbulence_of_winds(winds, motion.aircraft.span) if winds else None
-    turbulence = turbulence or motion.aerodynamics.turbulence
+    turbulence = turbulence_of_winds(winds, motion.aircraft.span) or motion.aerodynamics.turbulence
     if turbulence is None:
         warn(
             "The model does not know the turbulence of its flights, so the paths meet no gusts of their own: give "
@@ -312,7 +312,7 @@ class Simulator:
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
         self._mean_motion = self.motion
-        if tables_of(air.wind):
+        if tables_of(air.wind, "wind", 1):
             raise ValueError(
                 "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
             )

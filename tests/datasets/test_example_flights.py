@@ -15,12 +15,12 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
-    GustyAir,
     LocalAir,
     Motion,
     air_data,
     euler_to_matrix,
     euler_to_quaternion,
+    gusty_air,
     ned_to_body,
 )
 
@@ -234,7 +234,7 @@ class TestGusts:
         motion = Motion(data.truth, data.aircraft, lagged=True)
 
         def settled(state, wind, *gusts, passes=12, slopes=(0.0, 0.0)):
-            air = GustyAir(lambda *_: LocalAir(wind), [part[None] for part in gusts])(0, state)
+            air = gusty_air(lambda *_: LocalAir(wind), [part[None] for part in gusts])(0, state)
             for _ in range(passes):
                 now = motion.at(state, self.CONTROLS, air, np.r_[slopes, np.zeros(6)])
                 slopes = now.implicit[:2]

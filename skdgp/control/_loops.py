@@ -74,8 +74,9 @@ class Loop:
     gyro_notches: tuple[Notch, ...] = ()  #: Of the rates
     error_notches: tuple[Notch, ...] = ()  #: Of the rate error
     target_notches: tuple[Notch, ...] = ()  #: Of the commanded rate
-    derivative_of_error: bool = False
-    forward_by_true_airspeed: bool = False  #: F is divided by true over equivalent airspeed
+    is_ardupilot: bool = (
+        False  #: D acts on the error, and F is divided by true over equivalent airspeed
+    )
     coordination: float = (
         0.0  #: Part of the rate of a coordinated turn, g phi / V, that is commanded
     )
@@ -99,11 +100,11 @@ class Loop:
             error = error * s / (s + self.washout)
         derivative = self.D * s * _first_order(s, self.derivative_corner)
         of_error = (self.P + self.I / s) * error
-        if self.derivative_of_error:
+        if self.is_ardupilot:
             of_error = of_error + derivative * error
-        of_rate = of_error if self.derivative_of_error else of_error + derivative
+        of_rate = of_error if self.is_ardupilot else of_error + derivative
         target = _first_order(s, self.target_corner) * _notched(s, self.target_notches)
-        feed_forward = self.FF / to_true if self.forward_by_true_airspeed else self.FF
+        feed_forward = self.FF / to_true if self.is_ardupilot else self.FF
         forward = k**2 * (of_error + self.D_FF * s) + k * feed_forward
         laws = {rate: -(k**2) * of_rate * gyro}
         if np.isfinite(self.time_constant) and angle:

@@ -407,13 +407,12 @@ def _ardupilot_loops(
         prefixes += [f"{rate}_", f"{angle}_"]
         settings = {
             "time_constant": value(f"{angle}_TCONST"),
-            "forward_by_true_airspeed": True,
             "error_corner": value.corner(f"{rate}_FLTE"),
             "target_corner": value.corner(f"{rate}_FLTT"),
             "derivative_corner": value.corner(f"{rate}_FLTD"),
             "error_notches": _numbered_notch(value, f"{rate}_NEF"),
             "target_notches": _numbered_notch(value, f"{rate}_NTF"),
-            "derivative_of_error": True,
+            "is_ardupilot": True,
         }
         if name == "roll" and "rudder" in full:
             settings["rudder"] = value("KFF_RDDRMIX") * full["rudder"]

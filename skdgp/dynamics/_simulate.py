@@ -111,7 +111,7 @@ def simulate(
         ``r_dot``, controls (of the surfaces the deflections) and coefficients; ``beyond``, the
         regressor farthest outside its training range, or ""; ``ended``, why the trajectory is over,
         or "": its rows are then NaN.
-        Several starts have a column ``start``, paths also ``path``; ``flight`` names each.
+        Several starts have a column ``start``, paths also ``path``; ``flight`` numbers each.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -84,19 +85,12 @@ def _columns(record: Trajectories) -> dict[str, Array]:
     return columns | record.controls
 
 
-def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Any]:
-    """Return the columns that name the trajectories."""
-    if not shape:
-        return {"flight": pd.Categorical(["simulation"] * n_times)}
-    columns = {}
-    parts = []
-    for label, index in zip(("path", "start")[-len(shape) :], np.indices(shape), strict=True):
-        numbers = index.ravel()
-        columns[label] = np.repeat(numbers, n_times)
-        parts.append([f"{label} {k}" for k in numbers])
-    names = list(map(", ".join, zip(*parts, strict=True)))
-    flights = np.repeat(np.arange(len(names)), n_times)
-    return {"flight": _named(flights, names), **columns}
+def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Array]:
+    """Return the columns that number the trajectories (), (n_starts,) or (n_paths, n_starts)."""
+    columns = {"flight": np.arange(math.prod(shape))}
+    for label, index in zip(("path", "start")[2 - len(shape) :], np.indices(shape), strict=True):
+        columns[label] = index.ravel()
+    return {name: np.repeat(numbers, n_times) for name, numbers in columns.items()}
 
 
 def farthest_beyond(motion: Motion, regressors: Array, margin: float = 0.02) -> np.ndarray:

@@ -37,9 +37,8 @@ REASONS = {
 
 # Airspeed [m/s] below which there is no angle of attack
 LEAST_AIRSPEED = 1.0
-# Velocity [m/s] and rate [rad/s] beyond which a trajectory has diverged
-LARGEST_VELOCITY = 1000.0
-LARGEST_RATE = 60.0
+# Velocity [m/s], attitude and rates [rad/s] beyond which a trajectory has diverged
+FASTEST = np.repeat([1000.0, np.inf, 60.0], [3, 4, 3])
 # Largest state within a step: coefficients of any more may not be evaluated
 STAGE_LIMIT = 1e9
 
@@ -206,7 +205,7 @@ class Integrator:
         coefficients = self.motion.evaluated(last)
         if tangent.is_far(distance):  # the model was evaluated
             return 0.0, self._tangent(last, coefficients)
-        error = coefficients - tangent.linear(distance)
+        error = coefficients - tangent(last)
         change = 0.5 * n_steps * self.dt * self.motion.response(stages[-1], error)
         if tangent.age + 1 >= self._renewal:
             return change, self._tangent(last, coefficients)
@@ -343,15 +342,13 @@ def _record(
 
 def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
     """Return which trajectories cannot go on, (...) by reason; only reasons that apply."""
-    # comparisons with NaN are false
-    motion = np.abs(state[..., 3:])
-    is_slow = motion[..., :3].max(axis=-1) < LARGEST_VELOCITY
-    is_turning_slowly = motion[..., 7:].max(axis=-1) < LARGEST_RATE
     is_finite = np.isfinite(now.derivative).all(axis=-1)
+    # comparisons with NaN are false
+    is_slow = (np.abs(state[..., 3:]) < FASTEST).all(axis=-1)
     reasons: dict[str, Any] = {
         "airspeed": now.airspeed < LEAST_AIRSPEED,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
-        "diverged": ~(is_finite & is_slow & is_turning_slowly),
+        "diverged": ~(is_finite & is_slow),
         "fixed point": ~np.broadcast_to(now.settled, state.shape[:-1]),
     }
     return {reason: where for reason, where in reasons.items() if where.any()}

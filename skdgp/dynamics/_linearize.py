@@ -390,7 +390,7 @@ def flight_point(
     if state.shape != (13,) or not np.isfinite(state).all():
         raise ValueError(
             f"Got a point of shape {state.shape} or with values that are not finite, but expected a "
-            "Trim, one of several, or a state of 13 finite numbers (STATE_NAMES)."
+            "Trim or a state of 13 finite numbers (STATE_NAMES), one at a time."
         )
     if controls is None:
         raise ValueError(

@@ -114,15 +114,11 @@ class Tangent(NamedTuple):
         change = X - self.regressors
         if self.is_far(change):
             return self.model(X)
-        return self.linear(change)
+        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
 
     def is_far(self, change: Array) -> bool:
         """Return whether any regressors are out of reach, by their ``change`` x - x_0 (..., d)."""
         return bool((np.abs(change) > (1 + self.steps) * self.reach).any())
-
-    def linear(self, change: Array) -> Array:
-        """Return C_0 + J (x - x_0), (..., 6), by the ``change`` x - x_0 (..., d)."""
-        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
 
     def moved(self, X: Array, coefficients: Array) -> Tangent:
         """Return the tangent at other regressors, with the same slopes."""
@@ -266,13 +262,13 @@ class Motion:
         air: LocalAir | None = None,
         guess: Array | None = None,
         drift: Array | float = 0.0,
-        model: Callable[[Array], Array] | None = None,
+        model: Any = None,
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
         ``guess`` (..., 8) starts the search for the channels of `FROM_LOADS`, best from the last call.
         ``drift`` (..., 6) is added to the coefficients, which are the aerodynamics', or those of another
-        ``model`` of the regressors, such as a tangent.
+        ``model``, a function of the regressors such as a tangent.
         """
         model = model or self.evaluated
         flow = self._flow(state, air)

@@ -183,8 +183,8 @@ def simulate(
     record = fly_record(motion, commands, air_schedule, clock, states, drifts)
     farthest = farthest_beyond(motion, record.regressors)
     warn_of(record, motion, farthest)
-    first_times = [float(table["time"].iloc[0]) for table in tables]
-    first_times = np.broadcast_to(first_times or 0.0, n_starts)
+    table_times = [float(table["time"].iloc[0]) for table in tables]
+    first_times = np.broadcast_to(table_times or 0.0, n_starts)
     return trajectory_table(record, motion, farthest, first_times)
 
 

@@ -32,6 +32,7 @@ from skdgp.control._margins import effect_of
 from skdgp.control._parameters import WEIGHTS, servo_functions
 from skdgp.dynamics import (
     ATTITUDE,
+    RATES,
     REASONS,
     Aerodynamics,
     Air,
@@ -178,51 +179,36 @@ def _effect(linear: LinearModel, control: str) -> float:
     return float(np.sign(effect))
 
 
-class Link:
-    """A UDP port at which ArduPilot's simulator is expected; a context manager."""
+def bind(link: socket.socket, address: str, port: int) -> None:
+    """Bind a socket to the port at which ArduPilot's simulator is expected; raise ValueError if it cannot be used."""
+    try:
+        link.bind((address, port))
+    except (OSError, OverflowError) as error:
+        raise ValueError(
+            f"Got the port {address}:{port}, but it cannot be used ({error}): end the program that has it, or name "
+            "another port."
+        ) from error
 
-    def __init__(self, address: str, port: int) -> None:
-        self.name = f"{address}:{port}"
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+def receive(link: socket.socket, wait: float) -> tuple[Packet, Any] | None:
+    """Return the next packet and its sender, or None if none comes within ``wait`` [s]; warn of other bytes."""
+    end = time.monotonic() + wait
+    while (left := end - time.monotonic()) > 0:
+        link.settimeout(left)
         try:
-            self.socket.bind((address, port))
-        except (OSError, OverflowError) as error:
-            self.socket.close()
-            raise ValueError(
-                f"Got the port {self.name}, but it cannot be used ({error}): end the program that has it, or name "
-                "another port."
-            ) from error
-
-    def __enter__(self) -> Link:
-        return self
-
-    def __exit__(self, *exception: Any) -> None:
-        self.socket.close()
-
-    def receive(self, wait: float) -> tuple[Packet, Any] | None:
-        """Return the next packet and its sender, or None if none comes within ``wait`` [s]; warn of other bytes."""
-        end = time.monotonic() + wait
-        while (left := end - time.monotonic()) > 0:
-            self.socket.settimeout(left)
-            try:
-                data, sender = self.socket.recvfrom(2048)
-            except TimeoutError:
-                return None
-            except ConnectionError:  # of an earlier answer, in Windows
-                continue
-            packet = read_packet(data)
-            if packet is not None:
-                return packet, sender
-            warn(
-                f"Got {len(data)} bytes at {self.name} that are no packet of ArduPilot's JSON interface, but expected "
-                "16 or 32 pulses behind the number 18458 or 29569: they are ignored."
-            )
-        return None
-
-    def answer(self, line: str, receiver: Any) -> None:
-        """Send a line; a receiver that is gone is noticed by its silence."""
-        with suppress(OSError):
-            self.socket.sendto(line.encode(), receiver)
+            data, sender = link.recvfrom(2048)
+        except TimeoutError:
+            return None
+        except ConnectionError:  # of an earlier answer, in Windows
+            continue
+        packet = read_packet(data)
+        if packet is not None:
+            return packet, sender
+        warn(
+            f"Got {len(data)} bytes that are no packet of ArduPilot's JSON interface, but expected 16 or 32 pulses "
+            "behind the number 18458 or 29569: they are ignored."
+        )
+    return None
 
 
 class Flown(NamedTuple):
@@ -321,7 +307,8 @@ def fly(
     air = Air(wind=wind, gusts=gusts)
     simulator = Simulator(model, aircraft, LONGEST_STEP, air=air, thrust=thrust)
     flights = _Flights(simulator, servos, steady, steady.altitude - height, path)
-    with Link(address, port) as link, one_blas_thread():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, one_blas_thread():
+        bind(link, address, port)
         if ready is not None:
             ready()
         try:
@@ -332,7 +319,7 @@ def fly(
             reason = "ended by Ctrl-C"
         if not flights.n_starts:
             raise ValueError(
-                f"Got no packet at {link.name} for {wait:g} s, but expected ArduPilot: start "
+                f"Got no packet at {address}:{port} for {wait:g} s, but expected ArduPilot: start "
                 "sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1."
             )
     return Flown(pd.DataFrame(flights.rows), flights.n_steps, flights.computing, reason)
@@ -355,7 +342,7 @@ class _Flights:
         # by name: the airspeed counts, in any wind
         names = ("airspeed", "alpha", "beta", "phi", "theta", "altitude")
         self.at_trim = {name: vars(steady)[name] for name in names}
-        self.at_trim |= by_name(RATE_NAMES, steady.rates)
+        self.at_trim |= by_name(RATE_NAMES, steady.state[RATES])
         self.ground = ground
         self.path = path
         self.rows: list[dict[str, Any]] = []
@@ -372,7 +359,7 @@ class _Flights:
         self._told: set[str] = set()
         self._told_time = -np.inf  # of the last warning [s]
 
-    def serve(self, link: Link, wait: float, seconds: float) -> str:
+    def serve(self, link: socket.socket, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
         last = sys.maxsize  # number of the last packet
         autopilot = None  # address of its sender
@@ -380,7 +367,7 @@ class _Flights:
         has_warned = False
         line = ""
         while self.simulator.time < seconds:
-            received = link.receive(wait)
+            received = receive(link, wait)
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
@@ -408,7 +395,8 @@ class _Flights:
                 line = self._readings()
                 self.computing += time.perf_counter() - began
                 self.n_steps += 1
-            link.answer(line, sender)
+            with suppress(OSError):  # one that is gone is noticed by its silence
+                link.sendto(line.encode(), sender)
         return f"{seconds:g} s were flown"
 
     def _advance(self, commands: dict[str, float], duration: float) -> str:

@@ -102,7 +102,6 @@ class Trim:
     beta: float
     phi: float
     theta: float
-    rates: Array  #: p, q, r [rad/s]
     coefficients: Array  #: CX CY CZ Cl Cm Cn
     thrust: float  #: Thrust of the engine along its line [N]
     residual: float  #: The largest acceleration that remains [m/s^2 or rad/s^2]
@@ -200,17 +199,11 @@ def trim(
         "beta": values.pop("beta", None),
     }
     steady = SteadyFlight(motion, conditions, values)
-    return _trim_of(steady, steady.solve(airspeed), airspeed)
-
-
-def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
-    """Return the trim at values of the unknowns."""
-    flight, state, now = steady.at(x, airspeed)
+    flight, state, now = steady.at(steady.solve(airspeed), airspeed)
     check_settled(now)
-    aircraft = steady.motion.aircraft
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
     beyond = {}
-    ranges = steady.motion.aerodynamics.training_ranges
+    ranges = motion.aerodynamics.training_ranges
     for (name, (low, high)), value in zip(ranges.items(), now.regressors.tolist(), strict=False):
         if not low <= value <= high:
             beyond[name] = (value, low, high)
@@ -220,7 +213,6 @@ def _trim_of(steady: SteadyFlight, x: Array, airspeed: float) -> Trim:
         airspeed=airspeed,
         density=float(now.density),
         **{name: float(flight[name]) for name in FLIGHT},
-        rates=state[RATES].copy(),
         coefficients=now.coefficients,
         thrust=float((now.force - aerodynamic) @ aircraft.engine_line.direction),
         residual=float(np.abs(now.derivative[ACCELERATIONS]).max()),

@@ -13,7 +13,7 @@ from sklearn.utils import gen_batches
 
 from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array
-from skdgp.export._model import PortableModel, inertia_entries, packed
+from skdgp.export._model import PortableModel, inertia_entries
 
 # Tolerances of the self-test, relative to the largest value; deviations are small differences of large sums
 TOLERANCE = 1e-9
@@ -72,12 +72,11 @@ def _tables(model: PortableModel) -> dict[str, Array]:
     """Return the arrays of numbers by name."""
     arrays = model.arrays()
     tables = {name: arrays[name] for name in SHARED}
-    for k, readout in enumerate(model.readouts):
-        tables[f"weights_{k}"] = readout.weights
-        tables[f"root_{k}"] = packed(readout.root)
-    for j, part in enumerate(model.parts):
-        tables[f"trend_prior_{j}"] = part.trend_prior.T.ravel()
-        tables[f"trend_root_{j}"] = part.trend_root.T.ravel()
+    for name, array in arrays.items():
+        if name.startswith(("trend_prior_", "trend_root_")):
+            tables[name] = array.T.ravel()
+        elif name.startswith(("weights_", "root_")):
+            tables[name] = array
     return tables
 
 
@@ -123,13 +122,11 @@ def _source(model: PortableModel) -> dict[str, Any]:
 
 def _terms(model: PortableModel) -> list[str]:
     """Return the rows of the table of terms."""
-    rows = []
-    place = 0
-    for part in model.parts:
-        for term in part.terms:
-            rows.append(f"{term.first}, {len(term.centres)}, {place}, {term.gain!r}")
-            place += len(term.centres)
-    return rows
+    arrays = model.arrays()
+    _, first, count = arrays["term_place"].T.tolist()
+    places = (np.cumsum(count) - count).tolist()
+    columns = zip(first, count, places, arrays["term_gain"].tolist(), strict=True)
+    return [", ".join(map(repr, row)) for row in columns]
 
 
 def _parts(model: PortableModel) -> list[str]:

@@ -266,21 +266,14 @@ class PortableModel:
     def _term_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of all terms, one after another."""
         d = len(self.regressors)
-        places = []
-        gains = []
-        inverse_widths = []
-        centres = [np.empty((0, d))]
-        for j, part in enumerate(self.parts):
-            for term in part.terms:
-                places.append((j, term.first, len(term.centres)))
-                gains.append(term.gain)
-                inverse_widths.append(term.inverse_widths)
-                centres.append(term.centres)
+        terms = [(j, term) for j, part in enumerate(self.parts) for term in part.terms]
+        places = [(j, term.first, len(term.centres)) for j, term in terms]
+        widths = [term.inverse_widths for _, term in terms]
         return {
             "term_place": np.array(places, dtype=np.int64).reshape(-1, 3),
-            "term_gain": np.array(gains),
-            "term_inverse_widths": np.array(inverse_widths).reshape(-1, d),
-            "centres": np.concatenate(centres),
+            "term_gain": np.array([term.gain for _, term in terms]),
+            "term_inverse_widths": np.array(widths).reshape(-1, d),
+            "centres": np.vstack([np.empty((0, d)), *(term.centres for _, term in terms)]),
         }
 
 

@@ -52,7 +52,7 @@ class TestKnownAnswers:
         assert_allclose(qS * CZ, -weight * np.cos(found.theta))
         assert_allclose(found.theta, found.alpha)
         assert_allclose(Cm, 0.0, atol=1e-9)
-        assert_allclose([found.phi, found.beta, *found.rates], [0.0] * 5, atol=1e-12)
+        assert_allclose([found.phi, found.beta, *found.state[10:]], [0.0] * 5, atol=1e-12)
 
     def test_a_glide_has_the_slope_of_drag_over_lift(self, textbook, glider):
         found = trim(textbook, glider.aircraft, 18.0, thrust=None, climb=None, **AIR)
@@ -96,7 +96,7 @@ class TestSteady:
         assert_allclose(-now.derivative[2], 36.0 * np.sin(found.climb), rtol=0, atol=1e-9)
         s, c = np.sin(found.theta), np.cos(found.theta)
         down = [-s, c * np.sin(found.phi), c * np.cos(found.phi)]
-        assert_allclose(found.rates, found.turn_rate * np.array(down), atol=1e-9)
+        assert_allclose(found.state[10:], found.turn_rate * np.array(down), atol=1e-9)
         for name in set(asked) - {"fixed"}:
             value = {"bank": found.phi}.get(name, getattr(found, name, None))
             assert asked[name] is None or value == pytest.approx(asked[name])

@@ -30,8 +30,8 @@ from skdgp._flight.tables import (
 from skdgp._flight.units import check_radians
 from skdgp.dynamics._dryden import Gusts, rolling_gust
 
-# From a time or a stage, and states (..., 13), to the air there; None where it is at rest.
-AirAt: TypeAlias = "Callable[[Any, Array], LocalAir | None]"
+# From a time or a stage, and states (..., 13), to the air there.
+AirAt: TypeAlias = "Callable[[Any, Array], LocalAir]"
 FEET = 0.3048
 CEILING = 1000 * FEET  # Height [m] at which the low-altitude model ends
 
@@ -317,20 +317,19 @@ def as_air(air: Any) -> Air:
 
 
 class LocalAir(NamedTuple):
-    """Motion of the air at the aircraft: a wind, and gusts that turn with the aircraft."""
+    """Motion of the air at the aircraft: a wind, and gusts that turn with the aircraft; without both it is at rest."""
 
     wind: Array | None = None  #: Velocity, north, east, down, (..., 3) [m/s]
     wind_rate: Array | None = None  #: Its rate of change along the flight, (..., 3) [m/s^2]
-    gust: Array | None = None  #: Velocity besides the wind, body axes, (..., 3) [m/s]
-    gust_rate: Array | None = None  #: Its rate of change, body axes, (..., 3) [m/s^2]
-    #: Rates of the air, body axes, (..., 3) [rad/s]: p, q, r as regressors are relative to it
-    rotation: Array | None = None
+    gusts: Gusts | None = (
+        None  #: Besides the wind, (..., 3) each; p, q, r as regressors are relative to theirs
+    )
 
     def velocity(self, attitude: Array) -> Array | None:
         """Return the velocity of wind and gust, north, east, down, (..., 3), at quaternions; None at rest."""
-        if self.gust is None:
+        if self.gusts is None:
             return self.wind
-        gust = body_to_ned(attitude, self.gust)
+        gust = body_to_ned(attitude, self.gusts.velocity)
         return gust if self.wind is None else self.wind + gust
 
 
@@ -338,8 +337,7 @@ def gusty_air(wind: AirAt, gusts: Gusts) -> AirAt:
     """Return a function of a stage, or of several, to the air with gusts (n_stages, ..., 3) around each aircraft."""
 
     def air(stage: Any, state: Array) -> LocalAir:
-        steady = wind(stage, state) or LocalAir()
-        velocity, acceleration, rotation = (part[stage] for part in gusts)
-        return steady._replace(gust=velocity, gust_rate=acceleration, rotation=rotation)
+        met = Gusts(*(part[stage] for part in gusts))
+        return wind(stage, state)._replace(gusts=met)
 
     return air

@@ -83,9 +83,9 @@ def tables_of(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
 def wind_schedule(
     wind: Any, tables: Sequence[pd.DataFrame], clock: StepClock, n_starts: int
 ) -> AirAt:
-    """Return a function (stage, state) to the air by tables of a wind, or a constant; None where it is still."""
+    """Return a function (stage, state) to the air by tables of a wind, or a constant."""
     if wind is None:
-        return lambda stage, state: None
+        return lambda stage, state: LocalAir()
     if tables:
         velocity = np.moveaxis(_at_stages(tables, WIND, clock, "wind"), 0, -1)
         rate = np.gradient(velocity, 0.5 * clock.dt, axis=0)

@@ -147,7 +147,7 @@ class Integrator:
         now = self.motion.at(state, controls, air, last.implicit, drift, tangent)
         if self._has_tangents and tangent is None:
             tangent = self._tangent(now.regressors, now.coefficients - drift)
-        wind = None if air is None else air.velocity(state[..., ATTITUDE])
+        wind = air.velocity(state[..., ATTITUDE])
         return Moment(state, now, commands, controls, wind, tangent, servos)
 
     def step(self, step: int, begin: Moment) -> End:
@@ -214,13 +214,12 @@ class Integrator:
     def _tangent(self, X: Array, coefficients: Array) -> Tangent:
         return self.motion.tangent(X, coefficients, REACH)
 
-    def _inputs(self, step: int, stage: int, state: Array) -> tuple[LocalAir | None, dict]:
+    def _inputs(self, step: int, stage: int, state: Array) -> tuple[LocalAir, dict]:
         """Return the air and the commands at a stage of a step."""
         air = self.air(stage, state)
 
         def observe() -> dict[str, Array]:
-            wind = None if air is None else air.velocity(state[..., ATTITUDE])
-            return channels(state, wind)
+            return channels(state, air.velocity(state[..., ATTITUDE]))
 
         commands = self.commands(step, stage, observe)
         return air, self.motion.mixed(commands)
@@ -268,7 +267,7 @@ def fly_record(
         (step, stage, observe) -> controls by name; ``observe()`` gives the channels of the present
         states. A step has two stages.
     air : callable
-        (stage, state) -> LocalAir or None.
+        (stage, state) -> LocalAir.
     clock : StepClock
     state : array (..., 13)
         At the start.

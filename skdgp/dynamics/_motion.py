@@ -69,6 +69,7 @@ FROM_MOTION = (*FROM_STATE, *FROM_LOADS)
 # implicit regressors, which follow from the loads; and most iterations
 TOLERANCE = 1e-10
 ITERATIONS = 60
+STILL = LocalAir()
 
 
 class Instant(NamedTuple):
@@ -259,7 +260,7 @@ class Motion:
         self,
         state: Array,
         controls: Mapping,
-        air: LocalAir | None = None,
+        air: LocalAir = STILL,
         guess: Array | None = None,
         drift: Array | float = 0.0,
         model: Any = None,
@@ -303,15 +304,15 @@ class Motion:
             guess = result
         return now._replace(settled=settled)
 
-    def _flow(self, state: Array, air: LocalAir | None) -> Flow:
+    def _flow(self, state: Array, air: LocalAir) -> Flow:
         """Return the air that the aircraft meets."""
         velocity = state[..., VELOCITY]
         wind = None
-        if air is not None and air.wind is not None:
+        if air.wind is not None:
             wind = ned_to_body(state[..., ATTITUDE], air.wind)
             velocity = velocity - wind
-        if air is not None and air.gust is not None:
-            velocity = velocity - air.gust
+        if air.gusts is not None:
+            velocity = velocity - air.gusts.velocity
         altitude = -state[..., 2]
         density = self._density
         if callable(density):
@@ -320,11 +321,11 @@ class Motion:
             density = density_or_nan(altitude)
         return Flow(velocity, wind, *air_data(velocity), altitude, density)
 
-    def _explicit(self, state: Array, controls: Mapping, flow: Flow, air: LocalAir | None) -> Array:
+    def _explicit(self, state: Array, controls: Mapping, flow: Flow, air: LocalAir) -> Array:
         """Return the regressors (..., d); regressors that follow from the loads are not yet set."""
         rates = state[..., RATES]
-        if air is not None and air.rotation is not None:
-            rates = rates - air.rotation
+        if air.gusts is not None:
+            rates = rates - air.gusts.rates
         values = {**controls, **by_name(RATE_NAMES, rates)}
         if self._needs_velocity:
             values |= by_name(BODY_VELOCITY, state[..., VELOCITY])
@@ -379,16 +380,16 @@ class Motion:
         air = (flow.airspeed, flow.alpha, flow.beta, flow.density)
         return Instant(derivative, C, X, *air, force, None, True)
 
-    def _from_loads(self, state: Array, now: Instant, flow: Flow, air: LocalAir | None) -> Array:
+    def _from_loads(self, state: Array, now: Instant, flow: Flow, air: LocalAir) -> Array:
         """Return what follows from the loads, (..., 8), in the order of `FROM_LOADS`."""
         acceleration = now.derivative[..., VELOCITY]
         if flow.wind is not None:
             # a wind that is constant over the earth turns against the aircraft in body axes
             acceleration = acceleration + cross(state[..., RATES], flow.wind)
-        if air is not None and air.wind_rate is not None:
+        if air.wind_rate is not None:
             acceleration = acceleration - ned_to_body(state[..., ATTITUDE], air.wind_rate)
-        if air is not None and air.gust_rate is not None:
-            acceleration = acceleration - air.gust_rate
+        if air.gusts is not None:
+            acceleration = acceleration - air.gusts.acceleration
         air_rates = air_data_slopes(flow.velocity) @ acceleration[..., None]
         angle_rates = air_rates[..., 1:, 0]
         specific_force = now.force / self.aircraft.mass

@@ -35,7 +35,7 @@ from skdgp.dynamics._inputs import (
     wind_schedule,
 )
 from skdgp.dynamics._integrate import FLYING, End, Integrator, channels, end_reasons, fly_record
-from skdgp.dynamics._motion import PROPULSION, Motion
+from skdgp.dynamics._motion import PROPULSION, STILL, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._starts import as_starts, initial_states
 from skdgp.dynamics._trajectories import (
@@ -190,8 +190,7 @@ def simulate(
 
 def _airspeeds(states: Array, air: AirAt) -> Vector:
     """Return the airspeed of starts (n, 13)."""
-    local = air(0, states)
-    wind = None if local is None else local.velocity(states[:, ATTITUDE])
+    wind = air(0, states).velocity(states[:, ATTITUDE])
     return channels(states, wind)["airspeed"]
 
 
@@ -316,7 +315,7 @@ class Simulator:
             raise ValueError(
                 "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
             )
-        self._wind: LocalAir | None = None
+        self._wind = STILL
         if air.wind is not None:
             self._wind = LocalAir(check_numbers("wind", air.wind, 3, unit="m/s north, east, down"))
         self._turbulence = air.gusts if isinstance(air.gusts, Turbulence) else None
@@ -419,12 +418,10 @@ class Simulator:
             airspeed = np.linalg.norm(self.state[VELOCITY])
             size = ([turbulence.length], [turbulence.intensity], self.motion.aircraft.span)
             self._gusts = gust_stream(dt, airspeed, *size, self._generator)
-        gust, gust_rate, rotation = (part[0] for part in next(self._gusts))
-        wind = None if self._wind is None else self._wind.wind
-        return LocalAir(wind, gust=gust, gust_rate=gust_rate, rotation=rotation)
+        return self._wind._replace(gusts=Gusts(*(part[0] for part in next(self._gusts))))
 
     def _seen(self) -> dict[str, float]:
-        wind = None if self._air is None else self._air.velocity(self.state[ATTITUDE])
+        wind = self._air.velocity(self.state[ATTITUDE])
         readings = {name: float(value) for name, value in channels(self.state, wind).items()}
         force = UNKNOWN_FORCE if self._end.now is None else self._end.now.force
         specific_force = force / self.motion.aircraft.mass

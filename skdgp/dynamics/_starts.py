@@ -76,9 +76,7 @@ def _check_start_names(names: Sequence[str]) -> None:
             )
 
 
-def initial_states(
-    starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir | None]
-) -> Array:
+def initial_states(starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir]) -> Array:
     """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 
     By name: the velocity as v_north, v_east, v_down, or airspeed, alpha, beta (relative to the
@@ -109,7 +107,7 @@ def table_states(table: pd.DataFrame) -> Array:
     return np.hstack([position, velocity, attitude, stacked(table, RATES, n)])
 
 
-def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None]) -> Array:
+def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> Array:
     """Return the states (n, 13) of starts by name."""
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
     states = table_states(table)
@@ -121,9 +119,8 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir | None])
             f"Got a start at an altitude of {lowest:g} m, below any land: down is positive downwards, "
             "altitude = -down."
         )
-    air = air_at(states)
     attitude = states[:, ATTITUDE]
-    moving = None if air is None else air.velocity(attitude)
+    moving = air_at(states).velocity(attitude)
     wind = 0.0 if moving is None else ned_to_body(attitude, moving)
     if set(EARTH_VELOCITY) <= set(table):
         if "airspeed" in table:

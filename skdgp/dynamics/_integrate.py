@@ -199,7 +199,7 @@ class Integrator:
         last = stages[-1].regressors
         distance = last - tangent.regressors
         n_steps = tangent.steps + 1
-        is_near = bool((np.abs(distance) <= STEADY * tangent.reach).all())
+        is_near = not (np.abs(distance) > STEADY * tangent.reach).any()
         if is_near and n_steps < self._stride:
             return 0.0, tangent._replace(steps=n_steps)
         coefficients = self.motion.evaluated(last)
@@ -279,7 +279,7 @@ def fly_record(
     Trajectories
     """
     integrator = Integrator(motion, commands, air, clock, drifts)
-    start = state = by_components(state)
+    state = by_components(state)
     last = End(state)
     ended = np.full(state.shape[:-1], FLYING, dtype=object)
     end = np.full(state.shape[:-1], clock.n_steps + 1)
@@ -287,19 +287,13 @@ def fly_record(
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(clock.n_steps + 1):
             moment = integrator.begin(k, last)
-            over = end_reasons(moment.state, moment.now)
-            for reason, where in over.items():
+            flown.append(moment)
+            for reason, where in end_reasons(moment.state, moment.now).items():
                 just = where & (ended == FLYING)
                 ended[just] = reason
                 end[just] = k
-            is_flying = ended == FLYING
-            flies_on = is_flying.any()
-            if over and flies_on:
-                # flights that ended continue from their start, without being shown
-                state = np.where(is_flying[..., None], moment.state, start)
-                moment = integrator.begin(k, End(state, last.servos))
-            flown.append(moment)
-            if k == clock.n_steps or not flies_on:
+            # flights that ended go on without being shown
+            if k == clock.n_steps or (ended != FLYING).all():
                 break
             last = integrator.step(k, moment)
     return _record(motion, clock, flown, ended, end)

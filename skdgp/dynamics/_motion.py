@@ -239,14 +239,13 @@ class Motion:
             raise TypeError(
                 f"Got {type(controls).__name__} as controls, but expected values by name: {{name: value}}."
             )
-        controls = dict(controls)
+        mixed = {}
         mixing = self.aerodynamics.mixing
-        lacking = [name for name in self.controls if name not in controls]
-        if lacking and mixing is not None and controls.keys() >= set(mixing.surfaces):
+        if mixing is not None and controls.keys() >= set(mixing.surfaces):
             surfaces = [np.asarray(controls[name], dtype=float) for name in mixing.surfaces]
             for name, row in zip(mixing.controls, mixing.matrix, strict=True):
-                if name in lacking:
-                    controls[name] = sum(map(np.multiply, row, surfaces))
+                mixed[name] = sum(map(np.multiply, row, surfaces))
+        controls = mixed | dict(controls)
         check_names(self.controls, controls, "controls")
         return controls
 

@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_kernels import convolved, trend
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp.inference import Data
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 
 def stacked_covariances(features, arrays):
@@ -60,24 +60,9 @@ def noise_of():
 def make_problem(kind="diag", n_latent=2, with_trend=True, common_noise=False):
     rng = default_rng(0)
     n, P, d = 14, 3, 2
-    M = n_latent + P
-    is_shared = np.arange(M) < n_latent
-    widths = {"tied": (M, 1, d)}.get(kind, (M, P, d))
-    kernel = ConvolvedGaussian(
-        n_latent,
-        covariance_type=kind,
-        amplitude=rng.normal(size=(M, P)) * np.r_[np.ones((n_latent, P)), np.eye(P)],
-        length_scale=np.broadcast_to(rng.uniform(0.7, 1.6, widths), (M, P, d)),
-        shift=rng.normal(0, 0.3, (M, P, d))
-        * is_shared[:, None, None]
-        * (np.arange(P) > 0)[:, None],
-        parameter_bounds={"shift": (-2.0, 2.0)},
-    )
+    kernel = convolved(n_latent, P, d, kind, shift=True)
     if with_trend:
-        kernel = (
-            LinearTrend(rng.uniform(0.5, 1, P), rng.uniform(0.5, 1, (P, d)), rng.normal(size=d))
-            + kernel
-        )
+        kernel = trend(P, d) + kernel
     X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
     Y[rng.random(Y.shape) < 0.35] = np.nan  # some outputs are not observed here and there
     loading = default_rng(1).normal(0, 0.4, (n, P, 2)) if common_noise else None

@@ -428,7 +428,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         variance = np.zeros(len(noise))
         self.drift_memory_ = np.zeros(len(noise))
         if clock is not None:
-            _, variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
+            variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
             misfit = misfit_variance(fit.posterior, X, Z, clock)
         # The search took the discrepancy for noise, of outputs or of regressors: subtract it, and keep
         # at least a lower bound.

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 
 from skdgp._compute.linalg import output_scale
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._posterior import Posterior
 
 LEAST_VARIANCE = 1e-6
@@ -25,21 +22,13 @@ N_VALUES = 150
 """Values of variance and correlation time that are tried."""
 
 
-class Drift(NamedTuple):
-    """White noise sigma^2 and drift tau^2 exp(-t / T) of one output."""
-
-    white: float
-    variance: float
-    memory: float
-
-
 def residual_drift(
     posterior: Posterior,
     X: Matrix,
     Y: Matrix,
     clock: Matrix,
-) -> Matrix:
-    """Return white noise and drift estimated from the residuals of a posterior.
+) -> tuple[Vector, Vector]:
+    """Return the drift of each output, estimated from the residuals of a posterior.
 
     Parameters
     ----------
@@ -52,25 +41,23 @@ def residual_drift(
 
     Returns
     -------
-    ndarray (3, P)
-        The variances sigma^2 and tau^2 and the correlation time T [s] of each output, see
-        ``fit_drift_to_integrals``.
+    variance, memory : ndarray (P,)
+        The variance tau^2 and the correlation time T [s], see ``fit_drift_to_integrals``.
     """
-    residual = Y - posterior.predict(X)
     drifts = []
-    for e, scale in zip(residual.T, output_scale(Y), strict=True):
-        least = LEAST_VARIANCE * scale**2
+    least = LEAST_VARIANCE * output_scale(Y) ** 2
+    for e, smallest in zip((Y - posterior.predict(X)).T, least, strict=True):
         observed = np.isfinite(e)
         if observed.sum() > 2:
-            drift = fit_drift_to_integrals(e[observed], clock[observed], least)
+            drifts.append(fit_drift_to_integrals(e[observed], clock[observed], smallest))
         else:
-            drift = Drift(least, least, 1.0)
-        drifts.append(drift)
-    return np.transpose(drifts)
+            drifts.append((smallest, 1.0))
+    variance, memory = np.transpose(drifts)
+    return variance, memory
 
 
-def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> Drift:
-    r"""Return sigma^2, tau^2 and T of white noise plus drift, fitted to the integrals of the residuals (n,) over time.
+def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> tuple[float, float]:
+    r"""Return tau^2 and T [s] of white noise plus drift, fitted to the integrals of the residuals (n,) over time.
 
     A simulated flight integrates the errors of the coefficients, so the estimate is judged by
     integrals. Over a time h, the integral of white noise with the sample interval d and of a drift
@@ -90,18 +77,18 @@ def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> Dri
     variance is smaller than ``least``.
     """
     order = np.lexsort(clock.T)
-    residual = residual[order]
-    records, step = _records(clock[order])
-    lengths = [np.ptp(record.time) for record in records]
-    longest = max(max(lengths), 2 * step)
+    integrals, step = _integrals(residual[order], *clock[order].T)
+    lengths = [elapsed[-1] for elapsed, _ in integrals]
+    longest = max(*lengths, 2 * step)
     flown = sum(lengths)
     power = max(float(np.mean(residual**2)), 10 * least)
 
-    horizons = np.geomspace(2 * step, max(min(longest, LONGEST_HORIZON), 2 * step), N_HORIZONS)
-    squares = _mean_squared_integrals(residual, records, horizons)
+    horizons = np.geomspace(2 * step, min(longest, max(LONGEST_HORIZON, 2 * step)), N_HORIZONS)
+    changes = [np.concatenate([_changes(*part, h) for part in integrals]) for h in horizons]
+    squares = np.array([change @ change / max(len(change), 1) for change in changes])
     usable = (squares > 0) & (horizons < flown)
     if not usable.any():  # nothing shows a drift
-        return Drift(power, least, step)
+        return least, step
     horizons = horizons[usable]
     target = np.log(squares[usable] / (1 - horizons / flown))
     weight = 1 / (MODEL_ERROR**2 + 2 * horizons / flown)
@@ -114,42 +101,27 @@ def fit_drift_to_integrals(residual: Vector, clock: Matrix, least: float) -> Dri
     white = (power - variance) * step * horizons
     loss = (np.log(drift + white) - target) ** 2 @ weight
     i, j = np.unravel_index(loss.argmin(), loss.shape)
-    best = float(variance[i, 0, 0])
-    return Drift(max(power - best, least), best, float(memory[j, 0]))
+    return float(variance[i, 0, 0]), float(memory[j, 0])
 
 
-class _Record(NamedTuple):
-    """Rows without a gap, and their times."""
-
-    rows: Indices
-    time: Vector
-
-
-def _records(clock: Matrix) -> tuple[list[_Record], float]:
-    """Return the records of samples in order, and the median sample interval."""
-    time, flight = clock.T
-    same = flight[1:] == flight[:-1]
+def _integrals(
+    residual: Vector, time: Vector, flight: Vector
+) -> tuple[list[tuple[Vector, Vector]], float]:
+    """Return elapsed time and integral of each record without a gap, and the median sample interval."""
     steps = np.diff(time)
-    moving = steps[same & (steps > 0)]
+    is_same = np.diff(flight) == 0
+    moving = steps[is_same & (steps > 0)]
     step = float(np.median(moving)) if len(moving) else 1.0
-    ends = ~same | (steps > LONGEST_GAP * step)
-    rows = np.split(np.arange(len(time)), 1 + np.flatnonzero(ends))
-    return [_Record(part, time[part]) for part in rows], step
+    ends = ~is_same | (steps > LONGEST_GAP * step)
+    records = []
+    for rows in np.split(np.arange(len(time)), 1 + np.flatnonzero(ends)):
+        elapsed = time[rows] - time[rows[0]]
+        areas = residual[rows[:-1]] * np.diff(elapsed)
+        records.append((elapsed, np.concatenate([[0.0], np.cumsum(areas)])))
+    return records, step
 
 
-def _mean_squared_integrals(
-    residual: Vector, records: Sequence[_Record], horizons: Vector
-) -> Vector:
-    """Return the mean square of the integrals of the residuals over each horizon, within records; NaN without one."""
-    total = np.zeros(len(horizons))
-    count = np.zeros(len(horizons))
-    for rows, time in records:
-        elapsed = time - time[0]
-        integral = np.concatenate([[0.0], np.cumsum(residual[rows[:-1]] * np.diff(elapsed))])
-        for k, horizon in enumerate(horizons):
-            inside = elapsed + horizon <= elapsed[-1] * (1 + 1e-9)
-            later = np.interp(elapsed[inside] + horizon, elapsed, integral)
-            change = later - integral[inside]
-            total[k] += change @ change
-            count[k] += len(change)
-    return np.divide(total, count, out=np.full(len(horizons), np.nan), where=count > 0)
+def _changes(elapsed: Vector, integral: Vector, horizon: float) -> Vector:
+    """Return the integrals over a horizon from each time of a record that is followed by it."""
+    start = elapsed + horizon <= elapsed[-1] * (1 + 1e-9)
+    return np.interp(elapsed[start] + horizon, elapsed, integral) - integral[start]

@@ -224,10 +224,9 @@ def _derivatives_text(mechanics: FlightMechanics) -> str:
     if "std" in table:
         cells += table["std"].map(" +- {:.2g}".format)
         meaning = "values, +- one standard deviation"
-    rows = table["regressor"].replace("", "at trim")
-    columns = table["coefficient"]
-    wide = cells.groupby([rows, columns], sort=False).first().unstack(sort=False)
-    wide = wide.reindex(index=rows.unique(), columns=columns.unique())
+    named = table.assign(cell=cells, regressor=table["regressor"].replace("", "at trim"))
+    wide = named.pivot(index="regressor", columns="coefficient", values="cell")
+    wide = wide.reindex(named["regressor"].unique())[named["coefficient"].unique()]
     return "\n".join(
         [
             f"{flight}: alpha {np.rad2deg(point.alpha):.3g} deg, {controls}",

@@ -172,7 +172,7 @@ def evaluate(
     states = corrected.assign(**path.drop(columns=[*ALL_SURFACES], errors="ignore"))
     band = band_of(pipeline)
     measured = aerodynamic_coefficients(checked, aircraft, cutoff=without_vibration(band), **loads)
-    mean = pipeline.mean_of_rows(X, noise_ratio)
+    mean = pipeline.predict_rows(X, noise_ratio)
     std = _std(pipeline[-1], X, noise_ratio)
     variance = std**2
     if pipeline.log_errors_ is not None:  # which the measured coefficients have, too

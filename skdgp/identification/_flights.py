@@ -40,11 +40,14 @@ def train_and_test(
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
     if max(steps, default=0.0) > 1 / SLOWEST:
         report(Finding(Code.SLOW_LOG, numbers={"rate": float(1 / max(steps))}))
+    tested: Flights = {}
+    if test is not None:
+        tested = named_flights(test, default="test flight", needed=needed, **reading)
     train = without_copies(train, train, Code.FLIGHT_TWICE)
+    tested = without_copies(tested, train, Code.COPY_LEFT_OUT)
     if test is None:
-        return *_without_last(train), servos
-    tested = named_flights(test, default="test flight", needed=needed, **reading)
-    return train, without_copies(tested, train, Code.COPY_LEFT_OUT), servos
+        train, tested = _without_last(train)
+    return train, tested, servos
 
 
 def _without_last(flights: Flights) -> tuple[Flights, Flights]:

@@ -529,16 +529,20 @@ class FlightPipeline(Pipeline):
         standard deviation, too, with ``include_noise=True`` of new measurements.
         ``include_input_noise`` replaces the ratio of this flight, unless it is True.
         """
+        check_is_fitted(self)
+        return self.predict_rows(*flight_regressors(self, X), **params)
+
+    def predict_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Any:
+        """Predict as `predict` the coefficients (n, P) of logged rows, by `flight_regressors`."""
         uncertain = params.get("return_std") or params.get("return_cov")
         by_ratio = uncertain and params.get("include_input_noise", True) is True
-        check_is_fitted(self)
-        regressors, ratio = flight_regressors(self, X)
         if by_ratio and isinstance(self[-1], DependentGPRegressor):
-            params = params | {"include_input_noise": ratio}
-        if not uncertain:
-            return self.mean_of_rows(regressors, ratio, **params)
-        mean, uncertainty = self[-1].predict(regressors, **params)
-        return mean + self._added(regressors, ratio), uncertainty
+            params = params | {"include_input_noise": noise_ratio}
+        predicted = self[-1].predict(regressors, **params)
+        if self.calibration_ is None:
+            return predicted
+        added = self.calibration_(regressors, noise_ratio)
+        return (predicted[0] + added, predicted[1]) if uncertain else predicted + added
 
     def score(
         self, X: pd.DataFrame, y: Any = None, sample_weight: Any = None, **params: Any
@@ -550,17 +554,6 @@ class FlightPipeline(Pipeline):
         measured, mean = check_scored(y, self.predict(X, **params))
         check_consistent_length(measured, sample_weight)
         return r2_of_observed(measured, mean, sample_weight)
-
-    def mean_of_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Matrix:
-        """Return the mean coefficients (n, P) of logged rows, by `flight_regressors`."""
-        mean = self[-1].predict(regressors, **params)
-        return np.asarray(mean + self._added(regressors, noise_ratio))
-
-    def _added(self, regressors: Matrix, noise_ratio: Vector) -> Matrix | float:
-        """Return what the calibration adds to the function."""
-        if self.calibration_ is None:
-            return 0.0
-        return self.calibration_(regressors, noise_ratio)
 
 
 def _n_observed(y: Any) -> int:

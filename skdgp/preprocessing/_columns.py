@@ -289,7 +289,7 @@ class RegressorSelector(TableTransformer):
             targets = np.asarray(y, dtype=float).reshape(len(table), -1)
             used &= np.isfinite(targets).any(axis=1)
         table = table.assign(**by_name(self.regressors_, values))[used]
-        known = present(table, {*CHANNELS, *self.regressors_})
+        known = [name for name in table if name in CHANNELS or name in self.regressors_]
         limits = table[known].select_dtypes("number").dropna(axis=1, how="all").agg(["min", "max"])
         self.ranges_ = {name: tuple(limits[name].astype(float)) for name in limits}
         # by less than a billionth of themselves

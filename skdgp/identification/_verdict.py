@@ -108,8 +108,12 @@ class Verdict:
 
     Parameters
     ----------
-    scores : DataFrame
-        Of `scores` against measured values, all test flights together.
+    error : float
+        NRMSE, mean of the coefficients that vary; NaN where none does.
+    coverage : float
+        Coverage of the 95 % bands, mean of the coefficients.
+    least_squares_error : float or None
+        Error of a linear model of the same rows, where it is known.
     unvarying : tuple of str
         Coefficients that vary by less than their noise, so that no error judges them.
     uses : tuple of Use
@@ -118,30 +122,12 @@ class Verdict:
         Warnings; the one that costs most comes first.
     """
 
-    scores: pd.DataFrame
+    error: float
+    coverage: float
+    least_squares_error: float | None
     unvarying: tuple[str, ...]
     uses: tuple[Use, ...]
     findings: tuple[Finding, ...]
-
-    @property
-    def varying(self) -> pd.DataFrame:
-        """The scores of the coefficients that vary by more than their noise."""
-        return self.scores.drop(index=list(self.unvarying))
-
-    @property
-    def error(self) -> float:
-        """NRMSE, mean of the coefficients that vary; NaN where none does."""
-        return float(self.varying[NRMSE].mean())
-
-    @property
-    def coverage(self) -> float:
-        """Coverage of the 95 % bands, mean of the coefficients."""
-        return float(self.scores[COVERAGE].mean())
-
-    @property
-    def least_squares_error(self) -> float | None:
-        """Error of a linear model of the same rows, where it is known."""
-        return float(self.varying[LINEAR_NRMSE].mean()) if LINEAR_NRMSE in self.scores else None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -200,8 +186,11 @@ def judge(
         *_simulation_findings(mechanics),
         *_control_findings(mechanics, varying),
     ]
+    means = varying.mean()
     return Verdict(
-        scores=table,
+        error=float(means[NRMSE]),
+        coverage=float(table[COVERAGE].mean()),
+        least_squares_error=means.get(LINEAR_NRMSE),
         unvarying=tuple(unvarying),
         uses=tuple(_judged(purpose, every) for purpose in LIMITS),
         findings=tuple(finding for finding in every if finding.severity is not Severity.NOTE),

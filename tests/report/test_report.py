@@ -92,6 +92,7 @@ def result(n=800, **changes):
         "mean": mean,
         "std": std,
         "prediction_std": 2 * std,
+        "rows": np.arange(n),
         "regressors": mean,
         "baseline": mean,
         "truth": mean + 0.01 * rng.normal(size=(n, 6)),
@@ -119,11 +120,10 @@ def said(text):
 
 def verdict(error=0.131, coverage=0.972, linear=0.191, **changes):
     """Return a verdict of a mean error and coverage."""
-    scores = {"normalized_rmse": error, "interval_coverage": coverage}
-    if linear is not None:
-        scores["least_squares_normalized_rmse"] = linear
     given = {
-        "scores": pd.DataFrame(scores, index=["CX", "CY", "CZ", "Cl", "Cm", "Cn"]),
+        "error": error,
+        "coverage": coverage,
+        "least_squares_error": linear,
         "unvarying": (),
         "uses": (
             Use("predict coefficients", "yes", (said("errors are small"),)),

@@ -2,30 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.channels import RATES, WIND
+from skdgp._flight.clock import n_rows
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.frames import wrapped
+from skdgp._flight.smoothing import noise_level
+from skdgp._flight.tables import FlightTable, numeric, unwrapped
 from skdgp.dynamics import (
     ATTITUDE,
     VELOCITY,
     Aerodynamics,
     Air,
     Aircraft,
+    SimulationWarning,
     Trim,
     air_velocity,
     as_aerodynamics,
     euler_to_quaternion,
     linearize,
+    simulate,
     stability_derivatives,
     trim,
 )
-from skdgp.identification._free_flight import simulation_errors
+from skdgp.identification._evaluate import THRESHOLDS
+
+# States of simulations, of no wind and no heading
+STATES = ("airspeed", "alpha", "beta", "phi", "theta", *RATES)
+# of the simulation [s]: Runge and Kutta's method is stable for modes of up to 55 rad/s
+STEP = 0.05
+MOST_STARTS = 60  # guess
+TIMES = 20  # parts of the simulated time over which errors are averaged (guess)
+LEAST_PART = 0.95  # least duration of a part of a flight over the horizon (guess)
+# Functions that give standard deviations of modes with a relative error of 1 / sqrt(2 n), 5 %
+N_PATHS = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,21 +100,23 @@ def flight_mechanics(
     airspeed = float(flown["airspeed"])
     thrust = options["thrust"]
     given: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
-    state, controls = _median_state(flown)
+    at = _median_state(flown)
     notes = []
     steady: Any = None
     try:
         climb = None if thrust is None else 0.0
         altitude = float(np.nan_to_num(flown.get("altitude", 0.0)))
         steady = trim(pipeline, aircraft, airspeed, altitude=altitude, climb=climb, **given)
-        state, controls = steady.state, steady.controls
+        at = steady.state, steady.controls
     except ValueError:
         notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
-    point = aircraft, state, controls
     computed: dict[str, Any] = {}
     try:
-        derivatives = stability_derivatives(pipeline, *point, **given)
-        modes = None if steady is None else _modes(pipeline, point, given)
+        derivatives = stability_derivatives(pipeline, aircraft, *at, **given)
+        modes = None
+        if steady is not None:
+            n_paths = N_PATHS if as_aerodynamics(pipeline).is_uncertain else 0
+            modes = linearize(pipeline, aircraft, *at, n_paths=n_paths, **given).modes()
         computed = {"derivatives": derivatives, "modes": modes}
     except ValueError as error:
         notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
@@ -106,23 +127,139 @@ def flight_mechanics(
     return FlightMechanics(trim=steady, notes=tuple(notes), **computed)
 
 
-def _median_state(flown: pd.Series) -> tuple[np.ndarray, dict[str, float]]:
+def _median_state(flown: pd.Series) -> tuple[Array, dict[str, float]]:
     """Return the median state with level wings, and the median inputs."""
-    alpha = float(flown.get("alpha", 0.0))
     state = np.zeros(13)
-    state[VELOCITY] = air_velocity(flown["airspeed"], alpha, 0.0)
+    state[VELOCITY] = air_velocity(flown["airspeed"], float(flown.get("alpha", 0.0)), 0.0)
     state[ATTITUDE] = euler_to_quaternion(0.0, 0.0, 0.0)
-    return state, {str(name): float(value) for name, value in flown.items()}
+    return state, flown.to_dict()
 
 
-# Aircraft, state and controls
-Point: TypeAlias = tuple[Aircraft, np.ndarray, Mapping[str, float]]
-
-
-def _modes(
-    pipeline: Pipeline | Aerodynamics, trimmed: Point, conditions: Mapping[str, Any]
+def simulation_errors(
+    pipeline: Pipeline | Aerodynamics,
+    aircraft: Aircraft,
+    tables: Sequence[pd.DataFrame],
+    options: Mapping[str, Any],
 ) -> pd.DataFrame:
-    """Return the modes about a trim."""
-    # 200 functions give the standard deviations with a relative error of 1 / sqrt(2 n), 5 %
-    n_paths = 200 if as_aerodynamics(pipeline).is_uncertain else 0
-    return linearize(pipeline, *trimmed, n_paths=n_paths, **conditions).modes()
+    """Return how long simulations of test flights with the recorded controls follow them, by state.
+
+    They fly in the estimated wind and gusts, else in still air, and start from the measured state again
+    every horizon. ``options`` are of `identify`: thrust, external_forces and horizon. Raises ValueError
+    if the flights cannot be simulated.
+
+    Columns: ``spread``, the standard deviation in the flights; ``limit``,
+    `THRESHOLDS.error` times that, or three times the noise of the sensor if that
+    is more; ``error``, root mean square at the end; ``lasts``, the time [s] at which the error
+    passes the limit, at most ``horizon``; ``wind_known``, whether the wind and its gusts were
+    estimated.
+    """
+    _check_flights(tables, options["external_forces"])
+    parts = _parts(tables, options["horizon"])
+    wind_known = all({*WIND, "psi"} <= {*part} for part in parts)
+    flown = _simulated(pipeline, aircraft, parts, options["thrust"], wind_known)
+    simulated = numeric(flown, STATES).reshape(len(parts), -1, len(STATES))
+    elapsed = flown["time"].to_numpy()[: simulated.shape[1]]
+    measured = np.array([_at(elapsed, part) for part in parts])
+    # an infinite error where a simulation ended
+    squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
+    intervals = np.array_split(np.arange(len(elapsed)), min(TIMES, len(elapsed)))
+    means = np.array([squares[rows].mean(axis=0) for rows in intervals])
+
+    spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
+    # no noise of flights that are too short to show it
+    levels = pd.DataFrame([noise_level(table, STATES) for table in tables])
+    errors = pd.DataFrame({"spread": spread}, index=[*STATES])
+    errors["limit"] = np.maximum(THRESHOLDS.error * spread, 3 * np.nan_to_num(levels.median()))
+    errors["error"] = np.sqrt(means[-1])
+    # of an error that is late in no interval the end
+    late = np.vstack([means > errors["limit"].to_numpy() ** 2, np.ones(len(STATES), bool)])
+    begins = [elapsed[rows[0]] for rows in intervals]
+    errors["lasts"] = np.array([*begins, elapsed[-1]])[late.argmax(axis=0)]
+    errors["horizon"] = elapsed[-1]
+    errors["wind_known"] = wind_known
+    return errors
+
+
+def _check_flights(tables: Sequence[pd.DataFrame], loads: Sequence[str]) -> None:
+    """Raise ValueError if flights have loads that a simulation lacks, or lack states."""
+    if loads:
+        raise ValueError(f"the flights have loads that a simulation lacks: {', '.join(loads)}")
+    common = set.intersection(*map(set, tables))
+    lacking = [name for name in STATES if name not in common]
+    if lacking:
+        raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
+
+
+def _simulated(
+    pipeline: Pipeline | Aerodynamics,
+    aircraft: Aircraft,
+    parts: Sequence[pd.DataFrame],
+    thrust: str | None,
+    wind_known: bool,
+) -> pd.DataFrame:
+    """Return a simulation of parts of flights with their controls, in their air."""
+    density = np.nanmedian(np.concatenate([part["density"] for part in parts]))
+    wind = [part[["time", *WIND]] for part in parts] if wind_known else None
+    not_inputs = [*STATES, *WIND, "flight", "psi"]
+    inputs = [part.drop(columns=not_inputs, errors="ignore") for part in parts]
+    starts = pd.DataFrame([numeric(part, STATES)[0] for part in parts], columns=[*STATES])
+    if wind_known:  # the flight turns more than once
+        starts["psi"] = wrapped(np.array([part["psi"].iloc[0] for part in parts]))
+    with warnings.catch_warnings():
+        # an end is an error without bound
+        warnings.simplefilter("ignore", SimulationWarning)
+        return simulate(
+            as_aerodynamics(pipeline),
+            aircraft,
+            starts,
+            inputs,
+            dt=STEP,
+            duration=min(float(table["time"].iloc[-1]) for table in inputs),
+            thrust=thrust,
+            air=Air(wind, density=float(density)),
+        )
+
+
+def _at(elapsed: Vector, part: pd.DataFrame) -> Matrix:
+    """Return the measured states (n, n_states) at times of the simulation."""
+    columns = [np.interp(elapsed, part["time"], part[name]) for name in STATES]
+    return np.column_stack(columns)
+
+
+def _parts(tables: Sequence[pd.DataFrame], horizon: float) -> list[pd.DataFrame]:
+    """Return parts of flights without gaps, of nearly equal length, spread over the flights.
+
+    Their time begins at zero.
+    """
+    segments = [segment for table in tables for segment in _segments(table)]
+    if segments:
+        lengths = [np.ptp(segment["time"]) for segment in segments]
+        horizon = min(horizon, float(np.median(lengths)))
+    parts: list[pd.DataFrame] = []
+    if horizon > 2 * STEP:
+        for segment in segments:
+            parts += _parts_of(segment, horizon)
+    if not parts:
+        raise ValueError(
+            f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known"
+        )
+    chosen = np.linspace(0, len(parts) - 1, min(MOST_STARTS, len(parts))).round().astype(int)
+    return [parts[k] for k in chosen]
+
+
+def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
+    """Return the segments of a flight without gaps, whose angles do not jump."""
+    names = [name for name in (*STATES, "psi") if name in table]
+    smooth = table.copy()
+    smooth[names] = unwrapped(table, names)
+    runs = FlightTable.of(smooth).segments
+    return [smooth.iloc[run] for run in runs if n_rows(run) > 2]
+
+
+def _parts_of(segment: pd.DataFrame, horizon: float) -> Iterator[pd.DataFrame]:
+    """Yield the parts of a segment whose states are known."""
+    time = segment["time"].to_numpy(float)
+    for begin in np.arange(time[0], time[-1] - LEAST_PART * horizon, horizon):
+        flown = segment[(time >= begin) & (time <= begin + horizon)]
+        if len(flown) > 2 and np.isfinite(numeric(flown, STATES)).all():
+            yield flown.assign(time=flown["time"] - flown["time"].iloc[0]).reset_index(drop=True)

@@ -175,7 +175,7 @@ def make_identification_pipeline(
         control_units=control_units,
         memory=memory,
     )
-    pipeline.set_params(**{RECONSTRUCTION: reconstruction or "passthrough"})
+    pipeline.set_params(**{RECONSTRUCTION: reconstruction})
     return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
@@ -187,19 +187,26 @@ def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector]:
 
 def with_path(pipeline: Pipeline, flight: Any, first: int = 0) -> Any:
     """Return a flight after the steps from the ``first`` to the reconstruction of its path."""
-    return pipeline[first : _end_of_path(pipeline)].transform(flight)
+    return _transformed(pipeline.steps[first : _end_of_path(pipeline)], flight)
 
 
 def regressors_of(pipeline: Pipeline, path: Any) -> Matrix:
     """Return the regressors (n, d) of the last step for a flight by `with_path`."""
-    steps = pipeline[_end_of_path(pipeline) : -1]
-    return np.asarray(steps.transform(path) if len(steps) else path)
+    return np.asarray(_transformed(pipeline.steps[_end_of_path(pipeline) : -1], path))
 
 
 def _end_of_path(pipeline: Pipeline) -> int:
-    """Return the number of steps up to the reconstruction of paths; 1 without this step."""
+    """Return the number of steps up to the reconstruction of paths; 0 without this step, as in a slice."""
     names = [name for name, _ in pipeline.steps]
-    return names.index(RECONSTRUCTION) + 1 if RECONSTRUCTION in names else 1
+    return names.index(RECONSTRUCTION) + 1 if RECONSTRUCTION in names else 0
+
+
+def _transformed(steps: Sequence[tuple[str, Any]], flight: Any) -> Any:
+    """Return a flight that fitted steps have transformed."""
+    for _, step in steps:
+        if step not in (None, "passthrough"):
+            flight = step.transform(flight)
+    return flight
 
 
 def noise_ratio(pipeline: Pipeline, path: Any) -> Vector:

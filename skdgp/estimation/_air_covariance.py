@@ -175,8 +175,8 @@ def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
     motion = []
     for item in fitted:
         # in the motion without the answers to gusts that the last innovations show
-        expansion = fit.expansion(item.record, item.linear.states)
-        terms = means_of_neighbours(expansion.instrument_terms())
+        caused = item.expansion.instrument_terms(item.record.answers)
+        terms = means_of_neighbours(caused)
         motion.append(terms - terms.mean(axis=0))
     variance = np.concatenate(motion).var(axis=0)
     error = _term_errors(fit, fitted, len(variance))

@@ -47,6 +47,7 @@ class FittedRecord(NamedTuple):
     """A record with its last pass, the score of the parameters by each sample, (n - 1, p), and the likelihood."""
 
     record: Record
+    expansion: Expansion
     linear: Linearization
     slopes: Callable[[slice], Slopes]  # of some steps by parameters and instruments
     filter_pass: Pass
@@ -217,10 +218,12 @@ class AirFit:
         lag = self.parameters.names.index("servo_lag")
         place = lag - self.parameters.n_held
         if place >= 0 and self.x[lag] + step[place] < 0:
-            free = np.arange(len(step)) != place
-            step[place] = -self.x[lag]
-            gradient = score[free] + information[free, place] * step[place]
-            step[free] = -np.linalg.solve(information[np.ix_(free, free)], gradient)
+            at_zero = information.copy()
+            at_zero[place] = 0.0
+            at_zero[place, place] = 1.0
+            right = -score
+            right[place] = -self.x[lag]
+            step = np.linalg.solve(at_zero, right)
         if not self.is_known:
             nd = self.layout.n_derivatives
             farthest = np.max(np.abs(step[:nd]) / self.parameters.std[:nd])
@@ -236,9 +239,13 @@ class AirFit:
         for record, states in zip(self.records, self.states, strict=True):
             if not self.is_known:
                 self._add_steady_wind(sums, record)
-            expansion = self.expansion(record, states)
+            noise = self.noise_search.noise(record)
+            value = self.parameters.values(self.x, record.flight)
+            expansion = Expansion(
+                record, self.layout, self.aircraft, value, states, noise.decay[0], self.settings
+            )
             linear, slopes = expansion.linearization(), expansion.slopes()
-            filter_pass = filtered(linear, self.noise_search.noise(record))
+            filter_pass = filtered(linear, noise)
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovation_covariance))
             e = matrix_vector(L_inverse, filter_pass.innovations)
             products: Any = 0.0
@@ -257,7 +264,9 @@ class AirFit:
                 record = record.with_answers(e, self.settings)
             determinants = np.log(np.einsum("nii->ni", L_inverse)).sum()
             log_likelihood = float(determinants - 0.5 * np.sum(e**2))
-            fitted.append(FittedRecord(record, linear, slopes, filter_pass, scores, log_likelihood))
+            fitted.append(
+                FittedRecord(record, expansion, linear, slopes, filter_pass, scores, log_likelihood)
+            )
         return sums, fitted
 
     def _add_steady_wind(self, sums: Sums, record: Record) -> None:
@@ -302,12 +311,6 @@ class AirFit:
             sums[:, places] = np.add.reduceat(item.scores, starts, axis=0)
             blocks.append(sums)
         return np.concatenate(blocks)
-
-    def expansion(self, record: Record, states: Matrix) -> Expansion:
-        """Return the expansion of a record about filtered states, at the parameters."""
-        value = self.parameters.values(self.x, record.flight)
-        decay = self.noise_search.noise(record).decay[0]
-        return Expansion(record, self.layout, self.aircraft, value, states, decay, self.settings)
 
 
 def _projection(squares: Matrix, products: Matrix, settings: AirSettings) -> Matrix:

@@ -65,7 +65,7 @@ from skdgp.estimation._air_parameters import (
     stacked,
 )
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._kalman import Linearization, Slopes
+from skdgp.estimation._kalman import Linearization, Slopes, propagated
 from skdgp.estimation._sensors import INERTIAL_READINGS, SENSORS, SensorErrors
 from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
@@ -81,6 +81,8 @@ CONSTANTS = (*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS)
 """Parameters of a flight behind the derivatives."""
 LOAD_CONSTANTS = ("servo_lag", "servo_delay", "thrust_scale", "slipstream")
 """Constants that change the loads by surfaces and thrust."""
+NOT_SAMPLED = 1e12
+"""Variance of a sensor where it is not sampled [SI]."""
 CONSTANT_STEP = 1e-5
 """Step of constants in slopes, in their own units."""
 
@@ -248,7 +250,6 @@ class Expansion:
         """Return the linear filter about the states and parameters."""
         Phi, D = self._slopes_by_states()
         end_by_state = _by_states(self.air_by_state[1:])
-        missing, vibration = self._added_noise()
         return Linearization(
             states=self.states,
             predicted=self.predicted,
@@ -261,8 +262,7 @@ class Expansion:
             time_step=self.record.time_step,
             surface_noise=self._surface_noise(),
             surface_reading_variance=self._surface_reading_variance(),
-            missing=missing,
-            vibration=vibration,
+            added=self._added_noise(),
         )
 
     def _slopes_by_states(self) -> tuple[Array, Array]:
@@ -290,7 +290,7 @@ class Expansion:
         # terms within a step are the mean of the terms at its ends
         terms[0] = 0.5 * (terms[0] + terms[1])
         if layout.by_instruments:
-            caused = self.instrument_terms()
+            caused = self.instrument_terms(self.record.answers)
             of_instruments = means_of_neighbours(caused), caused[1:], caused[1:]
             terms = [np.hstack(pair) for pair in zip(terms, of_instruments, strict=True)]
         step_terms, end_terms, path_terms = terms
@@ -346,13 +346,13 @@ class Expansion:
             lambda value: self._readings_at(value, loads, end), self.value, CONSTANTS
         )
 
-    def instrument_terms(self) -> Matrix:
+    def instrument_terms(self, answers: Matrix | None) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
-        It contains no gusts. The motion is damped to a correlation time of
-        ``settings.response_time``, as the motion of an unstable aircraft would grow.
+        It contains no gusts, nor an autopilot's ``answers`` (n, k + 1) to these. The motion is damped to a
+        correlation time of ``settings.response_time``, as the motion of an unstable aircraft would grow.
         """
-        commanded = self._commanded()
+        commanded = self._commanded(answers)
         surfaces = commanded.surfaces
         delay = self.settings.response_delay
         late = np.concatenate([surfaces[:1]] * delay + [surfaces[: len(surfaces) - delay]])
@@ -362,13 +362,13 @@ class Expansion:
         A = A * damping / max(growth, 1.0)
         B = self.by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
         moved = (late - late.mean(axis=0)) * self.surface_effect
-        motion = _motion(A, matrix_vector(B, means_of_neighbours(moved)))
+        push = B @ means_of_neighbours(moved)[..., None]
+        motion = propagated(A, push)[..., 0]
         motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
         return self.model.terms(motion, commanded._replace(surfaces=late))
 
-    def _commanded(self) -> Inputs:
+    def _commanded(self, answers: Matrix | None) -> Inputs:
         """Return surfaces and thrust without an autopilot's answers to gusts."""
-        answers = self.record.answers
         inputs = self.inputs
         if answers is None:
             return inputs
@@ -381,14 +381,13 @@ class Expansion:
         """Return measured less predicted readings (n - 1, m) at variables after each step, zero where not sampled."""
         return np.nan_to_num(self.measured - self._readings(end))
 
-    def _added_noise(self) -> tuple[Matrix, Matrix]:
-        """Return variances (n - 1, m) where a sensor is not sampled, and the covariance (m, m) of vibration."""
-        not_sampled = 1e12  # variance [SI], whatever the noise of the sensor
-        missing = np.where(np.isfinite(self.measured), 0.0, not_sampled)
+    def _added_noise(self) -> Array:
+        """Return the covariance (n - 1, m, m) of vibration, and huge variances where a sensor is not sampled."""
         vibration = np.zeros((len(SENSORS), len(SENSORS)))
         vibration[INERTIAL_READINGS, INERTIAL_READINGS] = self.record.vibration
         sampled = self.record.sampled
-        return missing, vibration[np.ix_(sampled, sampled)]
+        missing = NOT_SAMPLED * np.isnan(self.measured)
+        return missing[..., None] * np.eye(missing.shape[1]) + vibration[np.ix_(sampled, sampled)]
 
     def _surface_noise(self) -> Array:
         """Return the covariance (n - 1, N, N) by surfaces that are off by their change in the step.
@@ -410,14 +409,6 @@ class Expansion:
         by_surfaces = self.past_by_end[..., COEFFICIENT_ERRORS] @ self.model.by_surfaces
         error = self.record.surface_errors[1:] * self.surface_effect[1:]
         return np.sum((by_surfaces * error[:, None]) ** 2, axis=-1)
-
-
-def _motion(A: Array, push: Matrix) -> Matrix:
-    """Return x (n, k) of x_{k+1} = A_k x_k + push_k from zero."""
-    x = np.zeros((len(A) + 1, push.shape[1]))
-    for k in range(len(A)):
-        x[k + 1] = A[k] @ x[k] + push[k]
-    return x
 
 
 def _variables(air: Matrix, states: Matrix) -> Matrix:

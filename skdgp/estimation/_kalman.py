@@ -68,19 +68,13 @@ class Linearization(NamedTuple):
     time_step: Vector  # (n - 1,) length of each step [s]
     surface_noise: Array  # (n - 1, N, N) covariance of the states by surfaces, per kappa^2
     surface_reading_variance: Matrix  # (n - 1, m) variance of the sensors by surfaces, per kappa^2
-    missing: Matrix  # (n - 1, m) variance that is added to a sensor's: huge where not sampled
-    vibration: Matrix  # (m, m) covariance of the sensors by vibration
-
-    def added_covariance(self) -> Array:
-        """Return the covariance (n - 1, m, m) that is added to those of the noises."""
-        return self.missing[..., None] * np.eye(len(self.vibration)) + self.vibration
+    added: Array  # (n - 1, m, m) covariance of the sensors by vibration; huge variance where not sampled
 
     def part(self, first: int, last: int) -> Linearization:
         """Return the steps ``first`` to ``last`` - 1, with the state after them."""
         whole = self._asdict()
         of_steps = {name: values[first:last] for name, values in whole.items()}
-        ends = {"states": self.states[first : last + 1], "vibration": self.vibration}
-        return Linearization(**of_steps | ends)
+        return Linearization(**of_steps | {"states": self.states[first : last + 1]})
 
     def middle(self, n_steps: int) -> Linearization:
         """Return the linearization of at most ``n_steps`` steps in the middle."""
@@ -121,8 +115,7 @@ def filtered(linear: Linearization, noise: Noise) -> Pass:
     """Return the filter's pass at one set of noises."""
     Phi = linear.Phi
     Q, R, R_past = (covariances[:, :, 0] for covariances in _covariances(linear, noise))
-    added = linear.added_covariance()
-    R = R + added
+    R = R + linear.added
     n, m, N = linear.H.shape
     P = np.empty((n + 1, N, N))
     P_predicted = np.empty((n, N, N))
@@ -137,10 +130,10 @@ def filtered(linear: Linearization, noise: Noise) -> Pass:
     # deviations from the expansion point
     push = linear.predicted - linear.states[1:] + matrix_vector(K, linear.path_error)
     T = Phi - K @ (linear.H @ Phi)
-    x = _propagated(T, push[..., None], 0.0)[..., 0]
+    x = propagated(T, push[..., None])[..., 0]
     return Pass(
         innovations=linear.past_error - matrix_vector(linear.D, x[:-1]),
-        innovation_covariance=linear.D @ P[:-1] @ linear.D.mT + R_past + added,
+        innovation_covariance=linear.D @ P[:-1] @ linear.D.mT + R_past + linear.added,
         states=linear.states + x,
         covariance=P,
         predicted_covariance=P_predicted,
@@ -156,7 +149,7 @@ def _gain(S: Matrix, PHt: Matrix) -> Matrix:
     return transposed.T
 
 
-def _propagated(T: Array, push: Array, start: Any) -> Array:
+def propagated(T: Array, push: Array, start: Any = 0.0) -> Array:
     """Return x (k + 1, N, q) of x_{k+1} = T_k x_k + push_k, from its start."""
     x = np.empty((len(T) + 1, *push.shape[1:]))
     x[0] = start
@@ -236,7 +229,7 @@ def noise_slopes(
         part = linear.part(first, first + STEPS_AT_A_TIME)
         Phi, H, K = part.Phi, part.H, filter_pass.gain[steps]
         x = deviations[:-1][steps]
-        R = _covariances(part, noise)[1][:, :, 0] + part.added_covariance()
+        R = _covariances(part, noise)[1][:, :, 0] + part.added
         S = H @ filter_pass.predicted_covariance[steps] @ H.mT + R
         error = part.path_error - matrix_vector(H, matrix_vector(Phi, x))
         u = np.linalg.solve(S, error[..., None])
@@ -256,7 +249,7 @@ def noise_slopes(
             dP[k + 1] += (left @ T[k].T).reshape(N, s, N)
         through_gain = Phi @ _times(dP[:-1], Phi.mT @ Htu)[..., 0] + _times(V, Htu)[..., 0]
         push = A @ (dPhi * x[..., None] + through_gain) - K @ _times(dR, u)[..., 0]
-        dx = _propagated(T, push, dx_start)
+        dx = propagated(T, push, dx_start)
         yield steps, -(part.D @ dx[:-1]), both_sides(part.D, dP[:-1]) + dR_past
         dP_start, dx_start = dP[-1], dx[-1]
 
@@ -274,7 +267,7 @@ def parameter_slopes(
         Theta, E, F = slopes(steps)
         gain = filter_pass.gain[steps]
         A = np.eye(Theta.shape[1]) - gain @ linear.H[steps]  # I - K H
-        Z = _propagated(A @ linear.Phi[steps], A @ Theta - gain @ F, end)
+        Z = propagated(A @ linear.Phi[steps], A @ Theta - gain @ F, end)
         yield steps, -(linear.D[steps] @ Z[:-1] + E), Z[1:]
         end = Z[-1]
 

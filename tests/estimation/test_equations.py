@@ -278,8 +278,7 @@ def linear_system(rng, n=7, N=3, m=2):
         time_step=rng.uniform(0.1, 0.2, n - 1),
         surface_noise=np.zeros((n - 1, N, N)),
         surface_reading_variance=np.zeros((n - 1, m)),
-        missing=np.zeros((n - 1, m)),
-        vibration=shared @ shared.T,
+        added=np.tile(shared @ shared.T, (n - 1, 1, 1)),
     )
     noises = Noise(
         density=rng.uniform(1, 2, (1, N)),
@@ -310,8 +309,8 @@ def joint_distribution(linear, noises):
     M = M.reshape(n * N, n * N)
     X = M @ block_diag(*Q) @ M.T
     H = np.hstack([np.zeros(((n - 1) * m, N)), block_diag(*linear.H)])
-    R = np.diag(noises.sensor[0]) + linear.vibration
-    return X, H, H @ X @ H.T + block_diag(*[R] * (n - 1))
+    R = np.diag(noises.sensor[0]) + linear.added
+    return X, H, H @ X @ H.T + block_diag(*R)
 
 
 def test_linear_filter_has_the_innovations_of_the_joint_distribution():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -345,22 +346,23 @@ def warn_of_few_rows(
     report(Finding(FitCode.FEW_ROWS, numbers=numbers), FewRowsWarning)
 
 
-def warn_of_search(
-    best: Any,
-    max_iter: int,
-    X: np.ndarray,
-    names: list[str],
-) -> None:
-    """Warn if the search for hyperparameters was interrupted or has not converged; X (n, d) may lack scaling."""
-    if best.interrupted:
-        report(Finding(FitCode.FIT_INTERRUPTED), SearchWarning)
-    elif not best.converged:
+def search_ended(
+    regressor: Any, X: np.ndarray | None = None, names: Sequence[str] = ()
+) -> Finding | None:
+    """Return why the search of a fitted regressor ended before it converged, None if it converged.
+
+    Regressors X (n, d) of some names, where they are given, may lack scaling.
+    """
+    if regressor.interrupted_:
+        return Finding(FitCode.FIT_INTERRUPTED)
+    if regressor.converged_:
+        return None
+    numbers = {"max_iter": regressor.max_iter}
+    if X is not None:
         std = X.std(axis=0)
-        unscaled = _marked(
-            names, (std > SETTINGS.scaled) | ((std > 0) & (std < 1 / SETTINGS.scaled))
-        )
-        numbers = {"max_iter": max_iter, "unscaled": unscaled}
-        report(Finding(FitCode.SEARCH_STOPPED, numbers=numbers), SearchWarning)
+        is_unscaled = (std > SETTINGS.scaled) | ((std > 0) & (std < 1 / SETTINGS.scaled))
+        numbers["unscaled"] = _marked(names, is_unscaled)
+    return Finding(FitCode.SEARCH_STOPPED, numbers=numbers)
 
 
 def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:

@@ -12,6 +12,7 @@ from sklearn.utils import check_array, check_random_state
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.linalg import check_memory, covariance_root
+from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions, fit_context
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Array, Matrix, Seed
@@ -414,7 +415,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _warn_of_fit(self, fit, X, Z):
         """Warn of a search that did not converge, of values at their bounds, and of few rows."""
-        _checks.warn_of_search(fit.learned, self.max_iter, X, self._regressor_names())
+        ended = _checks.search_ended(self, X, self._regressor_names())
+        if ended is not None:
+            report(ended, _checks.SearchWarning)
         if self.kernel is not None and self.optimizer is not None:
             _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
         if not fit.learned.interrupted:

@@ -16,7 +16,7 @@ from skdgp._compute.messages import notify, recorded_findings, report
 from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
-from skdgp._regressor import DependentGPRegressor, FitCode
+from skdgp._regressor import DependentGPRegressor, FitCode, search_ended
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._changed import Changes, changes_in_flights
@@ -242,8 +242,9 @@ def validate(
         named = named_flights(flights, **reading)
         usable = usable_flights_of_model(model.pipeline, named, aircraft)
         fit = fit_record(model.pipeline)
-        if not fit.converged:
-            report(_search_ended(model.pipeline[-1]))
+        ended = search_ended(model.pipeline[-1])
+        if ended is not None:
+            report(ended)
         for name in usable:
             if name in model.get("flights", []):
                 report(Finding(Code.ALREADY_LEARNED, flight=name))
@@ -263,13 +264,6 @@ def validate(
         changes=changes,
         findings=_named_once(findings),
     )
-
-
-def _search_ended(regressor: DependentGPRegressor) -> Finding:
-    """Return why the search of a regressor ended before it converged."""
-    if regressor.interrupted_:
-        return Finding(FitCode.FIT_INTERRUPTED)
-    return Finding(FitCode.SEARCH_STOPPED, numbers={"max_iter": regressor.max_iter})
 
 
 def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -29,7 +29,8 @@ from skdgp.estimation._sensors import NamedFlight as NamedFlight
 from skdgp.estimation._sensors import missing_channels as missing_channels
 from skdgp.estimation._servos import delayed_surfaces as delayed_surfaces
 from skdgp.estimation._servos import without_lag as without_lag
-from skdgp.estimation._settings import AirSettings, LagSettings, PathSettings
+from skdgp.estimation._settings import PATH_SETTINGS as PATH_SETTINGS
+from skdgp.estimation._settings import AirSettings
 from skdgp.estimation._vibration import vibration_covariance as vibration_covariance
 
 __all__ = [
@@ -39,9 +40,7 @@ __all__ = [
     "FlightPath",
     "FlightSensors",
     "Lag",
-    "LagSettings",
     "PathEstimate",
-    "PathSettings",
     "SensorContradiction",
     "airspeed_scale",
     "estimate_air_motion",

@@ -29,8 +29,8 @@ from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record, n_samples
 from skdgp.estimation._air_start import (
     SteadyRegression,
-    mean_lift,
-    pitot_equation,
+    add_airspeed,
+    add_mean_lift,
     steady_wind,
 )
 from skdgp.estimation._kalman import (
@@ -53,21 +53,6 @@ class FittedRecord(NamedTuple):
     filter_pass: Pass
     scores: Matrix
     log_likelihood: float  # of the innovations, but for a constant
-
-
-class _Point(NamedTuple):
-    """Parameters and logarithms of noises, and the likelihood there."""
-
-    likelihood: float
-    x: Vector
-    psi: Vector
-
-
-class SearchResult(NamedTuple):
-    """How a search ended."""
-
-    converged: bool
-    went_back: bool  # to an earlier pass of larger likelihood
 
 
 class _StepControl:
@@ -119,12 +104,12 @@ class AirFit:
         self.regression = SteadyRegression(aircraft, layout, parameters, settings)
         self.x = parameters.mean.copy()
         self.history: list[Vector] = []  # of x in the search
-        self.winds = []
+        self.airspeed_variances = []  # of each flight
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
-            wind = steady_wind(own, settings)
-            self.winds.append(wind)
-            self.x[parameters.places_of(flight, WINDS[:2])] = wind.pitot[1:]
+            pitot, variance = steady_wind(own, settings)
+            self.airspeed_variances.append(variance)
+            self.x[parameters.places_of(flight, WINDS[:2])] = pitot[1:]
         if not self.is_known:
             self.x = self.regression.derivatives(records, self.x)
         # rates as measured, without gusts
@@ -141,8 +126,8 @@ class AirFit:
         """Whether an oscillation shakes the inertial sensors of a record."""
         return any(record.vibration.any() for record in self.records)
 
-    def search(self, n_before: int) -> SearchResult:
-        """Improve parameters and noises by passes of the filter.
+    def search(self, n_before: int) -> tuple[bool, bool]:
+        """Improve parameters and noises by passes of the filter; return whether it converged, and whether it went back.
 
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges. It may
         end far below the likelihood of an earlier pass, as instruments are weak far from the solution,
@@ -154,17 +139,22 @@ class AirFit:
         control = _StepControl(len(self.x) - self.parameters.n_held, settings)
         was_small = False
         converged = False
-        likelihood = -np.inf
-        best = self._point(likelihood)
+        best = -np.inf, self.x, self.noise_search.psi
         for number in range(settings.max_passes):
             notify(Progress("estimating the air", number, settings.max_passes))
             sums, fitted = self._pass(by_instruments=number >= n_before)
             likelihood = sum(item.log_likelihood for item in fitted)
-            if likelihood > best.likelihood:
-                best = self._point(likelihood)
-            step = self._move_parameters(sums, control)
-            # noises move from the second pass on
-            noise_length = self._move_noises(fitted) if number else np.inf
+            if likelihood > best[0]:
+                best = likelihood, self.x.copy(), self.noise_search.psi.copy()
+            information, score = sums.damped(control.damping)
+            step = self._bounded_step(information, score)
+            self.x[sums.free] += control.shortened(step, information)
+            self.history.append(self.x.copy())
+            # noises move from the second pass on, by the middle of each record
+            noise_length = np.inf
+            if number:
+                linears = [item.linear.middle(settings.noise_samples) for item in fitted]
+                noise_length = self.noise_search.move(self.records, linears)
             is_small = sums.squared_length(step) < settings.tolerance
             is_still = was_small and is_small and noise_length < settings.noise_tolerance
             converged = is_still and number > n_before
@@ -172,14 +162,12 @@ class AirFit:
                 break
             was_small = is_small
         lost = settings.lost_likelihood * n_samples(self.records)
-        if likelihood < best.likelihood - lost:
-            self._go_back(best)
-            return SearchResult(converged=False, went_back=True)
-        return SearchResult(converged, went_back=False)
-
-    def _point(self, likelihood: float) -> _Point:
-        """Return parameters and noises as they are, of a given likelihood."""
-        return _Point(likelihood, self.x.copy(), self.noise_search.psi.copy())
+        if likelihood >= best[0] - lost:
+            return converged, False
+        _, self.x, self.noise_search.psi = best
+        self.history.append(self.x.copy())
+        self._pass()  # for the states there
+        return False, True
 
     def _pass(self, by_instruments: bool = True) -> tuple[Sums, list[FittedRecord]]:
         """Filter all records about the states of the last pass, and keep states and records for the next one."""
@@ -187,26 +175,6 @@ class AirFit:
         self.records = [item.record for item in fitted]
         self.states = [item.filter_pass.states for item in fitted]
         return sums, fitted
-
-    def _go_back(self, point: _Point) -> None:
-        """Take parameters and noises of an earlier pass, and the states of one more pass there."""
-        self.noise_search.go_back(point.psi)
-        self.x = point.x
-        self.history.append(self.x.copy())
-        self._pass()
-
-    def _move_parameters(self, sums: Sums, control: _StepControl) -> Vector:
-        """Move the parameters by a part of the damped step; return the full step."""
-        information, score = sums.damped(control.damping)
-        step = self._bounded_step(information, score)
-        self.x[sums.free] += control.shortened(step, information)
-        self.history.append(self.x.copy())
-        return step
-
-    def _move_noises(self, fitted: list[FittedRecord]) -> float:
-        """Move the noises by the middle of each record; return the squared length of the step."""
-        linears = [item.linear.middle(self.settings.noise_samples) for item in fitted]
-        return self.noise_search.move(self.records, linears)
 
     def _bounded_step(self, information: Matrix, score: Vector) -> Vector:
         """Return the step of the free parameters, with a lag that stays at or above zero.
@@ -238,7 +206,9 @@ class AirFit:
         fitted = []
         for record, states in zip(self.records, self.states, strict=True):
             if not self.is_known:
-                self._add_steady_wind(sums, record)
+                variance = self.airspeed_variances[record.flight]
+                add_mean_lift(sums, record, self.x, self.regression)
+                add_airspeed(sums, record, self.x, self.parameters, variance)
             noise = self.noise_search.noise(record)
             value = self.parameters.values(self.x, record.flight)
             expansion = Expansion(
@@ -268,15 +238,6 @@ class AirFit:
                 FittedRecord(record, expansion, linear, slopes, filter_pass, scores, log_likelihood)
             )
         return sums, fitted
-
-    def _add_steady_wind(self, sums: Sums, record: Record) -> None:
-        """Add mean lift and airspeed of a record in steady wind."""
-        lift = mean_lift(record, self.x, self.regression)
-        variance = self.winds[record.flight].variance
-        airspeed = pitot_equation(record, self.x, self.parameters, variance)
-        for equation in (lift, airspeed):
-            weighted = equation.slopes.T / equation.variance
-            sums.add(equation.places, weighted @ equation.residual, weighted @ equation.slopes)
 
     def _add_scores(
         self, sums: Sums, flight: int, weighted: Matrix, products: Matrix, has_instruments: bool

@@ -319,11 +319,11 @@ def _searched(start: Callable[[], AirFit], settings: AirSettings, n_rows: int) -
         try:
             # a search that diverges leaves the range of numbers
             with np.errstate(over="ignore", invalid="ignore"):
-                result = fit.search(n_before)
-            motion = _air_motion(fit, result.converged, n_rows)
+                converged, went_back = fit.search(n_before)
+            motion = _air_motion(fit, converged, n_rows)
         except np.linalg.LinAlgError:  # the search diverged
             continue
-        if not result.went_back:
+        if not went_back:
             break
     if motion is None:
         raise ValueError(DIVERGED)

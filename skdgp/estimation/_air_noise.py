@@ -89,10 +89,6 @@ class NoiseSearch:
         self.psi[sums.free] = np.clip(moved, low[sums.free], high[sums.free])
         return sums.squared_length(self.psi[sums.free] - before)
 
-    def go_back(self, psi: Vector) -> None:
-        """Take earlier logarithms of the noises."""
-        self.psi = psi
-
     def _limited(self, step: Vector) -> Vector:
         """Return the step within limits, half as large where it turns back: noises near zero overshoot."""
         free = slice(self.prior.n_held, None)

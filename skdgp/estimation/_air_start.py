@@ -10,26 +10,17 @@ derivatives by least squares.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from skdgp._compute.linalg import least_squares
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
-from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters
+from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, WIND_STD
 from skdgp.estimation._settings import AirSettings
-
-
-class SteadyWind(NamedTuple):
-    """Scale of the pitot and steady wind of a flight."""
-
-    pitot: Vector  # (3,) of `PITOT`
-    variance: float  # of a sample of the airspeed [m^2/s^2]
 
 
 def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
@@ -43,10 +34,10 @@ def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
     return np.column_stack([speed, by_wind]), error
 
 
-def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
-    """Return wind and pitot of a flight by least squares of its airspeed (Gauss-Newton).
+def steady_wind(records: list[Record], settings: AirSettings) -> tuple[Vector, float]:
+    """Return `PITOT` (3,) of a flight by least squares of its airspeed, and the variance of a sample of it [m^2/s^2].
 
-    Gusts correlate over seconds, so the variance of a sample is the variance of means over
+    By Gauss-Newton steps. Gusts correlate over seconds, so the variance of a sample is the variance of means over
     ``settings.gust_window`` times the number of samples in a mean.
     """
     _, scale_std = AIRCRAFT_CONSTANTS["airspeed_scale"]
@@ -62,7 +53,7 @@ def steady_wind(records: list[Record], settings: AirSettings) -> SteadyWind:
         residual = np.concatenate(residuals)
         pitot = pitot - least_squares(np.vstack(slopes), residual)
     variance = _sample_variance(residual[len(prior) :], records, settings)
-    return SteadyWind(pitot, variance)
+    return pitot, variance
 
 
 def _sample_variance(error: Vector, records: list[Record], settings: AirSettings) -> float:
@@ -119,17 +110,8 @@ class SteadyRegression:
         return x
 
 
-class LinearEquation(NamedTuple):
-    """Equations slopes @ (x - x0) + residual = 0 of some parameters, with the variance of each."""
-
-    places: Indices
-    slopes: Matrix
-    residual: Vector
-    variance: float
-
-
-def mean_lift(record: Record, x: Vector, regression: SteadyRegression) -> LinearEquation:
-    """Return the equation of the mean lift: as in steady wind, except for a mean vertical gust.
+def add_mean_lift(sums: Sums, record: Record, x: Vector, regression: SteadyRegression) -> None:
+    """Add the equation of the mean lift: as in steady wind, except for a mean vertical gust.
 
     Alpha is observed by forces alone, so its mean and CZ_0 could not be separated otherwise.
     """
@@ -140,17 +122,17 @@ def mean_lift(record: Record, x: Vector, regression: SteadyRegression) -> Linear
     speed = np.linalg.norm(record.velocity, axis=1).mean()
     settings = regression.settings
     std = settings.lift_slope * settings.mean_gust / speed
-    return LinearEquation(places, slopes[None], np.array([residual]), std**2)
+    sums.add_equations(places, slopes[None], np.array([residual]), std**2)
 
 
-def pitot_equation(
-    record: Record, x: Vector, parameters: Parameters, variance: float
-) -> LinearEquation:
-    """Return the equations of the airspeed in a steady wind.
+def add_airspeed(
+    sums: Sums, record: Record, x: Vector, parameters: Parameters, variance: float
+) -> None:
+    """Add the equations of the airspeed in a steady wind, whose samples have a variance.
 
     Turns separate wind and scale without coefficients or attitudes; the instruments contain little
     information about both.
     """
     places = parameters.places_of(record.flight, PITOT)
     slopes, error = airspeed_error(record, x[places])
-    return LinearEquation(places, slopes, error, variance)
+    sums.add_equations(places, slopes, error, variance)

@@ -18,12 +18,12 @@ import pandas as pd
 from scipy.signal import detrend
 
 from skdgp._compute.statistics import remaining_error
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER
 from skdgp._flight.clock import Clock
 from skdgp._flight.frames import air_velocity, euler_to_rotation
 from skdgp._flight.tables import has_values, numeric
-from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
+from skdgp.estimation._settings import PATH_SETTINGS as SETTINGS
 
 NEEDED = (*AIR_DATA, *EULER, *EARTH_VELOCITY)
 
@@ -34,20 +34,20 @@ class AirspeedScale(NamedTuple):
     value: float
     std: float
 
-    def removable(self, settings: PathSettings = PATH_SETTINGS) -> float:
+    def removable(self) -> float:
         """Return the error to remove, zero where it is not significant."""
-        is_significant = abs(self.value) > settings.significance * self.std
+        is_significant = abs(self.value) > SETTINGS.significance * self.std
         return self.value if is_significant else 0.0
 
-    def left(self, settings: PathSettings = PATH_SETTINGS) -> float:
+    def left(self) -> float:
         """Return what remains of the error, root mean square; zero where the flights do not show it.
 
         An airspeed that no flight contradicts is trusted.
         """
-        prior = settings.airspeed_scale
+        prior = SETTINGS.airspeed_scale
         if self.std > prior:
             return 0.0
-        return remaining_error(self.value, self.std, prior, self.removable(settings) != 0)
+        return remaining_error(self.value, self.std, prior, self.removable() != 0)
 
 
 UNKNOWN_SCALE = AirspeedScale(0.0, np.inf)
@@ -60,15 +60,7 @@ def without_airspeed_error(table: pd.DataFrame, scale: float) -> pd.DataFrame:
     return table.assign(airspeed=table["airspeed"] / (1 + scale))
 
 
-class _Moments(NamedTuple):
-    """One flight: sums of products with the instrument, the unit vector forward, over blocks of time."""
-
-    of_ground: Vector  # (k,) complex
-    of_air: Vector  # (k,) complex
-    of_instrument: Vector  # (k,)
-
-
-def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) -> AirspeedScale:
+def airspeed_scale(table: pd.DataFrame) -> AirspeedScale:
     r"""Return the relative error of the airspeed of flights.
 
     :math:`c = \sum h^* v / \sum h^* u` with the horizontal velocities v over the ground and u
@@ -80,7 +72,6 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
     table : pandas.DataFrame
         ``time`` [s], ``airspeed``, ``v_north``, ``v_east``, ``v_down`` [m/s], ``alpha``, ``beta``,
         ``phi``, ``theta``, ``psi`` [rad]; ``flight`` where there are several.
-    settings : PathSettings
 
     Returns
     -------
@@ -108,13 +99,12 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
     blocks = []
     for rows in clock.rows.values():
         flight: Any = sampled.iloc[rows]
-        blocks.append(_moments(flight, settings))
-    of_ground = np.concatenate([block.of_ground for block in blocks])
-    of_air = np.concatenate([block.of_air for block in blocks])
-    turning = np.concatenate([block.of_instrument for block in blocks]).sum() / len(sampled)
+        blocks.append(_moments(flight))
+    of_ground, of_air, of_instrument = np.concatenate(blocks, axis=1)
+    turning = of_instrument.real.sum() / len(sampled)
     n = len(of_air)
     n_unknowns = 6  # real numbers: c, mean and drift of the wind
-    if n <= n_unknowns or turning < settings.least_turning:
+    if n <= n_unknowns or turning < SETTINGS.least_turning:
         return UNKNOWN_SCALE
     total = of_air.sum()
     slope = of_ground.sum() / total
@@ -124,24 +114,15 @@ def airspeed_scale(table: pd.DataFrame, settings: PathSettings = PATH_SETTINGS) 
     return AirspeedScale(float(1 / abs(slope) - 1), float(std / abs(slope) ** 2))
 
 
-def _moments(flight: pd.DataFrame, settings: PathSettings) -> _Moments:
+def _moments(flight: pd.DataFrame) -> Array:
+    """Return sums over blocks (3, k) of products of the instrument with velocities over ground, in air and itself."""
     attitude = euler_to_rotation(numeric(flight, EULER))
     through_air = attitude.apply(air_velocity(*numeric(flight, AIR_DATA).T))
-    forward = _horizontal(attitude.apply([1.0, 0.0, 0.0]))
-    instrument = np.conj(forward)
+    over_ground = numeric(flight, EARTH_VELOCITY)
+    vectors = [over_ground, through_air, attitude.apply([1.0, 0.0, 0.0])]
+    # horizontal ones without mean and trend
+    values = np.array([detrend(v[:, 0]) + 1j * detrend(v[:, 1]) for v in vectors])
     time = flight["time"].to_numpy(float)
-    block = ((time - time[0]) // settings.gust_time).astype(int)
-    return _Moments(
-        of_ground=_sums(block, instrument * _horizontal(numeric(flight, EARTH_VELOCITY))),
-        of_air=_sums(block, instrument * _horizontal(through_air)),
-        of_instrument=_sums(block, instrument * forward).real,
-    )
-
-
-def _horizontal(vectors: Matrix) -> Vector:
-    """Return NED vectors (n, 3) as complex numbers without mean and trend."""
-    return detrend(vectors[:, 0]) + 1j * detrend(vectors[:, 1])
-
-
-def _sums(block: Array, values: Vector) -> Vector:
-    return np.bincount(block, values.real) + 1j * np.bincount(block, values.imag)
+    block = ((time - time[0]) // SETTINGS.gust_time).astype(int)
+    _, starts = np.unique(block, return_index=True)
+    return np.add.reduceat(np.conj(values[2]) * values, starts, axis=1)

@@ -51,7 +51,7 @@ from skdgp.estimation._sensors import (
     missing_channels,
 )
 from skdgp.estimation._servos import servo_output
-from skdgp.estimation._settings import LAG_SETTINGS, LagSettings
+from skdgp.estimation._settings import LAG_SETTINGS as SETTINGS
 
 INERTIAL = (*SPECIFIC_FORCE, *RATES)
 ATTITUDE = ("phi", "theta")
@@ -78,24 +78,24 @@ class Lag(NamedTuple):
     rate_limit: float = np.inf  #: Of servos, in the unit of the surfaces per second
     delay_std: float = 0.0  #: Of the delay beside the lag of servos [s]
 
-    def is_significant(self, settings: LagSettings) -> bool:
-        """Return whether the lag exceeds ``settings.significance`` standard deviations."""
-        return abs(self.value) > settings.significance * self.std
+    def is_significant(self) -> bool:
+        """Return whether the lag exceeds a number of standard deviations."""
+        return abs(self.value) > SETTINGS.significance * self.std
 
 
 UNKNOWN = Lag(0.0, np.nan)
 SURE = 2.0  # standard deviations
 
 
-def removable(lag: Lag, settings: LagSettings = LAG_SETTINGS) -> float:
+def removable(lag: Lag) -> float:
     """Return the lag to remove [s], zero where it is not significant or too small to change a model."""
     if lag.removal is not None:
         return lag.removal
-    is_large = abs(lag.value) >= settings.least_lag
-    return lag.value if lag.is_significant(settings) and is_large else 0.0
+    is_large = abs(lag.value) >= SETTINGS.least_lag
+    return lag.value if lag.is_significant() and is_large else 0.0
 
 
-def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> dict[str, Lag]:
+def estimate_lags(table: pd.DataFrame) -> dict[str, Lag]:
     r"""Return the lags of air data, surfaces, servos, attitude and GPS by group, against inertial sensors.
 
     Lags of surfaces, servos and air data maximise the profile likelihood
@@ -105,40 +105,37 @@ def estimate_lags(table: pd.DataFrame, settings: LagSettings = LAG_SETTINGS) -> 
     the path over the ground. A lag of std NaN is unknown. Without vanes the lag of servos is not
     removed, as it is a parameter of `estimate_air_motion`, and a delay only from a step of the log on.
     """
-    segments = _segments_of(at_centre_of_gravity(table), settings)
-    long_segments = [segment for segment in segments if segment.seconds > settings.long]
+    segments = _segments_of(at_centre_of_gravity(table))
+    long_segments = [segment for segment in segments if segment.seconds > SETTINGS.long]
     servos = UNKNOWN
-    surfaces = _most_likely_lag(long_segments, ALL_SURFACES, _turning_by_surfaces, settings)
+    surfaces = _most_likely_lag(long_segments, ALL_SURFACES, _turning_by_surfaces)
     servos_and_delay = None
-    if removable(surfaces, settings) < 0:
-        servos_and_delay = _most_likely_servos(segments, surfaces, settings)
+    if removable(surfaces) < 0:
+        servos_and_delay = _most_likely_servos(segments, surfaces)
     if servos_and_delay is not None:
         servos, surfaces = servos_and_delay
-        lag = removable(servos, settings)
+        lag = removable(servos)
         segments = [segment.behind_servos(lag) for segment in segments]
-    surface_lag = removable(surfaces, settings)
+    surface_lag = removable(surfaces)
 
     vanes = _most_likely_lag(
         long_segments,
         VANES,
         lambda segment, lag: (segment.channels(VANES, lag), segment.predictors(surface_lag)),
-        settings,
     )
-    by_motion = _lag_behind_motion(segments, settings)
+    by_motion = _lag_behind_motion(segments)
     if np.isnan(vanes.std) or by_motion.std < vanes.std:
         vanes = by_motion
     of_path = dict.fromkeys(PATH_LAGS, UNKNOWN)
     if segments and not missing_channels(table):
-        of_path = _lags_of_path(table, settings)
+        of_path = _lags_of_path(table)
         if not has_values(table, *VANES):
             log_step = max(segment.log_step for segment in segments)
-            servos, surfaces = _left_to_filter(servos_and_delay, log_step, settings)
+            servos, surfaces = _left_to_filter(servos_and_delay, log_step)
     return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
 
 
-def _left_to_filter(
-    servos_and_delay: tuple[Lag, Lag] | None, log_step: float, settings: LagSettings
-) -> tuple[Lag, Lag]:
+def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -> tuple[Lag, Lag]:
     """Return the lags of servos and of their commands, with what is removed before `estimate_air_motion`.
 
     Its lag of servos takes in the half step by which commands are late that hold between samples, and
@@ -149,12 +146,12 @@ def _left_to_filter(
         return UNKNOWN, UNKNOWN
     servos, commands = servos_and_delay
     delay = commands.removal or 0.0
-    margin = min(SURE * servos.delay_std, settings.least_lag)
+    margin = min(SURE * servos.delay_std, SETTINGS.least_lag)
     removed = delay + margin if abs(delay) >= log_step else 0.0
     return servos._replace(removal=0.0), commands._replace(removal=removed)
 
 
-def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
+def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
     """Return the lags of attitude and GPS velocity against gyros and accelerometers, over all flights.
 
     Vanes are left out, as gusts would resemble a lag. Flights are weighted by their precision, with
@@ -168,7 +165,7 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     prior_precision = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
     precision = prior_precision.copy()
     weighted = np.zeros(len(lags))
-    first = _first_rows(table, settings).drop(columns=[*VANES], errors="ignore")
+    first = _first_rows(table).drop(columns=[*VANES], errors="ignore")
     for flight in flights_of(first):
         solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
         flight_precision = np.linalg.inv(solved.covariance[np.ix_(places, places)])
@@ -180,13 +177,13 @@ def _lags_of_path(table: pd.DataFrame, settings: LagSettings) -> dict[str, Lag]:
     return dict(zip(PATH_LAGS, map(Lag, values.tolist(), stds.tolist()), strict=True))
 
 
-def _first_rows(table: pd.DataFrame, settings: LagSettings) -> pd.DataFrame:
+def _first_rows(table: pd.DataFrame) -> pd.DataFrame:
     """Return the first minutes of each flight."""
     codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
     flights = table.groupby(codes)
     elapsed = table["time"] - flights["time"].transform("min")
-    is_early = elapsed < settings.path_seconds
-    return table[is_early & (flights.cumcount() < settings.path_rows)]
+    is_early = elapsed < SETTINGS.path_seconds
+    return table[is_early & (flights.cumcount() < SETTINGS.path_rows)]
 
 
 @dataclass(frozen=True)
@@ -200,13 +197,13 @@ class _Segment:
     band: Matrix  # second-order sections of the filter of the band
 
     @classmethod
-    def of(cls, time: Vector, table: pd.DataFrame, settings: LagSettings) -> _Segment:
+    def of(cls, time: Vector, table: pd.DataFrame) -> _Segment:
         """Return the segment of a table at increasing times."""
         clock = uniform_grid(time)[0]
         rate_hz = _rate_of(clock)
-        low, high = _band_at(rate_hz, settings)
+        low, high = _band_at(rate_hz)
         channels = _on_clock(time, table, clock)
-        speed = _steady_speed(channels, rate_hz, settings)
+        speed = _steady_speed(channels, rate_hz)
         if "airspeed" in channels:
             channels |= dict(zip(MOTION, _angles_of_motion(channels, speed, clock), strict=True))
         for name in RATES:
@@ -220,8 +217,8 @@ class _Segment:
         splines = {}
         for name, values in channels.items():
             splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
-        step = 1 / min(rate_hz, settings.oversampling * high)
-        inner = np.arange(clock[0] + settings.edge, clock[-1] - settings.edge, step)
+        step = 1 / min(rate_hz, SETTINGS.oversampling * high)
+        inner = np.arange(clock[0] + SETTINGS.edge, clock[-1] - SETTINGS.edge, step)
         return cls(splines, inner, 1 / rate_hz, surfaces, sections)
 
     def behind_servos(self, lag: float, rate_limit: float = np.inf) -> _Segment:
@@ -250,11 +247,11 @@ class _Segment:
         deflections = servo_output(commands, lag, self.log_step)
         return float(np.abs(np.diff(deflections, axis=0)).max() / self.log_step)
 
-    def earlier_surfaces(self, settings: LagSettings) -> Matrix:
+    def earlier_surfaces(self) -> Matrix:
         """Return an orthonormal basis (n, k) of the surfaces of the last seconds."""
-        delays = np.arange(0.0, settings.memory + settings.memory_step / 2, settings.memory_step)
+        delays = np.arange(0.0, SETTINGS.memory + SETTINGS.memory_step / 2, SETTINGS.memory_step)
         columns = [self.channels(ALL_SURFACES, -delay) for delay in delays]
-        return _basis(np.hstack(columns), settings.rank_tolerance)
+        return _basis(np.hstack(columns), SETTINGS.rank_tolerance)
 
     @property
     def seconds(self) -> float:
@@ -292,14 +289,12 @@ def _angles_of_motion(
     return np.asarray(alpha_of_motion), np.asarray(beta_of_motion)
 
 
-def _steady_speed(
-    channels: dict[str, Vector], rate_hz: float, settings: LagSettings
-) -> Vector | float:
+def _steady_speed(channels: dict[str, Vector], rate_hz: float) -> Vector | float:
     """Return the airspeed below the band, (n,) [m/s]; one where it is not measured."""
     if "airspeed" not in channels:
         return 1.0
-    speed = low_pass(channels["airspeed"], rate_hz, settings.steady_frequency)
-    return np.maximum(speed, settings.least_speed * np.median(speed))
+    speed = low_pass(channels["airspeed"], rate_hz, SETTINGS.steady_frequency)
+    return np.maximum(speed, SETTINGS.least_speed * np.median(speed))
 
 
 def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vector]:
@@ -317,13 +312,13 @@ def _rate_of(clock: Vector) -> float:
     return (len(clock) - 1) / (clock[-1] - clock[0])
 
 
-def _band_at(rate_hz: float, settings: LagSettings) -> tuple[float, float]:
+def _band_at(rate_hz: float) -> tuple[float, float]:
     """Return the band of frequencies at a rate of samples [Hz]; empty where samples are too slow."""
-    low, high = settings.band
-    return low, min(high, settings.highest * rate_hz)
+    low, high = SETTINGS.band
+    return low, min(high, SETTINGS.highest * rate_hz)
 
 
-def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:
+def _segments_of(table: pd.DataFrame) -> list[_Segment]:
     """Return the segments that are long and fast enough and have all inertial sensors."""
     if not has_values(table, *INERTIAL):
         return []
@@ -332,11 +327,11 @@ def _segments_of(table: pd.DataFrame, settings: LagSettings) -> list[_Segment]:
     for run in flights.segments:
         time = flights.time[run]
         part = table.iloc[run]
-        if np.ptp(time) <= settings.shortest or not has_values(part, *INERTIAL):
+        if np.ptp(time) <= SETTINGS.shortest or not has_values(part, *INERTIAL):
             continue
-        low, high = _band_at(_rate_of(uniform_grid(time)[0]), settings)
+        low, high = _band_at(_rate_of(uniform_grid(time)[0]))
         if low < high:
-            segments.append(_Segment.of(time, part, settings))
+            segments.append(_Segment.of(time, part))
     return segments
 
 
@@ -349,9 +344,7 @@ def _turning_by_surfaces(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]
     return segment.channels(ACCELERATIONS), segment.predictors(lag)
 
 
-def _most_likely_lag(
-    segments: list[_Segment], names: Sequence[str], regression: Regression, settings: LagSettings
-) -> Lag:
+def _most_likely_lag(segments: list[_Segment], names: Sequence[str], regression: Regression) -> Lag:
     """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
 
     RSS is the residual sum of squares of n samples over the sum of squares of the response. The
@@ -363,23 +356,23 @@ def _most_likely_lag(
         return UNKNOWN
 
     def profile(lag: float) -> Vector:
-        return _profile(segments, regression, lag, settings)
+        return _profile(segments, regression, lag)
 
-    steps = np.arange(-settings.largest, settings.largest + settings.coarse / 2, settings.coarse)
+    steps = np.arange(-SETTINGS.largest, SETTINGS.largest + SETTINGS.coarse / 2, SETTINGS.coarse)
     profiles = np.array([profile(step) for step in steps])
     lag, *pieces = (_minimum(steps, values) for values in profiles.T)
-    if abs(lag) >= settings.largest or len(pieces) < settings.least_pieces:
+    if abs(lag) >= SETTINGS.largest or len(pieces) < SETTINGS.least_pieces:
         return UNKNOWN
     for _ in range(2):
-        around = [profile(lag + step)[0] for step in (-settings.fine, 0, settings.fine)]
-        lag += _vertex(around, settings.fine)
-    probability = normal.sf(settings.significance)
-    quantile = student.isf(probability, len(pieces) - 1) / settings.significance
+        around = [profile(lag + step)[0] for step in (-SETTINGS.fine, 0, SETTINGS.fine)]
+        lag += _vertex(around, SETTINGS.fine)
+    probability = normal.sf(SETTINGS.significance)
+    quantile = student.isf(probability, len(pieces) - 1) / SETTINGS.significance
     std = np.hypot(quantile * sem(pieces), lag - np.mean(pieces))
     return Lag(float(lag), float(std))
 
 
-def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
+def _lag_behind_motion(segments: list[_Segment]) -> Lag:
     """Return the lag of vanes behind the motion of the aircraft, which explains them but for gusts.
 
     It is that of the least sum n log RSS of alpha and beta over their motion.
@@ -396,12 +389,12 @@ def _lag_behind_motion(segments: list[_Segment], settings: LagSettings) -> Lag:
             total += len(y) * float(np.log(np.sum((y - fitted) ** 2) / (y @ y)))
         return total
 
-    most = settings.largest_of_vanes
-    steps = np.arange(-settings.largest, most + settings.coarse / 2, settings.coarse)
+    most = SETTINGS.largest_of_vanes
+    steps = np.arange(-SETTINGS.largest, most + SETTINGS.coarse / 2, SETTINGS.coarse)
     lag = float(_minimum(steps, np.array([loss(step) for step in steps])))
     if not steps[0] < lag < steps[-1]:
         return UNKNOWN
-    return Lag(lag, _std_behind_motion(pairs, lag, settings))
+    return Lag(lag, _std_behind_motion(pairs, lag))
 
 
 def _fitted_to_motion(
@@ -413,9 +406,7 @@ def _fitted_to_motion(
     return y, x * (x @ y) / (x @ x)
 
 
-def _std_behind_motion(
-    pairs: list[tuple[_Segment, str, str]], lag: float, settings: LagSettings
-) -> float:
+def _std_behind_motion(pairs: list[tuple[_Segment, str, str]], lag: float) -> float:
     """Return the standard deviation of a lag of vanes behind the motion [s].
 
     With residuals e and slopes g of the fitted response by time, in units of the residuals, its variance is the
@@ -436,14 +427,12 @@ def _std_behind_motion(
         variance += autocorrelation_time(products) * float(products @ products)
         information += float(g @ g) / scale
         unexplained += float(g @ g) / scale * float(e @ e) / float(y @ y)
-    of_residuals = settings.lack_of_motion * np.sqrt(variance) / information
-    of_gusts = settings.error_by_gusts * unexplained / information
+    of_residuals = SETTINGS.lack_of_motion * np.sqrt(variance) / information
+    of_gusts = SETTINGS.error_by_gusts * unexplained / information
     return float(np.hypot(of_residuals, of_gusts))
 
 
-def _most_likely_servos(
-    segments: list[_Segment], surfaces: Lag, settings: LagSettings
-) -> tuple[Lag, Lag] | None:
+def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, Lag] | None:
     """Return the lags of servos and of their commands, the latter by a delay; None if neither is significant.
 
     They maximise the likelihood of the part of the responses that earlier commands explain
@@ -455,24 +444,24 @@ def _most_likely_servos(
     evidence of a delay the lag without one is removed: slow inputs tell it better than either.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
-    instruments = [segment.earlier_surfaces(settings) for segment in segments]
+    instruments = [segment.earlier_surfaces() for segment in segments]
 
     def loss(servo_lag: float, delay: float) -> float:
-        return _servo_loss(segments, instruments, np.array([servo_lag, delay]), settings)
+        return _servo_loss(segments, instruments, np.array([servo_lag, delay]))
 
-    (scan, delays, losses), best = _servo_profile(loss, abs(surfaces.value), settings)
+    (scan, delays, losses), best = _servo_profile(loss, abs(surfaces.value))
     servo_lag, delay, least = best
-    alone, loss_alone = _least(lambda lag: loss(lag, 0.0), settings.largest, settings)
-    removed, removed_delay = servo_lag, removable(Lag(delay, surfaces.std), settings)
-    if not removed_delay or loss_alone - least < settings.delay_evidence:
+    alone, loss_alone = _least(lambda lag: loss(lag, 0.0), SETTINGS.largest)
+    removed, removed_delay = servo_lag, removable(Lag(delay, surfaces.std))
+    if not removed_delay or loss_alone - least < SETTINGS.delay_evidence:
         removed, removed_delay = alone, 0.0
-    is_significant = removable(Lag(removed, surfaces.std), settings) or removed_delay
-    if not is_significant or removed + settings.precision >= settings.largest:
+    is_significant = removable(Lag(removed, surfaces.std)) or removed_delay
+    if not is_significant or removed + SETTINGS.precision >= SETTINGS.largest:
         return None
     lag_std = _std_of_profile(scan, servo_lag, losses, surfaces.std)
     delay_std = _std_of_profile(delays, delay, losses, surfaces.std)
     rate_limit = np.inf
-    limited = _limited_servos(segments, instruments, np.array([servo_lag, delay]), settings)
+    limited = _limited_servos(segments, instruments, np.array([servo_lag, delay]))
     if limited is not None:
         servo_lag, rate_limit = limited
         removed, removed_delay = servo_lag, delay
@@ -481,16 +470,16 @@ def _most_likely_servos(
 
 
 def _servo_profile(
-    loss: Callable[[float, float], float], early: float, settings: LagSettings
+    loss: Callable[[float, float], float], early: float
 ) -> tuple[Matrix, tuple[float, float, float]]:
     """Return lags with their most likely delays and losses, (3, n), and the best, of surfaces ``early`` [s]."""
-    latest = min(LONGEST_DELAY * early, settings.largest)
+    latest = min(LONGEST_DELAY * early, SETTINGS.largest)
 
     def with_delay(servo_lag: float) -> tuple[float, float]:
-        return _least(lambda delay: loss(servo_lag, delay), latest, settings)
+        return _least(lambda delay: loss(servo_lag, delay), latest)
 
     # the loss has several minima: lag and delay replace each other
-    scan = np.linspace(0.0, min(LONGEST_LAG * early, settings.largest), N_SERVO_LAGS)
+    scan = np.linspace(0.0, min(LONGEST_LAG * early, SETTINGS.largest), N_SERVO_LAGS)
     delays, losses = np.transpose([with_delay(servo_lag) for servo_lag in scan])
     servo_lag = float(_minimum(scan, losses))
     return np.stack([scan, delays, losses]), (servo_lag, *with_delay(servo_lag))
@@ -503,17 +492,15 @@ def _std_of_profile(values: Vector, best: float, losses: Vector, std: float) -> 
     return float(np.sqrt(weights @ (values - best) ** 2 + std**2))
 
 
-def _least(
-    loss: Callable[[float], float], largest: float, settings: LagSettings
-) -> tuple[float, float]:
+def _least(loss: Callable[[float], float], largest: float) -> tuple[float, float]:
     """Return the time up to the ``largest`` [s] with the least loss, and the loss."""
-    options: Any = {"xatol": settings.precision}
+    options: Any = {"xatol": SETTINGS.precision}
     found = optimize.minimize_scalar(loss, bounds=(0.0, largest), options=options)
     return float(found.x), float(found.fun)
 
 
 def _limited_servos(
-    segments: list[_Segment], instruments: list[Matrix], lags: Vector, settings: LagSettings
+    segments: list[_Segment], instruments: list[Matrix], lags: Vector
 ) -> tuple[float, float] | None:
     """Return the most likely lag and rate limit of servos, by the lag and delay without one; None without evidence.
 
@@ -521,21 +508,20 @@ def _limited_servos(
     """
     lag, delay = lags
     best = (lag, np.inf)
-    unlimited = least = _servo_loss(segments, instruments, lags, settings)
-    for fraction, relative in product(settings.limited_lags, settings.limits):
+    unlimited = least = _servo_loss(segments, instruments, lags)
+    for fraction, relative in product(SETTINGS.limited_lags, SETTINGS.limits):
         pair = np.array([fraction * lag, delay])
         limit = relative * max(segment.largest_rate(pair[0]) for segment in segments)
-        loss = _servo_loss(segments, instruments, pair, settings, limit)
+        loss = _servo_loss(segments, instruments, pair, limit)
         if loss < least:
             best, least = (float(pair[0]), limit), loss
-    return best if unlimited - least >= settings.delay_evidence else None
+    return best if unlimited - least >= SETTINGS.delay_evidence else None
 
 
 def _servo_loss(
     segments: list[_Segment],
     instruments: list[Matrix],
     lags: Vector,
-    settings: LagSettings,
     rate_limit: float = np.inf,
 ) -> float:
     """Return n log RSS of the responses projected on instruments, at lag, delay and rate limit of the servos."""
@@ -544,33 +530,31 @@ def _servo_loss(
     for segment, Q in zip(segments, instruments, strict=True):
         late = segment.behind_servos(servo_lag, rate_limit)
         response, predictors = _turning_by_surfaces(late, -delay)
-        total += _log_rss(Q.T @ response, Q.T @ predictors, settings)
+        total += _log_rss(Q.T @ response, Q.T @ predictors)
     return total
 
 
-def _profile(
-    segments: list[_Segment], regression: Regression, lag: float, settings: LagSettings
-) -> Vector:
+def _profile(segments: list[_Segment], regression: Regression, lag: float) -> Vector:
     """Return n log RSS of all segments, summed, and of each piece by its own least squares, (1 + pieces,)."""
-    seconds = sum(segment.seconds for segment in segments) / settings.n_pieces
-    seconds = max(settings.shortest_piece, seconds)
+    seconds = sum(segment.seconds for segment in segments) / SETTINGS.n_pieces
+    seconds = max(SETTINGS.shortest_piece, seconds)
     total = 0.0
     pieces = []
     for segment in segments:
         response, predictors = regression(segment, lag)
-        total += _log_rss(response, predictors, settings)
+        total += _log_rss(response, predictors)
         count = max(1, round(segment.seconds / seconds))
         parts = np.array_split(response, count), np.array_split(predictors, count)
         for y, X in zip(*parts, strict=True):
-            pieces.append(_log_rss(y, X, settings))
+            pieces.append(_log_rss(y, X))
     return np.array([total, *pieces])
 
 
-def _log_rss(response: Matrix, predictors: Matrix, settings: LagSettings) -> float:
+def _log_rss(response: Matrix, predictors: Matrix) -> float:
     """Return n log RSS, summed over responses that move, of least squares; RSS is relative to their sums of squares."""
     squares = np.sum(response**2, axis=0)
     response = response[:, squares > 0]
-    Q = _basis(predictors, settings.rank_tolerance)
+    Q = _basis(predictors, SETTINGS.rank_tolerance)
     residuals = response - Q @ (Q.T @ response)
     rss = np.sum(residuals**2, axis=0) / squares[squares > 0]
     return len(response) * np.log(rss).sum()

@@ -60,7 +60,7 @@ from skdgp.estimation._sensors import (
     FlightSensors,
     noise_by_differences,
 )
-from skdgp.estimation._settings import PATH_SETTINGS, PathSettings
+from skdgp.estimation._settings import PATH_SETTINGS as SETTINGS
 
 CALIBRATED = (*INERTIAL_BIASES, *MEAN_WIND)
 """Constants that are estimated where sensors have no lags."""
@@ -101,7 +101,6 @@ def estimate_path(
     *,
     learn: Collection[str],
     free: Sequence[str] = CALIBRATED,
-    settings: PathSettings = PATH_SETTINGS,
 ) -> PathEstimate:
     """Return the most likely path, and the maximum-likelihood noise of the channels in ``learn``.
 
@@ -117,15 +116,14 @@ def estimate_path(
         Channels whose noise is estimated.
     free : sequence of str
         Constants that are estimated, with prior means of zero.
-    settings : PathSettings
 
     Returns
     -------
     PathEstimate
     """
-    search = _Search(sensors, noise, learn, free, settings)
+    search = _Search(sensors, noise, learn, free)
     converged = False
-    for number in range(settings.max_steps):
+    for number in range(SETTINGS.max_steps):
         converged = search.step(number)
         if converged:
             break
@@ -141,21 +139,19 @@ class _Search:
         noise: dict[str, float],
         learn: Collection[str],
         free: Sequence[str],
-        settings: PathSettings,
     ) -> None:
         self.sensors = sensors
         self.noise = noise
         self.learn = learn
-        self.settings = settings
         self.places = np.array([PLACE[name] for name in free])  # of the free constants
         self.path = FlightPath.initial(sensors)
         self.covariance = np.diag(PRIOR_STD[self.places] ** 2)
         self.delays = np.zeros(2, dtype=int)  # lags of GPS and attitude in whole samples
         self.fraction = 1.0  # of a step of the path that is taken
         self.last_step = np.zeros(len(free))
-        self.draws = _mirrored_draws(len(sensors.time), free, settings.n_draws)
+        self.draws = _mirrored_draws(len(sensors.time), free, SETTINGS.n_draws)
         self.time_step = np.diff(sensors.time)
-        self.correlation = np.exp(-self.time_step / settings.gust_time)  # of gusts over a step
+        self.correlation = np.exp(-self.time_step / SETTINGS.gust_time)  # of gusts over a step
         self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR_READINGS.start + 1]).any())
         self.channels = list(EQUATION_NOISE)
         if not self.has_alpha:
@@ -164,16 +160,15 @@ class _Search:
 
     def step(self, number: int) -> bool:
         """Take a step of the path, then one of the noise; return whether both were small."""
-        settings = self.settings
-        if number <= settings.delay_steps:
+        if number <= SETTINGS.delay_steps:
             self.delays = self._delays()
         equations = self._equations()
         posterior = solve(equations, self._prior(), self.places, self.draws)
         self._move_path(posterior)
-        pace = min(1.0, settings.full_steps / (number + 1))
+        pace = min(1.0, SETTINGS.full_steps / (number + 1))
         largest_change = self._move_noise(self._residual_sums(equations, posterior), pace)
-        is_steady = largest_change < settings.tolerance
-        return number > 0 and is_steady and _is_small(posterior, settings.tolerance)
+        is_steady = largest_change < SETTINGS.tolerance
+        return number > 0 and is_steady and _is_small(posterior, SETTINGS.tolerance)
 
     def estimate(self, converged: bool) -> PathEstimate:
         """Return path and noise as they are."""
@@ -195,21 +190,21 @@ class _Search:
         # the full step of the constants, in standard deviations
         step = posterior.constants[self.places] / np.sqrt(np.diag(posterior.covariance))
         last_step = self.last_step
-        if step @ last_step < -self.settings.overshoot * last_step @ last_step:
+        if step @ last_step < -SETTINGS.overshoot * last_step @ last_step:
             self.fraction /= 2
         states = self.fraction * posterior.states
         self.path = self.path.moved(states, self.fraction * posterior.constants)
         self.last_step = step
         self.covariance = posterior.covariance
 
-    def _move_noise(self, residual_sums: Mapping[str, ResidualSums], pace: float) -> float:
+    def _move_noise(self, residual_sums: Mapping[str, Vector], pace: float) -> float:
         """Move the noise of the channels in ``learn`` that were sampled; return the largest change of a logarithm."""
         largest_change = 0.0
         noise = self.noise.copy()
         for name, sums in residual_sums.items():
             if name in self.learn:
                 before = noise[name]
-                noise[name] = _variance_component(name, before, sums, pace, self.settings)
+                noise[name] = _variance_component(name, before, sums, pace)
                 largest_change = max(largest_change, abs(np.log(noise[name] / before)))
         self.noise = noise
         return largest_change
@@ -219,7 +214,7 @@ class _Search:
         equations = self._raw_equations()
         scale = np.tile(self._stds(), (len(self.sensors.time), 1))
         # change of a Gauss-Markov process of correlation time T in a step
-        growth = self.settings.gust_time / 2 * (1 - self.correlation**2)
+        growth = SETTINGS.gust_time / 2 * (1 - self.correlation**2)
         scale[:-1, GUST_ROWS] *= np.sqrt(growth)[:, None]
         equations.whiten(scale)
         return equations
@@ -231,7 +226,7 @@ class _Search:
             self.sensors,
             self.correlation,
             self.delays,
-            self.settings.least_airspeed,
+            SETTINGS.least_airspeed,
         )
 
     def _stds(self) -> Vector:
@@ -243,17 +238,19 @@ class _Search:
 
         The mean of the latter is the path so far, by an offset of zero: it dampens steps and pulls to no value.
         """
-        settings = self.settings
-        gust_std = self._stds()[GUST_ROWS] * np.sqrt(settings.gust_time / 2)  # stationary
-        start_std = np.repeat([settings.start_velocity, settings.start_attitude], 3)
+        gust_std = self._stds()[GUST_ROWS] * np.sqrt(SETTINGS.gust_time / 2)  # stationary
+        start_std = np.repeat([SETTINGS.start_velocity, SETTINGS.start_attitude], 3)
         begins = np.append(True, ~self.sensors.joined)[:, None]
         precision = begins * np.concatenate([start_std, gust_std]) ** -2.0
         offset = np.zeros_like(precision)
         offset[:, GUST] = self.path.gust
         return GaussianPrior(precision, offset, PRIOR_STD**-2, self.path.constants)
 
-    def _residual_sums(self, equations: Equations, posterior: Posterior) -> dict[str, ResidualSums]:
-        """Return sums over the residuals of each channel that was sampled."""
+    def _residual_sums(self, equations: Equations, posterior: Posterior) -> dict[str, Vector]:
+        """Return sums over the residuals of each channel that was sampled, in units of its noise.
+
+        Of squares, the trace of J P J^T, and their number.
+        """
         change = equations.changes(posterior.states[..., None], posterior.constants[:, None])
         squares = np.sum((equations.residual + change[..., 0]) ** 2, axis=0)
         draws = equations.changes(posterior.state_draws, posterior.constant_draws)
@@ -264,16 +261,8 @@ class _Search:
         for name in dict.fromkeys(self.channels):
             total = sums[np.array(self.channels) == name].sum(axis=0)
             if total[-1]:
-                by_channel[name] = ResidualSums(*total.tolist())
+                by_channel[name] = total
         return by_channel
-
-
-class ResidualSums(NamedTuple):
-    """Sums over the residuals of a channel, in units of its noise."""
-
-    squares: float
-    trace: float  # of J P J^T
-    n_samples: float
 
 
 def _mirrored_draws(n_states: int, free: Sequence[str], n_draws: int) -> Matrix:
@@ -296,9 +285,7 @@ def _is_small(posterior: Posterior, tolerance: float) -> bool:
     return bool(np.all(moved < tolerance**2 * variance))
 
 
-def _variance_component(
-    name: str, std: float, sums: ResidualSums, pace: float, settings: PathSettings
-) -> float:
+def _variance_component(name: str, std: float, sums: Vector, pace: float) -> float:
     r"""Return the new standard deviation of a channel, whose residuals are in units of the one before, ``std``.
 
     With the redundancy :math:`\rho = n - \operatorname{tr} J P J^T` and prior samples of squares :math:`s_0`
@@ -312,31 +299,30 @@ def _variance_component(
     here times :math:`1 - \rho / n`. It would halve the error in each step, so the step is divided by one
     minus this slope. ``pace`` shortens it, so that the search does not oscillate.
     """
+    squares, trace, n_samples = sums.tolist()
     # the initial noise of a sensor counts as some residuals; gusts have no such prior
     prior_count = 0.0
     prior_squares = 0.0
     least = LEAST_GUST
     if name in PATH_NOISE:
-        prior_count = settings.prior_count
+        prior_count = SETTINGS.prior_count
         prior_squares = prior_count * (PATH_NOISE[name] / std) ** 2
-        least = settings.least_noise * PATH_NOISE[name]
-    redundancy = max(sums.n_samples - sums.trace, 1.0)
-    total = sums.squares + prior_squares
+        least = SETTINGS.least_noise * PATH_NOISE[name]
+    redundancy = max(n_samples - trace, 1.0)
+    total = squares + prior_squares
     weight = redundancy + prior_count
-    slope = sums.squares / (total + np.finfo(float).tiny) - redundancy / weight / 2
-    stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / sums.n_samples))
+    slope = squares / (total + np.finfo(float).tiny) - redundancy / weight / 2
+    stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / n_samples))
     return max(std * (total / weight) ** (stride / 2), least)
 
 
-def overlapping_parts(
-    n: int, most: int, settings: PathSettings = PATH_SETTINGS
-) -> list[tuple[slice, slice]]:
+def overlapping_parts(n: int, most: int) -> list[tuple[slice, slice]]:
     """Return overlapping slices of n rows, and in each slice the rows between the overlaps.
 
-    Slices are equally long, at most ``most`` rows and one part in ``settings.overlap`` more on
+    Slices are equally long, at most ``most`` rows and one part in `PathSettings.overlap` more on
     either side.
     """
-    margin = most // settings.overlap
+    margin = most // SETTINGS.overlap
     n_parts = -(-n // most)
     edges = np.linspace(0, n, n_parts + 1).round().astype(int).tolist()
     parts = []
@@ -364,20 +350,19 @@ INERTIAL = ("gyro", "accelerometer")
 def contradictions(
     flights: Sequence[FlightSensors],
     residuals: Mapping[str, float],
-    settings: PathSettings = PATH_SETTINGS,
 ) -> list[SensorContradiction]:
     """Return the sensors whose residuals along the path exceed their white noise by a ratio.
 
-    The ratio is ``air_ratio`` or ``inertial_ratio`` of the settings. ``residuals`` are the noises
+    The ratio is ``air_ratio`` or ``inertial_ratio`` of the SETTINGS. ``residuals`` are the noises
     of `PathEstimate.noise` [SI]; white noise is estimated from third differences of the readings.
     A sensor that shows hardly any was smoothed, so its noise is not known.
     """
     contradicted = []
     for sensor, columns in READINGS_OF.items():
-        largest = settings.inertial_ratio if sensor in INERTIAL else settings.air_ratio
+        largest = SETTINGS.inertial_ratio if sensor in INERTIAL else SETTINGS.air_ratio
         residual = residuals[sensor]
         noise = noise_by_differences(flights, columns)
-        is_smoothed = noise < settings.least_noise * PATH_NOISE[sensor]
+        is_smoothed = noise < SETTINGS.least_noise * PATH_NOISE[sensor]
         if residual > largest * noise:
             contradicted.append(SensorContradiction(sensor, residual, noise, is_smoothed))
     return contradicted

@@ -33,12 +33,12 @@ from skdgp.estimation import (
     GUSTS,
     PATH_CHANNELS,
     PATH_NOISE,
+    PATH_SETTINGS,
     RECONSTRUCTED,
     AirMotion,
     AirSettings,
     FlightSensors,
     PathEstimate,
-    PathSettings,
     SensorContradiction,
     air_columns,
     contradictions,
@@ -324,7 +324,7 @@ class FlightPathReconstruction(TableTransformer):
             if part.estimate.converged:
                 # gusts of the training flights count as some seconds of this flight
                 stds = [part.gust_std, self.gust_std_]
-                seconds = [np.ptp(part.sensors.time), PathSettings().gust_prior_seconds]
+                seconds = [np.ptp(part.sensors.time), PATH_SETTINGS.gust_prior_seconds]
                 columns["gust"] = _mean_std(stds, seconds)
             flights.append(pd.DataFrame(columns, index=part.rows))
         return flights

@@ -1,8 +1,7 @@
 r"""estimate_air_motion: derivatives, gusts and wind of flights without vanes, by the filter-error method.
 
 In order: records of the flights with their paths (``_air_records.py``), search for the parameters
-(``_air_fit.py``), covariance of the parameters (``_air_covariance.py``), and smoothed motion of the air
-(``_air_smoothing.py``).
+(``_air_fit.py``), covariance of the parameters and smoothed motion of the air (``_air_covariance.py``).
 """
 
 from __future__ import annotations
@@ -45,6 +44,7 @@ from skdgp.estimation._air_covariance import (
     error_fractions,
     estimate_covariance,
     misfit_of_sensors,
+    smoothed_air,
     unfinished_covariance,
     widened,
 )
@@ -64,7 +64,6 @@ from skdgp.estimation._air_parameters import (
     derivatives_of,
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
-from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import (
     FORCE_READINGS,
     KNOWN_ARM,

@@ -232,7 +232,7 @@ def noise_slopes(
         R = _covariances(part, noise)[1][:, :, 0] + part.added
         S = H @ filter_pass.predicted_covariance[steps] @ H.mT + R
         error = part.path_error - matrix_vector(H, matrix_vector(Phi, x))
-        u = np.linalg.solve(S, error[..., None])
+        u: Any = np.linalg.solve(S, error[..., None])
         Htu = H.mT @ u
         dQ, dR, dR_past = _covariances(part, change)
         h = part.time_step[:, None, None]

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.linalg import least_squares
 from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
@@ -27,7 +26,7 @@ from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import has_values, numeric, sensor_position
 from skdgp.dynamics import Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
-from skdgp.inference import FunctionErrors
+from skdgp.inference import FunctionErrors, linear_weights
 
 # Standard deviation of the time of a channel against the inertial sensors, by its motion between
 # samples [steps of the log], and prior of this time [s] (guess)
@@ -40,18 +39,9 @@ CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 def fit_least_squares(table: pd.DataFrame, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
     """Return intercept and slopes of each coefficient (n, 6) by regressors (n, d), where it is observed."""
     names = ["intercept", *map(str, table)]
-    weights = _linear_weights(table.to_numpy(), np.asarray(Y, dtype=float))
+    weights = linear_weights(table.to_numpy(), Y)
     fitted: Any = pd.DataFrame(weights, names, COEFFICIENTS).to_dict()
     return fitted
-
-
-def _linear_weights(X: Matrix, Y: Matrix) -> Matrix:
-    """Return intercepts and slopes (d + 1, P) of Y (n, P) by X (n, d), by least squares of the rows that are known."""
-    centre = X.mean(axis=0)  # a constant regressor has no slope
-    design = np.column_stack([np.ones(len(X)), X - centre])
-    weights = np.column_stack([least_squares(design, y) for y in Y.T])
-    weights[0] -= centre @ weights[1:]
-    return weights
 
 
 def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Matrix]:
@@ -79,7 +69,7 @@ class RegressionCalibration(NamedTuple):
     @classmethod
     def of_residuals(cls, X: Matrix, residuals: Matrix) -> RegressionCalibration:
         """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown."""
-        weights = _linear_weights(X, residuals)
+        weights = linear_weights(X, residuals)
         return cls(weights[0], weights[1:])
 
     def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:
@@ -140,7 +130,7 @@ def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionE
     """Return changes of the coefficients, (n, 6) each, as the nearest linear functions of regressors (n, d)."""
     X = regressors.to_numpy()
     centre = X.mean(axis=0)
-    weights = [_linear_weights(X - centre, change) for change in changes]
+    weights = [linear_weights(X - centre, change) for change in changes]
     return FunctionErrors(np.reshape(weights, (-1, X.shape[1] + 1, len(COEFFICIENTS))), centre)
 
 

@@ -40,7 +40,7 @@ from skdgp.inference import (
     KnownSlopes,
     attenuation,
     errors_of_slopes,
-    linear_slopes,
+    linear_weights,
 )
 from skdgp.metrics import check_scored
 from skdgp.model_selection import thin_targets
@@ -446,7 +446,7 @@ class FlightPipeline(Pipeline):
         names = regressor_names(self)
         scale = scaling_of(self)[1]
         complete = X[np.isfinite(X).all(axis=1)]
-        linear = linear_slopes(X, y)
+        linear = linear_weights(X, y)[1:].T
         errors = []
         for covariance in (own, of_flow):
             of_regressors = covariance.reindex(index=names, columns=names, fill_value=0.0)

@@ -36,7 +36,7 @@ from skdgp.inference._errors import (
 from skdgp.inference._errors import attenuation as attenuation
 from skdgp.inference._errors import errors_by_input_noise as errors_by_input_noise
 from skdgp.inference._errors import errors_of_slopes as errors_of_slopes
-from skdgp.inference._errors import linear_slopes as linear_slopes
+from skdgp.inference._errors import linear_weights as linear_weights
 from skdgp.inference._fit import Fit as Fit
 from skdgp.inference._fit import average as average
 from skdgp.inference._fit import check_inducing as check_inducing

@@ -160,11 +160,9 @@ class KnownSlopes(NamedTuple):
 
         Rows of X (n, d) and Y (n, P) with missing values are left out.
         """
-        value = np.where(np.isfinite(deviations), linear_slopes(X, Y), np.nan)
-        errors = np.zeros((*value.shape, value.size))
-        np.einsum("pdpd->pd", errors.reshape(*value.shape, *value.shape))[:] = np.nan_to_num(
-            deviations
-        )
+        value = np.where(np.isfinite(deviations), linear_weights(X, Y)[1:].T, np.nan)
+        own = np.eye(value.size).reshape(*value.shape, value.size)
+        errors = np.nan_to_num(deviations)[..., None] * own
         return cls(value, errors)
 
     @property
@@ -196,14 +194,16 @@ class KnownSlopes(NamedTuple):
         return others.joined(errors_of_slopes(self.errors, errors.centre))
 
 
-def linear_slopes(X: Matrix, Y: Any) -> Matrix:
-    """Return the slopes (P, d) of targets (n, P) by regressors (n, d), by least squares of complete rows."""
+def linear_weights(X: Matrix, Y: Any) -> Matrix:
+    """Return intercepts and slopes (d + 1, P) of Y (n, P) by X (n, d), by least squares of the rows that are known."""
     complete = np.isfinite(X).all(axis=1)
-    slopes = []
-    for y in np.asarray(Y, dtype=float).T:
-        rows = np.isfinite(y) & complete
-        slopes.append(least_squares(X[rows] - X[rows].mean(axis=0), y[rows] - y[rows].mean()))
-    return np.array(slopes)
+    X = X[complete]
+    centre = X.mean(axis=0)  # a constant regressor has no slope
+    design = linear_basis(X - centre)
+    Y = np.asarray(Y, dtype=float)[complete]
+    weights = np.column_stack([least_squares(design, y) for y in Y.T])
+    weights[0] -= centre @ weights[1:]
+    return weights
 
 
 def misfit_variance(posterior: Predictor, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:

@@ -96,13 +96,7 @@ class KnownNoise(NamedTuple):
             self.input_std,
         )
 
-    def start(
-        self,
-        residual: Matrix,
-        scale: Vector,
-        n_regressors: int,
-        settings: NoiseSettings = SETTINGS,
-    ) -> tuple[Vector, Matrix]:
+    def start(self, residual: Matrix, scale: Vector, n_regressors: int) -> tuple[Vector, Matrix]:
         """Return the starting noise variances (P,) and their bounds (P, 2).
 
         Without known ones: a fifth of the variance of the ``residual`` (n, P), and bounds relative
@@ -111,12 +105,12 @@ class KnownNoise(NamedTuple):
         bounds = self.bounds
         if bounds is None:
             n_rows = np.isfinite(residual).sum(axis=0)
-            few = settings.few_rows * (1.0 - (n_rows - 1) / (2.0 * (n_regressors + 1)))
-            bounds = np.multiply.outer(scale**2, settings.bounds)
+            few = SETTINGS.few_rows * (1.0 - (n_rows - 1) / (2.0 * (n_regressors + 1)))
+            bounds = np.multiply.outer(scale**2, SETTINGS.bounds)
             bounds[:, 0] = np.maximum(bounds[:, 0], few * scale**2)
         variance = self.variance
         if variance is None:
-            variance = settings.start * np.nanvar(residual, axis=0)
+            variance = SETTINGS.start * np.nanvar(residual, axis=0)
         return np.clip(variance, *bounds.T), bounds
 
 

@@ -490,13 +490,14 @@ class FlightPipeline(Pipeline):
         if self.thrust is not None:
             self.errors_ = thrust_errors(flights, self.aircraft, named)
         corrector = step_of(self, LagCorrector)
+        check = step_of(self, FlightCheck)
         errors = learned_errors(
             flights,
             self.aircraft,
             named,
             self.least_squares_,
             None if corrector is None else corrector.lags_,
-            self[0].airspeed_scale_.left(),
+            0.0 if check is None else check.airspeed_scale_.left(),
         )
         mean, scale = scaling_of(self)  # X = (x - mean) / scale
         units = -mean / scale, 1 / scale, np.ones(len(COEFFICIENTS))

@@ -356,7 +356,7 @@ def test_flights_of_jsbsim_have_none(jsbsim_flight, jsbsim_maker, air):
 
 def test_noise_of_a_sensor_is_no_contradiction_and_a_wrong_scale_beside_it_is(flight):
     """Noise attenuates the slope of the change of velocity over the impulse, and not the reverse slope."""
-    noise = default_rng(0).normal(0.0, 5.0, len(flight))
+    noise = default_rng(0).normal(0.0, 12.0, len(flight))
     noisy = flight.assign(ay=flight["ay"] + noise)
     assert contradictions(noisy) == []
     in_feet = scaled(noisy, {"ax ay az": 1 / FOOT})

@@ -37,7 +37,10 @@ def test_loadings_are_slopes_times_deviations(one_problem, central_difference):
         assert_allclose(loading, (slopes * std)[rows, i], atol=1e-6)
 
 
-def test_likelihood_of_learned_variances_and_its_gradient(noisy_problem, noise_of, assert_gradient):
+def test_likelihood_of_learned_variances_and_its_derivatives(
+    noisy_problem, noise_of, assert_gradient, central_difference
+):
+    """By the kernel, the noise of outputs and the variance of each regressor's noise."""
     kernel, noise, data = noisy_problem.kernel, noisy_problem.noise, noisy_problem.data
     scale = np.array([0.3, 2.0])
     variances = np.concatenate([noise, scale])
@@ -47,12 +50,24 @@ def test_likelihood_of_learned_variances_and_its_gradient(noisy_problem, noise_o
         moved = kernel.clone_with_theta(theta[: kernel.n_dims])
         return log_likelihood(moved, np.exp(theta[kernel.n_dims :]), data)
 
-    S = noise_of(noisy_problem.Y, noise, noisy_problem.loading * np.sqrt(scale))
-    expected = multivariate_normal(cov=kernel(data.X) + S).logpdf(noisy_problem.y)
+    def covariance_at(theta):
+        noise, scale = np.split(np.exp(theta[kernel.n_dims :]), [3])
+        S = noise_of(noisy_problem.Y, noise, noisy_problem.loading * np.sqrt(scale))
+        return kernel.clone_with_theta(theta[: kernel.n_dims])(data.X) + S
+
+    K = covariance_at(theta)
+    expected = multivariate_normal(cov=K).logpdf(noisy_problem.y)
     found = log_likelihood(kernel, variances, data, eval_gradient=True)
     assert found.value == pytest.approx(expected, rel=1e-10)
     assert at(theta) == pytest.approx(expected, rel=1e-10)
     assert_gradient(found.gradient, at, theta, rtol=1e-7, atol=1e-7)
+    # dK alpha, of which the average information is the half square in K^-1
+    products = central_difference(
+        lambda theta: covariance_at(theta) @ np.linalg.solve(K, noisy_problem.y), theta
+    )
+    assert_allclose(
+        found.information, 0.5 * products.T @ np.linalg.solve(K, products), rtol=1e-6, atol=1e-7
+    )
 
 
 def test_outputs_of_the_same_rows_share_their_inputs():

@@ -480,10 +480,9 @@ def _harmonics(value: Parameters, name: str, lowest: float) -> list[Notch]:
     if not width > 0:
         return []
     options = int(value(f"{name}_OPTS"))
-    is_double, is_triple = options & 1, options & 16
-    n_each = 2 if is_double else 3 if is_triple else 1
+    n_each = 2 if options & 1 else 3 if options & 16 else 1
     frequency = max(value(f"{name}_FREQ", default=80.0), 0.52 * width)
-    spread = width / (32 * frequency) if n_each > 1 else 0.0
+    spread = width / (32 * frequency)
     places = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[n_each]
     (of_all,) = _notch(frequency, width / n_each, value(f"{name}_ATT", default=40.0))
     harmonics = int(value(f"{name}_HMNCS", default=3.0))

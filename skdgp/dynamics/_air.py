@@ -294,16 +294,16 @@ class Air:
 
 def _check_gusts(gusts: Any) -> None:
     """Raise ValueError if gusts are neither "auto" nor None nor a valid Turbulence."""
-    if isinstance(gusts, Turbulence):
-        sizes = [as_floats(gusts.intensity), as_floats(gusts.length)]
-        is_whole = all(size.shape == (3,) and np.isfinite(size).all() for size in sizes)
-        if not (is_whole and (sizes[0] >= 0).all() and (sizes[1] > 0).all()):
-            raise ValueError(
-                f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w."
-            )
-    elif not (gusts is None or (isinstance(gusts, str) and gusts == "auto")):
+    if gusts is None or (isinstance(gusts, str) and gusts == "auto"):
+        return
+    if not isinstance(gusts, Turbulence):
         raise ValueError(
             f"Got gusts={gusts!r}, but expected 'auto', a Turbulence, or None: calm air."
+        )
+    sizes = as_floats([gusts.intensity, gusts.length])
+    if sizes.shape != (2, 3) or not (np.isfinite(sizes) & (sizes >= 0)).all() or not sizes[1].all():
+        raise ValueError(
+            f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w."
         )
 
 

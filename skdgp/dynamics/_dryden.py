@@ -140,8 +140,12 @@ def gust_stream(
     A, C, covariance = (
         np.tile(matrices, (n_draws, 1, 1)) for matrices in zip(*systems, strict=True)
     )
-    for x in _driven(*_discrete(A, covariance, step), rng):
+    transition, first, root = _discrete(A, covariance, step)
+    x = matrix_vector(first, rng.standard_normal(first.shape[:-1]))
+    while True:
         yield Gusts(*np.split(matrix_vector(C, x), 3, axis=-1))
+        noise = matrix_vector(root, rng.standard_normal(root.shape[:-1]))
+        x = matrix_vector(transition, x) + noise
 
 
 def _discrete(A: Array, covariance: Any, step: float) -> tuple[Array, Array, Array]:
@@ -150,19 +154,3 @@ def _discrete(A: Array, covariance: Any, step: float) -> tuple[Array, Array, Arr
     # in steady state P = F P F' + Q, so Q, the covariance of one step's noise, needs no integral
     noise = covariance - transition @ covariance @ transition.swapaxes(-1, -2)
     return transition, covariance_root(covariance), covariance_root(noise)
-
-
-def _driven(
-    transition: Array, first: Array, root: Array, rng: np.random.Generator
-) -> Iterator[Array]:
-    """Yield the states (..., 9) of linear systems driven by white noise, without end.
-
-    ``first`` is a root of the covariance of the first state, ``root`` of the noise of each step.
-    """
-    shape = transition.shape[:-1]
-    x = matrix_vector(first, rng.standard_normal(shape))
-    while True:
-        following = matrix_vector(transition, x)
-        following += matrix_vector(root, rng.standard_normal(shape))
-        yield x
-        x = following

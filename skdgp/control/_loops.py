@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -41,6 +41,21 @@ class Notch(NamedTuple):
         return (s**2 + self.depth * width + omega**2) / (s**2 + width + omega**2)
 
 
+class LowPass(NamedTuple):
+    """A low-pass filter: of first order, or Butterworth's of second order."""
+
+    corner: float  #: [Hz]
+    order: int = 1
+
+    def __call__(self, s: Array) -> Array:
+        """Return the response at s (n,) [rad/s]."""
+        x = s / (2 * np.pi * self.corner)
+        return 1.0 / (1.0 + x) if self.order == 1 else 1.0 / (1.0 + np.sqrt(2.0) * x + x**2)
+
+
+Filters: TypeAlias = "tuple[Notch | LowPass, ...]"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Loop:
     r"""A loop of an autopilot: a control law from rate and attitude to one control.
@@ -67,13 +82,10 @@ class Loop:
     scaling_speed: float = np.nan  #: Airspeed [m/s] of these gains; NaN: they hold at all
     least_scaling: float = 0.0
     most_scaling: float = np.inf
-    gyro_corner: float = np.inf  #: Of the second-order filter of the rates [Hz]
-    derivative_corner: float = np.inf  #: Of the filter of the derivative [Hz]
-    error_corner: float = np.inf  #: Of the filter of the error [Hz]
-    target_corner: float = np.inf  #: Of the filter of the commanded rate [Hz]
-    gyro_notches: tuple[Notch, ...] = ()  #: Of the rates
-    error_notches: tuple[Notch, ...] = ()  #: Of the rate error
-    target_notches: tuple[Notch, ...] = ()  #: Of the commanded rate
+    of_gyro: Filters = ()  #: Filters of the rates
+    of_error: Filters = ()  #: Of the rate error
+    of_target: Filters = ()  #: Of the commanded rate
+    of_derivative: Filters = ()
     is_ardupilot: bool = (
         False  #: D acts on the error, and F is divided by true over equivalent airspeed
     )
@@ -94,16 +106,16 @@ class Loop:
         rate, angle, _ = LOOP_AXES[self.name]
         to_true = np.sqrt(SEA_LEVEL_DENSITY / density)
         k = self._scaling(airspeed / to_true)
-        gyro = _second_order(s, self.gyro_corner) * _notched(s, self.gyro_notches)
-        error = _first_order(s, self.error_corner) * _notched(s, self.error_notches)
+        gyro = _filtered(s, self.of_gyro)
+        error = _filtered(s, self.of_error)
         if self.washout:
             error = error * s / (s + self.washout)
-        derivative = self.D * s * _first_order(s, self.derivative_corner)
+        derivative = self.D * s * _filtered(s, self.of_derivative)
         of_error = (self.P + self.I / s) * error
         if self.is_ardupilot:
             of_error = of_error + derivative * error
         of_rate = of_error if self.is_ardupilot else of_error + derivative
-        target = _first_order(s, self.target_corner) * _notched(s, self.target_notches)
+        target = _filtered(s, self.of_target)
         feed_forward = self.FF / to_true if self.is_ardupilot else self.FF
         forward = k**2 * (of_error + self.D_FF * s) + k * feed_forward
         laws = {rate: -(k**2) * of_rate * gyro}
@@ -128,20 +140,9 @@ class Loop:
         return float(np.clip(scaling, self.least_scaling, self.most_scaling))
 
 
-def _first_order(s, corner):
-    """Return the low-pass filter of a corner [Hz]."""
-    return 1.0 / (1.0 + s / (2 * np.pi * corner))
-
-
-def _notched(s, notches):
-    """Return the product of notch filters."""
+def _filtered(s, filters):
+    """Return the product of filters."""
     response = np.ones_like(s)
-    for notch in notches:
-        response = response * notch(s)
+    for each in filters:
+        response = response * each(s)
     return response
-
-
-def _second_order(s, corner):
-    """Return Butterworth's low-pass filter of second order of a corner [Hz]."""
-    x = s / (2 * np.pi * corner)
-    return 1.0 / (1.0 + np.sqrt(2.0) * x + x**2)

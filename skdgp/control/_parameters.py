@@ -16,7 +16,7 @@ import numpy as np
 from skdgp._compute.messages import warn
 from skdgp._flight.servo_functions import ServoFunction
 from skdgp._flight.tables import as_floats, check_full_deflections
-from skdgp.control._loops import GAINS, LOOP_AXES, Loop, Notch
+from skdgp.control._loops import GAINS, LOOP_AXES, Loop, LowPass, Notch
 
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
 ARDUPILOT_FULL = 45.0
@@ -188,10 +188,10 @@ class Parameters:
             self.absent[name] = default
         return default
 
-    def corner(self, name: str) -> float:
-        """Return the corner of a filter [Hz]; zero switches it off."""
+    def low_pass(self, name: str, order: int = 1) -> tuple[LowPass, ...]:
+        """Return the filter of a corner [Hz]; zero switches it off."""
         corner = self(name)
-        return corner if corner > 0 else np.inf
+        return (LowPass(corner, order),) if corner > 0 else ()
 
     def unread(self, prefixes: tuple[str, ...]) -> dict[str, float]:
         """Return the parameters with some beginnings of their names that are not zero, and were not asked."""
@@ -334,9 +334,8 @@ def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop]
             notches.append(Notch(frequency, frequency / width))
     common = {
         **_px4_scaling(value),
-        "gyro_corner": value.corner("IMU_GYRO_CUTOFF"),
-        "derivative_corner": value.corner("IMU_DGYRO_CUTOFF"),
-        "gyro_notches": tuple(notches),
+        "of_gyro": (*value.low_pass("IMU_GYRO_CUTOFF", 2), *notches),
+        "of_derivative": value.low_pass("IMU_DGYRO_CUTOFF"),
     }
     loops = []
     prefixes = ["IMU_GYRO_", "IMU_DGYRO_"]
@@ -395,8 +394,7 @@ def _ardupilot_loops(
         # Plane::calc_speed_scaler
         "least_scaling": min(0.5, scaling_speed / (2 * fastest)),
         "most_scaling": max(2.0, scaling_speed / (0.7 * slowest)),
-        "gyro_corner": value.corner("INS_GYRO_FILTER"),
-        "gyro_notches": notches,
+        "of_gyro": (*value.low_pass("INS_GYRO_FILTER", 2), *notches),
     }
     unit = np.rad2deg(1.0) / ARDUPILOT_FULL
     loops = []
@@ -407,11 +405,9 @@ def _ardupilot_loops(
         prefixes += [f"{rate}_", f"{angle}_"]
         settings = {
             "time_constant": value(f"{angle}_TCONST"),
-            "error_corner": value.corner(f"{rate}_FLTE"),
-            "target_corner": value.corner(f"{rate}_FLTT"),
-            "derivative_corner": value.corner(f"{rate}_FLTD"),
-            "error_notches": _numbered_notch(value, f"{rate}_NEF"),
-            "target_notches": _numbered_notch(value, f"{rate}_NTF"),
+            "of_error": (*value.low_pass(f"{rate}_FLTE"), *_numbered_notch(value, f"{rate}_NEF")),
+            "of_target": (*value.low_pass(f"{rate}_FLTT"), *_numbered_notch(value, f"{rate}_NTF")),
+            "of_derivative": value.low_pass(f"{rate}_FLTD"),
             "is_ardupilot": True,
         }
         if name == "roll" and "rudder" in full:

@@ -103,7 +103,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     responses = _responses(linear, loops, s)
     transfer = _of_loops(responses, linear, loops, s)
     stability = _Stability.of(linear, loops, N_FREQUENCIES)
-    unstable = stability.unstable(linear, loops)
+    unstable = stability.unstable(loops)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _margins_of(transfer[..., k], s.imag)
@@ -111,7 +111,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
             loop_margins[quantity][unstable[:, k]] = value
         rows += _rows(loop, loop_margins)
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
-    table.attrs["unstable"] = stability.causes(linear, loops, unstable)
+    table.attrs["unstable"] = stability.causes(loops, unstable)
     return table
 
 
@@ -158,7 +158,6 @@ def suggest_gains(
         raise ValueError(f"Got probability={probability!r}, but expected a number between 0 and 1.")
     s: Any = 1j * _frequencies(N_SEARCHED)
     search = _GainSearch(
-        linear=linear,
         s=s,
         responses=_responses(linear, loops, s)[1:],
         stability=_Stability.of(linear, loops, N_SEARCHED),
@@ -183,7 +182,6 @@ def suggest_gains(
 class _GainSearch(NamedTuple):
     """Responses and stability at the frequencies of a search for gains, and the wanted margins [dB], [deg]."""
 
-    linear: LinearModel
     s: Vector
     responses: Array  # (n_paths, n, n_outputs, n_loops)
     stability: _Stability
@@ -198,7 +196,7 @@ class _GainSearch(NamedTuple):
         """
         others = np.where(np.arange(len(loops)) == k, 0.0, rises)
         risen = _risen(loops, others)
-        transfer = _of_loops(self.responses, self.linear, risen, self.s)[..., k]
+        transfer = _of_loops(self.responses, self.stability.linear, risen, self.s)[..., k]
         coarse, fine = STEPS
         best = LARGEST_FACTOR
         while not self.is_enough(best, risen, k, transfer):
@@ -210,8 +208,7 @@ class _GainSearch(NamedTuple):
         return best
 
     def none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
-        unstable_paths = self.stability.unstable(self.linear, loops)
-        causes = self.stability.causes(self.linear, loops, unstable_paths)
+        causes = self.stability.causes(loops, self.stability.unstable(loops))
         unstable = ""
         if causes:
             parts = [f"by the {name} in {part:.0%} of the paths" for name, part in causes.items()]
@@ -234,7 +231,7 @@ class _GainSearch(NamedTuple):
             return False
         risen = [*loops]
         risen[k] = loops[k].scaled(_factor(decibels))
-        unstable = self.stability.unstable(self.linear, risen)[1:, k]
+        unstable = self.stability.unstable(risen)[1:, k]
         return bool(np.mean(is_good & ~unstable) >= self.probability)
 
 
@@ -375,6 +372,7 @@ class _Stability(NamedTuple):
     together: a pitch loop does not move the spiral. Names of modes are those of the mean's nearest one.
     """
 
+    linear: LinearModel
     s: Vector
     axes: list[_Axis]
     modes: pd.Series
@@ -390,11 +388,11 @@ class _Stability(NamedTuple):
                 axes.append(_Axis.of(linear, loops, s, {*UNUSED, *others}, numbers))
         if len(axes) > 1:
             axes.append(_Axis.of(linear, loops, s, {*UNUSED}, list(range(len(loops)))))
-        return cls(s, axes, linear.modes()["eigenvalue"])
+        return cls(linear, s, axes, linear.modes()["eigenvalue"])
 
-    def unstable(self, linear, loops) -> Mask:
+    def unstable(self, loops) -> Mask:
         """Return whether the mean and each path are unstable by the axis of each loop, (1 + n_paths, n_loops)."""
-        K = _gains(linear, loops, self.s)
+        K = _gains(self.linear, loops, self.s)
         unstable = np.zeros((len(self.axes[0].roots), len(loops)), dtype=bool)
         for axis in self.axes:
             is_unstable = self._n_right(axis.characteristic(K)) > 0
@@ -408,12 +406,12 @@ class _Stability(NamedTuple):
         angle = np.unwrap(np.angle(characteristic), axis=-1)
         return np.round((angle[:, 0] - angle[:, -1]) / np.pi)
 
-    def causes(self, linear, loops, unstable: Mask) -> dict[str, float]:
+    def causes(self, loops, unstable: Mask) -> dict[str, float]:
         """Return the modes by which the closed loops are unstable, and the fractions of the paths, or of the mean.
 
         A mode that the aircraft has without loops is named; another one has the frequency of the least determinant.
         """
-        K = _gains(linear, loops, self.s)
+        K = _gains(self.linear, loops, self.s)
         first = min(1, len(unstable) - 1)  # the mean counts where there are no paths
         causes: dict[str, float] = {}
         for path in range(first, len(unstable)):

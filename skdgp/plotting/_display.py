@@ -19,14 +19,12 @@ from skdgp._flight.channels import CHANNELS
 
 BAND = half_width(0.95)  # in standard deviations
 # Okabe & Ito (2008), Color Universal Design.
-PALETTE = {
-    "blue": "#0072B2", "vermillion": "#D55E00", "sky": "#56B4E9", "orange": "#E69F00", "grey": "#8A8A8A",
-}  # fmt: skip
 ROLES = {
-    "measured": PALETTE["grey"],
-    "mean": PALETTE["blue"],
-    "band": PALETTE["sky"],
-    "truth": PALETTE["vermillion"],
+    "measured": "#8A8A8A",
+    "mean": "#0072B2",
+    "band": "#56B4E9",
+    "truth": "#D55E00",
+    "beyond": "#E69F00",
 }
 
 _SYMBOLS = {
@@ -84,23 +82,6 @@ def tidy(ax: Any) -> None:
     ax.grid(True, linewidth=0.4, alpha=0.35)
     ax.set_axisbelow(True)
     ax.margins(x=0)
-
-
-def draw_curve(
-    ax: Any,
-    x: Vector,
-    mean: Vector,
-    std: Vector,
-    label: str,
-    color: str = ROLES["mean"],
-    band: str = ROLES["band"],
-) -> None:
-    """Draw a line with its 95 % band."""
-    half = BAND * std
-    ax.fill_between(
-        x, mean - half, mean + half, label="95 % band", color=band, alpha=0.35, linewidth=0
-    )
-    ax.plot(x, mean, color=color, label=label)
 
 
 def legend_above(ax: Any) -> None:

@@ -15,12 +15,10 @@ from skdgp._compute.typing import Array
 from skdgp._flight.tables import check_names
 from skdgp.plotting._display import (
     BAND,
-    PALETTE,
     ROLES,
     Display,
     axis_label,
     display_unit,
-    draw_curve,
     symbol,
 )
 
@@ -97,9 +95,12 @@ class EffectsDisplay(Display):
         slices = [names.index(other) for other in self._largest(output)]
         i = names.index(name)
         factor, _ = display_unit(name)
-        ax.axvline(factor * self.at[name], color=PALETTE["grey"], linewidth=0.6)
+        ax.axvline(factor * self.at[name], color=ROLES["measured"], linewidth=0.6)
         at = factor * self.values[name].to_numpy()
-        draw_curve(ax, at, self.mean[i, :, k], self.std[i, :, k], "model")
+        center, half = self.mean[i, :, k], BAND * self.std[i, :, k]
+        style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0}
+        ax.fill_between(at, center - half, center + half, label="95 % band", **style)
+        ax.plot(at, center, color=ROLES["mean"], label="model")
         quantiles = factor * self.samples[name].quantile(np.linspace(0.02, 0.98, 25))
         ax.plot(
             quantiles, np.full(len(quantiles), 0.03), "|", label="samples", color=ROLES["measured"],

@@ -15,7 +15,6 @@ from skdgp._flight.tables import check_columns, interpolated, unwrapped
 from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import (
     BAND,
-    PALETTE,
     ROLES,
     Display,
     axis_label,
@@ -263,7 +262,7 @@ def _mark_beyond(ax: Any, time: Vector, beyond: Vector) -> None:
     """Mark the times at which any path is outside the training data, at the upper edge."""
     marks = np.where(beyond > 0, 1.0, np.nan)
     ax.plot(
-        time, marks, label="outside the training data", color=PALETTE["orange"],
+        time, marks, label="outside the training data", color=ROLES["beyond"],
         linewidth=4, clip_on=False, transform=ax.get_xaxis_transform(),
     )  # fmt: skip
 

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator
 
-from skdgp._compute.differences import central_difference
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
@@ -22,21 +21,17 @@ from skdgp._flight.channels import (
     THRUST_MOMENTS,
 )
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, ned_to_body
-from skdgp._flight.tables import by_name, check_names, check_number
+from skdgp._flight.tables import check_names, check_number
 from skdgp._flight.units import degrees_error
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._motion import (
     DEFLECTION,
-    FROM_LOADS,
     Instant,
     Motion,
     check_settled,
 )
 from skdgp.dynamics._rigid_body import (
-    ATTITUDE,
-    RATES,
-    VELOCITY,
     aerodynamic_loads,
     thrust_control,
 )
@@ -73,8 +68,6 @@ TOLERANCE = 1e-6
 ACCEPTED = 1e-3
 # Starts of alpha, as fractions of the range between its limits
 STARTS = (0.5, 0.25, 0.75, 0.05)
-# Step of an unknown, relative if it is above 1, for differences of the residual
-STEP = 1e-5
 # Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is as given
 PATH_WEIGHT = 100.0
 # Least allowed excess of a control or alpha over its training range [rad]
@@ -319,7 +312,7 @@ class SteadyFlight:
             solution = least_squares(
                 self.residual,
                 np.clip(start, low + margin, high - margin),
-                jac=self._slopes,
+                jac="3-point",
                 args=(airspeed,),
                 bounds=(low, high),
                 x_scale="jac",
@@ -352,41 +345,31 @@ class SteadyFlight:
         return np.array([start[name] for name in self.unknowns])
 
     def at(self, x: Array, airspeed: float) -> tuple[dict, Array, Instant]:
-        """Return all quantities by name, the state and what happens, at unknowns (..., k)."""
-        flight = self.given | by_name(self.unknowns, x)
+        """Return all quantities by name, the state and what happens, at unknowns (k,)."""
+        flight = self.given | dict(zip(self.unknowns, x, strict=True))
         velocity = air_velocity(airspeed, flight["alpha"], flight["beta"])
         attitude = euler_to_quaternion(flight["phi"], flight["theta"], 0.0)
         vertical = ned_to_body(attitude, (0.0, 0.0, 1.0))
-        rates = np.asarray(flight["turn_rate"])[..., None] * vertical
-        state = np.zeros((*x.shape[:-1], 13))
-        state[..., 2] = -flight["altitude"]
-        state[..., VELOCITY] = velocity
-        state[..., ATTITUDE] = attitude
-        state[..., RATES] = rates
+        rates = flight["turn_rate"] * vertical
+        position = np.array([0.0, 0.0, -flight["altitude"]])
+        state = np.concatenate([position, velocity, attitude, rates])
         # regressors that follow from the loads are searched from a steady flight
-        from_loads = np.zeros((*x.shape[:-1], len(FROM_LOADS)))
-        from_loads[..., 5:] = cross(rates, velocity) - self.motion.gravity * vertical
+        specific_force = cross(rates, velocity) - self.motion.gravity * vertical
+        from_loads = np.concatenate([np.zeros(5), specific_force])
         controls = {name: flight[name] for name in self.controls}
         return flight, state, self.motion.at(state, controls, guess=from_loads)
 
     def residual(self, x: Array, airspeed: float) -> Array:
-        """Return the six accelerations, and the error of the path's slope, (..., 7)."""
+        """Return the six accelerations, and the error of the path's slope, (7,)."""
         flight, _, now = self.at(x, airspeed)
-        derivative = now.derivative
-        if not np.isfinite(derivative).all():
+        if not np.isfinite(now.derivative).all():
             raise ValueError(
                 f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
-                f"{np.mean(flight['alpha']):.3g} rad, altitude {np.mean(flight['altitude']):g} m, but "
+                f"{flight['alpha']:.3g} rad, altitude {flight['altitude']:g} m, but "
                 "expected six accelerations: the model, the thrust or the air is not defined there."
             )
-        path = -derivative[..., 2] / airspeed - np.sin(flight["climb"])
-        weighted = PATH_WEIGHT * path
-        return np.concatenate([derivative[..., ACCELERATIONS], weighted[..., None]], axis=-1)
-
-    def _slopes(self, x: Array, airspeed: float) -> Array:
-        """Return d residual / d unknowns."""
-        steps = STEP * np.maximum(1.0, np.abs(x))
-        return central_difference(lambda x: self.residual(x, airspeed), x, steps)
+        path = -now.derivative[2] / airspeed - np.sin(flight["climb"])
+        return np.append(now.derivative[ACCELERATIONS], PATH_WEIGHT * path)
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""

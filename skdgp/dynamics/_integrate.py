@@ -152,34 +152,30 @@ class Integrator:
 
     def step(self, step: int, begin: Moment) -> End:
         """Return the end of a step: states, deflections of the surfaces, and the next tangent."""
-        stages = [begin.now]
+        now, servos, tangent = begin.now, begin.servos, begin.tangent
 
         def rate(t: float, state: Array) -> Array:
+            nonlocal now, servos
             if t > 0.0:
                 # what diverges within a step is ended at its end
                 within = np.clip(state, -STAGE_LIMIT, STAGE_LIMIT)
-                stages.append(self._at(step, begin, t, within))
-            return stages[-1].derivative
+                now, servos = self._at(step, begin, t, within)
+            return now.derivative
 
         state = rk4_step(rate, 0.0, begin.state, self.dt)
-        tangent = begin.tangent
         if tangent is not None:
-            change, tangent = self._corrected(stages, tangent)
+            change, tangent = self._corrected(now, tangent)
             state = state + change
-        servos = begin.servos
-        if not self.servos.are_ideal:
-            _, commands = self._inputs(step, 2 * step + 2, state)
-            _, servos = self._deflected(servos, begin.commands, commands, self.dt)
-        return End(state, servos, begin.now.implicit, tangent, stages[-1])
+        return End(state, servos, begin.now.implicit, tangent, now)
 
-    def _at(self, step: int, begin: Moment, t: float, state: Array) -> Instant:
-        """Return what happens at a time ``t`` [s] after a step began."""
+    def _at(self, step: int, begin: Moment, t: float, state: Array) -> tuple[Instant, ServoState]:
+        """Return what happens at a time ``t`` [s] after a step began, and the servos."""
         stage = 2 * step + round(2 * t / self.dt)
         air, commands = self._inputs(step, stage, state)
-        controls, _ = self._deflected(begin.servos, begin.commands, commands, t)
+        controls, servos = self._deflected(begin.servos, begin.commands, commands, t)
         guess = begin.now.implicit
         drift = self._drift(stage)
-        return self.motion.at(state, controls, air, guess, drift, begin.tangent)
+        return self.motion.at(state, controls, air, guess, drift, begin.tangent), servos
 
     def _deflected(
         self, servos: ServoState, first: Mapping, commands: Mapping, elapsed: float
@@ -194,9 +190,9 @@ class Integrator:
     def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
         return {name: commands[name] for name in self._surfaces & commands.keys()}
 
-    def _corrected(self, stages: list[Instant], tangent: Tangent) -> tuple[Array | float, Tangent]:
+    def _corrected(self, now: Instant, tangent: Tangent) -> tuple[Array | float, Tangent]:
         """Return the change of the states by the errors of the tangent in a step, and the next tangent."""
-        last = stages[-1].regressors
+        last = now.regressors
         distance = last - tangent.regressors
         n_steps = tangent.steps + 1
         is_near = not (np.abs(distance) > STEADY * tangent.reach).any()
@@ -206,7 +202,7 @@ class Integrator:
         if tangent.is_far(distance):  # the model was evaluated
             return 0.0, self._tangent(last, coefficients)
         error = coefficients - tangent(last)
-        change = 0.5 * n_steps * self.dt * self.motion.response(stages[-1], error)
+        change = 0.5 * n_steps * self.dt * self.motion.response(now, error)
         if tangent.age + 1 >= self._renewal:
             return change, self._tangent(last, coefficients)
         return change, tangent.moved(last, coefficients)

@@ -140,8 +140,10 @@ class Integrator:
         state = last.state
         stage = 2 * step
         air, commands = self._inputs(step, stage, state)
-        servos = last.servos or self.servos.at_rest(self._of_surfaces(commands))
-        controls, _ = self._deflected(servos, commands, commands, 0.0)
+        servos = last.servos
+        if servos is None or self.servos.are_ideal:
+            servos = self.servos.at_rest(self._of_surfaces(commands))
+        controls = {**commands, **servos.deflections}
         drift = self._drift(stage)
         tangent = last.tangent
         now = self.motion.at(state, controls, air, last.implicit, drift, tangent)
@@ -172,20 +174,14 @@ class Integrator:
         """Return what happens at a time ``t`` [s] after a step began, and the servos."""
         stage = 2 * step + round(2 * t / self.dt)
         air, commands = self._inputs(step, stage, state)
-        controls, servos = self._deflected(begin.servos, begin.commands, commands, t)
+        controls, servos = commands, begin.servos
+        if not self.servos.are_ideal:
+            ramp = Ramp(t, self._of_surfaces(begin.commands), self._of_surfaces(commands))
+            servos = self.servos.moved(servos, ramp)
+            controls = {**commands, **servos.deflections}
         guess = begin.now.implicit
         drift = self._drift(stage)
         return self.motion.at(state, controls, air, guess, drift, begin.tangent), servos
-
-    def _deflected(
-        self, servos: ServoState, first: Mapping, commands: Mapping, elapsed: float
-    ) -> tuple[dict[str, Any], ServoState]:
-        """Return the controls, with deflections, and the servos, ``elapsed`` [s] after the ``first`` commands."""
-        if self.servos.are_ideal:
-            return dict(commands), servos
-        ramp = Ramp(elapsed, self._of_surfaces(first), self._of_surfaces(commands))
-        moved = self.servos.moved(servos, ramp)
-        return {**commands, **moved.deflections}, moved
 
     def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
         return {name: commands[name] for name in self._surfaces & commands.keys()}

@@ -122,7 +122,7 @@ class Integrator:
         self.commands = commands
         self.air = air
         self.dt = clock.dt
-        self.drifts = drifts
+        self.drifts = np.zeros(len(clock.stages)) if drifts is None else drifts
         self.servos = motion.aerodynamics.servos
         self._surfaces = motion.surfaces
         # Steps from one evaluation to the next; evaluations for which slopes are kept
@@ -144,7 +144,7 @@ class Integrator:
         if servos is None or self.servos.are_ideal:
             servos = self.servos.at_rest(self._of_surfaces(commands))
         controls = {**commands, **servos.deflections}
-        drift = self._drift(stage)
+        drift = self.drifts[stage]
         tangent = last.tangent
         now = self.motion.at(state, controls, air, last.implicit, drift, tangent)
         if self._has_tangents and tangent is None:
@@ -180,7 +180,7 @@ class Integrator:
             servos = self.servos.moved(servos, ramp)
             controls = {**commands, **servos.deflections}
         guess = begin.now.implicit
-        drift = self._drift(stage)
+        drift = self.drifts[stage]
         return self.motion.at(state, controls, air, guess, drift, begin.tangent), servos
 
     def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
@@ -215,9 +215,6 @@ class Integrator:
 
         commands = self.commands(step, stage, observe)
         return air, self.motion.mixed(commands)
-
-    def _drift(self, stage: int) -> Array | float:
-        return 0.0 if self.drifts is None else self.drifts[stage]
 
 
 class Trajectories(NamedTuple):

@@ -10,13 +10,11 @@ import numpy as np
 from scipy.optimize import least_squares
 from sklearn.base import BaseEstimator
 
-from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
     ALL_SURFACES,
     AUXILIARY,
     CHANNELS,
-    HAT,
     THRUST_FORCES,
     THRUST_MOMENTS,
 )
@@ -232,7 +230,7 @@ class SteadyFlight:
     def __init__(self, motion: Motion, conditions: dict, fixed: dict):
         self.motion = motion
         _check_given(conditions, fixed)
-        self.flown = _training_ranges(motion)
+        self.flown = motion.aerodynamics.training_ranges
         held, free = self._controls(fixed)
         self.controls = (*held, *free)
         known = {name: value for name, value in conditions.items() if value is not None}
@@ -263,8 +261,7 @@ class SteadyFlight:
         check_names(fixed, (*names, *THRUST_SOURCES), "controls of the model and the engine")
         held = dict(fixed)
         for name, limits in self.flown.items():
-            has_moved = not constant_columns(np.array(limits)[:, None])[0]
-            is_unmoved = name in ALL_SURFACES and not has_moved
+            is_unmoved = name in ALL_SURFACES and np.isclose(*limits)
             is_at_rest = name in ENGINE_CONTROLS or is_unmoved
             if name in names and name != engine and is_at_rest:
                 held.setdefault(name, float(np.mean(limits)))
@@ -388,12 +385,6 @@ class SteadyFlight:
             f"are left {', '.join(accelerations)}, with {', '.join(ends) or 'nothing at a limit'}. Ask "
             "for another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )
-
-
-def _training_ranges(motion: Motion) -> dict[str, tuple[float, float]]:
-    """Return the training ranges by name of the regressors that are no scaled rates."""
-    known = zip(motion.regressors, motion.aerodynamics.training_ranges.items(), strict=False)
-    return {name: ends for name, (full, ends) in known if HAT not in full}
 
 
 def _check_given(conditions: dict, fixed: dict) -> None:

@@ -60,17 +60,11 @@ def trajectory_table(
     if motion.aircraft.sensor_position is not None:
         # the specific force is that at the centre of gravity
         table |= dict.fromkeys(SENSOR_POSITION, 0.0)
-    table["beyond"] = _named(column(farthest), ["", *motion.regressors])
-    reasons, ended = np.unique(np.append(FLYING, record.ended), return_inverse=True)
+    names = pd.Index(["", *motion.regressors])
+    table["beyond"] = pd.Categorical.from_codes(column(farthest), names)
     is_over = np.isnan(record.states).any(axis=-1)
-    ended = np.where(is_over, ended[1:].reshape(shape), ended[0])
-    table["ended"] = _named(column(ended), reasons.tolist())
+    table["ended"] = pd.Categorical(column(np.where(is_over, record.ended, FLYING)))
     return pd.DataFrame(table)
-
-
-def _named(codes: Any, names: list[str]) -> Any:
-    """Return the names of codes (n,): many rows share few texts."""
-    return pd.Categorical.from_codes(codes, pd.Index(names))
 
 
 def _columns(record: Trajectories) -> dict[str, Array]:

@@ -82,8 +82,8 @@ LEADERS = ("p", "ax", "qw")
 
 
 @dataclass(frozen=True)
-class TableSettings:
-    """Settings of the sources and the clock of a table."""
+class LogSettings:
+    """Settings of the sources and the clock of a table, and of the search for flights in a log."""
 
     # a source slower than this [Hz] gives way to one further down that is not, or so many times as
     # fast (guess)
@@ -93,12 +93,6 @@ class TableSettings:
     highest_rate: float = 50.0
     # corner of the smoothing of accelerations by velocities, in parts of the sampling rate
     velocity_cutoff: float = 0.2
-
-
-@dataclass(frozen=True)
-class FlightSettings:
-    """Settings of the search for flights in a log."""
-
     # airborne above this fraction of the slowest airspeed that is set, or above this speed [m/s]
     airborne_fraction: float = 0.7
     airborne_speed: float = 8.0
@@ -114,8 +108,7 @@ class FlightSettings:
     longest_edge: float = 1.0
 
 
-TABLE = TableSettings()
-FLIGHT = FlightSettings()
+SETTINGS = LogSettings()
 
 
 class FlightLog(NamedTuple):
@@ -251,8 +244,8 @@ def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source
 
 def _is_clearly_faster(source: Source, first: Source) -> bool:
     """Return whether a source is preferred to one further up that is slow."""
-    least = min(TABLE.least_rate, TABLE.least_ratio * first.rate)
-    return first.rate < TABLE.least_rate and source.rate >= least
+    least = min(SETTINGS.least_rate, SETTINGS.least_ratio * first.rate)
+    return first.rate < SETTINGS.least_rate and source.rate >= least
 
 
 def _problem(source: Source, log: Log, rule: Rule) -> str:
@@ -336,7 +329,7 @@ def _on_clock(
 ) -> tuple[dict[str, Vector], dict[str, Origin]]:
     """Return the columns of the sources on the clock of one of them, and where each is from."""
     leader = _leader(sources)
-    rate = float(f"{min(TABLE.highest_rate, leader.rate):.3g}")
+    rate = float(f"{min(SETTINGS.highest_rate, leader.rate):.3g}")
     clock = uniform_clock(leader.time, rate)
     columns: dict[str, Vector] = {"time": clock}
     origin: dict[str, Origin] = {}
@@ -409,7 +402,7 @@ def with_specific_force(
     velocity = table[list(EARTH_VELOCITY)]
     try:
         # rows that stand alone have no rate of change
-        cutoff = TABLE.velocity_cutoff * rate
+        cutoff = SETTINGS.velocity_cutoff * rate
         change = differentiate(velocity, table["time"], cutoff=cutoff, is_quiet=True)
     # the clock of the log is not sound, which coefficients refuse themselves
     except ValueError:
@@ -451,7 +444,7 @@ def _cut(table: pd.DataFrame, cuts: Vector) -> list[pd.DataFrame]:
     pieces = []
     edges = [-np.inf, *cuts.tolist(), np.inf]
     for begin, end in pairwise(edges):
-        rows = (time >= begin + FLIGHT.reset_margin) & (time < end - FLIGHT.reset_margin)
+        rows = (time >= begin + SETTINGS.reset_margin) & (time < end - SETTINGS.reset_margin)
         if rows.any():
             pieces.append(table[rows])
     return pieces
@@ -468,8 +461,8 @@ def _least_speed(log: Log, airborne: Any) -> float:
     for name in SLOWEST_AIRSPEED:
         speed = log.parameters.get(name, np.nan)
         if 0 < speed < 200:
-            return FLIGHT.airborne_fraction * speed
-    return FLIGHT.airborne_speed
+            return SETTINGS.airborne_fraction * speed
+    return SETTINGS.airborne_speed
 
 
 def _segments(table: pd.DataFrame, is_flight: Mask, on_ground: Mask) -> list[slice]:
@@ -479,12 +472,12 @@ def _segments(table: pd.DataFrame, is_flight: Mask, on_ground: Mask) -> list[sli
     """
     time = table["time"].to_numpy()
     rows = np.flatnonzero(is_flight)
-    pauses = np.flatnonzero(np.diff(time[rows]) >= FLIGHT.longest_dip) + 1
+    pauses = np.flatnonzero(np.diff(time[rows]) >= SETTINGS.longest_dip) + 1
     segments = []
     for part in np.split(rows, pauses):
         if len(part):
             first = _lift_off(table, on_ground, part[0], part[-1])
-            if time[part[-1]] - time[first] >= FLIGHT.shortest:
+            if time[part[-1]] - time[first] >= SETTINGS.shortest:
                 segments.append(slice(first, int(part[-1]) + 1))
     return segments
 
@@ -497,7 +490,7 @@ def _lift_off(table: pd.DataFrame, on_ground: Mask, first: int, last: int) -> in
     down = table["down"].to_numpy()
     height = down[before[-1]] - down[first : last + 1]
     # the first row where it is never clear: the height is not to be believed
-    return int(first + (height > FLIGHT.clear_height).argmax())
+    return int(first + (height > SETTINGS.clear_height).argmax())
 
 
 def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
@@ -506,8 +499,8 @@ def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     sampled = [column.dropna().index for _, column in flight.items() if column.notna().any()]
     begins = time[[rows[0] for rows in sampled]]
     ends = time[[rows[-1] for rows in sampled]]
-    begin = begins[begins <= begins.min() + FLIGHT.longest_edge].max()
-    end = ends[ends >= ends.max() - FLIGHT.longest_edge].min()
+    begin = begins[begins <= begins.min() + SETTINGS.longest_edge].max()
+    end = ends[ends >= ends.max() - SETTINGS.longest_edge].min()
     return flight[time.between(begin, end)]
 
 

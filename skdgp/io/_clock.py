@@ -19,8 +19,8 @@ from skdgp.io._log import Topic
 
 
 @dataclass(frozen=True)
-class StampSettings:
-    """Settings of the search for restarts of a clock and wrong time stamps."""
+class LogClockSettings:
+    """Settings of the search for restarts of a clock and wrong time stamps, and of the resampling to one clock."""
 
     # neighbouring messages of whose times the median is taken
     n_neighbours: int = 101
@@ -28,12 +28,6 @@ class StampSettings:
     restart_step: float = 5.0
     # distance of valid stamps from the medians of a part [s]
     margin: float = 5.0
-
-
-@dataclass(frozen=True)
-class ResamplingSettings:
-    """Settings of the resampling of channels to one clock."""
-
     filter_order: int = 4
     # corner of the low-pass in parts of the new rate: gain 1/2 there
     cutoff: float = 0.4
@@ -46,8 +40,7 @@ class ResamplingSettings:
     most_gaps: float = 0.05
 
 
-STAMPS = StampSettings()
-RESAMPLING = ResamplingSettings()
+SETTINGS = LogClockSettings()
 
 
 def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
@@ -56,13 +49,13 @@ def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[
     messages = np.concatenate(logged)
     order, time = messages[np.argsort(messages[:, 0], kind="stable")].T
     steady = _steady(time)
-    restarts = 1 + np.flatnonzero(np.diff(steady) < -STAMPS.restart_step)
+    restarts = 1 + np.flatnonzero(np.diff(steady) < -SETTINGS.restart_step)
     parts = []
     n_wrong: Counter[str] = Counter()
     for run in slices(restarts, len(time)):
         first, last = order[run][[0, -1]]
-        low = steady[run].min() - STAMPS.margin
-        high = steady[run].max() + STAMPS.margin
+        low = steady[run].min() - SETTINGS.margin
+        high = steady[run].max() + SETTINGS.margin
         part = {}
         for name, topic in topics.items():
             of_run = topic.select((topic.order >= first) & (topic.order <= last))
@@ -99,7 +92,7 @@ def _increasing(topic: Topic) -> Topic:
 
 def _steady(time: Vector) -> Vector:
     """Return the median time of the neighbours of each message."""
-    rows = pd.Series(time).rolling(STAMPS.n_neighbours, center=True, min_periods=1)
+    rows = pd.Series(time).rolling(SETTINGS.n_neighbours, center=True, min_periods=1)
     return rows.median().to_numpy()
 
 
@@ -110,14 +103,14 @@ def usual_step(step: Vector) -> float:
     """
     median = np.median(step)
     gap = step > CLOCK.gap * median
-    are_bursts = gap.mean() > RESAMPLING.most_gaps and step[gap].sum() > 0.5 * step.sum()
+    are_bursts = gap.mean() > SETTINGS.most_gaps and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step) if are_bursts else median)
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
     """Return the multiples of 1 / rate [s] within the runs of a channel."""
     step = np.diff(time)
-    pause = max(RESAMPLING.pause_seconds, RESAMPLING.pause_steps * np.median(step))
+    pause = max(SETTINGS.pause_seconds, SETTINGS.pause_steps * np.median(step))
     ticks = []
     for run in runs_between(time, pause):
         first = np.ceil(time[run][0] * rate - 1e-6)
@@ -151,9 +144,9 @@ def _low_passed(time: Vector, values: Matrix, rate: float) -> Matrix:
     """Return a run without the frequencies that the new rate cannot carry."""
     n = len(time)
     old_rate = (n - 1) / (time[-1] - time[0])
-    if old_rate < RESAMPLING.least_ratio * rate:
+    if old_rate < SETTINGS.least_ratio * rate:
         return values
     even = np.linspace(time[0], time[-1], n)
     evenly = interpolated(even, time, values)
-    passed = low_pass(evenly, old_rate, RESAMPLING.cutoff * rate, order=RESAMPLING.filter_order)
+    passed = low_pass(evenly, old_rate, SETTINGS.cutoff * rate, order=SETTINGS.filter_order)
     return interpolated(time, even, passed)

@@ -362,7 +362,7 @@ def lifting_modes(topic: str, field: str) -> States:
     return tuple((topic, field, float(mode), float(mode)) for mode in LIFTING_MODES)
 
 
-def _lifting(outputs: list[Output], parameters: Mapping[str, float]) -> States:
+def _lifting(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> States:
     """Return channels and their pulses while rotors lift, of motors that lift alone."""
     forward = whole(parameters.get("Q_TILT_MASK", 0.0)) | whole(
         parameters.get("Q_TAILSIT_MOTMX", 0.0)
@@ -370,10 +370,9 @@ def _lifting(outputs: list[Output], parameters: Mapping[str, float]) -> States:
     low = parameters.get("Q_M_PWM_MIN", 1000.0) or 1000.0
     high = parameters.get("Q_M_PWM_MAX", 2000.0) or 2000.0
     motors = []
-    for output in outputs:
-        topic, field = output.channel.split(".")
-        if output.function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(output.function) & 1:
-            motors.append((topic, field, low + RUNNING * (high - low), np.inf))
+    for function, servo in servos.items():
+        if function in LIFT_MOTORS and not forward >> LIFT_MOTORS.index(function) & 1:
+            motors.append((servo.topic, servo.field, low + RUNNING * (high - low), np.inf))
     return tuple(motors)
 
 
@@ -480,8 +479,7 @@ def by_parameters(
     """
     name, _ = channel.split(".")
     parameters = log.parameters
-    outputs = _logged_outputs(log.topics.get(name, NOTHING), parameters, channel)
-    servos = _servos_of(outputs, parameters)
+    servos = _servos_of(log.topics.get(name, NOTHING), parameters, channel)
     controls: dict[str, Control] = {}
     commands: dict[str, Control] = {}
     for function in sorted(servos.keys() & SURFACES):
@@ -492,10 +490,10 @@ def by_parameters(
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
-    lifts = _lifting(outputs, parameters)
+    lifts = _lifting(servos, parameters)
     lifting = (*hover, *(lifts or modes)) if log.vehicle == "VTOL" else ()
     remarks = [*log.remarks]
-    unread = _unread(controls, servos, parameters) if outputs else []
+    unread = _unread(controls, servos, parameters) if servos else []
     if unread:
         remarks.append(f"outputs {', '.join(unread)} move surfaces that are not read")
     if whole(parameters.get("Q_TILT_MASK", 0.0)) and not lifts:
@@ -527,44 +525,22 @@ def _unread(
     return unread
 
 
-class Output(NamedTuple):
-    """An output that is logged."""
-
-    number: int
-    #: Topic and field
-    channel: str
-    #: SERVOn_FUNCTION
-    function: int
-    #: (n,) [us]
-    pulses: Vector
-
-
-def _logged_outputs(topic: Topic, parameters: Mapping[str, float], name: str) -> list[Output]:
-    """Return the outputs that are fields of a topic."""
-    outputs = []
-    for n in range(1, MOST_SERVOS + 1):
-        channel = name.format(n)
-        _, field = channel.split(".")
-        if field in topic:
-            function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-            outputs.append(Output(n, channel, function, topic[field]))
-    return outputs
-
-
-def _servos_of(outputs: list[Output], parameters: Mapping[str, float]) -> dict[int, Servo]:
+def _servos_of(topic: Topic, parameters: Mapping[str, float], channel: str) -> dict[int, Servo]:
     """Return the first logged servo of each SERVOn_FUNCTION, one that gets pulses before one that is off."""
     servos: dict[int, Servo] = {}
     silent: dict[int, Servo] = {}
-    for output in outputs:
-        gets_pulses = (output.pulses >= NO_PULSE).any()
-        group = servos if gets_pulses else silent
-        group.setdefault(output.function, _servo(parameters, output))
+    for n in range(1, MOST_SERVOS + 1):
+        name = channel.format(n)
+        _, field = name.split(".")
+        if field in topic:
+            function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
+            group = servos if (topic[field] >= NO_PULSE).any() else silent
+            group.setdefault(function, _servo(parameters, n, name, function))
     return silent | servos
 
 
-def _servo(parameters: Mapping[str, float], output: Output) -> Servo:
-    """Return the servo on an output, which moves the surface of its function, -1 to 1 from end to end."""
-    n, channel, function, _ = output
+def _servo(parameters: Mapping[str, float], n: int, channel: str, function: int) -> Servo:
+    """Return the servo on output n, which moves the surface of its function, -1 to 1 from end to end."""
     low, middle, high, is_reversed = ServoRange.of(parameters, n)
     if SURFACES.get(function) in HIGH_LIFT or function in TWIN:
         return Servo(channel, (low, high), OPENING[::-1] if is_reversed else OPENING)

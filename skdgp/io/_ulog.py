@@ -10,7 +10,7 @@ from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -204,7 +204,6 @@ SPOILERS = (11, 17, 18)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("TRQ_R", 1.0), "elevator": ("TRQ_P", -1.0), "rudder": ("TRQ_Y", -1.0)}
-SCALES = ("TRQ_R", "TRQ_P", "TRQ_Y", "FLAP")
 # Surfaces by the fields of actuator_controls, and their throws: more elevator and rudder turn against our sign; flaps,
 # spoilers and airbrakes open from zero (ActuatorControls.msg)
 CONTROLS = {
@@ -281,7 +280,7 @@ def px4_log(
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle,
-        remarks=(*remarks, *_unread(_surfaces(topics, parameters), parameters)),
+        remarks=(*remarks, *_unread(_surfaces(topics, parameters))),
         landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
         outputs=OUTPUTS,
         naming=NAMING,
@@ -393,33 +392,26 @@ def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> st
     return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
 
 
-class Surface(NamedTuple):
-    """A surface of control allocation, by its parameters CA_SV_CSn_."""
-
-    #: Number n of its output
-    number: int
-    #: TYPE
-    kind: int
-    #: TRQ_R, TRQ_P, TRQ_Y and FLAP
-    scales: dict[str, float]
-
-    def servo(self, inputs: tuple[float, ...], throws: tuple[float, ...]) -> Servo:
-        """Return the servo with deflections at some values of the output."""
-        return Servo(f"actuator_servos.control[{self.number}]", inputs, throws)
+Surfaces: TypeAlias = dict[int, dict[str, float]]
+"""The parameters CA_SV_CSn_ of surfaces of control allocation, by the number n of their output."""
 
 
-def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> list[Surface]:
+def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> Surfaces:
     """Return the surfaces of control allocation whose outputs are logged."""
     outputs = topics.get("actuator_servos", NOTHING)
     count = whole(parameters.get("CA_SV_CS_COUNT", MOST_SURFACES))
-    surfaces = []
+    surfaces = {}
     for n in range(min(count, MOST_SURFACES)):
         if f"control[{n}]" in outputs:
-            name = f"CA_SV_CS{n}"
-            kind = whole(parameters.get(f"{name}_TYPE", 0.0))
-            scales = {key: parameters.get(f"{name}_{key}", 0.0) for key in SCALES}
-            surfaces.append(Surface(n, kind, scales))
+            prefix = f"CA_SV_CS{n}_"
+            own = {name: value for name, value in parameters.items() if name.startswith(prefix)}
+            surfaces[n] = {name.removeprefix(prefix): value for name, value in own.items()}
     return surfaces
+
+
+def _servo(number: int, inputs: tuple[float, ...], throws: tuple[float, ...]) -> Servo:
+    """Return the servo of a surface with deflections at some values of its output."""
+    return Servo(f"actuator_servos.control[{number}]", inputs, throws)
 
 
 def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
@@ -428,46 +420,47 @@ def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
     return (_mixed_controls(surfaces) or _fixed_controls(topics)) | _flaps(surfaces)
 
 
-def _mixed_controls(surfaces: list[Surface]) -> dict[str, Control]:
+def _mixed_controls(surfaces: Surfaces) -> dict[str, Control]:
     """Return the controls that several surfaces share, weighted by their torques about axes, with a sign."""
-    mixed = [surface for surface in surfaces if surface.kind in MIXED_TYPES]
     controls: dict[str, Control] = {}
     for control, (axis, sign) in TORQUES.items():
-        total = sum(abs(surface.scales[axis]) for surface in mixed)
+        torques = {}
+        for number, own in surfaces.items():
+            if whole(own.get("TYPE", 0.0)) in MIXED_TYPES and own.get(axis):
+                torques[number] = sign * own[axis]
+        total = np.abs([*torques.values()]).sum()
         if 0 < total < np.inf:
-            weights = [(sign * surface.scales[axis] / total, surface) for surface in mixed]
-            controls[control] = tuple(
-                (weight, surface.servo(UP, UP)) for weight, surface in weights if weight
-            )
+            weights = {number: torque / total for number, torque in torques.items()}
+            controls[control] = tuple((weights[n], _servo(n, UP, UP)) for n in weights)
     return controls
 
 
-def _flaps(surfaces: list[Surface]) -> dict[str, Control]:
+def _flaps(surfaces: Surfaces) -> dict[str, Control]:
     """Return the mean f of the flaps, 0 to 1, whose outputs are (2 f - 1) CA_SV_CSn_FLAP.
 
     See ActuatorEffectivenessControlSurfaces.cpp; versions without the parameter have none.
     """
     servos = []
-    for surface in surfaces:
-        scale = surface.scales["FLAP"]
-        if surface.kind in FLAPS and scale:
+    for number, own in surfaces.items():
+        scale = own.get("FLAP")
+        if whole(own.get("TYPE", 0.0)) in FLAPS and scale:
             throws = OPENING if scale > 0 else OPENING[::-1]
-            servos.append(surface.servo((-abs(scale), abs(scale)), throws))
+            servos.append(_servo(number, (-abs(scale), abs(scale)), throws))
     return {"flap": tuple((1 / len(servos), servo) for servo in servos)} if servos else {}
 
 
-def _unread(surfaces: list[Surface], parameters: Mapping[str, float]) -> list[str]:
+def _unread(surfaces: Surfaces) -> list[str]:
     """Return a remark on surfaces that open and are not read, if there are any.
 
     These are airbrakes, spoilers, flaperons, and flaps of versions without a CA_SV_CSn_FLAP.
     """
     unread = []
-    for number, kind, _ in surfaces:
-        name = f"CA_SV_CS{number}"
-        flap = parameters.get(f"{name}_FLAP")
-        opens = kind in SPOILERS and parameters.get(f"{name}_SPOIL", 1.0)
+    for number, own in surfaces.items():
+        kind = whole(own.get("TYPE", 0.0))
+        flap = own.get("FLAP")
+        opens = kind in SPOILERS and own.get("SPOIL", 1.0)
         if opens or (kind in AILERONS and flap) or (kind in FLAPS and flap is None):
-            unread.append(f"control[{number}] ({name}_TYPE {kind})")
+            unread.append(f"control[{number}] (CA_SV_CS{number}_TYPE {kind})")
     return [f"outputs {', '.join(unread)} move surfaces that are not read"] if unread else []
 
 

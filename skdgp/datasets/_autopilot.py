@@ -42,8 +42,9 @@ def scheduled(steps: ArrayLike, time: Array) -> Array:
 class FlightControls:
     """Controls of several flights as a function of step, stage and measured values, for `fly_record`.
 
-    At the beginning of each step the commands of the autopilot and the manoeuvres are added to
-    targets. The actuators approach the targets as exact first-order lags.
+    At the beginning of each step the commands of proportional-integral loops for attitude, altitude
+    and airspeed, and the manoeuvres, are added to targets, which the actuators approach as exact
+    first-order lags.
     """
 
     def __init__(self, plans: tuple[FlightPlan, ...], time: np.ndarray, step: float):
@@ -53,7 +54,7 @@ class FlightControls:
         self.airspeed = goals[..., 4]
         manoeuvres = [_manoeuvres(plan, time) for plan in plans]
         self.manoeuvres = np.stack(manoeuvres, axis=1)
-        self.autopilot = Autopilot(step)
+        self.integrals: dict[str, Array] = {}
         self.step = step
         self.now = -1
         trim = np.tile(TRIM, (len(plans), 1))
@@ -66,8 +67,7 @@ class FlightControls:
         if k != self.now:
             self.now = k
             self.begin = self.end
-            goals = (self.orbit[k], self.altitude[k], self.airspeed[k])
-            command = self.autopilot.command(observe(), *goals)
+            command = self._command(observe(), k)
             self.target, self.throttle = _targets(self.manoeuvres[k] + command)
         half_steps = stage - 2 * k
         positions = self.begin
@@ -87,6 +87,48 @@ class FlightControls:
             "elevon_right": right,
             "propeller_speed": propeller_speed,
         }
+
+    def _integral(self, name: str, rate: Array, limit: float) -> Array:
+        """Return the limited integral of a loop after this step."""
+        total = self.integrals.get(name, 0.0) + rate * self.step
+        self.integrals[name] = np.clip(total, -limit, limit)
+        return self.integrals[name]
+
+    def _command(self, sensed: Mapping[str, Array], k: int) -> Array:
+        """Return elevator, aileron, rudder and throttle (n_flights, 4) of a step for ``sensed`` channels by name.
+
+        Orbits (n_flights, 3) hold the centre's north, east and the radius [m], negative to turn left.
+        """
+        speed = sensed["airspeed"]
+        climb = np.clip(0.35 * (self.altitude[k] - sensed["altitude"]), -3.0, 4.0)
+        elevator = self._elevator(sensed, climb)
+        aileron = self._aileron(sensed, self.orbit[k])
+        rudder = _rudder(sensed)
+        error = self.airspeed[k] - speed
+        integral = self._integral("speed", 0.02 * error, 0.3)
+        throttle = 0.08 * error + 0.06 * climb + integral
+        return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
+
+    def _elevator(self, sensed: Mapping[str, Array], climb: Array) -> Array:
+        """Return the addition to the elevator for a rate of climb [m/s]: > 0 pitches down."""
+        speed = sensed["airspeed"]
+        phi = sensed["phi"]
+        level = np.cos(phi)
+        error = climb + sensed["v_down"]
+        integral = self._integral("climb", 0.010 * error, 0.10)
+        steady = ALPHA / level + climb / speed
+        pitch = steady + 0.012 * error + integral
+        pitch_rate = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
+        damping = 0.12 * (sensed["q"] - pitch_rate)
+        in_turn = 0.03 * (1.0 / level - 1.0)
+        return -0.30 * (pitch - sensed["theta"]) + damping - in_turn
+
+    def _aileron(self, sensed: Mapping[str, Array], orbit: Array) -> Array:
+        """Return the addition to the aileron that follows the orbit."""
+        error = _bank(sensed, orbit) - sensed["phi"]
+        integral = self._integral("roll", 0.01 * error, 0.05)
+        aileron = 0.085 * error - 0.022 * sensed["p"] + integral
+        return np.clip(aileron, -0.12, 0.12)
 
 
 def _goals(plan: FlightPlan, time: Array) -> Array:
@@ -111,59 +153,6 @@ def _targets(command: Array) -> tuple[Array, Array]:
     rudder = np.clip(rudder, -most, most)
     propeller_speed = PROPELLER.speed_at(throttle)
     return np.stack([left, right, rudder, propeller_speed], axis=-1), throttle
-
-
-class Autopilot:
-    """Proportional-integral loops for attitude, altitude and airspeed of several flights."""
-
-    def __init__(self, step: float):
-        self.step = step
-        self.integrals: dict[str, Array] = {}
-
-    def integral(self, name: str, rate: Array, limit: float) -> Array:
-        """Return the limited integral of a loop after this step."""
-        total = self.integrals.get(name, 0.0) + rate * self.step
-        self.integrals[name] = np.clip(total, -limit, limit)
-        return self.integrals[name]
-
-    def command(
-        self, sensed: Mapping[str, Array], orbit: Array, altitude: Array, airspeed: Array
-    ) -> Array:
-        """Return elevator, aileron, rudder and throttle (n_flights, 4) for ``sensed`` channels by name.
-
-        ``orbit`` (n_flights, 3) holds the centre's north, east and the radius [m], negative to turn
-        left.
-        """
-        speed = sensed["airspeed"]
-        climb = np.clip(0.35 * (altitude - sensed["altitude"]), -3.0, 4.0)
-        elevator = self._elevator(sensed, climb)
-        aileron = self._aileron(sensed, orbit)
-        rudder = _rudder(sensed)
-        error = airspeed - speed
-        integral = self.integral("speed", 0.02 * error, 0.3)
-        throttle = 0.08 * error + 0.06 * climb + integral
-        return TRIM + np.stack((elevator, aileron, rudder, throttle), axis=-1)
-
-    def _elevator(self, sensed: Mapping[str, Array], climb: Array) -> Array:
-        """Return the addition to the elevator for a rate of climb [m/s]: > 0 pitches down."""
-        speed = sensed["airspeed"]
-        phi = sensed["phi"]
-        level = np.cos(phi)
-        error = climb + sensed["v_down"]
-        integral = self.integral("climb", 0.010 * error, 0.10)
-        steady = ALPHA / level + climb / speed
-        pitch = steady + 0.012 * error + integral
-        pitch_rate = STANDARD_GRAVITY * np.sin(phi) ** 2 / (level * speed)
-        damping = 0.12 * (sensed["q"] - pitch_rate)
-        in_turn = 0.03 * (1.0 / level - 1.0)
-        return -0.30 * (pitch - sensed["theta"]) + damping - in_turn
-
-    def _aileron(self, sensed: Mapping[str, Array], orbit: Array) -> Array:
-        """Return the addition to the aileron that follows the orbit."""
-        error = _bank(sensed, orbit) - sensed["phi"]
-        integral = self.integral("roll", 0.01 * error, 0.05)
-        aileron = 0.085 * error - 0.022 * sensed["p"] + integral
-        return np.clip(aileron, -0.12, 0.12)
 
 
 def _rudder(sensed: Mapping[str, Array]) -> Array:

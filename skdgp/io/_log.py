@@ -578,8 +578,9 @@ def _servo(name: str, entry: Any) -> Servo | float:
         return _throw(name, entry)
     try:
         inputs, angles = np.transpose(sorted(entry["points"])).astype(float)
-        is_sound = len(inputs) > 1 and _increases(inputs) and np.isfinite([inputs, angles]).all()
-        is_sound &= {*entry} == KEYS and isinstance(entry["channel"], str)
+        is_entry = {*entry} == KEYS and isinstance(entry["channel"], str)
+        is_finite = bool(np.isfinite([inputs, angles]).all())
+        is_sound = is_entry and is_finite and len(inputs) > 1 and _increases(inputs)
     except (KeyError, TypeError, ValueError, OverflowError):
         is_sound = False
     if not is_sound:

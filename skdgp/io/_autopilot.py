@@ -35,7 +35,7 @@ from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import FlightTable, by_name
 from skdgp.io._clock import clock_parts, resample, uniform_clock
 from skdgp.io._dataflash import read_dataflash
-from skdgp.io._instances import Origin, Source, choose, seconds, validity_fields
+from skdgp.io._instances import Origin, Source, choose, seconds
 from skdgp.io._log import (
     DENSITY,
     EQUIVALENT,
@@ -226,7 +226,7 @@ def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source
         source = choose(log, rule)
         if source is None:
             continue
-        problem = _problem(source, log, rule)
+        problem = _problem(source, rule)
         if problem:
             useless.append(problem)
         elif rule.columns not in chosen or _is_clearly_faster(source, chosen[rule.columns]):
@@ -248,11 +248,10 @@ def _is_clearly_faster(source: Source, first: Source) -> bool:
     return first.rate < SETTINGS.least_rate and source.rate >= least
 
 
-def _problem(source: Source, log: Log, rule: Rule) -> str:
+def _problem(source: Source, rule: Rule) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
-        fields = validity_fields(log.instances(rule.topic), rule)
-        return f"{source.name} is never valid ({' '.join(fields) or 'no number'})"
+        return source.remark or f"{source.name} has no number"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
     is_impossible = (source.values < low) | (source.values > high)

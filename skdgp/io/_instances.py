@@ -97,19 +97,6 @@ def is_valid(topic: Topic, rule: Rule) -> Mask:
     return valid
 
 
-def validity_fields(instances: list[Instance], rule: Rule) -> list[str]:
-    """Return the fields that say whether a source is a measurement, with their values where these are limited."""
-    texts = []
-    for instance in instances:
-        texts += [field for field in rule.valid if field in instance.topic]
-        texts += rule.uses[instance.number : instance.number + 1]
-        for field, _, _ in rule.within:
-            if field in instance.topic:
-                values = np.unique(instance.topic[field]).astype(int).tolist()
-                texts.append(f"{field} {values}")
-    return list(dict.fromkeys(texts))
-
-
 def choose(log: Log, rule: Rule) -> Source | None:
     """Return the source of a rule's columns, or None if the log has none of its fields."""
     if rule.columns == ENGINES:
@@ -277,9 +264,15 @@ def _note(readings: list[Readings], use: Use | None) -> str:
 
 
 def _unmeasured(rule: Rule, reading: Readings) -> str:
-    """Return a remark on messages of a source that the log does not call measurements."""
-    if not rule.within or reading.valid.all():
-        return ""
-    fields = " ".join(validity_fields([reading.instance], rule))
+    """Return a remark on messages of a source that the log does not call measurements, with the fields that say so."""
+    number, name, topic = reading.instance
     missing = 100 * (1 - reading.valid.mean())
-    return f"{reading.instance.name} is left out where it is no measurement, {missing:.0f} % of it ({fields})"
+    if missing == 0 or (missing < 100 and not rule.within):
+        return ""
+    fields = [field for field in rule.valid if field in topic]
+    fields += rule.uses[number : number + 1]
+    for field, _, _ in rule.within:
+        if field in topic:
+            fields.append(f"{field} {np.unique(topic[field]).astype(int).tolist()}")
+    why = " ".join(fields) or "no number"
+    return f"{rule.words} of {name} are left out where it is no measurement, {missing:.0f} % of it ({why})"

@@ -434,12 +434,10 @@ class FlightPipeline(Pipeline):
         roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
         variance = np.array([(roll + pitch) / 2, (roll + pitch) / 2, yaw])
         lag = np.array([4.0, 4.0, 3.0]) * aircraft.span / (np.pi * airspeed)  # MIL-F-8785C, 3.7.2.2
-        followed = np.ones(3)
-        if self.least_squares_ and "density" in self.conditions_:
-            followed = self._followed(airspeed, lag)
         unit = aircraft.moment_lengths / (2 * airspeed)
         rates = [f"{name}{HAT}" for name in RATES]
-        own = pd.DataFrame(np.diag(followed * variance * unit**2), rates, rates)
+        followed = self._followed(airspeed, lag) * variance
+        own = pd.DataFrame(np.diag(followed * unit**2), rates, rates)
         by_pitch = np.sqrt(0.5) * pitch
         flow = lag * unit * [[by_pitch, by_pitch, 0.0], [0.0, 0.0, yaw]]
         of_flow = pd.DataFrame(flow, VANES, rates)
@@ -461,14 +459,16 @@ class FlightPipeline(Pipeline):
 
         .. math:: \frac{\mathrm{cov}(p, p_g)}{\mathrm{var}\, p_g} = \frac{d\, T}{1 + d\, T}.
 
-        One where noise leaves no damping, so it is unknown. In pitch static stability lets the aircraft
-        follow less: there the fraction is an upper bound (0.68 for 0.07 on the Camel).
+        One where the damping is unknown, by noise or by other targets than all coefficients. In pitch
+        static stability lets the aircraft follow less: there the fraction is an upper bound (0.68 for 0.07
+        on the Camel).
         """
         aircraft: Any = self.aircraft
-        load = dynamic_pressure(airspeed, self.conditions_["density"]) * aircraft.wing_area
+        density = self.conditions_.get("density", 0.0)
+        load = dynamic_pressure(airspeed, density) * aircraft.wing_area
         lengths = aircraft.moment_lengths
         slopes = [
-            self.least_squares_[moment].get(f"{name}{HAT}", 0.0)
+            self.least_squares_.get(moment, {}).get(f"{name}{HAT}", 0.0)
             for moment, name in zip(COEFFICIENTS[3:], RATES, strict=True)
         ]
         by_rate = load * lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)

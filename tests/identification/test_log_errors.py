@@ -247,7 +247,7 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
         aircraft=AIRCRAFT,
     )
     pipeline["regressorselector"].fit(pd.DataFrame(X, columns=REGRESSORS[:5]))
-    pipeline.least_squares_ = {}
+    pipeline.least_squares_, pipeline.conditions_ = {}, {}
     errors = pipeline._errors_by_air(turbulence, X, felt @ slopes)
     stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
     assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)

@@ -100,7 +100,7 @@ def flight_mechanics(
     airspeed = float(flown["airspeed"])
     thrust = options["thrust"]
     given: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
-    at = _median_state(flown)
+    at: tuple[Array, Any] = _median_state(flown)
     notes = []
     steady: Any = None
     try:
@@ -132,7 +132,7 @@ def _median_state(flown: pd.Series) -> tuple[Array, dict[str, float]]:
     state = np.zeros(13)
     state[VELOCITY] = air_velocity(flown["airspeed"], float(flown.get("alpha", 0.0)), 0.0)
     state[ATTITUDE] = euler_to_quaternion(0.0, 0.0, 0.0)
-    return state, flown.to_dict()
+    return state, {str(name): float(value) for name, value in flown.items()}
 
 
 def simulation_errors(

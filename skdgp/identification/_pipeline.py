@@ -321,7 +321,11 @@ class FlightPipeline(Pipeline):
     """
 
     steps: list[tuple[str, Any]]
+    # a slice has learned nothing itself
     calibration_: RegressionCalibration | None = None
+    turbulence_: Turbulence | None = None
+    seconds_: float | None = None
+    errors_: Mapping[str, ScaleFactor] = {}
 
     def __init__(
         self,
@@ -479,7 +483,7 @@ class FlightPipeline(Pipeline):
     def _learn_coefficients(self, flights: pd.DataFrame, X: Matrix, y: Any) -> None:
         """Learn least squares of the six coefficients, and errors of the log that its flights do not show."""
         self.least_squares_: dict[str, dict[str, float]] = {}
-        self.errors_: dict[str, ScaleFactor] = {}
+        self.errors_ = {}
         self.log_errors_: FunctionErrors | None = None
         if not is_of_coefficients(y):
             return
@@ -522,11 +526,10 @@ class FlightPipeline(Pipeline):
 
     def in_simulation(self) -> dict[str, Any]:
         """Return what the flights of the fit show for a simulation."""
-        learned = vars(self)  # a slice has learned nothing itself
         return {
-            "turbulence": learned.get("turbulence_"),
-            "seconds": learned.get("seconds_"),
-            "errors": learned.get("errors_", {}),
+            "turbulence": self.turbulence_,
+            "seconds": self.seconds_,
+            "errors": self.errors_,
             "units": self.control_units or {},
         }
 

@@ -126,7 +126,7 @@ def fit_record(pipeline: FlightPipeline) -> FitRecord:
         samples=pipeline.n_learned_,
         samples_available=pipeline.n_observed_,
         seconds=pipeline.fit_time_,
-        flown=pipeline.seconds_,
+        flown=float(pipeline.seconds_ or 0.0),
         flights=pipeline.flights_,
         conditions=pipeline.conditions_,
         least_squares=pipeline.least_squares_,

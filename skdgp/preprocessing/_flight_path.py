@@ -306,7 +306,7 @@ class FlightPathReconstruction(TableTransformer):
         else:
             flights = self._columns_by_air(table, motion)
         columns = pd.concat(flights).sort_index()
-        new = by_name(list(columns), columns.to_numpy(float))
+        new = by_name([*map(str, columns)], columns.to_numpy(float))
         wrap_near(new, table, EULER)
         if {*SENSOR_POSITION} <= {*table}:
             # the specific force is that at the centre of gravity

@@ -343,12 +343,12 @@ def _figures(result: Evaluation) -> str:
     return body + figure(states, REPLAY.format(name=result.name, horizon=horizon))
 
 
-def liveliest_rows(time: Vector, values: Matrix, length: float = EXCERPT) -> slice:
-    """Return the rows of the ``length`` seconds with the most motion of ``values``; all of a short record.
+def liveliest_rows(time: Vector, values: Matrix) -> slice:
+    """Return the rows of the `EXCERPT` with the most motion of ``values``; all of a short record.
 
     Motion is the sum of squared steps, each column in units of its standard deviation.
     """
-    n = max(1, int(length / np.median(np.diff(time))))
+    n = max(1, int(EXCERPT / np.median(np.diff(time))))
     if len(time) < 1.5 * n:
         return slice(None)
     motion = pd.DataFrame(values).diff().pow(2) / np.nanvar(values, axis=0)

@@ -228,7 +228,7 @@ def _term_errors(fit: AirFit, fitted: list[FittedRecord], n_terms: int) -> Vecto
     velocity = np.concatenate([item.record.velocity for item in fitted])
     speed = np.linalg.norm(velocity, axis=1).mean()
     angle = settings.velocity_error / speed
-    rates = settings.rate_error * fit.aircraft.moment_lengths / (2 * speed)
+    rates = settings.rate_error * fit.layout.aircraft.moment_lengths / (2 * speed)
     error = np.full(n_terms, settings.surface_error)
     error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates, settings.thrust_error]
     return error

@@ -22,7 +22,6 @@ import numpy as np
 from skdgp._compute.linalg import keep_freed_memory, matrix_vector
 from skdgp._compute.messages import Progress, notify
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_linearization import RATE_STATES, Expansion, Layout
 from skdgp.estimation._air_noise import NoiseSearch
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
@@ -88,20 +87,18 @@ class AirFit:
     def __init__(
         self,
         records: list[Record],
-        aircraft: Aircraft,
         layout: Layout,
         parameters: Parameters,
         noises: Parameters,
         settings: AirSettings,
     ) -> None:
         self.records = records
-        self.aircraft = aircraft
         self.layout = layout
         self.parameters = parameters
-        self.noise_search = NoiseSearch(noises, aircraft.span, settings)
+        self.noise_search = NoiseSearch(noises, layout.aircraft.span, settings)
         self.settings = settings
         self.is_known = parameters.n_held > 0
-        self.regression = SteadyRegression(aircraft, layout, parameters, settings)
+        self.regression = SteadyRegression(layout, parameters, settings)
         self.x = parameters.mean.copy()
         self.history: list[Vector] = []  # of x in the search
         self.airspeed_variances = []  # of each flight
@@ -211,9 +208,7 @@ class AirFit:
                 add_airspeed(sums, record, self.x, self.parameters, variance)
             noise = self.noise_search.noise(record)
             value = self.parameters.values(self.x, record.flight)
-            expansion = Expansion(
-                record, self.layout, self.aircraft, value, states, noise.decay[0], self.settings
-            )
+            expansion = Expansion(record, self.layout, value, states, noise.decay[0], self.settings)
             linear, slopes = expansion.linearization(), expansion.slopes()
             filter_pass = filtered(linear, noise)
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovation_covariance))

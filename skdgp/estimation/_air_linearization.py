@@ -88,8 +88,10 @@ CONSTANT_STEP = 1e-5
 
 
 class Layout(NamedTuple):
-    """Places of the derivatives in the matrix (6, k) of the model, and among the parameters."""
+    """The aircraft, and places of its derivatives in the matrix (6, k) of the model, and among the parameters."""
 
+    aircraft: Aircraft
+    mean_thrust: float  # of the flights, over dynamic pressure and wing area
     rows: Indices  # (d,) coefficient of each derivative
     columns: Indices  # (d,) its term
     names: list[str]  # of the k parameters of a flight
@@ -98,16 +100,35 @@ class Layout(NamedTuple):
     by_instruments: bool = True
 
     @classmethod
-    def of(cls, derivatives: list[str], surfaces: list[str], by_instruments: bool = True) -> Layout:
+    def of(
+        cls,
+        aircraft: Aircraft,
+        mean_thrust: float,
+        derivatives: list[str],
+        surfaces: list[str],
+        by_instruments: bool = True,
+    ) -> Layout:
         """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
         terms = [*STATE_TERMS, *surfaces]
-        rows, columns = [], []
-        for name in derivatives:
-            coefficient, term = name.split("_", 1)
-            rows.append(COEFFICIENTS.index(coefficient))
-            columns.append(terms.index(term))
-        names = [*derivatives, *CONSTANTS]
-        return cls(np.array(rows), np.array(columns), names, surfaces, by_instruments)
+        pairs = [name.split("_", 1) for name in derivatives]
+        return cls(
+            aircraft=aircraft,
+            mean_thrust=mean_thrust,
+            rows=np.array([COEFFICIENTS.index(coefficient) for coefficient, _ in pairs]),
+            columns=np.array([terms.index(term) for _, term in pairs]),
+            names=[*derivatives, *CONSTANTS],
+            surfaces=surfaces,
+            by_instruments=by_instruments,
+        )
+
+    def model(self, value: Mapping[str, Any]) -> AirMotionModel:
+        """Return the equations of motion at parameters by name."""
+        derivatives = np.zeros((6, len(STATE_TERMS) + len(self.surfaces)))
+        names = self.names[: self.n_derivatives]
+        derivatives[self.rows, self.columns] = [value[name] for name in names]
+        reached = np.isin(self.surfaces, TAIL).astype(float)
+        slipstream = Slipstream(value["slipstream"], self.mean_thrust, reached)
+        return AirMotionModel(self.aircraft, derivatives, slipstream)
 
     @property
     def n_derivatives(self) -> int:
@@ -137,18 +158,6 @@ class Layout(NamedTuple):
             rows = np.tile(rows, 2)
             columns = np.concatenate([columns, columns + terms.shape[1] // 2])
         return by_coefficients[:, :, rows] * terms[:, None, columns]
-
-
-def motion_model(
-    record: Record, layout: Layout, aircraft: Aircraft, value: Mapping[str, Any]
-) -> AirMotionModel:
-    """Return the equations of motion of the aircraft in a record at parameters by name."""
-    derivatives = np.zeros((6, len(STATE_TERMS) + len(layout.surfaces)))
-    names = layout.names[: layout.n_derivatives]
-    derivatives[layout.rows, layout.columns] = [value[name] for name in names]
-    reached = np.isin(layout.surfaces, TAIL).astype(float)
-    slipstream = Slipstream(value["slipstream"], record.mean_thrust, reached)
-    return AirMotionModel(aircraft, derivatives, slipstream)
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
@@ -185,7 +194,6 @@ class Expansion:
         self,
         record: Record,
         layout: Layout,
-        aircraft: Aircraft,
         value: Mapping[str, Any],
         states: Matrix,
         decay: Vector,
@@ -193,13 +201,12 @@ class Expansion:
     ) -> None:
         self.record = record
         self.layout = layout
-        self.aircraft = aircraft
         self.value = value
         self.states = states
         self.settings = settings
         # of the m sensors that have any sample, after each step
         self.measured = record.measured[1:, record.sampled]
-        self.model = motion_model(record, layout, aircraft, value)
+        self.model = layout.model(value)
         self.inputs = self._inputs_at(value)
         self.end_inputs = self.inputs.part(slice(1, None))
         self.air, self.air_by_state = air_velocity(record, value, states)
@@ -330,7 +337,7 @@ class Expansion:
 
         Before each step, after it, and after it along the recorded path.
         """
-        model = motion_model(self.record, self.layout, self.aircraft, value)
+        model = self.layout.model(value)
         inputs = self._inputs_at(value)
         errors = []
         for variables, rows in zip(self.instants, self.rows, strict=True):

@@ -292,14 +292,19 @@ def estimate_air_motion(
         _check_any(every, settings.fewest_known)
         records = every
         mean_thrust = known.mean_thrust
-    records = [record._replace(mean_thrust=mean_thrust) for record in records]
     n_flights = 1 + max(record.flight for record in records)
     noises = _noises(records, known, n_flights, settings)
+    layout = Layout.of(
+        aircraft,
+        mean_thrust,
+        list(priors.derivatives),
+        priors.surfaces,
+        by_instruments=known is None,
+    )
     start = partial(
         AirFit,
         records,
-        aircraft,
-        Layout.of(list(priors.derivatives), priors.surfaces, by_instruments=known is None),
+        layout,
         priors.parameters(n_flights),
         noises,
         settings,
@@ -493,5 +498,5 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
         seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
         vibrates=fit.vibrates,
-        mean_thrust=fit.records[0].mean_thrust,
+        mean_thrust=fit.layout.mean_thrust,
     )

@@ -73,8 +73,6 @@ class Record(NamedTuple):
     vibration: Matrix  # (6, 6) covariance of what all inertial sensors share and is no motion [SI]
     # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
     answers: Matrix | None = None
-    # mean thrust of the flights over dynamic pressure and wing area
-    mean_thrust: float = 0.0
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""

@@ -15,8 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.dynamics import Aircraft
-from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity, motion_model
+from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
 from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, WIND_STD
@@ -70,10 +69,7 @@ def _sample_variance(error: Vector, records: list[Record], settings: AirSettings
 class SteadyRegression:
     """Coefficients of records by inverse dynamics in steady wind, and their regressors."""
 
-    def __init__(
-        self, aircraft: Aircraft, layout: Layout, parameters: Parameters, settings: AirSettings
-    ) -> None:
-        self.aircraft = aircraft
+    def __init__(self, layout: Layout, parameters: Parameters, settings: AirSettings) -> None:
         self.layout = layout
         self.parameters = parameters
         self.settings = settings
@@ -85,7 +81,7 @@ class SteadyRegression:
         width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
-        model = motion_model(record, self.layout, self.aircraft, value)
+        model = self.layout.model(value)
         coefficients = model.coefficients(record.force, record.rates, spin, air, record.inputs)
         state = np.concatenate([air, record.rates], axis=1)
         return model.terms(state, record.inputs), coefficients

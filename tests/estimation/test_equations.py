@@ -31,7 +31,6 @@ from skdgp.estimation._air_linearization import (
     N_STATES,
     Expansion,
     Layout,
-    motion_model,
 )
 from skdgp.estimation._air_model import Inputs, Slipstream, sensors
 from skdgp.estimation._air_parameters import (
@@ -90,7 +89,6 @@ def flight_of_sines(n=30):
         inputs,
         np.zeros(3),
         np.zeros((6, 6)),
-        mean_thrust=0.05,
     )
     by_thrust = {"Cm": (*TERMS["Cm"], "thrust"), "Cn": (*TERMS["Cn"], "thrust")}
     derivatives = derivatives_of(TERMS | by_thrust, SURFACES)
@@ -101,7 +99,7 @@ def flight_of_sines(n=30):
     }
     value |= {"servo_lag": 0.03, "slipstream": 3.0, "Cm_elevator": -1.0}
     states = 0.2 * wave(N_STATES)
-    return record, Layout.of(list(derivatives), SURFACES), value, states
+    return record, Layout.of(AIRCRAFT, 0.05, list(derivatives), SURFACES), value, states
 
 
 def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():
@@ -117,7 +115,7 @@ DECAY = np.append(np.linspace(0.3, 2.0, N_STATES - 3), np.zeros(3))
 
 
 def expanded(record, layout, value, states):
-    return Expansion(record, layout, AIRCRAFT, value, states, DECAY)
+    return Expansion(record, layout, value, states, DECAY)
 
 
 def linearized(*parts):
@@ -201,7 +199,7 @@ def test_a_delay_of_the_servos_is_that_of_later_commands():
     commands = np.sin(2 * record.time)[:, None]
     sines = record._replace(inputs=record.inputs._replace(surfaces=np.tile(commands, 3)))
     value = value | {"servo_delay": d}
-    delayed = Expansion(sines, layout, AIRCRAFT, value, states, DECAY).inputs.surfaces
+    delayed = Expansion(sines, layout, value, states, DECAY).inputs.surfaces
     later_commands = np.sin(2 * (record.time - d))[:, None]
     later = servo_output(later_commands, value["servo_lag"], record.median_step)
     assert_allclose(delayed[15:-1], np.tile(later, 3)[15:-1], atol=2 * d**2)
@@ -227,7 +225,7 @@ def test_error_of_a_delay_moves_the_other_parameters_as_least_squares_does():
 def test_roll_of_the_air_is_no_roll_of_the_aircraft():
     """The moment is that of the rate relative to the air; gyros and gyroscopic moments are not."""
     record, layout, value, _ = flight_of_sines()
-    model = motion_model(record, layout, AIRCRAFT, value)
+    model = layout.model(value)
     rng = default_rng(1)
     still = np.concatenate([[17.0, 1.0, 1.5], rng.normal(0, 0.3, 3), np.zeros(7)])[None]
     rolling = still.copy()

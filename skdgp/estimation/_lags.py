@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
@@ -193,7 +194,7 @@ class _Segment:
     splines: dict[str, CubicSpline]
     time: Vector  # (n,) without the ends of the segment [s]
     log_step: float  # step of the log [s]
-    surfaces: dict[str, Vector]  # at the times of the splines, outside of the band too
+    surfaces: dict[str, Vector]  # at the times of the splines, with all frequencies
     band: Matrix  # second-order sections of the filter of the band
 
     @classmethod
@@ -221,31 +222,24 @@ class _Segment:
         inner = np.arange(clock[0] + SETTINGS.edge, clock[-1] - SETTINGS.edge, step)
         return cls(splines, inner, 1 / rate_hz, surfaces, sections)
 
+    def deflections(self, lag: float, rate_limit: float = np.inf) -> Matrix:
+        """Return the deflections (n, k) of servos of a first-order lag [s], with all their frequencies."""
+        commands = np.column_stack([self.surfaces[name] for name in self.present(ALL_SURFACES)])
+        return servo_output(commands, lag, self.log_step, rate_limit)
+
     def behind_servos(self, lag: float, rate_limit: float = np.inf) -> _Segment:
         """Return the segment with the deflections of servos of a first-order lag [s], in place of their commands."""
         splines = dict(self.splines)
         names = self.present(ALL_SURFACES)
         clock = splines[names[0]].x
-        if np.isfinite(rate_limit):
-            # the limit holds for the whole motion, not for the band
-            limited = servo_output(self._commands(names), lag, self.log_step, rate_limit)
-            deflections = signal.sosfiltfilt(self.band, limited, axis=0)
-        else:
-            commands = np.column_stack([splines[name](clock) for name in names])
-            deflections = servo_output(commands, lag, clock[1] - clock[0])
-        for name, values in zip(names, deflections.T, strict=True):
+        within_band = signal.sosfiltfilt(self.band, self.deflections(lag, rate_limit), axis=0)
+        for name, values in zip(names, within_band.T, strict=True):
             splines[name] = CubicSpline(clock, values)
         return replace(self, splines=splines)
 
-    def _commands(self, names: Sequence[str]) -> Matrix:
-        """Return surfaces (n, k) with all their frequencies."""
-        return np.column_stack([self.surfaces[name] for name in names])
-
     def largest_rate(self, lag: float) -> float:
         """Return the largest rate of the surfaces behind servos of a first-order lag [s]."""
-        commands = self._commands(self.present(ALL_SURFACES))
-        deflections = servo_output(commands, lag, self.log_step)
-        return float(np.abs(np.diff(deflections, axis=0)).max() / self.log_step)
+        return float(np.abs(np.diff(self.deflections(lag), axis=0)).max() / self.log_step)
 
     def earlier_surfaces(self) -> Matrix:
         """Return an orthonormal basis (n, k) of the surfaces of the last seconds."""
@@ -446,8 +440,17 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
     instruments = [segment.earlier_surfaces() for segment in segments]
 
-    def loss(servo_lag: float, delay: float) -> float:
-        return _servo_loss(segments, instruments, np.array([servo_lag, delay]))
+    @lru_cache(maxsize=1)
+    def behind(servo_lag: float, rate_limit: float) -> list[_Segment]:
+        return [segment.behind_servos(servo_lag, rate_limit) for segment in segments]
+
+    def loss(servo_lag: float, delay: float, rate_limit: float = np.inf) -> float:
+        """Return n log RSS of the responses projected on instruments."""
+        total = 0.0
+        for late, Q in zip(behind(servo_lag, rate_limit), instruments, strict=True):
+            response, predictors = _turning_by_surfaces(late, -delay)
+            total += _log_rss(Q.T @ response, Q.T @ predictors)
+        return total
 
     (scan, delays, losses), best = _servo_profile(loss, abs(surfaces.value))
     servo_lag, delay, least = best
@@ -461,9 +464,9 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
     lag_std = _std_of_profile(scan, servo_lag, losses, surfaces.std)
     delay_std = _std_of_profile(delays, delay, losses, surfaces.std)
     rate_limit = np.inf
-    limited = _limited_servos(segments, instruments, np.array([servo_lag, delay]))
-    if limited is not None:
-        servo_lag, rate_limit = limited
+    limited_lag, limit, least_limited = _limited_servos(segments, loss, servo_lag, delay)
+    if least - least_limited >= SETTINGS.delay_evidence:
+        servo_lag, rate_limit = limited_lag, limit
         removed, removed_delay = servo_lag, delay
     servos = Lag(servo_lag, lag_std, removed, rate_limit, delay_std)
     return servos, Lag(-delay, surfaces.std, -removed_delay)
@@ -500,38 +503,19 @@ def _least(loss: Callable[[float], float], largest: float) -> tuple[float, float
 
 
 def _limited_servos(
-    segments: list[_Segment], instruments: list[Matrix], lags: Vector
-) -> tuple[float, float] | None:
-    """Return the most likely lag and rate limit of servos, by the lag and delay without one; None without evidence.
+    segments: list[_Segment], loss: Callable[..., float], lag: float, delay: float
+) -> tuple[float, float, float]:
+    """Return the most likely lag and rate limit of servos by their lag and delay without a limit, and the loss.
 
     A servo that reaches its limit seems to lag the more the larger its steps are.
     """
-    lag, delay = lags
-    best = (lag, np.inf)
-    unlimited = least = _servo_loss(segments, instruments, lags)
+    found = []
     for fraction, relative in product(SETTINGS.limited_lags, SETTINGS.limits):
-        pair = np.array([fraction * lag, delay])
-        limit = relative * max(segment.largest_rate(pair[0]) for segment in segments)
-        loss = _servo_loss(segments, instruments, pair, limit)
-        if loss < least:
-            best, least = (float(pair[0]), limit), loss
-    return best if unlimited - least >= SETTINGS.delay_evidence else None
-
-
-def _servo_loss(
-    segments: list[_Segment],
-    instruments: list[Matrix],
-    lags: Vector,
-    rate_limit: float = np.inf,
-) -> float:
-    """Return n log RSS of the responses projected on instruments, at lag, delay and rate limit of the servos."""
-    servo_lag, delay = lags
-    total = 0.0
-    for segment, Q in zip(segments, instruments, strict=True):
-        late = segment.behind_servos(servo_lag, rate_limit)
-        response, predictors = _turning_by_surfaces(late, -delay)
-        total += _log_rss(Q.T @ response, Q.T @ predictors)
-    return total
+        shorter = fraction * lag
+        limit = relative * max(segment.largest_rate(shorter) for segment in segments)
+        found.append((loss(shorter, delay, limit), shorter, limit))
+    least, shorter, limit = min(found)
+    return shorter, limit, least
 
 
 def _profile(segments: list[_Segment], regression: Regression, lag: float) -> Vector:

@@ -72,8 +72,8 @@ class NoiseSearch:
             moves = np.zeros((len(places), len(self.psi)))
             moves[:, places] = NOISE_STEP * np.eye(len(places))
             noise = self.noise(record)
-            moved = self.noise(record, self.psi + moves)
-            change = [(later - now) / NOISE_STEP for later, now in zip(moved, noise, strict=True)]
+            beside = self.noise(record, self.psi + moves)
+            change = [(later - now) / NOISE_STEP for later, now in zip(beside, noise, strict=True)]
             filter_pass = filtered(linear, noise)
             slopes = noise_slopes(linear, filter_pass, noise, Noise(*change))
             gradient, fisher = _likelihood_slopes(filter_pass, slopes)

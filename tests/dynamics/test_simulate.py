@@ -25,6 +25,7 @@ from skdgp.dynamics import (
     as_aerodynamics,
     simulate,
     standard_density,
+    trajectory_bands,
 )
 from skdgp.preprocessing import (
     ElevonSplitter,
@@ -397,6 +398,17 @@ class TestEnsembles:
         expected = power * np.sqrt(2 * (tau * T) ** 2 * (t / T - 1 + np.exp(-t / T)))
         assert_allclose(paths.std(axis=1).iloc[10:], expected[10:], rtol=0.1)
         assert_allclose(paths.mean(axis=1), V, atol=4 * expected[-1] / np.sqrt(1000))
+
+    def test_bands_hold_95_percent_of_the_paths_that_still_fly(self):
+        airspeed = default_rng(0).normal(30.0, 1.0, (100, 2))
+        airspeed[:20, 1] = np.nan
+        ended = np.where(np.isnan(airspeed), "diverged", "").ravel()
+        path, time = np.divmod(np.arange(200), 2)
+        values = {"path": path, "time": time, "airspeed": airspeed.ravel(), "ended": ended}
+        bands = trajectory_bands(pd.DataFrame(values).assign(start=0))
+        assert bands["flying"].tolist() == [1.0, 0.8]
+        expected = np.nanquantile(airspeed, [0.5, 0.025, 0.975], axis=0).T
+        assert_allclose(bands[["airspeed", "airspeed_low", "airspeed_high"]], expected)
 
 
 class TestSimulator:

@@ -107,28 +107,27 @@ class Aircraft:
     def __post_init__(self):
         if not isinstance(self.name, str) or not self.name.isprintable():
             raise ValueError(f"Got name={self.name!r}, but expected a line of text.")
+        checked: dict[str, Any] = {}
         deviations = dict(self.deviations or {})
         for name in QUANTITIES:
-            value, std = value_and_std(name, vars(self)[name])
-            self._set(name, value)
+            checked[name], std = value_and_std(name, vars(self)[name])
             if std:
                 deviations[name.replace("_", " ")] = ScaleFactor(std, {name: 1.0}, "given")
         inertia, of_inertia = _inertia_and_deviations(self.inertia)
         deviations |= of_inertia
-        checked = {}
         for name, factor in deviations.items():
-            checked[name] = _built(ScaleFactor, factor, f"deviations of {name}")
-        self._set("inertia", _inertia(inertia))
-        self._set("deviations", checked or None)
-        self._set("propeller", _built(Propeller, _sized(self.propeller), "propeller"))
-        self._set("thrust_line", _built(ThrustLine, self.thrust_line, "thrust_line"))
+            deviations[name] = _built(ScaleFactor, factor, f"deviations of {name}")
         full = check_full_deflections(self.full_deflections or {}, SURFACES)
-        self._set("full_deflections", full or None)
-        self._set("sensor_position", _sensor_position(self.sensor_position, self.span))
-
-    def _set(self, name: str, value: Any) -> None:
-        """Store a checked value."""
-        object.__setattr__(self, name, value)
+        checked |= {
+            "inertia": _inertia(inertia),
+            "deviations": deviations or None,
+            "propeller": _built(Propeller, _sized(self.propeller), "propeller"),
+            "thrust_line": _built(ThrustLine, self.thrust_line, "thrust_line"),
+            "full_deflections": full or None,
+            "sensor_position": _sensor_position(self.sensor_position, checked["span"]),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @cached_property
     def inertia_inverse(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -199,14 +200,15 @@ def linearize(
     if engine in controls and engine not in inputs:
         inputs.append(engine)
     servos = motion.aerodynamics.servos
-    mean = _matrices(motion, state, controls, inputs, servos.lag, servos.delay)
+    are_lagging = [servos.lag > 0 and name in motion.surfaces for name in inputs]
+    mean = _matrices(motion, state, controls, inputs, are_lagging, servos.lag, servos.delay)
     paths = None
     if n_paths:
         drawn, unsteady = _drawn(motion, now, n_paths, random_state)
         lags, delays = servos.drawn(n_paths, separate_generator(random_state, 7))
         states = np.tile(state, (n_paths, 1))
-        paths = _matrices(drawn, states, controls, inputs, lags, delays, unsteady)
-    positions = [f"{name}_position" for name in _lagging(motion, inputs)]
+        paths = _matrices(drawn, states, controls, inputs, are_lagging, lags, delays, unsteady)
+    positions = [f"{name}_position" for name in compress(inputs, are_lagging)]
     names = [*LINEAR_STATES, *positions]
     outputs = [*names, *OUTPUTS]
     return LinearModel(
@@ -222,31 +224,25 @@ def linearize(
     )
 
 
-def _lagging(motion: Motion, inputs: Sequence[str]) -> list[str]:
-    """Return the inputs whose deflections are states."""
-    if not motion.aerodynamics.servos.lag > 0:
-        return []
-    return [name for name in inputs if name in motion.surfaces]
-
-
 def _matrices(
     motion: Motion,
     state: Array,
     controls: Mapping,
     inputs: Sequence[str],
+    are_lagging: Sequence[bool],
     lag: Array | float,
     delay: Array | float,
     unsteady: UnsteadyTerms | None = None,
 ) -> Matrices:
-    """Return A, B, C, D at states (..., 13), behind servos of lags and delays (...)."""
+    """Return A, B, C, D at states (..., 13), behind servos of lags and delays (...), of inputs that lag."""
     x_dot_z, y_z, now = jacobian(motion, state, controls, inputs, unsteady)
     check_settled(now)
     if not np.isfinite(x_dot_z).all():
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
         )
-    lagging = [name in _lagging(motion, inputs) for name in inputs]
-    return Matrices(*_with_servos(x_dot_z, y_z, lagging, np.asarray(lag)), np.asarray(delay))
+    matrices = _with_servos(x_dot_z, y_z, are_lagging, np.asarray(lag))
+    return Matrices(*matrices, np.asarray(delay))
 
 
 def jacobian(

@@ -24,6 +24,7 @@ from skdgp.design._envelope import (
     UNLIMITED,
     WHOLE_RANGE,
     Envelope,
+    Range,
     common_range,
     regressors_of,
 )
@@ -209,8 +210,11 @@ def plan(
     aerodynamics = as_aerodynamics(model)
     _check_options(seconds, axes, limits or {})
     check_names(axes, trim.controls, "controls of the trim")
-    rehearsal = Rehearsal(aerodynamics, aircraft, trim, tuple(axes), envelope, thrust)
-    _warn_unlimited(rehearsal)
+    bounds = envelope.bounds(aerodynamics)
+    if aerodynamics.is_uncertain and not np.isinf(envelope.growth):
+        _warn_unlimited(bounds)
+    margin = envelope.margin
+    rehearsal = Rehearsal(aerodynamics, aircraft, trim, tuple(axes), bounds, margin, thrust)
     goal = _check_goal(goal, aerodynamics, axes)
     amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
     # a quarter of Lanchester's phugoid, or more
@@ -242,9 +246,9 @@ def plan(
         manoeuvres=_timetable(flown, pause, RESPONSE),
         flight=pd.concat(flights, ignore_index=True),
         errors=errors.reindex(_taught(goal, aerodynamics, flown)),
-        limits=pd.DataFrame(rehearsal.bounds, ["low", "high"]).T,
+        limits=pd.DataFrame(bounds, ["low", "high"]).T,
         aircraft=aircraft,
-        margin=envelope.margin,
+        margin=margin,
     )
 
 
@@ -268,11 +272,9 @@ def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None
             )
 
 
-def _warn_unlimited(rehearsal: Rehearsal) -> None:
+def _warn_unlimited(bounds: Mapping[str, Range]) -> None:
     """Warn of quantities with neither a limit nor a known range."""
-    if np.isinf(rehearsal.envelope.growth) or not rehearsal.model.is_uncertain:
-        return
-    free = [name for name in OPTIONS if np.isinf(rehearsal.bounds[name]).all()]
+    free = [name for name in OPTIONS if np.isinf(bounds[name]).all()]
     if free:
         options = ", ".join(OPTIONS[name] for name in free)
         warn(

@@ -11,7 +11,7 @@ import pandas as pd
 
 from skdgp._compute.messages import notify
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
-from skdgp.design._envelope import OPTIONS, Envelope, Range, quantities, regressors_of
+from skdgp.design._envelope import OPTIONS, Range, quantities, regressors_of
 from skdgp.design._library import RATE, RESPONSE, ROW_STEP, Inputs, duration_of, scaled
 from skdgp.dynamics import Aerodynamics, Aircraft, Trim, simulate
 
@@ -34,19 +34,15 @@ class Rehearsed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """Simulations of manoeuvres of some axes from a trim, by the mean of a model in calm air, inside an envelope."""
+    """Simulations of manoeuvres of some axes from a trim, by the mean of a model in calm air, inside bounds."""
 
     model: Aerodynamics
     aircraft: Aircraft
     trim: Trim
     axes: tuple[str, ...]
-    envelope: Envelope
+    bounds: Mapping[str, Range]  #: Lowest and highest value of each limited channel
+    margin: float  #: Of responses to the bounds
     thrust: Any
-
-    @property
-    def bounds(self) -> dict[str, Range]:
-        """The lowest and the highest value of each limited channel."""
-        return self.envelope.bounds(self.model)
 
     def inside(
         self, manoeuvres: Mapping[str, Inputs], seconds: float, pause: float
@@ -128,7 +124,7 @@ class Rehearsal:
         unattended = duration_of(inputs) + REACTION + ROUNDING
         response = self._channels(flight[flight["time"] <= unattended]) - centre
         is_response = ~response.columns.isin(self.axes)  # a control has none
-        response *= 1.0 + self.envelope.margin * is_response
+        response *= 1.0 + self.margin * is_response
         low, high = np.array([*self.bounds.values()]).T - centre.to_numpy()
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = response.rdiv(1.0) * np.where(response > 0, high, low)

@@ -61,7 +61,8 @@ def trajectory_table(
         # the specific force is that at the centre of gravity
         table |= dict.fromkeys(SENSOR_POSITION, 0.0)
     names = pd.Index(["", *motion.regressors])
-    table["beyond"] = pd.Categorical.from_codes(column(farthest), names)
+    codes: Any = column(farthest)
+    table["beyond"] = pd.Categorical.from_codes(codes, names)
     is_over = np.isnan(record.states).any(axis=-1)
     table["ended"] = pd.Categorical(column(np.where(is_over, record.ended, FLYING)))
     return pd.DataFrame(table)

@@ -96,7 +96,7 @@ class TestPipeline:
         fitted = clone(pipeline).fit(table, Y)
         found = as_aerodynamics(fitted).turbulence
         assert_allclose(found.length, expected.length, rtol=1e-9)
-        assert not hasattr(clone(fitted), "turbulence_")
+        assert clone(fitted).turbulence_ is None
         assert as_aerodynamics(Pipeline(fitted.steps)).turbulence is None
 
 

@@ -37,9 +37,8 @@ class ShiftSettings:
     overlap: float = 0.3
     #: Largest squared correlation that counts
     highest: float = 0.999
-    #: Least rise of the squared correlation by a shift: a copy explains most of another output, and chance
-    #: up to 0.4 of it (trials with tables without shifts)
-    rise: float = 0.5
+    #: Least rise of the squared correlation by a shift
+    rise: float = 0.2
     #: Width, over the range of a regressor, from which shifts along it hardly change a function
     widest: float = 3.0
 
@@ -54,7 +53,7 @@ def found_shifts(
     X: Matrix,
     Y: Matrix,
 ) -> tuple[Matrix, Matrix] | None:
-    """Return the shift (P, d) of each output relative to the first one, or None where no shift correlates more.
+    """Return the shift (P, d) of each output relative to one of them, or None where no shift correlates more.
 
     Beside it are the outputs without their shifts at X, (n, P), as far as separate fits know them.
 
@@ -87,7 +86,7 @@ def found_shifts(
         shift[better, k] = best[better]
     # of two that only each other's shift explains, the one that is better known, in any order of the outputs
     reference = int(np.lexsort((-noise, gain.sum(axis=1).round(6)))[-1])
-    relative = shift[reference] - shift[reference, 0]
+    relative = shift[reference]
     if not relative.any():
         return None
     aligned = [

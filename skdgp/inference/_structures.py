@@ -75,7 +75,8 @@ def n_mattering(
 ) -> int:
     """Return the number of hyperparameters that matter to the covariance of samples X (n, d).
 
-    An amplitude that is nearly zero does not, nor does a length scale far beyond the samples.
+    An amplitude that is nearly zero does not, nor does a length scale far beyond the samples, nor the
+    shift of one output of each latent, as only differences matter.
     """
     return sum(_n_mattering(term, column_scale(X), settings) for term in kernel.summands())
 
@@ -87,11 +88,12 @@ def _n_mattering(term, scale, settings):
     size = np.abs(filters.amplitude)
     total = np.sqrt(np.sum(size**2, axis=0))
     feeds = size > settings.amplitude * total
+    shifted = feeds & (size < size.max(axis=1, keepdims=True))
     wide = filters.length_scale > settings.length_scale * scale
     matters = {
         "amplitude": feeds,
         "length_scale": feeds[..., None] & ~wide,
-        "shift": np.broadcast_to(feeds[..., None], wide.shape),
+        "shift": np.broadcast_to(shifted[..., None], wide.shape),
     }
     n = 0
     for parameter in term.free_parameters():

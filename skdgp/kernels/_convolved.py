@@ -151,8 +151,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     length_scale : array (M, P, d) or None
         Positive, in the units of the regressors. The last axis defines d. None: from the data.
     shift : array (M, P, d) or float
-        mu, in the units of the regressors. Only differences between outputs matter, so the first
-        output has zero.
+        mu, in the units of the regressors. Only differences between outputs matter.
     parameter_bounds : mapping or None
         Bounds on the values by the names ``"amplitude"``, ``"length_scale"`` and ``"shift"``: a
         pair, an array (..., 2), or "fixed". Without an entry shifts are fixed, and bounds come from
@@ -413,9 +412,7 @@ def numbers(fed: bytes, n_outputs: int, d: int, is_tied: bool) -> tuple[Indices,
         lengths = np.where(fed_along, of_latents, -1)
     else:
         lengths = numbered(fed_along)
-    # only differences between outputs matter: the first one of each latent is not shifted
-    shifted = feeds.copy()
-    shifted[np.arange(M), feeds.argmax(axis=1)] = False
+    shifted = feeds & (feeds.sum(axis=1, keepdims=True) > 1)
     return numbered(feeds), lengths, numbered(fed_along & shifted[..., None])
 
 

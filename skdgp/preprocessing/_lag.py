@@ -23,6 +23,7 @@ from skdgp._flight.holds import without_repeats
 from skdgp._flight.tables import by_name, check_columns, numeric, unwrapped
 from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
+    Lag,
     delayed_surfaces,
     estimate_lags,
     removable,
@@ -90,8 +91,8 @@ class LagCorrector(TableTransformer):
         Lag, delay and, where the flights reach it, limit of the rate of the servos, for simulations and
         margins, also where they are not removed. A limit is warned of.
     lags_ : DataFrame
-        By group or column: ``lag`` and ``std`` [s], NaN where it is given or flights do not show it, and
-        ``applied``, the lag that is removed [s].
+        By group or column: ``lag`` and ``std`` [s], NaN where it is given or flights do not show it,
+        ``applied``, the lag that is removed [s], and a ``remark``.
         Of surfaces behind servos they are the delay, and the error of the time of lag and delay
         together. A lag below 3 standard deviations (a third of Student's quantile of equal
         probability for few pieces) or below 10 ms is not removed; of lag and delay of servos the sum
@@ -134,7 +135,7 @@ class LagCorrector(TableTransformer):
         if isinstance(self.lags, str):
             self._check_any(table, _columns_of(GROUPS))
             lags = estimate_lags(with_sensor_position(table, self.aircraft))
-            rows = {group: (lag.value, lag.std, removable(lag)) for group, lag in lags.items()}
+            rows = {group: _applied(lag) for group, lag in lags.items()}
             self.rate_limit_, self.delay_std_ = lags["servos"].rate_limit, lags["servos"].delay_std
             if np.isfinite(self.rate_limit_):
                 warn(
@@ -143,7 +144,7 @@ class LagCorrector(TableTransformer):
                 )
         else:
             rows = self._given(table)
-        columns = ["lag", "std", "applied"]
+        columns = ["lag", "std", "applied", "remark"]
         self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
         self.lags_ = self.lags_.rename_axis("group")
 
@@ -161,7 +162,7 @@ class LagCorrector(TableTransformer):
                     f"Got the lag {lag!r} of {name!r}, but expected a finite number of seconds, of servos a "
                     "time constant >= 0 s."
                 )
-            rows[name] = (float(lag), np.nan, float(lag))
+            rows[name] = (float(lag), np.nan, float(lag), "given")
         if rows:
             self._check_any(table, _columns_of(rows))
         return rows
@@ -203,3 +204,17 @@ def _columns_of(names: Iterable[Any]) -> list[str]:
     for name in names:
         columns += GROUPS.get(name, (name,))
     return columns
+
+
+def _applied(lag: Lag) -> tuple[float, float, float, str]:
+    """Return a lag, its standard deviation, the lag to remove, and a remark."""
+    applied = removable(lag)
+    if applied:
+        remark = "removed"
+    elif lag.removal is not None and np.isfinite(lag.std):
+        remark = "left to the reconstruction"
+    elif lag.is_significant():
+        remark = "negligible"
+    else:
+        remark = "not shown by these flights"
+    return lag.value, lag.std, applied, remark

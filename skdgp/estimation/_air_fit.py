@@ -124,7 +124,7 @@ class AirFit:
         return any(record.vibration.any() for record in self.records)
 
     def search(self, n_before: int) -> tuple[bool, bool]:
-        """Improve parameters and noises by passes of the filter; return whether it converged, and whether it went back.
+        """Improve parameters and noises by passes of the filter; return (converged, went_back).
 
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges. It may
         end far below the likelihood of an earlier pass, as instruments are weak far from the solution,
@@ -136,7 +136,8 @@ class AirFit:
         control = _StepControl(len(self.x) - self.parameters.n_held, settings)
         was_small = False
         converged = False
-        best = -np.inf, self.x, self.noise_search.psi
+        likelihood = -np.inf
+        best = likelihood, self.x, self.noise_search.psi
         for number in range(settings.max_passes):
             notify(Progress("estimating the air", number, settings.max_passes))
             sums, fitted = self._pass(by_instruments=number >= n_before)

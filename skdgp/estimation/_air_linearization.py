@@ -20,9 +20,9 @@ slopes by states and derivatives
           \frac{\partial h}{\partial C} \frac{d C}{d z}, \quad
           \frac{d C_i}{d C_{ij}} = \mathrm{term}_j.
 
-Constants move the air velocity, the readings, or surfaces and thrust, whose loads count as errors of the coefficients;
-these slopes are differences. Instruments are the slopes by derivatives with the terms in the motion that surfaces alone
-cause.
+Slopes by constants are differences. Constants move the air velocity, the readings, or the loads by surfaces and
+thrust; changes of loads are expressed as errors of the coefficients. Instruments are the slopes by derivatives with
+the terms in the motion that surfaces alone cause.
 
 n samples, m sensors, N states, k parameters of a flight, of which the first d are derivatives of the
 coefficients and c are constants, f terms. Slopes by z are by the N states of a sample, the k parameters, and the d

@@ -162,8 +162,8 @@ def propagated(T: Array, push: Array, start: Any = 0.0) -> Array:
 def _covariances(linear: Linearization, noise: Noise) -> tuple[Array, Array, Array]:
     """Return Q (n - 1, N, s, N), R (n - 1, m, s, m), and R with the noise of the step before (n - 1, m, s, m).
 
-    Those of density, surface and sensor of the noises, in which they are linear. The noise of a step reaches the
-    sensors through its end as well.
+    They are linear in the density, surface and sensor noise; other noises are not contained. The noise of a step
+    reaches the sensors through its end as well.
     """
     density = noise.density * linear.time_step[:, None, None]
     L = linear.L
@@ -178,7 +178,7 @@ def _covariances(linear: Linearization, noise: Noise) -> tuple[Array, Array, Arr
 
 def surface_covariance(linear: Linearization, noise: Noise) -> Array:
     """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
-    of_surfaces = Noise(*(0.0 * values for values in noise))._replace(surface=noise.surface)
+    of_surfaces = noise._replace(density=0.0 * noise.density, sensor=0.0 * noise.sensor)
     return _covariances(linear, of_surfaces)[2][:, :, 0]
 
 
@@ -218,7 +218,9 @@ def noise_slopes(
     .. math:: P'_{k+1} = T P'_k T^T + A V A^T + K R' K^T, \quad
               V = Q' + \Phi' P \Phi^T + \Phi P \Phi'^T, \\
               x'_{k+1} = T x'_k + A (\Phi' x_k + (\Phi P'_k \Phi^T + V) H^T u) - K R' u, \quad
-              u = S^{-1} (y - H \Phi x_k).
+              u = S^{-1} (y - H \Phi x_k),
+
+    with :math:`Q'` at the given :math:`\Phi`, which neglects terms of the order of the step over the time of decay.
     """
     N, s = linear.Phi.shape[1], len(change.start)
     dP_start = change.start.T[..., None] * np.eye(N)[:, None]  # (N, s, N)
@@ -247,8 +249,10 @@ def noise_slopes(
         for k in range(len(T)):
             left = (T[k] @ dP[k].reshape(N, -1)).reshape(-1, N)
             dP[k + 1] += (left @ T[k].T).reshape(N, s, N)
-        through_gain = Phi @ _times(dP[:-1], Phi.mT @ Htu)[..., 0] + _times(V, Htu)[..., 0]
-        push = A @ (dPhi * x[..., None] + through_gain) - K @ _times(dR, u)[..., 0]
+        by_process = _times(V, Htu)[..., 0]
+        by_sensors = K @ _times(dR, u)[..., 0]
+        through_gain = Phi @ _times(dP[:-1], Phi.mT @ Htu)[..., 0] + by_process
+        push = A @ (dPhi * x[..., None] + through_gain) - by_sensors
         dx = propagated(T, push, dx_start)
         yield steps, -(part.D @ dx[:-1]), both_sides(part.D, dP[:-1]) + dR_past
         dP_start, dx_start = dP[-1], dx[-1]

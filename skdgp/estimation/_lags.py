@@ -80,7 +80,7 @@ class Lag(NamedTuple):
     delay_std: float = 0.0  #: Of the delay beside the lag of servos [s]
 
     def is_significant(self) -> bool:
-        """Return whether the lag exceeds a number of standard deviations."""
+        """Return whether the lag exceeds ``significance`` standard deviations."""
         return abs(self.value) > SETTINGS.significance * self.std
 
 

@@ -353,7 +353,7 @@ def contradictions(
 ) -> list[SensorContradiction]:
     """Return the sensors whose residuals along the path exceed their white noise by a ratio.
 
-    The ratio is ``air_ratio`` or ``inertial_ratio`` of the SETTINGS. ``residuals`` are the noises
+    The ratio is ``air_ratio`` or ``inertial_ratio`` of `PathSettings`. ``residuals`` are the noises
     of `PathEstimate.noise` [SI]; white noise is estimated from third differences of the readings.
     A sensor that shows hardly any was smoothed, so its noise is not known.
     """

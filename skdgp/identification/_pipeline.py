@@ -430,8 +430,9 @@ class FlightPipeline(Pipeline):
         .. math:: \mathrm{cov}(w / V, q_g) = T \sigma_q^2.
 
         The horizontal axes of gusts are those of the mean wind in MIL-F-8785C, at low altitude, and those
-        of the flight in a frozen field. With any angle between them, rolling and pitching both have the mean
-        of their variances, and half of the squared covariance with w.
+        of the flight in a frozen field. With every angle between them equally likely, rolling and pitching
+        both have the mean of their variances, and half of the squared covariance with w. The covariance of
+        the sideslip with yawing is kept whole: along the flight it is 1.3 to 1.7 times this.
         """
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
         airspeed: Any = turbulence.airspeed  # of flights it is known

@@ -28,6 +28,7 @@ class BlockSettings:
 
 
 SETTINGS = BlockSettings()
+ROUNDING = 1e-9  # skewness up to which a regressor is symmetric
 
 
 def blocks_of_rows(
@@ -79,9 +80,12 @@ def spread_rows(X: Matrix, most: int) -> Indices:
 
 
 def _parts(X, most):
-    """Return the rows of each leaf, in the order of the tree, which mirrored regressors do not change."""
+    """Return the rows of each leaf, in the order of the tree.
+
+    They are the same for mirrored regressors, unless these are symmetric.
+    """
     scaled = (X - X.mean(axis=0)) / column_scale(X)
-    scaled[:, np.mean(scaled**3, axis=0) < -1e-9] *= -1.0
+    scaled[:, np.mean(scaled**3, axis=0) < -ROUNDING] *= -1.0
     parts = [np.arange(len(X))]
     while max(map(len, parts)) > most:
         halves = []

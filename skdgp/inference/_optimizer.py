@@ -41,7 +41,7 @@ class OptimizerSettings:
     #: Spacing of the grid, over the standard error of a hyperparameter (trials with regressors that
     #: differ by 1e-12)
     grid: float = 0.05
-    #: Fraction of the predicted rise of a step that is left on the grid, or the grid is finer
+    #: Least fraction of the predicted rise that a step keeps on the grid; otherwise the grid is refined (guess)
     kept: float = 0.9
     #: Fractions of the predicted rise: above which a step is taken, below which the damping rises,
     #: and above which it falls
@@ -57,6 +57,7 @@ class OptimizerSettings:
 
 
 SETTINGS = OptimizerSettings()
+GRIDS = 40  # the finest has the spacing of rounding errors
 
 
 class Optimum(NamedTuple):
@@ -188,14 +189,14 @@ def _is_flat(theta, point, curvature, bounds, settings):
 
 
 def _proposed(theta, point, curvature, bounds, damping, settings):
-    """Return the end of a step, on the finest grid that it needs for most of its rise, and its predicted rise."""
+    """Return the end of a step on the coarsest grid that keeps most of its predicted rise, and this rise."""
     step = _step(theta, point, curvature, bounds, damping, settings.longest)
     promised = _predicted_rise(step, point, curvature)
     spacing = settings.grid * _standard_errors(point.information)
-    while promised > 0.0:
+    for _ in range(GRIDS):
         end = _on_grid(theta + step, spacing, bounds)
         predicted = _predicted_rise(end - theta, point, curvature)
-        if predicted > settings.kept * promised:
+        if predicted > settings.kept * promised > 0.0:
             return end, predicted
         spacing /= 3.0
     return theta + step, promised

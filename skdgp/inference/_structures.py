@@ -88,7 +88,8 @@ def _n_mattering(term, scale, settings):
     size = np.abs(filters.amplitude)
     total = np.sqrt(np.sum(size**2, axis=0))
     feeds = size > settings.amplitude * total
-    shifted = feeds & (size < size.max(axis=1, keepdims=True))
+    shifted = feeds.copy()
+    shifted[np.arange(len(feeds)), feeds.argmax(axis=1)] = False
     wide = filters.length_scale > settings.length_scale * scale
     matters = {
         "amplitude": feeds,

@@ -151,7 +151,8 @@ class ConvolvedGaussian(MultiOutputKernel):
     length_scale : array (M, P, d) or None
         Positive, in the units of the regressors. The last axis defines d. None: from the data.
     shift : array (M, P, d) or float
-        mu, in the units of the regressors. Only differences between outputs matter.
+        mu, in the units of the regressors. Only differences between outputs matter: a pair of bounds
+        is of the differences to the first output, which has zero, an array of the shift of each.
     parameter_bounds : mapping or None
         Bounds on the values by the names ``"amplitude"``, ``"length_scale"`` and ``"shift"``: a
         pair, an array (..., 2), or "fixed". Without an entry shifts are fixed, and bounds come from
@@ -277,8 +278,9 @@ class ConvolvedGaussian(MultiOutputKernel):
         d = np.atleast_1d(self.length_scale).shape[-1]
         feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
         is_tied = self.covariance_type == "tied"
-        amplitudes, lengths, shifts = numbers(feeds.tobytes(), feeds.shape[1], d, is_tied)
         bounds = self._bounds(DEFAULT_BOUNDS)
+        all_move = np.ndim(bounds["shift"]) > 1
+        amplitudes, lengths, shifts = numbers(feeds.tobytes(), feeds.shape[1], d, is_tied, all_move)
         return [
             FreeParameter("amplitude", amplitudes, False, bounds["amplitude"]),
             FreeParameter("length_scale", lengths, True, bounds["length_scale"]),
@@ -399,10 +401,13 @@ def is_spacing(bounds: Any) -> bool:
 
 
 @lru_cache(maxsize=64)  # all kernels of a search have the same numbers
-def numbers(fed: bytes, n_outputs: int, d: int, is_tied: bool) -> tuple[Indices, Indices, Indices]:
+def numbers(
+    fed: bytes, n_outputs: int, d: int, is_tied: bool, all_move: bool
+) -> tuple[Indices, Indices, Indices]:
     """Return the numbers of the free amplitudes (M, P), length scales and shifts (M, P, d).
 
-    ``fed`` holds whether each latent feeds each output.
+    ``fed`` holds whether each latent feeds each output. All of its outputs have shifts if
+    ``all_move``, or all but the first one.
     """
     feeds = np.frombuffer(fed, dtype=bool).reshape(-1, n_outputs)
     M = len(feeds)
@@ -413,6 +418,8 @@ def numbers(fed: bytes, n_outputs: int, d: int, is_tied: bool) -> tuple[Indices,
     else:
         lengths = numbered(fed_along)
     shifted = feeds & (feeds.sum(axis=1, keepdims=True) > 1)
+    if not all_move:
+        shifted[np.arange(M), feeds.argmax(axis=1)] = False
     return numbered(feeds), lengths, numbered(fed_along & shifted[..., None])
 
 

@@ -326,8 +326,8 @@ def test_linear_filter_has_the_innovations_of_the_joint_distribution():
 
 @pytest.mark.parametrize("field", Noise._fields)
 def test_slopes_by_noises_are_those_of_the_filter(field):
-    """With a state that decays, without noise of its own, and surfaces that err."""
-    linear, noises = linear_system(default_rng(0))
+    """With a state that decays, without noise of its own, and surfaces that err, in several parts of a record."""
+    linear, noises = linear_system(default_rng(0), n=140)
     push = default_rng(5).normal(size=(len(linear.time_step), 3, 3))
     linear = linear._replace(
         surface_noise=push @ push.mT, surface_reading_variance=push[:, 0, :2] ** 2
@@ -349,7 +349,8 @@ def test_slopes_by_noises_are_those_of_the_filter(field):
     step = 1e-6
     moved = Noise(*(part + step * slope for part, slope in zip(noises, change, strict=True)))
     system, here = run(noises)
-    ((_, of_innovations, of_covariance),) = noise_slopes(system, here, noises, change)
+    _, *parts = zip(*noise_slopes(system, here, noises, change), strict=True)
+    of_innovations, of_covariance = map(np.concatenate, parts)
     _, later = run(moved)
     found = (later.innovations - here.innovations) / step
     assert_allclose(of_innovations[..., 0], found, atol=1e-5)
@@ -372,7 +373,7 @@ def test_linear_smoother_has_the_conditional_distribution():
 
 
 def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
-    linear, noises = linear_system(default_rng(3))
+    linear, noises = linear_system(default_rng(3), n=140)
     (n, N), m = linear.states.shape, linear.past_error.shape[1]
     Theta = default_rng(4).standard_normal((n - 1, N, 1))
     slopes = Slopes(Theta, linear.H @ Theta, np.zeros((n - 1, m, 1)))
@@ -385,7 +386,8 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
     )
     again = filtered(moved, noises)
     found = parameter_slopes(linear, run, lambda steps: Slopes(*(part[steps] for part in slopes)))
-    ((_, of_innovations, of_states),) = found
+    _, *parts = zip(*found, strict=True)
+    of_innovations, of_states = map(np.concatenate, parts)
     change = (again.innovations - run.innovations) / 1e-6
     assert_allclose(of_innovations[..., 0], change, atol=1e-6)
     change = (again.states - run.states)[1:] / 1e-6

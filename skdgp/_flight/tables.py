@@ -347,7 +347,12 @@ def check_full_deflections(
         raise ValueError(
             f"Got full deflections {full!r}, but expected deflections by name: {{control: value}}."
         )
-    check_names(full, known, "controls with a full deflection")
+    known = [*known]
+    unknown = _lacking(full, known)
+    if unknown:
+        raise ValueError(
+            f"Got a full deflection of {unknown}, but expected some of {known}: name the controls as there."
+        )
     values = {}
     for name, value in full.items():
         unit = "rad" if name in (*ALL_SURFACES, *HIGH_LIFT) else ""

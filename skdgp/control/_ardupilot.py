@@ -136,7 +136,9 @@ def commands_of(pulses: Sequence[int], servos: Mapping[str, list[Servo]]) -> dic
     for name, of_control in servos.items():
         of_servos = [sent.get(servo.place, 0) for servo in of_control]
         if min(of_servos, default=0) > NO_PULSE:
-            commands[name] = sum(map(Servo.__call__, of_control, of_servos))
+            commands[name] = sum(
+                servo(pulse) for servo, pulse in zip(of_control, of_servos, strict=True)
+            )
     return commands
 
 
@@ -156,7 +158,7 @@ def full_outputs(
     known = [name for name in moved if name in controls]
     if engine in (None, "throttle"):
         full = {"throttle": 1.0, **full}
-    full = check_full_deflections(full, [*known, "throttle"])
+    full = check_full_deflections(full, {**dict.fromkeys(known), "throttle": None})
     lacking = [name for name in known if name not in full]
     if lacking:
         raise ValueError(

@@ -51,8 +51,8 @@ POSITIVE = {
     *("SCALING_SPEED", "AIRSPEED_MIN", "AIRSPEED_MAX", "ARSPD_FBW_MIN", "ARSPD_FBW_MAX"),
     *("RLL2SRV_TCONST", "PTCH2SRV_TCONST"),
 }
-# Name and value, which may go on behind a decimal comma
-NAMED = re.compile(r"\b([A-Z][A-Z0-9_]{1,16})[\s,:=]+([^\s,:=]+)(,\d)?")
+# Name and value: one with a decimal comma as a whole, or nothing where the line is cut off
+NAMED = re.compile(r"\b([A-Z][A-Z0-9_]{1,16})[\s,:=]+([-+]?\d+,\d|[^\s,:=]*)")
 # Comments of ground stations and of ArduPilot's default files
 COMMENT = re.compile(r"#.*|//.*|\[[^\]]*\]")
 # Vehicle and component before the name, in files of QGroundControl
@@ -140,8 +140,8 @@ def read_parameters(path: str | Path) -> dict[str, float]:
         named = NAMED.search(text)
         if named is None:
             continue
-        name, value, decimals = named.groups()
-        number = np.nan if decimals else float(as_floats(value))
+        name, value = named.groups()
+        number = float(as_floats(value))
         if not np.isfinite(number):
             if name.startswith(OF_LAWS):
                 raise ValueError(
@@ -250,6 +250,10 @@ def autopilot_loops(
     given = parameters if isinstance(parameters, Mapping) else read_parameters(parameters)
     _check_parameters(given)
     full = check_full_deflections(full, [surface for *_, surface in LOOP_AXES.values()])
+    if not full:
+        raise ValueError(
+            f"Got full={full}, but expected deflections [rad] at full output of aileron, elevator or rudder."
+        )
     is_px4 = any(name.startswith(OF_PX4) for name in given)
     is_ardupilot = any(name.startswith(OF_ARDUPILOT) for name in given)
     if is_px4 and is_ardupilot:
@@ -313,7 +317,8 @@ def _warn_of_open(loops: list[Loop], full: Mapping[str, float]) -> None:
 def _check_parameters(given: Mapping[str, float]) -> None:
     """Raise ValueError of parameters of control laws that are no finite numbers, or divide and are not above zero."""
     for name, value in given.items():
-        if str(name).startswith(OF_LAWS) and not np.isfinite(as_floats(value)).all():
+        is_number = isinstance(value, int | float | np.number) and np.isfinite(value)
+        if str(name).startswith(OF_LAWS) and not is_number:
             raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
     # without scaling by the airspeed that of the trim does not count
     is_scaled = given.get("FW_ARSP_SCALE_EN", 1)

@@ -12,7 +12,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import VANES
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp._flight.tables import check_columns, check_number
+from skdgp._flight.tables import as_floats, check_columns, check_number
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.preprocessing import RateNondimensionalizer
 
@@ -78,12 +78,17 @@ class Envelope:
     margin: float = 0.3
 
     def __post_init__(self) -> None:
-        for name, ends in self.given.items():
-            if np.shape(ends) != (2,) or not ends[0] < ends[1]:
+        for name in ("alpha", "beta", "load_factor", "airspeed"):
+            value = vars(self)[name]
+            ends = as_floats(UNLIMITED if value is None else value)
+            if ends.shape != (2,) or not ends[0] < ends[1]:
                 raise ValueError(
-                    f"Got {name}={vars(self)[name]!r}, but expected the lowest and the highest value, the largest "
-                    "bank > 0, or the lowest altitude."
+                    f"Got {name}={value!r}, but expected the lowest and the highest value."
                 )
+        if self.bank is not None:
+            check_number("bank", self.bank)
+        if self.altitude is not None:
+            check_number("altitude", self.altitude, -np.inf)
         if self.growth != np.inf:
             check_number("growth", self.growth, is_open=False)
         check_number("margin", self.margin, is_open=False)

@@ -47,8 +47,6 @@ CONTROLS = (*SURFACES, "throttle")
 UNBOUNDED = ("thrust", "propeller_speed")
 # Responses that are drawn
 RESPONSES = ("alpha", "airspeed", "phi", "beta")
-# Range of a control that the model does not know
-NOWHERE = (np.nan, np.nan)
 # Least relative reduction of the errors of the goal
 WORTH = 0.002
 # Information assumed of everything, relative to the largest of a manoeuvre
@@ -336,17 +334,23 @@ def _amplitudes(
     trim: Trim, model: Aerodynamics, axes: Sequence[str], limits: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the largest deviations of the axes, by default within the training ranges."""
+    flown = model.training_ranges
     amplitudes = {}
     for axis in axes:
-        flown = UNLIMITED if axis in limits else model.training_ranges.get(axis, NOWHERE)
-        low, high = common_range(flown, WHOLE_RANGE.get(axis, UNLIMITED))
+        if axis not in limits and axis not in flown:
+            raise ValueError(
+                f"Got no limit of the {axis}, and the model does not say what was flown: give "
+                f"limits={{{axis!r}: ...}} (--limits)."
+            )
+        ends = UNLIMITED if axis in limits else flown[axis]
+        low, high = common_range(ends, WHOLE_RANGE.get(axis, UNLIMITED))
         value = trim.controls[axis]
         room = min(value - low, high - value)
         if not room > 0:
             raise ValueError(
-                f"Got no limit of the {axis}, and its trim at {value:.3g} has no room in what was flown or is "
-                f"possible, {low:.3g} to {high:.3g}: give limits={{{axis!r}: ...}} (--limits), leave it out of the "
-                "axes, or choose another trim."
+                f"Got a trim with the {axis} at {value:.3g}, but a range of {low:.3g} to {high:.3g}, "
+                f"which leaves it no room: give limits={{{axis!r}: ...}} (--limits), leave it out of "
+                f"the axes, or choose another trim."
             )
         amplitudes[axis] = float(min(limits.get(axis, np.inf), room))
     return amplitudes

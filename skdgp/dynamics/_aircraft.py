@@ -261,7 +261,7 @@ class Aircraft:
             keys = [*signature(cls.estimate).parameters, *parts]
             check_keys(values, keys, ["mass", "span"], what)
             return cls.estimate(**values)
-        return _questioned(_built(cls, values, what))
+        return _questioned(_built(cls, {} if values is None else values, what))
 
     def to_dict(self) -> dict:
         """Return plain numbers, lists and dictionaries that `from_dict` reads back."""

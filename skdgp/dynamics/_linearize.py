@@ -107,10 +107,10 @@ class LinearModel:
         -------
         DataFrame
             Columns ``eigenvalue`` [1/s], ``frequency`` [rad/s], undamped, ``damping``,
-            ``time_constant`` [s], negative where it diverges, of half or double amplitude after 0.69 times
-            it, ``period`` [s], infinite where there is none. With paths also ``frequency_std``,
-            ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``, which hold 95 %
-            of the paths: the upper one is infinite where some do not decay.
+            ``time_constant`` [s], negative where it diverges; ln 2 times it is the time to half or
+            double amplitude; ``period`` [s], infinite where there is none. With paths also
+            ``frequency_std``, ``damping_std``, and ``time_constant_lower``, ``time_constant_upper``,
+            which hold 95 % of the paths: the upper one is infinite where some do not decay.
         """
         return mode_table(self.A, None if self.paths is None else self.paths.A)
 
@@ -385,8 +385,8 @@ def flight_point(
     state = as_floats(point)
     if state.shape != (13,) or not np.isfinite(state).all():
         raise ValueError(
-            f"Got a point of shape {state.shape} or with values that are not finite, but expected a "
-            "Trim or a state of 13 finite numbers (STATE_NAMES), one at a time."
+            "Got a point that is neither a Trim nor 13 finite numbers (STATE_NAMES): linearize one at a time, "
+            "[linearize(model, aircraft, t) for t in trims]."
         )
     if controls is None:
         raise ValueError(

@@ -311,7 +311,8 @@ class Simulator:
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
         self._mean_motion = self.motion
-        if tables_of(air.wind, "wind", 1):
+        n_winds = len(air.wind) if isinstance(air.wind, list | tuple) else 1
+        if tables_of(air.wind, "wind", n_winds):
             raise ValueError(
                 "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
             )

@@ -375,6 +375,7 @@ FILES = {
     "mission_planner.param": "FW_RR_P,0.05\nFW_AIRSPD_TRIM,15\n",
     "windows.params": "\ufeffFW_RR_P,0.05\r\nFW_AIRSPD_TRIM,15\r\n",
     "comments.parm": "// saved\nFW_RR_P 0.05 // roll\nFW_RR_I 0.1\n@delete FW_RR_I\nFW_AIRSPD_TRIM 15\n",
+    "columns.csv": "FW_RR_P,0.05,1\nFW_AIRSPD_TRIM,15.0,7\n",
     "mavproxy.parm": "FW_RR_P          0.050000\nFW_AIRSPD_TRIM   15.0  # a remark\n",
 }
 
@@ -400,7 +401,10 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
         ({"FW_RR_P": 0.1}, {"aileron": 24.0}, "radians, not degrees"),
         ({"FW_RR_P": 0.1}, ["aileron"], "expected deflections"),
         ({"FW_RR_P": 0.1, "RLL_RATE_P": 0.1}, {"aileron": 0.4}, "of one autopilot"),
+        ({"FW_RR_P": 0.1}, {}, "full={}, but expected deflections"),
         ({"FW_RR_P": np.nan}, {"aileron": 0.4}, "FW_RR_P=nan"),
+        ({"FW_RR_P": "0.2"}, {"aileron": 0.4}, "FW_RR_P='0.2'"),
+        ({"FW_RR_P": [0.2, 0.3]}, {"aileron": 0.4}, "FW_RR_P=.0.2, 0.3.,"),
         ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4}, "above zero"),
         (
             {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 25.0, "FW_AIRSPD_MAX": 20.0},
@@ -546,7 +550,7 @@ def test_files_that_are_not_of_one_vehicle_are_refused(text, words, tmp_path):
         read_parameters(path)
 
 
-@pytest.mark.parametrize("value", ["abc", "nan", "0.3.4", "0,3"])
+@pytest.mark.parametrize("value", ["abc", "nan", "0.3.4", "0,3", ",", ":"])
 def test_a_gain_that_is_no_number_is_refused(value, tmp_path):
     path = tmp_path / "plane.params"
     path.write_text(f"RLL_RATE_P 0.1\nRLL_RATE_FF {value}\n")

@@ -2,6 +2,7 @@
 
 import json
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,8 +16,10 @@ from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp.design import Envelope, plan
+from skdgp.design._planner import _amplitudes
 from skdgp.design._planner import _errors as expected_errors
 from skdgp.dynamics import (
+    Aerodynamics,
     Air,
     as_aerodynamics,
     linearize,
@@ -235,6 +238,34 @@ def test_a_plan_expects_less_and_its_record_is_plain(ask):
 def test_what_cannot_be_planned_is_said(ask, changed, words):
     with pytest.raises(ValueError, match=words):
         ask(**changed)
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        {"alpha": (None, 0.2)},
+        {"alpha": ("a", "b")},
+        {"beta": (0.2, -0.2)},
+        {"bank": (-0.5, 0.5)},
+        {"bank": True},
+        {"bank": np.inf},
+        {"altitude": (100, 200)},
+    ],
+    ids=str,
+)
+def test_limits_that_are_none_are_refused_by_name(limit):
+    with pytest.raises(ValueError, match=f"Got {next(iter(limit))}="):
+        Envelope(**limit)
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [({}, "does not say what was flown"), ({"throttle": 0.2}, "0 to 1, which leaves it no room")],
+)
+def test_a_control_without_room_is_told(limits, words, point):
+    full = replace(point, controls={"throttle": 1.0})
+    with pytest.raises(ValueError, match=words):
+        _amplitudes(full, Aerodynamics(np.zeros_like, ["throttle"]), ["throttle"], limits)
 
 
 def test_without_options_a_plan_stays_in_what_was_flown(ask, model, uav, point):

@@ -105,7 +105,7 @@ ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
         ({"thrust": {0.0: doublet(1, 5.0)}}, FULL, "that move with the thrust: add"),
         ({"rudder": PULSE}, {"rudder": np.nan}, "expected a number > 0"),
         ({"rudder": PULSE}, {"rudder": 0.0}, "expected a number > 0"),
-        ({"elevator": PULSE}, {"flap": 1.0}, "lack 'flap'"),
+        ({"elevator": PULSE}, {"flap": 1.0}, "full deflection of 'flap'.*expected some of"),
         (
             dict.fromkeys(("elevator", "aileron"), PULSE),
             ELEVONS,

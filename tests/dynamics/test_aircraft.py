@@ -95,8 +95,12 @@ def test_sizes_must_be_positive_numbers(name, value):
         (without("wing_area", wingarea=3.6), "unknown key 'wingarea'.*did you mean 'wing_area'"),
         (without(thrust_line={"directions": [1, 0, 0]}), "unknown key 'directions' in thrust_line"),
         (without("chord"), r"lacks \['chord'\]"),
+        (None, "the aircraft lacks"),
         (without(thrust_line=[1, 0, 0]), "Got list for thrust_line, but expected ThrustLine"),
-        (without(full_deflections={"elevatr": 0.4}), "full deflection lack 'elevatr'"),
+        (
+            without(full_deflections={"elevatr": 0.4}),
+            "deflection of 'elevatr' .nearest: 'elevator'",
+        ),
         (
             without(full_deflections={"rudder": -0.4}),
             r"rudder=-0.4, but expected a number > 0 \[rad",

@@ -448,6 +448,11 @@ class TestSimulator:
         assert end(1) == end(1)
         assert end(1) != pytest.approx(end(2))
 
+    @pytest.mark.parametrize("n_tables", [1, 2])
+    def test_a_wind_over_time_is_refused(self, n_tables, aircraft, glider):
+        with pytest.raises(ValueError, match="flies in a constant one"):
+            Simulator(glider.model(), aircraft, air=[table_of(1.0)] * n_tables)
+
     def test_says_when_it_is_over(self, aircraft, glider):
         simulator = Simulator(inert(glider), aircraft, thrust=None)
         with pytest.raises(ValueError, match="call reset"):

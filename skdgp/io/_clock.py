@@ -9,9 +9,9 @@ from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
+from numpy.lib.stride_tricks import sliding_window_view
 
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.clock import CLOCK, runs_between, slices
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
@@ -19,15 +19,23 @@ from skdgp.io._log import Topic
 
 
 @dataclass(frozen=True)
-class LogClockSettings:
-    """Settings of the search for restarts of a clock and wrong time stamps, and of the resampling to one clock."""
+class StampSettings:
+    """Settings of the search for restarts of a clock and wrong time stamps."""
 
-    # neighbouring messages of whose times the median is taken
-    n_neighbours: int = 101
+    # messages of a block, whose median time is compared with the next block's
+    block_size: int = 25
     # a clock that goes back by more than this was restarted [s]; messages out of order are less late
     restart_step: float = 5.0
     # distance of valid stamps from the medians of a part [s]
     margin: float = 5.0
+    # longest step between medians that widens this margin [s]
+    largest_step: float = 60.0
+
+
+@dataclass(frozen=True)
+class ResamplingSettings:
+    """Settings of the resampling of channels to one clock."""
+
     filter_order: int = 4
     # corner of the low-pass in parts of the new rate: gain 1/2 there
     cutoff: float = 0.4
@@ -40,37 +48,34 @@ class LogClockSettings:
     most_gaps: float = 0.05
 
 
-SETTINGS = LogClockSettings()
+STAMPS = StampSettings()
+RESAMPLING = ResamplingSettings()
 
 
 def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
     """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
-    logged = [np.column_stack([topic.order, topic.time]) for topic in topics.values()]
-    messages = np.concatenate(logged)
-    order, time = messages[np.argsort(messages[:, 0], kind="stable")].T
-    steady = _steady(time)
-    restarts = 1 + np.flatnonzero(np.diff(steady) < -SETTINGS.restart_step)
+    order, time = _in_file_order(topics)
+    restarts = _restarts(time)
     parts = []
     n_wrong: Counter[str] = Counter()
     for run in slices(restarts, len(time)):
         first, last = order[run][[0, -1]]
-        low = steady[run].min() - SETTINGS.margin
-        high = steady[run].max() + SETTINGS.margin
+        low, high = _valid_times(time[run])
         part = {}
         for name, topic in topics.items():
-            of_run = topic.select((topic.order >= first) & (topic.order <= last))
-            valid = of_run.select((of_run.time >= low) & (of_run.time <= high))
-            n_wrong[name] += len(of_run) - len(valid)
+            logged = topic.select((topic.order >= first) & (topic.order <= last))
+            valid = logged.select((logged.time >= low) & (logged.time <= high))
+            n_wrong[name] += len(logged) - len(valid)
             if len(valid):
                 part[name] = _increasing(valid)
         parts.append(part)
     return parts, _remarks(time, restarts, n_wrong)
 
 
-def _remarks(time: Vector, restarts: Indices, n_wrong: Counter[str]) -> list[str]:
+def _remarks(time: Vector, restarts: list[int], n_wrong: Counter[str]) -> list[str]:
     """Return remarks on restarts of a clock, of these the first, and on wrong times."""
     remarks = []
-    if len(restarts):
+    if restarts:
         before, after = time[restarts[0] - 1 : restarts[0] + 1]
         remarks.append(
             f"the clock was set back {len(restarts)} times (from {before:.1f} s to {after:.1f} s): each time a new "
@@ -90,10 +95,47 @@ def _increasing(topic: Topic) -> Topic:
     return topic.select(rows)
 
 
+def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
+    """Return places in the file and times of all messages, in the order of the file."""
+    order = np.concatenate([topic.order for topic in topics.values()])
+    time = np.concatenate([topic.time for topic in topics.values()])
+    rows = np.argsort(order, kind="stable")
+    return order[rows], time[rows]
+
+
+def _restarts(time: Vector) -> list[int]:
+    """Return the first messages of clocks that were set back."""
+    size = STAMPS.block_size
+    steady = _steady(time)
+    restarts = set()
+    falls = np.flatnonzero(np.diff(steady) < -STAMPS.restart_step)
+    for block in falls.tolist():
+        start = max(block - 3, 0) * size
+        window = time[start : (block + 5) * size]
+        middle = (steady[block] + steady[block + 1]) / 2
+        # before the restart messages are later than the middle, behind it earlier
+        balance = np.cumsum(np.where(window > middle, 1, -1))
+        restarts.add(start + int(np.argmax(balance)) + 1)
+    return sorted(restarts - {len(time)})
+
+
+def _valid_times(time: Vector) -> tuple[float, float]:
+    """Return the earliest and the latest time that messages of a part may have."""
+    steady = _steady(time)
+    step = np.abs(np.diff(steady)).max(initial=0.0)
+    margin = STAMPS.margin + min(step, STAMPS.largest_step)
+    return steady.min() - margin, steady.max() + margin
+
+
 def _steady(time: Vector) -> Vector:
-    """Return the median time of the neighbours of each message."""
-    rows = pd.Series(time).rolling(SETTINGS.n_neighbours, center=True, min_periods=1)
-    return rows.median().to_numpy()
+    """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
+    size = min(STAMPS.block_size, len(time))
+    n_blocks = len(time) // size
+    blocks = time[: n_blocks * size].reshape(n_blocks, size)
+    medians = np.pad(np.median(blocks, axis=1), 2, mode="edge")
+    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and
+    # 1.15.3 returns 0.
+    return np.median(sliding_window_view(medians, 5), axis=1)
 
 
 def usual_step(step: Vector) -> float:
@@ -103,14 +145,14 @@ def usual_step(step: Vector) -> float:
     """
     median = np.median(step)
     gap = step > CLOCK.gap * median
-    are_bursts = gap.mean() > SETTINGS.most_gaps and step[gap].sum() > 0.5 * step.sum()
+    are_bursts = gap.mean() > RESAMPLING.most_gaps and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step) if are_bursts else median)
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
     """Return the multiples of 1 / rate [s] within the runs of a channel."""
     step = np.diff(time)
-    pause = max(SETTINGS.pause_seconds, SETTINGS.pause_steps * np.median(step))
+    pause = max(RESAMPLING.pause_seconds, RESAMPLING.pause_steps * np.median(step))
     ticks = []
     for run in runs_between(time, pause):
         first = np.ceil(time[run][0] * rate - 1e-6)
@@ -144,9 +186,9 @@ def _low_passed(time: Vector, values: Matrix, rate: float) -> Matrix:
     """Return a run without the frequencies that the new rate cannot carry."""
     n = len(time)
     old_rate = (n - 1) / (time[-1] - time[0])
-    if old_rate < SETTINGS.least_ratio * rate:
+    if old_rate < RESAMPLING.least_ratio * rate:
         return values
     even = np.linspace(time[0], time[-1], n)
     evenly = interpolated(even, time, values)
-    passed = low_pass(evenly, old_rate, SETTINGS.cutoff * rate, order=SETTINGS.filter_order)
+    passed = low_pass(evenly, old_rate, RESAMPLING.cutoff * rate, order=RESAMPLING.filter_order)
     return interpolated(time, even, passed)

@@ -355,9 +355,23 @@ class TestStamps:
         times[len(time) + place] = 5000.0
         log = request.getfixturevalue(kind)().gyros(times, np.repeat([1.0, 2.0], len(time)))
         log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
-        words = r"the clock was set back 1 times \(from \d+\.\d s to 2\.\d s\)"
+        words = r"the clock was set back 1 times \(from 50\.0 s to 2\.0 s\)"
         rates = told(words, log, airborne=False).groupby("flight").p
         assert_allclose([rates.min(), rates.max()], [[1.0, 2.0]] * 2)
+
+    @pytest.mark.parametrize(
+        ("rate", "n_before", "n_after"),
+        [(50.0, 30, 1000), (50.0, 1000, 40), (4.0, 400, 400), (2.0, 400, 400)],
+    )
+    def test_all_messages_beside_a_restart_stay(self, told, dataflash, rate, n_before, n_after):
+        """Near an end of the log, and slow ones; each is in its flight."""
+        times = np.append(500 + np.arange(n_before) / rate, 2 + np.arange(n_after) / rate)
+        log = dataflash().gyros(times, np.repeat([1.0, 2.0], [n_before, n_after]))
+        log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
+        table = told("the clock was set back 1 times", log, airborne=False)
+        rates = table.groupby("flight", sort=False).p
+        assert_allclose([rates.min(), rates.max()], [[1.0, 2.0]] * 2)
+        assert rates.count().tolist() == [n_before, n_after]
 
     def test_messages_out_of_order_are_sorted(self, recorded):
         time = np.arange(500) * 0.02

@@ -640,9 +640,17 @@ def test_flights_ask_for_the_wrong_size(mass, span, factor, asked, train):
     assert re.search(asked, aircraft.question_of_sizes(flights).text)
 
 
-def test_a_noisy_vane_accuses_no_size(first_minute, train):
-    """Noise of alpha attenuates the slope, and the reverse regression bounds it."""
+def test_half_a_span_is_asked_for_and_no_mass_in_grams(train):
+    """A mass of 45 g has a small slope of the lift, whose error is as small."""
+    question = Aircraft.estimate(45.0, 1.4).question_of_sizes(FlightTable.of(train)).text
+    assert "span 1.4 m" in question
+    assert "45 g" not in question
+
+
+@pytest.mark.parametrize("name", ["alpha", "az"])
+def test_a_noisy_sensor_accuses_no_size(first_minute, train, name):
+    """Noise of alpha attenuates the slope, that of az the correlation; the reverse regression bounds it."""
     rng = np.random.default_rng(0)
-    noise = 3 * train["alpha"].std() * rng.standard_normal(len(train))
-    noisy = train.assign(alpha=train["alpha"] + noise)
+    noise = 3 * train[name].std() * rng.standard_normal(len(train))
+    noisy = train.assign(**{name: train[name] + noise})
     assert first_minute().aircraft.question_of_sizes(FlightTable.of(noisy)) is None

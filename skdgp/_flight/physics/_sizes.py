@@ -140,10 +140,12 @@ def question_of_sizes(
 ) -> Finding | None:
     """Return the finding of numbers that break a law, None if all hold.
 
-    It asks for each size that would keep all laws in another unit. Sizes that were ``estimated``
-    follow mass and span.
+    It asks for each size that would keep all laws in another unit, then for the others as they are.
+    Sizes that were ``estimated`` follow mass and span.
     """
-    broken = _broken(sizes, stds)
+    # the same in all units
+    relative = {name: std / max(abs(sizes[name]), 1e-12) for name, std in stds.items()}
+    broken = _broken(sizes, relative)
     if not broken:
         return None
     laws = []
@@ -155,13 +157,15 @@ def question_of_sizes(
     for name in given:
         for unit, factor in UNITS[name].items():
             changed = _in_other_unit(sizes, name, factor, estimated)
-            if not _broken(changed, stds):
+            if not _broken(changed, relative):
                 plausible.append((_distance_from_usual(changed), name, factor, unit))
     asked = []
     for _, name, factor, unit in sorted(plausible)[:MOST_ASKED]:
         asked.append(_asked(name, factor * sizes[name], sizes[name], unit))
-    if not asked:
-        asked = [_asked(name, sizes[name], sizes[name], "") for name in given]
+    in_other_units = {finding.channel for finding in asked}
+    for name in given:
+        if name not in in_other_units:
+            asked.append(_asked(name, sizes[name], sizes[name], ""))
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
 
 
@@ -181,15 +185,14 @@ def _distance_from_usual(sizes: Sizes) -> float:
     return float(np.mean(distances))
 
 
-def _broken(sizes: Sizes, stds: Mapping[str, float]) -> list[Law]:
-    """Return the laws whose numbers are surely outside of their limits."""
+def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[Law]:
+    """Return the laws whose numbers are surely outside of their limits, by relative standard deviations."""
     broken = []
     for law in LAWS:
         with suppress(KeyError):
             value = law.value(sizes)
-            relative = stds.get(law.uncertain, 0.0) / max(abs(sizes.get(law.uncertain, 1.0)), 1e-12)
             # the numbers are positive, so their logarithms have the error
-            factor = np.exp(min(LEAST_T * relative, 100.0))
+            factor = np.exp(min(LEAST_T * relative.get(law.uncertain, 0.0), 100.0))
             if value > factor * law.most or factor * value < law.least:
                 broken.append(law)
     return broken
@@ -248,10 +251,11 @@ def sizes_in_flight(
 
 
 def _in_bounds(slope: Slope) -> tuple[float, float]:
-    """Return the middle of the bounds of a slope, and a standard deviation that covers both.
+    """Return the middle of the bounds of a slope in logarithms, and a standard deviation that covers both.
 
     Noise of the regressor attenuates the slope; the reverse regression bounds it (Frisch 1934).
     """
-    largest = slope.value / slope.correlation**2
-    bounds = abs(largest - slope.value) / 2
-    return (slope.value + largest) / 2, slope.std + bounds / LEAST_T
+    correlation = abs(slope.correlation)
+    middle = slope.value / correlation
+    relative = slope.std / abs(slope.value) - np.log(correlation) / LEAST_T
+    return middle, abs(middle) * relative

@@ -507,9 +507,12 @@ def _no_flight_because(
     table: pd.DataFrame, speeds: Vector, least: float, landed: Mask, lifted: Mask
 ) -> str:
     """Return what rows with these speeds (n,) hold, where a flight is faster than ``least`` [m/s]."""
-    channel = "airspeed" if "airspeed" in table else "no valid airspeed, ground speed"
-    highest = np.nanmax(speeds, initial=0.0)
-    facts = f"{channel} up to {highest:.3g} m/s, where a flight stays above {least:.3g} m/s"
+    if np.isfinite(speeds).any():
+        channel = "airspeed" if "airspeed" in table else "no valid airspeed, ground speed"
+        highest = np.nanmax(speeds)
+        facts = f"{channel} up to {highest:.3g} m/s, where a flight stays above {least:.3g} m/s"
+    else:
+        facts = "neither a valid airspeed nor a ground speed"
     for mask, words in ((landed, "reports to be landed"), (lifted, "is lifted by rotors")):
         if mask.any():
             facts += f", {words} in {100 * mask.mean():.0f} % of the rows"

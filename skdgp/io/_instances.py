@@ -181,19 +181,30 @@ def _words(rule: Rule, names: list[str]) -> str:
 
 
 def _mean_engine(log: Log, rule: Rule) -> Source | None:
-    """Return the root mean square of the engines that drive, fields of the instances; None if none runs.
+    """Return the root mean square of the engines that drive, fields of the instances; None if of several none runs.
 
     Thrusts go with the square of the speeds. It is at the times of the first of these, and left out where one
-    of them tells no speed, before its first message or after its last.
+    of them tells no speed, before its first message or after its last. It is empty, with a remark, where no
+    engine tells a speed.
     """
     engines = {}
+    flags: set[str] = set()
     for instance in log.instances(rule.topic):
         valid = is_valid(instance.topic, rule)
+        flags |= {*rule.valid} & {*instance.topic.fields}
         for field in rule.fields:
             if field in instance.topic:
                 told = instance.topic.select(valid & np.isfinite(instance.topic[field]))
                 engines[f"{instance.name}.{field}"] = (told.time, rule.convert(told[field]))
-    names = fastest({name: speed[~log.lifts(time)] for name, (time, speed) in engines.items()})
+    telling = {name: (time, speed) for name, (time, speed) in engines.items() if len(time)}
+    if engines and not telling:
+        name = " and ".join([*engines][:3])
+        remark = f"{name} is never valid ({' '.join(flags)})" if flags else ""
+        return Source(rule.columns, name, np.empty(0), np.empty((0, 1)), remark=remark)
+    speeds_of_flight = {name: speed[~log.lifts(time)] for name, (time, speed) in telling.items()}
+    names = fastest(speeds_of_flight)
+    if len(engines) == 1:  # the only one stands in a glide
+        names = tuple(engines)
     if not names:
         return None
     time, _ = engines[names[0]]
@@ -275,4 +286,4 @@ def _unmeasured(rule: Rule, reading: Readings) -> str:
         if field in topic:
             fields.append(f"{field} {np.unique(topic[field]).astype(int).tolist()}")
     why = " ".join(fields) or "no number"
-    return f"{rule.words} of {name} are left out where it is no measurement, {missing:.0f} % of it ({why})"
+    return f"{rule.words} of {name}: {missing:.0f} % of the messages are no measurement and are left out ({why})"

@@ -151,9 +151,9 @@ def bench(write, dataflash):
 
 def test_an_airspeed_that_is_never_valid(bench):
     summary = inspect_log(bench)
-    assert "no valid airspeed" in summary.remarks[-1]
+    assert "neither a valid airspeed nor a ground speed" in summary.remarks[-1]
     assert any(
-        "airspeed of ARSP are left out where it is no measurement, 100 %" in remark
+        "airspeed of ARSP: 100 % of the messages are no measurement" in remark
         for remark in summary.remarks
     )
 

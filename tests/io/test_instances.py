@@ -161,7 +161,7 @@ class TestPX4:
         log = px4()
         source = ("int32_t", np.where(SLOW < 20, 2, 0))
         log.topic("airspeed_validated", SLOW, true_airspeed_m_s=TRUE, airspeed_source=source)
-        table = told(r"67 % of it .*airspeed_source", log, airborne=False)
+        table = told(r"67 % of the messages .*airspeed_source", log, airborne=False)
         assert table.airspeed[table.time > 20.1].isna().all()
         assert table.airspeed[table.time < 19.9].notna().all()
 
@@ -252,6 +252,7 @@ ENGINES = {
                        .topic("RPM", SLOW + 1e-3, I=("B", 1), RPM=6000.0, H=("B", 1)),
         RUNNING, (10, 40),
     ),
+    "the only one stands in a glide": (lambda log: turning(log, 0, 0.0), 0.0, (10, 40)),
     # it stands, and tells nothing from 15 s on
     "one whose telemetry ends is chosen by its own mean": (
         lambda log: turning(turning(log, 0, 0.0, SLOW[SLOW < 15]), 1, 6000.0), RUNNING, (10, 40),
@@ -274,6 +275,12 @@ def test_the_speed_of_the_engines(read, plane, add, speed, known):
     assert_allclose(found.propeller_speed, speed, rtol=1e-6)
     assert_allclose([found.time.min(), found.time.max()], known, atol=0.25)
     assert len(found) > 0.9 * (end - begin) * 50
+
+
+def test_engines_that_tell_no_speed_are_remarked(told, plane):
+    log = plane().topic("RPM", SLOW, RPM=6000.0, H=("B", 0))
+    table = told(r"RPM.RPM is never valid \(H\)", log, airborne=False)
+    assert "propeller_speed" not in table
 
 
 class TestVehicles:

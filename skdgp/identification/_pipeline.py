@@ -196,9 +196,14 @@ def regressors_of(pipeline: Pipeline, path: Any) -> Matrix:
 
 
 def _end_of_path(pipeline: Pipeline) -> int:
-    """Return the number of steps up to the reconstruction of paths; 0 without this step, as in a slice."""
-    names = [name for name, _ in pipeline.steps]
-    return names.index(RECONSTRUCTION) + 1 if RECONSTRUCTION in names else 0
+    """Return the number of steps up to the reconstruction of paths; 0 without this step, as in a slice.
+
+    It is found however it is named, and one of another kind by its name.
+    """
+    for number, (name, step) in enumerate(pipeline.steps, 1):
+        if name == RECONSTRUCTION or isinstance(step, FlightPathReconstruction):
+            return number
+    return 0
 
 
 def _transformed(steps: Sequence[tuple[str, Any]], flight: Any) -> Any:

@@ -286,10 +286,11 @@ def plan(run: Run) -> None:
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     writers = _plan_writers(planned, full)
-    folder: Any = run.folder
-    if "plan.lua" not in writers and (folder / "plan.json").is_file():
-        (folder / "plan.lua").unlink(missing_ok=True)  # of an earlier plan
+    folder = Path(options.output)
+    planned_before = (folder / "plan.json").is_file()
     run.finish(_plan_lines(planned, full), numbers, writers, "plan.json")
+    if planned_before and "plan.lua" not in writers:
+        (folder / "plan.lua").unlink(missing_ok=True)
 
 
 def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:

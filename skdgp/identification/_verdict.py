@@ -336,9 +336,9 @@ def _half_widths(mechanics: FlightMechanics) -> pd.Series:
     table = mechanics.derivatives.reindex(columns=["value", "std"])
     bands = table[table.index.isin(CONTROL_DERIVATIVES)]
     if mechanics.modes is not None and len(bands):
-        kinds = mechanics.modes.index.str.replace(
-            r" \d+$", "", regex=True
-        )  # of several of one kind
+        # without the numbers of several of one kind
+        names = mechanics.modes.index
+        kinds = names.str.replace(r" \d+$", "", regex=True)
         fast = mechanics.modes.loc[kinds.isin(FAST_MODES), ["frequency", "frequency_std"]]
         bands = pd.concat([bands, fast.set_axis(["value", "std"], axis=1)])
     return half_width(0.95) * bands["std"] / bands["value"].abs()

@@ -585,8 +585,9 @@ def _servo(name: str, entry: Any) -> Servo | float:
         is_sound = False
     if not is_sound:
         raise FlightReadError(
-            f"Got {name} = {entry}, but expected a channel and points, finite numbers, values of the channel, each "
-            'once, and angles [rad], alone: channel = "RCOU.C2", points = [[1100, -0.35], [1900, 0.35]].'
+            f"Got {name} = {entry}, but expected a channel and points, and no other keys. Points are two or more pairs "
+            "of finite numbers, values of the channel, each once, and angles [rad]: "
+            'channel = "RCOU.C2", points = [[1100, -0.35], [1900, 0.35]].'
         )
     largest = np.abs(angles).max()
     if largest > np.pi / 2:

@@ -65,7 +65,7 @@ class TestDamage:
         parts = ticks(*range(1, 5004)).parts()
         head, data = parts[:-5003], parts[-5003:]
         data[2] = b"\xff\x04D" + data[2][3:]
-        marked = [mark.join([b"", b"".join(data[k : k + 100])]) for k in range(103, 5003, 100)]
+        marked = [mark + b"".join(data[k : k + 100]) for k in range(103, 5003, 100)]
         log = read(*head, *data[:103], *marked)
         assert times(log) == [1, 2, *range(104, 5004)]
         assert log.remarks == SKIPPED

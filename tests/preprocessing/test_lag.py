@@ -266,7 +266,7 @@ class TestTransform:
 
 @pytest.mark.parametrize("rate_limit", [2.0, 20.0])
 def test_a_limit_of_the_rate_of_servos_is_found_where_flights_reach_it(rate_limit):
-    """Turns w' = -a w + b d, behind servos of 40 ms that moves steps of many sizes at up to some 5 rad/s."""
+    """Turns w' = -a w + b d, behind servos of 40 ms that move steps of many sizes at up to some 5 rad/s."""
     rng = default_rng(0)
     step = 0.004
     n = 20000

@@ -38,7 +38,7 @@ POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 NONE = Interval(0.0, 0.0, "0")
 # of signals of different origin
-UNALIKE = Interval(0.0, 0.0, "another signal")
+UNALIKE = Interval(0.0, 0.0, "signals that differ")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,7 +65,7 @@ class PhysicsSettings:
     # least correlation at a lag that is a contradiction, whatever the slope (guess)
     lagged_correlation: float = 0.5
 
-    # least ratio of explained to unexplained variance of a copy: equal but for rounding and means of samples
+    # least ratio of explained to unexplained variance of a copy: rounding and means of samples remain (guess)
     copied: float = 1e6
     # least part of the wind across the heading in the airspeed that tells it from the speed over the ground (guess)
     least_drift: float = 0.05

@@ -207,8 +207,8 @@ def receive(link: socket.socket, wait: float) -> tuple[Packet, Any] | None:
         if packet is not None:
             return packet, sender
         warn(
-            f"Got {len(data)} bytes that are no packet of ArduPilot's JSON interface, but expected 16 or 32 pulses "
-            "behind the number 18458 or 29569: they are ignored."
+            f"Got {len(data)} bytes of {sender[0]}:{sender[1]} that are no packet of ArduPilot's JSON interface, but "
+            "expected 16 or 32 pulses behind the number 18458 or 29569: they are ignored."
         )
     return None
 

@@ -86,12 +86,10 @@ class Loop:
     of_error: Filters = ()  #: Of the rate error
     of_target: Filters = ()  #: Of the commanded rate
     of_derivative: Filters = ()
-    is_ardupilot: bool = (
-        False  #: D acts on the error, and F is divided by true over equivalent airspeed
-    )
-    coordination: float = (
-        0.0  #: Part of the rate of a coordinated turn, g phi / V, that is commanded
-    )
+    #: D acts on the error; FF is divided by the ratio of true to equivalent airspeed
+    has_ardupilot_rate_law: bool = False
+    #: Part of the rate of a coordinated turn, g phi / V, that is commanded
+    coordination: float = 0.0
     washout: float = 0.0  #: Corner of a high-pass filter of the rate error [rad/s]
     slip: float = 0.0  #: ArduPilot's YAW2SRV_SLIP: yaw rate per lateral acceleration [rad s/m]
     rudder: float = 0.0  #: Deflection of the rudder that is mixed in at an output of 1 [rad]
@@ -112,11 +110,11 @@ class Loop:
             error = error * s / (s + self.washout)
         derivative = self.D * s * _filtered(s, self.of_derivative)
         of_error = (self.P + self.I / s) * error
-        if self.is_ardupilot:
+        if self.has_ardupilot_rate_law:
             of_error = of_error + derivative * error
-        of_rate = of_error if self.is_ardupilot else of_error + derivative
+        of_rate = of_error if self.has_ardupilot_rate_law else of_error + derivative
         target = _filtered(s, self.of_target)
-        feed_forward = self.FF / to_true if self.is_ardupilot else self.FF
+        feed_forward = self.FF / to_true if self.has_ardupilot_rate_law else self.FF
         forward = k**2 * (of_error + self.D_FF * s) + k * feed_forward
         laws = {rate: -(k**2) * of_rate * gyro}
         if np.isfinite(self.time_constant) and angle:

@@ -413,7 +413,7 @@ def _ardupilot_loops(
             "of_error": (*value.low_pass(f"{rate}_FLTE"), *_numbered_notch(value, f"{rate}_NEF")),
             "of_target": (*value.low_pass(f"{rate}_FLTT"), *_numbered_notch(value, f"{rate}_NTF")),
             "of_derivative": value.low_pass(f"{rate}_FLTD"),
-            "is_ardupilot": True,
+            "has_ardupilot_rate_law": True,
         }
         if name == "roll" and "rudder" in full:
             settings["rudder"] = value("KFF_RDDRMIX") * full["rudder"]
@@ -467,22 +467,25 @@ def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float
     for name in HARMONIC_NOTCHES:
         if not value(f"{name}_ENABLE"):
             continue
-        lowest = value(f"{name}_FREQ", default=80.0)
-        if value(f"{name}_REF") and (mode := value(f"{name}_MODE", default=1.0)) != FIXED:
+        frequency = value(f"{name}_FREQ", default=80.0)
+        lowest = frequency
+        mode = value(f"{name}_MODE", default=1.0) if value(f"{name}_REF") else FIXED
+        if mode != FIXED:
             following[f"{name}_MODE"] = mode
-            lowest *= value(f"{name}_FM_RAT", default=1.0) if mode == BY_THROTTLE else 1.0
-        notches += _harmonics(value, name, lowest)
+        if mode == BY_THROTTLE:
+            lowest *= value(f"{name}_FM_RAT", default=1.0)
+        notches += _harmonics(value, name, frequency, lowest)
     return tuple(notches), following
 
 
-def _harmonics(value: Parameters, name: str, lowest: float) -> list[Notch]:
+def _harmonics(value: Parameters, name: str, frequency: float, lowest: float) -> list[Notch]:
     """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic; none without width."""
     width = value(f"{name}_BW", default=40.0)
     if not width > 0:
         return []
     options = int(value(f"{name}_OPTS"))
     n_each = 2 if options & 1 else 3 if options & 16 else 1
-    frequency = max(value(f"{name}_FREQ", default=80.0), 0.52 * width)
+    frequency = max(frequency, 0.52 * width)
     spread = width / (32 * frequency)
     places = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[n_each]
     (of_all,) = _notch(frequency, width / n_each, value(f"{name}_ATT", default=40.0))

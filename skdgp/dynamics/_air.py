@@ -238,7 +238,9 @@ def _fitted(
         return float(len(S) * np.log(variance) + np.log(S).sum() + prior)
 
     bounds: Any = np.log(limits)
-    starts = np.log([(LENGTH, noise) for noise in NOISE_STARTS]).clip(*bounds.T)
+    starts = np.log([(LENGTH, noise) for noise in NOISE_STARTS])
+    # without noise they are one
+    starts = np.unique(starts.clip(*bounds.T), axis=0)
     fits = [minimize(loss, start, bounds=bounds) for start in starts]
     best = min(fits, key=lambda fit: fit.fun).x
     return float(np.sqrt(np.mean(power / spectrum(best)))), float(np.exp(best[0]))
@@ -301,7 +303,8 @@ def _check_gusts(gusts: Any) -> None:
             f"Got gusts={gusts!r}, but expected 'auto', a Turbulence, or None: calm air."
         )
     sizes = as_floats([gusts.intensity, gusts.length])
-    if sizes.shape != (2, 3) or not (np.isfinite(sizes) & (sizes >= 0)).all() or not sizes[1].all():
+    is_valid = sizes.shape == (2, 3) and np.isfinite(sizes).all() and (sizes >= 0).all()
+    if not is_valid or not sizes[1].all():
         raise ValueError(
             f"Got {gusts}, but expected three intensities >= 0 [m/s] and lengths > 0 [m], of u, v, w."
         )
@@ -321,9 +324,8 @@ class LocalAir(NamedTuple):
 
     wind: Array | None = None  #: Velocity, north, east, down, (..., 3) [m/s]
     wind_rate: Array | None = None  #: Its rate of change along the flight, (..., 3) [m/s^2]
-    gusts: Gusts | None = (
-        None  #: Besides the wind, (..., 3) each; p, q, r as regressors are relative to theirs
-    )
+    #: Gusts besides the wind, (..., 3) each; p, q, r as regressors are relative to their rates
+    gusts: Gusts | None = None
 
     def velocity(self, attitude: Array) -> Array | None:
         """Return the velocity of wind and gust, north, east, down, (..., 3), at quaternions; None at rest."""

@@ -244,7 +244,8 @@ class Motion:
         if mixing is not None and controls.keys() >= set(mixing.surfaces):
             surfaces = [np.asarray(controls[name], dtype=float) for name in mixing.surfaces]
             for name, row in zip(mixing.controls, mixing.matrix, strict=True):
-                mixed[name] = sum(map(np.multiply, row, surfaces))
+                if name in self.controls:
+                    mixed[name] = sum(map(np.multiply, row, surfaces))
         controls = mixed | dict(controls)
         check_names(self.controls, controls, "controls")
         return controls

@@ -226,7 +226,8 @@ def _add_controls(root: Element, model: PortableModel, full: Mapping[str, float]
         if name in model.regressor_names:
             channel.extend(_surface(name, full[name], *model.servos.tolist()))
     names = [r.name for r in model.regressors if not r.power and r.name not in SOURCES]
-    control[:0] = [_named("property", f"fcs/{name}", value="0") for name in names]
+    for i, name in enumerate(names):
+        control.insert(i, _named("property", f"fcs/{name}", value="0"))
 
 
 def _surface(name: str, full: float, lag: float, delay: float, rate_limit: float) -> Element:
@@ -255,7 +256,9 @@ def _add_aerodynamics(root: Element, model: PortableModel) -> None:
         functions.append(_function(f"aero/scaled/{name}", value))
     for coefficient in COEFFICIENTS:
         functions += _coefficient(model, coefficient)
-    _part(root, "aerodynamics")[:0] = functions
+    aerodynamics = _part(root, "aerodynamics")
+    for i, function in enumerate(functions):
+        aerodynamics.insert(i, function)
 
 
 def _source(regressor: Regressor, aircraft: Aircraft) -> list:

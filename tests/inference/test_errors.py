@@ -95,6 +95,19 @@ def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes():
         assert_allclose(large[0, 0], found[0])
 
 
+def test_errors_by_noise_that_is_correlated_with_another_regressor():
+    rng = default_rng(0)
+    exact = rng.normal(size=(200_000, 2))
+    noise = 0.4 * rng.normal(size=len(exact)) + 0.3 * exact[:, 0]
+    X = np.column_stack([exact[:, 0], exact[:, 1] + noise])
+    truth = np.array([-0.4, 0.8])
+    found = np.linalg.lstsq(X, exact @ truth)[0]
+    covariance = np.zeros((2, 2))
+    covariance[:, 1] = [0.3, 0.4**2 + 0.3**2]
+    assert abs(found - truth).max() > 0.1
+    assert_allclose(found + attenuation(X, covariance, found).sum(axis=1), truth, atol=0.01)
+
+
 @pytest.mark.parametrize("memory", [0.01, 4.0])
 def test_slopes_of_a_line_err_as_stated(memory):
     """White and lasting noise: errors over deviations have a root mean square near one."""

@@ -58,6 +58,7 @@ class OptimizerSettings:
 
 SETTINGS = OptimizerSettings()
 GRIDS = 40  # the finest has the spacing of rounding errors
+ROUNDING = 1e-9  # distance from a bound at which a step ends there
 
 
 class Optimum(NamedTuple):
@@ -247,10 +248,11 @@ def _on_grid(theta, spacing, bounds):
     The spacing is a power of three, as the standard errors have rounding errors too: a centre is also
     one of a finer grid, so that no step begins between two cells.
     """
+    low, high = bounds.T
     spacing = 3.0 ** np.round(np.log(spacing) / np.log(3.0))
-    centre = np.clip(spacing * (np.floor(theta / spacing) + 0.5), *bounds.T)
-    at_bound = (theta <= bounds[:, 0]) | (theta >= bounds[:, 1])
-    return np.where(at_bound, theta, centre)
+    centre = np.clip(spacing * (np.floor(theta / spacing) + 0.5), low, high)
+    is_low, is_high = theta <= low + ROUNDING, theta >= high - ROUNDING
+    return np.where(is_low, low, np.where(is_high, high, centre))
 
 
 def _corrected(S, A, step, change):

@@ -207,6 +207,25 @@ def both_sides(A: Array, values: Array) -> Array:
     return _times(left, A.mT)
 
 
+def _weighted_errors(linear: Linearization, noise: Noise, predicted: Array, x: Matrix) -> Array:
+    """Return S^-1 (y - H Phi x), (n - 1, m, 1), of filtered states x (n - 1, N) and predicted covariances."""
+    R = _covariances(linear, noise)[1][:, :, 0] + linear.added
+    S = linear.H @ predicted @ linear.H.mT + R
+    error = linear.path_error - matrix_vector(linear.H, matrix_vector(linear.Phi, x))
+    weighted: Any = np.linalg.solve(S, error[..., None])
+    return weighted
+
+
+def _propagated_covariances(T: Array, push: Array, start: Array) -> Array:
+    """Return P (n, N, s, N) with P[k + 1] = T[k] P[k] T[k]^T + push[k], s sets, from the ``start`` (N, s, N)."""
+    N = len(start)
+    P = np.concatenate([start[None], push])
+    for k in range(len(T)):
+        left = (T[k] @ P[k].reshape(N, -1)).reshape(-1, N)
+        P[k + 1] += (left @ T[k].T).reshape(start.shape)
+    return P
+
+
 def noise_slopes(
     linear: Linearization, filter_pass: Pass, noise: Noise, change: Noise
 ) -> Iterator[tuple[slice, Array, Array]]:
@@ -231,10 +250,7 @@ def noise_slopes(
         part = linear.part(first, first + STEPS_AT_A_TIME)
         Phi, H, K = part.Phi, part.H, filter_pass.gain[steps]
         x = deviations[:-1][steps]
-        R = _covariances(part, noise)[1][:, :, 0] + part.added
-        S = H @ filter_pass.predicted_covariance[steps] @ H.mT + R
-        error = part.path_error - matrix_vector(H, matrix_vector(Phi, x))
-        u: Any = np.linalg.solve(S, error[..., None])
+        u = _weighted_errors(part, noise, filter_pass.predicted_covariance[steps], x)
         Htu = H.mT @ u
         dQ, dR, dR_past = _covariances(part, change)
         h = part.time_step[:, None, None]
@@ -243,12 +259,7 @@ def noise_slopes(
         V = dQ + turned + turned.swapaxes(1, 3)
         A = np.eye(N) - K @ H
         T = A @ Phi
-        dP = np.empty((len(T) + 1, N, s, N))
-        dP[0] = dP_start
-        dP[1:] = both_sides(A, V) + both_sides(K, dR)
-        for k in range(len(T)):
-            left = (T[k] @ dP[k].reshape(N, -1)).reshape(-1, N)
-            dP[k + 1] += (left @ T[k].T).reshape(N, s, N)
+        dP = _propagated_covariances(T, both_sides(A, V) + both_sides(K, dR), dP_start)
         by_process = _times(V, Htu)[..., 0]
         by_sensors = K @ _times(dR, u)[..., 0]
         through_gain = Phi @ _times(dP[:-1], Phi.mT @ Htu)[..., 0] + by_process

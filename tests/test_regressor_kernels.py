@@ -104,6 +104,25 @@ class TestBounds:
         assert len(caught) == 1
         assert caught[0].filename == __file__
 
+    @pytest.mark.parametrize(
+        ("bounds", "shift"),
+        [
+            ((-2.0, 2.0), -1.0),
+            (np.broadcast_to([-2.0, 2.0], (1, 2, 1, 2)), -1.0),
+            ((0.0, 2.0), 0.0),
+            (np.array([[[[0.0, 0.0]], [[0.0, 2.0]]]]), 0.0),
+        ],
+    )
+    def test_of_shifts_are_of_differences_or_of_each_output(self, bounds, shift):
+        x = np.linspace(0, 12, 40)[:, None]
+        Y = np.hstack([np.sin(x), np.sin(x + 1)]) + default_rng(0).normal(0, 0.05, (40, 2))
+        kernel = ConvolvedGaussian(
+            1, private_latents=False, parameter_bounds={"shift": bounds, "length_scale": (1, 3)}
+        )
+        with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):
+            learned = quick(kernel, trend=None).fit(x, Y).kernel_.value("shift")[0, :, 0]
+        assert learned[1] - learned[0] == pytest.approx(shift, abs=0.1)
+
     def test_from_the_data_are_not_told_nor_those_where_a_refit_starts(self):
         X, Y = waves()
         level = np.column_stack([Y[:, 0], 0.3 * X[:, 0]])  # a line needs no width

@@ -414,7 +414,7 @@ def _at_bounds(kernel):
         tolerance = SETTINGS.bound_tolerance * width
         distances = {"lower": np.abs(value - low), "upper": np.abs(high - value)}
         for column, (side, distance) in enumerate(distances.items()):
-            for k in np.flatnonzero(distance <= tolerance):
+            for k in np.flatnonzero((distance <= tolerance) & (low < high)):
                 entry = np.argwhere(f.index == k)[0].tolist()
                 text = f"{f.name}{entry} = {values[k]:.3g} ({side} bound {pairs[k, column]:.3g})"
                 reached[f.name, int(k), side] = text

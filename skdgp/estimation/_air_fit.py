@@ -137,7 +137,7 @@ class AirFit:
         was_small = False
         converged = False
         likelihood = -np.inf
-        best = likelihood, self.x, self.noise_search.psi
+        best = likelihood, self.x.copy(), self.noise_search.psi.copy()
         for number in range(settings.max_passes):
             notify(Progress("estimating the air", number, settings.max_passes))
             sums, fitted = self._pass(by_instruments=number >= n_before)

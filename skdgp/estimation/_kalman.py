@@ -48,7 +48,7 @@ from scipy.linalg import lapack
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 
-STEPS_AT_A_TIME = 128  # whose slopes fit into the cache of a processor
+STEPS_AT_A_TIME = 128  # whose slopes fit into the cache of a processor (guess)
 
 
 class Linearization(NamedTuple):

@@ -434,7 +434,7 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
     the lag of servos smaller. Lag and delay replace each other: their errors are opposite, and the standard
     deviations of `Servos` are of the profile likelihood over the lag, whose logarithm counts a third, as residuals are
     correlated, and of ``surfaces``, the lag without servos. That one is the error of the time of the
-    commands behind both, and alone decides what is removed. Without
+    commands behind both, and decides whether a lag is removed. Without
     evidence of a delay the lag without one is removed: slow inputs tell it better than either.
     """
     segments = [segment for segment in segments if segment.present(ALL_SURFACES)]

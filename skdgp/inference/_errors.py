@@ -197,13 +197,14 @@ class KnownSlopes(NamedTuple):
 def linear_weights(X: Matrix, Y: Any) -> Matrix:
     """Return intercepts and slopes (d + 1, P) of Y (n, P) by X (n, d), by least squares of the rows that are known."""
     complete = np.isfinite(X).all(axis=1)
-    X = X[complete]
-    centre = X.mean(axis=0)  # a constant regressor has no slope
-    design = linear_basis(X - centre)
-    Y = np.asarray(Y, dtype=float)[complete]
-    weights = np.column_stack([least_squares(design, y) for y in Y.T])
-    weights[0] -= centre @ weights[1:]
-    return weights
+    weights = []
+    for y in np.asarray(Y, dtype=float).T:
+        rows = complete & np.isfinite(y)
+        centre = X[rows].mean(axis=0)  # a constant regressor has no slope
+        of_output = least_squares(linear_basis(X[rows] - centre), y[rows])
+        of_output[0] -= centre @ of_output[1:]
+        weights.append(of_output)
+    return np.column_stack(weights)
 
 
 def misfit_variance(posterior: Predictor, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:

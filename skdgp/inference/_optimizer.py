@@ -57,7 +57,7 @@ class OptimizerSettings:
 
 
 SETTINGS = OptimizerSettings()
-GRIDS = 40  # the finest has the spacing of rounding errors
+GRIDS = 30  # the finest has the spacing of rounding errors
 ROUNDING = 1e-9  # distance from a bound at which a step ends there
 
 
@@ -193,11 +193,13 @@ def _proposed(theta, point, curvature, bounds, damping, settings):
     """Return the end of a step on the coarsest grid that keeps most of its predicted rise, and this rise."""
     step = _step(theta, point, curvature, bounds, damping, settings.longest)
     promised = _predicted_rise(step, point, curvature)
+    if promised <= 0.0:
+        return theta + step, promised
     spacing = settings.grid * _standard_errors(point.information)
     for _ in range(GRIDS):
         end = _on_grid(theta + step, spacing, bounds)
         predicted = _predicted_rise(end - theta, point, curvature)
-        if predicted > settings.kept * promised > 0.0:
+        if predicted > settings.kept * promised:
             return end, predicted
         spacing /= 3.0
     return theta + step, promised

@@ -76,7 +76,7 @@ def n_mattering(
     """Return the number of hyperparameters that matter to the covariance of samples X (n, d).
 
     An amplitude that is nearly zero does not, nor does a length scale far beyond the samples, nor the
-    shift of one output of each latent, as only differences matter.
+    shift of one output of a latent whose outputs all move, as only differences matter.
     """
     return sum(_n_mattering(term, column_scale(X), settings) for term in kernel.summands())
 
@@ -88,13 +88,11 @@ def _n_mattering(term, scale, settings):
     size = np.abs(filters.amplitude)
     total = np.sqrt(np.sum(size**2, axis=0))
     feeds = size > settings.amplitude * total
-    shifted = feeds.copy()
-    shifted[np.arange(len(feeds)), feeds.argmax(axis=1)] = False
     wide = filters.length_scale > settings.length_scale * scale
     matters = {
         "amplitude": feeds,
         "length_scale": feeds[..., None] & ~wide,
-        "shift": np.broadcast_to(shifted[..., None], wide.shape),
+        "shift": np.broadcast_to(feeds[..., None], wide.shape),
     }
     n = 0
     for parameter in term.free_parameters():
@@ -105,6 +103,8 @@ def _n_mattering(term, scale, settings):
         if parameter.name == "shift":
             limits = np.broadcast_to(parameter.bounds, (*free.shape, 2))
             free = free & (limits[..., 0] < limits[..., 1])
+            all_move = free.any(axis=1) & (free == feeds[..., None]).all(axis=1)
+            n -= int(all_move.sum())
         n += len(np.unique(numbers[free]))
     return n
 

@@ -7,7 +7,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import FunctionErrors, attenuation
+from skdgp.inference import FunctionErrors, attenuation, linear_weights
 
 N_DRAWN = 300
 # Relative error of a standard deviation of so many draws, five of its own
@@ -106,6 +106,15 @@ def test_errors_by_noise_that_is_correlated_with_another_regressor():
     covariance[:, 1] = [0.3, 0.4**2 + 0.3**2]
     assert abs(found - truth).max() > 0.1
     assert_allclose(found + attenuation(X, covariance, found).sum(axis=1), truth, atol=0.01)
+
+
+def test_a_regressor_that_is_constant_where_an_output_is_known_has_no_slope():
+    rng = default_rng(0)
+    x = rng.normal(size=40)
+    is_known = np.arange(40) < 20
+    y = np.where(is_known, 5 + 2 * x, np.nan)
+    X = np.column_stack([x, is_known])
+    assert_allclose(linear_weights(X, np.column_stack([y, x]))[:, 0], [5, 2, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize("memory", [0.01, 4.0])

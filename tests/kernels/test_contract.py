@@ -51,6 +51,9 @@ KERNELS = {
             )
         }
     ),
+    "shifts of every output": convolved(
+        1, parameter_bounds={"shift": np.broadcast_to([-3.0, 3.0], (4, 3, 2, 2))}
+    ),
     "trend": trend(),
     "of scikit-learn": coregionalized(Matern([0.8, 1.7], nu=2.5)),
     "product of scikit-learn, partly fixed": coregionalized(

@@ -127,7 +127,8 @@ def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
 def _margin_text(table: pd.DataFrame) -> str:
     """Return margins as text."""
     shown = table.rename_axis(index=["", ""])
-    return shown.to_string(float_format="{:.3g}".format, na_rep="")
+    as_percent = {"probability": "{:.0%}".format}
+    return shown.to_string(float_format="{:.3g}".format, formatters=as_percent, na_rep="")
 
 
 PARAMETERS = option(

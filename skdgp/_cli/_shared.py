@@ -353,10 +353,11 @@ class Run:
         numbers: dict[str, Any],
         files: Mapping[str, Writer],
         record: str = "",
+        obsolete: Sequence[str] = (),
     ) -> None:
         """Write files into the folder, if there is one, all or none, and print the result with their names.
 
-        The numbers are one more file in JSON, of the name ``record``.
+        The numbers are one more file in JSON, of the name ``record``. Files of ``obsolete`` names are removed.
         """
         if self.folder is not None:
             self.console.stage("writing")
@@ -366,6 +367,8 @@ class Run:
             for name in writers:
                 (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_together(self.folder, writers)
+            for name in obsolete:
+                (self.folder / name).unlink(missing_ok=True)
             names = ", ".join(str(self.folder / name) for name in writers)
             lines = [*lines, f"wrote {names}"]
         self.print(lines, numbers)

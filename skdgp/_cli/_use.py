@@ -286,11 +286,9 @@ def plan(run: Run) -> None:
         )
     numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
     writers = _plan_writers(planned, full)
-    folder = Path(options.output)
-    planned_before = (folder / "plan.json").is_file()
-    run.finish(_plan_lines(planned, full), numbers, writers, "plan.json")
-    if planned_before and "plan.lua" not in writers:
-        (folder / "plan.lua").unlink(missing_ok=True)
+    planned_before = (Path(options.output) / "plan.json").is_file()
+    obsolete = ["plan.lua"] if planned_before and "plan.lua" not in writers else []
+    run.finish(_plan_lines(planned, full), numbers, writers, "plan.json", obsolete)
 
 
 def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:

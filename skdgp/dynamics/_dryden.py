@@ -44,8 +44,7 @@ def dryden_system(
     """
     Tu, Tv, Tw = np.asarray(length) / airspeed
     su, sv, sw = intensity
-    lag = 4 * span / (np.pi * airspeed)
-    lag_r = 3 * span / (np.pi * airspeed)
+    lag, _, lag_r = gust_rate_lags(airspeed, span)
     first = np.array([[-1 / Tu, 0.0], [su * np.sqrt(2 * Tu) / lag, -1 / lag]])
     A = block_diag(first, _second_order(Tv, sv, lag_r), _second_order(Tw, sw, lag), [[-1 / lag]])
     B = np.zeros((9, 4))
@@ -71,7 +70,21 @@ def rolling_gust(airspeed: float, span: float, intensity: Any, length: Any) -> t
     area = span * np.asarray(length)
     wide = (np.pi * np.asarray(length) / (4 * span)) ** (1 / 3)
     std = np.pi * np.asarray(intensity) * np.sqrt(wide / (10 * area))
-    return std, 4 * span / (np.pi * airspeed)
+    return std, gust_rate_lags(airspeed, span)[0]
+
+
+def gust_rate_lags(airspeed: Any, span: float) -> Array:
+    """Return the lags (3, ...) of the rates p, q, r of the air behind the slopes of its gusts [s].
+
+    Those of H_p, H_q and H_r (MIL-F-8785C, 3.7.2.2), at the airspeed [m/s] with a span [m].
+
+    Examples
+    --------
+    >>> from skdgp.dynamics import gust_rate_lags
+    >>> gust_rate_lags(20.0, 2.8).round(3)
+    array([0.178, 0.178, 0.134])
+    """
+    return np.multiply.outer([4.0, 4.0, 3.0], span / (np.pi * np.asarray(airspeed)))
 
 
 def _second_order(T: float, sigma: float, lag: float) -> Array:

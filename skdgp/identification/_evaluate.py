@@ -27,10 +27,11 @@ from skdgp.identification._pipeline import (
     FlightPipeline,
     band_of,
     named_regressors,
+    noise_ratio,
+    reconstruction_of,
     regressors_of,
     with_path,
 )
-from skdgp.identification._pipeline import noise_ratio as noise_ratio_of
 from skdgp.metrics import (
     interval_coverage,
     median_relative_error,
@@ -174,16 +175,18 @@ def evaluate(
     notify(f"evaluating {name}")
     loads = {key: options[key] for key in ("thrust", "external_forces")}
     corrected = pipeline[:1].transform(flight)
-    path = with_path(pipeline, corrected, first=1)
-    X, noise_ratio = regressors_of(pipeline, path), noise_ratio_of(pipeline, path)
+    path = with_path(pipeline[1:], corrected)
+    X = regressors_of(pipeline[1:], path)
+    ratio = noise_ratio(pipeline, path)
     checked = replace(flight, table=corrected)
-    # beside the logged inputs
-    states = corrected.assign(**path.drop(columns=[*ALL_SURFACES], errors="ignore"))
+    states = corrected
+    if reconstruction_of(pipeline) is not None:  # beside the logged inputs
+        states = corrected.assign(**path.drop(columns=[*ALL_SURFACES], errors="ignore"))
     band = band_of(pipeline)
     measured = aerodynamic_coefficients(checked, aircraft, cutoff=without_vibration(band), **loads)
-    mean = pipeline.predict_rows(X, noise_ratio)
+    mean = pipeline.predict_rows(X, ratio)
     rows = std_rows(len(corrected))
-    std = _std(pipeline[-1], X, noise_ratio, rows)
+    std = _std(pipeline[-1], X, ratio, rows)
     variance = std**2
     if pipeline.log_errors_ is not None:  # which the measured coefficients have, too
         variance = np.maximum(variance - pipeline.log_errors_.variance(X), 0.0)

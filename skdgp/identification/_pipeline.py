@@ -27,6 +27,7 @@ from skdgp.dynamics import (
     Turbulence,
     check_aircraft,
     dynamic_pressure,
+    gust_rate_lags,
 )
 from skdgp.estimation import prior_deviations
 from skdgp.identification._log_errors import (
@@ -104,7 +105,7 @@ def make_identification_pipeline(
         With span and chord, for non-dimensional rates.
     regressors : {"quasi-steady", "classical", "paper"} or list of str, default="quasi-steady"
         As for :class:`skdgp.preprocessing.RegressorSelector`.
-    reconstruction : "auto", transformer or None, default="auto"
+    reconstruction : "auto", transformer, "passthrough" or None, default="auto"
         "auto": ``FlightPathReconstruction(aircraft=aircraft)``, which reconstructs
         the flights if no sensor is missing or contradicts the others, and estimates gusts and lag
         of the servos of flights without vanes.
@@ -185,9 +186,9 @@ def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector]:
     return regressors_of(pipeline, path), noise_ratio(pipeline, path)
 
 
-def with_path(pipeline: Pipeline, flight: Any, first: int = 0) -> Any:
-    """Return a flight after the steps from the ``first`` to the reconstruction of its path."""
-    return _transformed(pipeline.steps[first : _end_of_path(pipeline)], flight)
+def with_path(pipeline: Pipeline, flight: Any) -> Any:
+    """Return a flight after the steps up to the reconstruction of its path."""
+    return _transformed(pipeline.steps[: _end_of_path(pipeline)], flight)
 
 
 def regressors_of(pipeline: Pipeline, path: Any) -> Matrix:
@@ -436,14 +437,15 @@ class FlightPipeline(Pipeline):
 
         The horizontal axes of gusts are those of the mean wind in MIL-F-8785C, at low altitude, and those
         of the flight in a frozen field. With every angle between them equally likely, rolling and pitching
-        both have the mean of their variances, and half of the squared covariance with w. The covariance of
-        the sideslip with yawing is kept whole: along the flight it is 1.3 to 1.7 times this.
+        both have the mean of their variances, and half of the squared covariance with w. The covariance
+        of sideslip and yaw rate is not halved: in simulations with the gusts' axes along the flight it was
+        1.3 to 1.7 times :math:`T \sigma_r^2`.
         """
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
         airspeed: Any = turbulence.airspeed  # of flights it is known
         roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
         variance = np.array([(roll + pitch) / 2, (roll + pitch) / 2, yaw])
-        lag = np.array([4.0, 4.0, 3.0]) * aircraft.span / (np.pi * airspeed)  # MIL-F-8785C, 3.7.2.2
+        lag = gust_rate_lags(airspeed, aircraft.span)
         unit = aircraft.moment_lengths / (2 * airspeed)
         rates = [f"{name}{HAT}" for name in RATES]
         followed = self._followed(airspeed, lag) * variance
@@ -469,9 +471,9 @@ class FlightPipeline(Pipeline):
 
         .. math:: \frac{\mathrm{cov}(p, p_g)}{\mathrm{var}\, p_g} = \frac{d\, T}{1 + d\, T}.
 
-        One where the damping is unknown, by noise or by other targets than all coefficients. In pitch
-        static stability lets the aircraft follow less: there the fraction is an upper bound (0.68 for 0.07
-        on the Camel).
+        It is 1 where the estimated damping is not positive, or where not all six coefficients are targets.
+        In pitch static stability lets the aircraft follow less: there the fraction is an upper bound (0.68
+        instead of 0.07 for the Camel).
         """
         aircraft: Any = self.aircraft
         density = self.conditions_.get("density", 0.0)

@@ -497,3 +497,5 @@ def test_warnings_are_ranked():
     ]
     assert found.findings[0].numbers["worse"] == 6
     assert verdict().warnings == ()
+    assert verdict(derivatives=with_derivative("Cm_q", -7.5)).warnings == ()
+    assert "CY_beta +0.1." in verdict(derivatives=with_derivative("CY_beta", 0.1, 0.2)).warnings[0]

@@ -7,7 +7,6 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations as prior_deviations
-from skdgp.estimation._air_records import vibration_covariance as vibration_covariance
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._airspeed_scale import without_airspeed_error as without_airspeed_error
 from skdgp.estimation._lags import Lag, estimate_lags
@@ -32,6 +31,7 @@ from skdgp.estimation._servos import delayed_surfaces as delayed_surfaces
 from skdgp.estimation._servos import without_lag as without_lag
 from skdgp.estimation._settings import PATH_SETTINGS as PATH_SETTINGS
 from skdgp.estimation._settings import AirSettings
+from skdgp.estimation._vibration import vibration_covariance as vibration_covariance
 
 __all__ = [
     "AirMotion",

@@ -44,7 +44,6 @@ from skdgp.estimation._air_covariance import (
     error_fractions,
     estimate_covariance,
     misfit_of_sensors,
-    smoothed_air,
     unfinished_covariance,
     widened,
 )
@@ -64,6 +63,7 @@ from skdgp.estimation._air_parameters import (
     derivatives_of,
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
+from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._sensors import (
     FORCE_READINGS,
     KNOWN_ARM,

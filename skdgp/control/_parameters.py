@@ -41,7 +41,7 @@ ARDUPILOT_DEFAULTS = {
     "INS_GYRO_FILTER": 20.0,
 }
 # fmt: on
-# Notch filters of ArduPilot's gyros, and of its rate controllers
+# Harmonic notch filters of ArduPilot's gyros
 HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")
 # Tracking modes of a harmonic notch: of a fixed frequency, and by the throttle
 FIXED, BY_THROTTLE = 0, 1
@@ -52,7 +52,7 @@ POSITIVE = {
     *("RLL2SRV_TCONST", "PTCH2SRV_TCONST"),
 }
 # Name and value: one with a decimal comma as a whole, or nothing where the line is cut off
-NAMED = re.compile(r"\b([A-Z][A-Z0-9_]{1,16})[\s,:=]+([-+]?\d+,\d|[^\s,:=]*)")
+NAMED = re.compile(r"\b([A-Z][A-Z0-9_]{1,16})(?:[\s,:=]+([-+]?\d+,\d|[^\s,:=]*)|$)")
 # Comments of ground stations and of ArduPilot's default files
 COMMENT = re.compile(r"#.*|//.*|\[[^\]]*\]")
 # Vehicle and component before the name, in files of QGroundControl

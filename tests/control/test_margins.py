@@ -550,12 +550,12 @@ def test_files_that_are_not_of_one_vehicle_are_refused(text, words, tmp_path):
         read_parameters(path)
 
 
-@pytest.mark.parametrize("value", ["abc", "nan", "0.3.4", "0,3", ",", ":"])
+@pytest.mark.parametrize("value", ["", "abc", "nan", "0.3.4", "0,3", ",", ":"])
 def test_a_gain_that_is_no_number_is_refused(value, tmp_path):
     path = tmp_path / "plane.params"
     path.write_text(f"RLL_RATE_P 0.1\nRLL_RATE_FF {value}\n")
     with pytest.raises(
-        ValueError, match=r"Got the line 'RLL_RATE_FF .*a decimal point behind RLL_RATE_FF"
+        ValueError, match=r"Got the line 'RLL_RATE_FF.*a decimal point behind RLL_RATE_FF"
     ):
         read_parameters(path)
 

@@ -347,10 +347,10 @@ def _amplitudes(
         value = trim.controls[axis]
         room = min(value - low, high - value)
         if not room > 0:
+            hint = "" if axis in limits else f"give limits={{{axis!r}: ...}} (--limits), "
             raise ValueError(
                 f"Got a trim with the {axis} at {value:.3g}, but a range of {low:.3g} to {high:.3g}, "
-                f"which leaves it no room: give limits={{{axis!r}: ...}} (--limits), leave it out of "
-                f"the axes, or choose another trim."
+                f"which leaves it no room: {hint}leave it out of the axes, or choose another trim."
             )
         amplitudes[axis] = float(min(limits.get(axis, np.inf), room))
     return amplitudes

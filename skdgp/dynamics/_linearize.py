@@ -384,9 +384,10 @@ def flight_point(
         point = point.state
     state = as_floats(point)
     if state.shape != (13,) or not np.isfinite(state).all():
+        shape = np.array(point, dtype=object).shape  # numpy refuses ragged lists otherwise
         raise ValueError(
-            "Got a point that is neither a Trim nor 13 finite numbers (STATE_NAMES): linearize one at a time, "
-            "[linearize(model, aircraft, t) for t in trims]."
+            f"Got a point of shape {shape} or with values that are not finite, but expected a Trim or "
+            "a state of 13 finite numbers (STATE_NAMES), one point a call."
         )
     if controls is None:
         raise ValueError(

@@ -253,7 +253,7 @@ def test_what_cannot_be_planned_is_said(ask, changed, words):
     ],
     ids=str,
 )
-def test_limits_that_are_none_are_refused_by_name(limit):
+def test_invalid_limits_are_refused_by_name(limit):
     with pytest.raises(ValueError, match=f"Got {next(iter(limit))}="):
         Envelope(**limit)
 

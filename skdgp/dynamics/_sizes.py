@@ -185,7 +185,7 @@ class Factor(NamedTuple):
     value: float
     std: float  # Relative
     source: str
-    is_given: bool = False
+    is_estimate: bool = True
 
 
 def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
@@ -203,7 +203,7 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
         if factor.std > 0:
             powers = _powers(values, name, is_length_given)
             deviations[name] = ScaleFactor(
-                factor.std, powers, factor.source, is_estimate=not factor.is_given
+                factor.std, powers, factor.source, is_estimate=factor.is_estimate
             )
     result = {name: derived[name] for name in QUANTITIES}
     if inertia is None:
@@ -223,7 +223,7 @@ def _factors(
     for name, value in sizes.items():
         if value is not None:
             number, std = value_and_std(name, value)
-            measured[name.replace("_", " ")] = Factor(number, std, "given", is_given=True)
+            measured[name.replace("_", " ")] = Factor(number, std, "given", is_estimate=False)
     length = measured.pop("length", None)
     factors = {}
     if "chord" not in measured:

@@ -46,8 +46,7 @@ STAGE_LIMIT = 1e9
 # Steps from one evaluation of paths to the next, and the longest time between them [s]
 STRIDE = 3
 LONGEST_STRIDE = 0.06
-# Time for which slopes are kept [s]: on a large UAV errors of the states are then 1 to 2.5 % of the spread of the
-# paths, of one state in ten 2 to 6 %; under steps of the controls 9 to 12 % was measured (p of an example)
+# Time for which slopes are kept [s]; errors: docs/simulation.md, "Bands of a trajectory"
 SLOPES_KEPT = 0.3
 # Largest change of a control in a step, over its training range, that slopes account for, and largest change
 # until the paths are evaluated again, over the one in a step
@@ -107,8 +106,8 @@ class Integrator:
     and at the last stage, :math:`x_1`, its error :math:`e = C(x_1) - C_0 - J (x_1 - x_0)` is known.
     It grows in proportion to time. With B the derivative of d state / dt by the coefficients, the state at
     the end of these steps of h seconds in all is corrected by :math:`h B e / 2`. The next tangent begins at
-    :math:`x_1`. Its slopes J are kept for some evaluations. Stages beyond the reach of the tangent evaluate the paths;
-    a step that ends there is corrected by the error at its middle alone, the steps since the last evaluation are not.
+    :math:`x_1`. Its slopes J are kept for some evaluations. Stages beyond the reach of the tangent evaluate the paths.
+    A step that ends there is corrected by the error at its middle. Steps since the last evaluation stay uncorrected.
     """
 
     def __init__(

@@ -158,7 +158,7 @@ def full_outputs(
     known = [name for name in moved if name in controls]
     if engine in (None, "throttle"):
         full = {"throttle": 1.0, **full}
-    full = check_full_deflections(full, {**dict.fromkeys(known), "throttle": None})
+    full = check_full_deflections(full, dict.fromkeys([*known, "throttle"]))
     lacking = [name for name in known if name not in full]
     if lacking:
         raise ValueError(
@@ -207,7 +207,7 @@ def receive(link: socket.socket, wait: float) -> tuple[Packet, Any] | None:
         if packet is not None:
             return packet, sender
         warn(
-            f"Got {len(data)} bytes of {sender[0]}:{sender[1]} that are no packet of ArduPilot's JSON interface, but "
+            f"Got {len(data)} bytes from {sender[0]}:{sender[1]} that are no packet of ArduPilot's JSON interface, but "
             "expected 16 or 32 pulses behind the number 18458 or 29569: they are ignored."
         )
     return None
@@ -341,7 +341,7 @@ class _Flights:
         self.simulator = simulator
         self.servos = servos
         self.steady = steady
-        # by name: the airspeed counts, in any wind
+        # By name, so that the airspeed is that of the trim in any wind
         names = ("airspeed", "alpha", "beta", "phi", "theta", "altitude")
         self.at_trim = {name: vars(steady)[name] for name in names}
         self.at_trim |= by_name(RATE_NAMES, steady.state[RATES])

@@ -239,7 +239,7 @@ def _fitted(
 
     bounds: Any = np.log(limits)
     starts = np.log([(LENGTH, noise) for noise in NOISE_STARTS])
-    # without noise they are one
+    # The starts coincide where the noise is fixed
     starts = np.unique(starts.clip(*bounds.T), axis=0)
     fits = [minimize(loss, start, bounds=bounds) for start in starts]
     best = min(fits, key=lambda fit: fit.fun).x

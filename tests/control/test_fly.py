@@ -366,6 +366,6 @@ def test_garbage_is_named_and_ignored(flown, garbage):
         autopilot.socket.sendto(garbage, autopilot.target)
         autopilot.send()
 
-    told = rf"Got {len(garbage)} bytes of 127.0.0.1:\d+ .* but expected 16 or 32"
+    told = rf"Got {len(garbage)} bytes from 127.0.0.1:\d+ .* but expected 16 or 32"
     with pytest.warns(UserWarning, match=told):
         assert flown(play).steps == 1

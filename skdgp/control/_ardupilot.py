@@ -216,8 +216,8 @@ def receive(link: socket.socket, wait: float) -> tuple[Packet, Any] | None:
 class Flown(NamedTuple):
     """A flight behind an autopilot."""
 
-    #: A flight table with at most 50 rows a second; each start of the autopilot is a ``flight``. ``beyond`` is the
-    #: regressor farthest outside its training range, or ""
+    #: A flight table with at most 50 rows a second; each start of the autopilot is a ``flight``, from 0
+    #: on. ``beyond`` is the regressor farthest outside its training range, or ""
     table: pd.DataFrame
     steps: int  #: Packets that were answered by a step
     computing: float  #: Time that the steps took [s]
@@ -413,7 +413,7 @@ class _Flights:
         now = self.simulator.time
         if now - self._row_time > ROW_STEP:
             self._row_time = now
-            name = {"flight": f"start {self.n_starts}"}
+            name = {"flight": self.n_starts - 1}
             self.rows.append(name | self.channels | commands | {"beyond": self.simulator.beyond})
         self._warn_of_beyond()
         return ""

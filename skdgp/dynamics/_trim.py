@@ -309,7 +309,7 @@ class SteadyFlight:
             solution = least_squares(
                 self.residual,
                 np.clip(start, low + margin, high - margin),
-                jac="3-point",
+                jac="2-point",
                 args=(airspeed,),
                 bounds=(low, high),
                 x_scale="jac",

@@ -17,7 +17,7 @@ COPIED = 0.5
 ROUNDED = 4
 # median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
 SAME_ATTITUDE = 0.05
-# variance of that distance, over the variance of the attitude, below which they are of one flight; a guess
+# largest total variance of the difference of attitudes over that of the attitude, of one flight (guess)
 UNSHARED = 0.1
 
 
@@ -34,16 +34,17 @@ def without_copies(
 
 
 def copies(flights: dict[str, FlightTable], others: dict[str, FlightTable]) -> dict[str, str]:
-    """Return by name the flights that are another one's copy: most of their rows are rows of it, at whatever time.
+    """Return by name the flights that repeat another one: most of their rows, or its attitude at the same times.
 
     Where both are the same flights, those that are copied stay, so that the copies of each other do not all go.
     """
     rows = {id(flight): _motion(flight) for flight in [*flights.values(), *others.values()]}
+    shortest_first = sorted(others.items(), key=lambda item: len(rows[id(item[1])]))
     found: dict[str, str] = {}
     for name, flight in flights.items():
         if flights is others and name in found.values():
             continue
-        for other_name, other in others.items():
+        for other_name, other in shortest_first:
             is_left_out = flights is others and other_name in found
             if flight is other or is_left_out:
                 continue

@@ -1,5 +1,7 @@
 """Channels of a flight: their clock, samples that are repeated, the band of the motion, and flights that are copies."""
 
+from itertools import permutations
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -205,6 +207,10 @@ CHAINS = {
     "halves and their log": ([(0, 550), (450, 1000), (0, 1000)], ["2"]),
     "each overlaps the next": ([(0, 500), (200, 700), (400, 900)], ["1"]),
     "three of one": ([(0, 500), (0, 500), (0, 500)], ["2"]),
+    **{
+        f"an excerpt of an excerpt, {ranges}": (ranges, [str(ranges.index((0, 1000)))])
+        for ranges in permutations([(0, 1000), (0, 300), (0, 450)])
+    },
 }
 
 

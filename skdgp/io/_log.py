@@ -580,7 +580,9 @@ def _servo(name: str, entry: Any) -> Servo | float:
         inputs, angles = np.transpose(sorted(entry["points"])).astype(float)
         is_entry = {*entry} == KEYS and isinstance(entry["channel"], str)
         is_finite = bool(np.isfinite([inputs, angles]).all())
-        is_sound = is_entry and is_finite and len(inputs) > 1 and _increases(inputs)
+        is_sound = (
+            is_entry and is_finite and inputs.ndim == 1 and len(inputs) > 1 and _increases(inputs)
+        )
     except (KeyError, TypeError, ValueError, OverflowError):
         is_sound = False
     if not is_sound:

@@ -44,6 +44,11 @@ class TestRefusals:
             ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "expected a channel and points"),
             (
                 "rudder",
+                ENDS | {"points": [[[1, 0.1], [2, 0.2]]]},
+                "expected a channel and points",
+            ),
+            (
+                "rudder",
                 ENDS | {"points": [[1, 0.1], [10**400, 0.2]]},
                 "expected a channel and points",
             ),

@@ -109,4 +109,5 @@ def wrap_near(new: dict[str, Vector], table: pd.DataFrame, names: Sequence[str] 
     for name in present(names, new):
         reference = table[name].to_numpy(float, na_value=np.nan)
         turns = np.round((new[name] - reference) / (2 * np.pi))
-        new[name] = new[name] - 2 * np.pi * np.nan_to_num(turns)
+        turns = np.where(np.isfinite(turns), turns, 0.0)
+        new[name] = new[name] - 2 * np.pi * turns

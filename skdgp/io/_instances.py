@@ -194,25 +194,33 @@ def _mean_engine(log: Log, rule: Rule) -> Source | None:
         flags |= {*rule.valid} & {*instance.topic.fields}
         for field in rule.fields:
             if field in instance.topic:
-                told = instance.topic.select(valid & np.isfinite(instance.topic[field]))
-                engines[f"{instance.name}.{field}"] = (told.time, rule.convert(told[field]))
-    telling = {name: (time, speed) for name, (time, speed) in engines.items() if len(time)}
-    if engines and not telling:
+                is_speed = valid & np.isfinite(instance.topic[field])
+                valid_messages = instance.topic.select(is_speed)
+                speed = rule.convert(valid_messages[field])
+                engines[f"{instance.name}.{field}"] = (valid_messages.time, speed)
+    with_speed = {name: (time, speed) for name, (time, speed) in engines.items() if len(time)}
+    if engines and not with_speed:
         name = " and ".join([*engines][:3])
-        remark = f"{name} is never valid ({' '.join(flags)})" if flags else ""
+        remark = ""
+        if flags:
+            remark = (
+                f"{rule.words} of {name}: 100 % of the messages are no measurement and are left out "
+                f"({' '.join(sorted(flags))})"
+            )
         return Source(rule.columns, name, np.empty(0), np.empty((0, 1)), remark=remark)
-    speeds_of_flight = {name: speed[~log.lifts(time)] for name, (time, speed) in telling.items()}
-    names = fastest(speeds_of_flight)
-    if len(engines) == 1:  # the only one stands in a glide
-        names = tuple(engines)
+    speeds_of_flight = {name: speed[~log.lifts(time)] for name, (time, speed) in with_speed.items()}
+    # the only one stands in a glide
+    names = tuple(engines) if len(engines) == 1 else fastest(speeds_of_flight)
     if not names:
         return None
     time, _ = engines[names[0]]
     speeds = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
     mean = np.sqrt(np.mean(np.square(speeds), axis=0))
-    known = np.isfinite(mean)
+    is_finite = np.isfinite(mean)
     note = f"root mean square of {len(names)} engines" if len(names) > 1 else ""
-    return Source(rule.columns, " and ".join(names[:3]), time[known], mean[known, None], note)
+    return Source(
+        rule.columns, " and ".join(names[:3]), time[is_finite], mean[is_finite, None], note
+    )
 
 
 def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:

@@ -277,9 +277,23 @@ def test_the_speed_of_the_engines(read, plane, add, speed, known):
     assert len(found) > 0.9 * (end - begin) * 50
 
 
+def test_the_engine_of_eight_controllers_that_runs(read, px4):
+    """PX4 logs them in one message, with other fields of each."""
+    fields = {}
+    for k in range(8):
+        fields |= {f"esc[{k}].esc_voltage": 12.0, f"esc[{k}].esc_rpm": 6000.0 * (k == 2)}
+    table = read(px4().topic("esc_status", SLOW, **fields), airborne=False)
+    assert_allclose(table.propeller_speed.dropna(), RUNNING, rtol=1e-6)
+    assert table.propeller_speed.notna().mean() > 0.9
+
+
 def test_engines_that_tell_no_speed_are_remarked(told, plane):
     log = plane().topic("RPM", SLOW, RPM=6000.0, H=("B", 0))
-    table = told(r"RPM.RPM is never valid \(H\)", log, airborne=False)
+    table = told(
+        r"RPM.RPM: 100 % of the messages are no measurement and are left out \(H\)",
+        log,
+        airborne=False,
+    )
     assert "propeller_speed" not in table
 
 

@@ -138,7 +138,9 @@ def blocks_of():
     def blocks_of(page, language="python", heading=None):
         text = (ROOT / "docs" / page).read_text(encoding="utf-8")
         if heading is not None:
-            text = text.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
+            _, found, text = text.partition(f"\n## {heading}\n")
+            assert found, heading
+            text = text.partition("\n## ")[0]
         return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
     return blocks_of

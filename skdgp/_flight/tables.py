@@ -351,7 +351,7 @@ def check_full_deflections(
     unknown = _lacking(full, known)
     if unknown:
         raise ValueError(
-            f"Got a full deflection of {unknown}, but expected some of {known}: name the controls as there."
+            f"Got a full deflection of {unknown}, but expected some of {known}: use these names."
         )
     values = {}
     for name, value in full.items():

@@ -251,7 +251,7 @@ def _is_clearly_faster(source: Source, first: Source) -> bool:
 def _problem(source: Source, rule: Rule) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
-        return source.remark or f"{source.name} has no number"
+        return source.remark or f"{source.name} has fewer than two values"
     limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
     low, high = np.transpose(limits)
     is_impossible = (source.values < low) | (source.values > high)

@@ -320,7 +320,7 @@ def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
         names = file.schema_arrow.names
         check_width(len(names))
         check_names(name.strip() for name in names)
-        kinds = {each.name: str(each.type) for each in file.schema_arrow}
+        kinds = {field.name: str(field.type) for field in file.schema_arrow}
         no_cells = {name: kind for name, kind in kinds.items() if NO_CELLS.search(kind)}
         if no_cells:
             raise FlightReadError(

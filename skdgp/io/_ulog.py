@@ -404,8 +404,11 @@ def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> S
     for n in range(min(count, MOST_SURFACES)):
         if f"control[{n}]" in outputs:
             prefix = f"CA_SV_CS{n}_"
-            own = {name: value for name, value in parameters.items() if name.startswith(prefix)}
-            surfaces[n] = {name.removeprefix(prefix): value for name, value in own.items()}
+            surfaces[n] = {
+                name.removeprefix(prefix): value
+                for name, value in parameters.items()
+                if name.startswith(prefix)
+            }
     return surfaces
 
 
@@ -425,9 +428,9 @@ def _mixed_controls(surfaces: Surfaces) -> dict[str, Control]:
     controls: dict[str, Control] = {}
     for control, (axis, sign) in TORQUES.items():
         torques = {}
-        for number, own in surfaces.items():
-            if whole(own.get("TYPE", 0.0)) in MIXED_TYPES and own.get(axis):
-                torques[number] = sign * own[axis]
+        for number, surface in surfaces.items():
+            if whole(surface.get("TYPE", 0.0)) in MIXED_TYPES and surface.get(axis):
+                torques[number] = sign * surface[axis]
         total = np.abs([*torques.values()]).sum()
         if 0 < total < np.inf:
             weights = {number: torque / total for number, torque in torques.items()}
@@ -441,9 +444,9 @@ def _flaps(surfaces: Surfaces) -> dict[str, Control]:
     See ActuatorEffectivenessControlSurfaces.cpp; versions without the parameter have none.
     """
     servos = []
-    for number, own in surfaces.items():
-        scale = own.get("FLAP")
-        if whole(own.get("TYPE", 0.0)) in FLAPS and scale:
+    for number, surface in surfaces.items():
+        scale = surface.get("FLAP")
+        if whole(surface.get("TYPE", 0.0)) in FLAPS and scale:
             throws = OPENING if scale > 0 else OPENING[::-1]
             servos.append(_servo(number, (-abs(scale), abs(scale)), throws))
     return {"flap": tuple((1 / len(servos), servo) for servo in servos)} if servos else {}
@@ -455,10 +458,10 @@ def _unread(surfaces: Surfaces) -> list[str]:
     These are airbrakes, spoilers, flaperons, and flaps of versions without a CA_SV_CSn_FLAP.
     """
     unread = []
-    for number, own in surfaces.items():
-        kind = whole(own.get("TYPE", 0.0))
-        flap = own.get("FLAP")
-        opens = kind in SPOILERS and own.get("SPOIL", 1.0)
+    for number, surface in surfaces.items():
+        kind = whole(surface.get("TYPE", 0.0))
+        flap = surface.get("FLAP")
+        opens = kind in SPOILERS and surface.get("SPOIL", 1.0)
         if opens or (kind in AILERONS and flap) or (kind in FLAPS and flap is None):
             unread.append(f"control[{number}] (CA_SV_CS{number}_TYPE {kind})")
     return [f"outputs {', '.join(unread)} move surfaces that are not read"] if unread else []

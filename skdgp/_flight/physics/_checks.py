@@ -235,7 +235,7 @@ class Equality:
 
 @dataclass(frozen=True, kw_only=True)
 class Sign:
-    """Aerodynamics give the sign of the slope."""
+    """The slope has a sign by aerodynamics, or is zero between signals of different origin."""
 
     relation: Relation
     admissible: Interval

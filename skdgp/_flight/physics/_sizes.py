@@ -64,7 +64,7 @@ FOLLOWING: dict[str, Callable[[Sizes], float]] = {
 
 def _radius(axis: str) -> dict[str, float]:
     """Return the powers of a radius of gyration over the span."""
-    return {f"I{2 * axis}": 0.5, "mass": -0.5, "span": -1.0}
+    return {f"I{axis}{axis}": 0.5, "mass": -0.5, "span": -1.0}
 
 
 # Of ten jets (Heffley & Jewell 1972, NASA CR-2144), two small UAVs (Beard & McLain 2012), light

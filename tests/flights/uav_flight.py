@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from log_errors import EULER, FORCES, RATES, VELOCITY, elsewhere, held, late
 
-from skdgp.dynamics import Aircraft, euler_to_matrix
+from skdgp.dynamics import Aircraft, air_data, euler_to_matrix
 
 DENSITY = 1.2
 GRAVITY = 9.80665
@@ -51,7 +52,19 @@ AIRS = {  # intensity [m/s], correlation time [s], spectrum
     "thermals": (0.5, 1.0, "first order with thermals"),
 }
 VIBRATION = (1.5, 0.03)  # m/s^2, rad/s
-SLOW = ("airspeed", "elevator")  # and the other surfaces: 10 Hz
+STEADY_WIND = np.array([3.0, -2.0, 0.0])
+SCALARS = ("mass", "wing_area", "airspeed", "thrust")
+SPIN = ["p_dot", "q_dot", "r_dot"]
+SURFACES = ["elevator", "aileron", "rudder"]
+COMMANDS = ["elevator_command", "aileron_command", "rudder_command"]
+# Of what the fleet flies
+CHANNELS = [*FORCES, *SPIN, "airspeed", "alpha_true", "beta", "thrust_x", "throttle", *VELOCITY]
+CHANNELS += ["u", "v", "w", *RATES, *EULER, *SURFACES, *COMMANDS]
+# White noise of channels that are logged, standard deviation
+NOISE = [(["airspeed"], 0.3), (FORCES, 0.1), (RATES, 0.005), (EULER, 0.005), (VELOCITY, 0.1)]
+NOISE += [(SURFACES, 0.0), (["throttle"], 0.0), (["thrust_x"], 0.0), (["alpha_true"], 0.0)]
+# Of the attitude of real sensors: standard deviation [rad], correlation time [s]
+ATTITUDE_ERRORS = ((0.01, 5.0), (0.01, 5.0), (0.03, 20.0))
 THERMAL = (1.5, 4.0, 25.0)  # speed [m/s], width [s], and distance [s] of thermals
 
 
@@ -99,88 +112,80 @@ class Fleet:
 
     def __init__(self, planes, airs, rngs, seconds, lags):
         n = round(seconds / STEP)
-        self.planes = planes
-        self.lags = np.array(lags)[:, None]
-        for name in ("mass", "wing_area", "airspeed", "thrust"):
-            setattr(self, name, np.array([plane[name] for plane in planes]))
-        self.lengths = np.array([[p["span"], p["chord"], p["span"]] for p in planes])
-        self.inertia = np.array([plane["inertia"] for plane in planes])
+
+        def stacked(name):
+            return np.array([plane[name] for plane in planes])
+
+        self.mass, self.wing_area, self.airspeed, self.thrust = map(stacked, SCALARS)
+        self.inertia = stacked("inertia")
         self.inverse = np.linalg.inv(self.inertia)
-        self.W = np.array([plane["derivatives"] for plane in planes])
-        self.stalls = np.array([plane["stalls"] for plane in planes])
-        self.slipstream = np.array([[plane["slipstream"]] for plane in planes])
-        self.thrust_arm = np.array([plane["thrust_arm"] for plane in planes])
-        self.gusts = np.stack([gusts(rng, n, *air) for rng, air in zip(rngs, airs, strict=True)], 1)
-        steady = [[3.0, -2.0, 0.0] if air[0] else [0.0, 0.0, 0.0] for air in airs]
-        self.gusts += np.array(steady)
-        axes = [
-            3 if plane["derivatives"][:, TERMS.index("rudder")].any() else 2 for plane in planes
-        ]
-        self.pulses = np.stack([pulses(rng, n, k) for rng, k in zip(rngs, axes, strict=True)], 1)
-        self.legs = [(rng.choice([-0.5, 0.0, 0.5], n), rng.uniform(0.85, 1.2, n)) for rng in rngs]
+        self.W = stacked("derivatives")
+        self.stalls = stacked("stalls")
+        self.thrust_arm = stacked("thrust_arm")
+        self.slipstream = stacked("slipstream")
+        self.lengths = np.stack([stacked(name) for name in ("span", "chord", "span")], axis=1)
+        self.lags = np.array(lags)[:, None]
+        has_rudder = self.W[:, :, TERMS.index("rudder")].any(axis=1)
+        winds = []
+        inputs = []
+        self.legs = []
+        for rng, air, axes in zip(rngs, airs, 2 + has_rudder, strict=True):
+            winds.append(gusts(rng, n, *air) + STEADY_WIND * bool(air[0]))
+            inputs.append(pulses(rng, n, axes))
+            self.legs.append((rng.choice([-0.5, 0.0, 0.5], n), rng.uniform(0.85, 1.2, n)))
+        self.gusts = np.stack(winds, axis=1)
+        self.pulses = np.stack(inputs, axis=1)
 
     def fly(self):
-        """Return what is logged, (rows, flights, 26)."""
+        """Return what may be logged, `CHANNELS`, (rows, flights, 29)."""
         V0 = self.airspeed
-        zero = np.zeros(len(self.planes))
-        state = np.stack([V0, zero, 0.05 * V0, *[zero] * 4, zero + 0.05, zero], axis=1)
+        state = np.outer(V0, [1.0, 0.0, 0.05, *[0.0] * 6])
+        state[:, 7] = 0.05
         actuator = np.zeros((len(V0), 3))
         rows = []
         for i, (wind, pulse) in enumerate(zip(self.gusts, self.pulses, strict=True)):
             if i % round(15 / STEP) == 0:
-                bank = np.array([banks[i] for banks, _ in self.legs])
-                speed = V0 * [speeds[i] for _, speeds in self.legs]
+                bank, speed = np.transpose([[banks[i], speeds[i]] for banks, speeds in self.legs])
+                speed *= V0
             k1, log = self.rates(state, actuator, wind, speed)
-            command = [
-                0.5 * (state[:, 7] - 0.1) + 0.08 * state[:, 4],
-                0.25 * (bank - state[:, 6]) - 0.05 * state[:, 3],
-                zero,
-            ]
-            command = np.clip(np.stack(command, axis=1) + pulse, -0.4, 0.4)
+            command = pulse.copy()
+            command[:, 0] += 0.5 * (state[:, 7] - 0.1) + 0.08 * state[:, 4]
+            command[:, 1] += 0.25 * (bank - state[:, 6]) - 0.05 * state[:, 3]
+            command = np.clip(command, -0.4, 0.4)
             if i % EVERY == 0:
-                rows.append(np.concatenate([log, state, actuator, command], axis=1))
+                rows.append(np.hstack([log, state, actuator, command]))
             state = state + STEP * self.rates(state + STEP / 2 * k1, actuator, wind, speed)[0]
             actuator = actuator + STEP / self.lags * (command - actuator)
         return np.array(rows)
 
     def rates(self, state, surfaces, wind, speed):
         """Return d state / dt (velocity, rates, angles), and loads with air data and ground velocity."""
-        v = state[:, :3]
-        w = state[:, 3:6]
-        R = euler_to_matrix(*state[:, 6:].T)
-        air = v - np.einsum("nji,nj->ni", R, wind)
-        V = np.sqrt((air**2).sum(axis=1))
-        alpha = np.arctan2(air[:, 2], air[:, 0])
-        beta = np.arcsin(air[:, 1] / V)
+        velocity, rates, angles = np.split(state, 3, axis=1)
+        R = euler_to_matrix(*angles.T)
+        V, alpha, beta = air_data(velocity - np.einsum("nji,nj->ni", R, wind))
         soft = np.where(self.stalls, STALL * np.tanh(alpha / STALL), alpha)
-        X = np.empty((len(V), len(TERMS)))
-        X[:, 0] = 1.0
-        X[:, 1] = soft
-        X[:, 2] = beta
-        X[:, 6:9] = surfaces
-        X[:, 9] = abs(beta)
-        X[:, 3:6] = w * self.lengths / (2 * V[:, None])
         throttle = np.clip(0.4 + 0.08 * (speed - V), 0.05, 1)
         thrust = throttle * self.thrust * (1 - V / (2.3 * self.airspeed))
         qS = 0.5 * DENSITY * V**2 * self.wing_area
-        wash = self.slipstream * (thrust / qS)[:, None]
-        X[:, 6:9] *= 1 + wash * [1, 0, 1]
-        C = np.einsum("nij,nj->ni", self.W, X) * qS[:, None]
-        C[:, 0] += thrust
-        C[:, 3:5] += self.thrust_arm * thrust[:, None]
-        f = C[:, :3] / self.mass[:, None]
-        H = np.einsum("nij,nj->ni", self.inertia, w)
-        dw = np.einsum("nij,nj->ni", self.inverse, C[:, 3:] * self.lengths - cross(w, H))
-        sf, st = np.sin(state[:, 6:8]).T
-        cf, ct = np.cos(state[:, 6:8]).T
-        turn = sf * w[:, 1] + cf * w[:, 2]
-        phi_dot = w[:, 0] + st / ct * turn
-        theta_dot = cf * w[:, 1] - sf * w[:, 2]
-        angles = np.stack([phi_dot, theta_dot, turn / ct], axis=1)
-        dv = f + GRAVITY * R[:, 2] - cross(w, v)
-        ground = np.einsum("nij,nj->ni", R, v)
-        log = np.column_stack([f, dw, V, alpha, beta, thrust, throttle, ground])
-        return np.concatenate([dv, dw, angles], axis=1), log
+        reduced = rates * self.lengths / (2 * V[:, None])
+        washed = surfaces * (1 + np.outer(self.slipstream * thrust / qS, [1, 0, 1]))
+        X = np.column_stack([np.ones(len(V)), soft, beta, reduced, washed, abs(beta)])
+        loads = np.einsum("nij,nj->ni", self.W, X) * qS[:, None]
+        loads[:, 0] += thrust
+        loads[:, 3:5] += self.thrust_arm * thrust[:, None]
+        force = loads[:, :3] / self.mass[:, None]
+        turning = cross(rates, np.einsum("nij,nj->ni", self.inertia, rates))
+        moment = loads[:, 3:] * self.lengths - turning
+        spin = np.einsum("nij,nj->ni", self.inverse, moment)
+        acceleration = force + GRAVITY * R[:, 2] - cross(rates, velocity)
+        sin_phi, sin_theta = np.sin(angles[:, :2]).T
+        cos_phi, cos_theta = np.cos(angles[:, :2]).T
+        p, q, r = rates.T
+        psi_dot = (sin_phi * q + cos_phi * r) / cos_theta
+        euler = np.stack([p + sin_theta * psi_dot, cos_phi * q - sin_phi * r, psi_dot], axis=1)
+        over_ground = np.einsum("nij,nj->ni", R, velocity)
+        log = np.column_stack([force, spin, V, alpha, beta, thrust, throttle, over_ground])
+        return np.hstack([acceleration, spin, euler]), log
 
 
 def cross(a, b):
@@ -196,52 +201,37 @@ def vibration(rng, throttle, dt):
 
 
 def logged(rows, rng, kind):
-    """Return the table of one flight (n, 29), with the noise of sensors, and other errors of its kind."""
+    """Return the table of one flight, with the noise of sensors, and other errors of its kind."""
     n = len(rows)
-    dt = STEP * EVERY
-    every = 1
-    held = 1
-    t = np.arange(n) * dt
-    f, spin, air, thrust, throttle, ground = np.split(rows[:, :14], [3, 6, 9, 10, 11], axis=1)
-    rates = rows[:, 17:20]
-    angles = rows[:, 20:23]
-    commands = rows[:, 26:29]
-    surfaces = rows[:, 23:26]
-    airspeed = air[:, 0]
+    table = pd.DataFrame(rows, columns=CHANNELS)
+    table = table.assign(time=STEP * EVERY * np.arange(n), density=DENSITY)
+    slow = 1
+    slower = 1
     if kind == "vibration":
-        shake = vibration(rng, throttle[:, 0], dt)
-        f = f + shake[:, :3]
-        rates = rates + shake[:, 3:]
+        table[FORCES + RATES] += vibration(rng, table["throttle"].to_numpy(), STEP * EVERY)
     if kind in ("held", "vibration"):
-        every = 10
-        held = 5
-        ground = np.stack([np.interp(t - 0.15, t, v) for v in ground.T], axis=1)
+        slow = 5
+        slower = 10
+        table = late(table, 0.15, VELOCITY)
     if kind == "real":
         arm = rng.uniform(-1, 1, 3) * [0.03, 0.005, 0.02]
-        f = f + cross(spin, arm + 0 * f) + cross(rates, cross(rates, arm + 0 * f))
-        f = f + 0.08 * rng.standard_normal(3)
-        rates = rates + 0.003 * rng.standard_normal(3)
-        for k, (std, correlation) in enumerate(((0.01, 5.0), (0.01, 5.0), (0.03, 20.0))):
-            angles[:, k] += std * gusts(rng, n * EVERY, 1.0, correlation, "first order")[::EVERY, 0]
-        every = rng.integers(5, 11)
-        late = rng.uniform(0.1, 0.2)
-        ground = np.stack([np.interp(t - late, t, v) for v in ground.T], axis=1)
-        airspeed = airspeed * (1 + 0.03 * rng.uniform(-1, 1))
-        thrust = thrust * (1 + 0.1 * rng.uniform(-1, 1))
-        surfaces = commands
-    noisy = {
-        ("airspeed",): (airspeed[:, None], 0.3), ("ax", "ay", "az"): (f, 0.1), ("p", "q", "r"): (rates, 0.005),
-        ("phi", "theta", "psi"): (angles, 0.005), ("v_north", "v_east", "v_down"): (ground, 0.1),
-        ("elevator", "aileron", "rudder"): (surfaces, 0.0), ("throttle",): (throttle, 0.0),
-        ("thrust_x",): (thrust, 0.0), ("alpha_true",): (air[:, [1]], 0.0),
-    }  # fmt: skip
-    table = {"time": t, "density": DENSITY}
-    for names, (values, std) in noisy.items():
-        values = values + std * rng.standard_normal(values.shape)
-        clock = every if names[0] == "v_north" else held if names[0] in SLOW else 1
-        values = values[np.arange(n) // clock * clock]
-        table |= dict(zip(names, values.T, strict=True))
-    return pd.DataFrame(table)
+        table = elsewhere(table, arm, table[SPIN].to_numpy())
+        table[FORCES] += 0.08 * rng.standard_normal(3)
+        table[RATES] += 0.003 * rng.standard_normal(3)
+        for name, (std, correlation) in zip(EULER, ATTITUDE_ERRORS, strict=True):
+            error = gusts(rng, n * EVERY, 1.0, correlation, "first order")
+            table[name] += std * error[::EVERY, 0]
+        slower = rng.integers(5, 11)
+        table = late(table, rng.uniform(0.1, 0.2), VELOCITY)
+        table["airspeed"] *= 1 + 0.03 * rng.uniform(-1, 1)
+        table["thrust_x"] *= 1 + 0.1 * rng.uniform(-1, 1)
+        table[SURFACES] = table[COMMANDS]
+    names = ["time", "density"]
+    for group, std in NOISE:
+        table[group] += std * rng.standard_normal((n, len(group)))
+        names += group
+    table = held(table, VELOCITY, slower)
+    return held(table, ["airspeed", *SURFACES], slow)[names]
 
 
 def truth_of(plane, alpha, load):

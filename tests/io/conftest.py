@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import flight_of_motion
 from numpy.random import default_rng
 from scipy.spatial.transform import Rotation
 
@@ -38,6 +39,7 @@ DATAFLASH_CODES = {
 }
 DATAFLASH_SCALE = {"c": 100, "C": 100, "e": 100, "L": 1e7}
 DEGREE = 180 / np.pi
+INERTIAL = ("ax", "ay", "az", "p", "q", "r")
 
 
 class LogWriter:
@@ -265,45 +267,22 @@ class Flight:
 
     def __getitem__(self, name):
         """Return a channel as a function of time."""
-        if name in ("p", "q", "r"):
-            return lambda t: self.rates(t)["pqr".index(name)]
-        if name in ("ax", "ay", "az"):
-            return lambda t: self.specific_force(t)[:, "xyz".index(name[1])]
-        mean, _ = self.SIZES[name]
-        return lambda t: mean + self.wave(name, t)
-
-    def wave(self, name, t, shift=0.0):
-        """Return the sine of a channel, shifted [rad]."""
-        _, size = self.SIZES[name]
+        if name in INERTIAL:
+            return lambda t: self.sensed(t)[name].to_numpy()
+        mean, size = self.SIZES[name]
         number = list(self.SIZES).index(name)
-        return size * np.sin(self.frequency(name) * t + number + shift)
+        frequency = 2 * np.pi * (0.05 + 0.01 * (number % 7))
+        return lambda t: mean + size * np.sin(frequency * t + number)
 
-    def frequency(self, name):
-        """Return the frequency of a channel [rad/s]."""
-        return 2 * np.pi * (0.05 + 0.01 * (list(self.SIZES).index(name) % 7))
-
-    def slope(self, name, t):
-        return self.frequency(name) * self.wave(name, t, np.pi / 2)
-
-    def rates(self, t):
-        """Return p, q, r of the attitude (Stevens & Lewis, equation 1.4-3)."""
-        phi = self["phi"](t)
-        theta = self["theta"](t)
-        phi_dot, theta_dot, psi_dot = (self.slope(name, t) for name in ("phi", "theta", "psi"))
-        return (
-            phi_dot - psi_dot * np.sin(theta),
-            theta_dot * np.cos(phi) + psi_dot * np.sin(phi) * np.cos(theta),
-            psi_dot * np.cos(phi) * np.cos(theta) - theta_dot * np.sin(phi),
-        )
-
-    def specific_force(self, t):
-        """Return the acceleration less gravity in body axes, (n, 3)."""
-        t = np.atleast_1d(t)
-        acceleration = [self.slope(name, t) for name in ("v_north", "v_east", "v_down")]
-        return self.attitude(t).inv().apply(np.column_stack(acceleration) - [0.0, 0.0, 9.80665])
+    def sensed(self, t):
+        """Return what inertial sensors read."""
+        return flight_of_motion(t, self.attitude, self.velocity)
 
     def attitude(self, t):
         return Rotation.from_euler("ZYX", self.at(t, "psi", "theta", "phi"))
+
+    def velocity(self, t):
+        return self.at(t, "v_north", "v_east", "v_down")
 
     def time(self, rate, *, delay=0.0):
         return np.arange(self.BEGIN + delay, self.END, 1 / rate)
@@ -438,27 +417,24 @@ def vtol_bench(write):
 ARRIVAL = 1.7e9  # Arrival less the clock of the vehicle [s]
 
 
-def telemetry(flight, t):
-    """Return the values of the messages of a plane at a time [s], by their type."""
-
-    def at(names, factor=1.0):
-        return (factor * flight.at([t], *names.split())[0]).tolist()
+def telemetry(now):
+    """Return the values of the messages of a plane by their type, of its channels at a time."""
 
     def whole(names, factor):
-        return list(map(round, at(names, factor)))
+        return [round(factor * getattr(now, name)) for name in names.split()]
 
-    ms = round(t * 1e3)
-    us = round(t * 1e6)
+    (ms,) = whole("time", 1e3)
+    (us,) = whole("time", 1e6)
     force = whole("ax ay az", 1e3 / 9.80665)
     elevator, rudder = whole("elevator rudder", -1000)
     pulses = 1500, 1500 + elevator, 1100, 1500 + rudder, *[1500] * 4
     position = ms, 0, 0, *whole("altitude", 1e3), 0, *whole("v_north v_east v_down", 100), 0
     return {
-        "attitude": (ms, *at("phi theta psi p q r")),
+        "attitude": (ms, now.phi, now.theta, now.psi, now.p, now.q, now.r),
         "global_position_int": position,
         "raw_imu": (us, *force, *whole("p q r", 1e3), 0, 0, 0),
-        "vfr_hud": (flight.equivalent_airspeed(t), 0, 0, *whole("throttle", 100), 0, 0),
-        "scaled_pressure": (ms, flight.pressure(t) / 100, 0, 0),
+        "vfr_hud": (now.equivalent_airspeed, 0, 0, *whole("throttle", 100), 0, 0),
+        "scaled_pressure": (ms, now.pressure / 100, 0, 0),
         "servo_output_raw": (us, 0, *pulses),
     }
 
@@ -482,9 +458,14 @@ def tlog(flight):
     for t in flight.time(1):
         send(t, "heartbeat", 1, 3, 128, 0, 0, 3)
         send(t, "heartbeat", 6, 8, 0, 0, 0, 3, by=station)
-    for t in flight.time(10):
-        for kind, values in telemetry(flight, t).items():
-            send(t, kind, *values)
+    time = flight.time(10)
+    channels = pd.DataFrame(flight.at(time, *flight.SIZES), columns=[*flight.SIZES])
+    speed, pressure = flight.equivalent_airspeed(time), flight.pressure(time)
+    for now in channels.assign(
+        time=time, equivalent_airspeed=speed, pressure=pressure
+    ).itertuples():
+        for kind, values in telemetry(now).items():
+            send(now.time, kind, *values)
     sent.sort(key=lambda each: each[0])
     late = default_rng(0).uniform(0, 0.2, len(sent))
     arrivals = np.maximum.accumulate([ARRIVAL + time for time, _ in sent] + late)

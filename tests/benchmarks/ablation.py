@@ -3,12 +3,11 @@
     python tests/benchmarks/ablation.py ../shared/data --out OUT [--cases DHC6 A4] [--airs light] [--seeds 2]
 
 Each aircraft of JSBSim flies 200 s in an air, viggen_uav as recorded, and learns from it by the
-default pipeline. Variants of preparation and of the fit are fitted; sources of error
-and weights are taken out of the fitted models without another fit. Prepared flights are kept in
-OUT/prepared, or in the folder that --cache gives. The function is asked at regressors without noise
-along another path, in calm air and in gusts, and scored by the truth; logged rows are scored by
-their measured coefficients, with the noise of the fit and of the gusts of the flight. AP2 is a real
-flight, of which one quarter is left out: logged rows alone are scored.
+default pipeline. Variants of the fit are fitted; sources of error and weights are taken out of the
+fitted models without another fit. Prepared flights are kept in OUT/prepared. The function is asked
+at regressors without noise along another path, in calm air and in gusts, and scored by the truth;
+logged rows are scored by their measured coefficients, with the noise of the fit and of the gusts of
+the flight. AP2 is a real flight, of which one quarter is left out: logged rows alone are scored.
 
 Errors are NRMSE, the mean over the coefficients. In the table of effects they are over the error of
 the whole model, geometric means over aircraft, airs and seeds, with the standard error of the mean;
@@ -20,7 +19,6 @@ not raise any of them beyond its standard error buys nothing here.
 
 import copy
 import time
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +45,6 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import flight_regressors
 from skdgp.inference import AveragePosterior, PosteriorWithErrors
-from skdgp.kernels import ConvolvedGaussian
 from skdgp.metrics import interval_coverage, normalized_rmse
 from skdgp.model_selection import thin_targets
 
@@ -62,47 +59,13 @@ CASES = [*KNOTS, *RECORDED]
 FIRST = ["Camel", "F4N", "OV10", "viggen_uav"]
 TRAINED = {"calm": (1, "calm", 0), "light": (1, "light", 1), "moderate": (1, "moderate", 2)}
 
-
-@dataclass(frozen=True)
-class Variant:
-    """Preparation and fit of a model; the defaults are the product's."""
-
-    #: Rows a second that are learned from; None: all
-    rate: float | None = None
-    #: Parameters of make_identification_pipeline
-    steps: dict = field(default_factory=dict)
-    #: Cutoff of the coefficients
-    targets: str | None = "auto"
-    #: Parameters of the regressor
-    regressor: dict = field(default_factory=dict)
-    #: Parameters of `kernel_of`; None: the product's kernel
-    kernel: dict | None = None
-
-
 WHOLE = "as it is"
+# Rows a second that are learned from, None: all; parameters of the regressor
 FITS = {
-    WHOLE: Variant(),
-    "ten rows a second": Variant(rate=10.0),
-    "without noise of regressors": Variant(regressor={"input_noise": None}),
-    "structure joint": Variant(regressor={"structure": "joint"}),
-    "without private latents": Variant(kernel={"private": False}),
-    "without bounds of widths": Variant(kernel={"bounded": False}),
-    "one latent": Variant(regressor={"n_latent": 1}),
-    "half the iterations": Variant(regressor={"max_iter": 150}),
-    "regressors not smoothed": Variant(steps={"cutoff": None}),
-    "targets not smoothed": Variant(targets=None),
-    "lags not corrected": Variant(steps={"lags": None}),
-    "flight path not reconstructed": Variant(steps={"reconstruction": "passthrough"}),
+    WHOLE: (None, {}),
+    "ten rows a second": (10.0, {}),
+    "without noise of regressors": (None, {"input_noise": None}),
 }
-FEW = [*FITS][:3]
-
-
-def kernel_of(private=True, bounded=True):
-    """Return the default kernel of a time series, or one with less."""
-    bounds = {"length_scale": "spacing"} if bounded else None
-    return ConvolvedGaussian(
-        2, covariance_type="tied", private_latents=private, parameter_bounds=bounds
-    )
 
 
 # -- flights
@@ -140,13 +103,13 @@ def flights_of(name, air, data):
     return aircraft, train, {air: flight_of(name, *flown)[0] for air, flown in FLOWN.items()}, {}
 
 
-def prepared(name, air, steps, targets, data, _commit):
+def prepared(name, air, data, _commit):
     """Return the flights of an aircraft, prepared for the fit of its last step."""
     aircraft, train, flown, loads = flights_of(name, air, data)
     log = sensed(train)
-    Y = aerodynamic_coefficients(log, aircraft, cutoff=targets, **loads)
+    Y = aerodynamic_coefficients(log, aircraft, **loads)
     pipeline = make_identification_pipeline(
-        aircraft, regressor=DependentGPRegressor(structure="trend"), **steps
+        aircraft, regressor=DependentGPRegressor(structure="trend")
     )
     pipeline.fit(log, Y)
     clock = {"time": log["time"].to_numpy(float)}
@@ -192,15 +155,13 @@ def derivatives_of(name, aircraft, flown):
 # -- models
 
 
-def fitted(variant, flights, seed):
+def fitted(flights, seed, rate, options):
     """Return the regressor of a variant."""
     Y = flights.Y
-    if variant.rate is not None:
-        Y = thin_targets(Y, min(len(Y), int(np.ceil(variant.rate * flights.seconds))))
-    options = {"random_state": seed, **variant.regressor}
-    if variant.kernel is not None:
-        options["kernel"] = kernel_of(**variant.kernel)
-    return DependentGPRegressor(**options).fit(flights.X, Y, **flights.clock, errors=flights.errors)
+    if rate is not None:
+        Y = thin_targets(Y, min(len(Y), int(np.ceil(rate * flights.seconds))))
+    model = DependentGPRegressor(random_state=seed, **options)
+    return model.fit(flights.X, Y, **flights.clock, errors=flights.errors)
 
 
 def with_mixture(model, mixture):
@@ -306,14 +267,14 @@ def of_derivatives(pipeline, aircraft, at, airspeed, known):
     return {"95 %": 100 * float((np.abs(z) < 2).mean()), "largest z": float(np.abs(z).max())}
 
 
-def measured(name, air, seed, variant, data, cache):
+def measured(name, air, seed, label, data, cache):
     """Return the scores of a fit, and of what is taken out of it."""
-    flights = cache(name, air, variant.steps, variant.targets, data, commit())
+    flights = cache(name, air, data, commit())
     start = time.process_time()
-    model = fitted(variant, flights, seed)
+    model = fitted(flights, seed, *FITS[label])
     seconds = time.process_time() - start
     scores = {"": scored(model, flights)}
-    if variant == FITS[WHOLE]:
+    if label == WHOLE:
         for part, other in [*without_errors(model), *with_weights(model)]:
             scores[part] = scored(other, flights)
     weights = {component: values.tolist() for component, values in model.weights_.items()}
@@ -402,17 +363,15 @@ def main(words=None):
     parser.add_argument("--cases", nargs="+", default=FIRST, choices=CASES)
     parser.add_argument("--airs", nargs="+", default=["light"], choices=[*TRAINED])
     parser.add_argument("--seeds", type=int, default=2)
-    parser.add_argument("--fits", nargs="+", default=FEW, choices=[*FITS])
-    parser.add_argument("--cache", default=None, help="folder of prepared flights")
     options = parser.parse_args(words)
     kept = Kept(options, "ablation")
-    cache = Memory(options.cache or options.out / "prepared", verbose=0).cache(prepared)
+    cache = Memory(options.out / "prepared", verbose=0).cache(prepared)
     for seed in range(options.seeds):
         for name in options.cases:
             for air in options.airs if name in KNOTS else ["flown"]:
-                for label in options.fits:
+                for label in FITS:
                     key = {"case": name, "air": air, "seed": seed, "variant": label}
-                    kept.run(key, measured, name, air, seed, FITS[label], options.data, cache)
+                    kept.run(key, measured, name, air, seed, label, options.data, cache)
     table = flat(kept.asked.values())
     finish(options, "ablation", models=of_models(table), effects=of_effects(table))
 

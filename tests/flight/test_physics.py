@@ -494,10 +494,9 @@ def test_missing_samples_change_nothing(flight):
 
 
 def test_one_of_several_flights(flight):
-    good = [flight.assign(flight=name) for name in ("a", "b", "c")]
-    wrong = opposite(flight, "beta").assign(flight="d")
-    (found,) = contradictions(pd.concat([*good, wrong], ignore_index=True))
-    assert (found.flight, found.numbers["channels"]) == ("d", ["beta"])
+    wrong = opposite(flight, "beta").assign(flight="wrong")
+    (found,) = contradictions(pd.concat([flight, wrong], ignore_index=True))
+    assert (found.flight, found.numbers["channels"]) == ("wrong", ["beta"])
 
 
 # mass, wing area, span, chord, (Ixx, Iyy, Izz), CZ_alpha, Cl_p, Cm_q, Cn_r: Heffley & Jewell 1972, Beard &

@@ -81,31 +81,22 @@ def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
     assert attenuation(x, np.array([[0.4]]), slope)[0] == pytest.approx(0.8, rel=0.05)
 
 
-def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes():
-    """Noise with the given variance flattens the slope of its regressor and moves those of correlated ones."""
+@pytest.mark.parametrize("truth", [[-0.4, 0.2], [1.0, 0.0], [-0.4, 0.8]])
+@pytest.mark.parametrize("common", [0.0, 0.3])
+def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes(truth, common):
+    """It flattens the slope of its regressor and moves those of others, with which it is correlated, or they are."""
     rng = default_rng(0)
-    n, std = 200_000, 0.5
-    exact = rng.normal(size=(n, 2)) @ [[1.0, 0.8], [0.0, 0.6]]
-    X = exact + rng.normal(size=(n, 2)) * [std, 0.0]
-    for truth in ([-0.4, 0.2], [1.0, 0.0]):
-        found = np.linalg.lstsq(X, exact @ truth)[0]
-        errors = attenuation(X, np.diag([std**2, 0.0]), found)
-        assert_allclose(found + errors.sum(axis=1), truth, atol=0.01)
-        large = attenuation(X, np.diag([100.0, 0.0]), found)
-        assert_allclose(large[0, 0], found[0])
-
-
-def test_errors_by_noise_that_is_correlated_with_another_regressor():
-    rng = default_rng(0)
-    exact = rng.normal(size=(200_000, 2))
-    noise = 0.4 * rng.normal(size=len(exact)) + 0.3 * exact[:, 0]
-    X = np.column_stack([exact[:, 0], exact[:, 1] + noise])
-    truth = np.array([-0.4, 0.8])
+    exact = rng.normal(size=(200_000, 2)) @ [[1.0, 0.8], [0.0, 0.6]]
+    X = exact.copy()
+    X[:, 0] += 0.5 * rng.normal(size=len(X)) + common * exact[:, 1]
     found = np.linalg.lstsq(X, exact @ truth)[0]
+    # of the noise with both regressors
     covariance = np.zeros((2, 2))
-    covariance[:, 1] = [0.3, 0.4**2 + 0.3**2]
-    assert abs(found - truth).max() > 0.1
-    assert_allclose(found + attenuation(X, covariance, found).sum(axis=1), truth, atol=0.01)
+    covariance[:, 0] = 0.5**2 + common * (common + 0.8), common
+    errors = attenuation(X, covariance, found)
+    assert_allclose(found + errors.sum(axis=1), truth, atol=0.01)
+    large = attenuation(X, np.diag([100.0, 0.0]), found)
+    assert_allclose(large[0, 0], found[0])
 
 
 def test_a_regressor_that_is_constant_where_an_output_is_known_has_no_slope():

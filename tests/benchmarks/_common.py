@@ -18,7 +18,8 @@ import numpy as np
 import pandas as pd
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "flights"))  # makers of flights, shared with the tests
+# Makers of flights and outputs, shared with the tests
+sys.path[:0] = [str(ROOT / "tests" / "flights"), str(ROOT / "tests" / "kernels")]
 OTHERS = Path(__file__).with_name("others")  # runs of methods that do not depend on the package
 PACKAGES = ("numpy", "scipy", "scikit-learn", "torch", "gpytorch", "gpar", "jsbsim")
 LIMIT = 1200  # s of processor time of a run

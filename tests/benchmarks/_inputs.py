@@ -16,15 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from log_errors import EULER, RATES, elsewhere
 from scipy.io import loadmat
 
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients, air_data, air_velocity
 from skdgp.io import read_flight
 
 BOOK = Path("RVJategaonkar_codes_2ed/flt_data")
 UAV = Path("get_coeffs/flight_data_1")
 # Of ATTAS, from its centre of gravity [m]; the engine is the right one
-ACCELEROMETER = (-1.010, 0.886, 0.103)
+ACCELEROMETER = np.array([-1.010, 0.886, 0.103])
 ENGINE = (-1.343, 2.990, -0.652)
 BOOM = (13.080, -0.010, -0.027)
 ATTAS = Aircraft(
@@ -43,6 +44,16 @@ SMALL_UAV = Aircraft(
     span=1.6,
     chord=0.24,
 )
+AIR = ["airspeed", "alpha", "beta"]
+SPIN = ["p_dot", "q_dot", "r_dot"]
+# Numbers of the channels of ATTAS in the book; angles are in degrees
+ATTAS_CHANNELS = dict(
+    zip([*RATES, *EULER, "alpha", "beta", *SPIN], [*range(7, 15), *range(17, 20)], strict=True)
+)
+ATTAS_CHANNELS |= {"elevator": 22, "aileron_left": 28, "aileron_right": 29, "rudder": 30}
+ATTAS_DEGREES = [*ATTAS_CHANNELS]
+ATTAS_CHANNELS |= {"part": 1, "ax": 2, "ay": 3, "az": 4, "airspeed": 15, "altitude": 16}
+ATTAS_CHANNELS |= {"density": 34, "left": 37, "right": 38}
 EDGE = 30  # Samples at either end of the manoeuvres of ATTAS that its filters made to ring
 # Angle of the UAV's surfaces by its commands, about; another scale changes no error
 TRAVEL = np.radians(25.0) / 2250.0
@@ -96,44 +107,23 @@ def _attas(folder, name, boom=True):
     path = Path(folder) / BOOK / name
     mat = path.with_suffix(".mat")
     log = loadmat(mat)[name] if mat.exists() else np.loadtxt(path.with_suffix(".asc"))
-    log = np.column_stack(
-        [np.full(len(log), np.nan), log]
-    )  # channels from 1 on, as the book numbers them
-    degrees = np.radians(log)
-    rates = degrees[:, 7:10]
-    vanes = degrees[:, 13:15]
-    airspeed = log[:, 15]
-    if boom:
-        alpha, beta = vanes.T
-        flow = [np.cos(beta) * np.cos(alpha), np.sin(beta), np.cos(beta) * np.sin(alpha)]
-        u, v, w = airspeed * np.stack(flow) - np.cross(rates, BOOM).T
-        airspeed = np.sqrt(u**2 + v**2 + w**2)
-        vanes = np.column_stack([np.arctan2(w, u), np.arcsin(v / airspeed)])
-    accelerations = degrees[:, 17:20]
-    force = log[:, 2:5]
-    if boom:  # the stalls hold them at the centre of gravity, as their header says
-        force = (
-            force
-            - np.cross(accelerations, ACCELEROMETER)
-            - np.cross(rates, np.cross(rates, ACCELEROMETER))
-        )
-    left = log[:, 37]
-    right = log[:, 38]
-    table = pd.DataFrame({"time": np.arange(len(log)) * 0.04, "airspeed": airspeed})
-    table[["alpha", "beta"]] = vanes
-    table[["ax", "ay", "az"]] = force
-    table[["p", "q", "r"]] = rates
-    table[["p_dot", "q_dot", "r_dot"]] = accelerations
-    table[["phi", "theta", "psi"]] = degrees[:, 10:13]
-    table["altitude"] = (0.3048 if boom else 1.0) * log[:, 16]  # the stalls hold metres
-    table["density"] = log[:, 34]
-    table[["elevator", "rudder"]] = degrees[:, [22, 30]]
-    table["aileron"] = 0.5 * (degrees[:, 29] - degrees[:, 28])
+    channels = pd.DataFrame(log, columns=range(1, log.shape[1] + 1))
+    table = channels[[*ATTAS_CHANNELS.values()]].set_axis([*ATTAS_CHANNELS], axis=1)
+    table[ATTAS_DEGREES] = np.radians(table[ATTAS_DEGREES])
+    if boom:  # the stalls hold all at the centre of gravity, as their header says, and metres
+        at_boom = air_velocity(*table[AIR].to_numpy().T)
+        table[AIR] = np.column_stack(air_data(at_boom - np.cross(table[RATES], BOOM)))
+        table = elsewhere(table, -ACCELEROMETER, table[SPIN].to_numpy())
+        table["altitude"] *= 0.3048
+    left = table.pop("left")
+    right = table.pop("right")
+    table["aileron"] = 0.5 * (table.pop("aileron_right") - table.pop("aileron_left"))
     table["thrust_x"] = left + right
     table["thrust_m"] = ENGINE[2] * (left + right)
     table["thrust_n"] = ENGINE[1] * (left - right)
-    part = np.cumsum(np.diff(log[:, 1], prepend=log[0, 1]) > 1.0)  # one file holds two manoeuvres
+    part = np.cumsum(table.pop("part").diff() > 1.0)  # one file holds two manoeuvres
     table["flight"] = [f"{name} {k + 1}" for k in part]
+    table["time"] = np.arange(len(table)) * 0.04
     parts = table.groupby("flight")
     from_end = np.minimum(parts.cumcount(), parts.cumcount(ascending=False))
     return table[from_end >= EDGE].reset_index(drop=True)
@@ -141,10 +131,11 @@ def _attas(folder, name, boom=True):
 
 def uav(record, name):
     """Return the table of one manoeuvre of the UAV."""
-    columns = {"time": np.arange(len(record.time)) * 0.02}
-    for channel, (field, factor) in UAV_FIELDS.items():
-        columns[channel] = factor * getattr(record, field)
-    return pd.DataFrame(columns).assign(density=1.2682, flight=name)
+    columns = {
+        channel: factor * getattr(record, field) for channel, (field, factor) in UAV_FIELDS.items()
+    }
+    time = np.arange(len(record.time)) * 0.02
+    return pd.DataFrame(columns).assign(time=time, density=1.2682, flight=name)
 
 
 def hfb_320(folder):

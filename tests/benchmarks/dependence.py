@@ -13,6 +13,7 @@ bands refer to places where the output was not observed.
 
 import numpy as np
 from _common import Kept, finish, parser_of
+from made_outputs import little_overlap, noisy_copies, translated
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -20,31 +21,6 @@ from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian
 
 SEEDS = range(100, 105)
-SHIFTS = np.array([0.0, 1.5, -1.0])
-
-
-def waves(rng, x):
-    """Return a draw of a stationary process of unit variance and width about one."""
-    frequency = rng.normal(size=40)
-    phase = rng.uniform(0, 2 * np.pi, 40)
-    return np.sqrt(2 / 40) * np.cos(np.multiply.outer(x, frequency) + phase).sum(axis=-1)
-
-
-def translated(rng):
-    x = np.sort(rng.uniform(0, 20, 150))
-    points = np.linspace(0.5, 19.5, 400)
-    both = waves(rng, np.subtract.outer(np.concatenate([x, points]), SHIFTS))
-    Y = both[:150] + rng.normal(0, 0.1, (150, 3))
-    for i, start in enumerate((4.0, 9.0, 14.0)):
-        Y[(x > start) & (x < start + 4), i] = np.nan
-    return x[:, None], Y, points[:, None], both[150:]
-
-
-def noisy_copies(rng):
-    X = rng.uniform(-2, 2, (480, 3))
-    f = np.sin(X[:, 0]) + 0.5 * X[:, 1] * X[:, 2] + 0.5 * np.cos(2 * X[:, 1])
-    F = np.outer(f, [1.0, -2.0, 0.5, 1.5])
-    return X[:80], F[:80] + rng.normal(size=(80, 4)) * [0.05, 1.0, 0.5, 1.5], X[80:], F[80:]
 
 
 def mixtures(rng):
@@ -79,22 +55,6 @@ def many_regressors(rng):
     second = np.cos(2 * X[:, 0]) + 0.5 * X[:, 1] ** 2 - X[:, 2]
     F = np.column_stack([first, second])
     return X[:250], F[:250] + rng.normal(0, 0.2, (250, 2)), X[250:], F[250:]
-
-
-def little_overlap(rng):
-    def functions(x):
-        wave = np.cos(x / 5)
-        return np.column_stack([4 * wave - 0.4 * x - 35, 6 * wave + 0.2 * x + 35])
-
-    x = np.concatenate([rng.uniform(0, 75, 100), rng.uniform(70, 100, 100)])
-    Y = functions(x) + rng.uniform(-1, 1, (200, 2)) * [1.0, 4.0]
-    Y[100:, 0] = np.nan
-    Y[:100, 1] = np.nan
-    points = np.linspace(0, 100, 101)
-    truth = functions(points)
-    truth[points <= 75, 0] = np.nan
-    truth[points >= 70, 1] = np.nan
-    return x[:, None], Y, points[:, None], truth
 
 
 PROBLEMS = {

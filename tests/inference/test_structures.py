@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_outputs import SHIFTS, noisy_copies, translated
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -19,28 +20,11 @@ def error_over_spread(predicted, truth):
     return np.mean(np.sqrt(np.mean((predicted - truth) ** 2, axis=0)) / truth.std(axis=0))
 
 
-SHIFTS = np.array([0.0, 1.6, -1.1])
-
-
 @pytest.fixture(scope="module")
 def copies():
-    """Return a fit to copies of one function, translated by SHIFTS, each with a gap of its own, and the truth."""
-    rng = np.random.default_rng(3)
-    frequencies = rng.normal(size=40)
-    phases = rng.uniform(0, 2 * np.pi, 40)
-
-    def translated(x):
-        s = np.subtract.outer(x, SHIFTS)
-        waves = np.cos(np.multiply.outer(s, frequencies) + phases)
-        return np.sqrt(2 / 40) * waves.sum(axis=-1)
-
-    x = np.sort(rng.uniform(0, 20, 120))
-    Y = translated(x) + 0.1 * rng.normal(size=(120, 3))
-    for i, start in enumerate((4.0, 9.0, 14.0)):
-        Y[(x > start) & (x < start + 4), i] = np.nan
-    points = np.linspace(0.5, 19.5, 200)
-    model = DependentGPRegressor(random_state=0).fit(x[:, None], Y)
-    return model, points[:, None], translated(points)
+    """Return a fit to translated copies of one function, points, and the truth there."""
+    X, Y, points, truth = translated(np.random.default_rng(3), 120)
+    return DependentGPRegressor(random_state=0).fit(X, Y), points, truth
 
 
 class TestShiftedOutputs:
@@ -68,18 +52,8 @@ def test_outputs_that_are_not_translated_have_no_shift():
 
 @pytest.mark.slow
 def test_noisy_copies_learn_from_the_exact_one():
-    """Of four copies one has little noise: widths that copies share make the others as exact."""
-    rng = np.random.default_rng(2)
-    gains = np.array([1.0, -2.0, 0.5, 1.5])
-    noise = np.array([0.05, 1.0, 0.5, 1.5])
-
-    def copies(X):
-        f = np.sin(X[:, 0]) + 0.5 * X[:, 1] * X[:, 2] + 0.5 * np.cos(2 * X[:, 1])
-        return np.outer(f, gains)
-
-    X, points = rng.uniform(-2, 2, (2, 80, 3))
-    Y = copies(X) + noise * rng.normal(size=(80, 4))
-    truth = copies(points)
+    """Widths that copies share make the others as exact."""
+    X, Y, points, truth = noisy_copies(np.random.default_rng(2))
     model = DependentGPRegressor(random_state=0).fit(X, Y)
     alone = []
     for y in Y.T:

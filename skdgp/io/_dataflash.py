@@ -11,12 +11,12 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_matrix, euler_to_quaternion
 from skdgp._flight.servo_functions import ServoFunction, ServoRange
@@ -61,6 +61,7 @@ TYPES = {
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
+INTEGERS = "bBhHiIMqQ"
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 # messages that describe the log, and are no topics
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
@@ -204,51 +205,48 @@ def read_dataflash(path: Path) -> Log:
             "ArduPilot .bin."
         )
     file = _File(data)
-    messages = file.messages()
-    topics = _topics(messages, file.units(messages))
+    topics = _topics(file)
     if not topics:
         raise FlightReadError(
             f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, "
             "but expected messages: was it cut off, or written before 2015?"
         )
-    return _log(topics, messages, damage(file.skipped, file.cut))
+    return _log(topics, file)
 
 
-class Messages(NamedTuple):
-    """Messages of one type."""
+class Messages:
+    """Messages of one type: name, letters of the types of their columns, and their places in the file."""
 
-    #: Letter of the type of each column
-    codes: str
-    #: Numbers, or texts, (n,) by name
-    columns: dict[str, np.ndarray]
-    #: Place of each in the file
-    order: Vector
+    def __init__(self, name: str, codes: str, columns: list[str]):
+        self.name = name
+        self.codes = dict(zip(columns, codes, strict=True))
+        self.dtype = np.dtype([(column, TYPES[code]) for column, code in self.codes.items()])
+        self.starts: list[int] = []
 
-    def is_number(self, name: str) -> bool:
-        """Return whether there is a column of numbers of this name."""
-        return name in self.columns and self.columns[name].dtype.kind in "iuf"
+    def columns(self, data: bytes) -> dict[str, np.ndarray]:
+        """Return the columns (n,) by name; integers with a scale as numbers, texts as bytes."""
+        size = self.dtype.itemsize
+        records = np.frombuffer(b"".join(data[k : k + size] for k in self.starts), self.dtype)
+        columns = {}
+        for column, code in self.codes.items():
+            values = records[column]
+            columns[column] = SCALE[code] * values if code in SCALE else values
+        return columns
 
-    def numbers(self, name: str) -> list[float]:
-        """Return a column of numbers, empty where there is none."""
-        return self.columns[name].tolist() if self.is_number(name) else []
-
-    def texts(self, name: str) -> list[str]:
-        """Return a column of texts, empty without it."""
-        return [str(cell) for cell in self.columns.get(name, np.empty(0)).tolist()]
-
-    def instances(self, name: str, units: str) -> dict[str, Topic]:
+    def topics(self, data: bytes, units: str) -> dict[str, Topic]:
         """Return the topic of each instance by name, none without a time; texts are left out."""
-        if not self.is_number("TimeUS"):
+        fields = numeric_fields(self.columns(data))
+        if "TimeUS" not in fields:
             return {}
-        time = self.columns["TimeUS"] * 1e-6
-        topic = Topic(time, self.order, numeric_fields(self.columns)).select(np.isfinite(time))
+        time = fields["TimeUS"] * 1e-6
+        topic = Topic(time, np.array(self.starts), fields).select(np.isfinite(time))
         field = self._instance_field(units)
         if field is None:
-            return {name: topic}
+            return {self.name: topic}
         numbers = topic[field]
         topics = {}
         for k in np.unique(numbers[np.isfinite(numbers)]).astype(int).tolist():
-            topics[instance_name(name, k)] = topic.select(numbers == k)
+            topics[instance_name(self.name, k)] = topic.select(numbers == k)
         return topics
 
     def _instance_field(self, units: str) -> str | None:
@@ -256,40 +254,41 @@ class Messages(NamedTuple):
 
         By name it is a small whole number, to tell it from others of the name.
         """
-        if not units:
-            for code, column in zip(self.codes, self.columns, strict=True):
-                if column in INSTANCES and code in "BM":
-                    return column
-        for column, unit in zip(self.columns, units, strict=False):
-            if unit == "#" and self.columns[column].dtype.kind in "iu":
+        for place, (column, code) in enumerate(self.codes.items()):
+            is_instance = units[place : place + 1] == "#" and code in INTEGERS
+            if not units:
+                is_instance = column in INSTANCES and code in "BM"
+            if is_instance:
                 return column
         return None
 
 
-NO_MESSAGES = Messages("", {}, np.empty(0))
-
-
-def _topics(messages: Mapping[str, Messages], units: Mapping[str, str]) -> dict[str, Topic]:
-    """Return the topics of all messages with a time, by name and instance; ``units`` are letters of each column."""
+def _topics(file: _File) -> dict[str, Topic]:
+    """Return the topics of all messages with a time, by name and instance."""
+    units = {}
+    for number, letters in file.rows("FMTU", "FmtType", "UnitIds"):
+        if number in file.types:
+            units[file.types[number].name] = _text(letters)
     topics: dict[str, Topic] = {}
-    for name in messages.keys() - {*DEFINITIONS}:
-        topics |= messages[name].instances(name, units.get(name, ""))
+    for name, messages in file.messages.items():
+        if name not in DEFINITIONS:
+            topics |= messages.topics(file.data, units.get(name, ""))
     return dict(sorted(topics.items()))
 
 
-def _log(
-    topics: dict[str, Topic], messages: Mapping[str, Messages], remarks: tuple[str, ...] = ()
-) -> Log:
-    """Return the log of these messages."""
-    defined = messages.get("PARM", NO_MESSAGES)
-    times = [1e-6 * time for time in defined.numbers("TimeUS")]
-    changes = list(zip(times, defined.texts("Name"), defined.numbers("Value"), strict=False))
+def _log(topics: dict[str, Topic], file: _File) -> Log:
+    """Return the log of a file with these topics."""
+    changes = []
+    for time, name, value in file.rows("PARM", "TimeUS", "Name", "Value"):
+        if isinstance(time, int) and isinstance(value, int | float):
+            changes.append((1e-6 * time, _text(name), value))
     parameters = in_force(changes, topics)
-    firmware = _firmware(messages.get("MSG", NO_MESSAGES).texts("Message"))
+    texts = [_text(message) for (message,) in file.rows("MSG", "Message")]
+    # the program tells its name and version in the first texts
+    firmware = next((text for text in texts if text.split(" ")[0] in VEHICLES), "ArduPilot")
     program = firmware.split(" ")[0]
     frame = whole(parameters.get("FRAME_CLASS", 0.0))
     kind = FRAMES.get((program, frame), VEHICLES.get(program))
-    vehicle = vehicle_of(kind, parameters)
     topics, of_ratio = _with_last_ratio(topics, changes)
     log = Log(
         kind="ArduPilot DataFlash",
@@ -297,8 +296,8 @@ def _log(
         rules=RULES,
         parameters=parameters,
         firmware=firmware,
-        vehicle=vehicle,
-        remarks=(*remarks, *of_ratio),
+        vehicle=vehicle_of(kind, parameters),
+        remarks=(*damage(file.skipped, file.cut), *of_ratio),
         landed=(("STAT", "isFlying", 0.0, 0.0),),
         naming=NAMING,
         aliases=ALIASES,
@@ -306,37 +305,31 @@ def _log(
     return by_parameters(log, "RCOU.C{}", lifting_modes("MODE", "ModeNum"))
 
 
-def _firmware(texts: list[str]) -> str:
-    """Return the name and version of the program, which it tells in the first texts."""
-    for text in texts:
-        if text.split(" ")[0] in VEHICLES:
-            return text
-    return "ArduPilot"
+def _text(content: object) -> str:
+    """Return the text of bytes, empty of a number."""
+    return content.decode("utf-8", "replace").strip("\x00 ") if isinstance(content, bytes) else ""
 
 
 def _with_last_ratio(
     topics: dict[str, Topic], changes: list[tuple[float, str, float]]
-) -> tuple[dict[str, Topic], tuple[str, ...]]:
-    """Return the topics with airspeeds by the last ratio of their sensor, and a remark on one that changed.
+) -> tuple[dict[str, Topic], list[str]]:
+    """Return the topics with airspeeds by the last ratio of their sensor, and remarks on those that changed.
 
     A ratio that was calibrated in flight is right for the time before, too: V^2 goes with it.
     """
-    remarks: tuple[str, ...] = ()
+    remarks = []
     for name in RATIOS.keys() & topics.keys():
         topic = topics[name]
-        ratios = {}
-        for time, key, value in changes:
-            if key == RATIOS[name] and np.isfinite(time) and 0 < value < np.inf:
-                ratios[time] = value
-        times = np.sort([*ratios])
-        values = np.array([ratios[time] for time in times])
-        if "Airspeed" in topic and len(np.unique(values)) > 1:
-            at = values[last_before(times, topic.time)]
+        of_sensor = [change for change in changes if change[1] == RATIOS[name]]
+        ratios = {time: value for time, _, value in sorted(of_sensor) if 0 < value < np.inf}
+        values = np.array([*ratios.values()])
+        if "Airspeed" in topic and len({*values}) > 1:
+            at = values[last_before(np.array([*ratios]), topic.time)]
             scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)
             topics = topics | {name: topic.with_fields(Airspeed=scaled)}
-            remarks = (
+            remarks.append(
                 f"{RATIOS[name]} changed from {values[0]:.3g} to {values[-1]:.3g}: airspeeds before are "
-                "scaled to the last",
+                "scaled to the last"
             )
     return topics, remarks
 
@@ -376,41 +369,13 @@ def _lifting(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> St
     return tuple(motors)
 
 
-class _Type:
-    """A type of messages: name, layout, and the places of its messages in the file."""
-
-    def __init__(self, name: str, codes: str, columns: list[str]):
-        self.name = name
-        self.codes = dict(zip(columns, codes, strict=True))
-        self.dtype = np.dtype([(column, TYPES[code]) for column, code in self.codes.items()])
-        self.starts: list[int] = []
-
-    def messages(self, data: bytes) -> Messages:
-        """Return the messages; integers with a scale as numbers."""
-        size = self.dtype.itemsize
-        records = np.frombuffer(b"".join(data[k : k + size] for k in self.starts), self.dtype)
-        columns = {}
-        for column, code in self.codes.items():
-            values = records[column]
-            if code in SCALE:
-                values = SCALE[code] * values
-            columns[column] = _decoded(values) if values.dtype.kind == "S" else values
-        return Messages("".join(self.codes.values()), columns, np.array(self.starts))
-
-
-def _decoded(texts: np.ndarray) -> np.ndarray:
-    """Return texts of bytes."""
-    decoded = [text.decode("utf-8", "replace").strip("\x00 ") for text in texts.tolist()]
-    return np.array(decoded, dtype=object)
-
-
 class _File:
     """Types of messages by number, with the places of all messages, and the damage."""
 
     def __init__(self, data: bytes):
         self.data = data
         columns = ["Type", "Length", "Name", "Format", "Columns"]
-        self.types = {FMT: _Type("FMT", "BBnNZ", columns)}
+        self.types = {FMT: Messages("FMT", "BBnNZ", columns)}
         self.skipped = 0
         self.cut = False
         position = 0
@@ -444,28 +409,24 @@ class _File:
         number, length, *texts = definition.tolist()
         with suppress(KeyError, ValueError, TypeError):
             name, codes, columns = (text.decode("ascii") for text in texts)
-            new = _Type(name, codes, columns.split(",") if columns else [])
+            new = Messages(name, codes, columns.split(",") if columns else [])
             if re.fullmatch(r"\w+", name) and new.dtype.itemsize == length - HEAD:
                 self.types.setdefault(number, new)
 
+    @cached_property
     def messages(self) -> dict[str, Messages]:
-        """Return the messages by the name of their type."""
-        messages: dict[str, Messages] = {}
-        for kind in self.types.values():
-            if kind.starts and kind.name not in messages:
-                messages[kind.name] = kind.messages(self.data)
-        return messages
+        """The messages by the name of their type, of several the first."""
+        used = [kind for kind in self.types.values() if kind.starts]
+        return {kind.name: kind for kind in reversed(used)}
 
-    def units(self, messages: Mapping[str, Messages]) -> dict[str, str]:
-        """Return the units of the columns of types by name, a letter each."""
-        stated = messages.get("FMTU", NO_MESSAGES)
-        units = {}
-        for number, letters in zip(
-            stated.numbers("FmtType"), stated.texts("UnitIds"), strict=False
-        ):
-            if number in self.types:
-                units[self.types[int(number)].name] = letters
-        return units
+    def rows(self, name: str, *columns: str) -> list[tuple]:
+        """Return some columns of the messages of a type, row by row; none without one of them."""
+        if name not in self.messages:
+            return []
+        of_type = self.messages[name].columns(self.data)
+        return list(
+            zip(*[of_type.get(column, np.empty(0)).tolist() for column in columns], strict=False)
+        )
 
 
 def by_parameters(

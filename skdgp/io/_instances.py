@@ -68,21 +68,25 @@ class Readings(NamedTuple):
     """The readings of one instance, which of them are valid, and the resets of an estimator."""
 
     instance: Instance
-    time: Vector
     values: Matrix
     valid: Mask
-    # 0 to 1: flags, or a confidence
-    preferred: Vector
-    # 0 where resets are not logged
-    counter: Vector
     # which of the valid ones the autopilot used
     used: Mask
+    # mean of a flag, or of a confidence from 0 to 1
+    confidence: float
+    # of resets, 0 where they are not logged
+    counter: Vector
+
+    @property
+    def time(self) -> Vector:
+        """Times of the messages [s]."""
+        return self.instance.topic.time
 
     def health(self, duration: float) -> tuple[float, bool, float]:
         """Order of instances in a log of some duration [s]: valid readings, that move, the autopilot's flag."""
         share = float(self.valid.mean()) * np.ptp(self.time) / duration
         moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
-        return round(share, 2), bool(moves), float(self.preferred.mean())
+        return round(share, 2), bool(moves), self.confidence
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:
@@ -110,24 +114,29 @@ def choose(log: Log, rule: Rule) -> Source | None:
     if rule.columns == COMMANDS:
         instances = instances[:1]
     use = _use(log, rule, instances)
-    readings = [_readings(log, instance, rule, use) for instance in instances]
-    return _source_of(rule, readings, use)
+    return _source_of(rule, [_readings(log, instance, rule, use) for instance in instances], use)
 
 
 def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
     """Return the source by the instances that were used, or if that is not known by the healthiest."""
     duration = np.ptp([reading.time[[0, -1]] for reading in readings])
     best = max(readings, key=lambda reading: reading.health(duration))
-    chosen = [reading._replace(valid=reading.used) for reading in readings if reading.used.any()]
-    time, values, counter = _merged(chosen or [best])
-    names = [reading.instance.name for reading in chosen or [best]]
-    note = _joined(", ", rule.note, _note(readings, use if chosen else None))
-    is_first = names == [readings[0].instance.name]
-    name = _words(rule, names)
-    remarks = ["" if is_first else f"{rule.words} of {name} ({note})", _unmeasured(rule, best)]
+    used = [reading._replace(valid=reading.used) for reading in readings if reading.used.any()]
+    chosen = used or [best]
+    time, values, counter = _merged(chosen)
     if rule.columns == QUATERNION:
         values = without_sign_changes(values)
     cuts = reset_times(time, values, counter)
+    names = [reading.instance.name for reading in chosen]
+    name = f"{' and '.join(names[:3])}.{' '.join(rule.fields)}"
+    notes = [rule.note]
+    if len(readings) > 1:
+        by = f"used by the autopilot: {use.words}" if use and used else "the healthiest"
+        notes.append(f"of {len(readings)}, {by}")
+    note = ", ".join(filter(None, notes))
+    remarks = [_unmeasured(rule, best)]
+    if names != [readings[0].instance.name]:
+        remarks.insert(0, f"{rule.words} of {name} ({note})")
     if cuts:
         remarks.append(
             f"{rule.words}: resets of the estimator, or another instance, so a new flight begins, at {seconds(cuts)}"
@@ -138,7 +147,7 @@ def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
         time=time,
         values=values,
         note=note,
-        remark=_joined("; ", *remarks),
+        remark="; ".join(filter(None, remarks)),
         cuts=tuple(cuts),
         instance=best.instance.number,
     )
@@ -170,49 +179,30 @@ def seconds(times: list[float]) -> str:
     return ", ".join(f"{time:.1f} s" for time in times[:5]) + more
 
 
-def _joined(separator: str, *texts: str) -> str:
-    """Return the texts that are not empty, joined."""
-    return separator.join(filter(None, texts))
-
-
-def _words(rule: Rule, names: list[str]) -> str:
-    """Return the name of a source: its instances and fields."""
-    return f"{' and '.join(names[:3])}.{' '.join(rule.fields)}"
-
-
 def _mean_engine(log: Log, rule: Rule) -> Source | None:
-    """Return the root mean square of the engines that drive, fields of the instances; None if of several none runs.
+    """Return the root mean square of the engines that drive, fields of the instances; None if none is logged.
 
     Thrusts go with the square of the speeds. It is at the times of the first of these, and left out where one
-    of them tells no speed, before its first message or after its last. It is empty, with a remark, where no
-    engine tells a speed.
+    of them tells no speed, before its first message or after its last. It is empty where no engine runs.
     """
+    logged = []
     engines = {}
-    flags: set[str] = set()
-    for instance in log.instances(rule.topic):
-        valid = is_valid(instance.topic, rule)
-        flags |= {*rule.valid} & {*instance.topic.fields}
+    for _, name, topic in log.instances(rule.topic):
         for field in rule.fields:
-            if field in instance.topic:
-                is_speed = valid & np.isfinite(instance.topic[field])
-                valid_messages = instance.topic.select(is_speed)
-                speed = rule.convert(valid_messages[field])
-                engines[f"{instance.name}.{field}"] = (valid_messages.time, speed)
-    with_speed = {name: (time, speed) for name, (time, speed) in engines.items() if len(time)}
-    if engines and not with_speed:
-        name = " and ".join([*engines][:3])
-        remark = ""
-        if flags:
-            remark = (
-                f"{rule.words} of {name}: 100 % of the messages are no measurement and are left out "
-                f"({' '.join(sorted(flags))})"
-            )
-        return Source(rule.columns, name, np.empty(0), np.empty((0, 1)), remark=remark)
-    speeds_of_flight = {name: speed[~log.lifts(time)] for name, (time, speed) in with_speed.items()}
-    # the only one stands in a glide
-    names = tuple(engines) if len(engines) == 1 else fastest(speeds_of_flight)
-    if not names:
+            if field in topic:
+                logged.append(f"{name}.{field}")
+                is_speed = is_valid(topic, rule) & np.isfinite(topic[field])
+                if is_speed.any():
+                    speed = rule.convert(topic[field][is_speed])
+                    engines[logged[-1]] = (topic.time[is_speed], speed)
+    if not logged:
         return None
+    driving = {name: speed[~log.lifts(time)] for name, (time, speed) in engines.items()}
+    # the only one stands in a glide
+    names = tuple(engines) if len(logged) == 1 else fastest(driving)
+    if not names:
+        remark = f"{rule.topic}: no engine has valid speeds above zero"
+        return Source(rule.columns, rule.topic, np.empty(0), np.empty((0, 1)), remark=remark)
     time, _ = engines[names[0]]
     speeds = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
     mean = np.sqrt(np.mean(np.square(speeds), axis=0))
@@ -224,25 +214,23 @@ def _mean_engine(log: Log, rule: Rule) -> Source | None:
 
 
 def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:
-    topic = instance.topic
-    n = len(topic)
+    number, _, topic = instance
     values = rule.convert(topic.columns(rule.fields))
-    is_used = _is_used(log, rule, instance)
-    valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule) & is_used
-    used = np.zeros(n, dtype=bool)
+    valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
+    valid &= _is_used(log, rule, instance)
+    used = np.zeros(len(topic), dtype=bool)
     if use is not None:
-        used = valid & (_numbers(log, use, topic.time) == instance.number + use.first)
+        used = valid & (_numbers(log, use, topic.time) == number + use.first)
         if use.is_measurement:
             valid = used
-    preferred = np.zeros(n)
-    for field in rule.preferred:
-        if field in topic:
-            preferred = np.maximum(preferred, np.clip(np.nan_to_num(topic[field]), 0.0, 1.0))
-    counter = np.zeros(n)
+    confidence = 0.0
+    if rule.preferred in topic:
+        confidence = float(np.clip(np.nan_to_num(topic[rule.preferred]), 0.0, 1.0).mean())
+    counter = np.zeros(len(topic))
     for field in rule.resets:
         if field in topic:
-            counter = counter + topic[field]
-    return Readings(instance, topic.time, values, valid, preferred, counter, used)
+            counter += topic[field]
+    return Readings(instance, values, valid, used, confidence, counter)
 
 
 def _is_used(log: Log, rule: Rule, instance: Instance) -> bool:
@@ -250,7 +238,7 @@ def _is_used(log: Log, rule: Rule, instance: Instance) -> bool:
     use = 1
     if instance.number < len(rule.uses):
         use = whole(log.parameters.get(rule.uses[instance.number], 1.0))
-    return use == 1 or (use > 1 and any(flag in instance.topic for flag in rule.preferred))
+    return use == 1 or (use > 1 and rule.preferred in instance.topic)
 
 
 def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
@@ -272,14 +260,6 @@ def _numbers(log: Log, use: Use, times: Vector) -> Vector:
         if use.field in instance.topic:
             return instance.topic[use.field][last_before(instance.topic.time, times)]
     return np.empty(0)
-
-
-def _note(readings: list[Readings], use: Use | None) -> str:
-    """Return how the source was chosen, nothing where there is no choice."""
-    if len(readings) < 2:
-        return ""
-    words = "the healthiest" if use is None else f"used by the autopilot: {use.words}"
-    return f"of {len(readings)}, {words}"
 
 
 def _unmeasured(rule: Rule, reading: Readings) -> str:

@@ -160,14 +160,14 @@ class Rule(NamedTuple):
         Fields that, where the log has them, are within these limits where the others are valid.
     used : tuple of Use
         Where the log says which instance the autopilot used; the first that is logged counts.
-    preferred : tuple of str
-        Fields that are positive of an instance that is preferred among healthy ones: flags, or a
+    preferred : str
+        Field that is larger of an instance that is preferred among healthy ones: a flag, or a
         confidence from 0 to 1.
     resets : tuple of str
         Counters of an estimator's resets.
     uses : tuple of str
         Parameters by which the autopilot uses an instance, by its number: always (1), or under
-        conditions (2), which a ``preferred`` flag then tells.
+        conditions (2), which the ``preferred`` flag then tells.
     """
 
     columns: tuple[str, ...]
@@ -178,7 +178,7 @@ class Rule(NamedTuple):
     note: str = ""
     within: tuple[tuple[str, float, float], ...] = ()
     used: tuple[Use, ...] = ()
-    preferred: tuple[str, ...] = ()
+    preferred: str = ""
     resets: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
 

@@ -122,7 +122,7 @@ RULES = (
         valid=PITOT_VALID,
         within=MEASURED,
     ),
-    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT, preferred=("confidence",)),
+    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT, preferred="confidence"),
     Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
     Rule(("beta",), "airflow_slip", ("slip_rad",)),
     Rule(

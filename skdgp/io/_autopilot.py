@@ -44,7 +44,6 @@ from skdgp.io._log import (
     Control,
     Log,
     Rule,
-    Servo,
     States,
     full_throws,
     no_wings,
@@ -161,16 +160,15 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
             "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
             "log these topics."
         )
-    flights: list[pd.DataFrame] = []
-    origin: dict[str, Origin] = {}
+    flights = []
+    origin = {}
     remarks = [*log.remarks, *remarks]
     for part in parts:
         flights += part.flights
         origin |= part.origin
         remarks += part.remarks
     longest = max(parts, key=lambda part: len(part.table))
-    remarks = list(dict.fromkeys(remarks))
-    return longest._replace(flights=flights, origin=origin, remarks=remarks)
+    return longest._replace(flights=flights, origin=origin, remarks=list(dict.fromkeys(remarks)))
 
 
 def _part(
@@ -180,29 +178,28 @@ def _part(
     sources, useless = find_sources(log, controls)
     if not sources:
         return None
-    table, origin = to_table(sources)
-    table, origin = with_stated_position(table, origin, sources, log)
+    table, origin = to_table(sources, log)
     time = table["time"].to_numpy()
     speeds = _speed(table, log)
     landed = log.lands(time)
     lifted = log.lifts(time)
-    # a speed that is given counts whatever the autopilot reports
-    on_ground = landed & isinstance(airborne, bool)
     remarks = []
-    if airborne is not False and lifted.any():
-        remarks.append(
-            f"{100 * lifted.mean():.0f} % of the rows are left out of flights: rotors lift the "
-            "VTOL, or it is in transition"
-        )
     jumps = attitude_jumps(FlightTable.of(table))
     if len(jumps):
         remarks.append(f"the attitude jumps, so a new flight begins, at {seconds(jumps.tolist())}")
     cuts = np.unique([*jumps, *(cut for source in sources for cut in source.cuts)])
-    flights = _cut(table, cuts)
-    if airborne is not False:
+    if airborne is False:
+        flights = _cut(table, cuts)
+    else:
+        if lifted.any():
+            remarks.append(
+                f"{100 * lifted.mean():.0f} % of the rows are left out of flights: rotors lift the "
+                "VTOL, or it is in transition"
+            )
+        # a speed that is given counts whatever the autopilot reports
+        on_ground = landed & (airborne is True)
         segments = _segments(table, (speeds > speed) & ~on_ground & ~lifted, on_ground)
-        pieces = [piece for rows in segments for piece in _cut(table.iloc[rows], cuts)]
-        flights = list(map(_trimmed, pieces))
+        flights = [_trimmed(piece) for rows in segments for piece in _cut(table.iloc[rows], cuts)]
         if flights and not _was_armed(log, time):
             remarks.append(
                 "the autopilot was never armed, but the speed is a flight's: if something else moved the "
@@ -291,21 +288,18 @@ def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
     """Raise FlightReadError if the log lacks the channel of a servo."""
     for name, control in controls.items():
         for _, servo in control:
-            if servo.field not in log.topics.get(servo.topic, NOTHING):
-                raise FlightReadError(_lacking_channel(log, name, servo))
+            if servo.field in log.topics.get(servo.topic, NOTHING):
+                continue
+            logged = {}
+            for output in {*log.outputs} & log.topics.keys():
+                logged[output] = sorted(log.topics[output].fields.keys() - TIMES)
+            raise FlightReadError(
+                f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected "
+                f"one of {logged or [*log.outputs]}."
+            )
 
 
-def _lacking_channel(log: Log, name: str, servo: Servo) -> str:
-    """Return the message that the log lacks the channel of a servo, with the outputs that it has."""
-    outputs = {}
-    for output in log.outputs:
-        if output in log.topics:
-            outputs[output] = sorted(log.topics[output].fields.keys() - TIMES)
-    expected = outputs or [*log.outputs]
-    return f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected one of {expected}."
-
-
-def to_table(sources: list[Source]) -> tuple[pd.DataFrame, dict[str, Origin]]:
+def to_table(sources: list[Source], log: Log) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
     columns, origin = _on_clock(sources)
     if "density" not in columns and "altitude" in columns:
@@ -317,9 +311,12 @@ def to_table(sources: list[Source]) -> tuple[pd.DataFrame, dict[str, Origin]]:
         origin["airspeed"] = Origin(f"{words} ({note})", rate)
     table = pd.DataFrame(columns)
     table = table.where(np.isfinite(table))
+    for source in sources:
+        if source.columns == SPECIFIC_FORCE:
+            table, origin = _with_stated_position(table, origin, source, log)
     if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
         table, origin = with_specific_force(table, origin)
-    table = _in_order(table)
+    table = table[[name for name in CHANNELS if name in table]]
     return table, {name: origin[name] for name in table if name in origin}
 
 
@@ -344,25 +341,17 @@ def _on_clock(
     return columns, origin
 
 
-def with_stated_position(
-    table: pd.DataFrame, origin: dict[str, Origin], sources: list[Source], log: Log
+def _with_stated_position(
+    table: pd.DataFrame, origin: dict[str, Origin], source: Source, log: Log
 ) -> tuple[pd.DataFrame, dict[str, Origin]]:
     """Return the table with the position of its accelerometers, if the log states it, and an unknown tilt."""
-    for source in sources:
-        if source.columns == SPECIFIC_FORCE:
-            words, position = log.sensor_positions.get(source.instance, ("", ()))
-            constants = dict(zip(SENSOR_POSITION, position, strict=False))
-            table = table.assign(**constants)
-            origin = origin | dict.fromkeys(constants, Origin(words, np.nan))
-            if log.sensor_tilt:
-                table = table.assign(sensor_tilt=log.sensor_tilt)
-                origin["sensor_tilt"] = Origin("not stated by the log", np.nan)
-    return _in_order(table), origin
-
-
-def _in_order(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the columns in the order of the vocabulary."""
-    return table[[name for name in CHANNELS if name in table]]
+    words, position = log.sensor_positions.get(source.instance, ("", ()))
+    constants = dict(zip(SENSOR_POSITION, position, strict=False))
+    origin = origin | dict.fromkeys(constants, Origin(words, np.nan))
+    if log.sensor_tilt:
+        constants["sensor_tilt"] = log.sensor_tilt
+        origin["sensor_tilt"] = Origin("not stated by the log", np.nan)
+    return table.assign(**constants), origin
 
 
 def _true_airspeed(equivalent: Vector, density: Vector | None) -> tuple[Vector, str]:
@@ -409,11 +398,10 @@ def with_specific_force(
     change[:, 2] -= STANDARD_GRAVITY
     attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
     force = np.einsum("nji,nj->ni", attitude, change)
+    # the sensors are at the body's origin
+    added = by_name(SPECIFIC_FORCE, force) | dict.fromkeys(SENSOR_POSITION, 0.0)
     source = Origin("velocity and attitude, as no accelerometer is of use", rate)
-    table = table.assign(**by_name(SPECIFIC_FORCE, force))
-    # of the body's origin, wherever the sensors are
-    table = table.assign(**dict.fromkeys(SENSOR_POSITION, 0.0))
-    return table, origin | dict.fromkeys((*SPECIFIC_FORCE, *SENSOR_POSITION), source)
+    return table.assign(**added), origin | dict.fromkeys(added, source)
 
 
 # -- flights in a log
@@ -495,9 +483,9 @@ def _lift_off(table: pd.DataFrame, on_ground: Mask, first: int, last: int) -> in
 def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     """Return a flight without rows at its ends, at most a second, where slow channels have no value."""
     time = flight["time"]
-    sampled = [column.dropna().index for _, column in flight.items() if column.notna().any()]
-    begins = time[[rows[0] for rows in sampled]]
-    ends = time[[rows[-1] for rows in sampled]]
+    channels = flight.dropna(axis=1, how="all")
+    begins = time[channels.apply(pd.Series.first_valid_index)]
+    ends = time[channels.apply(pd.Series.last_valid_index)]
     begin = begins[begins <= begins.min() + SETTINGS.longest_edge].max()
     end = ends[ends >= ends.max() - SETTINGS.longest_edge].min()
     return flight[time.between(begin, end)]
@@ -507,15 +495,14 @@ def _no_flight_because(
     table: pd.DataFrame, speeds: Vector, least: float, landed: Mask, lifted: Mask
 ) -> str:
     """Return what rows with these speeds (n,) hold, where a flight is faster than ``least`` [m/s]."""
+    facts = "neither a valid airspeed nor a ground speed"
     if np.isfinite(speeds).any():
         channel = "airspeed" if "airspeed" in table else "no valid airspeed, ground speed"
-        highest = np.nanmax(speeds)
-        facts = f"{channel} up to {highest:.3g} m/s, where a flight stays above {least:.3g} m/s"
-    else:
-        facts = "neither a valid airspeed nor a ground speed"
-    for mask, words in ((landed, "reports to be landed"), (lifted, "is lifted by rotors")):
-        if mask.any():
-            facts += f", {words} in {100 * mask.mean():.0f} % of the rows"
+        facts = f"{channel} up to {np.nanmax(speeds):.3g} m/s, where a flight stays above {least:.3g} m/s"
+    if landed.any():
+        facts += f", reports to be landed in {100 * landed.mean():.0f} % of the rows"
+    if lifted.any():
+        facts += f", is lifted by rotors in {100 * lifted.mean():.0f} % of the rows"
     return facts
 
 

@@ -310,15 +310,12 @@ class Exchange(NamedTuple):
 
     channels: tuple[str, str]
     relations: tuple[Relation, Relation]
-    undone: Callable[[Signals], Signals]
-    #: What the channels are if both relations show it
-    words: str = "exchanged"
 
     def judge(self, signals: Signals) -> Contradiction | None:
         """Return the contradiction of the first relation, if both show it."""
         if not {*self.channels} <= signals.channels.keys():
             return None
-        undone = self.undone(signals)
+        undone = signals.exchanged(*self.channels)
         found = []
         for relation in self.relations:
             slopes = relation.slopes(undone)
@@ -332,7 +329,7 @@ class Exchange(NamedTuple):
             found.append((best, t))
         first, second = self.relations
         uses = (first.needs | second.needs) - {*self.channels}
-        words = f"{first.x} ({' and '.join(self.channels)} {self.words})"
+        words = f"{first.x} ({' and '.join(self.channels)} exchanged)"
         shown = replace(first, channels=self.channels, uses=tuple(sorted(uses)), x=words)
         return _of_slope(shown, NONE, *found[0])
 

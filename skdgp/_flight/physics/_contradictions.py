@@ -19,9 +19,9 @@ from skdgp._flight.physics._checks import (
 )
 from skdgp._flight.physics._list import (
     CHANNELS,
+    COPIES,
     EQUALITIES,
     EXCHANGES,
-    FIRST,
     MISTAKES,
     OFFSETS,
     SIGNS,
@@ -79,7 +79,7 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
 
 def _are_sound(signals: Signals) -> bool:
     """Return whether no check contradicts the signals."""
-    checks: list[Equality | Sign | Exchange] = [*FIRST, *EQUALITIES, *SIGNS]
+    checks: list[Equality | Sign | Exchange] = [*COPIES, *EQUALITIES, *SIGNS]
     checks += [*EXCHANGES, *OFFSETS]
     return not any(isinstance(check.judge(signals), Contradiction) for check in checks)
 
@@ -94,7 +94,7 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
             confirmed.update(judgement.channels)
     # others may be consequences of the first
     contradictions = [
-        *_contradicted(FIRST, signals),
+        *_contradicted(COPIES, signals),
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
         *_contradicted(EXCHANGES, signals),

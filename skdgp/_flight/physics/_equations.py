@@ -6,8 +6,6 @@ are linear in angles, rates and surfaces.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from skdgp._compute.typing import Matrix, Vector
@@ -15,7 +13,6 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE,
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_per_rotation, wrapped
 from skdgp._flight.physics._regression import Regression
 from skdgp._flight.physics._signals import PHYSICS, Signals
-from skdgp._flight.tables import by_name
 
 # -- attitude and position
 
@@ -194,21 +191,6 @@ def _level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vec
     heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
     return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
-
-
-def horizontal_force(flight: Signals, axis: int) -> Regression:
-    """Return the terms along north or east."""
-    change = flight.change(flight.vector(EARTH_VELOCITY))
-    impulse = flight.integral(_in_earth_axes(flight, flight.vector(SPECIFIC_FORCE)))
-    return Regression.with_intercept(change[:, axis], impulse[:, axis])
-
-
-def in_body_axes(flight: Signals) -> Signals:
-    """Return the signals with the specific force turned from earth to body axes, R^T f, where the attitude is known."""
-    if not {*EULER, *SPECIFIC_FORCE} <= flight.channels.keys():
-        return flight
-    force = np.einsum("nji,nj->ni", flight.rotation, flight.vector(SPECIFIC_FORCE))
-    return replace(flight, channels=flight.channels | by_name(SPECIFIC_FORCE, force))
 
 
 def _in_earth_axes(flight: Signals, force: Matrix) -> Matrix:

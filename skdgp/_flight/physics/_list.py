@@ -36,7 +36,6 @@ from skdgp._flight.physics._signals import (
     PHYSICS,
     SURFACE_LAGS,
     VANE_LAGS,
-    Signals,
 )
 
 FORCE_CHANNELS = (*EULER, *EARTH_VELOCITY, *SPECIFIC_FORCE)
@@ -317,46 +316,22 @@ OFFSETS = (
 # -- exchanges
 
 
-def _relation_of_horizontal_force(axis: int) -> Relation:
-    """Return the relation of a change of velocity with an accelerometer."""
-    return Relation(
-        channels=("ax", "ay"),
-        uses=FORCE_CHANNELS,
-        y=f"the change of {EARTH_VELOCITY[axis]}",
-        x=f"the integral of {SPECIFIC_FORCE[axis]}",
-        regression=partial(equations.horizontal_force, axis=axis),
-    )
-
-
-def _exchange(first: str, second: str, *relations: Relation) -> Exchange:
-    """Return the check of two channels that stand for each other, by the two relations that they are in."""
-    by_first, by_second = relations
-    undone = partial(Signals.exchanged, first=first, second=second)
-    return Exchange((first, second), (by_first, by_second), undone)
-
-
-EARTH_AXES = Exchange(
-    ("ax", "ay"),
-    (_relation_of_horizontal_force(0), _relation_of_horizontal_force(1)),
-    equations.in_body_axes,
-    "in earth axes",
-)
-FIRST: list[Sign | Exchange] = [*COPIES, EARTH_AXES]
-"""From which other contradictions follow."""
 EXCHANGES = (
-    _exchange("q", "r", PITCH, YAW),
-    _exchange("v_north", "v_east", NORTH, EAST),
-    _exchange(
-        "elevator",
-        "aileron",
-        _relation_of_response("p", ("aileron", "elevator", "beta", "p", "r", "rudder")),
-        _relation_of_response("q", ("elevator", "aileron", "alpha", "q")),
+    Exchange(("q", "r"), (PITCH, YAW)),
+    Exchange(("v_north", "v_east"), (NORTH, EAST)),
+    Exchange(
+        ("elevator", "aileron"),
+        (
+            _relation_of_response("p", ("aileron", "elevator", "beta", "p", "r", "rudder")),
+            _relation_of_response("q", ("elevator", "aileron", "alpha", "q")),
+        ),
     ),
-    _exchange(
-        "beta",
-        "alpha",
-        _relation_of_response("az", ("alpha", "beta", "q", "elevator")),
-        _relation_of_response("ay", ("beta", "alpha", *LATERAL_EFFECTS)),
+    Exchange(
+        ("beta", "alpha"),
+        (
+            _relation_of_response("az", ("alpha", "beta", "q", "elevator")),
+            _relation_of_response("ay", ("beta", "alpha", *LATERAL_EFFECTS)),
+        ),
     ),
 )
 

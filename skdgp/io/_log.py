@@ -293,15 +293,13 @@ class Log:
 
     def instances(self, name: str, least: int = 2) -> list[Instance]:
         """Return the instances of a topic that have so many messages, by number."""
-        instances = []
         further = self.aliases.get(name, ())
+        instances = []
         for key, topic in self.topics.items():
             base, _, number = key.partition("#")
-            if len(topic) < least:
-                continue
-            if base == name:
+            if len(topic) >= least and base == name:
                 instances.append(Instance(int(number or 0), key, topic))
-            elif key in further:
+            elif len(topic) >= least and key in further:
                 instances.append(Instance(1 + further.index(key), key, topic))
         return sorted(instances)
 
@@ -358,9 +356,9 @@ def stated_positions(
     """
     positions: dict[int, tuple[str, tuple[float, ...]]] = {}
     for number, name in enumerate(names):
-        x, y, z = (parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ")
-        if np.isfinite([x, y, z]).all() and any((x, y, z)):
-            positions[number] = (f"{name}_X _Y _Z", (x, y, z))
+        place = tuple(parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ")
+        if np.isfinite(place).all() and any(place):
+            positions[number] = (f"{name}_X _Y _Z", place)
     return positions
 
 
@@ -372,7 +370,7 @@ def fastest(speeds: Mapping[str, Vector]) -> tuple[str, ...]:
     """
     means = {}
     for name, speed in speeds.items():
-        means[name] = np.abs(np.nan_to_num(speed)).mean() if len(speed) else 0.0
+        means[name] = np.abs(np.nan_to_num(speed)).sum() / max(len(speed), 1)
     least = LEAST_SPEED * max(means.values(), default=0.0)
     return tuple(name for name, mean in means.items() if mean > least)
 
@@ -503,17 +501,14 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     if not log.controls:
         raise FlightReadError(lacking_servos(log))
     throws = {}
-    disordered = []
     for name, control in log.controls.items():
         throws[name] = scaled(control, -1.0) if name in turned else control
         for _, servo in control:
             if not _increases(servo.inputs):
-                disordered.append(f"{name} on {servo.channel} {servo.inputs}")
-    if disordered:
-        raise FlightReadError(
-            f"Got min, trim, max of {', '.join(disordered)}, but expected them in this order: "
-            "write the servo file by hand."
-        )
+                raise FlightReadError(
+                    f"Got min, trim, max of {name} on {servo.channel} {servo.inputs}, but expected them in "
+                    "this order: write the servo file by hand."
+                )
     return throws
 
 
@@ -551,10 +546,8 @@ def with_throws(servos: Mapping[str, Servo | float], log: Log) -> dict[str, Cont
             controls[name] = ((1.0, entry),)
         else:
             throws[name] = entry
-    if not throws:
-        return controls
-    named = full_throws(log)
-    lacking = sorted(set(throws) - set(named))
+    named = full_throws(log) if throws else {}
+    lacking = sorted(throws.keys() - named.keys())
     if lacking:
         raise FlightReadError(
             f"Got the full throw of {lacking}, but expected surfaces that the parameters of "
@@ -577,37 +570,35 @@ def _servo(name: str, entry: Any) -> Servo | float:
     if isinstance(entry, str):
         return _throw(name, entry)
     try:
+        channel = entry["channel"]
         inputs, angles = np.transpose(sorted(entry["points"])).astype(float)
-        is_entry = {*entry} == KEYS and isinstance(entry["channel"], str)
-        is_finite = bool(np.isfinite([inputs, angles]).all())
         is_sound = (
-            is_entry and is_finite and inputs.ndim == 1 and len(inputs) > 1 and _increases(inputs)
+            {*entry} == KEYS
+            and isinstance(channel, str)
+            and inputs.ndim == 1
+            and len(inputs) > 1
+            and bool(np.isfinite([inputs, angles]).all())
+            and _increases(inputs)
+            and bool(np.abs(angles).max() <= np.pi / 2)
         )
     except (KeyError, TypeError, ValueError, OverflowError):
         is_sound = False
     if not is_sound:
         raise FlightReadError(
             f"Got {name} = {entry}, but expected a channel and points, and no other keys. Points are two or more pairs "
-            "of finite numbers, values of the channel, each once, and angles [rad]: "
+            "of finite numbers, values of the channel, each once, and angles in radians, at most pi/2: "
             'channel = "RCOU.C2", points = [[1100, -0.35], [1900, 0.35]].'
         )
-    largest = np.abs(angles).max()
-    if largest > np.pi / 2:
-        raise FlightReadError(
-            f"Got angles up to {largest:g} for {name}, but expected radians, at most pi/2: convert degrees."
-        )
-    return Servo(entry["channel"], tuple(inputs.tolist()), tuple(angles.tolist()))
+    return Servo(channel, tuple(inputs.tolist()), tuple(angles.tolist()))
 
 
 def _throw(name: str, text: str) -> float:
     """Return the angle at full throw [rad], of a text such as "25 deg"."""
     match = THROW.fullmatch(text.strip())
-    angle = 0.0
-    if match:
-        number, unit = match.groups()
-        angle = np.deg2rad(float(number)) if unit == "deg" else float(number)
+    number, unit = match.groups() if match else (0, "rad")
+    angle = float(number) * (np.pi / 180 if unit == "deg" else 1.0)
     if not 0 < angle <= np.pi / 2:
         raise FlightReadError(
             f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg".'
         )
-    return float(angle)
+    return angle

@@ -6,7 +6,6 @@ Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as p
 from __future__ import annotations
 
 import io
-from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -31,7 +30,6 @@ from skdgp.io._log import (
     States,
     Topic,
     Use,
-    damage,
     fastest,
     from_rpm,
     in_force,
@@ -46,12 +44,8 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35"
-# bytes before each message
-HEAD_SIZE = 3
 # microseconds from sampling to publishing, at most
 LATEST = 1_000_000
-# beyond one for each byte
-SPARE_READS = 1000
 TAILSITTERS = (19, 20, 23)
 MAV_TYPES = {
     1: "fixed wing",
@@ -232,8 +226,7 @@ def read_ulog(path: Path) -> Log:
     try:
         # where pyulog tells of damage
         with redirect_stdout(io.StringIO()):
-            file = _File(data)
-            log = pyulog.ULog(file)
+            log = pyulog.ULog(io.BytesIO(data))
             version = log.get_version_info_str() or "development"
     except (
         pyulog.ULogException,
@@ -248,12 +241,12 @@ def read_ulog(path: Path) -> Log:
     for data_set in log.data_list:
         if "timestamp" in data_set.data:
             name = instance_name(data_set.name, data_set.multi_id)
-            topics[name] = _topic(data_set, file.places[data_set.msg_id])
+            topics[name] = _topic(data_set)
     if not topics:
         raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")
-    remarks = damage(len(data) - file.end)
+    remarks = ()
     if log.file_corruption:
-        remarks = ("parts of the file could not be read and were skipped", *remarks)
+        remarks = ("parts of the file could not be read and were skipped",)
     parameters = _parameters(log, topics)
     firmware = f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}"
     return px4_log(topics, parameters, kind="PX4 ULog", firmware=firmware, remarks=remarks)
@@ -323,39 +316,11 @@ def _mean_motor(commands: Matrix) -> Matrix:
     return np.nan_to_num(commands).mean(axis=1)[:, None]
 
 
-class _File(io.BytesIO):
-    """A file that notes the places of data, how far it was read, and ends where pyulog reads damage again and again."""
-
-    def __init__(self, data: bytes):
-        super().__init__(data)
-        self.end = 0
-        # where messages end, by their number
-        self.places: defaultdict[int, list[int]] = defaultdict(list)
-        self._is_data = False
-        # a sound file has two for each message
-        self._reads_left = len(data) + SPARE_READS
-
-    def read(self, size: int | None = -1) -> bytes:
-        """Return the next bytes; raise EOFError after more reads than bytes."""
-        self._reads_left -= 1
-        if self._reads_left < 0:
-            raise EOFError("most of it is damaged")
-        content = super().read(size)
-        self.end = self.tell()
-        if self._is_data and len(content) == size:
-            self.places[int.from_bytes(content[:2], "little")].append(self.end)
-        self._is_data = size == HEAD_SIZE and content[2:] == b"D"
-        return content
-
-
-def _topic(data_set: Any, places: list[int]) -> Topic:
-    """Return the messages of a topic; places are approximate where pyulog refused messages."""
+def _topic(data_set: Any) -> Topic:
+    """Return the messages of a topic, in the order of their times: the clock of a ULog is not set back."""
     fields = numeric_fields(data_set.data)
     time = sampled(data_set.name, fields) * 1e-6
-    order = np.array(places, dtype=float)
-    if len(order) != len(time):
-        order = np.linspace(order[0], order[-1], len(time))
-    return Topic(time, order, fields)
+    return Topic(time, time, fields)
 
 
 def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:

@@ -215,16 +215,10 @@ def known_derivatives(tables, aircraft, at):
     """Return the derivatives (6, 11) at regressors (11,): of a polynomial of third order of the truth of all tables."""
     X = np.concatenate([exact_regressors(table, aircraft) for table in tables])
     Y = pd.concat(tables)[[f"{name}_true" for name in COEFFICIENTS]].to_numpy()
-    terms = PolynomialFeatures(3)
     scale = X.std(axis=0)
-    outer = 0.0
-    inner = 0.0
-    for rows in np.array_split(np.arange(len(X)), len(X) // 5000 + 1):
-        Q = terms.fit_transform((X[rows] - at) / scale)
-        outer = outer + Q.T @ Q
-        inner = inner + Q.T @ Y[rows]
-    slopes = np.linalg.lstsq(outer, inner, rcond=1e-13)[0][1 : len(NAMES) + 1].T / scale
-    return pd.DataFrame(slopes, COEFFICIENTS, NAMES)
+    terms = PolynomialFeatures(3).fit_transform((X - at) / scale)
+    slopes = np.linalg.lstsq(terms, Y, rcond=3e-7)[0][1 : len(NAMES) + 1]
+    return pd.DataFrame(slopes.T / scale, COEFFICIENTS, NAMES)
 
 
 # Command and position of each surface of JSBSim

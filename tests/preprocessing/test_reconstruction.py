@@ -25,7 +25,6 @@ from skdgp.preprocessing import (
     FlightPathReconstruction,
     FlightSmoother,
     LagCorrector,
-    _flight_path,
 )
 
 AIR = ["airspeed", "alpha", "beta"]
@@ -225,7 +224,7 @@ class TestHonesty:
         def ended(*arguments, **options):
             return estimate_path(*arguments, **options)._replace(converged=next(estimates))
 
-        monkeypatch.setattr(_flight_path, "estimate_path", ended)
+        monkeypatch.setattr("skdgp.preprocessing._flight_path.estimate_path", ended)
         with pytest.warns(UserWarning, match="did not converge: b"):
             reconstruction = fitted(pd.concat(flights, ignore_index=True))
         (doubt,) = pickle.loads(pickle.dumps(reconstruction)).doubts_

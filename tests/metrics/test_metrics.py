@@ -1,7 +1,5 @@
 """Metrics against references typed from their definitions, and scorers inside scikit-learn's machinery."""
 
-import math
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,8 +10,6 @@ from sklearn import config_context
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.exceptions import UndefinedMetricWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, cross_validate
 from sklearn.pipeline import make_pipeline
@@ -102,15 +98,6 @@ class TestMeaning:
         with pytest.warns(UndefinedMetricWarning, match=r"Output \[0\] is constant"):
             assert np.isnan(normalized_rmse([2.0, 2.0], [2.0, 2.1]))
 
-    def test_log_density_is_least_at_the_true_deviation(self):
-        error = default_rng(0).normal(0, 0.3, 20_000)
-        at = [
-            negative_log_predictive_density(error, 0 * error, 0 * error + s)
-            for s in (0.25, 0.3, 0.36)
-        ]
-        assert at[1] == min(at)
-        assert at[1] == pytest.approx(0.5 * math.log(2 * math.pi * math.e * 0.09), abs=0.02)
-
     @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
     def test_coverage_of_honest_bands_is_their_level(self, level):
         rng = default_rng(0)
@@ -150,17 +137,6 @@ class TestScorers:
                     assert_allclose(scores[f"test_{name}"], expected, rtol=1e-4)
                 one = GridSearchCV(model, {}, scoring=SCORERS["log_predictive_density"], cv=2)
                 assert one.fit(X, y).best_score_ == pytest.approx(density)
-
-    def test_missing_targets_are_left_out(self):
-        rng = default_rng(0)
-        X = rng.normal(size=(60, 1))
-        y = np.sin(X).ravel() + rng.normal(0, 0.1, 60)
-        model = make_pipeline(StandardScaler(), GaussianProcessRegressor(RBF() + WhiteKernel(0.01)))
-        model.fit(X, y)
-        is_known = np.arange(60) % 4 > 0
-        score = SCORERS["log_predictive_density"]
-        expected = score(model, X[is_known], y[is_known])
-        assert score(model, X, np.where(is_known, y, np.nan)) == pytest.approx(expected)
 
     def test_a_row_counts_if_any_of_its_targets_is_known(self):
         """Of two outputs the second lacks most rows, and a few rows lack both."""

@@ -91,7 +91,6 @@ class Loop:
     #: Part of the rate of a coordinated turn, g phi / V, that is commanded
     coordination: float = 0.0
     washout: float = 0.0  #: Corner of a high-pass filter of the rate error [rad/s]
-    slip: float = 0.0  #: ArduPilot's YAW2SRV_SLIP: yaw rate per lateral acceleration [rad s/m]
     rudder: float = 0.0  #: Deflection of the rudder that is mixed in at an output of 1 [rad]
     #: Parameters of the gains P, I, D, FF, D_FF by name, with their values
     parameters: Mapping[str, float] | None = None
@@ -110,19 +109,18 @@ class Loop:
             error = error * s / (s + self.washout)
         derivative = self.D * s * _filtered(s, self.of_derivative)
         of_error = (self.P + self.I / s) * error
+        of_rate = of_error + derivative
+        feed_forward = self.FF
         if self.has_ardupilot_rate_law:
-            of_error = of_error + derivative * error
-        of_rate = of_error if self.has_ardupilot_rate_law else of_error + derivative
+            of_error = of_rate = of_error + derivative * error
+            feed_forward = self.FF / to_true
         target = _filtered(s, self.of_target)
-        feed_forward = self.FF / to_true if self.has_ardupilot_rate_law else self.FF
         forward = k**2 * (of_error + self.D_FF * s) + k * feed_forward
         laws = {rate: -(k**2) * of_rate * gyro}
         if np.isfinite(self.time_constant) and angle:
             laws[angle] = -forward * target / self.time_constant
         if self.coordination:
             laws["phi"] = forward * self.coordination * STANDARD_GRAVITY / airspeed
-        if self.slip:
-            laws["ay"] = -(k**2) * self.I / s * self.slip
         return {name: self.full * law for name, law in laws.items()}
 
     def scaled(self, factor: float) -> Loop:

@@ -195,12 +195,12 @@ class Parameters:
 
     def unread(self, prefixes: tuple[str, ...]) -> dict[str, float]:
         """Return the parameters with some beginnings of their names that are not zero, and were not asked."""
-        unread = {}
-        for name, value in self.given.items():
-            counts = value and name.startswith(prefixes) and not WITHOUT_EFFECT.fullmatch(name)
-            if counts and name not in self.asked:
-                unread[name] = value
-        return unread
+        unread = {name: self.given[name] for name in self.given if name not in self.asked}
+        return {
+            name: value
+            for name, value in unread.items()
+            if value and name.startswith(prefixes) and not WITHOUT_EFFECT.fullmatch(name)
+        }
 
 
 def autopilot_loops(
@@ -262,7 +262,11 @@ def autopilot_loops(
             "one autopilot: save the parameters of the aircraft again."
         )
     if not (is_px4 or is_ardupilot):
-        raise _no_gains(given)
+        raise ValueError(
+            f"Got parameters without gains of a rate loop ({len(given)} in all), but expected FW_RR_P or FW_PR_P of "
+            "PX4, or RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane, not those of a multicopter or of a Plane before "
+            "4.1 (RLL2SRV_P), which has another control law."
+        )
     value = Parameters(given, PX4_DEFAULTS if is_px4 else ARDUPILOT_DEFAULTS)
     loops, unknown = (_px4_loops if is_px4 else _ardupilot_loops)(value, full)
     if not loops:
@@ -286,19 +290,6 @@ def autopilot_loops(
 def _listed(values: Mapping[str, float]) -> str:
     """Return parameters with their values as text."""
     return ", ".join(f"{name} {value:g}" for name, value in values.items())
-
-
-def _no_gains(given: Mapping[str, float]) -> ValueError:
-    """Return the error of parameters without gains of a rate loop."""
-    if "RLL2SRV_P" in given or "PTCH2SRV_P" in given:
-        return ValueError(
-            "Got the gains RLL2SRV_P or PTCH2SRV_P of ArduPilot before 4.1, but expected RLL_RATE_P and "
-            "PTCH_RATE_P: the older firmware has another control law."
-        )
-    return ValueError(
-        f"Got parameters without gains of a rate loop ({len(given)} in all), but expected FW_RR_P or FW_PR_P "
-        "of PX4, or RLL_RATE_P or PTCH_RATE_P of ArduPilot Plane, not those of a multicopter."
-    )
 
 
 def _warn_of_open(loops: list[Loop], full: Mapping[str, float]) -> None:
@@ -366,18 +357,16 @@ def _px4_scaling(value: Parameters) -> dict[str, float]:
     trim = value("FW_AIRSPD_TRIM")
     slowest = value("FW_AIRSPD_STALL")
     fastest = value("FW_AIRSPD_MAX")
-    # the firmware refuses a trim beyond its limits, so a default that excludes the trim is not its limit
-    if slowest > trim and "FW_AIRSPD_STALL" not in value.given:
-        slowest = 0.1
-    if fastest < trim and "FW_AIRSPD_MAX" not in value.given:
-        fastest = 1000.0
     if not slowest <= trim <= fastest:
         raise ValueError(
             f"Got FW_AIRSPD_STALL {slowest:g}, TRIM {trim:g} and MAX {fastest:g}, given or by default, but "
             "expected airspeeds that increase: give all three."
         )
-    limits = {"least_scaling": trim / fastest, "most_scaling": trim / slowest}
-    return {"scaling_speed": trim, **limits}
+    return {
+        "scaling_speed": trim,
+        "least_scaling": trim / fastest,
+        "most_scaling": trim / slowest,
+    }
 
 
 def _ardupilot_loops(
@@ -522,9 +511,10 @@ def _notch(frequency: float, width: float, attenuation: float) -> list[Notch]:
 def _ardupilot_yaw_damper(
     value: Parameters, full: Mapping[str, float], unit: float, common: Mapping[str, Any]
 ) -> list[Loop]:
-    """Return the yaw damper: the output is -DAMP (1 + INT / s) of the washed out rate, and INT of the slip."""
+    """Return the yaw damper: the output is -DAMP (1 + INT / s) of the washed out rate."""
     damping = value("YAW2SRV_DAMP")
-    integral, turn, slip = value("YAW2SRV_INT"), value("YAW2SRV_RLL"), value("YAW2SRV_SLIP")
+    integral = value("YAW2SRV_INT")
+    turn = value("YAW2SRV_RLL")
     if not damping:
         return []
     return [
@@ -536,8 +526,6 @@ def _ardupilot_yaw_damper(
             I=unit * damping * integral,
             washout=WASHOUT,
             coordination=turn,
-            # degrees of rate for an acceleration
-            slip=np.deg2rad(slip),
             parameters={"YAW2SRV_DAMP": damping},
             **common,
         )

@@ -247,7 +247,8 @@ class Motion:
                 if name in self.controls:
                     mixed[name] = sum(map(np.multiply, row, surfaces))
         controls = mixed | dict(controls)
-        check_names(self.controls, controls, "controls")
+        if not controls.keys() >= {*self.controls}:
+            check_names(self.controls, controls, "controls")
         return controls
 
     def with_aerodynamics(self, aerodynamics: Aerodynamics) -> Motion:

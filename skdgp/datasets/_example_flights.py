@@ -255,13 +255,15 @@ def fly_plans(
     controls = FlightControls(plans, time, STEP)
     states = _initial_states(controls, wind)
     flown = fly_record(motion, controls, air, StepClock(STEP, n_times - 1), states)
-    record = flown.rows(slice(n_settling, None))
-    local_air = air(slice(2 * n_settling, 2 * n_times, 2), record.states)
+    states = flown.states[n_settling:]
+    controls_set = {name: values[n_settling:] for name, values in flown.controls.items()}
+    local_air = air(slice(2 * n_settling, 2 * n_times, 2), states)
     implicit = None
     for _ in range(PASSES):
-        truth = motion.at(record.states, record.controls, local_air, implicit)
+        truth = motion.at(states, controls_set, local_air, implicit)
         implicit = truth.implicit
-    return record._replace(time=time[n_settling:]), truth
+    record = flown._replace(time=time[n_settling:], states=states, controls=controls_set)
+    return record._replace(wind=flown.wind[n_settling:]), truth
 
 
 def _gusts(

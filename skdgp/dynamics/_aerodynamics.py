@@ -155,8 +155,7 @@ class Aerodynamics:
             )
 
     def __repr__(self) -> str:
-        paths = "" if self.n_paths is None else f", {self.n_paths} paths"
-        return f"Aerodynamics({', '.join(self.regressors)}{paths})"
+        return f"Aerodynamics({', '.join(self.regressors)})"
 
     @property
     def is_uncertain(self) -> bool:
@@ -166,11 +165,10 @@ class Aerodynamics:
     @property
     def ranges(self) -> Array:
         """Widths of the training ranges (d,), 1 where a regressor has none."""
-        unknown = np.ones(len(self.regressors))
         if self.limits is None:
-            return unknown
+            return np.ones(len(self.regressors))
         widths = np.ptp(self.limits, axis=0)
-        return np.where(widths > 0, widths, unknown)
+        return np.where(widths > 0, widths, 1.0)
 
     @property
     def training_ranges(self) -> dict[str, tuple[float, float]]:
@@ -374,8 +372,7 @@ class Coefficients:
             ends = scaler.inverse_transform(ends)
         self.shift, at_one = ends
         self.scale = at_one - self.shift
-        names = list(vars(self.regressor).get("output_names_", NO_NAMES))
-        self.order = self._order(names)
+        self.order = self._order()
 
     def mean(self, X: Array) -> Array:
         """Return the coefficients (n, 6) at regressors (n, d)."""
@@ -392,21 +389,18 @@ class Coefficients:
             X = X if sparse.issparse(X) else np.asarray(X)
         return self.regressor.predict(X)
 
-    def _order(self, names: list[str]) -> slice | list[int]:
+    def _order(self) -> slice | list[int]:
         """Return the places of the coefficients among the outputs."""
+        names = vars(self.regressor).get("output_names_")
+        if names is None:
+            names = [f"y{i}" for i in range(np.size(self._predicted(self.shift[None])))]
         if names == NO_NAMES:
-            shape = np.shape(self._predicted(self.shift[None]))
-            if shape != (1, 6):
-                raise ValueError(
-                    f"Got a model of outputs {shape[1:]}, but expected all six coefficients "
-                    f"{', '.join(COEFFICIENTS)}."
-                )
             names = list(COEFFICIENTS)
         lacking = [name for name in COEFFICIENTS if name not in names]
         if lacking:
             raise ValueError(
-                f"Got a model of {names}, but flight needs all six coefficients: it lacks {lacking}. "
-                "Fit it on a table of all of them (aerodynamic_coefficients gives it)."
+                f"Got a model of {names}, but expected all six coefficients, and it lacks {lacking}: fit it on a "
+                "table of them (aerodynamic_coefficients gives it)."
             )
         order = [names.index(name) for name in COEFFICIENTS]
         return slice(None) if order == list(range(len(names))) else order

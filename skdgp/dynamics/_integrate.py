@@ -237,13 +237,6 @@ class Trajectories(NamedTuple):
     wind: Array | None
     controls: dict[str, Array]
     ended: np.ndarray  #: Why each trajectory ended, (...), `FLYING` where it did not
-    end: Array  #: The step at which it did, (...)
-
-    def rows(self, part: slice) -> Trajectories:
-        """Return the record of some of the steps."""
-        controls = {name: values[part] for name, values in self.controls.items()}
-        arrays = (None if values is None else values[part] for values in self[:8])
-        return Trajectories(*arrays, controls, self.ended, self.end - part.start)  # type: ignore[arg-type, call-arg]
 
 
 def fly_record(
@@ -278,35 +271,33 @@ def fly_record(
     state = by_components(state)
     last = End(state)
     ended = np.full(state.shape[:-1], FLYING, dtype=object)
-    end = np.full(state.shape[:-1], clock.n_steps + 1)
+    over: list[Any] = []  # which trajectories have ended, by step
     flown: list[Moment] = []
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
         for k in range(clock.n_steps + 1):
             moment = integrator.begin(k, last)
             flown.append(moment)
             for reason, where in end_reasons(moment.state, moment.now).items():
-                just = where & (ended == FLYING)
-                ended[just] = reason
-                end[just] = k
+                ended[where & (ended == FLYING)] = reason
+            over.append(ended != FLYING)
             # flights that ended go on without being shown
-            if k == clock.n_steps or (ended != FLYING).all():
+            if k == clock.n_steps or over[-1].all():
                 break
             last = integrator.step(k, moment)
-    return _record(motion, clock, flown, ended, end)
+    return _record(motion, clock, flown, np.array(over), ended)
 
 
 def _record(
-    motion: Motion, clock: StepClock, flown: list[Moment], ended: Array, end: Array
+    motion: Motion, clock: StepClock, flown: list[Moment], over: Array, ended: Array
 ) -> Trajectories:
     """Return the record of the steps ``flown``."""
     time = clock.dt * np.arange(clock.n_steps + 1)
-    is_over = np.moveaxis(np.less_equal.outer(end, np.arange(clock.n_steps + 1)), -1, 0)
 
     def over_time(values: Iterable, *size: int) -> Array:
-        array = np.full((*is_over.shape, *size), np.nan)
+        array = np.full((*time.shape, *ended.shape, *size), np.nan)
         for k, value in enumerate(values):
             array[k] = value
-        array[is_over] = np.nan
+        array[: len(over)][over] = np.nan
         return array
 
     states, instants, _, controls, winds, *_ = zip(*flown, strict=True)
@@ -325,7 +316,6 @@ def _record(
         wind=None if winds[0] is None else over_time(winds, 3),
         controls=deflected,
         ended=ended,
-        end=end,
     )
 
 

@@ -179,7 +179,6 @@ class Motion:
                 f"Got a model with the regressors {unknown}, which are neither controls nor "
                 f"rebuilt along a flight: learn one without them. What is rebuilt: {', '.join(FROM_MOTION)}."
             )
-        self._needs_velocity = not set(BODY_VELOCITY).isdisjoint(self.regressors)
         self._needs_angles = not set(EULER).isdisjoint(self.regressors)
         # Regressors that follow from the loads: their places, and those in `FROM_LOADS`
         self._implicit_places = [k for k, name in enumerate(self.regressors) if name in FROM_LOADS]
@@ -327,20 +326,19 @@ class Motion:
         rates = state[..., RATES]
         if air.gusts is not None:
             rates = rates - air.gusts.rates
-        values = {**controls, **by_name(RATE_NAMES, rates)}
-        if self._needs_velocity:
-            values |= by_name(BODY_VELOCITY, state[..., VELOCITY])
-        values |= zip(Flow._fields[2:], flow[2:], strict=True)
+        values = {
+            **controls,
+            **by_name(RATE_NAMES, rates),
+            **by_name(BODY_VELOCITY, state[..., VELOCITY]),
+            **flow._asdict(),
+        }
         if self._needs_angles:
             values |= by_name(EULER, quaternion_to_euler(state[..., ATTITUDE]))
         X = np.empty((*state.shape[:-1], len(self.regressors)))
         for k, name in enumerate(self.regressors):
             if name in FROM_LOADS:
                 continue
-            value = values[name]
-            if self._sources[k][1] is not None:
-                value = value * self.factor(k, flow.airspeed)
-            X[..., k] = value
+            X[..., k] = values[name] * self.factor(k, flow.airspeed)
         return X
 
     def evaluated(self, X: Array) -> Array:

@@ -117,7 +117,8 @@ def _ended_message(record: Trajectories) -> str:
     """Return a sentence on trajectories that ended early."""
     names, counts = np.unique(record.ended[record.ended != FLYING], return_counts=True)
     reasons = [f"{REASONS[name]}: {n}" for name, n in zip(names, counts, strict=True)]
-    first = record.time[record.end.min()]
+    is_over = np.isnan(record.states).any(axis=-1)
+    first = record.time[is_over.reshape(len(is_over), -1).any(axis=1)][0]
     return (
         f"{counts.sum()} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
         f"its start ({', '.join(reasons)}). Their rows are NaN from there on, and the column ended "

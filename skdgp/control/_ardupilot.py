@@ -61,8 +61,6 @@ LONGEST_FRAME = 0.09
 NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
-# Silence [s] of an autopilot after which another one may fly
-HANDOVER = 1.0
 
 
 class Packet(NamedTuple):
@@ -246,8 +244,7 @@ def fly(
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
     that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot starts
-    another flight, and so does another autopilot after one second of silence. Silence for ``wait``, ``seconds`` or
-    Ctrl-C end it.
+    another flight, and so does another autopilot. Silence for ``wait``, ``seconds`` or Ctrl-C end it.
 
     Parameters
     ----------
@@ -296,7 +293,7 @@ def fly(
     Warns
     -----
     UserWarning
-        If other bytes come, or packets of a second autopilot, which are ignored.
+        If other bytes come, which are ignored.
     SimulationWarning
         When the flight leaves the training range of a regressor, once a second at most.
     """
@@ -357,35 +354,24 @@ class _Flights:
         """Put the aircraft at its trim, heading north."""
         self.channels = self.simulator.reset(self.at_trim, random_state=self.path)
         self._row_time = -np.inf  # of the last row of this flight [s]
-        # Regressors that were warned of since all were in their ranges
-        self._told: set[str] = set()
-        self._told_time = -np.inf  # of the last warning [s]
+        # Regressor that was warned of last since all were in their ranges, and when [s]
+        self._told = ""
+        self._told_time = -np.inf
 
     def serve(self, link: socket.socket, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
         last = sys.maxsize  # number of the last packet
         autopilot = None  # address of its sender
-        heard = -np.inf  # time of the last packet [s]
-        has_warned = False
         line = ""
         while self.simulator.time < seconds:
             received = receive(link, wait)
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
             packet, sender = received
-            now = time.monotonic()
-            if sender != autopilot and now < heard + HANDOVER:
-                if not has_warned:
-                    warn(
-                        f"Got packets of two autopilots, {autopilot} and {sender}, but expected one: those of the "
-                        "second are ignored."
-                    )
-                has_warned = True
-                continue
-            heard = now
+            is_another = sender != autopilot
             # ArduPilot repeats a packet whose answer it did not get
-            if packet.number != last or sender != autopilot:
-                if packet.number < last or sender != autopilot:
+            if packet.number != last or is_another:
+                if packet.number < last or is_another:
                     self._start()
                     self.n_starts += 1
                 last, autopilot = packet.number, sender
@@ -421,19 +407,17 @@ class _Flights:
     def _warn_of_beyond(self) -> None:
         """Warn when a regressor leaves what was learned, once a second at most."""
         beyond, now = self.simulator.beyond, self.simulator.time
-        if not beyond:
-            self._told.clear()
-        if not beyond or beyond in self._told or now < self._told_time + 1.0:
+        if beyond == "":
+            self._told = ""
+        if beyond == self._told or now < self._told_time + 1.0:
             return
-        self._told.add(beyond)
+        self._told = beyond
         self._told_time = now
         motion = self.simulator.motion
-        k = motion.regressors.index(beyond)
-        low, high = motion.aerodynamics.limits[:, k]
+        low, high = motion.aerodynamics.limits[:, motion.regressors.index(beyond)]
         warn(
-            f"After {now:.1f} s the flight is outside of what the model was learned from, in "
-            f"{motion.aerodynamics.regressors[k]} (learned from {low:.3g} to {high:.3g}): the column beyond says "
-            "where. A stall that was not flown is not in the model.",
+            f"After {now:.1f} s the flight is outside of what the model was learned from, in {beyond} (learned from "
+            f"{low:.3g} to {high:.3g}): the column beyond says where. A stall that was not flown is not in the model.",
             SimulationWarning,
         )
 

@@ -100,16 +100,16 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     """
     _check(linear, loops)
     s: Any = 1j * _frequencies(N_FREQUENCIES)
-    responses = _responses(linear, loops, s)
-    transfer = _of_loops(responses, linear, loops, s)
+    transfer = _of_loops(_responses(linear, loops, s), linear, loops, s)
     stability = _Stability.of(linear, loops, N_FREQUENCIES)
     unstable = stability.unstable(loops)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _margins_of(transfer[..., k], s.imag)
-        for quantity, value in OF_UNSTABLE.items():
-            loop_margins[quantity][unstable[:, k]] = value
-        rows += _rows(loop, loop_margins)
+        for quantity, values in loop_margins.items():
+            if quantity in OF_UNSTABLE:
+                values[unstable[:, k]] = OF_UNSTABLE[quantity]
+            rows.append({"loop": loop.name, "quantity": quantity} | _spread(quantity, values))
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
     table.attrs["unstable"] = stability.causes(loops, unstable)
     return table
@@ -172,7 +172,7 @@ def suggest_gains(
             rises[k] = search.largest(loops, rises, k)
         if np.array_equal(rises, before):
             return _risen(loops, rises)
-    changing = [loop.name for loop, changes in zip(loops, rises != before, strict=True) if changes]
+    changing = [loops[k].name for k in np.flatnonzero(rises != before)]
     raise ValueError(
         f"Got gains of {changing} that still change after {ROUNDS} rounds over the loops, but expected that they "
         "settle: lower the wanted margins, or suggest gains of fewer loops."
@@ -246,19 +246,12 @@ def _factor(decibels):
 
 def _check(linear, loops):
     """Raise a ValueError if loops are none, two of a control, or of controls that are no inputs."""
-    if isinstance(loops, str) or not all(isinstance(loop, Loop) for loop in loops):
-        raise TypeError(f"Got loops={loops!r}, but expected a list of Loop, of autopilot_loops.")
     inputs = [*linear.B.columns]
     controls = [loop.control for loop in loops]
     moved = controls + ["rudder" for loop in loops if loop.rudder]
     missing = sorted({*moved} - {*inputs})
     if missing:
         raise ValueError(f"Got loops of {missing}, but the linear model has the inputs {inputs}.")
-    if not (np.isfinite(linear.airspeed) and np.isfinite(linear.density)):
-        raise ValueError(
-            f"Got a linear model at an airspeed of {linear.airspeed} m/s and a density of {linear.density} kg/m^3, "
-            "but expected finite numbers, which scale the gains."
-        )
     if not loops or len(set(controls)) < len(controls):
         raise ValueError(
             f"Got loops of {controls}, but expected at least one, each of its own control."
@@ -413,19 +406,18 @@ class _Stability(NamedTuple):
         """
         K = _gains(self.linear, loops, self.s)
         first = min(1, len(unstable) - 1)  # the mean counts where there are no paths
-        causes: dict[str, float] = {}
+        names: list[str] = []
         for path in range(first, len(unstable)):
-            names = set()
+            of_path = set()
             for axis in self.axes:
                 if unstable[path, axis.loops].all():
                     roots = axis.roots[path]
                     own = roots[roots.real > _bound(roots.imag)]
                     slowest = np.abs(axis.characteristic(K)[path]).argmin()
                     oscillation = f"oscillation of {self.s.imag[slowest]:.1g} rad/s"
-                    names |= {self._name(root) for root in own} or {oscillation}
-            for name in names:
-                causes[name] = causes.get(name, 0.0) + 1.0 / (len(unstable) - first)
-        return causes
+                    of_path |= {self._name(root) for root in own} or {oscillation}
+            names += of_path
+        return {name: names.count(name) / (len(unstable) - first) for name in {*names}}
 
     def _name(self, root: complex) -> str:
         """Return the name of the mode of the mean that a root lies nearest to."""
@@ -484,19 +476,14 @@ def _zeros(values, *, falling=False):
     return first - values[first] / (values[first + 1] - values[first])
 
 
-def _rows(loop, loop_margins):
-    """Return the rows of one loop from the margins of the mean and of the paths."""
-    rows = []
-    for quantity, (value, *paths) in loop_margins.items():
-        values = np.array(paths)
-        row = {"loop": loop.name, "quantity": quantity, "value": float(value)}
-        row |= {"lower": np.nan, "upper": np.nan, "probability": np.nan}
-        known = values[~np.isnan(values)]
-        if len(known):
-            row["lower"], row["upper"] = np.quantile(known, INTERVAL, method="nearest").tolist()
-        if paths and quantity in REQUIRED:
-            required = REQUIRED[quantity]
-            meets = values <= required if quantity == "sensitivity" else values >= required
-            row["probability"] = float(np.mean(meets))
-        rows.append(row)
-    return rows
+def _spread(quantity, values):
+    """Return the columns of a quantity from its values of the mean and of the paths (1 + n_paths,)."""
+    value, paths = float(values[0]), values[1:]
+    lower = upper = probability = np.nan
+    known = paths[~np.isnan(paths)]
+    if len(known):
+        lower, upper = np.quantile(known, INTERVAL, method="nearest").tolist()
+    if len(paths) and quantity in REQUIRED:
+        sign = -1.0 if quantity == "sensitivity" else 1.0
+        probability = float(np.mean(sign * paths >= sign * REQUIRED[quantity]))
+    return {"value": value, "lower": lower, "upper": upper, "probability": probability}

@@ -15,10 +15,8 @@ from skdgp._flight.frames import euler_to_quaternion as euler_to_quaternion
 from skdgp._flight.frames import ned_to_body as ned_to_body
 from skdgp._flight.frames import quaternion_to_matrix as quaternion_to_matrix
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
-from skdgp.dynamics._aerodynamics import Coefficients as Coefficients
 from skdgp.dynamics._aerodynamics import Drift as Drift
 from skdgp.dynamics._aerodynamics import Mixing as Mixing
-from skdgp.dynamics._aerodynamics import steps_by_choice as steps_by_choice
 from skdgp.dynamics._air import Air, Turbulence
 from skdgp.dynamics._air import LocalAir as LocalAir
 from skdgp.dynamics._air import gusty_air as gusty_air

@@ -301,13 +301,17 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
             "estimator, or Aerodynamics(function, regressors=[...])."
         )
     check_is_fitted(model)
-    before, behind = steps_by_choice(model)
-    _check_unscaled(before)
+    steps = _steps_of(model)
     known: dict[str, Any] = {"servos": IDEAL}
-    for step in before:
+    n_before = 0  # the last choice of regressors counts; without a choice all are behind
+    for number, step in enumerate(steps, start=1):
         described = _described(step)
         servos = known["servos"].completed(described.get("servos", IDEAL))
         known |= described | {"servos": servos}
+        if "regressors" in described:
+            n_before = number
+    behind = steps[n_before:]
+    _check_unscaled(steps[:n_before])
     if "regressors" not in known:
         known["regressors"] = _names_of_table(behind[0], type(model).__name__)
     known |= _described(unwrap(model))
@@ -484,16 +488,6 @@ def _steps_of(model: BaseEstimator) -> list:
         steps = [step for _, step in model.steps if step not in (None, "passthrough")]
         return [*steps[:-1], *_steps_of(steps[-1])]
     return [model]
-
-
-def steps_by_choice(model: BaseEstimator) -> tuple[list, list]:
-    """Return the fitted steps up to the choice of regressors, and behind it; without a choice all are behind."""
-    steps = _steps_of(model)
-    n_before = 0
-    for number, step in enumerate(steps, start=1):
-        if "regressors" in _described(step):
-            n_before = number
-    return steps[:n_before], steps[n_before:]
 
 
 def _without_names(step: Any) -> Any:

@@ -43,11 +43,10 @@ FASTEST = np.repeat([1000.0, np.inf, 60.0], [3, 4, 3])
 STAGE_LIMIT = 1e9
 
 
-# Steps from one evaluation of paths to the next, and the longest time between them [s]
-STRIDE = 3
-LONGEST_STRIDE = 0.06
-# Time for which slopes are kept [s]; errors: docs/simulation.md, "Bands of a trajectory"
-SLOPES_KEPT = 0.3
+# Time from one evaluation of paths to the next [s], and number of evaluations for which slopes are kept; errors:
+# docs/simulation.md, "Bands of a trajectory"
+STRIDE = 0.06
+RENEWAL = 5
 # Largest change of a control in a step, over its training range, that slopes account for, and largest change
 # until the paths are evaluated again, over the one in a step
 REACH = 0.02
@@ -125,15 +124,11 @@ class Integrator:
         self.drifts = np.zeros(len(clock.stages)) if drifts is None else drifts
         self.servos = motion.aerodynamics.servos
         self._surfaces = motion.surfaces
-        # Steps from one evaluation to the next; evaluations for which slopes are kept
-        fitting = min(STRIDE, clock.n_steps, round(LONGEST_STRIDE / clock.dt))
-        self._stride = max(1, fitting)
-        n_kept = min(clock.n_steps, round(SLOPES_KEPT / clock.dt))
-        self._renewal = n_kept // self._stride
-        # slopes that are kept for one step save nothing
+        self._stride = max(1, round(STRIDE / clock.dt))  # steps from one evaluation to the next
         model = motion.aerodynamics
         has_path_slopes = model.n_paths is not None and model.slopes is not None
-        self._has_tangents = has_path_slopes and n_kept > 1
+        # slopes of a single step save nothing
+        self._has_tangents = has_path_slopes and clock.n_steps > 1
 
     def begin(self, step: int, last: End) -> Moment:
         """Return what happens at the beginning of a step, with what the ``last`` one reached."""
@@ -206,7 +201,7 @@ class Integrator:
             return change, self._tangent(last, coefficients)
         error = coefficients - tangent(last)
         change = 0.5 * n_steps * self.dt * self.motion.response(now, error)
-        if tangent.age + 1 >= self._renewal:
+        if tangent.age + 1 >= RENEWAL:
             return change, self._tangent(last, coefficients)
         return change, tangent.moved(last, coefficients)
 

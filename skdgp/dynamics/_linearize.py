@@ -88,10 +88,10 @@ class LinearModel:
     B: Any
     C: Any
     D: Any
+    airspeed: float  #: Of the flight [m/s]
+    density: float  #: Of its air [kg/m^3]
     #: A, B, C, D and delay of the servos of each path of the posterior, arrays (n_paths, ...)
     paths: Matrices | None = None
-    airspeed: float = np.nan  #: Of the flight [m/s]
-    density: float = np.nan  #: Of its air [kg/m^3]
     delay: float = 0.0  #: Of the commands before they are logged [s]
     servos: Servos = IDEAL  #: Behind the logged commands; their lag is in A and B
 
@@ -384,21 +384,14 @@ def flight_point(
         point = point.state
     state = as_floats(point)
     if state.shape != (13,) or not np.isfinite(state).all():
-        shape = np.array(point, dtype=object).shape  # numpy refuses ragged lists otherwise
         raise ValueError(
-            f"Got a point of shape {shape} or with values that are not finite, but expected a Trim or "
-            "a state of 13 finite numbers (STATE_NAMES), one point a call."
-        )
-    if controls is None:
-        raise ValueError(
-            "Got a state without controls, but expected controls={name: value} of "
-            f"{motion.controls}."
+            f"Got the point {point!r}, but expected a Trim or a state of 13 finite numbers (STATE_NAMES)."
         )
     if not np.linalg.norm(state[3:6]) > 0:
         raise ValueError(
             "Got a state at rest, but expected an airspeed > 0: coefficients are loads over rho V^2 / 2."
         )
-    return state, {name: float(value) for name, value in motion.mixed(controls).items()}
+    return state, {name: float(value) for name, value in motion.mixed(controls or {}).items()}
 
 
 def check_paths(n_paths: int) -> None:

@@ -66,7 +66,7 @@ def simulate(
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them
     from a flight. Those that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax,
-    ay, az) are found by fixed point. Paths are evaluated in every third step, with waves of single
+    ay, az) are found by fixed point. Paths are evaluated each 0.06 s, with waves of single
     precision, and have their tangent at the stages, whose error corrects the steps.
 
     Parameters
@@ -311,11 +311,6 @@ class Simulator:
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
         self._mean_motion = self.motion
-        n_winds = len(air.wind) if isinstance(air.wind, list | tuple) else 1
-        if tables_of(air.wind, "wind", n_winds):
-            raise ValueError(
-                "Got a wind over time, but a Simulator flies in a constant one: simulate() does."
-            )
         self._wind = STILL
         if air.wind is not None:
             self._wind = LocalAir(check_numbers("wind", air.wind, 3, unit="m/s north, east, down"))

@@ -115,14 +115,14 @@ def warn_of(record: Trajectories, motion: Motion, farthest: Array) -> None:
 
 def _ended_message(record: Trajectories) -> str:
     """Return a sentence on trajectories that ended early."""
-    names, counts = np.unique(record.ended[record.ended != FLYING], return_counts=True)
-    reasons = [f"{REASONS[name]}: {n}" for name, n in zip(names, counts, strict=True)]
-    is_over = np.isnan(record.states).any(axis=-1)
-    first = record.time[is_over.reshape(len(is_over), -1).any(axis=1)][0]
+    ended = record.ended[record.ended != FLYING]
+    reasons = ", ".join(REASONS[name] for name in np.unique(ended))
+    is_over = np.isnan(record.states).any(axis=-1).reshape(len(record.time), -1)
+    first = record.time[is_over.any(axis=1)][0]
     return (
-        f"{counts.sum()} of {record.ended.size} trajectories ended early, the first {first:.2f} s after "
-        f"its start ({', '.join(reasons)}). Their rows are NaN from there on, and the column ended "
-        "says why. Look at start, controls, wind and thrust; try a smaller dt."
+        f"{len(ended)} of {record.ended.size} trajectories ended early, the first {first:.2f} s after its start "
+        f"({reasons}). Their rows are NaN from there on, and the column ended says why. Look at start, controls, wind "
+        "and thrust; try a smaller dt."
     )
 
 
@@ -130,15 +130,12 @@ def _beyond_message(record: Trajectories, motion: Motion, farthest: Array) -> st
     """Return a sentence on trajectories that left the training ranges."""
     model = motion.aerodynamics
     farthest = farthest.reshape(len(record.time), -1)
-    outside = farthest > 0
-    first = int(np.argmax(outside.any(axis=1)))
-    k = farthest[first][outside[first]][0] - 1
+    first = int(np.argmax(farthest.any(axis=1)))
+    k = farthest[first].max() - 1
     low, high = model.limits[:, k]
-    values = record.regressors[..., k]
     return (
-        f"{outside.any(axis=0).sum()} of {record.ended.size} trajectories left what the model was "
-        f"learned from, the first {record.time[first]:.2f} s after its start in {model.regressors[k]} "
-        f"(here {np.nanmin(values):.3g} to {np.nanmax(values):.3g}, learned from {low:.3g} to "
+        f"{farthest.any(axis=0).sum()} of {record.ended.size} trajectories left what the model was learned from, the "
+        f"first {record.time[first]:.2f} s after its start in {model.regressors[k]} (learned from {low:.3g} to "
         f"{high:.3g}): the column beyond says where."
     )
 

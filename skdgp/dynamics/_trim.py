@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from skdgp._flight.channels import (
     THRUST_MOMENTS,
 )
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, ned_to_body
-from skdgp._flight.tables import check_names, check_number
+from skdgp._flight.tables import by_name, check_names, check_number
 from skdgp._flight.units import degrees_error
 from skdgp.dynamics._aerodynamics import Aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
@@ -40,12 +41,9 @@ ENGINE_CONTROLS = ("throttle", "propeller_speed", "thrust")
 THRUST_SOURCES = ("propeller_speed", "thrust", *THRUST_FORCES, *THRUST_MOMENTS)
 FLIGHT = ("altitude", "climb", "turn_rate", "alpha", "beta", "phi", "theta")
 ANGLES = ("alpha", "beta", "theta", "phi", "turn_rate", "climb")
-# Accelerations that vanish: places in the derivative of the state, and units
-ACCELERATIONS = [3, 4, 5, 10, 11, 12]
-ACCELERATION_UNITS = {
-    **dict.fromkeys(("u_dot", "v_dot", "w_dot"), "m/s^2"),
-    **dict.fromkeys(("p_dot", "q_dot", "r_dot"), "rad/s^2"),
-}
+# Accelerations that vanish: places in the derivative of the state
+ACCELERATIONS = {"u_dot": 3, "v_dot": 4, "w_dot": 5, "p_dot": 10, "q_dot": 11, "r_dot": 12}
+PLACES = [*ACCELERATIONS.values()]
 # Limits of unknowns, of alpha where its training range is not known
 UNKNOWN_LIMITS = {
     "alpha": (-np.pi / 6, np.pi / 4),
@@ -193,11 +191,11 @@ def trim(
     flight, state, now = steady.at(steady.solve(airspeed), airspeed)
     check_settled(now)
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
+    values = by_name(motion.aerodynamics.regressors, now.regressors)
     beyond = {}
-    ranges = motion.aerodynamics.training_ranges
-    for (name, (low, high)), value in zip(ranges.items(), now.regressors.tolist(), strict=False):
-        if not low <= value <= high:
-            beyond[name] = (value, low, high)
+    for name, (low, high) in motion.aerodynamics.training_ranges.items():
+        if not low <= values[name] <= high:
+            beyond[name] = (float(values[name]), low, high)
     return Trim(
         state=state,
         controls={name: float(flight[name]) for name in steady.controls},
@@ -206,7 +204,7 @@ def trim(
         **{name: float(flight[name]) for name in FLIGHT},
         coefficients=now.coefficients,
         thrust=float((now.force - aerodynamic) @ aircraft.engine_line.direction),
-        residual=float(np.abs(now.derivative[ACCELERATIONS]).max()),
+        residual=float(np.abs(now.derivative[PLACES]).max()),
         beyond=beyond,
     )
 
@@ -243,9 +241,8 @@ class SteadyFlight:
         self.unknowns = (*(name for name in ANGLES if name not in known), *free)
         if len(self.unknowns) > 7:
             raise ValueError(
-                f"Got {len(self.unknowns)} unknowns, {', '.join(self.unknowns)}, but a steady flight "
-                f"has 7 equations: give the value of {len(self.unknowns) - 7} more, controls as "
-                "fixed={name: value}."
+                f"Got the unknowns {', '.join(self.unknowns)}, but expected at most 7, as many as a steady flight has "
+                "equations: give values of controls, fixed={name: value}."
             )
         self.limits = {name: self._limits(name) for name in self.unknowns}
 
@@ -260,12 +257,12 @@ class SteadyFlight:
             names.append(engine)
         check_names(fixed, (*names, *THRUST_SOURCES), "controls of the model and the engine")
         held = dict(fixed)
-        for name, limits in self.flown.items():
+        for name in self.flown.keys() & {*names} - {engine}:
+            limits = self.flown[name]
             is_unmoved = name in ALL_SURFACES and np.isclose(*limits)
-            is_at_rest = name in ENGINE_CONTROLS or is_unmoved
-            if name in names and name != engine and is_at_rest:
+            if name in ENGINE_CONTROLS or is_unmoved:
                 held.setdefault(name, float(np.mean(limits)))
-            elif name in names and name in AUXILIARY:
+            elif name in AUXILIARY:
                 held.setdefault(name, float(np.clip(0.0, *limits)))
         free = [name for name in names if name not in held]
         undetermined = {*ENGINE_CONTROLS, *CHANNELS} - {*ALL_SURFACES, *AUXILIARY, engine}
@@ -302,13 +299,11 @@ class SteadyFlight:
     def solve(self, airspeed: float) -> Array:
         """Return the values of the unknowns."""
         low, high = np.array(list(self.limits.values())).T
-        margin = 1e-6 * np.minimum(high - low, 1.0)
-        best: Any = None
+        solutions = []
         for fraction in STARTS:
-            start = self._start(airspeed, fraction)
             solution = least_squares(
                 self.residual,
-                np.clip(start, low + margin, high - margin),
+                np.clip(self._start(airspeed, fraction), low, high),
                 jac="2-point",
                 args=(airspeed,),
                 bounds=(low, high),
@@ -318,10 +313,10 @@ class SteadyFlight:
                 gtol=1e-15,
                 max_nfev=200,
             )
-            if best is None or solution.cost < best.cost:
-                best = solution
-            if np.abs(best.fun).max() < TOLERANCE:
-                return best.x
+            if np.abs(solution.fun).max() < TOLERANCE:
+                return solution.x
+            solutions.append(solution)
+        best = min(solutions, key=lambda solution: solution.cost)
         if np.abs(best.fun).max() < ACCEPTED:
             return best.x
         raise ValueError(self._no_trim(best, airspeed))
@@ -366,24 +361,22 @@ class SteadyFlight:
                 "expected six accelerations: the model, the thrust or the air is not defined there."
             )
         path = -now.derivative[2] / airspeed - np.sin(flight["climb"])
-        return np.append(now.derivative[ACCELERATIONS], PATH_WEIGHT * path)
+        return np.append(now.derivative[PLACES], PATH_WEIGHT * path)
 
     def _no_trim(self, best: Any, airspeed: float) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
-        accelerations = []
-        for (name, unit), value in zip(ACCELERATION_UNITS.items(), best.fun, strict=False):
-            accelerations.append(f"{name} = {value:.3g} {unit}")
-        ends = []
-        for name, value in zip(self.unknowns, best.x, strict=True):
-            for limit in self.limits[name]:
-                if abs(value - limit) < 1e-3 * min(1.0, np.ptp(self.limits[name])):
-                    ends.append(f"{name} at its limit {limit:.4g}")
+        remaining = zip(ACCELERATIONS, best.fun, strict=False)
+        accelerations = ", ".join(f"{name} = {value:.3g}" for name, value in remaining)
         given = {"airspeed": airspeed, **self.given}
         conditions = ", ".join(f"{name} {value:g}" for name, value in given.items())
+        limits = np.array([*self.limits.values()])
+        distances = np.abs(limits - best.x[:, None]).min(axis=1)
+        is_at_limit = distances < 1e-3 * np.minimum(1.0, np.ptp(limits, axis=1))
+        ends = ", ".join(compress(self.unknowns, is_at_limit)) or "nothing"
         return (
-            f"There is no trim of {self.motion.aircraft.name} at {conditions} (SI units): nearest to it "
-            f"are left {', '.join(accelerations)}, with {', '.join(ends) or 'nothing at a limit'}. Ask "
-            "for another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
+            f"There is no trim of {self.motion.aircraft.name} at {conditions} (SI units): nearest to it are left "
+            f"{accelerations} (m/s^2, rad/s^2), with {ends} at a limit. Ask for another airspeed, climb or turn, free a "
+            "control, or let the path follow (climb=None)."
         )
 
 

@@ -89,13 +89,10 @@ def _header(model: PortableModel) -> dict[str, Any]:
         "rate": rate_limit if np.isfinite(rate_limit) else 0.0,
     }
     inputs = [f"{r.name} [{r.unit}]" if r.unit else r.name for r in model.regressors]
-    functions = max(len(readout.weights) for readout in model.readouts)
     name = re.sub(r"[^ -~]|[*\\$]", "?", model.aircraft.name)
     return constants | {
         "created": model.provenance.get("created", "at an unknown time"),
         "aircraft": name.replace("??", "? ?"),  # which can stand in a comment
-        "size": sum(table.nbytes for table in _tables(model).values()),
-        "stack": 8 * (functions + 5 * len(inputs) + 2 + 2 * len(model.mixture)),
         "n_sources": len(model.columns),
         "d": len(inputs),
         "P": len(model.outputs),

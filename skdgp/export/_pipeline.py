@@ -19,10 +19,8 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,
-    Coefficients,
     as_aerodynamics,
     check_aircraft,
-    steps_by_choice,
 )
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.inference import (
@@ -52,7 +50,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     the choice of regressors it may have scalers such as ``StandardScaler``, and at the end a
     ``DependentGPRegressor``, exact or sparse. The ``facts``
     of a model file become the provenance: ``portable_model(**load_model(path))``. Raises TypeError
-    if ``pipeline`` is no pipeline or ``aircraft`` no `Aircraft`, ValueError if a coefficient is
+    if ``aircraft`` is no `Aircraft`, ValueError if ``pipeline`` is no such pipeline, a coefficient is
     lacking, a column has a name that is no identifier, or a step, the kernel or the trend has no
     portable form.
 
@@ -81,10 +79,9 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     simulated = as_aerodynamics(pipeline)
     learned = simulated.learned
     if learned is None:
-        _, behind = steps_by_choice(pipeline)
-        other, *_ = Coefficients(behind, len(simulated.regressors)).others
         raise ValueError(
-            f"Got {type(other).__name__} behind the choice of regressors, which has no portable form. {REMEDY}"
+            "Got a step behind the choice of regressors that is no linear scaler, which has no portable form. "
+            + REMEDY
         )
     shift, scale = learned.shift, learned.scale
     posterior = regressor.posterior_
@@ -116,18 +113,12 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
 
 
 def _fitted_regressor(pipeline: Pipeline) -> DependentGPRegressor:
-    """Return the last step of a fitted pipeline; raise TypeError or ValueError at any other."""
-    if not isinstance(pipeline, Pipeline):
-        raise TypeError(
-            f"Got {type(pipeline).__name__} to export, but expected a fitted pipeline. {REMEDY}"
-        )
+    """Return the last step of a fitted pipeline; raise ValueError at any other."""
+    last = pipeline[-1] if isinstance(pipeline, Pipeline) else pipeline
+    if last is pipeline or not isinstance(last, DependentGPRegressor):
+        raise ValueError(f"Got {type(last).__name__} at the end, which has no form. {REMEDY}")
     check_is_fitted(pipeline)
-    regressor = pipeline[-1]
-    if not isinstance(regressor, DependentGPRegressor):
-        raise ValueError(
-            f"Got {type(regressor).__name__} at the end of the pipeline, which has no form. {REMEDY}"
-        )
-    return regressor
+    return last
 
 
 def _check_names(model: PortableModel) -> None:

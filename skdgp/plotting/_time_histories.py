@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 import pandas as pd
-from sklearn.utils import check_array, check_consistent_length
+from sklearn.utils import check_consistent_length
 
 from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
@@ -139,21 +139,12 @@ class TimeHistoryDisplay(Display):
         Cl Cm Cn.
         """
         check_consistent_length(time, measured, mean, std, truth)
-        n = len(check_array(time, ensure_2d=False))
-        shape = np.asarray(measured).reshape(n, -1).shape
 
         def columns(values: ArrayLike | None) -> Any:
             if values is None:
                 return None
-            array = np.asarray(values, dtype=float).reshape(n, -1)
-            if array.shape != shape:
-                raise ValueError(f"Got values of shape {array.shape} of measured ones of {shape}.")
-            return array
+            return np.asarray(values, dtype=float).reshape(len(time), np.size(mean) // len(time))
 
-        if std is not None and np.nanmin(std) < 0:
-            raise ValueError(
-                f"Got a standard deviation of {np.nanmin(std):.3g}, but expected >= 0."
-            )
         center = columns(mean)
         half = None if std is None else BAND * columns(std)
         n_outputs = center.shape[1]

@@ -202,9 +202,9 @@ NOWHERE = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevat
 
 @pytest.mark.parametrize(("model", "change", "controls", "match"), [
     (MODEL, {"point": np.eye(13)[6]}, CONTROLS, "at rest"),
-    (MODEL, {}, None, "without controls"),
+    (MODEL, {}, None, "controls lack"),
     (NOWHERE, {}, CONTROLS, "not defined there"),
-    (MODEL, {"point": []}, CONTROLS, "one point a call"),
+    (MODEL, {"point": []}, CONTROLS, "a state of 13 finite numbers"),
 ])  # fmt: skip
 def test_what_has_no_derivatives(state, model, change, controls, match):
     with pytest.raises(ValueError, match=match):

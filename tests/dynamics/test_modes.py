@@ -31,8 +31,8 @@ LATERAL = np.array(
 def mode_table(A, states, paths=None):
     """The modes of x' = A x."""
     square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
-    drawn = None if paths is None else LinearModel(paths, None, None, None)
-    return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], drawn).modes()
+    drawn = None if paths is None else LinearModel(paths, None, None, None, 20.0, 1.2)
+    return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], 20.0, 1.2, drawn).modes()
 
 
 BOTH = block_diag(LONGITUDINAL, LATERAL)

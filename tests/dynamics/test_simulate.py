@@ -303,7 +303,7 @@ class TestMarks:
         falling = inert(glider)
         starts = pd.DataFrame([vertical, START])
         options = {"controls": REST, "duration": 2.0, "thrust": None}
-        told = "1 of 2 trajectories ended early.*airspeed under 1 m/s: 1"
+        told = "1 of 2 trajectories ended early.*airspeed under 1 m/s"
         with pytest.warns(SimulationWarning, match=told):
             both = fly(falling, starts, **options)
         lost, kept = (part.reset_index(drop=True) for _, part in both.groupby("start"))
@@ -471,7 +471,7 @@ class TestSimulator:
 
     @pytest.mark.parametrize("n_tables", [1, 2])
     def test_a_wind_over_time_is_refused(self, n_tables, aircraft, glider):
-        with pytest.raises(ValueError, match="flies in a constant one"):
+        with pytest.raises(ValueError, match="expected 3 finite numbers"):
             Simulator(glider.model(), aircraft, air=[table_of(1.0)] * n_tables)
 
     def test_says_when_it_is_over(self, aircraft, glider):

@@ -141,7 +141,7 @@ def learned(steps, table):
         ([FIRST, OF_ALPHA, START], "'MinMaxScaler'. before the choice of regressors"),
         (
             [OF_ALPHA, MinMaxScaler(clip=True), START],
-            "Got MinMaxScaler behind the choice of regressors",
+            "behind the choice of regressors that is no linear scaler",
         ),
         (
             [RegressorSelector(["flap angle"]), TREND],

@@ -1,11 +1,10 @@
 /* Aerodynamic coefficients of ${aircraft}, with their standard deviations.
  *
- * Posterior mean and standard deviation of Gaussian processes, written by skdgp. Tables of ${size} bytes.
+ * Posterior mean and standard deviation of Gaussian processes, written by skdgp.
  * The model was created ${created}.
  *
  * SI units and radians, body axes x forward, y right, z down. Force = dynamic pressure * AERO_WING_AREA * coefficient;
- * moment = the same times AERO_SPAN (Cl, Cn) or AERO_CHORD (Cm). Every function is reentrant, allocates nothing and uses
- * at most ${stack} bytes of stack for its arrays.
+ * moment = the same times AERO_SPAN (Cl, Cn) or AERO_CHORD (Cm). Every function is reentrant and allocates nothing.
  */
 #ifndef AERO_H
 #define AERO_H

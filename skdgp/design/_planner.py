@@ -329,8 +329,8 @@ def _amplitudes(
         room = min(value - low, high - value)
         if not room > 0:
             raise ValueError(
-                f"Got a trim with the {axis} at {value:.3g}, but a range of {low:.3g} to {high:.3g}, which leaves it no "
-                f"room: give limits={{{axis!r}: ...}} (--limits), leave it out of the axes, or choose another trim."
+                f"Got a trim with the {axis} at {value:.3g}, but a range of {low:.3g} to {high:.3g}, which leaves it "
+                f"no room: give limits={{{axis!r}: ...}} (--limits), leave it out of the axes, or choose another trim."
             )
         amplitudes[axis] = float(min(limits.get(axis, np.inf), room))
     return amplitudes

@@ -375,8 +375,8 @@ class SteadyFlight:
         ends = ", ".join(compress(self.unknowns, is_at_limit)) or "nothing"
         return (
             f"There is no trim of {self.motion.aircraft.name} at {conditions} (SI units): nearest to it are left "
-            f"{accelerations} (m/s^2, rad/s^2), with {ends} at a limit. Ask for another airspeed, climb or turn, free a "
-            "control, or let the path follow (climb=None)."
+            f"{accelerations} (m/s^2, rad/s^2), with {ends} at a limit. Ask for another airspeed, climb or turn, "
+            "free a control, or let the path follow (climb=None)."
         )
 
 

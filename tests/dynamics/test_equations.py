@@ -113,6 +113,8 @@ def test_winds_of_seconds_tell_the_rates_of_gusts():
         found = turbulence_of_winds(some, span)
         assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
     assert turbulence_of_winds([winds[0][:20]], span) is None
+    # of three seconds all lengths are far below the corner: that of the prior
+    assert_allclose(turbulence_of_winds([winds[0][:60]], span).length, 126.0, rtol=0.03)
 
 
 def learned_in(turbulence, drift):

@@ -147,6 +147,7 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
     [
         (lambda f: f.drop(columns="density"), "lacks the columns 'density'"),
         (lambda f: f.rename(columns={"airspeed": "air_speed"}), "'airspeed' .nearest: 'air_speed'"),
+        (lambda f: f.rename(columns={"airspeed": "aispd"}), "'airspeed' .nearest: 'aispd'"),
         (
             lambda f: f.assign(airspeed=f["airspeed"].where(f.index < 7, 0.0)),
             "airspeed 0 m/s at row 7 and .* rows",

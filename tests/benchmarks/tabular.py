@@ -16,7 +16,6 @@ import pandas as pd
 from _common import Kept, finish, parser_of, ranges, winners
 from _peers import IndependentProcesses, trees
 from scipy.io import arff
-from scipy.stats import norm
 from sklearn.impute import SimpleImputer
 from sklearn.linear_model import BayesianRidge
 from sklearn.model_selection import train_test_split
@@ -24,7 +23,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
-from skdgp.metrics import interval_coverage
+from skdgp.metrics import interval_coverage, negative_log_predictive_density
 
 MULAN = {"andro": 6, "slump": 3, "edm": 2, "jura": 3, "enb": 2, "scpf": 3, "atp1d": 6}  # outputs
 UCI = ("yacht", "bostonHousing", "concrete", "energy", "wine-quality-red", "kin8nm", "power-plant")
@@ -97,7 +96,7 @@ def scored(data, method):
     }
     if np.isfinite(std).all():
         result["held"] = 100 * float(interval_coverage(y, mean, std))
-        result["density"] = -float(np.mean(norm.logpdf(y, mean, std)))
+        result["density"] = float(negative_log_predictive_density(y, mean, std))
     return result
 
 

@@ -43,9 +43,10 @@ FASTEST = np.repeat([1000.0, np.inf, 60.0], [3, 4, 3])
 STAGE_LIMIT = 1e9
 
 
-# Time from one evaluation of paths to the next [s], and number of evaluations for which slopes are kept; errors:
-# docs/simulation.md, "Bands of a trajectory"
-STRIDE = 0.06
+# Steps from one evaluation of paths to the next, longest time between them [s], and number of evaluations for which
+# slopes are kept; errors: docs/simulation.md, "Bands of a trajectory"
+STRIDE = 3
+LONGEST_STRIDE = 0.06
 RENEWAL = 5
 # Largest change of a control in a step, over its training range, that slopes account for, and largest change
 # until the paths are evaluated again, over the one in a step
@@ -124,7 +125,7 @@ class Integrator:
         self.drifts = np.zeros(len(clock.stages)) if drifts is None else drifts
         self.servos = motion.aerodynamics.servos
         self._surfaces = motion.surfaces
-        self._stride = max(1, round(STRIDE / clock.dt))  # steps from one evaluation to the next
+        self._stride = max(1, min(STRIDE, round(LONGEST_STRIDE / clock.dt)))
         model = motion.aerodynamics
         has_path_slopes = model.n_paths is not None and model.slopes is not None
         # slopes of a single step save nothing

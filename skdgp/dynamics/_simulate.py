@@ -66,7 +66,7 @@ def simulate(
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them
     from a flight. Those that follow from the loads (alpha_dot, beta_dot, p_dot, q_dot, r_dot, ax,
-    ay, az) are found by fixed point. Paths are evaluated each 0.06 s, with waves of single
+    ay, az) are found by fixed point. Paths are evaluated in every third step, with waves of single
     precision, and have their tangent at the stages, whose error corrects the steps.
 
     Parameters

@@ -19,14 +19,10 @@ from skdgp._flight.channels import AIR_DATA
 from skdgp._flight.holds import error_between_samples, interpolated_rows
 from skdgp._flight.tables import interpolate_missing, numeric
 from skdgp.estimation._air_model import Inputs
-from skdgp.estimation._path import estimate_path
+from skdgp.estimation._path import ground_path
 from skdgp.estimation._sensors import (
     AIRSPEED,
-    GUSTS,
-    INERTIAL_BIASES,
     INERTIAL_READINGS,
-    LAGS,
-    PATH_NOISE,
     RATE_READINGS,
     FlightSensors,
     NamedFlight,
@@ -192,9 +188,7 @@ def _whole_flight(
 ) -> Record:
     """Return a flight with its gaps as one record, by its path without air data."""
     sensors = flight.sensors.without_air_data()
-    learn = PATH_NOISE.keys() - {*AIR_DATA}
-    free = [*INERTIAL_BIASES, *LAGS]
-    estimate = estimate_path(sensors, PATH_NOISE | GUSTS, learn=learn, free=free)
+    estimate = ground_path(sensors)
     path = estimate.path
     to_body = path.attitude.inv()
     force, rates = path.inertial(sensors)

@@ -18,9 +18,8 @@ Surfaces that are early are commands. Then their servos have a first-order lag T
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
@@ -35,30 +34,26 @@ from scipy.stats import t as student
 
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, ELEVONS, MIXED, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.clock import flight_codes, uniform_grid
+from skdgp._flight.channels import (
+    ELEVONS,
+    RATES,
+    SPECIFIC_FORCE,
+    SURFACES,
+    VANES,
+)
+from skdgp._flight.clock import uniform_grid
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 from skdgp._flight.units import check_radians
-from skdgp.estimation._path import estimate_path
-from skdgp.estimation._sensors import (
-    GUSTS,
-    MEAN_WIND,
-    PATH_CONSTANTS,
-    PATH_NOISE,
-    flights_of,
-    missing_channels,
-)
+from skdgp.estimation._path import ground_path
+from skdgp.estimation._sensors import LAGS, flights_of, missing_channels
 from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import LAG_SETTINGS as SETTINGS
 
-INERTIAL = (*SPECIFIC_FORCE, *RATES)
 ATTITUDE = ("phi", "theta")
-# angles of the flow by the motion of the aircraft alone
-MOTION = ("alpha_of_motion", "beta_of_motion")
-ACCELERATIONS = tuple(f"{name}_dot" for name in RATES)
+INERTIAL = (*SPECIFIC_FORCE, *RATES)
 # Largest lag and delay of servos, over the lag without servos, and number of lags that are tried
 LONGEST_LAG = 3.5
 LONGEST_DELAY = 1.5
@@ -66,8 +61,7 @@ N_SERVO_LAGS = 29
 # Factor by which correlated residuals make differences of twice the log likelihood too large: errors over their
 # standard deviations were then 0.8, 0.8, 0.8 and 1.2, of a flying wing with four pairs of lag and delay
 INFLATION = 3.0
-PATH_LAGS = {"attitude": "attitude_lag", "gps": "velocity_lag"}
-"""Constants of a path by group of channels."""
+SURE = 2.0  # standard deviations
 
 
 class Lag(NamedTuple):
@@ -85,7 +79,6 @@ class Lag(NamedTuple):
 
 
 UNKNOWN = Lag(0.0, np.nan)
-SURE = 2.0  # standard deviations
 
 
 def removable(lag: Lag) -> float:
@@ -107,33 +100,36 @@ def estimate_lags(table: pd.DataFrame) -> dict[str, Lag]:
     removed, as it is a parameter of `estimate_air_motion`, and a delay only from a step of the log on.
     """
     segments = _segments_of(at_centre_of_gravity(table))
-    long_segments = [segment for segment in segments if segment.seconds > SETTINGS.long]
+    surfaces = _most_likely_lag(segments, "surfaces", _turning_by_surfaces)
     servos = UNKNOWN
-    surfaces = _most_likely_lag(long_segments, ALL_SURFACES, _turning_by_surfaces)
     servos_and_delay = None
     if removable(surfaces) < 0:
         servos_and_delay = _most_likely_servos(segments, surfaces)
     if servos_and_delay is not None:
         servos, surfaces = servos_and_delay
-        lag = removable(servos)
-        segments = [segment.behind_servos(lag) for segment in segments]
+        segments = [segment.behind_servos(removable(servos)) for segment in segments]
     surface_lag = removable(surfaces)
 
-    vanes = _most_likely_lag(
-        long_segments,
-        VANES,
-        lambda segment, lag: (segment.channels(VANES, lag), segment.predictors(surface_lag)),
-    )
+    def flow(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]:
+        return segment.at("vanes", lag), segment.predictors(surface_lag)
+
+    vanes = _most_likely_lag(segments, "vanes", flow)
     by_motion = _lag_behind_motion(segments)
     if np.isnan(vanes.std) or by_motion.std < vanes.std:
         vanes = by_motion
-    of_path = dict.fromkeys(PATH_LAGS, UNKNOWN)
+    attitude, gps = UNKNOWN, UNKNOWN
     if segments and not missing_channels(table):
-        of_path = _lags_of_path(table)
+        attitude, gps = _lags_of_path(table)
         if not has_values(table, *VANES):
             log_step = max(segment.log_step for segment in segments)
             servos, surfaces = _left_to_filter(servos_and_delay, log_step)
-    return {"air": vanes, "surfaces": surfaces, "servos": servos} | of_path
+    return {
+        "air": vanes,
+        "surfaces": surfaces,
+        "servos": servos,
+        "attitude": attitude,
+        "gps": gps,
+    }
 
 
 def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -> tuple[Lag, Lag]:
@@ -152,90 +148,83 @@ def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -
     return servos._replace(removal=0.0), commands._replace(removal=removed)
 
 
-def _lags_of_path(table: pd.DataFrame) -> dict[str, Lag]:
+def _lags_of_path(table: pd.DataFrame) -> list[Lag]:
     """Return the lags of attitude and GPS velocity against gyros and accelerometers, over all flights.
 
-    Vanes are left out, as gusts would resemble a lag. Flights are weighted by their precision, with
-    the prior counted once.
+    Of the first minutes of each flight, weighted by their precision.
     """
     check_radians(table, ("theta", *RATES))
-    lags = list(PATH_LAGS.values())
-    free = ["p_bias", "q_bias", "r_bias", *lags, *MEAN_WIND]
-    places = [free.index(name) for name in lags]
-    noise = PATH_NOISE | GUSTS
-    prior_precision = np.diag([PATH_CONSTANTS[name] ** -2 for name in lags])
-    precision = prior_precision.copy()
-    weighted = np.zeros(len(lags))
-    first = _first_rows(table).drop(columns=[*VANES], errors="ignore")
-    for flight in flights_of(first):
-        solved = estimate_path(flight.sensors, noise, learn=noise, free=free)
-        flight_precision = np.linalg.inv(solved.covariance[np.ix_(places, places)])
-        weighted += flight_precision @ solved.path.constant(*lags)
-        precision += flight_precision - prior_precision
-    covariance = np.linalg.inv(precision)
-    values = covariance @ weighted
-    stds = np.sqrt(np.diag(covariance))
-    return dict(zip(PATH_LAGS, map(Lag, values.tolist(), stds.tolist()), strict=True))
-
-
-def _first_rows(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the first minutes of each flight."""
-    codes = flight_codes(table["flight"])[0] if "flight" in table else np.zeros(len(table))
-    flights = table.groupby(codes)
-    elapsed = table["time"] - flights["time"].transform("min")
-    is_early = elapsed < SETTINGS.path_seconds
-    return table[is_early & (flights.cumcount() < SETTINGS.path_rows)]
+    n_lags = len(LAGS)
+    precision = np.zeros(n_lags)
+    weighted = np.zeros(n_lags)
+    for flight in flights_of(table):
+        time = flight.sensors.time
+        end = np.searchsorted(time, time[0] + SETTINGS.path_seconds)
+        first = flight.sensors.part(0, min(int(end), SETTINGS.path_rows))
+        solved = ground_path(first)
+        of_flight = 1 / np.diag(solved.covariance)[-n_lags:]
+        precision += of_flight
+        weighted += of_flight * solved.path.constant(*LAGS)
+    gps, attitude = map(Lag, weighted / precision, precision**-0.5)
+    return [attitude, gps]
 
 
 @dataclass(frozen=True)
 class _Segment:
-    """A gap-free segment: splines of its channels within the band, rates over V, accelerations over V^2."""
+    """A gap-free segment: groups of channels within the band, rates over V, accelerations over V^2."""
 
-    splines: dict[str, CubicSpline]
-    time: Vector  # (n,) without the ends of the segment [s]
+    splines: dict[str, CubicSpline]  # of each group
+    time: Vector  # (n,) at which groups are compared, without the ends of the segment [s]
     log_step: float  # step of the log [s]
-    surfaces: dict[str, Vector]  # at the times of the splines, with all frequencies
+    commands: Matrix  # (n', k) of the surfaces on the clock of the splines, with all frequencies
     band: Matrix  # second-order sections of the filter of the band
 
     @classmethod
     def of(cls, time: Vector, table: pd.DataFrame) -> _Segment:
         """Return the segment of a table at increasing times."""
-        clock = uniform_grid(time)[0]
+        clock, _ = uniform_grid(time)
         rate_hz = _rate_of(clock)
         low, high = _band_at(rate_hz)
-        channels = _on_clock(time, table, clock)
-        speed = _steady_speed(channels, rate_hz)
-        if "airspeed" in channels:
-            channels |= dict(zip(MOTION, _angles_of_motion(channels, speed, clock), strict=True))
-        for name in RATES:
-            rate = CubicSpline(clock, low_pass(channels[name], rate_hz, 2 * high))
-            channels[f"{name}_dot"] = rate(clock, 1) / speed**2
-            channels[name] /= speed
-        for name in SPECIFIC_FORCE:
-            channels[name] /= speed**2
-        sections = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
-        surfaces = {name: channels[name] for name in ALL_SURFACES if name in channels}
+        band = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
+
+        def on_clock(names: Sequence[str]) -> Matrix:
+            """Return channels (n', k), zero where there is none."""
+            values = numeric(table.reindex(columns=list(names), fill_value=0.0), names)
+            return CubicSpline(time, interpolate_missing(time, values))(clock)
+
+        force = on_clock(SPECIFIC_FORCE)
+        rates = on_clock(RATES)
+        commands = on_clock(_moving_surfaces(table))
+        vanes = _moving(table, VANES)
+        speed = np.ones((len(clock), 1))
+        groups = {"surfaces": commands, "vanes": on_clock(vanes)}
+        if has_values(table, "airspeed"):
+            speed = _steady_speed(on_clock(["airspeed"]), rate_hz)
+            alpha = np.mean(on_clock(["alpha"]))
+            angle_rates = _angle_rates(force, rates, on_clock(ATTITUDE), alpha, speed[:, 0])
+            motion = cumulative_trapezoid(angle_rates, clock, axis=0, initial=0)
+            groups["motion"] = motion[:, np.isin(VANES, vanes)]
+        groups["accelerations"] = CubicSpline(clock, rates)(clock, 1) / speed**2
+        groups["inertial"] = np.hstack([force / speed**2, rates / speed])
         splines = {}
-        for name, values in channels.items():
-            splines[name] = CubicSpline(clock, signal.sosfiltfilt(sections, values))
+        for name, values in groups.items():
+            if values.shape[1]:
+                splines[name] = CubicSpline(clock, signal.sosfiltfilt(band, values, axis=0))
         step = 1 / min(rate_hz, SETTINGS.oversampling * high)
         inner = np.arange(clock[0] + SETTINGS.edge, clock[-1] - SETTINGS.edge, step)
-        return cls(splines, inner, 1 / rate_hz, surfaces, sections)
+        return cls(splines, inner, 1 / rate_hz, commands, band)
 
     def deflections(self, lag: float, rate_limit: float = np.inf) -> Matrix:
-        """Return the deflections (n, k) of servos of a first-order lag [s], with all their frequencies."""
-        commands = np.column_stack([self.surfaces[name] for name in self.present(ALL_SURFACES)])
-        return servo_output(commands, lag, self.log_step, rate_limit)
+        """Return the deflections (n', k) of servos of a first-order lag [s], with all their frequencies."""
+        return servo_output(self.commands, lag, self.log_step, rate_limit)
 
     def behind_servos(self, lag: float, rate_limit: float = np.inf) -> _Segment:
         """Return the segment with the deflections of servos of a first-order lag [s], in place of their commands."""
-        splines = dict(self.splines)
-        names = self.present(ALL_SURFACES)
-        clock = splines[names[0]].x
+        if "surfaces" not in self.splines:
+            return self
         within_band = signal.sosfiltfilt(self.band, self.deflections(lag, rate_limit), axis=0)
-        for name, values in zip(names, within_band.T, strict=True):
-            splines[name] = CubicSpline(clock, values)
-        return replace(self, splines=splines)
+        surfaces = CubicSpline(self.splines["surfaces"].x, within_band)
+        return replace(self, splines=self.splines | {"surfaces": surfaces})
 
     def largest_rate(self, lag: float) -> float:
         """Return the largest rate of the surfaces behind servos of a first-order lag [s]."""
@@ -244,61 +233,54 @@ class _Segment:
     def earlier_surfaces(self) -> Matrix:
         """Return an orthonormal basis (n, k) of the surfaces of the last seconds."""
         delays = np.arange(0.0, SETTINGS.memory + SETTINGS.memory_step / 2, SETTINGS.memory_step)
-        columns = [self.channels(ALL_SURFACES, -delay) for delay in delays]
-        return _basis(np.hstack(columns), SETTINGS.rank_tolerance)
+        columns = [self.at("surfaces", -delay) for delay in delays]
+        return linalg.orth(np.hstack(columns), SETTINGS.rank_tolerance)
 
     @property
     def seconds(self) -> float:
         """Length of the segment without its ends [s]."""
         return np.ptp(self.time)
 
-    def present(self, names: Sequence[str]) -> list[str]:
-        """Return the names that this segment has; elevons in place of elevator and aileron."""
-        left_out = MIXED if {*ELEVONS} <= {*self.splines} else ()
-        return [name for name in names if name in self.splines and name not in left_out]
-
-    def channels(self, names: Sequence[str], lag: float = 0.0) -> Matrix:
-        """Return channels (n, k) within the band, corrected for a lag."""
-        columns = [self.splines[name](self.time + lag) for name in self.present(names)]
-        return np.reshape(columns, (len(columns), len(self.time))).T
+    def at(self, group: str, lag: float = 0.0) -> Matrix:
+        """Return a group of channels (n, k) within the band, corrected for a lag."""
+        return self.splines[group](self.time + lag)
 
     def predictors(self, surface_lag: float) -> Matrix:
         """Return specific force, rates and surfaces (n, p), surfaces corrected for a lag."""
-        return np.hstack([self.channels(INERTIAL), self.channels(ALL_SURFACES, surface_lag)])
+        inertial = self.at("inertial")
+        if "surfaces" not in self.splines:
+            return inertial
+        return np.hstack([inertial, self.at("surfaces", surface_lag)])
 
 
-def _angles_of_motion(
-    channels: Mapping[str, Vector], speed: Vector | float, clock: Vector
-) -> tuple[Vector, Vector]:
-    """Return alpha and beta (n,) by the motion alone, but for a constant; gravity where the attitude is known."""
-    phi, theta = (channels.get(name, np.zeros(len(clock))) for name in ATTITUDE)
-    alpha = np.mean(channels.get("alpha", 0.0))
+def _angle_rates(
+    force: Matrix, rates: Matrix, attitude: Matrix, alpha: float, speed: Vector
+) -> Matrix:
+    """Return the rates of change of alpha and beta (n, 2) by the motion alone [rad/s]."""
+    p, q, r = rates.T
+    phi, theta = attitude.T
     g_y = STANDARD_GRAVITY * np.cos(theta) * np.sin(phi)
     g_z = STANDARD_GRAVITY * np.cos(theta) * np.cos(phi)
-    alpha_dot = channels["q"] + (channels["az"] + g_z) / speed
-    beta_dot = channels["p"] * np.sin(alpha) - channels["r"] * np.cos(alpha)
-    beta_dot = beta_dot + (channels["ay"] + g_y) / speed
-    alpha_of_motion = cumulative_trapezoid(np.asarray(alpha_dot), clock, initial=0)
-    beta_of_motion = cumulative_trapezoid(np.asarray(beta_dot), clock, initial=0)
-    return np.asarray(alpha_of_motion), np.asarray(beta_of_motion)
+    alpha_dot = q + (force[:, 2] + g_z) / speed
+    beta_dot = p * np.sin(alpha) - r * np.cos(alpha) + (force[:, 1] + g_y) / speed
+    return np.column_stack([alpha_dot, beta_dot])
 
 
-def _steady_speed(channels: dict[str, Vector], rate_hz: float) -> Vector | float:
-    """Return the airspeed below the band, (n,) [m/s]; one where it is not measured."""
-    if "airspeed" not in channels:
-        return 1.0
-    speed = low_pass(channels["airspeed"], rate_hz, SETTINGS.steady_frequency)
+def _steady_speed(airspeed: Matrix, rate_hz: float) -> Matrix:
+    """Return the airspeed below the band, (n, 1) [m/s]."""
+    speed = low_pass(airspeed, rate_hz, SETTINGS.steady_frequency)
     return np.maximum(speed, SETTINGS.least_speed * np.median(speed))
 
 
-def _on_clock(time: Vector, table: pd.DataFrame, clock: Vector) -> dict[str, Vector]:
-    """Return the channels of a segment on a uniform clock; of vanes and surfaces those that move."""
-    names = [name for name in (*INERTIAL, "airspeed", *ATTITUDE) if has_values(table, name)]
-    for name in (*VANES, *ALL_SURFACES):
-        if has_values(table, name) and table[name].max() > table[name].min():
-            names.append(name)
-    values = interpolate_missing(time, numeric(table, names))
-    return dict(zip(names, CubicSpline(time, values)(clock).T, strict=True))
+def _moving(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Return the names of channels that move."""
+    return [name for name in names if has_values(table, name) and np.ptp(table[name].dropna()) > 0]
+
+
+def _moving_surfaces(table: pd.DataFrame) -> list[str]:
+    """Return the names of surfaces that move, elevons in place of elevator and aileron."""
+    elevons = _moving(table, ELEVONS)
+    return elevons + _moving(table, SURFACES if len(elevons) < len(ELEVONS) else ["rudder"])
 
 
 def _rate_of(clock: Vector) -> float:
@@ -335,95 +317,96 @@ Regression: TypeAlias = Callable[[_Segment, float], tuple[Matrix, Matrix]]
 
 def _turning_by_surfaces(segment: _Segment, lag: float) -> tuple[Matrix, Matrix]:
     """Return the angular accelerations and their predictors, with surfaces of a lag."""
-    return segment.channels(ACCELERATIONS), segment.predictors(lag)
+    return segment.at("accelerations"), segment.predictors(lag)
 
 
-def _most_likely_lag(segments: list[_Segment], names: Sequence[str], regression: Regression) -> Lag:
-    """Return the lag that maximises the likelihood of the responses, -1/2 sum n log RSS over segments.
+def _most_likely_lag(segments: list[_Segment], group: str, regression: Regression) -> Lag:
+    """Return the lag of a group that maximises the likelihood of the responses, -1/2 sum n log RSS over pieces.
 
-    RSS is the residual sum of squares of n samples over the sum of squares of the response. The
-    standard deviation is the standard error of the mean lag of pieces of the segments, by Student's
-    quantile at the significance, and the distance to that mean.
+    RSS is the residual sum of squares of n samples over the sum of squares of the response, by least squares
+    in each piece of a segment. The standard deviation is the standard error of the mean lag of the pieces,
+    by Student's quantile at the significance, and the distance to that mean.
     """
-    segments = [segment for segment in segments if segment.present(names)]
-    if not segments:
+    segments = [segment for segment in segments if group in segment.splines]
+    pieces = _pieces(segments)
+    if len(pieces) < SETTINGS.least_pieces:
         return UNKNOWN
+    lags = _tried_lags()
 
-    def profile(lag: float) -> Vector:
-        return _profile(segments, regression, lag)
+    def losses(parts: list[_Segment]) -> Matrix:
+        return np.array([[_log_rss(*regression(part, lag)) for part in parts] for lag in lags])
 
-    steps = np.arange(-SETTINGS.largest, SETTINGS.largest + SETTINGS.coarse / 2, SETTINGS.coarse)
-    profiles = np.array([profile(step) for step in steps])
-    lag, *pieces = (_minimum(steps, values) for values in profiles.T)
-    if abs(lag) >= SETTINGS.largest or len(pieces) < SETTINGS.least_pieces:
+    lag = _minimum(lags, losses(segments).sum(axis=1))
+    if not lags[0] < lag < lags[-1]:
         return UNKNOWN
-    for _ in range(2):
-        around = [profile(lag + step)[0] for step in (-SETTINGS.fine, 0, SETTINGS.fine)]
-        lag += _vertex(around, SETTINGS.fine)
+    of_pieces = [_minimum(lags, of_piece) for of_piece in losses(pieces).T]
     probability = normal.sf(SETTINGS.significance)
     quantile = student.isf(probability, len(pieces) - 1) / SETTINGS.significance
-    std = np.hypot(quantile * sem(pieces), lag - np.mean(pieces))
-    return Lag(float(lag), float(std))
+    return Lag(lag, float(np.hypot(quantile * sem(of_pieces), lag - np.mean(of_pieces))))
+
+
+def _tried_lags() -> Vector:
+    """Return the lags of surfaces and vanes that are tried (k,) [s]."""
+    return np.arange(-SETTINGS.largest, SETTINGS.latest + SETTINGS.step / 2, SETTINGS.step)
+
+
+def _pieces(segments: list[_Segment]) -> list[_Segment]:
+    """Return pieces of segments that are long enough for linear models of their own."""
+    long = [segment for segment in segments if segment.seconds > SETTINGS.long]
+    seconds = sum(segment.seconds for segment in long) / SETTINGS.n_pieces
+    seconds = max(SETTINGS.shortest_piece, seconds)
+    pieces = []
+    for segment in long:
+        count = max(1, round(segment.seconds / seconds))
+        pieces += [replace(segment, time=time) for time in np.array_split(segment.time, count)]
+    return pieces
 
 
 def _lag_behind_motion(segments: list[_Segment]) -> Lag:
-    """Return the lag of vanes behind the motion of the aircraft, which explains them but for gusts.
-
-    It is that of the least sum n log RSS of alpha and beta over their motion.
-    """
-    pairs = [(segment, *pair) for segment in segments for pair in zip(VANES, MOTION, strict=True)]
-    pairs = [pair for pair in pairs if {*pair[1:]} <= pair[0].splines.keys()]
-    if not pairs:
-        return UNKNOWN
-
-    def loss(lag: float) -> float:
-        total = 0.0
-        for pair in pairs:
-            y, fitted = _fitted_to_motion(*pair, lag)
-            total += len(y) * float(np.log(np.sum((y - fitted) ** 2) / (y @ y)))
-        return total
-
-    most = SETTINGS.largest_of_vanes
-    steps = np.arange(-SETTINGS.largest, most + SETTINGS.coarse / 2, SETTINGS.coarse)
-    lag = float(_minimum(steps, np.array([loss(step) for step in steps])))
-    if not steps[0] < lag < steps[-1]:
-        return UNKNOWN
-    return Lag(lag, _std_behind_motion(pairs, lag))
-
-
-def _fitted_to_motion(
-    segment: _Segment, vane: str, motion: str, lag: float
-) -> tuple[Vector, Vector]:
-    """Return a vane and its fit to the motion (n,)."""
-    y = segment.channels([vane], lag)[:, 0]
-    x = segment.channels([motion])[:, 0]
-    return y, x * (x @ y) / (x @ x)
-
-
-def _std_behind_motion(pairs: list[tuple[_Segment, str, str]], lag: float) -> float:
-    """Return the standard deviation of a lag of vanes behind the motion [s].
+    r"""Return the lag of vanes behind the motion of the aircraft, with the least sum n log RSS.
 
     With residuals e and slopes g of the fitted response by time, in units of the residuals, its variance is the
     sum of (g e)^2 over that of g^2 squared, with the autocorrelation time of g e; gusts add an error in
     proportion to the part of the vanes that is not explained.
     """
+    segments = [segment for segment in segments if {"vanes", "motion"} <= segment.splines.keys()]
+    if not segments:
+        return UNKNOWN
+    lags = _tried_lags()
+    losses = []
+    for lag in lags:
+        pairs = _vanes_and_motion(segments, lag)
+        losses.append(sum(len(y) * np.log1p(-((x @ y) ** 2) / (y @ y)) for y, x, _ in pairs))
+    lag = _minimum(lags, np.array(losses))
+    if not lags[0] < lag < lags[-1]:
+        return UNKNOWN
     variance = 0.0
     information = 0.0
     unexplained = 0.0
-    for pair in pairs:
-        y, fitted = _fitted_to_motion(*pair, lag)
-        time = pair[0].time
+    for y, x, time in _vanes_and_motion(segments, lag):
+        fitted = x * (x @ y)
         e = y - fitted
-        g = np.gradient(fitted, time[1] - time[0])
-        g -= fitted * (fitted @ g) / (fitted @ fitted)
-        scale = float(np.mean(e**2))
-        products = g * e / scale
-        variance += autocorrelation_time(products) * float(products @ products)
-        information += float(g @ g) / scale
-        unexplained += float(g @ g) / scale * float(e @ e) / float(y @ y)
+        slope = np.gradient(fitted, time)
+        g = slope - x * (x @ slope)
+        scale = np.mean(e**2)
+        score = g * e / scale
+        variance += autocorrelation_time(score) * (score @ score)
+        information += (g @ g) / scale
+        unexplained += (g @ g) / scale * (e @ e) / (y @ y)
     of_residuals = SETTINGS.lack_of_motion * np.sqrt(variance) / information
     of_gusts = SETTINGS.error_by_gusts * unexplained / information
-    return float(np.hypot(of_residuals, of_gusts))
+    return Lag(lag, float(np.hypot(of_residuals, of_gusts)))
+
+
+def _vanes_and_motion(segments: list[_Segment], lag: float) -> list[tuple[Vector, Vector, Vector]]:
+    """Return each vane of a lag (n,), its angle by the motion of the aircraft, of length one, and the times."""
+    pairs = []
+    for segment in segments:
+        motion = segment.at("motion")
+        motion /= np.linalg.norm(motion, axis=0)
+        columns = zip(segment.at("vanes", lag).T, motion.T, strict=True)
+        pairs += [(y, x, segment.time) for y, x in columns]
+    return pairs
 
 
 def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, Lag] | None:
@@ -431,68 +414,64 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
 
     They maximise the likelihood of the part of the responses that earlier commands explain
     (instrumental variables: Söderström & Stoica 1989, section 8.1), as noise of the rates would make
-    the lag of servos smaller. Lag and delay replace each other: their errors are opposite, and the standard
-    deviations of `Servos` are of the profile likelihood over the lag, whose logarithm counts a third, as residuals are
+    the lag of servos smaller. Lag and delay replace each other: their errors are opposite, and their standard
+    deviations are of the profile likelihood over the lag, whose logarithm counts a third, as residuals are
     correlated, and of ``surfaces``, the lag without servos. That one is the error of the time of the
     commands behind both, and decides whether a lag is removed. Without
     evidence of a delay the lag without one is removed: slow inputs tell it better than either.
+    A servo that reaches a limit of its rate seems to lag the more the larger its steps are.
     """
-    segments = [segment for segment in segments if segment.present(ALL_SURFACES)]
+    segments = [segment for segment in segments if "surfaces" in segment.splines]
     instruments = [segment.earlier_surfaces() for segment in segments]
 
-    @lru_cache(maxsize=1)
-    def behind(servo_lag: float, rate_limit: float) -> list[_Segment]:
-        return [segment.behind_servos(servo_lag, rate_limit) for segment in segments]
+    def loss_of(lag: float, rate_limit: float = np.inf) -> Callable[[float], float]:
+        """Return n log RSS of the responses projected on instruments, by the delay."""
+        behind = [segment.behind_servos(lag, rate_limit) for segment in segments]
 
-    def loss(servo_lag: float, delay: float, rate_limit: float = np.inf) -> float:
-        """Return n log RSS of the responses projected on instruments."""
-        total = 0.0
-        for late, Q in zip(behind(servo_lag, rate_limit), instruments, strict=True):
-            response, predictors = _turning_by_surfaces(late, -delay)
-            total += _log_rss(Q.T @ response, Q.T @ predictors)
-        return total
+        def loss(delay: float) -> float:
+            total = 0.0
+            for segment, Q in zip(behind, instruments, strict=True):
+                response, predictors = _turning_by_surfaces(segment, -delay)
+                total += _log_rss(Q.T @ response, Q.T @ predictors)
+            return total
 
-    (scan, delays, losses), best = _servo_profile(loss, abs(surfaces.value))
-    servo_lag, delay, least = best
-    alone, loss_alone = _least(lambda lag: loss(lag, 0.0), SETTINGS.largest)
-    removed, removed_delay = servo_lag, removable(Lag(delay, surfaces.std))
+        return loss
+
+    early = abs(surfaces.value)
+    longest_delay = min(LONGEST_DELAY * early, SETTINGS.largest)
+    # the loss has several minima: lag and delay replace each other
+    lags = np.linspace(0.0, min(LONGEST_LAG * early, SETTINGS.largest), N_SERVO_LAGS)
+    delays, losses = np.transpose([_least(loss_of(lag), longest_delay) for lag in lags])
+    lag = _minimum(lags, losses)
+    delay, least = _least(loss_of(lag), longest_delay)
+    lag_std = _std_of_profile(lags - lag, losses, surfaces.std)
+    delay_std = _std_of_profile(delays - delay, losses, surfaces.std)
+
+    alone, loss_alone = _least(lambda lag: loss_of(lag)(0.0), SETTINGS.largest)
+    removed, removed_delay = lag, removable(Lag(delay, surfaces.std))
     if not removed_delay or loss_alone - least < SETTINGS.delay_evidence:
         removed, removed_delay = alone, 0.0
     is_significant = removable(Lag(removed, surfaces.std)) or removed_delay
     if not is_significant or removed + SETTINGS.precision >= SETTINGS.largest:
         return None
-    lag_std = _std_of_profile(scan, servo_lag, losses, surfaces.std)
-    delay_std = _std_of_profile(delays, delay, losses, surfaces.std)
+    limited = []
+    for fraction, relative in product(SETTINGS.limited_lags, SETTINGS.limits):
+        shorter = fraction * lag
+        limit = relative * max(segment.largest_rate(shorter) for segment in segments)
+        limited.append((loss_of(shorter, limit)(delay), shorter, limit))
+    least_limited, shorter, limit = min(limited)
     rate_limit = np.inf
-    limited_lag, limit, least_limited = _limited_servos(segments, loss, servo_lag, delay)
     if least - least_limited >= SETTINGS.delay_evidence:
-        servo_lag, rate_limit = limited_lag, limit
-        removed, removed_delay = servo_lag, delay
-    servos = Lag(servo_lag, lag_std, removed, rate_limit, delay_std)
+        removed, removed_delay = shorter, delay
+        lag, rate_limit = shorter, limit
+    servos = Lag(lag, lag_std, removed, rate_limit, delay_std)
     return servos, Lag(-delay, surfaces.std, -removed_delay)
 
 
-def _servo_profile(
-    loss: Callable[[float, float], float], early: float
-) -> tuple[Matrix, tuple[float, float, float]]:
-    """Return lags with their most likely delays and losses, (3, n), and the best, of surfaces ``early`` [s]."""
-    latest = min(LONGEST_DELAY * early, SETTINGS.largest)
-
-    def with_delay(servo_lag: float) -> tuple[float, float]:
-        return _least(lambda delay: loss(servo_lag, delay), latest)
-
-    # the loss has several minima: lag and delay replace each other
-    scan = np.linspace(0.0, min(LONGEST_LAG * early, SETTINGS.largest), N_SERVO_LAGS)
-    delays, losses = np.transpose([with_delay(servo_lag) for servo_lag in scan])
-    servo_lag = float(_minimum(scan, losses))
-    return np.stack([scan, delays, losses]), (servo_lag, *with_delay(servo_lag))
-
-
-def _std_of_profile(values: Vector, best: float, losses: Vector, std: float) -> float:
-    """Return the standard deviation of a parameter, (n,) along a profile of losses, with one [s] besides."""
+def _std_of_profile(errors: Vector, losses: Vector, std: float) -> float:
+    """Return the standard deviation of a parameter by its errors (n,) along a profile, with one [s] besides."""
     weights = np.exp(-0.5 * (losses - losses.min()) / INFLATION)
-    weights /= weights.sum()
-    return float(np.sqrt(weights @ (values - best) ** 2 + std**2))
+    return float(np.sqrt(np.average(errors**2, weights=weights) + std**2))
 
 
 def _least(loss: Callable[[float], float], largest: float) -> tuple[float, float]:
@@ -502,68 +481,22 @@ def _least(loss: Callable[[float], float], largest: float) -> tuple[float, float
     return float(found.x), float(found.fun)
 
 
-def _limited_servos(
-    segments: list[_Segment], loss: Callable[..., float], lag: float, delay: float
-) -> tuple[float, float, float]:
-    """Return the most likely lag and rate limit of servos by their lag and delay without a limit, and the loss.
-
-    A servo that reaches its limit seems to lag the more the larger its steps are.
-    """
-    found = []
-    for fraction, relative in product(SETTINGS.limited_lags, SETTINGS.limits):
-        shorter = fraction * lag
-        limit = relative * max(segment.largest_rate(shorter) for segment in segments)
-        found.append((loss(shorter, delay, limit), shorter, limit))
-    least, shorter, limit = min(found)
-    return shorter, limit, least
-
-
-def _profile(segments: list[_Segment], regression: Regression, lag: float) -> Vector:
-    """Return n log RSS of all segments, summed, and of each piece by its own least squares, (1 + pieces,)."""
-    seconds = sum(segment.seconds for segment in segments) / SETTINGS.n_pieces
-    seconds = max(SETTINGS.shortest_piece, seconds)
-    total = 0.0
-    pieces = []
-    for segment in segments:
-        response, predictors = regression(segment, lag)
-        total += _log_rss(response, predictors)
-        count = max(1, round(segment.seconds / seconds))
-        parts = np.array_split(response, count), np.array_split(predictors, count)
-        for y, X in zip(*parts, strict=True):
-            pieces.append(_log_rss(y, X))
-    return np.array([total, *pieces])
-
-
 def _log_rss(response: Matrix, predictors: Matrix) -> float:
     """Return n log RSS, summed over responses that move, of least squares; RSS is relative to their sums of squares."""
     squares = np.sum(response**2, axis=0)
     response = response[:, squares > 0]
-    Q = _basis(predictors, SETTINGS.rank_tolerance)
-    residuals = response - Q @ (Q.T @ response)
-    rss = np.sum(residuals**2, axis=0) / squares[squares > 0]
-    return len(response) * np.log(rss).sum()
-
-
-def _basis(columns: Matrix, tolerance: float) -> Matrix:
-    """Return an orthonormal basis (n, r) of columns (n, k), without those near a combination of others."""
-    scale = np.linalg.norm(columns, axis=0)
-    Q, R, _ = linalg.qr(columns / np.where(scale > 0, scale, 1.0), mode="economic", pivoting=True)
-    independent = np.abs(np.diag(R)) > tolerance
-    return np.asarray(Q[:, independent], dtype=float)
+    weights = np.linalg.lstsq(predictors, response, rcond=SETTINGS.rank_tolerance)[0]
+    rss = np.sum((response - predictors @ weights) ** 2, axis=0) / squares[squares > 0]
+    return float(len(response) * np.log(rss).sum())
 
 
 def _minimum(steps: Vector, values: Vector) -> float:
     """Return the place of the least of the values, by a parabola through its neighbours unless at either end."""
     place = int(np.argmin(values))
     if place in (0, len(steps) - 1):
-        return steps[place]
-    return steps[place] + _vertex(values[place - 1 : place + 2], steps[1] - steps[0])
-
-
-def _vertex(values: Sequence[float] | Vector, step: float) -> float:
-    """Return where the parabola through three values, a step apart, is smallest, relative to the middle."""
-    before, centre, after = values
-    curvature = before - 2 * centre + after
+        return float(steps[place])
+    before, least, after = values[place - 1 : place + 2]
+    curvature = before - 2 * least + after
     if not curvature > 0:
-        return 0.0
-    return np.clip(step * (before - after) / (2 * curvature), -step, step)
+        return float(steps[place])
+    return float(steps[place] + (steps[1] - steps[0]) * (before - after) / (2 * curvature))

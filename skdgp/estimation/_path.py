@@ -52,7 +52,9 @@ from skdgp.estimation._path_equations import (
 )
 from skdgp.estimation._sensors import (
     AIR_READINGS,
+    GUSTS,
     INERTIAL_BIASES,
+    LAGS,
     MEAN_WIND,
     PATH_CONSTANTS,
     PATH_NOISE,
@@ -128,6 +130,13 @@ def estimate_path(
         if converged:
             break
     return search.estimate(converged)
+
+
+def ground_path(sensors: FlightSensors) -> PathEstimate:
+    """Return the path without air data, with biases of the inertial sensors and lags of GPS and attitude."""
+    learn = PATH_NOISE.keys() - {*AIR_DATA}
+    free = [*INERTIAL_BIASES, *LAGS]
+    return estimate_path(sensors.without_air_data(), PATH_NOISE | GUSTS, learn=learn, free=free)
 
 
 class _Search:

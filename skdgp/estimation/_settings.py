@@ -84,17 +84,15 @@ class LagSettings:
     # least length of a segment [s], and without its ends of one with linear models of its own
     shortest: float = 6.0
     long: float = 17.0
-    # largest lag [s], and of vanes, which follow the motion
+    # longest times by which surfaces and vanes are early, and servos late [s], and by which these are late
     largest: float = 0.3
-    largest_of_vanes: float = 0.6
+    latest: float = 0.6
     # of vanes behind the motion: factor of the standard deviation by the residuals, and error [s] for vanes that
     # motion does not explain; trials on 54 flights of small aircraft in gusts
     lack_of_motion: float = 3.0
     error_by_gusts: float = 0.1
     # step of the scan over lags [s]
-    coarse: float = 0.02
-    # step of the parabolas around the minimum of the scan [s]
-    fine: float = 0.01
+    step: float = 0.02
     # precision of the lag of servos and their delay [s]; far below the step of a log
     precision: float = 1e-3
     # time within which surfaces explain a response [s], of the lag of servos; at most ``edge``

@@ -93,12 +93,12 @@ class TestEstimate:
         assert lags.lag["air"] == pytest.approx(air, abs=0.01)
 
     def test_the_standard_deviation_is_that_of_the_errors(self):
-        """Over logs of one aircraft, with noisy vanes."""
+        """Over logs of one aircraft, with noisy vanes; Student's quantile of four pieces is three times that of many."""
         errors = []
         for seed in range(16):
             found = found_in(linear_aircraft(seed, air=0.06, seconds=40)).loc["air"]
             errors.append((found["lag"] - 0.06) / found["std"])
-        assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.7
+        assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.7
 
     @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03), (0.05, 0.02)])
     def test_commands_are_told_from_deflections_by_lag_and_delay(self, servos, delay):

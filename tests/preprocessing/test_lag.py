@@ -93,7 +93,7 @@ class TestEstimate:
         assert lags.lag["air"] == pytest.approx(air, abs=0.01)
 
     def test_the_standard_deviation_is_that_of_the_errors(self):
-        """Over logs of one aircraft, with noisy vanes; Student's quantile of four pieces is three times the usual one."""
+        """Over logs of one aircraft, with noisy vanes; Student's quantile of few pieces is three times the usual."""
         errors = []
         for seed in range(16):
             found = found_in(linear_aircraft(seed, air=0.06, seconds=40)).loc["air"]

@@ -53,23 +53,21 @@ def gusts_of(turbulence, n, rng, n_flights=1, **options):
     return dryden_gusts(n, STEP, SPEED, *scales, SPAN, rng, **options)
 
 
+WEAK = Turbulence(np.full(3, 0.2), TRUE.length)
+
+
 class TestFromFlight:
-    def test_finds_intensity_and_length(self):
-        found = Turbulence.from_flight(flights(TRUE, 4, 300.0, 0.2, seed=1), SPAN)
-        assert_allclose(found.intensity, TRUE.intensity, rtol=0.1)
-        assert_allclose(found.length, TRUE.length, rtol=0.25)
-
-    def test_weak_gusts_in_noise_are_no_noise(self):
-        weak = Turbulence(np.full(3, 0.2), TRUE.length)
-        found = Turbulence.from_flight(flights(weak, 1, 300.0, 0.5, seed=0), SPAN)
-        assert_allclose(found.intensity, weak.intensity, rtol=0.1)
-        assert_allclose(found.length, weak.length, rtol=0.25)
-
-    def test_u_and_v_have_one_intensity_and_length_in_any_direction(self):
-        tables = [flights(TRUE, 2, 300.0, 0.1, seed=1, heading=heading) for heading in (0.0, 2.0)]
-        for found in (Turbulence.from_flight(table, SPAN) for table in tables):
-            assert found.intensity[0] == found.intensity[1]
-            assert_allclose(found.intensity, TRUE.intensity, rtol=0.15)
+    @pytest.mark.parametrize(
+        ("turbulence", "n_flights", "noise", "heading"),
+        [(TRUE, 4, 0.2, 0.0), (TRUE, 4, 0.1, 2.0), (WEAK, 1, 0.5, 0.0)],
+    )
+    def test_finds_intensity_and_length(self, turbulence, n_flights, noise, heading):
+        """Those of u and v are one, in any direction; weak gusts in noise are no noise."""
+        flown = flights(turbulence, n_flights, 300.0, noise, n_flights // 4, heading)
+        found = Turbulence.from_flight(flown, SPAN)
+        assert found.intensity[0] == found.intensity[1]
+        assert_allclose(found.intensity, turbulence.intensity, rtol=0.1)
+        assert_allclose(found.length, turbulence.length, rtol=0.25)
 
     def test_calm_air_is_calm(self):
         found = Turbulence.from_flight(flights(times(TRUE, 1e-6), 1, 300.0, 0.2, seed=2), SPAN)

@@ -2,44 +2,28 @@
 
 import pandas as pd
 import pytest
-from numpy.testing import assert_allclose
+from pandas.testing import assert_frame_equal
 
 from skdgp.preprocessing import RateNondimensionalizer
 
-FLIGHT = pd.DataFrame(
-    {
-        "airspeed": [30.0, 45.0],
-        "p": [0.3, -1.1],
-        "q": [0.2, 0.4],
-        "r": [-0.1, 0.25],
-        "alpha_dot": [0.05, -0.3],
-        "beta_dot": [0.15, 0.02],
-        "p_dot": [2.0, -5.0],
-        "q_dot": [1.5, 0.7],
-        "r_dot": [-0.4, 0.9],
-        "time": [0.0, 0.02],
-    }
-)
-B = 2.8
-C = 1.2
-# Typed from the equations: value * factor(V).
-HAND = {
-    "p_hat": lambda t: t.p * B / (2 * t.airspeed),
-    "q_hat": lambda t: t.q * C / (2 * t.airspeed),
-    "r_hat": lambda t: t.r * B / (2 * t.airspeed),
-    "alpha_dot_hat": lambda t: t.alpha_dot * C / (2 * t.airspeed),
-    "beta_dot_hat": lambda t: t.beta_dot * B / (2 * t.airspeed),
-    "p_dot_hat": lambda t: t.p_dot * B**2 / (4 * t.airspeed**2),
-    "q_dot_hat": lambda t: t.q_dot * C**2 / (4 * t.airspeed**2),
-    "r_dot_hat": lambda t: t.r_dot * B**2 / (4 * t.airspeed**2),
-}
+B, C = 2.8, 1.2
+LENGTHS = {"p": B, "q": C, "r": B, "alpha_dot": C, "beta_dot": B}
+FLIGHT = pd.DataFrame({
+    "airspeed": [30.0, 45.0], "p": [0.3, -1.1], "q": [0.2, 0.4], "r": [-0.1, 0.25], "alpha_dot": [0.05, -0.3],
+    "beta_dot": [0.15, 0.02], "p_dot": [2.0, -5.0], "q_dot": [1.5, 0.7], "r_dot": [-0.4, 0.9], "time": [0.0, 0.02],
+})  # fmt: skip
 
 
 def test_every_factor():
+    """A rate times l / 2V, an angular acceleration times its square."""
     out = RateNondimensionalizer(span=B, chord=C).fit_transform(FLIGHT)
-    assert set(out.columns) - set(FLIGHT.columns) == set(HAND)
-    for name, equation in HAND.items():
-        assert_allclose(out[name], equation(FLIGHT), rtol=1e-14)
+    expected = FLIGHT.copy()
+    for name, length in LENGTHS.items():
+        factor = length / (2 * FLIGHT["airspeed"])
+        expected[f"{name}_hat"] = FLIGHT[name] * factor
+        if name in "pqr":
+            expected[f"{name}_dot_hat"] = FLIGHT[f"{name}_dot"] * factor**2
+    assert_frame_equal(out, expected, check_like=True, rtol=1e-14)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0])

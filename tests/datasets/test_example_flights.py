@@ -26,6 +26,7 @@ from skdgp.dynamics import (
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
+WIND = ["wind_north", "wind_east", "wind_down"]
 GRAVITY = [0.0, 0.0, 9.80665]
 
 
@@ -59,7 +60,7 @@ def lost(value, rate):
 
 class TestEquationsOfFlight:
     def test_wind_triangle(self, flight):
-        wind = true(flight, "wind_north", "wind_east", "wind_down")
+        wind = true(flight, *WIND)
         through_air = true(flight, "v_north", "v_east", "v_down") - wind
         relative = np.einsum("nji,nj->ni", rotation(flight), through_air)
         air = np.stack(air_data(relative), axis=-1)
@@ -106,13 +107,11 @@ def regressors(flight, data):
 
 
 def test_true_model_gives_the_true_coefficients_in_calm_air():
-    calm = load_example_flights(random_state=1, turbulence=0.0, sensor_noise=0.0, duration=4.0)
+    calm = load_example_flights(random_state=1, turbulence=0.0, sensor_noise=0.0, duration=2.0)
     for table in (calm.train, calm.test):
         found = calm.aerodynamics(regressors(table, calm))
         assert_allclose(found, true(table, *COEFFICIENTS), rtol=1e-9, atol=1e-13)
-        assert (
-            np.ptp(true(table[-160:], "wind_north", "wind_east", "wind_down"), axis=0).max() < 1e-12
-        )
+        assert np.ptp(true(table[-80:], *WIND), axis=0).max() < 1e-12
 
 
 def test_gusts_hide_from_gyros_but_not_from_vanes(data):
@@ -162,9 +161,9 @@ def test_shape_clock_and_names(data):
 class TestLoader:
     def test_other_seed_other_gusts(self, data):
         """A seed is drawn of a generator, as scikit-learn does."""
-        usual = data.test.wind_down_true[:80]
+        usual = data.test.wind_down_true[:40]
         first, same, other = (
-            load_example_flights(random_state=RandomState(seed), duration=2.0).test.wind_down_true
+            load_example_flights(random_state=RandomState(seed), duration=1.0).test.wind_down_true
             for seed in (3, 3, 4)
         )
         assert_array_equal(first, same)
@@ -182,8 +181,8 @@ class TestLoader:
             load_example_flights(**{name: value})
 
     def test_turbulence_scales(self, data):
-        rough = load_example_flights(turbulence=2.0, duration=4.0).test
-        assert rough.wind_down_true.std() > 1.5 * data.test.wind_down_true[:160].std()
+        rough = load_example_flights(turbulence=2.0, duration=2.0).test
+        assert rough.wind_down_true.std() > 1.5 * data.test.wind_down_true[:80].std()
 
 
 class TestSensors:
@@ -214,7 +213,7 @@ class TestSensors:
         assert abs(np.corrcoef(scaled.T) - np.eye(len(self.NOISE))).max() < bound
 
     def test_perfect_sensors_tell_the_truth(self):
-        test = load_example_flights(sensor_noise=0.0, duration=2.0).test
+        test = load_example_flights(sensor_noise=0.0, duration=1.0).test
         assert_array_equal(test[list(self.NOISE)], true(test, *self.NOISE))
 
 

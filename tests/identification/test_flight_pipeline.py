@@ -168,7 +168,7 @@ def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     train, aircraft = flights.train.groupby("flight", observed=True).head(500), flights.aircraft
     train = train.reset_index(drop=True)
     regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
-    options = {"regressor": regressor, "samples": 200}
+    options = {"regressor": regressor, "samples": 100}
     learn = partial(identify, aircraft=aircraft, test=test_flight, horizon=1.0, **options)
     found = learn(train).pipeline
     Y = aerodynamic_coefficients(train, aircraft)
@@ -178,9 +178,8 @@ def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     for other in (clone(model).fit(train, Y), saved):
         assert_array_equal(other.predict(test_flight, return_std=True), wanted)
     groups = train["flight"].astype(str)
-    folds = cross_validate(
-        model, train, Y, groups=groups, cv=LeaveOneGroupOut(), return_estimator=True
-    )
+    first = [next(LeaveOneGroupOut().split(train, Y, groups))]
+    folds = cross_validate(model, train, Y, cv=first, return_estimator=True)
     others = learn(train[groups != groups.min()]).pipeline
     assert_array_equal(folds["estimator"][0].predict(test_flight), others.predict(test_flight))
 

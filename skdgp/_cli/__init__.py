@@ -61,21 +61,15 @@ def main(argv: list[str] | None = None) -> int:
 
 def _folder(options: argparse.Namespace) -> Path | None:
     """Return the folder of the outputs, if any; raise OSError if it cannot be written to."""
-    if vars(options).get("output") is None:
+    output = vars(options).get("output")
+    if output is None:
         return None
-    output = Path(options.output)
-    folder = output.parent if options.command == "predict" else output
-    try:
-        nearest = next(
-            path for path in (folder, *folder.parents) if path.exists() or path.is_symlink()
-        )
-        is_writable = nearest.is_dir() and os.access(nearest, os.W_OK)
-        reason = f"{str(nearest)!r} is no folder that can be written to"
-    except OSError as error:  # a name that is too long
-        is_writable, reason = False, str(error.strerror)
-    if not is_writable:
+    folder = Path(output).parent if options.command == "predict" else Path(output)
+    nearest = next(path for path in (folder, *folder.parents) if path.exists() or path.is_symlink())
+    if not nearest.is_dir() or not os.access(nearest, os.W_OK):
         raise OSError(
-            f"Got {str(folder)!r} as the folder for the outputs, but {reason}: name another one after -o."
+            f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} is no folder that can be "
+            "written to: name another one after -o."
         )
     return folder
 

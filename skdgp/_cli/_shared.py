@@ -227,8 +227,7 @@ class Console:
         self._clear = CLEAR if is_terminal else ""
         self._period = period or (REFRESH if is_terminal else LINE_SECONDS)
         self._done = threading.Event()
-        self._first_step = 0.0, 0  # time and number
-        self._last_step = 0
+        self._first_step = "", 0.0, 0  # name, time and number
         self.stage("")
 
     def __enter__(self) -> Console:
@@ -263,7 +262,6 @@ class Console:
         self._began = time.monotonic()
         self._stage = text
         self._steps = ""
-        self._evaluations = ""
 
     def end_stage(self) -> None:
         """Show no stage until the next one begins."""
@@ -274,7 +272,7 @@ class Console:
         while not self._done.wait(self._period):
             if self._stage:
                 seconds = time.monotonic() - self._began
-                line = f"{self._stage}{self._steps}{self._evaluations} · {seconds:.0f} s"
+                line = f"{self._stage}{self._steps} · {seconds:.0f} s"
                 width = shutil.get_terminal_size().columns - 1
                 self._write(CLEAR + line[:width] if self._clear else f"{line}\n")
 
@@ -282,29 +280,23 @@ class Console:
         """Note the stage of an identification; the listener of ``skdgp.listening``."""
         if isinstance(stage, Progress):
             self._count_steps(stage)
-        elif n_evaluations == 0:
-            self.stage(stage)
         else:
-            self._steps = ""
+            self.stage(stage)
         if n_evaluations:
-            self._stage = f"fit · {STAGES.get(stage, stage)}"
-            self._evaluations = f" · {n_evaluations} evaluations"
-            if math.isfinite(log_likelihood):
-                self._evaluations += f" · log likelihood {log_likelihood:.1f}"
+            self._stage = "fit"
 
     def _count_steps(self, progress: Progress) -> None:
         """Keep the bar of a stage with a number of steps, and the time that is left at the rate of those done."""
+        name = STAGES.get(progress, str(progress))
         now = time.monotonic()
         done, total = progress.done, progress.total
-        if not self._steps or done < self._last_step:
-            self._first_step = now, done
-        self._last_step = done
+        counted, began, first = self._first_step
+        if name != counted or done <= first:
+            self._first_step = name, now, done
         filled = round(BAR * done / total)
         bar = "#" * filled + "-" * (BAR - filled)
-        name = "" if progress in STAGES else f"{progress} "
-        self._steps = f" · {name}[{bar}] {done} of {total}"
-        began, first = self._first_step
-        if done > first:
+        self._steps = f" · {name} [{bar}] {done} of {total}"
+        if name == counted and done > first:
             left = (now - began) * (total - done) / (done - first)
             self._steps += f", about {left:.0f} s left"
 

@@ -185,17 +185,15 @@ def _derivatives_files(points: Sequence[FlightMechanics]) -> dict[str, Writer]:
     """Return the writers of the tables of all trims."""
     derivatives = {}
     modes = {}
-    for k, point in enumerate(points):
+    for point in points:
         at: Any = point.trim
-        where = {"airspeed": at.airspeed, "alpha": at.alpha, "beta": at.beta}
-        derivatives[k] = point.derivatives.assign(**where)
+        derivatives[at.airspeed] = point.derivatives.assign(alpha=at.alpha, beta=at.beta)
         modes[at.airspeed] = _shown(point)
-    table = pd.concat(derivatives, names=["point", "derivative"])
-    of_modes = pd.concat(modes, names=["airspeed", "mode"])
-    return {
-        "derivatives.csv": csv_writer(table.reset_index()),
-        "modes.csv": csv_writer(of_modes.reset_index()),
+    tables = {
+        "derivatives.csv": pd.concat(derivatives, names=["airspeed", "derivative"]),
+        "modes.csv": pd.concat(modes, names=["airspeed", "mode"]),
     }
+    return {name: csv_writer(table.reset_index()) for name, table in tables.items()}
 
 
 def _shown(mechanics: FlightMechanics) -> pd.DataFrame:
@@ -214,23 +212,17 @@ def trimmed(model: Bunch, airspeed: float, altitude: float) -> Trim:
 def _derivatives_text(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives with their standard deviations, and modes."""
     point: Any = mechanics.trim
-    table = mechanics.derivatives
-    controls = ", ".join(f"{name} {value:.4g}" for name, value in point.controls.items())
-    flight = (
-        f"{point.airspeed:g} m/s at {point.altitude:.4g} m, in air of {point.density:.4g} kg/m^3"
-    )
+    table = mechanics.derivatives.replace({"regressor": {"": "at trim"}})
     cells = table["value"].map("{:z.4f}".format)
-    meaning = "values"
     if "std" in table:
         cells += table["std"].map(" +- {:.2g}".format)
-        meaning = "values, +- one standard deviation"
-    named = table.assign(cell=cells, regressor=table["regressor"].replace("", "at trim"))
-    wide = named.pivot(index="regressor", columns="coefficient", values="cell")
-    wide = wide.reindex(named["regressor"].unique())[named["coefficient"].unique()]
+    wide = cells.set_axis([table["regressor"], table["coefficient"]]).unstack(sort=False)
+    controls = "".join(f", {name} {value:.4g}" for name, value in point.controls.items())
     return "\n".join(
         [
-            f"{flight}: alpha {np.rad2deg(point.alpha):.3g} deg, {controls}",
-            meaning,
+            f"{point.airspeed:g} m/s at {point.altitude:.4g} m, in air of {point.density:.4g} kg/m^3: "
+            f"alpha {np.rad2deg(point.alpha):.3g} deg{controls}",
+            "values, +- one standard deviation",
             "",
             wide.rename_axis(index=None, columns=None).to_string(),
             "",

@@ -22,6 +22,7 @@ class Severity(Enum):
     """Consequence of a finding for who uses a model."""
 
     NOTE = "note"  # information
+    ASSUMPTION = "assumption"  # taken for true, as nothing was told
     WARNING = "warning"  # something to look at
     DOUBT = "doubt"  # no use of the model is judged with "yes"
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from skdgp._compute.findings import Finding
 from skdgp._compute.messages import report
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.findings import Code
 from skdgp._flight.frames import wrapped
@@ -22,37 +23,37 @@ UNSHARED = 0.1
 
 
 def without_copies(
-    flights: dict[str, FlightTable], others: dict[str, FlightTable], code: Code
-) -> dict[str, FlightTable]:
-    """Return the flights that are no copies of others, all if there are only copies; warn of copies by a code."""
-    copied = copies(flights, others)
-    originals = {name: flight for name, flight in flights.items() if name not in copied}
-    for name, other in copied.items():
-        kind = code if originals else Code.TESTED_ON_COPY
-        report(Finding(kind, flight=name, numbers={"other": other}))
-    return originals or flights
+    train: dict[str, FlightTable], tests: dict[str, FlightTable]
+) -> tuple[dict[str, FlightTable], dict[str, FlightTable]]:
+    """Return training and test flights without those that repeat another training flight; warn of each.
 
-
-def copies(flights: dict[str, FlightTable], others: dict[str, FlightTable]) -> dict[str, str]:
-    """Return by name the flights that repeat another one: most of their rows, or its attitude at the same times.
-
-    Where both are the same flights, those that are copied stay, so that the copies of each other do not all go.
+    They have most of their rows in common, or the attitude at the same times. Of training flights the longer
+    one stays; if all test flights are copies, they stay.
     """
-    rows = {id(flight): _motion(flight) for flight in [*flights.values(), *others.values()]}
-    shortest_first = sorted(others.items(), key=lambda item: len(rows[id(item[1])]))
-    found: dict[str, str] = {}
-    for name, flight in flights.items():
-        if flights is others and name in found.values():
-            continue
-        for other_name, other in shortest_first:
-            is_left_out = flights is others and other_name in found
-            if flight is other or is_left_out:
-                continue
-            own = rows[id(flight)]
-            has_its_rows = len(own & rows[id(other)]) > COPIED * len(own)
-            if has_its_rows or _has_its_attitude(flight, other):
-                found[name] = other_name
-    return found
+    kept: dict[str, FlightTable] = {}
+    for name in sorted(train, key=lambda name: -len(train[name].time)):
+        other = _original(train[name], kept)
+        if other is None:
+            kept[name] = train[name]
+        else:
+            report(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
+    originals = {name: _original(flight, kept) for name, flight in tests.items()}
+    others = {name: flight for name, flight in tests.items() if originals[name] is None}
+    for name, other in originals.items():
+        if other is not None:
+            kind = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
+            report(Finding(kind, flight=name, numbers={"other": other}))
+    return {name: train[name] for name in train if name in kept}, others or tests
+
+
+def _original(flight: FlightTable, others: dict[str, FlightTable]) -> str | None:
+    """Return the name of the flight that a flight repeats, None if it repeats none."""
+    motion = _motion(flight)
+    for name, other in others.items():
+        has_its_rows = np.isin(motion, _motion(other)).sum() > COPIED * len(motion)
+        if has_its_rows or _has_its_attitude(flight, other):
+            return name
+    return None
 
 
 def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
@@ -75,8 +76,9 @@ def _total_variance(angles: Matrix) -> float:
     return float(np.nanvar(angles, axis=0).sum())
 
 
-def _motion(flight: FlightTable) -> set[tuple[float, ...]]:
-    """Return the different rows of rates and specific force, rounded below their noise."""
+def _motion(flight: FlightTable) -> Array:
+    """Return hash values of the different rows of rates and specific force, rounded below their noise."""
     values = np.column_stack([flight.column(name) for name in (*RATES, *SPECIFIC_FORCE)])
     measured = values[np.isfinite(values).all(axis=1)]
-    return {tuple(row) for row in np.round(measured, ROUNDED).tolist()}
+    rounded = pd.DataFrame(np.round(measured, ROUNDED) + 0.0)  # no negative zeros
+    return np.unique(pd.util.hash_pandas_object(rounded, index=False))

@@ -9,6 +9,7 @@ from skdgp._compute.findings import texts_of as texts_of
 from skdgp._compute.findings import with_codes as with_codes
 
 NOTE = Severity.NOTE
+ASSUMPTION = Severity.ASSUMPTION
 DOUBT = Severity.DOUBT
 PLACE = " ({begin:.6g} to {last:.6g} s, {samples} samples)"
 NOT_MEASURED = ": not measured"
@@ -126,6 +127,7 @@ class Code(Kind):
     FULL_THROWS = (
         "surfaces are in parts of their full throw, as no servo file gives angles",
         "Effects are of a full throw.",
+        ASSUMPTION,
     )
     SIZES_QUESTIONED = (
         "no aeroplane has these sizes: {laws}",
@@ -137,12 +139,14 @@ class Code(Kind):
     SIZES_ESTIMATED = (
         "sizes of the aircraft, with standard deviations: {sizes:.3g}",
         "Their part in errors of derivatives is std_aircraft.",
+        ASSUMPTION,
     )
-    SIZES_SOURCES = "estimated by: {sources}"
+    SIZES_SOURCES = "estimated by: {sources}", "", ASSUMPTION
     THRUST_IN_COEFFICIENTS = (
         "neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a propeller and its speed give the "
         "thrust, so it is part of the coefficients: CX is thrust less drag, which the model does not tell apart",
         "Throttle and airspeed are regressors if held-out parts show them.",
+        ASSUMPTION,
     )
 
     # training and test

@@ -22,15 +22,13 @@ from skdgp._flight.smoothing import band_limited, without_vibration
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
-from skdgp.identification._log_errors import linear_terms
+from skdgp.identification._log_errors import by_least_squares
 from skdgp.identification._pipeline import (
     FlightPipeline,
     band_of,
+    flight_regressors,
     named_regressors,
-    noise_ratio,
     reconstruction_of,
-    regressors_of,
-    with_path,
 )
 from skdgp.metrics import (
     interval_coverage,
@@ -175,9 +173,7 @@ def evaluate(
     notify(f"evaluating {name}")
     loads = {key: options[key] for key in ("thrust", "external_forces")}
     corrected = pipeline[:1].transform(flight)
-    path = with_path(pipeline[1:], corrected)
-    X = regressors_of(pipeline[1:], path)
-    ratio = noise_ratio(pipeline, path)
+    X, ratio, path = flight_regressors(pipeline[1:], corrected)
     checked = replace(flight, table=corrected)
     states = corrected
     if reconstruction_of(pipeline) is not None:  # beside the logged inputs
@@ -234,7 +230,6 @@ def _truth(table: pd.DataFrame, band: float) -> Matrix | None:
 
 def _baseline(pipeline: FlightPipeline, X: Matrix) -> Matrix | None:
     """Return the coefficients (n, 6) by least squares on the rows of the fit, None of targets without names."""
-    if not pipeline.least_squares_:
+    if pipeline.least_squares_.empty:
         return None
-    intercepts, slopes = linear_terms(pipeline.least_squares_)
-    return intercepts + named_regressors(pipeline, X).to_numpy() @ slopes
+    return by_least_squares(named_regressors(pipeline, X), pipeline.least_squares_)

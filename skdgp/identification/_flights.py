@@ -43,8 +43,7 @@ def train_and_test(
     tested: Flights = {}
     if test is not None:
         tested = named_flights(test, default="test flight", needed=needed, **reading)
-    train = without_copies(train, train, Code.FLIGHT_TWICE)
-    tested = without_copies(tested, train, Code.COPY_LEFT_OUT)
+    train, tested = without_copies(train, tested)
     if test is None:
         train, tested = _without_last(train)
     return train, tested, servos

@@ -23,6 +23,7 @@ from skdgp._compute.files import (
     text_writer,
     write_together,
 )
+from skdgp._compute.findings import Severity
 from skdgp._flight.findings import Finding
 from skdgp.dynamics import Aircraft
 from skdgp.identification._changed import Changes
@@ -53,9 +54,7 @@ class Identification:
     evaluations : list of Evaluation
         Predictions and replay of each test flight.
     findings : tuple of Finding
-        Warnings.
-    assumptions : tuple of Finding
-        Assumptions where flights and aircraft do not say; empty without assumptions.
+        Warnings, and assumptions where flights and aircraft do not say.
     changes : Changes, optional
         Whether the aircraft has changed since the flights of a model that existed before.
     title, command, created : str
@@ -69,7 +68,7 @@ class Identification:
     train: dict[str, pd.DataFrame]
     evaluations: list[Evaluation]
     findings: tuple[Finding, ...] = ()
-    assumptions: tuple[Finding, ...] = ()
+
     changes: Changes | None = None
     title: str = ""
     command: str | None = None
@@ -84,8 +83,9 @@ class Identification:
 
     @property
     def assumed(self) -> list[str]:
-        """The assumptions as sentences."""
-        return [finding.text for finding in self.assumptions]
+        """The assumptions as sentences; empty where everything was told."""
+        assumed = [found for found in self.findings if found.severity is Severity.ASSUMPTION]
+        return [finding.text for finding in assumed]
 
     @cached_property
     def mechanics(self) -> FlightMechanics:
@@ -104,11 +104,8 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Scores, and uses that the model is good enough for."""
-        # assumptions are told in their own list
-        findings = [finding for finding in self.findings if finding not in self.assumptions]
         question = self.aircraft.question_of_sizes(derivatives=self.mechanics.derivatives)
-        if question is not None:
-            findings.append(question)
+        findings = self.findings if question is None else (*self.findings, question)
         return judge(self.evaluations, self.fit, self.mechanics, findings)
 
     @cached_property
@@ -159,7 +156,7 @@ class Identification:
         for use in self.verdict.uses:
             lines.append(f"{use.purpose + ':':<22}{use.judgement}, {use.reason}")
         lines += [f"warning: {warning}" for warning in self.verdict.warnings[:MOST_WARNINGS]]
-        if self.assumptions:
+        if self.assumed:
             lines += ["", "assumed, as nothing was told:"]
         for assumption in self.assumed:
             lines.append(fill(assumption, 110, initial_indent="  - ", subsequent_indent="    "))

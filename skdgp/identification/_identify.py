@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
+from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_findings, report
@@ -18,7 +19,6 @@ from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor, FitCode, search_ended
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.estimation import airspeed_scale, without_airspeed_error
 from skdgp.identification._changed import Changes, changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import named_flights, train_and_test
@@ -28,7 +28,7 @@ from skdgp.identification._pipeline import FlightPipeline, make_identification_p
 from skdgp.identification._prepare import (
     MEASURED,
     as_aircraft,
-    assumptions,
+    assumed_sizes,
     loads_of,
     names_of,
     regressor_columns,
@@ -154,9 +154,9 @@ def identify(
             **(pipeline or {}),
         )
         notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-        error = airspeed_scale(learned_from.table).removable()
-        table = without_airspeed_error(learned_from.table, error)
-        Y = aerodynamic_coefficients(replace(learned_from, table=table), aircraft, **given)
+        corrected = clone(model[0]).fit_transform(learned_from)  # of the error of the airspeed
+        checked = replace(learned_from, table=corrected)
+        Y = aerodynamic_coefficients(checked, aircraft, **given)
         notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
         model.fit(learned_from, Y)
         fit = fit_record(model)
@@ -177,8 +177,7 @@ def identify(
         fit=fit,
         train={name: flight.table for name, flight in train.items()},
         evaluations=evaluations,
-        findings=_named_once(findings),
-        assumptions=assumptions(aircraft, model.errors_, findings),
+        findings=(*assumed_sizes(aircraft, model.errors_), *_named_once(findings)),
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,18 +36,16 @@ CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
 
-def fit_least_squares(table: pd.DataFrame, Y: pd.DataFrame) -> dict[str, dict[str, float]]:
-    """Return intercept and slopes of each coefficient (n, 6) by regressors (n, d), where it is observed."""
-    names = ["intercept", *map(str, table)]
-    weights = linear_weights(table.to_numpy(), Y)
-    fitted: Any = pd.DataFrame(weights, names, COEFFICIENTS).to_dict()
-    return fitted
+def fit_least_squares(regressors: pd.DataFrame, Y: pd.DataFrame) -> pd.DataFrame:
+    """Return intercept and slopes (1 + d, 6) of coefficients (n, 6) by regressors (n, d), where they are observed."""
+    names = ["intercept", *regressors]
+    return pd.DataFrame(linear_weights(regressors.to_numpy(), Y), names, [*COEFFICIENTS])
 
 
-def linear_terms(fitted: Mapping[str, Mapping[str, float]]) -> tuple[Vector, Matrix]:
-    """Return intercepts (6,) and slopes (d, 6) of `fit_least_squares`."""
-    table = pd.DataFrame(fitted)[list(COEFFICIENTS)]
-    return table.loc["intercept"].to_numpy(), table.drop("intercept").to_numpy()
+def by_least_squares(regressors: pd.DataFrame, linear: pd.DataFrame) -> Matrix:
+    """Return the coefficients (n, 6) at regressors (n, d) by `fit_least_squares`."""
+    columns = regressors.assign(intercept=1.0)[linear.index]
+    return columns.to_numpy() @ linear.to_numpy()
 
 
 class RegressionCalibration(NamedTuple):
@@ -82,7 +80,7 @@ def learned_errors(
     flights: pd.DataFrame,
     aircraft: Aircraft,
     regressors: pd.DataFrame,
-    linear: Mapping[str, Mapping[str, float]],
+    linear: pd.DataFrame,
     lags: pd.DataFrame | None,
     airspeed_std: float,
 ) -> FunctionErrors:
@@ -96,9 +94,8 @@ def learned_errors(
     """
     changes = _by_accelerations(flights, aircraft)
     if has_values(flights, *VANES):
-        intercept, slopes = linear_terms(linear)
-        changes += _by_clocks(flights, regressors, slopes, lags)
-        changes.append(airspeed_std * _by_airspeed(regressors, intercept, slopes))
+        changes += _by_clocks(flights, regressors, linear, lags)
+        changes.append(airspeed_std * _by_airspeed(regressors, linear))
     return learned_as(changes, regressors)
 
 
@@ -135,7 +132,7 @@ def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionE
 
 
 def _by_clocks(
-    table: pd.DataFrame, regressors: pd.DataFrame, slopes: Matrix, lags: pd.DataFrame | None
+    table: pd.DataFrame, regressors: pd.DataFrame, linear: pd.DataFrame, lags: pd.DataFrame | None
 ) -> list[Matrix]:
     """Return the changes (n, 6) by one standard deviation of the time of each group of channels."""
     time = table["time"].to_numpy(float)
@@ -145,29 +142,31 @@ def _by_clocks(
     changes = []
     for group, names in CHANNELS_OF_CLOCK.items():
         is_of_group = np.isin(regressors.columns, names)
-        changes.append(clock_std(lags, group, step) * rates[:, is_of_group] @ slopes[is_of_group])
+        slopes = linear.loc[regressors.columns[is_of_group]].to_numpy()
+        changes.append(clock_std(lags, group, step) * rates[:, is_of_group] @ slopes)
     return changes
 
 
-def _by_airspeed(regressors: pd.DataFrame, intercept: Vector, slopes: Matrix) -> Matrix:
+def _by_airspeed(regressors: pd.DataFrame, linear: pd.DataFrame) -> Matrix:
     """Return the change (n, 6) by an airspeed that is too large by its own size, to first order.
 
     Coefficients fall with its square, and non-dimensional rates with itself.
     """
-    X = regressors.to_numpy()
-    is_rate = np.isin(regressors.columns, [f"{name}{HAT}" for name in RATES])
-    return -2.0 * (intercept + X @ slopes) + X[:, is_rate] @ slopes[is_rate]
+    rates = regressors.filter([f"{name}{HAT}" for name in RATES])
+    by_rates = rates.to_numpy() @ linear.loc[rates.columns].to_numpy()
+    return by_rates - 2.0 * by_least_squares(regressors, linear)
 
 
 def clock_std(lags: pd.DataFrame | None, group: str, step: float) -> float:
     """Return the error of the time of a group of channels after its lag is removed [s], root mean square."""
-    least = CLOCK_STEPS * step
-    if lags is None or group not in lags.index:
-        return float(np.hypot(CLOCK, least))
-    lag, std, applied = map(float, lags.loc[group, ["lag", "std", "applied"]])
-    if not np.isfinite(std):  # given, or not shown
-        return least if applied else float(np.hypot(CLOCK, least))
-    return float(np.hypot(remaining_error(lag, std, CLOCK, applied != 0), least))
+    error = CLOCK
+    if lags is not None and group in lags.index:
+        lag, std, applied = map(float, lags.loc[group, ["lag", "std", "applied"]])
+        if np.isfinite(std):
+            error = remaining_error(lag, std, CLOCK, applied != 0)
+        elif applied:  # given
+            error = 0.0
+    return float(np.hypot(error, CLOCK_STEPS * step))
 
 
 def _by_accelerations(table: pd.DataFrame, aircraft: Aircraft) -> list[Matrix]:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import pandas as pd
 from sklearn.base import clone
-from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_consistent_length, check_is_fitted
 
@@ -55,7 +55,6 @@ from skdgp.preprocessing import (
     RegressorSelector,
 )
 
-RECONSTRUCTION = "flightpathreconstruction"
 Step = TypeVar("Step")
 
 
@@ -71,9 +70,7 @@ def make_identification_pipeline(
     regressors: str | Sequence[str] = "quasi-steady",
     reconstruction: Any = "auto",
     cutoff: float | str | None = "auto",
-    mixer: Any = None,
     regressor: Any = None,
-    memory: Any = None,
     lags: str | dict | None = "auto",
     samples: int | str | None = None,
     thrust: str | None = "auto",
@@ -111,14 +108,9 @@ def make_identification_pipeline(
         of the servos of flights without vanes.
     cutoff : float, "auto" or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
-    mixer : transformer, optional
-        By default ``ElevonSplitter()``.
     regressor : estimator, optional
         By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will
         do.
-    memory : str or joblib.Memory, optional
-        Where fitted transformers are cached: a grid search over the regressor alone then smooths
-        each flight once.
     lags : "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.LagCorrector`.
     samples : int, "all" or None
@@ -157,80 +149,45 @@ def make_identification_pipeline(
             aircraft=None if external_forces else aircraft,
             thrust=thrust,
         )
-    steps = make_pipeline(
-        FlightCheck(),
-        LagCorrector(lags, aircraft=aircraft),
-        FlightPathReconstruction(),
-        FlightSmoother(cutoff=cutoff),
-        ElevonSplitter(),
-        RateNondimensionalizer(span=aircraft.span, chord=aircraft.chord),
-        RegressorSelector(regressors, engine=thrust is None),
-        StandardScaler(),
-        DependentGPRegressor() if regressor is None else clone(regressor),
+    steps = [
+        ("flightcheck", FlightCheck()),
+        ("lagcorrector", LagCorrector(lags, aircraft=aircraft)),
+        ("flightpathreconstruction", reconstruction),
+        ("flightsmoother", FlightSmoother(cutoff=cutoff)),
+        ("elevonsplitter", ElevonSplitter()),
+        ("ratenondimensionalizer", RateNondimensionalizer(aircraft.span, aircraft.chord)),
+        ("regressorselector", RegressorSelector(regressors, engine=thrust is None)),
+        ("standardscaler", StandardScaler()),
+        ("dependentgpregressor", DependentGPRegressor() if regressor is None else clone(regressor)),
+    ]
+    return FlightPipeline(
+        steps, aircraft=aircraft, samples=samples, thrust=thrust, control_units=control_units
     )
-    pipeline = FlightPipeline(
-        steps.steps,
-        aircraft=aircraft,
-        samples=samples,
-        thrust=thrust,
-        control_units=control_units,
-        memory=memory,
-    )
-    pipeline.set_params(**{RECONSTRUCTION: reconstruction})
-    return pipeline if mixer is None else pipeline.set_params(elevonsplitter=mixer)
 
 
-def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector]:
-    """Return the regressors (n, d) of the last step, and by `noise_ratio` how noisy they are (n,)."""
-    path = with_path(pipeline, flight)
-    return regressors_of(pipeline, path), noise_ratio(pipeline, path)
-
-
-def with_path(pipeline: Pipeline, flight: Any) -> Any:
-    """Return a flight after the steps up to the reconstruction of its path."""
-    return _transformed(pipeline.steps[: _end_of_path(pipeline)], flight)
-
-
-def regressors_of(pipeline: Pipeline, path: Any) -> Matrix:
-    """Return the regressors (n, d) of the last step for a flight by `with_path`."""
-    return np.asarray(_transformed(pipeline.steps[_end_of_path(pipeline) : -1], path))
-
-
-def _end_of_path(pipeline: Pipeline) -> int:
-    """Return the number of steps up to the reconstruction of paths; 0 without this step, as in a slice.
-
-    It is found however it is named, and one of another kind by its name.
-    """
-    for number, (name, step) in enumerate(pipeline.steps, 1):
-        if name == RECONSTRUCTION or isinstance(step, FlightPathReconstruction):
-            return number
-    return 0
-
-
-def _transformed(steps: Sequence[tuple[str, Any]], flight: Any) -> Any:
-    """Return a flight that fitted steps have transformed."""
-    for _, step in steps:
-        if step not in (None, "passthrough"):
-            flight = step.transform(flight)
-    return flight
-
-
-def noise_ratio(pipeline: Pipeline, path: Any) -> Vector:
-    r"""Return how noisy the regressors of a flight by `with_path` are: a variance over the one of the fit (n,).
+def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector, Any]:
+    r"""Return the regressors (n, d) of the last step, how noisy they are (n,), and the flight with its path.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
     proportional to the variance of the gusts. Where `FlightPathReconstruction` reconstructs
-    flights, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio is
+    flights, it estimates :math:`\sigma_g` [m/s in one second] of the flight, and the ratio to the fit is
 
     .. math:: \frac{\sigma_g^2 + \sigma_0^2}{\sigma_{g,\mathrm{fit}}^2 + \sigma_0^2}, \quad \sigma_0 = 0.1 \mathrm{m/s}
 
     as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
     """
+    path = flight
+    for _, step in pipeline.steps[:-1]:
+        if step not in (None, "passthrough"):
+            flight = step.transform(flight)
+        if isinstance(step, FlightPathReconstruction):
+            path = flight
+    X = np.asarray(flight)
     reconstruction = reconstruction_of(pipeline)
     if reconstruction is None or "gust" not in path:
-        return np.ones(len(path))
+        return X, np.ones(len(X)), path
     variance = path["gust"].to_numpy() ** 2 + SENSOR_GUST**2
-    return variance / (reconstruction.gust_std_**2 + SENSOR_GUST**2)
+    return X, variance / (reconstruction.gust_std_**2 + SENSOR_GUST**2), path
 
 
 def regressor_names(pipeline: Pipeline) -> list[str]:
@@ -312,9 +269,9 @@ class FlightPipeline(Pipeline):
         Duration of the fit [s].
     turbulence_ : Turbulence or None
         Of the flights of the fit, where they show it.
-    least_squares_ : dict of str to dict
-        Intercept and slopes of each of the six coefficients by least squares of the same rows, in
-        units; empty of other targets.
+    least_squares_ : DataFrame (1 + d, 6)
+        Intercept and slopes of the six coefficients by least squares of the same rows, in units; empty
+        of other targets.
     errors_ : dict of str to ScaleFactor
         Error of the propeller's thrust, which flights do not show, and its effect on the coefficients.
     log_errors_ : FunctionErrors or None
@@ -479,21 +436,20 @@ class FlightPipeline(Pipeline):
         density = self.conditions_.get("density", 0.0)
         load = dynamic_pressure(airspeed, density) * aircraft.wing_area
         lengths = aircraft.moment_lengths
-        slopes = [
-            self.least_squares_.get(moment, {}).get(f"{name}{HAT}", 0.0)
-            for moment, name in zip(COEFFICIENTS[3:], RATES, strict=True)
-        ]
+        slopes = self.least_squares_.reindex(
+            index=[f"{name}{HAT}" for name in RATES], columns=COEFFICIENTS[3:], fill_value=0.0
+        )
         by_rate = load * lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)
-        damping = -by_rate * np.array(slopes)
+        damping = -by_rate * np.diag(slopes)
         followed = np.maximum(damping, 0.0) * gust_time
         return np.where(damping > 0, followed / (1 + followed), 1.0)
 
     def _learn_coefficients(self, flights: pd.DataFrame, X: Matrix, y: Any) -> None:
         """Learn least squares of the six coefficients, and errors of the log that its flights do not show."""
-        self.least_squares_: dict[str, dict[str, float]] = {}
+        self.least_squares_ = pd.DataFrame()
         self.errors_ = {}
         self.log_errors_: FunctionErrors | None = None
-        if not is_of_coefficients(y):
+        if not isinstance(y, pd.DataFrame) or list(y) != list(COEFFICIENTS):
             return
         named = named_regressors(self, X)
         self.least_squares_ = fit_least_squares(named, y)
@@ -517,14 +473,13 @@ class FlightPipeline(Pipeline):
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
         """Learn duration, conditions and turbulence of checked flights."""
+        self.seconds_ = 0.0
+        self.flights_: dict[str, int] = {}
         clock = FlightTable.of(flights).clock
-        seconds = [  # each at its own rate
-            len(rows) * np.median(np.diff(clock.time[rows]))
-            for rows in clock.rows.values()
-            if len(rows) > 1
-        ]
-        self.seconds_ = float(sum(seconds))
-        self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
+        for name, rows in clock.rows.items():
+            self.flights_[str(name)] = len(rows)
+            if len(rows) > 1:  # each at its own rate
+                self.seconds_ += len(rows) * float(np.median(np.diff(clock.time[rows])))
         medians: Any = flights.median(numeric_only=True).astype(float)
         self.conditions_ = medians.to_dict()
         self.turbulence_ = None
@@ -546,22 +501,23 @@ class FlightPipeline(Pipeline):
 
         ``params`` are for ``predict`` of the last step. ``return_std=True`` returns the
         standard deviation, too, with ``include_noise=True`` of new measurements.
-        ``include_input_noise`` replaces the ratio of this flight, unless it is True.
+        ``include_input_noise`` replaces the ratio of this flight.
         """
         check_is_fitted(self)
-        return self.predict_rows(*flight_regressors(self, X), **params)
+        regressors, noise_ratio, _ = flight_regressors(self, X)
+        return self.predict_rows(regressors, noise_ratio, **params)
 
     def predict_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Any:
         """Predict as `predict` the coefficients (n, P) of logged rows, by `flight_regressors`."""
-        uncertain = params.get("return_std") or params.get("return_cov")
-        by_ratio = uncertain and params.get("include_input_noise", True) is True
-        if by_ratio and isinstance(self[-1], DependentGPRegressor):
-            params = params | {"include_input_noise": noise_ratio}
+        if isinstance(self[-1], DependentGPRegressor):
+            params = {"include_input_noise": noise_ratio} | params
         predicted = self[-1].predict(regressors, **params)
         if self.calibration_ is None:
             return predicted
         added = self.calibration_(regressors, noise_ratio)
-        return (predicted[0] + added, predicted[1]) if uncertain else predicted + added
+        if isinstance(predicted, tuple):
+            return predicted[0] + added, predicted[1]
+        return predicted + added
 
     def score(
         self, X: pd.DataFrame, y: Any = None, sample_weight: Any = None, **params: Any
@@ -580,9 +536,3 @@ def _n_observed(y: Any) -> int:
     if y is None:
         return 0
     return int(np.isfinite(np.atleast_2d(np.asarray(y, dtype=float).T)).any(axis=0).sum())
-
-
-def is_of_coefficients(y: Any) -> bool:
-    """Return whether targets are the six coefficients."""
-    names = list(y.columns) if isinstance(y, pd.DataFrame) else None
-    return names == list(COEFFICIENTS)

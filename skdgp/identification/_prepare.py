@@ -30,7 +30,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.clock import n_rows
 from skdgp._flight.faults import FlightDataWarning
-from skdgp._flight.findings import Code, Finding, with_codes
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable, check_spelling, numeric, sensor_position
 from skdgp._flight.units import check_flight
@@ -57,9 +57,6 @@ INTERCHANGEABLE = (*MIXED, *ELEVONS)
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
 
 POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
-
-# findings that are assumptions
-ASSUMED = (Code.FULL_THROWS, Code.THRUST_IN_COEFFICIENTS)
 
 
 def as_aircraft(aircraft: Any) -> Aircraft:
@@ -244,12 +241,10 @@ def loads_of(
     return {"thrust": thrust, "external_forces": list(external_forces)}
 
 
-def assumptions(
-    aircraft: Aircraft, errors: Mapping[str, ScaleFactor], reported: Iterable[Finding] = ()
-) -> tuple[Finding, ...]:
-    """Return the assumptions of the aircraft and the errors of its model, and those among the reported findings.
+def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list[Finding]:
+    """Return the findings of sizes that are uncertain, by errors of all causes together, and of their sources.
 
-    Sizes are uncertain by errors of all causes together.
+    ``errors`` are those of the aircraft's model.
     """
     findings = []
     sizes = {}
@@ -261,10 +256,11 @@ def assumptions(
     if sizes:
         findings.append(Finding(Code.SIZES_ESTIMATED, numbers={"sizes": sizes}))
     factors = {**(aircraft.deviations or {}), **errors}
-    sources = {}
-    for name, factor in factors.items():
-        if factor.source not in ("", "given"):
-            sources[name] = factor.source
+    sources = {
+        name: factor.source
+        for name, factor in factors.items()
+        if factor.source not in ("", "given")
+    }
     if sources:
         findings.append(Finding(Code.SIZES_SOURCES, numbers={"sources": sources}))
-    return (*findings, *with_codes(reported, *ASSUMED))
+    return findings

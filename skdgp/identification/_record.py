@@ -129,7 +129,7 @@ def fit_record(pipeline: FlightPipeline) -> FitRecord:
         flown=float(pipeline.seconds_ or 0.0),
         flights=pipeline.flights_,
         conditions=pipeline.conditions_,
-        least_squares=pipeline.least_squares_,
+        least_squares=pipeline.least_squares_.to_dict(),
     )
 
 

@@ -41,8 +41,7 @@ from skdgp.plotting import (
 STYLE = files("skdgp.report").joinpath("page.css").read_text(encoding="utf-8")
 PAGE = Template(files("skdgp.report").joinpath("page.html").read_text(encoding="utf-8"))
 PICTURE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "skdgp", "font.size": 8}
-# flights with figures: of more only the one that is predicted worst has them (guess)
-SHOWN_FLIGHTS = 3
+SHOWN_FLIGHTS = 3  # with figures (guess)
 EXCERPT = 15.0  # length of the look at a flight [s] (guess)
 
 TRIM = ("airspeed", "altitude", "density", "climb", "alpha", "beta", "phi", "theta")
@@ -182,12 +181,9 @@ def number(value: float, form: str = ".3g") -> str:
     return f"{value:z{form}}".replace("-", "−").replace("inf", "∞")
 
 
-def with_std(value: float, std: float | None) -> str:
-    """Return a value and its standard deviation, both to the second digit of that."""
-    if std is None or not np.isfinite(std) or std <= 0:
-        return number(value)
-    digits = int(np.clip(1 - np.floor(np.log10(std)), 0, 6))
-    return f"{number(value, f'.{digits}f')} ± {number(std, f'.{digits}f')}"
+def with_std(value: float, std: float) -> str:
+    """Return a value and its standard deviation; this is NaN where it is not known."""
+    return number(value) if np.isnan(std) else f"{number(value)} ± {number(std, '.2g')}"
 
 
 def marked(shown: str, lower: float, upper: float) -> str:
@@ -203,9 +199,7 @@ def figure(display: Display, caption: str) -> str:
     from matplotlib.figure import Figure
 
     file = BytesIO()
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        matplotlib.rcParams.update(PICTURE)
+    with matplotlib.rc_context({**matplotlib.rcParamsDefault, **PICTURE}):
         canvas = Figure(figsize=display.figsize, layout="constrained")
         display.plot(canvas)
         canvas.savefig(file, format="svg", metadata={"Date": None})
@@ -260,28 +254,28 @@ def _mechanics(mechanics: FlightMechanics) -> str:
 def _derivatives(table: pd.DataFrame) -> pd.DataFrame:
     """Return derivatives of each plane by the regressors that move in it, as text."""
     is_lateral = table["regressor"].isin(MIRRORED)
-    is_of_plane = table["coefficient"].isin(SYMMETRIC) & ~is_lateral
-    is_of_plane |= table["coefficient"].isin(ASYMMETRIC) & is_lateral
-    table = table[is_of_plane & (table["regressor"] != "")]
-    bands = table.reindex(columns=["value", "std", "lower", "upper"])
+    is_of_plane = table["coefficient"].isin(ASYMMETRIC) == is_lateral
+    is_shown = table["coefficient"].isin((*SYMMETRIC, *ASYMMETRIC)) & (table["regressor"] != "")
+    columns = ["value", "std", "lower", "upper", "std_aircraft", "per"]
+    table = table[is_of_plane & is_shown].reindex(columns=columns)
     values = [
-        marked(with_std(value, std), lower, upper)
-        for value, std, lower, upper in bands.itertuples(index=False)
+        marked(with_std(row.value, row.std), row.lower, row.upper) for row in table.itertuples()
     ]
-    shown = table.reindex(columns=["std_aircraft", "per"]).dropna(axis=1, how="all")
-    shown.insert(0, "model", values)
-    return shown.rename(columns={"std_aircraft": "± of aircraft"})
+    shown = pd.DataFrame({"model": values, "± of aircraft": table["std_aircraft"]}, table.index)
+    return shown.assign(per=table["per"]).dropna(axis=1, how="all")
 
 
 def _modes(modes: pd.DataFrame) -> pd.DataFrame:
     """Return frequency, damping and time constant of each mode as text."""
     shown = {}
-    for name, row in modes.drop(columns="eigenvalue").iterrows():
-        edges = row.get("time_constant_lower", 1.0), row.get("time_constant_upper", 1.0)
-        shown[name] = {
-            "frequency": with_std(row["frequency"], row.get("frequency_std")),
-            "damping": with_std(row["damping"], row.get("damping_std")),
-            "time constant": marked(number(row["time_constant"]), *edges),
+    names = ("frequency", "damping", "time_constant")
+    columns = [name + suffix for name in names for suffix in ("", "_std", "_lower", "_upper")]
+    for row in modes.reindex(columns=columns).itertuples():
+        lower, upper = row.time_constant_lower, row.time_constant_upper
+        shown[row.Index] = {
+            "frequency": with_std(row.frequency, row.frequency_std),
+            "damping": with_std(row.damping, row.damping_std),
+            "time constant": marked(number(row.time_constant), lower, upper),
         }
     return pd.DataFrame(shown).T
 
@@ -298,15 +292,14 @@ def _simulation(mechanics: FlightMechanics) -> str:
 
 
 def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame]) -> list[str]:
-    """Return errors and figures of each test flight; of many, figures of the one predicted worst."""
-    errors = {name: table["NRMSE"]["mean"] for name, table in scores.items()}
-    worst = max(errors, key=errors.__getitem__, default=None)
+    """Return the errors of each test flight, and figures of those predicted worst."""
+    worst = sorted(scores, key=lambda name: -scores[name]["NRMSE"]["mean"])[:SHOWN_FLIGHTS]
     parts = []
     for flight in flights:
         shown = scores[flight.name]
         held = shown["in 95 % band [%]"].map(_coverage)
         body = table(shown.assign(**{"in 95 % band [%]": held}), SCORES)
-        if len(flights) <= SHOWN_FLIGHTS or flight.name == worst:
+        if flight.name in worst:
             body += _figures(flight)
         parts.append(section(f"Test flight {flight.name}", body))
     return parts

@@ -282,7 +282,7 @@ class TestDerivatives:
         assert "std" not in said["points"][0]["derivatives"]["CL"]
         table = pd.read_csv(tmp_path / "out" / "derivatives.csv")
         alphas = [point["trim"]["alpha"] for point in said["points"]]
-        assert table.groupby("point")["alpha"].first().tolist() == pytest.approx(alphas)
+        assert table.groupby("airspeed")["alpha"].first().tolist() == pytest.approx(alphas)
         assert all(slow > fast for slow, fast in pairwise(alphas))
         assert command(["derivatives", path, "--airspeed", "33", "36"]) == 0
         printed = capsys.readouterr().out

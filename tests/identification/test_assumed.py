@@ -112,9 +112,8 @@ def test_a_table_without_thrust():
     assert "throttle" in found.fit.regressors
     assert found.options["thrust"] is None
     assert "servos" not in found.options
-    for findings in (found.assumptions, found.findings):
-        assert "THRUST_IN_COEFFICIENTS" in codes(findings)
-    sizes = found.assumptions[0].numbers["sizes"]
+    assert "THRUST_IN_COEFFICIENTS" in codes(found.findings)
+    sizes = found.findings[0].numbers["sizes"]
     assert sizes["wing area [m^2]"] == pytest.approx((0.432, 0.35 * 0.432), rel=0.01)
     assert sizes["Iyy [kg m^2]"] == pytest.approx((0.208, 0.39 * 0.208), rel=0.01)
     assert "mass" not in found.assumed[0]
@@ -134,7 +133,7 @@ def test_nothing_was_assumed_of_what_was_told():
     inertia = np.diag([0.1, 0.15, 0.2])
     told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=inertia)
     flight = table().assign(thrust_x=1.0)
-    assert quietly(flight, told, samples=60, horizon=1.0).assumptions == ()
+    assert quietly(flight, told, samples=60, horizon=1.0).assumed == []
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def test_a_copied_test_flight_beside_another_is_left_out(flights, copy, said_of)
 def test_a_training_flight_that_comes_twice_counts_once(flights, said_of):
     train = {**flights.train, "again": flights.later}
     said = said_of(train, flights.aircraft, test={"test": flights.test})
-    assert "'latlon' repeats flight 'again' (its rows or its attitude)" in said
+    assert "'again' repeats flight 'latlon' (its rows or its attitude)" in said
 
 
 def test_a_copy_alone_is_told(flights, said_of):

@@ -65,7 +65,8 @@ class TestPipeline:
     @pytest.mark.usefixtures("short_fits")
     def test_a_grid_reaches_every_step(self, tmp_path, flights, delta):
         table, Y = flights(150)
-        model = make_identification_pipeline(delta, regressor=QUICK, memory=str(tmp_path))
+        model = make_identification_pipeline(delta, regressor=QUICK)
+        model.set_params(memory=str(tmp_path))
         grid = [
             {
                 "flightsmoother__cutoff": [cutoff],

@@ -62,7 +62,7 @@ def least_squares_of(X, Y):
     fit = LinearRegression().fit(X.to_numpy(), np.asarray(Y))
     table = pd.DataFrame(fit.coef_.T, X.columns, COEFFICIENTS)
     table.loc["intercept"] = fit.intercept_
-    return table.to_dict()
+    return table
 
 
 def slopes_of(errors, k):
@@ -209,7 +209,8 @@ def test_an_aircraft_follows_the_rolling_air_by_its_damping():
     airspeed, density = 20.0, 1.2
     pipeline = FlightPipeline([], aircraft=AIRCRAFT)
     pipeline.conditions_ = {"density": density}
-    pipeline.least_squares_ = {"Cl": {"p_hat": -0.4}, "Cm": {}, "Cn": {"r_hat": 0.1}}
+    slopes = np.diag([-0.4, 0.0, 0.1])
+    pipeline.least_squares_ = pd.DataFrame(slopes, ["p_hat", "q_hat", "r_hat"], COEFFICIENTS[3:])
     load = 0.5 * density * airspeed**2 * AIRCRAFT.wing_area
     d = 0.4 * load * AIRCRAFT.span**2 / (2 * airspeed * AIRCRAFT.inertia[0, 0])
     step = 0.002
@@ -247,7 +248,7 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
         aircraft=AIRCRAFT,
     )
     pipeline["regressorselector"].fit(pd.DataFrame(X, columns=REGRESSORS[:5]))
-    pipeline.least_squares_, pipeline.conditions_ = {}, {}
+    pipeline.least_squares_, pipeline.conditions_ = pd.DataFrame(), {}
     errors = pipeline._errors_by_air(turbulence, X, felt @ slopes)
     stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
     assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)

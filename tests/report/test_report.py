@@ -215,10 +215,11 @@ class TestWords:
         assert "hold at least 90 %" in words
         assert "errors of at most 0.5 of the spread" in words
 
-    def test_many_flights_are_a_table_and_only_the_worst_has_figures(self):
+    def test_many_flights_are_a_table_and_the_three_worst_have_figures(self):
         good = result(100, replay=None)
         bad = replace(good, mean=good.mean + 10 * default_rng(0).normal(size=(100, 6)))
-        flights = {"a": good, "b": good, "c": bad, "d": good}
+        better = replace(good, mean=good.measured)
+        flights = {"a": better, "b": good, "c": bad, "d": good}
         tested = [replace(flight, name=name) for name, flight in flights.items()]
         html = render(evaluations=tested, train={})
         assert "Coefficients of c" in html
@@ -241,10 +242,10 @@ class TestWords:
         values = values.assign(lower=values["value"] - half, upper=values["value"] + half)
         found = FlightMechanics(derivatives=values)
         words = words_of(mechanics=found)
-        assert "Cm_alpha −0.200 ± 0.050" in words
-        assert "Cm_q ▼ −1.00 ± 0.70" in words
-        assert "Cl_aileron 0.30 ± 0.10" in words
-        assert "Cm_throttle ▼ 0.10 ± 0.30" in words
+        assert "Cm_alpha −0.2 ± 0.05" in words
+        assert "Cm_q ▼ −1 ± 0.7" in words
+        assert "Cl_aileron 0.3 ± 0.1" in words
+        assert "Cm_throttle ▼ 0.1 ± 0.3" in words
 
     def test_modes_and_how_long_a_simulation_follows(self, no_pictures):
         columns = ["frequency", "frequency_std", "damping", "damping_std", "time_constant"]
@@ -257,8 +258,8 @@ class TestWords:
             {**numbers, "lasts": [3.2, 9.8], "wind_known": True}, index=["theta", "p"]
         )
         words = words_of(mechanics=FlightMechanics(modes=modes, simulation=simulation))
-        assert "short period 7.00 ± 0.10 0.500 ± 0.020 0.25" in words
-        assert "spiral 0.010 ± 0.010 1.00 ± 0.50 ▼ 90" in words  # it may diverge
+        assert "short period 7 ± 0.1 0.5 ± 0.02 0.25" in words
+        assert "spiral 0.01 ± 0.01 1 ± 0.5 ▼ 90" in words  # it may diverge
         assert "spread limit error horizon lasts wind_known" in words
         assert "theta [deg] 5.73 2.86 4.58 9.8 3.2 True" in words
         assert "p [deg/s] 5.73 2.86 4.58 9.8 9.8 True" in words

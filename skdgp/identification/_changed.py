@@ -91,24 +91,24 @@ class Changes:
     def summary(self) -> list[str]:
         """Return a line for each flight."""
         lines = []
-        for flight, p in self.p_values[WHOLE].items():
-            text = f"no change found (p = {p:.2g})"
-            if not np.isfinite(p):
+        for flight, p in self.p_values.iterrows():
+            text = f"no change found (p = {p[WHOLE]:.2g})"
+            if np.isnan(p[WHOLE]):
                 text = "too short to tell whether the aircraft has changed"
-            elif p < LEVEL:
-                text = f"the aircraft has changed (p = {p:.2g}): likely {self._likely(flight)}"
+            elif p[WHOLE] < LEVEL:
+                text = f"the aircraft has changed (p = {p[WHOLE]:.2g}): likely "
+                text += self._likely(flight, p.index[p < LEVEL])
             lines.append(f"flight {flight}: {text}")
         return lines
 
-    def _likely(self, flight: Any) -> str:
-        """Return the most certain changes of the coefficients of a flight that have changed."""
-        p = self.p_values.loc[flight]
+    def _likely(self, flight: Any, coefficients: Any) -> str:
+        """Return the most certain changes of coefficients in a flight."""
         table: Any = self.derivatives.loc[flight]
-        table = table[table.index.str[:2].isin(p.index[p < LEVEL])]
+        table = table[table.index.str[:2].isin(coefficients)]
         certain = (table["change"] / table["std"]).abs().nlargest(MOST_NAMED).index
         parts = [
-            f"{name} {change:+.2g} +- {std:.1g}"
-            for name, change, std in table.loc[certain].itertuples()
+            f"{row.Index} {row.change:+.2g} +- {row.std:.1g}"
+            for row in table.loc[certain].itertuples()
         ]
         return ", ".join(parts) + " (+- one standard deviation)"
 
@@ -151,25 +151,24 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, V
     """
     names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
     units = np.append(1.0, pipeline["standardscaler"].scale_)
-    p_values = pd.DataFrame(index=[*COEFFICIENTS, WHOLE])
+    p_values = {}
     tables = {}
     for flight, (X, residuals, by_acceleration) in flights.items():
         is_known = np.isfinite(residuals).all(axis=1)
         X = X[is_known]
         Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
         of_model = _covariance(pipeline, X, Q, by_acceleration[is_known])
-        p = []
+        p = {}
         for i, coefficient in enumerate(COEFFICIENTS):
             weights, covariance, freedom = residual_weights(Q, residuals[is_known, i])
             covariance = covariance + of_model[i]
-            p.append(_p_value(weights, covariance, freedom))
-            std = np.sqrt(np.diag(covariance))
-            derivatives = [coefficient + name for name in names]
-            values = {"change": weights / units, "std": std / units}
-            tables[flight, coefficient] = pd.DataFrame(values, derivatives)
-        p_values[flight] = [*p, combined(p)]
+            p[coefficient] = _p_value(weights, covariance, freedom)
+            values = {"change": weights, "std": np.sqrt(np.diag(covariance))}
+            table = pd.DataFrame(values, [coefficient + name for name in names])
+            tables[flight, coefficient] = table.div(units, axis=0)
+        p_values[flight] = p | {WHOLE: combined([*p.values()])}
     table = pd.concat(tables, names=["flight", "", "derivative"]).droplevel(1)
-    return Changes(p_values.T, table)
+    return Changes(pd.DataFrame(p_values).T, table)
 
 
 def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:
@@ -220,16 +219,14 @@ def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vecto
     effects = np.concatenate(
         [
             _constant_errors(pipeline, at, by_acceleration[rows]),
-            np.multiply.outer(unlearned.T, np.ones(len(COEFFICIENTS))),
+            np.repeat(unlearned.T[:, :, None], len(COEFFICIENTS), axis=2),
             _flattening(pipeline, X, trained, at),
         ]
     )
-    fitting = np.linalg.pinv(Q[rows])  # G Q^T
     K = function.reshape(*mean.T.shape, *mean.T.shape)
-    covariance = []
-    for i, a in enumerate(np.moveaxis(effects, -1, 0)):  # (number of effects, n)
-        covariance.append(fitting @ (K[i, :, i] + a.T @ a) @ fitting.T)
-    return np.stack(covariance)
+    of_outputs = np.einsum("inim->inm", K) + np.einsum("jni,jmi->inm", effects, effects)
+    fitting = np.linalg.pinv(Q[rows])  # G Q^T
+    return fitting @ of_outputs @ fitting.T
 
 
 def _constant_errors(pipeline: Pipeline, at: Matrix, by_acceleration: Vector) -> Array:
@@ -244,10 +241,9 @@ def _constant_errors(pipeline: Pipeline, at: Matrix, by_acceleration: Vector) ->
 def _flattening(pipeline: Pipeline, X: Matrix, trained: Matrix, at: Matrix) -> Array:
     """Return the effects (d, n, 6) of noise of the regressors, by which a flight X flattens slopes otherwise."""
     slopes = pipeline[-1].predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    std = np.sqrt(_noise_variances(pipeline))
-    is_lateral = np.isin(
-        [name.removesuffix(HAT) for name in regressor_names(pipeline)], [*MIRRORED]
-    )
+    std = _noise_stds(pipeline)
+    names = [name.removesuffix(HAT) for name in regressor_names(pipeline)]
+    is_lateral = np.isin(names, [*MIRRORED])
     # standard deviations (6, d) of the columns of E J; correlations are unknown within symmetric and
     # within lateral regressors
     correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
@@ -262,16 +258,16 @@ def _precision(X: Matrix) -> Matrix:
     return np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
 
 
-def _noise_variances(pipeline: Pipeline) -> Vector:
-    """Return the variances (d,) of the errors of the regressors, learned from the residuals.
+def _noise_stds(pipeline: Pipeline) -> Vector:
+    """Return the standard deviations (d,) of the errors of the regressors, learned from the residuals.
 
-    Angles that a filter derived from the forces agree with the residuals, so there its own
-    variances count, the larger ones.
+    Angles that a filter derived from the forces agree with the residuals, so there its own count, the
+    larger ones.
     """
-    variances = np.diag(pipeline[-1].input_covariance_)
+    stds = np.sqrt(np.diag(pipeline[-1].input_covariance_))
     reconstruction = reconstruction_of(pipeline)
     if reconstruction is None or reconstruction.air_motion_ is None:
-        return variances
-    stds = [f"{name}_std" for name in regressor_names(pipeline)]
-    std = reconstruction.air_motion_.air.mean().reindex(stds, fill_value=0.0).to_numpy()
-    return np.maximum(variances, (std / pipeline["standardscaler"].scale_) ** 2)
+        return stds
+    names = [f"{name}_std" for name in regressor_names(pipeline)]
+    stated = reconstruction.air_motion_.air.mean().reindex(names, fill_value=0.0).to_numpy()
+    return np.maximum(stds, stated / pipeline["standardscaler"].scale_)

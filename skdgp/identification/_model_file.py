@@ -21,11 +21,7 @@ from skdgp._compute.messages import report
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
-MAGIC = b"\nskdgp model file "
-FORMAT = 12
-# of the last line, a SHA-256 of all bytes before it is between them
-CHECKSUM, END = ', "sha256": "', '"}\n'
-ENDING = 64 + len(END)
+FORMAT = 13  # a line with the SHA-256 of all bytes behind it, a line of JSON, and a pickle
 # Packages whose versions may change predictions of a model that can be read
 MATTERS = ("skdgp", "scikit-learn", "numpy")
 
@@ -59,33 +55,25 @@ def save_model(
     -------
     Path
     """
-    now = {
+    made = {
         "created": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": software_versions(),
     }
-    model = Bunch(pipeline=pipeline, aircraft=aircraft, **facts | now)
+    model = Bunch(pipeline=pipeline, aircraft=aircraft, **facts | made)
     if not _is_model(model):
         raise TypeError(
             f"Got {type(pipeline).__name__} and {type(aircraft).__name__} to save, but expected a "
             f"fitted pipeline and its Aircraft: call fit first."
         )
-    return write_atomically(path, lambda temporary: _dump(temporary, model))
+    content = (
+        json.dumps({"format": FORMAT, **made}).encode() + b"\n" + pickle.dumps(model, protocol=5)
+    )
+    return write_atomically(path, lambda temporary: temporary.write_bytes(_with_digest(content)))
 
 
-def _dump(path: Path, model: Bunch) -> None:
-    """Write the model and, after it, a line of JSON that can be read when the model itself cannot.
-
-    Unpickling stops before that line. It ends in the SHA-256 of all bytes before the digest.
-    """
-    closing = {"format": FORMAT, "created": model.created, "versions": model.versions}
-    line = json.dumps(closing).removesuffix("}") + CHECKSUM
-    content = pickle.dumps(model, protocol=5) + MAGIC + line.encode()
-    path.write_bytes(content + _ending(content))
-
-
-def _ending(content: bytes) -> bytes:
-    """Return the end of a file with this content."""
-    return (hashlib.sha256(content).hexdigest() + END).encode()
+def _with_digest(content: bytes) -> bytes:
+    """Return the bytes of a file, and before them a line with their SHA-256."""
+    return hashlib.sha256(content).hexdigest().encode() + b"\n" + content
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
@@ -103,23 +91,34 @@ def load_model(path: str | os.PathLike) -> Bunch:
     off or was changed in a single bit, or cannot be read by the versions
     installed here. Warns if it was made by other versions of skdgp, scikit-learn or NumPy.
     """
-    content = Path(path).read_bytes()
-    made_by = _closing(content, path)["versions"]
-    installed = software_versions()
-    if any(made_by.get(name) != installed.get(name) for name in MATTERS):
-        differences = f"{_in_words(made_by)} (installed: {_in_words(installed)})"
-        numbers = {"path": str(path), "differences": differences}
+    data = Path(path).read_bytes()
+    content = data.partition(b"\n")[2]
+    if data != _with_digest(content):
+        raise ModelFileError(
+            f"Got {path} ({len(data)} bytes), which is not a whole skdgp model. Expected a file that skdgp identify "
+            f"or skdgp.identification.save_model wrote; if it is one, it was cut off or changed, or "
+            f"written by another version: copy it again, or fit it again."
+        )
+    line, _, pickled = content.partition(b"\n")
+    header = json.loads(line)
+    made_by, installed = _in_words(header["versions"]), _in_words(software_versions())
+    if header["format"] != FORMAT:
+        raise ModelFileError(
+            f"Got {path} of format {header['format']}, written with {made_by}, but this skdgp reads format "
+            f"{FORMAT}: fit it again, or install that version."
+        )
+    if made_by != installed:
+        numbers = {"path": str(path), "differences": f"{made_by} (installed: {installed})"}
         report(Finding(Code.OTHER_VERSIONS, numbers=numbers))
     try:
         with warnings.catch_warnings():
             # the versions are told above
             warnings.simplefilter("ignore", InconsistentVersionWarning)
-            model = pickle.loads(content)
+            model = pickle.loads(pickled)
     except Exception as error:  # unpickling may raise anything
         raise ModelFileError(
-            f"Got {path}, written with {_in_words(made_by)}, which cannot be read by "
-            f"{_in_words(installed)} here ({type(error).__name__}: {error}). Fit it again, or install those "
-            "versions."
+            f"Got {path}, written with {made_by}, which cannot be read by {installed} here "
+            f"({type(error).__name__}: {error}). Fit it again, or install those versions."
         ) from error
     if not _is_model(model):
         raise ModelFileError(
@@ -127,25 +126,6 @@ def load_model(path: str | os.PathLike) -> Bunch:
             f"its aircraft: fit it again, and write it with skdgp.identification.save_model."
         )
     return model
-
-
-def _closing(content: bytes, path: str | os.PathLike) -> dict:
-    """Return the last line of a file, or raise ModelFileError if the file is not whole."""
-    if _ending(content[:-ENDING]) != content[-ENDING:]:
-        raise ModelFileError(
-            f"Got {path} ({len(content)} bytes), which is not a whole skdgp model: its closing line is "
-            f"missing or does not fit. Expected a file that skdgp identify or "
-            f"skdgp.identification.save_model wrote; if it is one, it was cut off or changed: "
-            f"copy it again."
-        )
-    closing = json.loads(content.rpartition(MAGIC)[2])
-    if closing["format"] != FORMAT:
-        made_by = _in_words(closing["versions"])
-        raise ModelFileError(
-            f"Got {path} of format {closing['format']}, written with {made_by}, but this skdgp reads format "
-            f"{FORMAT}: fit it again, or install that version."
-        )
-    return closing
 
 
 def _is_model(content: Any) -> bool:
@@ -158,4 +138,5 @@ def _is_model(content: Any) -> bool:
 
 
 def _in_words(versions: dict) -> str:
+    """Return the versions of the packages that matter."""
     return ", ".join(f"{name} {versions.get(name, 'unknown')}" for name in MATTERS)

@@ -365,11 +365,11 @@ def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
     if LINEAR_NRMSE not in varying:
         return []
     limits = (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
+    if not varying[NRMSE].mean() > limits.mean():
+        return []
     worse = list(varying.index[varying[NRMSE] > limits])
-    if (worse and len(worse) >= len(varying) / 2) or varying[NRMSE].mean() > limits.mean():
-        numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
-        return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]
-    return []
+    numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
+    return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]
 
 
 def _band_findings(table: pd.DataFrame) -> list[Finding]:

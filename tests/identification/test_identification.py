@@ -303,25 +303,17 @@ def model_file(fitted, tmp_path, delta):
     return save_model(tmp_path / "model.joblib", fitted[0], delta, options={"thrust": None})
 
 
-# A line at the end holds JSON, at its end the SHA-256 of all bytes before
-MAGIC = b"\nskdgp model file "
-CHECKSUM = b', "sha256": "'
-END = b'"}\n'
-
-
 def closed(data, model=None, **changes):
-    """Return a model file as bytes, with another model or closing line, and the checksum that fits."""
-    start = data.rindex(MAGIC)
-    closing = json.loads(data[start + len(MAGIC) :]) | changes
-    del closing["sha256"]
-    model = data[:start] if model is None else model
-    data = model + MAGIC + json.dumps(closing).encode()[:-1] + CHECKSUM
-    return data + hashlib.sha256(data).hexdigest().encode() + END
+    """Return a model file as bytes, with another model or header, and the checksum that fits."""
+    _, header, pickled = data.split(b"\n", 2)
+    header = json.dumps(json.loads(header) | changes).encode()
+    content = header + b"\n" + (pickled if model is None else model)
+    return hashlib.sha256(content).hexdigest().encode() + b"\n" + content
 
 
 def another_model(data, *change):
-    """Return the file with other bytes of the model, and a closing line that fits."""
-    return closed(data, data[: data.rindex(MAGIC)].replace(*change))
+    """Return the file with other bytes of the model, and a checksum that fits."""
+    return closed(data, data.split(b"\n", 2)[2].replace(*change))
 
 
 RUBBISH = b"[" * 10000, b'{"format": 2, "versions": 7, "bytes": 1}'
@@ -329,13 +321,13 @@ OTHERS = None, Bunch(pipeline=QUICK, aircraft=GLIDER)
 DAMAGED = [
     *((lambda data, share=share: data[: int(share * len(data))], r"not a whole skdgp model.*cut off")
       for share in (0.5, 0.999)),
-    *((lambda data, rubbish=rubbish: data + MAGIC + rubbish, "not a whole skdgp model")
+    *((lambda data, rubbish=rubbish: data + rubbish, "not a whole skdgp model")
       for rubbish in RUBBISH),
     *((lambda data, content=content: closed(data, pickle.dumps(content)),
        r"which holds \w+, but expected a fitted pipeline and its aircraft") for content in OTHERS),
     *((lambda data, content=content: content, f"{len(content)} bytes.*Expected a file that skdgp")
       for content in (b"", b"time,alpha\n0,1\n")),
-    (lambda data: closed(data, format=99), r"format 99.*reads format 12: fit it again"),
+    (lambda data: closed(data, format=99), r"format 99.*reads format 13: fit it again"),
     (lambda data: another_model(data, b"skdgp._regressor", b"skdgp._regresser"),
      r"written with skdgp .*cannot be read by skdgp .*No module"),
 ]  # fmt: skip
@@ -393,12 +385,11 @@ class TestModelFile:
             assert load_model(model_file).aircraft == delta
 
     def test_a_single_flipped_bit(self, model_file):
-        """In each byte of the closing line, and many of the model: what loads is what was saved."""
+        """In the checksum, the header, and many places of the model: what loads is what was saved."""
         data = model_file.read_bytes()
-        n = 8 * len(data)
-        closing = 8 * data.rindex(MAGIC)
-        places = default_rng(0).choice(closing, 30, replace=False)
-        for place in [*places, *range(closing, n, 23)]:
+        model = 8 * len(b"".join(data.split(b"\n", 2)[:2]))
+        places = default_rng(0).integers(model, 8 * len(data), 30)
+        for place in [*places, *range(0, model, 23)]:
             flipped = bytearray(data)
             flipped[place // 8] ^= 1 << place % 8
             model_file.write_bytes(flipped)

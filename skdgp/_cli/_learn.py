@@ -105,7 +105,6 @@ def identify(run: Run) -> None:
       skdgp identify sortie.ulg --mass 3.2 --span 1.6
       skdgp identify train.csv --aircraft uav.json --test test.csv -o results
       skdgp identify mon.parquet tue.parquet --aircraft uav.toml -o results    (holds out the last flight)
-      skdgp identify kite.csv --aircraft kite.json --thrust none --external-forces tether -o results
     """
     options = run.options
     _identify(
@@ -114,7 +113,6 @@ def identify(run: Run) -> None:
         _aircraft(run, options.train[0]),
         options.test,
         thrust=None if options.thrust == "none" else options.thrust,
-        external_forces=options.external_forces,
         reading=reading(options),
     )
 
@@ -291,13 +289,6 @@ COMMANDS: Commands = {
                 default="auto",
                 help="what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
                 "the coefficients",
-            ),
-            option(
-                "--external-forces",
-                metavar="NAME",
-                nargs="+",
-                default=[],
-                help="further known loads: tether means the columns tether_x, tether_y, tether_z [N]",
             ),
             *LOG,
             HORIZON,

@@ -80,15 +80,9 @@ def read_model(options) -> Bunch:
 
 
 def read_model_to_fly(options) -> Bunch:
-    """Return the model and its ``thrust`` in motion, "auto" or None; warn of loads, thrust and gusts of its flights."""
+    """Return the model and its ``thrust`` in motion, "auto" or None; warn of thrust and gusts of its flights."""
     model = read_model(options)
-    learned = model.get("options", {})
-    if learned.get("external_forces"):
-        warn(
-            f"Motion is computed without the external forces {learned['external_forces']} of the "
-            "flights that the model was learned from."
-        )
-    model.thrust = learned.get("thrust", "auto")
+    model.thrust = model.get("options", {}).get("thrust", "auto")
     if model.thrust is None:
         warn(
             "No thrust was subtracted in this model: where an engine ran, CX holds its thrust, and CD "

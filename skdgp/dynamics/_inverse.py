@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,6 @@ from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft, with_sensor_position
 from skdgp.dynamics._rigid_body import (
     dynamic_pressure,
-    external_loads,
     gyroscopic_moment,
     propulsive_loads,
 )
@@ -53,13 +52,12 @@ def aerodynamic_coefficients(
     *,
     cutoff: float | str | LowPass | None = "auto",
     thrust: str | None = "auto",
-    external_forces: Sequence[str] = (),
     ignore: Iterable[str] = (),
 ) -> pd.DataFrame:
     """Return the six aerodynamic coefficients along a flight.
 
-    With specific force f, rates omega, propulsive and external loads F_T, M_T (Hemakumara &
-    Sukkarieh 2011, equations 3 to 8),
+    With specific force f, rates omega, propulsive loads F_T, M_T (Hemakumara & Sukkarieh 2011,
+    equations 3 to 8),
 
         F_A = m f - F_T,   M_A = I omega_dot + omega x (I omega) - M_T,
         (CX, CY, CZ) = F_A / (qbar S),   (Cl, Cm, Cn) = M_A / (qbar S (b, c, b)),   qbar = rho V^2 / 2.
@@ -89,9 +87,6 @@ def aerodynamic_coefficients(
         As for `propulsive_loads`. None: F_T and M_T are zero, for a glider, or for an unknown
         thrust, which is then part of the coefficients: throttle and airspeed as regressors explain
         it, and a simulation has ``thrust=None``.
-    external_forces : sequence of str, default=()
-        Further loads to subtract: "tether" means tether_x, tether_y, tether_z [N] and, where they
-        exist, tether_l, tether_m, tether_n [N m], in body axes about the centre of gravity.
     ignore : iterable of str, default=()
         Columns of ``flight`` that are not searched for faults.
 
@@ -115,7 +110,6 @@ def aerodynamic_coefficients(
     flight = check_flight(_measured(flight, ignore), NEEDED).table
     measured, rate_derivatives = _smoothed(flight, cutoff)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
-    other_force, other_moment = external_loads(flight, external_forces)
     rates = numeric(measured, RATES)
     mass = _mass(flight, aircraft)
     position = np.nan_to_num(sensor_position(with_sensor_position(flight, aircraft)))
@@ -124,8 +118,8 @@ def aerodynamic_coefficients(
     total_force = mass[:, None] * specific_force
     total_moment = rate_derivatives @ aircraft.inertia + gyroscopic_moment(rates, aircraft)
     # Equations 3 to 8: force, moment, coefficients.
-    F_A = total_force - thrust_force - other_force
-    M_A = total_moment - thrust_moment - other_moment
+    F_A = total_force - thrust_force
+    M_A = total_moment - thrust_moment
     qbar = dynamic_pressure(measured["airspeed"], measured["density"])[:, None]
     scale = qbar * aircraft.wing_area
     values = np.hstack([F_A / scale, M_A / (scale * aircraft.moment_lengths)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -20,7 +19,6 @@ from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._rigid_body import (
     aerodynamic_loads,
-    external_loads,
     propulsive_loads,
     rigid_body_derivative,
     rk4_step,
@@ -37,15 +35,14 @@ def replay(
     *,
     horizon: float = 2.0,
     thrust: str | None = "auto",
-    external_forces: Sequence[str] = (),
     gravity: float = STANDARD_GRAVITY,
 ) -> pd.DataFrame:
     """Return predicted coefficients integrated along a flight, restarting from the measured state every horizon.
 
     RK4 of `rigid_body_derivative` over the log's samples, with the loads of the predicted
-    coefficients at the measured airspeed and density, the propulsive and external loads and
-    gravity, linear between the samples. Raises ValueError if a column is missing, shapes disagree,
-    or a parameter is out of its range.
+    coefficients at the measured airspeed and density, the propulsive loads and gravity, linear
+    between the samples. Raises ValueError if a column is missing, shapes disagree, or a parameter
+    is out of its range.
 
     Parameters
     ----------
@@ -60,7 +57,7 @@ def replay(
         there.
     horizon : float, default=2.0
         Seconds from restart to restart.
-    thrust, external_forces
+    thrust : {"auto", None}, default="auto"
         As for `aerodynamic_coefficients`.
     gravity : float, default=9.80665
         [m/s^2].
@@ -83,8 +80,7 @@ def replay(
     _check_coefficients(coefficients, len(flight))
     aerodynamic = aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft)
     propulsive = propulsive_loads(flight, aircraft, thrust)
-    external = external_loads(flight, external_forces)
-    loads = np.hstack(aerodynamic) + np.hstack(propulsive) + np.hstack(external)
+    loads = np.hstack(aerodynamic) + np.hstack(propulsive)
     has_loads: Any = np.isfinite(loads).all(axis=1)
     is_complete: Any = np.isfinite(measured).all(axis=1)
     windows: list[tuple[int, int]] = []

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, body_to_ned, cross, empty_vectors, ned_to_body
-from skdgp._flight.tables import check_columns
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
 
@@ -244,27 +243,6 @@ def thrust_control(aircraft: Aircraft, thrust: str | None) -> str | None:
     if aircraft.propeller is None:
         return "thrust"
     return "propeller_speed" if aircraft.propeller.speed_range is None else "throttle"
-
-
-def external_loads(flight: pd.DataFrame, names: Iterable[str]) -> tuple[Array, Array]:
-    """Return the sum of the external forces (n, 3) [N] and moments (n, 3) [N m] named in ``names``.
-
-    The name "tether" stands for the columns tether_x, tether_y, tether_z (all required) and
-    tether_l, tether_m, tether_n (those that exist), in body axes about the centre of gravity.
-    """
-    if isinstance(names, str):
-        raise ValueError(
-            f"Got external_forces={names!r}, but expected a sequence of names: ({names!r},)."
-        )
-    n = len(flight)
-    force = np.zeros((n, 3))
-    moment = np.zeros((n, 3))
-    for name in names:
-        forces = [f"{name}_x", f"{name}_y", f"{name}_z"]
-        check_columns(flight, forces)
-        force += stacked(flight, forces, (n,))
-        moment += stacked(flight, [f"{name}_l", f"{name}_m", f"{name}_n"], (n,))
-    return force, moment
 
 
 def stacked(values: Mapping | pd.DataFrame, names: Iterable[str], shape: tuple[int, ...]) -> Array:

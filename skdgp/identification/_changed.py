@@ -128,11 +128,12 @@ def changes_in_flights(
     options: Mapping[str, Any],
 ) -> Changes:
     """Return the changes that evaluated flights show; ``options`` are those of the model."""
-    loads = {name: options[name] for name in ("thrust", "external_forces")}
     compared = {}
     for flight in flights:
         # a smoother that depends on the flight takes more signal from a gentle one
-        measured = aerodynamic_coefficients(flight.table, aircraft, cutoff=None, **loads)
+        measured = aerodynamic_coefficients(
+            flight.table, aircraft, cutoff=None, thrust=options["thrust"]
+        )
         residuals = measured.to_numpy() - flight.mean
         by_acceleration = aircraft.mass / dynamic_load(flight.table, aircraft)
         compared[flight.name] = flight.regressors, residuals, by_acceleration

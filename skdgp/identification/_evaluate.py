@@ -171,7 +171,7 @@ def evaluate(
 ) -> Evaluation:
     """Predict a checked flight and replay it; ``options`` are those of the model."""
     notify(f"evaluating {name}")
-    loads = {key: options[key] for key in ("thrust", "external_forces")}
+    thrust = options["thrust"]
     corrected = pipeline[:1].transform(flight)
     X, ratio, path = flight_regressors(pipeline[1:], corrected)
     checked = replace(flight, table=corrected)
@@ -179,7 +179,9 @@ def evaluate(
     if reconstruction_of(pipeline) is not None:  # beside the logged inputs
         states = corrected.assign(**path.drop(columns=[*ALL_SURFACES], errors="ignore"))
     band = band_of(pipeline)
-    measured = aerodynamic_coefficients(checked, aircraft, cutoff=without_vibration(band), **loads)
+    measured = aerodynamic_coefficients(
+        checked, aircraft, cutoff=without_vibration(band), thrust=thrust
+    )
     mean = pipeline.predict_rows(X, ratio)
     rows = std_rows(len(corrected))
     std = _std(pipeline[-1], X, ratio, rows)
@@ -188,7 +190,7 @@ def evaluate(
         variance = np.maximum(variance - pipeline.log_errors_.variance(X), 0.0)
     replayed = None
     if {*EULER, *EARTH_VELOCITY} <= {*corrected.columns}:  # from which the integration starts
-        replayed = replay(checked, aircraft, mean, horizon=REPLAY_HORIZON, **loads)
+        replayed = replay(checked, aircraft, mean, horizon=REPLAY_HORIZON, thrust=thrust)
     return Evaluation(
         name=name,
         time=corrected["time"].to_numpy(float),

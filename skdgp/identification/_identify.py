@@ -29,9 +29,9 @@ from skdgp.identification._prepare import (
     MEASURED,
     as_aircraft,
     assumed_sizes,
-    loads_of,
     names_of,
     regressor_columns,
+    thrust_of,
     usable_flights,
     usable_flights_of_model,
     with_position_of,
@@ -55,7 +55,7 @@ def identify(
     samples: int | str | None = None,
     horizon: float = 10.0,
     reading: Mapping[str, Any] | None = None,
-    **loads: Any,
+    thrust: str | None = "auto",
 ) -> Identification:
     """Learn a model of the six coefficients from flights, and judge it on others.
 
@@ -90,9 +90,8 @@ def identify(
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight`: ``rename`` for tables, the others for logs of
         autopilots; by default ``{"servos": "full throw"}``.
-    **loads
-        ``thrust`` ("auto") and ``external_forces`` (none), as of
-        :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the
+    thrust : {"auto", None}, default="auto"
+        As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the
         speed of the propeller among the regressors, best with the airspeed, unless the aircraft
         glides; so does "auto" by itself where the flights have a throttle and nothing gives the
         thrust.
@@ -141,7 +140,7 @@ def identify(
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
         tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
         learned_from = FlightTable.together(train.values())
-        given = loads_of(learned_from.table, aircraft, names, **loads)
+        thrust = thrust_of(learned_from.table, aircraft, names, thrust)
         if units is not None:
             report(Finding(Code.FULL_THROWS))
         model = make_identification_pipeline(
@@ -150,20 +149,20 @@ def identify(
             regressor=regressor,
             samples=samples,
             control_units=units,
-            **given,
+            thrust=thrust,
             **(pipeline or {}),
         )
         notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
         corrected = clone(model[0]).fit_transform(learned_from)  # of the error of the airspeed
         checked = replace(learned_from, table=corrected)
-        Y = aerodynamic_coefficients(checked, aircraft, **given)
+        Y = aerodynamic_coefficients(checked, aircraft, thrust=thrust)
         notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
         model.fit(learned_from, Y)
         fit = fit_record(model)
         if fit.lags_corrected:
             numbers = {"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands}
             report(Finding(Code.LAGS_CORRECTED, numbers=numbers))
-        chosen = _options(model) | given | {"horizon": horizon}
+        chosen = _options(model) | {"thrust": thrust, "horizon": horizon}
         if units is not None:
             chosen["servos"] = servos
         evaluations = [

@@ -144,7 +144,7 @@ def simulation_errors(
     """Return how long simulations of test flights with the recorded controls follow them, by state.
 
     They fly in the estimated wind and gusts, else in still air, and start from the measured state again
-    every horizon. ``options`` are of `identify`: thrust, external_forces and horizon. Raises ValueError
+    every horizon. ``options`` are of `identify`: thrust and horizon. Raises ValueError
     if the flights cannot be simulated.
 
     Columns: ``spread``, the standard deviation in the flights; ``limit``,
@@ -153,7 +153,10 @@ def simulation_errors(
     passes the limit, at most ``horizon``; ``wind_known``, whether the wind and its gusts were
     estimated.
     """
-    _check_flights(tables, options["external_forces"])
+    common = set.intersection(*map(set, tables))
+    lacking = [name for name in STATES if name not in common]
+    if lacking:
+        raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
     parts = _parts(tables, options["horizon"])
     wind_known = all({*WIND, "psi"} <= {*part} for part in parts)
     flown = _simulated(pipeline, aircraft, parts, options["thrust"], wind_known)
@@ -178,16 +181,6 @@ def simulation_errors(
     errors["horizon"] = elapsed[-1]
     errors["wind_known"] = wind_known
     return errors
-
-
-def _check_flights(tables: Sequence[pd.DataFrame], loads: Sequence[str]) -> None:
-    """Raise ValueError if flights have loads that a simulation lacks, or lack states."""
-    if loads:
-        raise ValueError(f"the flights have loads that a simulation lacks: {', '.join(loads)}")
-    common = set.intersection(*map(set, tables))
-    lacking = [name for name in STATES if name not in common]
-    if lacking:
-        raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
 
 
 def _simulated(

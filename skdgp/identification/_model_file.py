@@ -28,7 +28,7 @@ MATTERS = ("skdgp", "scikit-learn", "numpy")
 
 def options_of(model: Bunch) -> dict[str, Any]:
     """Return the options that a model was identified with; of another one its thrust is found in the flights."""
-    return {"thrust": "auto", "external_forces": []} | model.get("options", {})
+    return {"thrust": "auto"} | model.get("options", {})
 
 
 class ModelFileError(ValueError):
@@ -84,7 +84,7 @@ def load_model(path: str | os.PathLike) -> Bunch:
 
     The result has ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``,
     ``created``, ``versions`` and the facts saved with it: of :func:`identify` ``options`` (thrust,
-    external forces, ...), ``fit`` (samples, seconds, log likelihood, ...) and ``flights`` learned
+    ...), ``fit`` (samples, seconds, log likelihood, ...) and ``flights`` learned
     from.
 
     Raises FileNotFoundError if there is no such file, ModelFileError if it is not a model, is cut

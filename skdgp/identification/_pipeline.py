@@ -74,7 +74,6 @@ def make_identification_pipeline(
     lags: str | dict | None = "auto",
     samples: int | str | None = None,
     thrust: str | None = "auto",
-    external_forces: Sequence[str] = (),
     control_units: Mapping[str, str] | None = None,
 ) -> FlightPipeline:
     """Return the scikit-learn pipeline from a raw flight table to the six coefficients.
@@ -115,7 +114,7 @@ def make_identification_pipeline(
         As for :class:`skdgp.preprocessing.LagCorrector`.
     samples : int, "all" or None
         Rows to learn from, spread over the flights: see `FlightPipeline`.
-    thrust, external_forces
+    thrust : {"auto", None}, default="auto"
         As for :func:`skdgp.dynamics.aerodynamic_coefficients`, which gave the coefficients. With
         ``thrust=None`` a named set gets the airspeed unless the throttle stays at zero.
     control_units : mapping of str to str, optional
@@ -144,11 +143,7 @@ def make_identification_pipeline(
     """
     check_aircraft(aircraft)
     if isinstance(reconstruction, str) and reconstruction == "auto":
-        reconstruction = FlightPathReconstruction(
-            # the motion of the air does not know external forces
-            aircraft=None if external_forces else aircraft,
-            thrust=thrust,
-        )
+        reconstruction = FlightPathReconstruction(aircraft=aircraft, thrust=thrust)
     steps = [
         ("flightcheck", FlightCheck()),
         ("lagcorrector", LagCorrector(lags, aircraft=aircraft)),

@@ -217,14 +217,13 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
     return flights.part(continuous).named(flight)
 
 
-def loads_of(
+def thrust_of(
     table: pd.DataFrame,
     aircraft: Aircraft,
     regressors: Sequence[str],
     thrust: str | None = "auto",
-    external_forces: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Return the loads of flights that are no part of the coefficients; warn where the thrust is one.
+) -> str | None:
+    """Return the thrust as an option, None where it is a part of the coefficients; warn of that.
 
     It is where the flights have a throttle, and nothing gives the thrust that this sets. Warn, too, if
     then an engine changes it, and no regressor tells how.
@@ -238,7 +237,7 @@ def loads_of(
     varied = [name for name in ENGINE_COLUMNS if name in table and table[name].nunique() > 1]
     if thrust is None and varied and {*varied}.isdisjoint(regressors):
         report(Finding(Code.ENGINE_UNEXPLAINED, numbers={"names": varied}))
-    return {"thrust": thrust, "external_forces": list(external_forces)}
+    return thrust
 
 
 def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list[Finding]:

@@ -180,10 +180,10 @@ def ampyx_ap2(folder, n, tested):
     table = read_flight(Path(folder) / "ampyx_ap2" / "ampyx_ap2.parquet")
     part = np.arange(len(table)) * n // len(table) + 1
     table["flight"] = [f"part {k}" for k in part]
+    table = table.rename(columns={f"tether_{axis}": f"thrust_{axis}" for axis in "xyzlmn"})
     is_tested = np.isin(part, tested)
     parts = [table[rows].reset_index(drop=True) for rows in (~is_tested, is_tested)]
-    loads = {"thrust": None, "external_forces": ["tether"]}
-    return Aircraft.from_file(Path(folder) / "ampyx_ap2" / "ampyx_ap2.json"), *parts, loads
+    return Aircraft.from_file(Path(folder) / "ampyx_ap2" / "ampyx_ap2.json"), *parts, {}
 
 
 HFB = "HFB-320, last quarter, longitudinal"

@@ -117,17 +117,16 @@ def test_a_mass_that_falls_is_that_of_each_row(simulated, aircraft, true_coeffic
         )
 
 
-def test_external_loads_are_taken_away(simulated, aircraft, true_coefficients):
+def test_forces_of_a_tether_among_those_of_the_thrust_are_taken_away(
+    simulated, aircraft, true_coefficients
+):
     tether, twist = np.array([3.0, -8.0, 40.0]), np.array([0.4, 0.2, -0.1])
     pulled = simulated.copy()
     pulled[["ax", "ay", "az"]] += tether / aircraft.mass
     pulled[DERIVATIVES] += np.linalg.solve(aircraft.inertia, twist)
     for axis, value in zip(["x", "y", "z", "l", "m", "n"], [*tether, *twist], strict=True):
-        pulled[f"tether_{axis}"] = 3 * value
-        pulled[f"rope_{axis}"] = -2 * value
-    got = aerodynamic_coefficients(
-        pulled, aircraft, cutoff=None, external_forces=["tether", "rope"]
-    )
+        pulled[f"thrust_{axis}"] = pulled.get(f"thrust_{axis}", 0.0) + value
+    got = aerodynamic_coefficients(pulled, aircraft, cutoff=None)
     assert_allclose(got, true_coefficients, atol=1e-12)
 
 

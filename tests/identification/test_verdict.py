@@ -28,7 +28,7 @@ from skdgp.identification import (
 
 AIRCRAFT = LINEAR_GLIDER.aircraft
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-SETTINGS = {"thrust": None, "external_forces": [], "horizon": 4.0}
+SETTINGS = {"thrust": None, "horizon": 4.0}
 FIT = FitRecord(
     inference="exact",
     weights={},
@@ -236,15 +236,14 @@ class TestSimulation:
         assert (found["lasts"] == found["horizon"]).all()
 
     @pytest.mark.parametrize(
-        ("change", "settings", "message"),
+        ("change", "message"),
         [
-            (lambda table: table, {"external_forces": ["tether"]}, "simulation lacks: tether"),
-            (lambda table: table.drop(columns="alpha"), {}, "the flights lack alpha"),
-            (lambda table: table.assign(theta=np.nan), {}, "no part of"),
+            (lambda table: table.drop(columns="alpha"), "the flights lack alpha"),
+            (lambda table: table.assign(theta=np.nan), "no part of"),
         ],
     )
-    def test_says_what_it_cannot_fly(self, flight, change, settings, message):
-        found = mechanics_of(change(flight), train=flight, **settings)
+    def test_says_what_it_cannot_fly(self, flight, change, message):
+        found = mechanics_of(change(flight), train=flight)
         assert found.simulation is None
         assert message in found.notes[-1].numbers["error"]
 

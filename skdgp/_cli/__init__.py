@@ -47,6 +47,7 @@ def main(argv: list[str] | None = None) -> int:
         with console:
             options = parse(argv)
             folder = _folder(options)
+            console.stage(options.command)
             options.run(Run(options, console, folder, shlex.join(["skdgp", *argv])))
     except KeyboardInterrupt:
         console.print_error("stopped")

@@ -52,13 +52,10 @@ def margins(run: Run) -> None:
       skdgp margins results/model.joblib --params plane.params --airspeed 20 --full aileron=0.42 elevator=0.42
     """
     options = run.options
-    run.console.stage("reading")
     loops = autopilot_loops(options.params, dict(options.full))
     model = read_model_to_fly(options)
     warn_unfit(model, "design a controller", "Do not set gains by these margins.")
-    run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude)
-    run.console.stage("margins")
     linear = linearize(
         model.pipeline,
         model.aircraft,
@@ -77,10 +74,7 @@ def margins(run: Run) -> None:
         texts.append(f"the closed loops are unstable in {part:.0%} of the aircraft: {name}")
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
-        "model": options.model,
-        "parameters": options.params,
         "servos": asdict(servos),
-        "delay": options.delay,
         "margins": _records(now),
         "unstable": now.attrs["unstable"],
     }
@@ -154,14 +148,12 @@ def fly(run: Run) -> None:
       skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35 --path 3 --gusts 5
     """
     options = run.options
-    run.console.stage("reading")
     parameters = read_parameters(options.params) if options.params else None
     model = read_model_to_fly(options)
     warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
     given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
     full = full_outputs(model.pipeline, model.aircraft, given, model.thrust)
     gusts = _gusts_of(options, model)
-    run.console.stage("trimming")
     steady = trimmed(model, options.airspeed, options.altitude + options.height)
 
     def ready() -> None:
@@ -193,7 +185,6 @@ def fly(run: Run) -> None:
     if outside:
         lines.append(f"{outside:.0%} of the flight is outside of what the model was learned from")
     numbers = {
-        "model": options.model,
         "seconds": duration,
         "steps": flown.steps,
         "steps_per_second": rate,

@@ -58,7 +58,6 @@ def inspect(run: Run) -> None:
       skdgp inspect log.bin --mass 3.2 --span 1.6
     """
     options = run.options
-    run.console.stage("reading")
     given = vars(options)
     is_named = any(given[name] is not None for name in ("aircraft", *SIZES))
     aircraft = _aircraft(run, options.log) if is_named else None
@@ -161,7 +160,6 @@ def demo(run: Run) -> None:
       skdgp demo
       skdgp demo --samples 250 -o quick
     """
-    run.console.stage("simulating the example flights")
     example = load_example_flights()
     _identify(
         run, example.train, example.aircraft, example.test, title="Example flights: a simulated UAV"

@@ -352,7 +352,6 @@ class Run:
         The numbers are one more file in JSON, of the name ``record``. Files of ``obsolete`` names are removed.
         """
         if self.folder is not None:
-            self.console.stage("writing")
             writers = dict(files)
             if record:
                 writers[record] = text_writer(self._json(numbers))

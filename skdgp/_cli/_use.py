@@ -115,18 +115,13 @@ def predict(run: Run) -> None:
         raise FileExistsError(
             f"Got {options.output} as the output, but it is one of the flights: name another."
         )
-    run.console.stage("reading")
     model = read_model(options)
     named = named_flights(options.flight, **reading(options, model))
     flights = usable_flights_of_model(model.pipeline, named, model.aircraft)
-    run.console.stage("predicting")
     parts = [_predictions(model.pipeline, flight, options) for flight in flights.values()]
     rows = dict(zip(flights, map(len, parts), strict=True))
     numbers = {
-        "model": options.model,
-        "output": options.output,
         "flights": rows,
-        "include_noise": options.include_noise,
     }
     lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     table = pd.concat(parts, ignore_index=True)
@@ -155,22 +150,19 @@ def derivatives(run: Run) -> None:
       skdgp derivatives results/model.joblib --airspeed 30 35 40 -o sweep
     """
     options = run.options
-    run.console.stage("reading")
     model = read_model_to_fly(options)
-    run.console.stage("trimming")
     airspeeds = sorted(set(options.airspeed))
     trims = [trimmed(model, airspeed, options.altitude) for airspeed in airspeeds]
     beyond = sorted({name for point in trims for name in point.beyond})
     if beyond:
         report(Finding(Code.TRIM_BEYOND, numbers={"names": beyond}))
-    run.console.stage("derivatives")
     spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": model.thrust}
     points = []
     for point in trims:
         derivatives = stability_derivatives(model.pipeline, model.aircraft, point, **spread)
         modes = linearize(model.pipeline, model.aircraft, point, **spread).modes()
         points.append(FlightMechanics(trim=point, derivatives=derivatives, modes=modes))
-    numbers = {"model": options.model, "points": [point.to_dict() for point in points]}
+    numbers = {"points": [point.to_dict() for point in points]}
     texts = [_derivatives_text(point) for point in points]
     run.finish(["\n\n".join(texts), ""], numbers, _derivatives_files(points), "derivatives.json")
 
@@ -252,7 +244,6 @@ def plan(run: Run) -> None:
     if full:  # the search takes long
         surface_mixes([axis for axis in axes if axis != "throttle"], full)
     envelope = Envelope(bank=options.max_bank, altitude=options.floor, growth=float(options.growth))
-    run.console.stage("reading")
     model = read_model_to_fly(options)
     altitude = options.altitude
     if altitude is None:  # the highest of the training flights
@@ -270,7 +261,7 @@ def plan(run: Run) -> None:
             envelope=envelope,
             thrust=model.thrust,
         )
-    numbers = {"model": options.model, "seconds": planned.seconds, **planned.to_dict()}
+    numbers = {"seconds": planned.seconds, **planned.to_dict()}
     writers = _plan_writers(planned, full)
     planned_before = (Path(options.output) / "plan.json").is_file()
     obsolete = ["plan.lua"] if planned_before and "plan.lua" not in writers else []
@@ -334,10 +325,8 @@ def export(run: Run) -> None:
       skdgp export results/model.joblib --to jsbsim --full elevator=0.42 aileron=0.42 rudder=0.35 -o jsbsim
     """
     options = run.options
-    run.console.stage("reading")
     model = read_model(options)
     warn_unfit(model, "simulate", "Use the export to predict coefficients, not in a simulator.")
-    run.console.stage(f"exporting to {options.to}")
     full = dict(options.full)
     writers: dict[str, Writer] = {}
     sizes = {}
@@ -346,7 +335,7 @@ def export(run: Run) -> None:
             name = str(Path(file).relative_to(temporary))
             writers[name] = partial(shutil.copyfile, file)
             sizes[name] = Path(file).stat().st_size
-        numbers = {"model": options.model, "to": options.to, "files": sizes}
+        numbers = {"files": sizes}
         lines = [f"{size / 1024:>9.1f} kB  {name}" for name, size in sizes.items()]
         run.finish(lines, numbers, writers)
 

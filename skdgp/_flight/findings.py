@@ -215,7 +215,6 @@ class Code(Kind):
         "[{commands:The logged surfaces are commands of slower servos.}]",
         NOTE,
     )
-    NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
     PATHS_NOT_CONVERGED = (
         "the paths of these flights did not converge: {flights:short}",
         "[Channels contradict each other: {contradictions}.]"
@@ -243,10 +242,6 @@ class Code(Kind):
         "got flights without {names!r}, which those of the fit had: they are smoothed channel by channel "
         "(FlightSmoother), not reconstructed",
         "Expect larger errors than with those sensors.",
-    )
-    TRUTH_AS_REGRESSORS = (
-        "regressors {names!r} are noise-free truth of a simulation, which no aircraft has",
-        "Use them only to score, or to measure the effect of sensor noise.",
     )
 
     # fit and scores

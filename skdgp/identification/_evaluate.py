@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import notify
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     COEFFICIENTS,
@@ -19,7 +19,7 @@ from skdgp._flight.channels import (
     TRUTH_SUFFIX,
 )
 from skdgp._flight.smoothing import band_limited, without_vibration
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, interpolated
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
 from skdgp.identification._log_errors import by_least_squares
@@ -82,8 +82,6 @@ class Evaluation:
         that one vibrated; NaN = not observed; estimated ones, and their deviations without noise.
     prediction_std : (n, 6)
         Standard deviations of such measurements, which have the same errors of the log.
-    rows : ndarray of int
-        Where standard deviations were computed; between them they are interpolated.
     regressors : (n, d)
         Inputs of the last step of the pipeline.
     baseline : (n, 6), optional
@@ -102,7 +100,6 @@ class Evaluation:
     mean: Matrix
     std: Matrix
     prediction_std: Matrix
-    rows: Indices
     regressors: Matrix
     baseline: Matrix | None = None
     truth: Matrix | None = None
@@ -110,10 +107,7 @@ class Evaluation:
 
 
 def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
-    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it.
-
-    Metrics of bands are of the rows where standard deviations were computed.
-    """
+    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it."""
     against = {"measured": _scores(flights, "measured", "prediction_std")}
     if all(flight.truth is not None for flight in flights):
         against["truth"] = _scores(flights, "truth", "std")
@@ -126,9 +120,6 @@ def _scores(flights: Sequence[Evaluation], against: str, band: str) -> pd.DataFr
     def joined(name: str) -> Matrix:
         return np.concatenate([getattr(flight, name) for flight in flights])
 
-    def joined_rows(name: str) -> Matrix:
-        return np.concatenate([getattr(flight, name)[flight.rows] for flight in flights])
-
     expected, mean = joined(against), joined("mean")
     each: dict[str, Any] = {"multioutput": "raw_values"}
     table = pd.DataFrame(index=list(COEFFICIENTS))
@@ -137,7 +128,7 @@ def _scores(flights: Sequence[Evaluation], against: str, band: str) -> pd.DataFr
     if all(flight.baseline is not None for flight in flights):
         linear = joined("baseline")
         table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
-    bands = joined_rows(against), joined_rows("mean"), joined_rows(band)
+    bands = expected, mean, joined(band)
     table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
     table["interval_coverage"] = interval_coverage(*bands, **each)
     return table
@@ -183,8 +174,7 @@ def evaluate(
         checked, aircraft, cutoff=without_vibration(band), thrust=thrust
     )
     mean = pipeline.predict_rows(X, ratio)
-    rows = std_rows(len(corrected))
-    std = _std(pipeline[-1], X, ratio, rows)
+    std = _std(pipeline[-1], X, ratio)
     variance = std**2
     if pipeline.log_errors_ is not None:  # which the measured coefficients have, too
         variance = np.maximum(variance - pipeline.log_errors_.variance(X), 0.0)
@@ -200,7 +190,6 @@ def evaluate(
         mean=mean,
         std=std,
         prediction_std=np.sqrt(variance + pipeline[-1].noise_variance_),
-        rows=rows,
         regressors=X,
         truth=_truth(corrected, band),
         baseline=_baseline(pipeline, X),
@@ -208,18 +197,16 @@ def evaluate(
     )
 
 
-def std_rows(n: int) -> Indices:
-    """Return the rows of n at which standard deviations are computed; they cost N^2 each, means only N."""
-    step = int(np.ceil(n / MOST_STD_ROWS))
-    return np.arange(step // 2, n, step)
+def _std(regressor: DependentGPRegressor, X: Matrix, noise_ratio: Vector) -> Matrix:
+    """Return standard deviations (n, 6), of many rows computed at some and interpolated between these.
 
-
-def _std(regressor: DependentGPRegressor, X: Matrix, noise_ratio: Vector, rows: Indices) -> Matrix:
-    """Return standard deviations (n, 6), computed at some rows and interpolated between these."""
-    ratio = noise_ratio[rows]
-    _, std = regressor.predict(X[rows], return_std=True, include_input_noise=ratio)
+    They cost N^2 each, means only N.
+    """
     every = np.arange(len(X))
-    return np.column_stack([np.interp(every, rows, column) for column in std.T])
+    step = int(np.ceil(len(X) / MOST_STD_ROWS))
+    rows = every[step // 2 :: step]
+    _, std = regressor.predict(X[rows], return_std=True, include_input_noise=noise_ratio[rows])
+    return interpolated(every, rows, std)
 
 
 def _truth(table: pd.DataFrame, band: float) -> Matrix | None:

@@ -57,13 +57,13 @@ def _without_last(flights: Flights) -> tuple[Flights, Flights]:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
         return {name: flights[name] for name in earlier}, {last: flight}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last))
-    n = len(flight.time)
     names = f"{last}, first three quarters", f"{last}, last quarter"
-    parts = np.split(np.arange(n), [round(0.75 * n)])
+    rows = np.arange(len(flight.time))
+    parts = np.split(rows, [round(0.75 * len(rows))])
     learned, tested = (
-        {name: flight.part(rows).named(name)} for name, rows in zip(names, parts, strict=True)
+        flight.part(part).named(name) for part, name in zip(parts, names, strict=True)
     )
-    return learned, tested
+    return {names[0]: learned}, {names[1]: tested}
 
 
 def _servos_for(servos: Any, flights: Sequence[Any], regressors: Sequence[str]) -> Any:

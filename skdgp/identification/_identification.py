@@ -113,8 +113,7 @@ class Identification:
         """Every number of the report as plain JSON values, None where it is not finite: what metrics.json holds."""
         tests = {}
         for flight in self.evaluations:
-            sampling = _sampling_of(flight.table) | {"samples_with_std": len(flight.rows)}
-            tests[flight.name] = sampling | _score_metrics([flight])
+            tests[flight.name] = _sampling_of(flight.table) | _score_metrics([flight])
         metrics = {
             "format": FORMAT,
             "created": self.created,

@@ -136,11 +136,11 @@ def identify(
         train, tests, servos = train_and_test(flights, test, names, MEASURED, **reading or {})
         aircraft = with_position_of(as_aircraft(aircraft), train)
         units = FULL_THROW_UNITS if reversed_of(servos) is not None else None
+        thrust = thrust_of(train, aircraft, names, thrust)
         columns = regressor_columns([flight.table for flight in train.values()], names)
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
         tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
         learned_from = FlightTable.together(train.values())
-        thrust = thrust_of(learned_from.table, aircraft, names, thrust)
         if units is not None:
             report(Finding(Code.FULL_THROWS))
         model = make_identification_pipeline(

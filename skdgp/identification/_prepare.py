@@ -218,7 +218,7 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
 
 
 def thrust_of(
-    table: pd.DataFrame,
+    flights: Flights,
     aircraft: Aircraft,
     regressors: Sequence[str],
     thrust: str | None = "auto",
@@ -228,6 +228,7 @@ def thrust_of(
     It is where the flights have a throttle, and nothing gives the thrust that this sets. Warn, too, if
     then an engine changes it, and no regressor tells how.
     """
+    table = pd.concat([flight.table for flight in flights.values()])
     has_thrust = not {*THRUST_COLUMNS}.isdisjoint(table)
     has_propeller = propeller_speed_of(aircraft.propeller, table) is not None
     if thrust == "auto" and "throttle" in table and not (has_thrust or has_propeller):

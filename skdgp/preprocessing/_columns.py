@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from numbers import Real
 from typing import Any, Self
 
@@ -20,7 +20,6 @@ from skdgp._flight.channels import (
     MIXED,
     REGRESSOR_SETS,
     SURFACES,
-    TRUTH_SUFFIX,
     rate_factor,
 )
 from skdgp._flight.faults import FlightDataWarning
@@ -294,7 +293,7 @@ class RegressorSelector(TableTransformer):
         self.ranges_ = {name: tuple(limits[name].astype(float)) for name in limits}
         # by less than a billionth of themselves
         is_still = limits.loc["max"] - limits.loc["min"] <= 1e-9 * limits.abs().max()
-        names = [name for name in self.regressors_ if is_still.get(name)]
+        names = [name for name in is_still.index[is_still] if name in self.regressors_]
         if is_targeted and names:
             finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
             report(finding, FlightDataWarning)
@@ -304,25 +303,19 @@ class RegressorSelector(TableTransformer):
         self.absent_ = []
         is_set = isinstance(self.regressors, str)
         chosen = self._from_set(table) if is_set else list(self.regressors)
-        twice = sorted({name for name in chosen if chosen.count(name) > 1})
-        if twice or not chosen:
-            raise ValueError(
-                f"Got regressors {chosen}, but expected at least one, each once (twice: {twice})."
-            )
+        if not chosen or len({*chosen}) < len(chosen):
+            raise ValueError(f"Got regressors {chosen}, but expected at least one, each once.")
         check_columns(table, chosen)
         numeric(table, chosen)
-        truth = _truth(chosen)
-        if truth:
-            report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}))
         self.regressors_ = chosen
 
     def _transform_table(self, table):
         check_columns(table, self.regressors_)
         values = numeric(table, self.regressors_)
-        # squares of larger numbers overflow
-        holes = ~(np.abs(values) < 1e60)
-        if holes.any():
-            counts = pd.Series(holes.sum(axis=0), index=self.regressors_)
+        chosen = pd.DataFrame(values, columns=self.regressors_, index=table.index)
+        holes = ~(chosen.abs() < 1e60)  # squares of larger numbers overflow
+        if holes.any(axis=None):
+            counts = holes.sum()
             raise ValueError(
                 f"Got {holes.any(axis=1).sum()} of {len(values)} rows whose regressors are NaN or "
                 f"infinite (by rows: {counts[counts > 0].to_dict()}), but expected finite ones: drop "
@@ -330,7 +323,7 @@ class RegressorSelector(TableTransformer):
                 "identify does. Interpolate a slow sensor to the clock of the others, leave out an "
                 "empty column, and isolated rows, which have no rate of change."
             )
-        return pd.DataFrame(values, columns=self.regressors_, index=table.index)
+        return chosen
 
     def _columns_out(self, names):
         return self.regressors_
@@ -367,8 +360,3 @@ class RegressorSelector(TableTransformer):
             if max(motion, mean) > LEAST_MOTION:  # a constant thrust still depends on the airspeed
                 names.append("airspeed")
         return names
-
-
-def _truth(names: Iterable[Any]) -> list[str]:
-    """Return the names of columns with the noise-free truth of a simulation."""
-    return [name for name in names if str(name).endswith(TRUTH_SUFFIX)]

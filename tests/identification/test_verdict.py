@@ -98,7 +98,6 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
         prediction_std=prediction_std,
         table=pd.DataFrame({"time": time, "alpha": 0.0, "beta": 0.0}),
         states=pd.DataFrame({"time": time}),
-        rows=np.arange(n),
         regressors=measured,
     )
 

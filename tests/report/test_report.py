@@ -92,7 +92,6 @@ def result(n=800, **changes):
         "mean": mean,
         "std": std,
         "prediction_std": 2 * std,
-        "rows": np.arange(n),
         "regressors": mean,
         "baseline": mean,
         "truth": mean + 0.01 * rng.normal(size=(n, 6)),

@@ -162,7 +162,7 @@ def derivatives(run: Run) -> None:
         derivatives = stability_derivatives(model.pipeline, model.aircraft, point, **spread)
         modes = linearize(model.pipeline, model.aircraft, point, **spread).modes()
         points.append(FlightMechanics(trim=point, derivatives=derivatives, modes=modes))
-    numbers = {"points": [point.to_dict() for point in points]}
+    numbers = {"points": points}
     texts = [_derivatives_text(point) for point in points]
     run.finish(["\n\n".join(texts), ""], numbers, _derivatives_files(points), "derivatives.json")
 
@@ -174,18 +174,12 @@ def _derivatives_files(points: Sequence[FlightMechanics]) -> dict[str, Writer]:
     for point in points:
         at: Any = point.trim
         derivatives[at.airspeed] = point.derivatives.assign(alpha=at.alpha, beta=at.beta)
-        modes[at.airspeed] = _shown(point)
+        modes[at.airspeed] = point.modes
     tables = {
         "derivatives.csv": pd.concat(derivatives, names=["airspeed", "derivative"]),
         "modes.csv": pd.concat(modes, names=["airspeed", "mode"]),
     }
     return {name: csv_writer(table.reset_index()) for name, table in tables.items()}
-
-
-def _shown(mechanics: FlightMechanics) -> pd.DataFrame:
-    """Return the modes without complex numbers."""
-    modes: Any = mechanics.modes
-    return modes.drop(columns="eigenvalue")
 
 
 def trimmed(model: Bunch, airspeed: float, altitude: float) -> Trim:
@@ -198,6 +192,7 @@ def trimmed(model: Bunch, airspeed: float, altitude: float) -> Trim:
 def _derivatives_text(mechanics: FlightMechanics) -> str:
     """Return trim, derivatives with their standard deviations, and modes."""
     point: Any = mechanics.trim
+    modes: Any = mechanics.modes
     table = mechanics.derivatives.replace({"regressor": {"": "at trim"}})
     cells = table["value"].map("{:z.4f}".format)
     if "std" in table:
@@ -213,7 +208,7 @@ def _derivatives_text(mechanics: FlightMechanics) -> str:
             wide.rename_axis(index=None, columns=None).to_string(),
             "",
             "modes, in rad/s and s",
-            _table(_shown(mechanics)),
+            _table(modes.drop(columns="eigenvalue")),
         ]
     )
 

@@ -11,6 +11,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -77,11 +78,18 @@ def text_writer(text: str) -> Writer:
 
 
 def plain(value: Any) -> Any:
-    """Return a value for JSON: None instead of NaN and infinity, text instead of types that JSON does not have."""
+    """Return a value for JSON: None instead of NaN and infinity, text instead of types that JSON does not have.
+
+    Tables are rows by their index, records their fields by name.
+    """
     if isinstance(value, Finding):
         value = value.to_dict()
     if isinstance(value, Kind):
         return value.label
+    if isinstance(value, pd.DataFrame):
+        value = value.to_dict("index")
+    if is_dataclass(value):
+        value = vars(value)
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):

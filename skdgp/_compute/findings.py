@@ -115,6 +115,7 @@ class Finding:
             "flight": self.flight,
             "channel": self.channel,
             "numbers": dict(self.numbers),
+            "text": self.text,
         }
 
     def _filled(self, template: str) -> str:

@@ -33,7 +33,7 @@ from skdgp.identification._model_file import save_model
 from skdgp.identification._record import FitRecord
 from skdgp.identification._verdict import Verdict, judge
 
-FORMAT = 4  # of the metrics
+FORMAT = 5  # of the metrics
 MOST_WARNINGS = 3  # in the summary
 
 
@@ -77,11 +77,6 @@ class Identification:
     )
 
     @property
-    def messages(self) -> list[str]:
-        """The findings as sentences."""
-        return [finding.text for finding in self.findings]
-
-    @property
     def assumed(self) -> list[str]:
         """The assumptions as sentences; empty where everything was told."""
         assumed = [found for found in self.findings if found.severity is Severity.ASSUMPTION]
@@ -121,15 +116,13 @@ class Identification:
             "versions": software_versions(),
             "aircraft": self.aircraft.to_dict(),
             "options": self.options,
-            "fit": self.fit.to_dict(),
+            "fit": self.fit,
             "train": {name: _sampling_of(table) for name, table in self.train.items()},
             "test": tests,
             "test_together": _score_metrics(self.evaluations),
-            "verdict": self.verdict.to_dict(),
-            "flight_mechanics": self.mechanics.to_dict(),
+            "verdict": self.verdict,
+            "flight_mechanics": self.mechanics,
             "findings": self.findings,
-            "messages": self.messages,
-            "assumed": self.assumed,
         }
         if self.changes is not None:
             metrics["changed"] = self.changes.to_dict()
@@ -175,7 +168,7 @@ class Identification:
                 pipeline=self.pipeline,
                 aircraft=self.aircraft,
                 options=self.options,
-                fit=self.fit.to_dict(),
+                fit=plain(self.fit),
                 uses={use.purpose: use.judgement for use in self.verdict.uses},
                 flights=list(self.train),
             )
@@ -213,6 +206,6 @@ def _score_metrics(flights: Sequence[Evaluation]) -> dict:
     """Return the scores of each coefficient, and their means."""
     tables = scores(flights)
     return {
-        "coefficients": {against: table.to_dict("index") for against, table in tables.items()},
+        "coefficients": tables,
         "means": {against: table.mean().to_dict() for against, table in tables.items()},
     }

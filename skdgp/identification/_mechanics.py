@@ -11,13 +11,13 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array
 from skdgp._flight.channels import RATES, WIND
 from skdgp._flight.clock import n_rows
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
 from skdgp._flight.smoothing import noise_level
-from skdgp._flight.tables import FlightTable, numeric, unwrapped
+from skdgp._flight.tables import FlightTable, interpolated, numeric, unwrapped
 from skdgp.dynamics import (
     ATTITUDE,
     VELOCITY,
@@ -71,18 +71,6 @@ class FlightMechanics:
     modes: pd.DataFrame | None = None
     simulation: pd.DataFrame | None = None
     notes: tuple[Finding, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values, SI units and radians."""
-        plain: dict[str, Any] = {"notes": [note.text for note in self.notes]}
-        if self.trim is not None:
-            plain["trim"] = dict(vars(self.trim))
-        plain["derivatives"] = self.derivatives.to_dict("index")
-        if self.modes is not None:
-            plain["modes"] = self.modes.drop(columns="eigenvalue").to_dict("index")
-        if self.simulation is not None:
-            plain["simulation"] = self.simulation.to_dict("index")
-        return plain
 
 
 def flight_mechanics(
@@ -162,7 +150,9 @@ def simulation_errors(
     flown = _simulated(pipeline, aircraft, parts, options["thrust"], wind_known)
     simulated = numeric(flown, STATES).reshape(len(parts), -1, len(STATES))
     elapsed = flown["time"].to_numpy()[: simulated.shape[1]]
-    measured = np.array([_at(elapsed, part) for part in parts])
+    measured = np.array(
+        [interpolated(elapsed, part["time"], numeric(part, STATES)) for part in parts]
+    )
     # an infinite error where a simulation ended
     squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
     intervals = np.array_split(np.arange(len(elapsed)), min(TIMES, len(elapsed)))
@@ -171,16 +161,19 @@ def simulation_errors(
     spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
     # no noise of flights that are too short to show it
     levels = pd.DataFrame([noise_level(table, STATES) for table in tables])
-    errors = pd.DataFrame({"spread": spread}, index=[*STATES])
-    errors["limit"] = np.maximum(THRESHOLDS.error * spread, 3 * np.nan_to_num(levels.median()))
-    errors["error"] = np.sqrt(means[-1])
+    limit = np.maximum(THRESHOLDS.error * spread, 3 * np.nan_to_num(levels.median()))
     # of an error that is late in no interval the end
-    late = np.vstack([means > errors["limit"].to_numpy() ** 2, np.ones(len(STATES), bool)])
-    begins = [elapsed[rows[0]] for rows in intervals]
-    errors["lasts"] = np.array([*begins, elapsed[-1]])[late.argmax(axis=0)]
-    errors["horizon"] = elapsed[-1]
-    errors["wind_known"] = wind_known
-    return errors
+    late = np.vstack([means > limit**2, np.ones(len(STATES), bool)])
+    ends = np.array([*(elapsed[rows[0]] for rows in intervals), elapsed[-1]])
+    columns = {
+        "spread": spread,
+        "limit": limit,
+        "error": np.sqrt(means[-1]),
+        "lasts": ends[late.argmax(axis=0)],
+        "horizon": elapsed[-1],
+        "wind_known": wind_known,
+    }
+    return pd.DataFrame(columns, index=[*STATES])
 
 
 def _simulated(
@@ -195,9 +188,10 @@ def _simulated(
     wind = [part[["time", *WIND]] for part in parts] if wind_known else None
     not_inputs = [*STATES, *WIND, "flight", "psi"]
     inputs = [part.drop(columns=not_inputs, errors="ignore") for part in parts]
-    starts = pd.DataFrame([numeric(part, STATES)[0] for part in parts], columns=[*STATES])
+    first = pd.concat([part[:1] for part in parts], ignore_index=True)
+    starts = first[[*STATES]]
     if wind_known:  # the flight turns more than once
-        starts["psi"] = wrapped(np.array([part["psi"].iloc[0] for part in parts]))
+        starts = starts.assign(psi=wrapped(first["psi"].to_numpy()))
     with warnings.catch_warnings():
         # an end is an error without bound
         warnings.simplefilter("ignore", SimulationWarning)
@@ -207,16 +201,10 @@ def _simulated(
             starts,
             inputs,
             dt=STEP,
-            duration=min(float(table["time"].iloc[-1]) for table in inputs),
+            duration=float(min(table["time"].iloc[-1] for table in inputs)),
             thrust=thrust,
             air=Air(wind, density=float(density)),
         )
-
-
-def _at(elapsed: Vector, part: pd.DataFrame) -> Matrix:
-    """Return the measured states (n, n_states) at times of the simulation."""
-    columns = [np.interp(elapsed, part["time"], part[name]) for name in STATES]
-    return np.column_stack(columns)
 
 
 def _parts(tables: Sequence[pd.DataFrame], horizon: float) -> list[pd.DataFrame]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from sklearn.pipeline import Pipeline
+import pandas as pd
 
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import COEFFICIENTS
@@ -41,8 +40,8 @@ class FitRecord:
         vanes that are not known, and paths that did not converge.
     reconstruction : Finding, optional
         Whether flight paths are reconstructed, and why; None without this step.
-    lags : mapping of str to mapping of str to object
-        By group the rows of `skdgp.preprocessing.LagCorrector.lags_`.
+    lags : DataFrame, optional
+        As of `skdgp.preprocessing.LagCorrector`; None without this step.
     samples, samples_available : int
         Rows learned from, and rows with a coefficient.
     seconds, flown : float
@@ -65,7 +64,7 @@ class FitRecord:
     noise_std: Mapping[str, float]
     doubts: Sequence[Finding]
     reconstruction: Finding | None
-    lags: Mapping[str, Mapping[str, Any]]
+    lags: pd.DataFrame | None
     samples: int
     samples_available: int
     seconds: float
@@ -88,29 +87,22 @@ class FitRecord:
     @property
     def lags_corrected(self) -> dict[str, float]:
         """Lags [s] by group that the flights show, and that are removed."""
-        return {
-            group: lag["applied"]
-            for group, lag in self.lags.items()
-            if lag["applied"] and lag["std"] is not None
-        }
+        if self.lags is None:
+            return {}
+        is_shown = self.lags["std"].notna() & (self.lags["applied"] != 0)
+        return self.lags["applied"][is_shown].to_dict()
 
     @property
     def surfaces_are_commands(self) -> bool:
         """Whether lags show that logged surfaces are commands of slower servos."""
         return "servos" in self.lags_corrected or self.lags_corrected.get("surfaces", 0) < 0
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
-        values = asdict(self)
-        values["doubts"] = [doubt.text for doubt in self.doubts]
-        values["reconstruction"] = self.reconstruction.clause if self.reconstruction else None
-        return values
-
 
 def fit_record(pipeline: FlightPipeline) -> FitRecord:
     """Return what a fitted pipeline shows of its fit."""
     regressor = pipeline[-1]
     step = step_of(pipeline, FlightPathReconstruction)
+    corrector = step_of(pipeline, LagCorrector)
     return FitRecord(
         inference=regressor.inference_,
         weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
@@ -122,7 +114,7 @@ def fit_record(pipeline: FlightPipeline) -> FitRecord:
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
         doubts=[] if step is None else step.doubts_,
         reconstruction=None if step is None else step.finding_,
-        lags=lags_of(pipeline),
+        lags=None if corrector is None else corrector.lags_,
         samples=pipeline.n_learned_,
         samples_available=pipeline.n_observed_,
         seconds=pipeline.fit_time_,
@@ -131,15 +123,6 @@ def fit_record(pipeline: FlightPipeline) -> FitRecord:
         conditions=pipeline.conditions_,
         least_squares=pipeline.least_squares_.to_dict(),
     )
-
-
-def lags_of(pipeline: Pipeline) -> dict[str, dict[str, Any]]:
-    """Return the lags of channels by group, as of `LagCorrector`; empty without this step."""
-    step = step_of(pipeline, LagCorrector)
-    if step is None:
-        return {}
-    table: Any = step.lags_.astype(object)
-    return table.where(table.notna(), None).to_dict("index")
 
 
 def _by_coefficient(values: Vector) -> dict[str, float]:

@@ -92,15 +92,6 @@ class Use:
         """The findings as a sentence without its stop."""
         return clauses_of(self.findings)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
-        return {
-            "purpose": self.purpose,
-            "judgement": self.judgement,
-            "reason": self.reason,
-            "codes": [finding.code.label for finding in self.findings],
-        }
-
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
@@ -144,17 +135,6 @@ class Verdict:
         return (
             f"{text}; least squares on the same rows has an error of {self.least_squares_error:.3f}"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
-        return {
-            "error": self.error,
-            "coverage": self.coverage,
-            "uses": [use.to_dict() for use in self.uses],
-            "warnings": self.warnings,
-            "least_squares_error": self.least_squares_error,
-            "thresholds": THRESHOLDS._asdict(),
-        }
 
 
 def judge(

@@ -252,10 +252,9 @@ class FlightSmoother(TableTransformer):
         filter; or None for no smoothing. For another cutoff of some columns, put a smoother of
         these ``columns`` before.
     columns : "auto" or list of str, default="auto"
-        Columns to smooth. "auto": airspeed, alpha, beta, rates and accelerations, where present.
-    derivatives : "auto" or list of str, default="auto"
-        Columns to differentiate into ``<name>_dot``. "auto": alpha, beta and rates, where present. A
-        measured ``<name>_dot`` is kept.
+        Columns to smooth, and to differentiate into ``<name>_dot``. "auto": airspeed, alpha, beta, rates and
+        accelerations, where present; of these alpha, beta and rates are differentiated. A measured
+        ``<name>_dot`` is kept.
 
     Attributes
     ----------
@@ -287,7 +286,6 @@ class FlightSmoother(TableTransformer):
     _parameter_constraints: dict = {
         "cutoff": [Interval(Real, 0, None, closed="neither"), StrOptions({"auto"}), None],
         "columns": [StrOptions({"auto"}), list, tuple],
-        "derivatives": [StrOptions({"auto"}), list, tuple],
     }
 
     def __init__(
@@ -295,31 +293,29 @@ class FlightSmoother(TableTransformer):
         *,
         cutoff: Any = "auto",
         columns: Any = "auto",
-        derivatives: Any = "auto",
     ) -> None:
         self.cutoff = cutoff
         self.columns = columns
-        self.derivatives = derivatives
 
     def _fit_table(self, table):
-        self.columns_ = present(SMOOTHED, table) if self.columns == "auto" else list(self.columns)
-        names = present(IN_RADIANS, table) if self.derivatives == "auto" else list(self.derivatives)
-        self.derivatives_ = [name for name in names if f"{name}_dot" not in table]
-        check_columns(table, ["time", *self.columns_, *names])
-        if self.columns == "auto" and not names:
+        is_auto = self.columns == "auto"
+        self.columns_ = present(SMOOTHED, table) if is_auto else list(self.columns)
+        self._check_columns(table)
+        if is_auto:
             self._check_any(table, SMOOTHED)
-        numeric(table, {*self.columns_, *names})
-        check_radians(table, IN_RADIANS)
-        is_auto = self.columns == "auto" and self.cutoff == "auto"
-        self.band_ = vibration_band(table) if is_auto else np.inf
+        rates = present(IN_RADIANS, table) if is_auto else self.columns_
+        self.derivatives_ = [name for name in rates if f"{name}_dot" not in table]
+        self.band_ = vibration_band(table) if is_auto and self.cutoff == "auto" else np.inf
         if np.isfinite(self.band_):
             report(Finding(Code.VIBRATION, numbers={"band": self.band_}))
 
-    def _transform_table(self, table):
-        used = [*self.columns_, *self.derivatives_]
-        check_columns(table, ["time", *used])
-        numeric(table, used)
+    def _check_columns(self, table):
+        check_columns(table, ["time", *self.columns_])
+        numeric(table, self.columns_)
         check_radians(table, IN_RADIANS)
+
+    def _transform_table(self, table):
+        self._check_columns(table)
         new = self._apply(smooth, self.columns_, table)
         wrap_near(new, table)
         for name, rate in self._apply(differentiate, self.derivatives_, table).items():

@@ -166,7 +166,7 @@ class TestIdentify:
         model = load_model(folder / "model.joblib")
         expected = result.pipeline.predict(example[2])
         assert_allclose(model.pipeline.predict(example[2]), expected, rtol=1e-9, atol=1e-13)
-        assert model.fit == result.fit.to_dict()
+        assert model.fit == result.metrics["fit"]
         assert json.loads((folder / "metrics.json").read_text()) == result.metrics
         assert "two_altitudes" in (folder / "report.html").read_text(encoding="utf-8")
 
@@ -176,9 +176,11 @@ class TestIdentify:
         assert held_out.flight == "latlon"
         assert list(found.fit.flights) == ["lateral"]
         assert list(found.metrics["test"]) == ["latlon"]
-        assert {" ".join(str(one.message).split()) for one in shown} == set(found.messages)
+        assert {" ".join(str(one.message).split()) for one in shown} == {
+            finding.text for finding in found.findings
+        }
         for words in ("No test flight was named", "Got 40 rows"):
-            assert sum(words in message for message in found.messages) == 1
+            assert sum(words in finding.text for finding in found.findings) == 1
         unique = list(dict.fromkeys(stage for stage in stages if not stage.startswith("output")))
         assert unique == [
             "reading",
@@ -237,7 +239,7 @@ class TestIdentify:
         (unexplained,) = of_code(found, "ENGINE_UNEXPLAINED")
         assert unexplained.numbers["names"][0] == "throttle"
         words = "Name regressors with throttle or "
-        assert sum(words in message for message in found.messages) == 1
+        assert sum(words in finding.text for finding in found.findings) == 1
         assert found.options["thrust"] is None
         flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
         assert np.isfinite(flown["airspeed"]).all()
@@ -283,7 +285,7 @@ class TestIdentify:
         again = validate(load_model(path), test, horizon=1.0)
         assert again.evaluations[0].baseline is None
         assert "least squares" not in again.summary()
-        assert again.verdict.to_dict()["least_squares_error"] is None
+        assert again.verdict.least_squares_error is None
 
     def test_names_tables_that_have_no_names(self, example):
         bare = example[2].drop(columns="flight")

@@ -9,6 +9,7 @@ from made_flights import LINEAR_GLIDER
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
 
+from skdgp._compute.files import plain
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import FitCode
 from skdgp.dynamics import (
@@ -40,7 +41,7 @@ FIT = FitRecord(
     noise_std=dict.fromkeys(COEFFICIENTS, 0.01),
     doubts=[],
     reconstruction=None,
-    lags={},
+    lags=None,
     samples=1000,
     samples_available=1000,
     seconds=1.0,
@@ -452,10 +453,10 @@ class TestMechanics:
         found = mechanics_of(flight, train=flight.drop(columns="elevator"), aircraft=heavy)
         assert found.derivatives.empty
         assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
-        assert len(found.to_dict()["notes"]) == 2
+        assert len(found.notes) == 2
 
     def test_is_plain_for_json(self, flight):
-        found = mechanics_of(flight).to_dict()
+        found = plain(mechanics_of(flight))
         assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
         assert found["modes"]["short period"]["frequency"] > 1
         assert set(found["simulation"]) == {

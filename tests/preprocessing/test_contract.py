@@ -31,7 +31,7 @@ TRANSFORMERS = [
     LagCorrector(),
     LagCorrector({"air": 0.08, "p": -0.03}),
     FlightPathReconstruction(),
-    FlightSmoother(cutoff=4.0, derivatives=["p", "q", "r"]),
+    FlightSmoother(cutoff=4.0, columns=["alpha", "p", "q", "r"]),
     ElevonSplitter(),
     RateNondimensionalizer(span=2.8, chord=1.2),
     RegressorSelector("paper"),

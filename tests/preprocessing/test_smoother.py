@@ -39,7 +39,7 @@ def filtered(values, time, flight=None, **options):
     table = pd.DataFrame(columns, columns=names).assign(time=time)
     if flight is not None:
         table["flight"] = flight
-    out = smoothed_table(table, columns=names, derivatives=names, **options)
+    out = smoothed_table(table, columns=names, **options)
     rates = [f"{name}_dot" for name in names]
     shape = np.shape(values)
     return out[names].to_numpy().reshape(shape), out[rates].to_numpy().reshape(shape)
@@ -193,7 +193,7 @@ def test_automatic_columns_are_the_measured_ones():
 
 def test_heading_passes_through_pi():
     table = flight()
-    out = smoothed_table(table, columns=["psi"], derivatives=["psi"])
+    out = smoothed_table(table, columns=["psi"])
     assert np.abs(np.angle(np.exp(1j * (out.psi - 3.0 - 0.3 * table.time)))).max() < 0.02
     assert np.abs(out.psi_dot - 0.3).max() < 0.15
     assert np.abs(out.psi - table.psi).max() < 0.1

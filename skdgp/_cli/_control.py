@@ -127,7 +127,6 @@ def _margin_text(table: pd.DataFrame) -> str:
 
 PARAMETERS = option(
     "--params",
-    metavar="FILE",
     help="parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
     "elevator, throttle, rudder, 1100 to 1900 us)",
 )
@@ -231,7 +230,6 @@ COMMANDS: Commands = {
             ),
             option(
                 "--delay",
-                metavar="S",
                 type=from_zero(),
                 default=0.02,
                 help="of the commands before they are logged [s], from sampling and computing; the delay of the "
@@ -245,21 +243,18 @@ COMMANDS: Commands = {
             ),
             option(
                 "--gain-margin",
-                metavar="DB",
                 type=positive("dB"),
                 default=6.0,
                 help="wanted (default: 6)",
             ),
             option(
                 "--phase-margin",
-                metavar="DEG",
                 type=positive("deg"),
                 default=45.0,
                 help="wanted (default: 45)",
             ),
             option(
                 "--probability",
-                metavar="P",
                 type=checked("a probability between 0 and 1", float, lambda p: 0 < p < 1),
                 default=0.95,
                 help="of the wanted margins (default: 0.95)",
@@ -276,13 +271,11 @@ COMMANDS: Commands = {
             PARAMETERS,
             option(
                 "--path",
-                metavar="N",
                 type=at_least(0),
                 help="seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
             ),
             option(
                 "--height",
-                metavar="M",
                 type=positive("m"),
                 default=100.0,
                 help="of the start above the ground [m] (default: 100)",
@@ -303,20 +296,17 @@ COMMANDS: Commands = {
             ),
             option(
                 "--seconds",
-                metavar="S",
                 type=positive("seconds"),
                 help="of flight (default: until the autopilot is silent)",
             ),
             option(
                 "--wait",
-                metavar="S",
                 type=positive("seconds"),
                 default=60.0,
                 help="longest silence of the autopilot [s] (default: 60)",
             ),
             option(
                 "--port",
-                metavar="N",
                 type=at_least(1),
                 default=9002,
                 help="UDP port (default: 9002)",

@@ -229,7 +229,6 @@ LEARNING = [
     ),
     option(
         "--regressors",
-        metavar="SET",
         type=regressors,
         default="quasi-steady",
         help="quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot "
@@ -238,18 +237,17 @@ LEARNING = [
     ),
     option(
         "--max-iter",
-        metavar="N",
         type=at_least(1),
         help="largest number of steps of the fit from each start (default: 300)",
     ),
     SEED,
 ]
 SIZE_OPTIONS = [
-    option("--mass", metavar="X", type=size, help="[kg]"),
-    option("--span", metavar="X", type=size, help="of the wing [m]"),
-    option("--wing-area", metavar="X", type=size, help="[m^2]"),
-    option("--chord", metavar="X", type=size, help="mean chord of the wing [m]"),
-    option("--length", metavar="X", type=size, help="from nose to tail [m]"),
+    option("--mass", type=size, help="[kg]"),
+    option("--span", type=size, help="of the wing [m]"),
+    option("--wing-area", type=size, help="[m^2]"),
+    option("--chord", type=size, help="mean chord of the wing [m]"),
+    option("--length", type=size, help="from nose to tail [m]"),
     option(
         "--kind",
         choices=list(KINDS),

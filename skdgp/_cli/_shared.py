@@ -121,7 +121,6 @@ def regressors(text: str) -> str | list[str]:
 LOG = [
     option(
         "--servos",
-        metavar="FILE",
         help="TOML for logs of autopilots: servos and angles, see docs/logs.md",
     ),
     option(
@@ -144,29 +143,20 @@ MODEL = option("model", metavar="MODEL", help=f"the model.joblib that identify w
 FLIGHT = option("flight", metavar="FLIGHT", nargs="+", help="flights, as of identify")
 AIRCRAFT = option(
     "--aircraft",
-    metavar="FILE",
     help="the aircraft, JSON or TOML, as with another mass (default: the model's)",
 )
 HORIZON = option(
     "--horizon",
-    metavar="S",
     type=positive("seconds"),
     default=10.0,
     help="seconds after which simulations start again (default: 10)",
 )
-SEED = option(
-    "--seed", metavar="N", type=at_least(0), default=0, help="of random numbers (default: 0)"
-)
-OUTPUT = option("-o", "--output", metavar="DIR", help="folder for the outputs")
-AIRSPEED = option(
-    "--airspeed", metavar="V", type=positive("m/s"), required=True, help="of the trim [m/s]"
-)
-ALTITUDE = option(
-    "--altitude", metavar="M", type=number(), default=0.0, help="of the trim [m] (default: 0)"
-)
+SEED = option("--seed", type=at_least(0), default=0, help="of random numbers (default: 0)")
+OUTPUT = option("-o", "--output", help="folder for the outputs")
+AIRSPEED = option("--airspeed", type=positive("m/s"), required=True, help="of the trim [m/s]")
+ALTITUDE = option("--altitude", type=number(), default=0.0, help="of the trim [m] (default: 0)")
 PATHS = option(
     "--paths",
-    metavar="N",
     type=n_paths,
     default=200,
     help="aircraft of the posterior (default: 200)",

@@ -368,7 +368,6 @@ COMMANDS: Commands = {
             AIRSPEED,
             option(
                 "--seconds",
-                metavar="S",
                 type=positive("seconds"),
                 required=True,
                 help="of all flights together",
@@ -376,7 +375,6 @@ COMMANDS: Commands = {
             option("--axes", choices=AXES, nargs="+", required=True, help="controls to move"),
             option(
                 "--goal",
-                metavar="NAME",
                 nargs="+",
                 help="derivatives such as Cm_q Cn_rudder (default: all)",
             ),
@@ -394,16 +392,14 @@ COMMANDS: Commands = {
                 default=[],
                 help="largest deviations from trim [rad] (default: as flown)",
             ),
-            option("--max-bank", metavar="RAD", type=positive("rad"), help="to either side"),
+            option("--max-bank", type=positive("rad"), help="to either side"),
             option(
                 "--floor",
-                metavar="M",
                 type=number(),
                 help="lowest altitude [m] (default: the lowest that was flown)",
             ),
             option(
                 "--growth",
-                metavar="X",
                 type=from_zero("inf"),
                 default=0.2,
                 help="part of its range by which a quantity may leave its range in training; inf: no "

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -74,7 +73,7 @@ def margins(run: Run) -> None:
         texts.append(f"the closed loops are unstable in {part:.0%} of the aircraft: {name}")
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
-        "servos": asdict(servos),
+        "servos": servos,
         "margins": _records(now),
         "unstable": now.attrs["unstable"],
     }

@@ -39,8 +39,6 @@ from skdgp.io import inspect_log
 from skdgp.report import save_report
 
 SIZES = ("mass", "span", "wing_area", "chord", "length", "kind")
-MODEL_FILE = "model.joblib"
-CONTENTS = {"report.html": "report", "metrics.json": "numbers", MODEL_FILE: "model"}
 
 
 def inspect(run: Run) -> None:
@@ -191,10 +189,8 @@ def _finish(run: Run, result: Identification) -> None:
     lines = [result.summary()]
     if run.folder is not None:
         save_report(result, run.folder)
-        lines.append("")
-        for name, what in CONTENTS.items():
-            if name != MODEL_FILE or result.train:
-                lines.append(f"{what:<9}{run.folder / name}")
+        names = ["report.html", "metrics.json", *(["model.joblib"] if result.train else [])]
+        lines += ["", f"wrote {', '.join(str(run.folder / name) for name in names)}"]
     run.print(lines, result.metrics)
 
 

@@ -28,6 +28,7 @@ from skdgp.dynamics import (
     check_aircraft,
     dynamic_pressure,
     gust_rate_lags,
+    with_sensor_position,
 )
 from skdgp.estimation import prior_deviations
 from skdgp.identification._log_errors import (
@@ -247,7 +248,7 @@ class FlightPipeline(Pipeline):
         As of :func:`make_identification_pipeline`.
     control_units : mapping of str to str, optional
         Units of controls that differ from docs/notation.md.
-    transform_input, memory, verbose
+    memory, verbose
         As of scikit-learn's ``Pipeline``.
 
     Attributes
@@ -293,11 +294,10 @@ class FlightPipeline(Pipeline):
         samples: int | str | None = None,
         thrust: str | None = "auto",
         control_units: Mapping[str, str] | None = None,
-        transform_input: Any = None,
         memory: Any = None,
         verbose: bool = False,
     ) -> None:
-        super().__init__(steps, transform_input=transform_input, memory=memory, verbose=verbose)
+        super().__init__(steps, memory=memory, verbose=verbose)
         self.aircraft = aircraft
         self.samples = samples
         self.thrust = thrust
@@ -455,7 +455,7 @@ class FlightPipeline(Pipeline):
         corrector = step_of(self, LagCorrector)
         check = step_of(self, FlightCheck)
         errors = learned_errors(
-            flights,
+            with_sensor_position(flights, self.aircraft),
             self.aircraft,
             named,
             self.least_squares_,

@@ -84,21 +84,12 @@ def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.Da
     [['alpha', 'stuck', 10.025, 11.975, 79]]
     """
     columns = ["flight", "channel", "kind", "start", "end", "n_samples", "message"]
-    faults = find_faults(FlightTable.of(flight), ignore)
-    return pd.DataFrame([_row(fault.finding) for fault in faults], columns=columns)
-
-
-def _row(fault: Finding) -> dict[str, Any]:
-    """Return a fault as a row of the table of `inspect_flight`."""
-    return {
-        "flight": fault.flight,
-        "channel": fault.channel,
-        "kind": fault.code.label,
-        "start": fault.numbers["start"],
-        "end": fault.numbers["end"],
-        "n_samples": fault.numbers["samples"],
-        "message": fault.text,
-    }
+    rows = []
+    for fault in find_faults(FlightTable.of(flight), ignore):
+        found = fault.finding
+        place = [found.numbers[name] for name in ("start", "end", "samples")]
+        rows.append([found.flight, found.channel, found.code.label, *place, found.text])
+    return pd.DataFrame(rows, columns=columns)
 
 
 class FlightCheck(TableTransformer):
@@ -323,8 +314,7 @@ class FlightSmoother(TableTransformer):
         smoothed = table.assign(**new)
         if np.isinf(self.band_):
             return smoothed
-        names = present((*SMOOTHED, *new, *CONTROLS), smoothed)
-        names = list(dict.fromkeys(names))
+        names = present(dict.fromkeys((*SMOOTHED, *new, *CONTROLS)), smoothed)
         values = band_limited(numeric(smoothed, names), smoothed, self.band_)
         return smoothed.assign(**by_name(names, values))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from skdgp._flight.channels import (
     POSITION,
 )
 from skdgp._flight.holds import without_repeats
-from skdgp._flight.tables import by_name, check_columns, numeric, unwrapped
+from skdgp._flight.tables import by_name, check_columns, check_number, numeric, unwrapped
 from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
     Lag,
@@ -156,13 +155,10 @@ class LagCorrector(TableTransformer):
                 raise ValueError(
                     f"Got a lag of {name!r}, but expected groups {list(GROUPS)} or columns of the table."
                 )
-            is_finite = isinstance(lag, Real) and np.isfinite(float(lag))
-            if not is_finite or (name == "servos" and lag < 0):
-                raise ValueError(
-                    f"Got the lag {lag!r} of {name!r}, but expected a finite number of seconds, of servos a "
-                    "time constant >= 0 s."
-                )
-            rows[name] = (float(lag), np.nan, float(lag), "given")
+            is_servo = name == "servos"
+            least = 0.0 if is_servo else -np.inf
+            seconds = check_number(f"lag of {name}", lag, least, is_open=not is_servo, unit="s")
+            rows[name] = (seconds, np.nan, seconds, "given")
         if rows:
             self._check_any(table, _columns_of(rows))
         return rows

@@ -251,7 +251,7 @@ class TestTransform:
         [
             ({"vane": 0.1}, "a lag of 'vane', but"),
             ({"air": np.nan}, "expected a finite number"),
-            ({"servos": -0.1}, "of servos a time constant >= 0"),
+            ({"servos": -0.1}, "expected a number >= 0"),
         ],
     )
     def test_lags_that_cannot_be(self, lags, words):

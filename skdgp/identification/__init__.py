@@ -18,7 +18,6 @@ from skdgp.identification._pipeline import (
 from skdgp.identification._pipeline import flight_regressors as flight_regressors
 from skdgp.identification._prepare import check_identified as check_identified
 from skdgp.identification._prepare import usable_flights_of_model as usable_flights_of_model
-from skdgp.identification._record import FitRecord as FitRecord
 from skdgp.identification._verdict import Use as Use
 from skdgp.identification._verdict import Verdict
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
+from sklearn.utils import Bunch
 
 from skdgp._compute.files import (
     Writer,
@@ -30,7 +31,6 @@ from skdgp.identification._changed import Changes
 from skdgp.identification._evaluate import Evaluation, score_table, scores
 from skdgp.identification._mechanics import FlightMechanics, flight_mechanics
 from skdgp.identification._model_file import save_model
-from skdgp.identification._record import FitRecord
 from skdgp.identification._verdict import Verdict, judge
 
 FORMAT = 5  # of the metrics
@@ -47,8 +47,8 @@ class Identification:
         Fitted, a raw flight table in, six coefficients out; and its aircraft.
     options : dict
         Options of `identify`, given or chosen, and the ``horizon``.
-    fit : FitRecord
-        Likelihood, noise and findings of the fit; samples and time.
+    fit : Bunch
+        Likelihood, noise and findings of the fit; samples and time: ``fit.keys()``.
     train : dict of str to DataFrame
         Usable rows of the training flights; empty for a model that existed before.
     evaluations : list of Evaluation
@@ -64,7 +64,7 @@ class Identification:
     pipeline: Pipeline
     aircraft: Aircraft
     options: dict
-    fit: FitRecord
+    fit: Bunch
     train: dict[str, pd.DataFrame]
     evaluations: list[Evaluation]
     findings: tuple[Finding, ...] = ()

@@ -160,7 +160,9 @@ def identify(
         model.fit(learned_from, Y)
         fit = fit_record(model)
         if fit.lags_corrected:
-            numbers = {"lags": fit.lags_corrected, "commands": fit.surfaces_are_commands}
+            lags = fit.lags_corrected
+            is_late = "servos" in lags or lags.get("surfaces", 0.0) < 0
+            numbers = {"lags": lags, "commands": is_late}
             report(Finding(Code.LAGS_CORRECTED, numbers=numbers))
         chosen = _options(model) | {"thrust": thrust, "horizon": horizon}
         if units is not None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.utils import Bunch
 
 from skdgp._compute.findings import Severity, clauses_of, texts_of
 from skdgp._compute.statistics import half_width
@@ -19,7 +20,6 @@ from skdgp._flight.findings import Code, Finding, with_codes
 from skdgp._regressor import FitCode
 from skdgp.identification._evaluate import THRESHOLDS, Evaluation, scores
 from skdgp.identification._mechanics import FlightMechanics
-from skdgp.identification._record import FitRecord
 
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
 USUAL_SIGNS = {
@@ -139,7 +139,7 @@ class Verdict:
 
 def judge(
     evaluations: Sequence[Evaluation],
-    fit: FitRecord,
+    fit: Bunch,
     mechanics: FlightMechanics,
     findings: Sequence[Finding],
 ) -> Verdict:
@@ -195,7 +195,7 @@ def _if_any(code: Code, **numbers: Any) -> list[Finding]:
     return [Finding(code, numbers=numbers)]
 
 
-def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
+def _doubts(fit: Bunch, findings: Sequence[Finding]) -> list[Finding]:
     """Return the doubts of the fit and of the test flights, one of each code, and failures behind them."""
     doubts: dict[Any, Finding] = {}
     for finding in [*fit.doubts, *findings]:
@@ -206,7 +206,7 @@ def _doubts(fit: FitRecord, findings: Sequence[Finding]) -> list[Finding]:
     return [*doubts.values(), *with_codes(causes, Code.AIR_NOT_CONVERGED)]
 
 
-def _training_findings(fit: FitRecord) -> list[Finding]:
+def _training_findings(fit: Bunch) -> list[Finding]:
     """Return the findings of too few seconds or rows, and of regressors that are known only after a flight."""
     accelerations = sorted(ACCELERATION_REGRESSORS & set(fit.regressors))
     findings = _if_any(Code.ACCELERATIONS_AS_REGRESSORS, names=accelerations)
@@ -222,9 +222,7 @@ def _training_findings(fit: FitRecord) -> list[Finding]:
     return findings
 
 
-def _not_varying(
-    evaluations: Sequence[Evaluation], table: pd.DataFrame, fit: FitRecord
-) -> list[str]:
+def _not_varying(evaluations: Sequence[Evaluation], table: pd.DataFrame, fit: Bunch) -> list[str]:
     """Return coefficients whose spread in the test flights is below their noise, so that no error judges them.
 
     An error below the spread judges a coefficient all the same, and so does a band that does not hold.
@@ -235,7 +233,7 @@ def _not_varying(
     return list(table.index[is_still & is_excused])
 
 
-def _by_construction(evaluations: Sequence[Evaluation], fit: FitRecord) -> dict[str, str]:
+def _by_construction(evaluations: Sequence[Evaluation], fit: Bunch) -> dict[str, str]:
     """Return coefficients that agree with their measurement by construction, and the vane that is missing."""
     measured = {name for flight in evaluations for name in flight.table}
     return {

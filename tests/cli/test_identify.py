@@ -111,7 +111,7 @@ class TestIdentify:
         expected = dict(identified[2])
         assert json.loads(json.dumps(found, allow_nan=False)) == found
         for metrics in (found, expected):
-            metrics["fit"] = metrics["fit"] | {"seconds": None}
+            metrics["fit"] = metrics["fit"] | {"seconds": None, "summary": None}
             metrics |= {"created": None, "command": None}
         assert found == expected
         lines = result.summary().splitlines()

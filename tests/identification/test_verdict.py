@@ -8,6 +8,7 @@ import pytest
 from made_flights import LINEAR_GLIDER
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
+from sklearn.utils import Bunch
 
 from skdgp._compute.files import plain
 from skdgp._flight.findings import Code, Finding
@@ -22,7 +23,6 @@ from skdgp.dynamics import (
 )
 from skdgp.identification import (
     Evaluation,
-    FitRecord,
     FlightMechanics,
     Identification,
 )
@@ -30,25 +30,16 @@ from skdgp.identification import (
 AIRCRAFT = LINEAR_GLIDER.aircraft
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SETTINGS = {"thrust": None, "horizon": 4.0}
-FIT = FitRecord(
-    inference="exact",
-    weights={},
+FIT = Bunch(
     regressors=LINEAR_GLIDER.names,
-    log_marginal_likelihood=0.0,
-    iterations=1,
-    converged=True,
-    interrupted=False,
     noise_std=dict.fromkeys(COEFFICIENTS, 0.01),
     doubts=[],
     reconstruction=None,
-    lags=None,
+    lags_corrected={},
+    summary="",
     samples=1000,
-    samples_available=1000,
-    seconds=1.0,
     flown=100.0,
-    flights={},
     conditions={},
-    least_squares={},
 )
 
 
@@ -150,7 +141,7 @@ def verdict(evaluations=None, findings=(), fit=None, **parts):
     """Return the verdict on evaluations, mechanics and the record of a fit of three flights."""
     evaluations = evaluations or [evaluation()]
     train = 3 * [evaluations[0].table]
-    result = identification(train, evaluations, findings=findings, fit=replace(FIT, **fit or {}))
+    result = identification(train, evaluations, findings=findings, fit=Bunch(**FIT | (fit or {})))
     vars(result)["mechanics"] = mechanics(**parts)
     return result.verdict
 
@@ -170,7 +161,7 @@ def mechanics_of(*tables, train=None, **options):
     """Return the mechanics of a model that flies like these tables, or not."""
     tested = [replace(evaluation(n=2), table=table, states=table) for table in tables]
     conditions = (tables[0] if train is None else train).median(numeric_only=True)
-    fit = replace(FIT, conditions=conditions.to_dict())
+    fit = Bunch(**FIT | {"conditions": conditions.to_dict()})
     return identification(tables, tested, fit=fit, **options).mechanics
 
 

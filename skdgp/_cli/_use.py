@@ -119,13 +119,10 @@ def predict(run: Run) -> None:
     named = named_flights(options.flight, **reading(options, model))
     flights = usable_flights_of_model(model.pipeline, named, model.aircraft)
     parts = [_predictions(model.pipeline, flight, options) for flight in flights.values()]
-    rows = dict(zip(flights, map(len, parts), strict=True))
-    numbers = {
-        "flights": rows,
-    }
-    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     table = pd.concat(parts, ignore_index=True)
-    run.finish(lines, numbers, {output.name: csv_writer(table)})
+    rows = table.groupby("flight", sort=False).size().to_dict()
+    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
+    run.finish(lines, {"flights": rows}, {output.name: csv_writer(table)})
 
 
 def _predictions(pipeline: FlightPipeline, flight: FlightTable, options: Namespace) -> pd.DataFrame:

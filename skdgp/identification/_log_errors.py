@@ -14,7 +14,6 @@ from skdgp._flight.channels import (
     COEFFICIENTS,
     HAT,
     RATES,
-    SENSOR_POSITION,
     SPECIFIC_FORCE,
     SURFACES,
     THRUST_COLUMNS,
@@ -117,9 +116,8 @@ def thrust_errors(
     )
     (weights,) = learned_as([missing], regressors).weights
     endings = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
-    added: dict[str, float] = {}
-    for ending, values in zip(endings, weights.tolist(), strict=True):
-        added |= {C + ending: value for C, value in zip(COEFFICIENTS, values, strict=True)}
+    table = pd.DataFrame(weights, endings, [*COEFFICIENTS]).stack()
+    added = {C + ending: float(value) for (ending, C), value in table.items()}
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
 
 
@@ -178,11 +176,11 @@ def _by_accelerations(table: pd.DataFrame, aircraft: Aircraft) -> list[Matrix]:
     if has_values(table, *VANES):
         is_known = np.isfinite(sensor_position(table)).all()
         errors = KNOWN_ARM if is_known else AIR_SENSOR_ERRORS
+        stds = [errors[f"arm_{axis}"][1] for axis in "xyz"]
         spin, rates = rotation(table)
-        for axis, name in zip(np.eye(3), SENSOR_POSITION, strict=True):
-            _, std = errors[f"arm_{name[-1]}"]
-            by_arm = acceleration_by_rotation(spin, rates, np.broadcast_to(std * axis, rates.shape))
-            accelerations.append(-by_arm)
+        for arm in np.diag(stds):
+            arms = np.broadcast_to(arm, rates.shape)
+            accelerations.append(-acceleration_by_rotation(spin, rates, arms))
     if has_values(table, "sensor_tilt", *SPECIFIC_FORCE):
         std = np.nanmax(table["sensor_tilt"])
         for axis in np.eye(3)[:2]:  # roll and pitch

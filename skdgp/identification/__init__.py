@@ -8,7 +8,7 @@ from skdgp.identification._evaluate import score_table as score_table
 from skdgp.identification._evaluate import scores as scores
 from skdgp.identification._flights import named_flights as named_flights
 from skdgp.identification._identification import Identification
-from skdgp.identification._identify import changed, identify, validate
+from skdgp.identification._identify import identify, validate
 from skdgp.identification._mechanics import FlightMechanics as FlightMechanics
 from skdgp.identification._model_file import ModelFileError, load_model, save_model
 from skdgp.identification._pipeline import (
@@ -28,7 +28,6 @@ __all__ = [
     "Identification",
     "ModelFileError",
     "Verdict",
-    "changed",
     "identify",
     "load_model",
     "make_identification_pipeline",

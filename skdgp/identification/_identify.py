@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 from sklearn.base import clone
 from sklearn.utils import Bunch
@@ -19,11 +19,10 @@ from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor, FitCode, search_ended
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification._changed import Changes, changes_in_flights
+from skdgp.identification._changed import changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import named_flights, train_and_test
 from skdgp.identification._identification import Identification
-from skdgp.identification._model_file import options_of
 from skdgp.identification._pipeline import FlightPipeline, make_identification_pipeline
 from skdgp.identification._prepare import (
     MEASURED,
@@ -233,7 +232,7 @@ def validate(
     Identification
         Without training flights; with the changes of the aircraft.
     """
-    options = options_of(model) | {"horizon": horizon}
+    options = {"thrust": "auto", **model.get("options", {}), "horizon": horizon}
     reading = dict(reading or {})
     reading["servos"] = reading.get("servos") or options.get("servos")
     with recorded_findings() as findings:
@@ -269,11 +268,3 @@ def validate(
 def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings without the numbers of constant regressors, which the pipeline names."""
     return tuple(found for found in findings if found.code is not FitCode.CONSTANT_INPUTS)
-
-
-def changed(model: Bunch, flights: Any) -> Changes:
-    """Return whether the aircraft of a model has changed in flights that the model did not learn from.
-
-    The changes of `validate`; parameters and errors as there.
-    """
-    return cast("Changes", validate(model, flights).changes)

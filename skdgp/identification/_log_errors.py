@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -47,32 +46,20 @@ def by_least_squares(regressors: pd.DataFrame, linear: pd.DataFrame) -> Matrix:
     return columns.to_numpy() @ linear.to_numpy()
 
 
-class RegressionCalibration(NamedTuple):
-    r"""Linear function that turns a function into the mean coefficients of logged rows.
+def regression_calibration(weights: Matrix, X: Matrix, noise_ratio: Vector) -> Matrix:
+    r"""Return what is added to a function at X (n, d) for the mean coefficients of logged rows (n, P).
 
     Regressors of a logged row are estimates. The mean of y, given an estimate x, is not the
-    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With A and b by least
-    squares of the residuals of the training rows, it is
+    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With the weights b and A
+    (1 + d, P) by least squares of the residuals of the training rows, it is
 
     .. math:: \mathrm{E}[y \mid x] = f(x) + \rho \, (b + A^T x),
 
-    where :math:`\rho` is the variance of the noise of the regressors over its value in the training
+    where :math:`\rho` (n,) is the variance of the noise of the regressors over its value in the training
     flights, at most one: more noise than that was never compared.
     """
-
-    intercept: Vector  # (P,)
-    slopes: Matrix  # (d, P)
-
-    @classmethod
-    def of_residuals(cls, X: Matrix, residuals: Matrix) -> RegressionCalibration:
-        """Return the calibration by the residuals (n, P) at X (n, d), NaN where unknown."""
-        weights = linear_weights(X, residuals)
-        return cls(weights[0], weights[1:])
-
-    def __call__(self, X: Matrix, noise_ratio: Vector) -> Matrix:
-        """Return what is added to the function (n, P), at ratios (n,) of the variance of noise."""
-        fraction = np.minimum(noise_ratio, 1.0)
-        return fraction[:, None] * (self.intercept + X @ self.slopes)
+    fraction = np.minimum(noise_ratio, 1.0)
+    return fraction[:, None] * (weights[0] + X @ weights[1:])
 
 
 def learned_errors(

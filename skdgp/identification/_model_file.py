@@ -26,11 +26,6 @@ FORMAT = 13  # a line with the SHA-256 of all bytes behind it, a line of JSON, a
 MATTERS = ("skdgp", "scikit-learn", "numpy")
 
 
-def options_of(model: Bunch) -> dict[str, Any]:
-    """Return the options that a model was identified with; of another one its thrust is found in the flights."""
-    return {"thrust": "auto"} | model.get("options", {})
-
-
 class ModelFileError(ValueError):
     """A file could not be read as a model."""
 

@@ -32,9 +32,9 @@ from skdgp.dynamics import (
 )
 from skdgp.estimation import prior_deviations
 from skdgp.identification._log_errors import (
-    RegressionCalibration,
     fit_least_squares,
     learned_errors,
+    regression_calibration,
     thrust_errors,
 )
 from skdgp.inference import (
@@ -273,15 +273,15 @@ class FlightPipeline(Pipeline):
     log_errors_ : FunctionErrors or None
         Errors of the log among the errors of the last step's function. Coefficients measured by the same
         sensors have them, too.
-    calibration_ : RegressionCalibration or None
-        Added by ``predict`` to the function of the last step, where its slopes were estimated apart
-        from the samples, as in flights without vanes. Simulations, derivatives and exports use the
-        function.
+    calibration_ : ndarray (1 + d, P) or None
+        Intercept and slopes of `regression_calibration`, which ``predict`` adds to the function of the
+        last step where its slopes were estimated apart from the samples, as in flights without vanes.
+        Simulations, derivatives and exports use the function.
     """
 
     steps: list[tuple[str, Any]]
     # a slice has learned nothing itself
-    calibration_: RegressionCalibration | None = None
+    calibration_: Matrix | None = None
     turbulence_: Turbulence | None = None
     seconds_: float | None = None
     errors_: Mapping[str, ScaleFactor] = {}
@@ -327,7 +327,7 @@ class FlightPipeline(Pipeline):
         self.calibration_ = None
         if "slopes" in parameters:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
-            self.calibration_ = RegressionCalibration.of_residuals(regressors, residuals)
+            self.calibration_ = linear_weights(regressors, residuals)
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
 
@@ -509,7 +509,7 @@ class FlightPipeline(Pipeline):
         predicted = self[-1].predict(regressors, **params)
         if self.calibration_ is None:
             return predicted
-        added = self.calibration_(regressors, noise_ratio)
+        added = regression_calibration(self.calibration_, regressors, noise_ratio)
         if isinstance(predicted, tuple):
             return predicted[0] + added, predicted[1]
         return predicted + added

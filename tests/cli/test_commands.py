@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from skdgp import DependentGPRegressor
 from skdgp.control import autopilot_loops, margins
 from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
-from skdgp.identification import changed, load_model, save_model
+from skdgp.identification import load_model, save_model, validate
 
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
@@ -140,7 +140,7 @@ class TestValidate:
         self, run, identified, model, tmp_path, no_pictures
     ):
         said = run("validate", "test.csv", "--horizon", "1")
-        found = changed(model, "test.csv").derivatives.droplevel("flight")
+        found = validate(model, "test.csv").changes.derivatives.droplevel("flight")
         (of_flight,) = said["changed"]["derivatives"].values()
         for name, change in of_flight.items():
             assert change["change"] == pytest.approx(found.loc[name, "change"])

@@ -24,11 +24,12 @@ from skdgp.identification import FlightPipeline, make_identification_pipeline
 from skdgp.identification._log_errors import (
     CLOCK,
     CLOCK_STEPS,
-    RegressionCalibration,
     clock_std,
     learned_errors,
+    regression_calibration,
 )
 from skdgp.identification._pipeline import named_regressors
+from skdgp.inference import linear_weights
 from skdgp.preprocessing import (
     FlightCheck,
     FlightPathReconstruction,
@@ -182,11 +183,11 @@ def test_linear_residuals_are_added_in_proportion_to_the_noise():
     intercept, slopes = rng.normal(size=2), rng.normal(size=(3, 2))
     residuals = intercept + X @ slopes
     residuals[5:20, 1] = np.nan
-    calibration = RegressionCalibration.of_residuals(X, residuals)
+    weights = linear_weights(X, residuals)
     points = rng.normal(size=(4, 3))
     fraction = np.array([0.0, 0.5, 1.0, 1.0])[:, None]
     expected = fraction * (intercept + points @ slopes)
-    found = calibration(points, np.array([0.0, 0.5, 1.0, 7.0]))
+    found = regression_calibration(weights, points, np.array([0.0, 0.5, 1.0, 7.0]))
     assert_allclose(found, expected, atol=1e-12)
 
 
@@ -195,9 +196,9 @@ def test_an_attenuated_slope_is_restored_in_the_mean():
     rng = default_rng(1)
     z = rng.normal(size=100_000)
     x = (z + 0.5 * rng.normal(size=100_000))[:, None]
-    calibration = RegressionCalibration.of_residuals(x, 2 * z[:, None] - 2 * x)
+    weights = linear_weights(x, 2 * z[:, None] - 2 * x)
     points = np.array([[-1.0], [2.0]])
-    mean = 2 * points + calibration(points, np.ones(2))
+    mean = 2 * points + regression_calibration(weights, points, np.ones(2))
     assert_allclose(mean, 1.6 * points, rtol=0.02, atol=0.02)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from sklearn.utils import Bunch
 
 from skdgp._compute.typing import Vector
@@ -45,7 +44,7 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
         corrected = applied[applied != 0].to_dict()
     state = "interrupted" if regressor.interrupted_ else "fitted"
     samples = f"{pipeline.n_learned_} of {pipeline.n_observed_} samples"
-    likelihood = float(regressor.log_marginal_likelihood_value_)
+    likelihood = regressor.log_marginal_likelihood_value_
     summary = f"{state} in {pipeline.fit_time_:.1f} s on {samples}, log likelihood {likelihood:.1f}"
     if not regressor.converged_:
         summary += f"; not converged after {regressor.n_iter_} iterations: raise max_iter"
@@ -55,9 +54,9 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
         weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
         regressors=regressor_names(pipeline),
         log_marginal_likelihood=likelihood,
-        iterations=int(regressor.n_iter_),
-        converged=bool(regressor.converged_),
-        interrupted=bool(regressor.interrupted_),
+        iterations=regressor.n_iter_,
+        converged=regressor.converged_,
+        interrupted=regressor.interrupted_,
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
         doubts=[] if step is None else step.doubts_,
         reconstruction=None if step is None else step.finding_,
@@ -66,7 +65,7 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
         samples=pipeline.n_learned_,
         samples_available=pipeline.n_observed_,
         seconds=pipeline.fit_time_,
-        flown=float(pipeline.seconds_ or 0.0),
+        flown=pipeline.seconds_,
         flights=pipeline.flights_,
         conditions=pipeline.conditions_,
         least_squares=pipeline.least_squares_.to_dict(),
@@ -74,4 +73,4 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
 
 
 def _by_coefficient(values: Vector) -> dict[str, float]:
-    return dict(zip(COEFFICIENTS, np.asarray(values, float).tolist(), strict=True))
+    return dict(zip(COEFFICIENTS, values, strict=True))

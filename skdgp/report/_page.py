@@ -211,10 +211,11 @@ def figure(display: Display, caption: str) -> str:
 def _verdict(verdict: Verdict, scores: dict[str, pd.DataFrame]) -> str:
     """Return the verdict on the model, and its errors on each of several test flights."""
     uses = pd.DataFrame(
-        [(JUDGEMENTS[use.judgement], use.reason) for use in verdict.uses],
-        index=[use.purpose for use in verdict.uses],
-        columns=["", "because"],
-    )
+        {
+            use.purpose: {"": JUDGEMENTS[use.judgement], "because": use.reason}
+            for use in verdict.uses
+        }
+    ).T
     by_flight = pd.DataFrame({name: table.loc["mean"] for name, table in scores.items()}).T
     return section(
         "Verdict",
@@ -284,11 +285,11 @@ def _simulation(mechanics: FlightMechanics) -> str:
     """Return how long a free simulation follows the test flights."""
     if mechanics.simulation is None:
         return ""
-    errors = mechanics.simulation.copy()
-    units = [display_unit(str(name)) for name in errors.index]
-    errors[["spread", "limit", "error"]] *= np.array([[factor] for factor, _ in units])
-    names = [f"{name} [{unit}]" for name, (_, unit) in zip(errors.index, units, strict=True)]
-    return section("Simulation", table(errors.set_axis(names), SIMULATION))
+    errors = mechanics.simulation
+    factors, units = zip(*map(display_unit, errors.index), strict=True)
+    sizes = errors[["spread", "limit", "error"]].mul(factors, axis=0)
+    names = [f"{name} [{unit}]" for name, unit in zip(errors.index, units, strict=True)]
+    return section("Simulation", table(errors.assign(**sizes).set_axis(names), SIMULATION))
 
 
 def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame]) -> list[str]:
@@ -353,8 +354,8 @@ def _flown(result: Identification) -> str:
     """Return the inputs of the flights."""
     flown = {f"{name} (train)": flight for name, flight in result.train.items()}
     flown |= {f"{tested.name} (test)": tested.table for tested in result.evaluations}
-    parts = []
-    for name, flight in flown.items():
-        display = TimeHistoryDisplay.from_inputs(flight, ax=False)
-        parts.append(figure(display, f"Inputs of {name}."))
-    return section("What was flown", *parts)
+    figures = [
+        figure(TimeHistoryDisplay.from_inputs(flight, ax=False), f"Inputs of {name}.")
+        for name, flight in flown.items()
+    ]
+    return section("What was flown", *figures)

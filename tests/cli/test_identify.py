@@ -228,18 +228,9 @@ class TestBadInput:
         refused("Got nowhere.csv, but there is no such file", train=["nowhere.csv"])
         refused("none.json: No such file", aircraft="none.json")
 
-    @pytest.mark.parametrize(
-        ("name", "message"),
-        [
-            ("uav.json", "is no folder that can be written to"),
-            ("a" * 300, "name another one after -o"),
-        ],
-    )
-    def test_a_wrong_output_is_noticed_before_anything_is_read(
-        self, identify, folder, the_error, name, message
-    ):
-        assert identify(output=folder / name, train=["nowhere.csv"]) == 1
-        assert message in the_error()
+    def test_a_wrong_output_is_noticed_before_anything_is_read(self, identify, folder, the_error):
+        assert identify(output=folder / "uav.json", train=["nowhere.csv"]) == 1
+        assert "is no folder that can be written to" in the_error()
 
     @pytest.mark.parametrize(
         ("change", "message"),

@@ -175,11 +175,11 @@ def fly(run: Run) -> None:
         ready=ready,
     )
     rate = flown.steps / max(flown.computing, 1e-9)
-    duration = 0.0
+    duration, outside = 0.0, 0.0
     if len(flown.table):
-        duration = float(flown.table.groupby("flight")["time"].max().sum())
+        duration = flown.table.groupby("flight")["time"].max().sum()
+        outside = (flown.table["beyond"] != "").mean()
     lines = [f"{flown.reason}: {duration:.1f} s of flight, {rate:.0f} steps a second were possible"]
-    outside = float((flown.table["beyond"] != "").mean()) if len(flown.table) else 0.0
     if outside:
         lines.append(f"{outside:.0%} of the flight is outside of what the model was learned from")
     numbers = {

@@ -303,13 +303,11 @@ class Console:
             _discard(self.stream)
 
     def _show_warning(self, message, category, filename, lineno, file=None, line=None):
-        """Print a warning the first time; where it arose, if it is not meant for users."""
+        """Print a warning the first time."""
         finding = message.finding if isinstance(message, FindingWarning) else None
         if finding is not None and finding.code is FitCode.CONSTANT_INPUTS:
             return  # the pipeline names these regressors
         text = " ".join(str(message).split())
-        if issubclass(category, RuntimeWarning):
-            text += f" ({Path(filename).name}, line {lineno})"
         if text not in self.messages:
             self.messages.append(text)
             self.print_error(f"warning: {text}")

@@ -69,17 +69,10 @@ def _without_last(flights: Flights) -> tuple[Flights, Flights]:
 def _servos_for(servos: Any, flights: Sequence[Any], regressors: Sequence[str]) -> Any:
     """Return ``servos``, or without them "full throw" for logs of autopilots.
 
-    None where no surface is a regressor, and no parameter names servos. Raises ValueError of logs
-    without servos beside tables, whose surfaces are in radians.
+    None where no surface is a regressor, and no parameter names servos.
     """
-    logs = [is_log(item) for item in flights]
-    if servos is not None or not any(logs):
+    if servos is not None or not any(map(is_log, flights)):
         return servos
-    if not all(logs):
-        raise ValueError(
-            "Got logs of autopilots without servos beside tables, but expected surfaces in one "
-            "unit: give servos, a file of the angles of the surfaces."
-        )
     needs_surfaces = not {*ALL_SURFACES}.isdisjoint(regressors)
     return FULL_THROW if needs_surfaces or any(map(names_servos, flights)) else None
 

@@ -179,26 +179,28 @@ class Identification:
     def facts(self) -> dict[str, str]:
         """What was done, as text."""
         paths = self.fit.reconstruction
-        lags = [f"{name} {lag:.3g} s" for name, lag in self.fit.lags_corrected.items()]
+        lags = {name: f"{lag:.3g} s" for name, lag in self.fit.lags_corrected.items()}
+        named = {"lags": lags, "options": self.options, "versions": software_versions()}
+        listed = {
+            what: ", ".join(f"{name} {value}" for name, value in values.items())
+            for what, values in named.items()
+        }
         return {
             "aircraft": repr(self.aircraft),
             "regressors": ", ".join(self.fit.regressors),
             "flight paths": "" if paths is None else paths.clause,
-            "lags": ", ".join(lags),
             "fit": self.fit.summary,
-            "options": ", ".join(f"{name} {value}" for name, value in self.options.items()),
-            "versions": ", ".join(f"{name} {n}" for name, n in software_versions().items()),
+            **listed,
         }
 
 
 def _sampling_of(table: pd.DataFrame) -> dict[str, float]:
     """Return how many samples a flight has, how long it is [s] and how often it was sampled [Hz]."""
     time = table["time"].to_numpy(float)
-    step = np.median(np.diff(time)) if len(time) > 1 else np.nan
     return {
-        "samples": len(table),
-        "duration": float(np.ptp(time)),
-        "sample_rate": float(1 / step),
+        "samples": len(time),
+        "duration": np.ptp(time),
+        "sample_rate": 1 / np.median(np.diff(time)),
     }
 
 

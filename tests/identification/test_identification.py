@@ -292,6 +292,11 @@ class TestIdentify:
         assert list(named_flights([bare, bare])) == ["flight 1", "flight 2"]
         assert list(named_flights(bare, default="test flight")) == ["test flight 1"]
 
+    def test_refuses_surfaces_in_two_units(self, example):
+        aircraft, train, test = example
+        with pytest.raises(ValueError, match="expected one unit"):
+            identify(train, aircraft, test=test.assign(full_throw=1.0))
+
     def test_refuses_a_flight_that_comes_twice(self, example):
         aircraft, train, test = example
         with pytest.raises(ValueError, match=r"'lateral' in table 1 and in table 2.*give a dict"):

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from numpy.random import default_rng
 
-from skdgp.dynamics import Aircraft
-from skdgp.identification import identify, named_flights
+from skdgp.identification import named_flights
 from skdgp.io import FlightReadError, inspect_log, names_servos, read_flight
 
 
@@ -116,9 +115,6 @@ class TestCommand:
         flights = named_flights([whole, table], servos=px4_servos)
         assert set(px4_servos) <= set(flights["whole"].table.columns)
         assert set(flights["table"].table.columns) == {"time", "flight", "alpha"}
-        words = "Got logs of autopilots without servos beside tables"
-        with pytest.raises(ValueError, match=words):
-            identify([whole, table], Aircraft.estimate(3.0, 1.8))
 
     def test_which_logs_name_their_servos(self, whole, ardupilot, tmp_path):
         (tmp_path / "log.bin").write_bytes(ardupilot)

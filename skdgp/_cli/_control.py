@@ -74,7 +74,7 @@ def margins(run: Run) -> None:
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
         "servos": servos,
-        "margins": _records(now),
+        "margins": now.reset_index().to_dict("records"),
         "unstable": now.attrs["unstable"],
     }
     try:
@@ -90,21 +90,12 @@ def margins(run: Run) -> None:
     else:
         gains = _gains_of(loops, suggested)
         then = margins_of(linear, suggested)
-        wanted = (
-            f"largest gains with {options.gain_margin:g} dB and {options.phase_margin:g} deg in "
-            f"{options.probability:.0%} of the aircraft"
-        )
-        texts += ["", wanted, gains.to_string(index=False)]
+        texts += ["", "largest gains with the margins asked for", gains.to_string(index=False)]
         texts += ["", "margins with these gains", _margin_text(then)]
         files["suggested.csv"] = csv_writer(gains)
-        numbers |= {"gains": gains.to_dict("records"), "margins_suggested": _records(then)}
+        numbers["gains"] = gains.to_dict("records")
+        numbers["margins_suggested"] = then.reset_index().to_dict("records")
     run.finish(texts, numbers, files, "margins.json")
-
-
-def _records(table: pd.DataFrame) -> Any:
-    """Return the rows for JSON, which has no infinity: that of an unstable loop is "-inf"."""
-    rows = table.reset_index().astype(object)
-    return rows.replace({np.inf: "inf", -np.inf: "-inf"}).to_dict("records")
 
 
 def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:

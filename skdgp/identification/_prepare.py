@@ -115,13 +115,12 @@ def usable_flights(
 
 def _check_surfaces(name: str, table: pd.DataFrame, in_radians: bool) -> None:
     """Raise ValueError if surfaces of a flight are in radians, and others in parts of their full throw."""
-    surfaces = [surface for surface in (*ALL_SURFACES, *HIGH_LIFT) if surface in table]
-    units = ["rad", "parts of their full throw"]
-    if surfaces and in_radians == (IN_FULL_THROWS in table):
+    has_surfaces = not {*ALL_SURFACES, *HIGH_LIFT}.isdisjoint(table)
+    if has_surfaces and in_radians == (IN_FULL_THROWS in table):
+        unit = "parts of their full throw" if in_radians else "rad"
         raise ValueError(
-            f"Got flight {name!r} with {' '.join(surfaces)} in {units[in_radians]}, but others in "
-            f"{units[not in_radians]}: expected one unit. Give logs with a servo file, or all in parts "
-            f"of the full throw with a column {IN_FULL_THROWS} of 1."
+            f"Got flight {name!r} with surfaces in {unit}, and others that are not: expected one unit. "
+            f"Give logs with a servo file, or all in parts of the full throw with a column {IN_FULL_THROWS} of 1."
         )
 
 

@@ -110,8 +110,7 @@ class ElevonSplitter(TableTransformer):
         if self.mixing_.shape != shape:
             raise ValueError(
                 f"Got mixing of shape {self.mixing_.shape}, but expected (n_controls, n_surfaces) = "
-                f"{shape}: one row for each of {list(self.controls)}, one column for each of "
-                f"{list(self.surfaces)}."
+                f"{shape}: a row for each control, a column for each surface."
             )
         self._controls_of(table)
 

@@ -15,7 +15,6 @@ from skdgp._compute.sklearn_compat import Interval
 from skdgp._compute.typing import Indices
 from skdgp._flight.channels import (
     AIR_DATA,
-    ALL_SURFACES,
     EULER,
     RATES,
     SENSOR_POSITION,
@@ -25,7 +24,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.sensor_position import at_centre_of_gravity
-from skdgp._flight.tables import FlightTable, by_name, has_values, numeric
+from skdgp._flight.tables import FlightTable, by_name, has_values
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
@@ -42,7 +41,6 @@ from skdgp.estimation import (
     SensorContradiction,
     air_columns,
     contradictions,
-    delayed_surfaces,
     estimate_air_motion,
     estimate_path,
     flights_of,
@@ -51,6 +49,7 @@ from skdgp.estimation import (
     path_columns,
 )
 from skdgp.preprocessing._cleaning import FlightSmoother
+from skdgp.preprocessing._lag import deflections
 from skdgp.preprocessing._table import (
     TableTransformer,
     with_names,
@@ -303,6 +302,8 @@ class FlightPathReconstruction(TableTransformer):
             flights = self._columns_by_air(table, motion)
         columns = pd.concat(flights).sort_index()
         new = by_name([*map(str, columns)], columns.to_numpy(float))
+        if motion is not None:
+            new |= deflections(table, self.servos_.lag)
         wrap_near(new, table, EULER)
         if {*SENSOR_POSITION} <= {*table}:
             # the specific force is that at the centre of gravity
@@ -327,14 +328,10 @@ class FlightPathReconstruction(TableTransformer):
 
     def _columns_by_air(self, table: pd.DataFrame, motion: AirMotion) -> list[pd.DataFrame]:
         """Return the columns of flights, at their rows, by the motion of their air."""
-        surfaces = [name for name in ALL_SURFACES if has_values(table, name)]
-        deflections = numeric(table, surfaces)
         flights = []
         for number, (_, rows, sensors) in enumerate(flights_of(table)):
             columns: dict[str, Any] = air_columns(motion.air.iloc[rows], sensors)
             columns["gust"] = np.nan_to_num(motion.gust_change(number), nan=self.gust_std_)
-            late = delayed_surfaces(sensors.time, deflections[rows], self.servos_.lag)
-            columns |= by_name(surfaces, late)
             flights.append(pd.DataFrame(columns, index=rows))
         return flights
 

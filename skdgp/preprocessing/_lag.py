@@ -178,16 +178,15 @@ class LagCorrector(TableTransformer):
                 new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
         if lags.get("servos"):
             moved = table.assign(**new)
-            new |= _deflections(moved, time, lags["servos"], self.rate_limit_)
+            new |= deflections(moved, lags["servos"], self.rate_limit_)
         wrap_near(new, table)
         return table.assign(**new)
 
 
-def _deflections(
-    table: pd.DataFrame, time: Vector, lag: float, rate_limit: float
-) -> dict[str, Vector]:
+def deflections(table: pd.DataFrame, lag: float, rate_limit: float = np.inf) -> dict[str, Vector]:
     """Return the deflections of servos of a first-order lag by their commands, NaN where there is none."""
     surfaces = present(ALL_SURFACES, table)
+    time = numeric(table, ["time"])[:, 0]
     commands = numeric(table, surfaces)
     late = delayed_surfaces(time, commands, lag, table.get("flight"), rate_limit)
     late[np.isnan(commands)] = np.nan

@@ -60,10 +60,13 @@ def save_model(
             f"Got {type(pipeline).__name__} and {type(aircraft).__name__} to save, but expected a "
             f"fitted pipeline and its Aircraft: call fit first."
         )
-    content = (
-        json.dumps({"format": FORMAT, **made}).encode() + b"\n" + pickle.dumps(model, protocol=5)
-    )
-    return write_atomically(path, lambda temporary: temporary.write_bytes(_with_digest(content)))
+
+    def write(temporary: Path) -> None:
+        header = json.dumps({"format": FORMAT, **made}).encode()
+        content = header + b"\n" + pickle.dumps(model, protocol=5)
+        temporary.write_bytes(_with_digest(content))
+
+    return write_atomically(path, write)
 
 
 def _with_digest(content: bytes) -> bytes:

@@ -286,9 +286,9 @@ def _simulation(mechanics: FlightMechanics) -> str:
     if mechanics.simulation is None:
         return ""
     errors = mechanics.simulation
-    factors, units = zip(*map(display_unit, errors.index), strict=True)
-    sizes = errors[["spread", "limit", "error"]].mul(factors, axis=0)
-    names = [f"{name} [{unit}]" for name, unit in zip(errors.index, units, strict=True)]
+    units = pd.DataFrame(map(display_unit, errors.index), errors.index, ["factor", "unit"])
+    sizes = errors[["spread", "limit", "error"]].mul(units["factor"], axis=0)
+    names = [f"{name} [{unit}]" for name, unit in units["unit"].items()]
     return section("Simulation", table(errors.assign(**sizes).set_axis(names), SIMULATION))
 
 

@@ -182,7 +182,7 @@ class TestALogAMassAndASpan:
         assert "aileron [full throw]" in (tmp_path / "aero.h").read_text()
 
 
-@pytest.mark.filterwarnings("ignore:No test flight was named")
+@pytest.mark.filterwarnings("ignore:(No test flight was named|Neither columns)")
 def test_a_surface_of_another_name(said_of):
     flight = table(200).rename(columns={"elevator": "de"})
     with pytest.raises(ValueError, match=r"lacks the columns 'elevator' \(nearest: 'de'\)"):

@@ -31,9 +31,9 @@ class GappedLCM(gpytorch.models.ExactGP):
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), total)
 
 
-def gapped_lcm(X, Y, seed, n_latent, steps=100):
+def gapped_lcm(X, Y, n_latent, steps=100):
     """Return means and standard deviations (n, P) from Y with gaps, by Adam as in GPyTorch's Hadamard example."""
-    torch.manual_seed(seed)
+    torch.manual_seed(0)
     rows, outputs = (torch.as_tensor(part) for part in np.nonzero(np.isfinite(Y)))
     x, values = (torch.as_tensor(part, dtype=torch.float64) for part in (X, Y))
     inputs = x[rows], outputs[:, None]

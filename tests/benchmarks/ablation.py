@@ -1,6 +1,6 @@
 """What each mechanism buys: the model without it, one at a time, on aircraft of known aerodynamics.
 
-    python tests/benchmarks/ablation.py ../shared/data --out OUT [--cases DHC6 A4] [--airs light] [--seeds 2]
+    python tests/benchmarks/ablation.py ../shared/data --out OUT [--cases DHC6 A4] [--airs light]
 
 Each aircraft of JSBSim flies 200 s in an air, viggen_uav as recorded, and learns from it by the
 default pipeline. Variants of the fit are fitted; sources of error and weights are taken out of the
@@ -10,8 +10,7 @@ logged rows are scored by their measured coefficients, with the noise of the fit
 the flight. AP2 is a real flight, of which one quarter is left out: logged rows alone are scored.
 
 Errors are NRMSE, the mean over the coefficients. In the table of effects they are over the error of
-the whole model, geometric means over aircraft, airs and seeds, with the standard error of the mean;
-"seeds" is the standard deviation of that ratio between seeds of one flight. Coverage is the change
+the whole model, geometric means over aircraft and airs, with the standard error of the mean. Coverage is the change
 of the percentage in the bands, NLPD the change of the negative log density [nats], over standard
 deviations of the coefficients. Less error and less NLPD are better: a mechanism whose removal does
 not raise any of them beyond its standard error buys nothing here.
@@ -158,12 +157,12 @@ def derivatives_of(name, aircraft, flown):
 # -- models
 
 
-def fitted(flights, seed, rate, options):
+def fitted(flights, rate, options):
     """Return the regressor of a variant."""
     Y = flights.Y
     if rate is not None:
         Y = thin_targets(Y, min(len(Y), int(np.ceil(rate * flights.seconds))))
-    model = DependentGPRegressor(random_state=seed, **options)
+    model = DependentGPRegressor(random_state=0, **options)
     return model.fit(flights.X, Y, **flights.clock, errors=flights.errors)
 
 
@@ -259,11 +258,11 @@ def of_derivatives(pipeline, aircraft, at, airspeed, known):
     return {"95 %": 100 * float((np.abs(z) < 2).mean()), "largest z": float(np.abs(z).max())}
 
 
-def measured(name, air, seed, label, data, cache):
+def measured(name, air, label, data, cache):
     """Return the scores of a fit, and of what is taken out of it."""
     flights = cache(name, air, data, commit())
     start = time.process_time()
-    model = fitted(flights, seed, *FITS[label])
+    model = fitted(flights, *FITS[label])
     seconds = time.process_time() - start
     scores = {"": scored(model, flights)}
     if label == WHOLE:
@@ -290,13 +289,13 @@ COVERAGE = {
 
 
 def flat(runs):
-    """Return a row for each aircraft, air, seed and variant, with the means of its scores."""
+    """Return a row for each aircraft, air and variant, with the means of its scores."""
     rows = []
     for run in runs:
         if "scores" not in run:
             continue
         for part, scores in run["scores"].items():
-            row = {key: run[key] for key in ("case", "air", "seed")}
+            row = {key: run[key] for key in ("case", "air")}
             row |= {"variant": part or run["variant"], "CPU": np.nan if part else run["CPU"]}
             for column, places in RATIOS.items():
                 some = [
@@ -313,15 +312,13 @@ def flat(runs):
 
 
 def of_models(table):
-    """Return the scores of the whole model for each aircraft and air, means over seeds."""
-    whole = table[table["variant"] == WHOLE].drop(columns="variant")
-    means = whole.groupby(["case", "air"], sort=False).mean(numeric_only=True).drop(columns="seed")
-    return means.reset_index().to_dict("records")
+    """Return the scores of the whole model for each aircraft and air."""
+    return table[table["variant"] == WHOLE].drop(columns="variant").to_dict("records")
 
 
 def of_effects(table):
     """Return what changes without each mechanism, with the standard error of its mean."""
-    key = ["case", "air", "seed"]
+    key = ["case", "air"]
     whole = table[table["variant"] == WHOLE].set_index(key)
     rows = []
     for variant, part in table.groupby("variant", sort=False):
@@ -333,8 +330,6 @@ def of_effects(table):
         for column in RATIOS:
             ratio = np.log(part[f"{column}; NRMSE"] / base[f"{column}; NRMSE"]).dropna()
             row[column] = spread(np.exp(ratio.mean()), ratio)
-            if column == "function, calm":
-                row["seeds"] = ratio.groupby(["case", "air"]).std().mean()
         likelihood = "function, gusts; NLPD"
         change = (part[likelihood] - base[likelihood]).dropna()
         row["NLPD, gusts"] = spread(change.mean(), change)
@@ -354,16 +349,14 @@ def main(words=None):
     parser = parser_of(__doc__, data=True)
     parser.add_argument("--cases", nargs="+", default=FIRST, choices=CASES)
     parser.add_argument("--airs", nargs="+", default=["light"], choices=[*TRAINED])
-    parser.add_argument("--seeds", type=int, default=2)
     options = parser.parse_args(words)
     kept = Kept(options, "ablation")
     cache = Memory(options.out / "prepared", verbose=0).cache(prepared)
-    for seed in range(options.seeds):
-        for name in options.cases:
-            for air in options.airs if name in KNOTS else ["flown"]:
-                for label in FITS:
-                    key = {"case": name, "air": air, "seed": seed, "variant": label}
-                    kept.run(key, measured, name, air, seed, label, options.data, cache)
+    for name in options.cases:
+        for air in options.airs if name in KNOTS else ["flown"]:
+            for label in FITS:
+                key = {"case": name, "air": air, "variant": label}
+                kept.run(key, measured, name, air, label, options.data, cache)
     table = flat(kept.asked.values())
     finish(options, "ablation", models=of_models(table), effects=of_effects(table))
 

@@ -7,7 +7,7 @@ which are known in these rows. Methods "on the other outputs" take as inputs tho
 most rows of the gap; their few missing values are replaced by the mean. GPAR has the settings of its
 authors' examples (https://github.com/wesselb/gpar), with the case's gaps as they are.
 SMSE of an output is the mean squared error of its hidden values over their mean squared distance
-from a mean, see ``Case``. `predict` has two seeds, other methods one. FOLDER holds:
+from a mean, see ``Case``. FOLDER holds:
 
 - ``fx2007-processed.csv``, ``bra.mat``, ``cam.mat``, ``chi.mat`` and ``sot.mat``, from ``data/fx``
   and ``data/weather`` of https://github.com/trungngv/cogp;
@@ -148,36 +148,36 @@ PUBLISHED = {
 }
 
 
-def predicted(case, seed):
-    model = DependentGPRegressor(random_state=seed).fit(case.X, case.Y)
+def predicted(case):
+    model = DependentGPRegressor(random_state=0).fit(case.X, case.Y)
     return model.predict(case.X, return_std=True, include_noise=True)
 
 
-def regressor_of(n_inputs, seed):
-    return DependentGPRegressor(random_state=seed)
+def regressor_of(n_inputs):
+    return DependentGPRegressor(random_state=0)
 
 
-def iterated(case, seed):
+def iterated(case):
     """Complete the scaled table of regressors and outputs in two rounds of regressions, without deviations."""
     scaler = StandardScaler()
     table = scaler.fit_transform(np.hstack([case.X, case.Y]))
-    model = DependentGPRegressor(structure="joint", random_state=seed)
-    filled = IterativeImputer(model, max_iter=2, random_state=seed).fit_transform(table)
+    model = DependentGPRegressor(structure="joint", random_state=0)
+    filled = IterativeImputer(model, max_iter=2, random_state=0).fit_transform(table)
     mean = scaler.inverse_transform(filled)[:, case.X.shape[1] :]
     return mean, np.full_like(mean, np.nan)
 
 
-def process_of(n_inputs, seed, one_width=False):
+def process_of(n_inputs, one_width=False):
     """Return scikit-learn's process with a width for each input or one, and noise; its best of three searches."""
     widths = 3.0 if one_width else np.full(n_inputs, 3.0)
     bounds = (0.1 if n_inputs > 2 else 0.01, 1e4)  # with more inputs shorter widths fit noise
     kernel = ConstantKernel() * RBF(widths, bounds) + WhiteKernel(0.1, (1e-6, 1e2))
     return GaussianProcessRegressor(
-        kernel, n_restarts_optimizer=2, normalize_y=True, random_state=seed
+        kernel, n_restarts_optimizer=2, normalize_y=True, random_state=0
     )
 
 
-def by_output(case, seed, make, regressors=True, others=True, **switches):
+def by_output(case, make, regressors=True, others=True, **switches):
     """Fit each tested output alone, to at most 2000 rows, from the regressors, the other outputs or both.
 
     ``switches`` are of the prediction.
@@ -189,7 +189,7 @@ def by_output(case, seed, make, regressors=True, others=True, **switches):
         parts = [case.X] * regressors + [case.Y[:, known]] * others
         inputs = make_pipeline(SimpleImputer(), StandardScaler()).fit_transform(np.hstack(parts))
         rows = np.flatnonzero(observed)[:SINGLE_LIMIT]
-        model = make(inputs.shape[1], seed).fit(inputs[rows], case.Y[rows, k])
+        model = make(inputs.shape[1]).fit(inputs[rows], case.Y[rows, k])
         mean[:, k], std[:, k] = model.predict(inputs, return_std=True, **switches)
     return mean, std
 
@@ -205,11 +205,11 @@ GPAR = {
 }
 
 
-def gpar(case, seed):
+def gpar(case):
     """Fit GPAR, outputs with most values first; the deviation is the width of its 95 % interval over 3.92."""
     from gpar import GPARRegressor
 
-    np.random.seed(seed)  # noqa: NPY002 - GPAR draws by it
+    np.random.seed(0)  # noqa: NPY002 - GPAR draws by it
     settings = {"linear": False, "nonlinear_scale": 1.0, "noise": 0.01, **GPAR.get(case.name, {})}
     if len(case.X) > 500:
         settings["x_ind"] = np.linspace(case.X.min(), case.X.max(), 151)
@@ -221,7 +221,7 @@ def gpar(case, seed):
     return mean, (high - low) / 3.92
 
 
-def lcm(case, seed):
+def lcm(case):
     """Fit GPyTorch's LCM of four processes to scaled outputs, as its example of incomplete tasks: 100 steps of Adam.
 
     Of more than 4000 values every second row is left out.
@@ -233,7 +233,7 @@ def lcm(case, seed):
     Y = scaler.fit_transform(case.Y)
     if np.isfinite(Y).sum() > LCM_LIMIT:
         Y[1::2] = np.nan
-    mean, std = gapped_lcm(X, Y, seed, N_LATENT)
+    mean, std = gapped_lcm(X, Y, N_LATENT)
     return scaler.inverse_transform(mean), std * scaler.scale_
 
 
@@ -254,12 +254,11 @@ METHODS = {
     "the same, one width": partial(by_output, make=partial(process_of, one_width=True)),
     ALONE: partial(by_output, make=process_of, others=False),
 }
-SEEDS = {PREDICT: range(2)}
 
 
-def scored(case, method, seed):
+def scored(case, method):
     """Return errors, and fraction in the 95 % band, of each tested output."""
-    mean, std = METHODS[method](case, seed)
+    mean, std = METHODS[method](case)
     errors = []
     held = []
     for k in case.tested.values():
@@ -312,9 +311,8 @@ def main(words=None):
         everything = len(case.tested) == case.Y.shape[1]
         methods = [m for m in options.methods if not everything or m in (PREDICT, ALONE)]
         for method in methods:
-            for seed in [0] if everything or options.smoke else SEEDS.get(method, [0]):
-                key = {"case": name, "method": method, "seed": seed}
-                kept.run(key, scored, case, method, seed)
+            # kept runs of other methods are named with their seed
+            kept.run({"case": name, "method": method, "seed": 0}, scored, case, method)
     finish(options, "published", **tables(kept.table))
 
 

@@ -216,8 +216,43 @@ def read_ulog(path: Path) -> Log:
     Raises FlightReadError if it is none, of a later format, or holds no message, ImportError
     without pyulog.
     """
+    log = _parsed(path.read_bytes())
+    topics = {}
+    for data_set in log.data_list:
+        if "timestamp" in data_set.data:
+            name = instance_name(data_set.name, data_set.multi_id)
+            topics[name] = _topic(data_set)
+    if not topics:
+        raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")
+    parameters = _parameters(log, topics)
+    vehicle = _vehicle(topics, parameters)
+    is_vtol = vehicle == "VTOL"
+    lifting = LIFTING if is_vtol else ()
+    tilts = is_vtol and parameters.get("VT_TYPE") == TILTROTOR
+    surfaces = _surfaces(topics, parameters)
+    damage = ["parts of the file could not be read and were skipped"] * log.file_corruption
+    return Log(
+        kind="PX4 ULog",
+        topics=topics,
+        rules=_in_body_axes(_rules(topics, lifting, tilts), parameters),
+        parameters=parameters,
+        firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {log.get_version_info_str() or 'development'}",
+        vehicle=vehicle,
+        remarks=(*damage, *_unread(surfaces)),
+        landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
+        outputs=OUTPUTS,
+        naming=NAMING,
+        # before a fixed mixer, if the outputs of no surface are known
+        controls=(_mixed_controls(surfaces) or _fixed_controls(topics)) | _flaps(surfaces),
+        lifting=lifting,
+        commands={} if is_vtol else _commands(topics, parameters),
+        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
+    )
+
+
+def _parsed(data: bytes) -> Any:
+    """Return the log of pyulog; raise FlightReadError if it reads none."""
     pyulog = extra("pyulog", "logs")
-    data = path.read_bytes()
     if not data.startswith(HEADER):
         raise FlightReadError(
             "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, "
@@ -227,61 +262,10 @@ def read_ulog(path: Path) -> Log:
         # where pyulog tells of damage
         with redirect_stdout(io.StringIO()):
             log = pyulog.ULog(io.BytesIO(data))
-            version = log.get_version_info_str() or "development"
-    except (
-        pyulog.ULogException,
-        EOFError,
-        RecursionError,
-        LookupError,
-        TypeError,
-        ValueError,
-    ) as error:
+            log.get_version_info_str()
+    except (pyulog.ULogException, RecursionError, LookupError, TypeError, ValueError) as error:
         raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
-    topics = {}
-    for data_set in log.data_list:
-        if "timestamp" in data_set.data:
-            name = instance_name(data_set.name, data_set.multi_id)
-            topics[name] = _topic(data_set)
-    if not topics:
-        raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")
-    remarks = ()
-    if log.file_corruption:
-        remarks = ("parts of the file could not be read and were skipped",)
-    parameters = _parameters(log, topics)
-    firmware = f"{log.msg_info_dict.get('sys_name', 'PX4')} {version}"
-    return px4_log(topics, parameters, kind="PX4 ULog", firmware=firmware, remarks=remarks)
-
-
-def px4_log(
-    topics: dict[str, Topic],
-    parameters: dict[str, float],
-    *,
-    kind: str,
-    firmware: str,
-    remarks: tuple[str, ...] = (),
-) -> Log:
-    """Return the log of topics and parameters of PX4."""
-    vehicle = _vehicle(topics, parameters)
-    is_vtol = vehicle == "VTOL"
-    lifting = LIFTING if is_vtol else ()
-    tilts = is_vtol and parameters.get("VT_TYPE") == TILTROTOR
-    rules = _in_body_axes(_rules(topics, lifting, tilts), parameters)
-    return Log(
-        kind=kind,
-        topics=topics,
-        rules=rules,
-        parameters=parameters,
-        firmware=firmware,
-        vehicle=vehicle,
-        remarks=(*remarks, *_unread(_surfaces(topics, parameters))),
-        landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
-        outputs=OUTPUTS,
-        naming=NAMING,
-        controls=_controls(topics, parameters),
-        lifting=lifting,
-        commands={} if is_vtol else _commands(topics, parameters),
-        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
-    )
+    return log
 
 
 def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> tuple[Rule, ...]:
@@ -344,16 +328,17 @@ def _parameters(log: Any, topics: Mapping[str, Topic]) -> dict[str, float]:
 
 def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> str | None:
     """Return the kind of vehicle by its status, or by a parameter of ground stations."""
-    status = topics.get("vehicle_status", NOTHING)
-    if "is_vtol_tailsitter" in status and status["is_vtol_tailsitter"].any():
+    status = topics.get("vehicle_status", NOTHING).fields
+    is_tailsitter = status.get("is_vtol_tailsitter", np.zeros(1)).any()
+    is_vtol = status.get("is_vtol", np.zeros(1)).any()
+    if is_tailsitter or (is_vtol and parameters.get("VT_TYPE") == TAILSITTER):
         return "tailsitter"
-    if "is_vtol" in status and status["is_vtol"].any():
-        return "tailsitter" if parameters.get("VT_TYPE") == TAILSITTER else "VTOL"
+    if is_vtol:
+        return "VTOL"
     for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES)):
-        if field in status:
-            vehicle = names.get(whole(np.median(status[field])))
-            if vehicle is not None:
-                return vehicle
+        vehicle = names.get(whole(np.median(status.get(field, [0.0]))))
+        if vehicle is not None:
+            return vehicle
     return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
 
 
@@ -382,12 +367,6 @@ def _servo(number: int, inputs: tuple[float, ...], throws: tuple[float, ...]) ->
     return Servo(f"actuator_servos.control[{number}]", inputs, throws)
 
 
-def _controls(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
-    """Return the servos of control allocation, whose torques mix any surfaces, else before a fixed mixer."""
-    surfaces = _surfaces(topics, parameters)
-    return (_mixed_controls(surfaces) or _fixed_controls(topics)) | _flaps(surfaces)
-
-
 def _mixed_controls(surfaces: Surfaces) -> dict[str, Control]:
     """Return the controls that several surfaces share, weighted by their torques about axes, with a sign."""
     controls: dict[str, Control] = {}
@@ -398,8 +377,9 @@ def _mixed_controls(surfaces: Surfaces) -> dict[str, Control]:
                 torques[number] = sign * surface[axis]
         total = np.abs([*torques.values()]).sum()
         if 0 < total < np.inf:
-            weights = {number: torque / total for number, torque in torques.items()}
-            controls[control] = tuple((weights[n], _servo(n, UP, UP)) for n in weights)
+            controls[control] = tuple(
+                (torque / total, _servo(number, UP, UP)) for number, torque in torques.items()
+            )
     return controls
 
 

@@ -78,8 +78,6 @@ class FaultSettings:
 
     # Impossible values more frequent than this fraction are of another unit, which other checks name.
     rare: float = 0.05
-    # Times [s] beyond this count from 1970, not from the start of a log.
-    epoch: float = 1e8
     # Least number of samples to estimate the usual length of runs.
     enough: int = 50
     # Expected number of such runs in a flight below which chance is ruled out.
@@ -149,18 +147,12 @@ def find_faults(flights: FlightTable, ignore: Iterable[str] = ()) -> list[Fault]
     """Return the faults of each flight; some columns are ignored."""
     ignored = {*ignore}
     names = [name for name in POSSIBLE if name not in ignored]
-    # texts count times from the first row of a clock that counts from 1970
-    start = float(flights.time[0])
-    origin = start if abs(start) > FAULTS.epoch else 0.0
     faults = []
     for flight, rows in flights.clock.rows.items():
         part = flights.part(rows)
         for fault in _faults_of_flight(part, names):
             times = part.time[fault.rows]
-            begin = float(times[0])
-            end = float(times[-1])
-            place = {"start": begin, "end": end, "samples": len(fault.rows)}
-            place |= {"begin": begin - origin, "last": end - origin}
+            place = {"start": float(times[0]), "end": float(times[-1]), "samples": len(fault.rows)}
             numbers = place | fault.numbers
             faults.append(fault._replace(rows=rows[fault.rows], numbers=numbers, flight=flight))
     return faults
@@ -221,22 +213,20 @@ def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[Fau
     """Return the faults of a channel, and its values with NaN in their place: each is found without those before."""
     faults = _missing(name, values, step)
     values = np.where(np.isfinite(values), values, np.nan)
-    impossible = _impossible(name, values)
-    for fault in impossible:
+    for fault in _impossible(name, values):
+        faults.append(fault)
         values[fault.rows] = np.nan
-    faults += impossible
     if name not in SENSORS:
         return faults, values
     for rows in stuck_rows(values, step):
-        value = float(values[rows[0]])
-        faults.append(Fault(name, Code.STUCK, rows, {"value": value}))
+        faults.append(Fault(name, Code.STUCK, rows, {"value": float(values[rows[0]])}))
         values[rows] = np.nan
     marks = mark_rows(values)
     values[marks] = np.nan
-    rows = spike_rows(values, angle=name in WRAPPED)
-    rows = np.union1d(marks, rows)
+    rows = np.union1d(marks, spike_rows(values, angle=name in WRAPPED))
     if rows.size:
-        faults.append(Fault(name, Code.SPIKE, rows, {"times": _n_runs(rows)}))
+        n_runs = 1 + int(np.sum(np.diff(rows) > 1))
+        faults.append(Fault(name, Code.SPIKE, rows, {"times": n_runs}))
     return faults, values
 
 
@@ -250,10 +240,8 @@ def _missing(name: str, values: Vector, step: float) -> list[Fault]:
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
     if not gaps:
         return []
-    places = np.arange(len(values))
-    rows = np.concatenate([places[gap] for gap in gaps])
-    longest = max(map(n_rows, gaps)) * step
-    numbers = {"times": len(gaps), "longest": longest}
+    rows = np.arange(len(values))[np.r_[tuple(gaps)]]
+    numbers = {"times": len(gaps), "longest": max(map(n_rows, gaps)) * step}
     return [Fault(name, Code.MISSING, rows, numbers)]
 
 
@@ -280,18 +268,13 @@ def _dead(channels: dict[str, Vector]) -> Iterator[Fault]:
         if len(sampled) >= FAULTS.enough:
             ranges[name] = np.ptp(sampled)
     for names in (("airspeed",), ("elevator",), *SIBLINGS):
-        moving = [name for name in names if ranges.get(name, 0) > 0]
-        if not moving:
-            moving = [name for name in WITNESSES.get(names, ()) if ranges.get(name, 0) > 0]
+        for witnesses in (names, WITNESSES.get(names, ())):
+            moving = [name for name in witnesses if ranges.get(name, 0) > 0]
+            if moving:
+                break
         for name in names:
             if moving and ranges.get(name) == 0:
-                rows = np.arange(len(channels[name]))
-                yield Fault(name, Code.CONSTANT, rows, {"moving": moving})
-
-
-def _n_runs(rows: Indices) -> int:
-    """Return the number of runs of consecutive rows."""
-    return 1 + int(np.sum(np.diff(rows) > 1))
+                yield Fault(name, Code.CONSTANT, np.arange(len(channels[name])), {"moving": moving})
 
 
 class _Runs(NamedTuple):
@@ -317,35 +300,29 @@ def stuck_rows(values: Vector, step: float) -> list[Indices]:
     runs = _Runs.of(values)
     if len(runs.rows) < FAULTS.enough or np.ptp(runs.value) == 0:
         return []
-    is_stuck = _is_improbable(runs.length)
-    is_stuck &= runs.length * step >= FAULTS.least_hold
+    is_stuck = _is_improbable(runs.length) & (runs.length * step >= FAULTS.least_hold)
 
     # a channel that turns back repeats its value, and leaves it by one quantum
-    leap = np.abs(np.diff(runs.value, append=np.nan))
-    steps = leap[:-1]
-    if _never_recovers(runs.length, step):
-        leap[-1] = np.inf
-    held = runs.value[runs.length > 1]
-    quantum = max(np.quantile(steps, 0.01), _resolution(held))
-    is_stuck &= ~(leap <= 3 * quantum)
+    leap = np.abs(np.diff(runs.value))
+    usual_step = np.median(leap)
+    largest_usual = np.quantile(leap, 0.99)
+    quantum = max(np.quantile(leap, 0.01), _resolution(runs.value[runs.length > 1]))
+    is_stuck[:-1] &= leap > 3 * quantum
 
     # a channel without noise has long runs: it is stuck only if it jumps after the run
-    usual_step = np.median(steps)
-    largest_usual = np.quantile(steps, 0.99)
+    is_jump = leap > largest_usual
     is_coarse = usual_step <= FAULTS.missing * quantum
     if is_coarse or _bend(runs.value) < FAULTS.smooth * usual_step:
-        is_stuck &= leap > largest_usual
+        is_stuck[:-1] &= is_jump
+        is_stuck[-1] &= _never_recovers(runs.length, step)
 
     # a value that is held again and again, and left by usual steps, is one of a coarse resolution
     levels, counts = np.unique(runs.value[is_stuck], return_counts=True)
-    is_again = np.isin(runs.value, levels[counts > 1])
-    is_stuck &= ~(is_again & (leap <= largest_usual))
+    is_stuck[:-1] &= is_jump | ~np.isin(runs.value[:-1], levels[counts > 1])
 
     stuck = []
-    for run in np.flatnonzero(is_stuck):
-        first = runs.start[run]
-        end = first + runs.length[run]
-        stuck.append(runs.rows[first + 1 : end])
+    for first, length in zip(runs.start[is_stuck], runs.length[is_stuck], strict=True):
+        stuck.append(runs.rows[first + 1 : first + length])
     return stuck
 
 
@@ -431,17 +408,13 @@ def spike_rows(values: Vector, *, angle: bool) -> Indices:
     padded = np.pad(readings, 2, mode="reflect")
     neighbours = [padded[:-4], padded[1:-3], padded[3:-1], padded[4:]]
     out = np.abs(readings - np.median(neighbours, axis=0))
-    usual = np.quantile(out, 0.995)
     ends = np.append(runs.start, len(runs.rows))
     last = len(readings) - 1
-    for run in true_runs(out > FAULTS.spike * usual):
-        before = readings[max(run.start - 1, 0)]
-        after = readings[min(run.stop, last)]
-        height = out[run].max()
-        returns = abs(after - before) < height / 2
+    for run in true_runs(out > FAULTS.spike * np.quantile(out, 0.995)):
+        change = readings[min(run.stop, last)] - readings[max(run.start - 1, 0)]
+        returns = abs(change) < out[run].max() / 2
         if n_rows(run) <= FAULTS.widest_spike and returns:
-            spike = runs.rows[ends[run.start] : ends[run.stop]]
-            rows = np.append(rows, spike)
+            rows = np.append(rows, runs.rows[ends[run.start] : ends[run.stop]])
     return rows
 
 

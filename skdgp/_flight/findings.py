@@ -11,7 +11,7 @@ from skdgp._compute.findings import with_codes as with_codes
 NOTE = Severity.NOTE
 ASSUMPTION = Severity.ASSUMPTION
 DOUBT = Severity.DOUBT
-PLACE = " ({begin:.6g} to {last:.6g} s, {samples} samples)"
+PLACE = " ({start:.2f} to {end:.2f} s, {samples} samples)"
 NOT_MEASURED = ": not measured"
 
 

@@ -51,9 +51,9 @@ def test_parts_of_a_text_whose_values_are_unknown_are_left_out():
 
 
 def test_findings_of_one_kind_are_one_clause_with_the_channels_of_the_others():
-    numbers = {"begin": 0.0, "last": 1.0, "samples": 2}
+    numbers = {"start": 0.0, "end": 1.0, "samples": 2}
     found = [Finding(Code.NEVER_MEASURED, channel=name, numbers=numbers) for name in ("q", "beta")]
-    told = "q has no value (0 to 1 s, 2 samples) (1 more of this kind: beta)"
+    told = "q has no value (0.00 to 1.00 s, 2 samples) (1 more of this kind: beta)"
     assert clauses_of(found) == told
 
 

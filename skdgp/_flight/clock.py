@@ -126,17 +126,10 @@ class Clock:
 
 def _irregular(steps: Vector) -> ValueError:
     """Return the error of a clock without a usual step."""
-    shortest = steps.min()
-    multiples = steps / shortest
-    is_multiple = np.abs(multiples - np.rint(multiples)) < 0.1
-    remedy = "resample the log to one uniform clock first"
-    if is_multiple.mean() > 0.99:
-        remedy = (
-            "rows seem to be left out at random, as by a shuffled KFold: hold out whole flights"
-        )
     return ValueError(
-        f"Got time steps from {shortest:.3g} s to {steps.max():.3g} s (median "
-        f"{np.median(steps):.3g} s), but expected a nearly constant rate with few gaps: {remedy}."
+        f"Got time steps from {steps.min():.3g} s to {steps.max():.3g} s (median {np.median(steps):.3g} s), but "
+        "expected a nearly constant rate with few gaps: resample the log to one uniform clock first. If rows are "
+        "left out at random, as by a shuffled KFold: hold out whole flights."
     )
 
 
@@ -202,11 +195,16 @@ def unrounded(time: Vector) -> tuple[Vector, float]:
     between = (sizes > sizes[0] + 0.1 * resolution) & (sizes < sizes[-1] - 0.1 * resolution)
     if resolution < COARSE * np.median(steps) or between.any():
         return time, 0.0
-    index = np.arange(len(time))
-    line = np.polynomial.Polynomial.fit(index, time, 1)(index)
+    line = _line(time)
     if np.abs(time - line).max() > 0.6 * resolution:
         return time, 0.0
     return line, resolution
+
+
+def _line(time: Vector) -> Vector:
+    """Return the uniform clock nearest to increasing times (n,)."""
+    index = np.arange(len(time))
+    return np.polynomial.Polynomial.fit(index, time, 1)(index)
 
 
 def uniform_grid(time: Vector) -> tuple[Vector, bool]:
@@ -214,13 +212,10 @@ def uniform_grid(time: Vector) -> tuple[Vector, bool]:
     n = len(time)
     if n < 3:
         return time, False
-    index = np.arange(n)
-    line = np.polynomial.Polynomial.fit(index, time, 1)(index)
+    line = _line(time)
     step = np.ptp(line) / (n - 1)
     jitter = np.abs(time - line).max()
     if jitter <= CLOCK.jitter * step:
         return line, False
-    usual = np.median(np.diff(time))
-    n_steps = round(np.ptp(time) / usual)
-    grid = np.linspace(time[0], time[-1], max(n, 1 + n_steps))
-    return grid, True
+    n_steps = round(np.ptp(time) / np.median(np.diff(time)))
+    return np.linspace(time[0], time[-1], max(n, 1 + n_steps)), True

@@ -151,20 +151,19 @@ class Multisine:
 
     def __post_init__(self) -> None:
         orders = np.asarray(self.harmonics)
-        is_whole = orders.size > 0 and (orders == orders.astype(int)).all()
-        if not (is_whole and orders.min() > 0 and orders.max() <= self.most_periods):
-            raise ValueError(
-                f"Got harmonics {list(self.harmonics)}, but expected integers from 1 to "
-                f"{self.most_periods}: choose a shorter signal or lower frequencies."
-            )
-        n = len(np.unique(orders))
-        is_complete = n == len(orders) == len(self.amplitudes) == len(self.phases)
         numbers = [self.duration, *self.amplitudes, *self.phases]
-        if not (is_complete and np.isfinite(numbers).all() and self.duration > 0):
+        is_sound = (
+            len({*orders.tolist()}) == len(orders) == len(self.amplitudes) == len(self.phases) > 0
+            and orders.dtype.kind in "iu"
+            and 0 < orders.min() <= orders.max() <= self.most_periods
+            and np.isfinite(numbers).all()
+            and self.duration > 0
+        )
+        if not is_sound:
             raise ValueError(
-                f"Got duration {self.duration}, amplitudes {self.amplitudes} and phases "
-                f"{self.phases} of {n} distinct harmonics, but expected a duration > 0 and a finite "
-                f"amplitude and phase for each."
+                f"Got harmonics {orders.tolist()} of {self.duration} s, amplitudes {self.amplitudes} and phases "
+                f"{self.phases}, but expected distinct integers from 1 to {self.most_periods}, a duration > 0, "
+                f"and a finite amplitude and phase for each: choose a shorter signal or lower frequencies."
             )
         object.__setattr__(self, "harmonics", tuple(map(int, orders)))
         object.__setattr__(self, "amplitudes", tuple(map(float, self.amplitudes)))
@@ -293,7 +292,15 @@ def orthogonal_multisines(
     >>> inputs["aileron"].harmonics, inputs["rudder"].harmonics
     ((4, 8, 12, 16, 20, 24), (6, 10, 14, 18, 22, 26))
     """
-    available = _harmonics_in(band, duration)
+    low, high = map(float, band)
+    most = Multisine.most_periods
+    if not (0 < low < high and 0 < high * duration <= most):
+        raise ValueError(
+            f"Got {duration:g} s and a band of {low:g} to {high:g} Hz, but expected 0 < lowest < "
+            f"highest and at most {most} periods."
+        )
+    first = int(np.ceil(low * duration - ROUNDING))
+    available = np.arange(first, int(high * duration + ROUNDING) + 1)
     n_axes = len(limits)
     n_each = n_tones
     if n_tones is None and n_axes:
@@ -310,20 +317,6 @@ def orthogonal_multisines(
         signal = multisine(duration, harmonics.tolist(), rms=1.0).from_zero()
         inputs[axis] = signal.scaled(limit / signal.peak)
     return inputs
-
-
-def _harmonics_in(band: tuple[float, float], duration: float) -> np.ndarray:
-    """Return the harmonics of a duration [s] inside a band [Hz]."""
-    low, high = map(float, band)
-    most = Multisine.most_periods
-    if not (0 < low < high and 0 < high * duration <= most):
-        raise ValueError(
-            f"Got {duration:g} s and a band of {low:g} to {high:g} Hz, but expected 0 < lowest < "
-            f"highest and at most {most} periods."
-        )
-    first = int(np.ceil(low * duration - ROUNDING))
-    last = int(np.floor(high * duration + ROUNDING))
-    return np.arange(first, last + 1)
 
 
 def _dealt(harmonics: np.ndarray, m: int, n: int, least_coverage: float = 0.7) -> list[np.ndarray]:
@@ -449,14 +442,11 @@ class Wavetrain:
 
     def _check_rate(self, rate: float, pause: float) -> None:
         """Raise ValueError if the rate [Hz] is too low for an input, or the pause [s] is none."""
-        if not (0 < rate < np.inf and 0 <= pause < np.inf):
-            raise ValueError(
-                f"Got rate={rate} Hz and pause={pause} s, but expected a rate > 0 and a pause "
-                f"from 0 on."
-            )
+        check_number("rate", rate, unit="Hz")
+        check_number("pause", pause, is_open=False, unit="s")
         for axis, _, signal in self.events():
             lowest = self.samples_per_period / signal.period
-            if not rate >= lowest * (1.0 - ROUNDING):
+            if rate < lowest * (1.0 - ROUNDING):
                 raise ValueError(
                     f"Got a rate of {rate:g} Hz, but an input of the {axis} has periods of "
                     f"{signal.period:.3g} s: expected at least {lowest:.3g} Hz, or a lower band or "

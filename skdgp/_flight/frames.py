@@ -57,14 +57,10 @@ def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
 
     Roll and heading lie in [-pi, pi], pitch in [-pi/2, pi/2].
     """
-    q0, q1, q2, q3 = components(quaternion)
-    even = q0 * q0 - q2 * q2
-    odd = q1 * q1 - q3 * q3
-    norm2 = q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3
-    sine = 2.0 * (q0 * q2 - q1 * q3) / norm2
-    phi = np.arctan2(2.0 * (q0 * q1 + q2 * q3), even - odd)
-    theta = np.arcsin(np.clip(sine, -1.0, 1.0))
-    psi = np.arctan2(2.0 * (q0 * q3 + q1 * q2), even + odd)
+    north, east, down = rotation_rows(*components(quaternion))
+    phi = np.arctan2(down[1], down[2])
+    theta = np.arcsin(np.clip(0.0 - down[0], -1.0, 1.0))
+    psi = np.arctan2(east[0], north[0])
     return _vector(phi, theta, psi)
 
 

@@ -372,23 +372,19 @@ def power_spectra(runs: Sequence[Matrix], step: float, size: int) -> tuple[Vecto
     Runs (n, k) at even steps [s] that are shorter than a window are left out. Windows by Hann overlap by half and
     lose their trends; they are counted from either end of a run, so that no sample is left over.
     """
-    options: Any = {"fs": 1.0 / step, "window": hann(size), "nperseg": size, "scaling": "psd"}
-    options |= {"detrend": "linear", "boundary": None, "padded": False, "axis": 0}
     total: Any = 0.0
     n_windows = 0
     for run in runs:
         n_left_over = (len(run) - size) % (size - size // 2)
         for part in (run, run[n_left_over:]):
             if len(part) >= size:
-                frequency, _, waves = signal.stft(part, **options)
-                total = total + np.sum(np.abs(waves) ** 2, axis=-1)
-                n_windows += waves.shape[-1]
-    power = 2.0 * total / n_windows
-    # there is no wave of negative frequency beside these
-    power[0] /= 2.0
-    if size % 2 == 0:
-        power[-1] /= 2.0
-    return frequency, power, n_windows
+                n = 1 + (len(part) - size) // (size - size // 2)
+                frequency, power = signal.welch(
+                    part, fs=1.0 / step, window=hann(size), nperseg=size, detrend="linear", axis=0
+                )
+                total = total + n * power
+                n_windows += n
+    return frequency, total / n_windows, n_windows
 
 
 # Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second

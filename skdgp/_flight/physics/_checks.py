@@ -361,10 +361,8 @@ def _of_unusual_lag(
     first, last = usual
     if first <= best_lag <= last:
         return None
-    explained = 0.0  # at the best of the usual lags
-    for lag, slope in slopes.items():
-        if first <= lag <= last:
-            explained = max(explained, slope.explained)
+    of_usual = [slope.explained for lag, slope in slopes.items() if first <= lag <= last]
+    explained = max(of_usual, default=0.0)
     # likelihood ratio: t^2 = n log of the ratio of unexplained variances
     ratio = (1 + best.explained) / (1 + explained)
     t = float(np.sqrt(best.n_effective * np.log(ratio)))
@@ -372,14 +370,7 @@ def _of_unusual_lag(
         return None
     # a uniform distribution between the lags that are tried, where they are farthest apart
     std = float(np.diff(sorted(slopes)).max(initial=0.0) / np.sqrt(12))
-    return Contradiction(
-        relation=relation,
-        channels=relation.channels,
-        admissible=admissible,
-        slope=best,
-        t=t,
-        lag=(best_lag, std),
-    )
+    return replace(_of_slope(relation, admissible, best, t), lag=(best_lag, std))
 
 
 def _is_weak(slope: Slope, t: float) -> bool:

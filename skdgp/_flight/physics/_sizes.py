@@ -159,20 +159,15 @@ def question_of_sizes(
             changed = _in_other_unit(sizes, name, factor, estimated)
             if not _broken(changed, relative):
                 plausible.append((_distance_from_usual(changed), name, factor, unit))
+    in_other_units = sorted(plausible)[:MOST_ASKED]
+    named = {name for _, name, _, _ in in_other_units}
+    as_given = [(0.0, name, 1.0, "") for name in given if name not in named]
     asked = []
-    for _, name, factor, unit in sorted(plausible)[:MOST_ASKED]:
-        asked.append(_asked(name, factor * sizes[name], sizes[name], unit))
-    in_other_units = {finding.channel for finding in asked}
-    for name in given:
-        if name not in in_other_units:
-            asked.append(_asked(name, sizes[name], sizes[name], ""))
+    for _, name, factor, unit in in_other_units + as_given:
+        value = {"value": factor * sizes[name], "si_unit": SI_UNITS[name]}
+        numbers = value | {"given": sizes[name], "unit": unit}
+        asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=numbers))
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
-
-
-def _asked(name: str, value: float, given: float, unit: str) -> Finding:
-    """Return the question for a size that was given in another unit, or in none."""
-    numbers = {"value": value, "si_unit": SI_UNITS[name], "given": given, "unit": unit}
-    return Finding(Code.ASKED_SIZE, channel=name, numbers=numbers)
 
 
 def _distance_from_usual(sizes: Sizes) -> float:
@@ -234,19 +229,16 @@ def sizes_in_flight(
     if "az" in signals:
         loads = -2 * mass * signals["az"] / (density * wing_area * signals["airspeed"] ** 2)
         numbers["CL"] = float(np.nanmedian(loads))
-    for name, drive in DRIVES.items():
-        slope = drive.slopes(signals).get(0.0)
+    laws = [("mass_by_thrust", drive, mass) for drive in DRIVES.values()]
+    laws.append(("CZ_alpha", LIFT, 2 * mass / (density * wing_area)))
+    for name, relation, scale in laws:
+        slope = relation.slopes(signals).get(0.0)
         if slope is not None and slope.n_effective >= PHYSICS.least_samples:
             middle, std = _in_bounds(slope)
-            numbers["thrust"] = float(np.nanmedian(signals[name]))
-            numbers["mass_by_thrust"] = mass * middle
-            stds["mass_by_thrust"] = mass * std
-    slope = LIFT.slopes(signals).get(0.0)
-    if slope is not None and slope.n_effective >= PHYSICS.least_samples:
-        scale = 2 * mass / (density * wing_area)
-        middle, std = _in_bounds(slope)
-        numbers["CZ_alpha"] = scale * middle
-        stds["CZ_alpha"] = scale * std
+            numbers[name] = scale * middle
+            stds[name] = scale * std
+            if relation is not LIFT:
+                numbers["thrust"] = float(np.nanmedian(signals[relation.x]))
     return numbers, stds
 
 

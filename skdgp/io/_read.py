@@ -320,26 +320,13 @@ class LogSummary:
 
     def __str__(self) -> str:
         vehicle = self.vehicle or "vehicle unknown"
-        head = f"{self.path}: {self.format}, {self.firmware}, {vehicle}"
-        topics = []
-        for name, messages, rate in self.topics.itertuples():
-            topics.append(f"{name} {messages} times, {rate:.3g} Hz")
-        columns = []
-        kinds = self.columns.groupby(["source", "rate"], sort=False, dropna=False)
-        for (source, rate), rows in kinds:
-            clock = "constant" if rows["rate"].isna().all() else f"{rate:.3g} Hz"
-            columns.append(f"{clock}: {' '.join(rows.index)} ({source})")
-        flights = []
-        for begin, end, airspeed in self.flights.to_numpy():
-            flights.append(f"flight from {begin:.1f} s to {end:.1f} s at {airspeed:.1f} m/s")
-        remarks = [f"! {remark}" for remark in self.remarks]
-        paragraphs = map(_paragraph, ([head], topics, columns, flights, remarks))
-        return "\n\n".join(filter(None, paragraphs))
-
-
-def _paragraph(lines: list[str]) -> str:
-    """Return lines of the printed width."""
-    return "\n".join(fill(line, WIDTH, subsequent_indent="    ") for line in lines)
+        parts = [f"{self.path}: {self.format}, {self.firmware}, {vehicle}"]
+        for table in (self.topics, self.columns, self.flights):
+            if len(table):
+                parts.append(table.round(2).to_string())
+        for remark in self.remarks:
+            parts.append(fill(f"! {remark}", WIDTH, subsequent_indent="    "))
+        return "\n\n".join(parts)
 
 
 def inspect_log(

@@ -8,7 +8,7 @@ length is checked: where no message begins, reading continues at the next two fi
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
@@ -427,30 +427,27 @@ class _File:
         )
 
 
-def by_parameters(
-    log: Log, channel: str, modes: States, hover: States = (), positions: Sequence[str] = ()
-) -> Log:
+def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> Log:
     """Return a log with what the parameters of ArduPilot say of its outputs and inertial sensors.
 
     Outputs n are named by ``channel``. Surfaces are by SERVOn_FUNCTION, single and mixed, commands are
     the engines of a twin. A VTOL lifts in ``hover``, and while a motor lifts, or without one in
-    ``modes``. ``positions`` are parameters of the sensors in place of ArduPilot's.
+    ``modes``.
     """
     name, _ = channel.split(".")
     parameters = log.parameters
     servos = _servos_of(log.topics.get(name, NOTHING), parameters, channel)
     controls: dict[str, Control] = {}
-    commands: dict[str, Control] = {}
     for function in sorted(servos.keys() & SURFACES):
         controls[SURFACES[function]] = ((1.0, servos[function]),)
     for control, weights in MIXES.items():
         if weights.keys() <= servos.keys():
             controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
+    commands = {}
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = ((1.0, left), (-1.0, right))
     lifts = _lifting(servos, parameters)
-    lifting = (*hover, *(lifts or modes)) if log.vehicle == "VTOL" else ()
     remarks = [*log.remarks]
     unread = _unread(controls, servos, parameters) if servos else []
     if unread:
@@ -466,8 +463,8 @@ def by_parameters(
         outputs=(name,),
         controls=controls,
         commands=commands,
-        lifting=lifting,
-        sensor_positions=stated_positions(parameters, positions or IMU_POSITIONS),
+        lifting=(*hover, *(lifts or modes)) if log.vehicle == "VTOL" else (),
+        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
     )
 
 

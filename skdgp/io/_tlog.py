@@ -49,7 +49,6 @@ from skdgp.io._log import (
     whole,
 )
 from skdgp.io._tables import FlightReadError
-from skdgp.io._ulog import IMU_POSITIONS as PX4_IMU_POSITIONS
 from skdgp.io._ulog import MAV_TYPES, TAILSITTERS
 
 # bytes of the arrival, and of a signature
@@ -75,7 +74,7 @@ PRESSURE_SENSOR = 16
 SENSOR_SETS = ("onboard_control_sensors_present", "onboard_control_sensors_health")
 # a field of VFR_HUD that says whether there was a healthy sensor of the airspeed
 PITOT = "has_sensor"
-# MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float
+# MAV_PARAM_TYPE of whole numbers, which PX4 sends as the bits of a float: they are left out
 INT32 = 6
 CLOCKS = {"time_boot_ms": 1e-3, "time_usec": 1e-6}
 # seconds from the clock of ATTITUDE beyond which the place in the file counts, as where there is none
@@ -163,7 +162,8 @@ def read_tlog(path: Path) -> Log:
     vehicles = [types[beat.type] for beat in beats if beat.type in types]
     parameters = {}
     for message in by_name.pop("PARAM_VALUE", {}).values():
-        parameters[message.param_id] = _parameter(message, is_px4)
+        if not (is_px4 and message.param_type == INT32):
+            parameters[message.param_id] = message.param_value
     topics = _topics(by_name)
     of_trim: tuple[str, ...] = ()
     if not is_px4:
@@ -184,10 +184,8 @@ def read_tlog(path: Path) -> Log:
         aliases=ALIASES,
         sensor_tilt=TILT_STD if of_trim else 0.0,
     )
-    # no mode, and other positions, of PX4
     modes = () if is_px4 else lifting_modes("HEARTBEAT", "custom_mode")
-    positions = PX4_IMU_POSITIONS if is_px4 else ()
-    return by_parameters(log, OUTPUTS + ".servo{}_raw", modes, (HOVER,), positions)
+    return by_parameters(log, OUTPUTS + ".servo{}_raw", modes, (HOVER,))
 
 
 def _system(messages: list[Any]) -> tuple[int, list[str]]:
@@ -202,9 +200,8 @@ def _system(messages: list[Any]) -> tuple[int, list[str]]:
             "telemetry of an aircraft: is it empty, or of another kind?"
         )
     system, _ = flown.most_common(1)[0]
-    if len(flown) == 1:
-        return system, []
-    return system, [f"of the vehicles {sorted(flown)} number {system} is read, with most attitudes"]
+    remark = f"of the vehicles {sorted(flown)} number {system} is read, with most attitudes"
+    return system, [remark] if len(flown) > 1 else []
 
 
 def _topics(by_name: Mapping[str, dict[int, Any]]) -> dict[str, Topic]:
@@ -314,10 +311,3 @@ def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
     for name in next(iter(messages.values())).fieldnames:
         fields[name] = [getattr(message, name) for message in messages.values()]
     return Topic(time, places, numeric_fields(fields))
-
-
-def _parameter(message: Any, is_px4: bool) -> float:
-    """Return the value of a parameter; PX4 sends the bits of whole numbers."""
-    form = "<i" if is_px4 and message.param_type == INT32 else "<f"
-    bits = struct.pack("<f", message.param_value)
-    return float(struct.unpack(form, bits)[0])

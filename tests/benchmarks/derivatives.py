@@ -16,19 +16,19 @@ example aircraft at the middle trim and of JSBSim's Cessna 172 at the mean of it
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
 from freeflight_air import learned
 from jsbsim_flight import (
-    COEFFICIENTS,
     exact_regressors,
     flight_of,
     known_derivatives,
     learned_derivatives,
 )
-from numpy.polynomial.hermite_e import hermegauss
+from made_outputs import slopes_over
 
 from skdgp import make_identification_pipeline
 from skdgp.datasets import load_example_flights
@@ -71,18 +71,8 @@ def over_perturbation(truth, model):
     """
     learned_from = as_aerodynamics(model)
     flown = dict(zip(learned_from.regressors, learned_from.perturbation, strict=True))
-    nodes, weights = hermegauss(NODES)
-    weights = weights / weights.sum()
-
-    def slopes(X):
-        expected = np.empty((len(X), len(COEFFICIENTS), X.shape[1]))
-        for k, name in enumerate(truth.regressors):
-            moved = np.repeat(X[None], NODES, axis=0)
-            moved[..., k] += flown.get(name, 0.0) * nodes[:, None]
-            expected[..., k] = np.tensordot(weights, truth.gradient(moved)[..., k], axes=1)
-        return expected
-
-    return replace(truth, slopes=slopes)
+    spread = [flown.get(name, 0.0) for name in truth.regressors]
+    return replace(truth, slopes=partial(slopes_over, truth.gradient, spread=spread, n_nodes=NODES))
 
 
 def compared(model, truth, data):

@@ -1,6 +1,7 @@
 """Outputs that depend on each other in known ways: regressors, outputs with gaps, points and the truth there."""
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
 
 SHIFTS = np.array([0.0, 1.5, -1.0])
 
@@ -50,3 +51,14 @@ def little_overlap(rng):
     truth[points <= 75, 0] = np.nan
     truth[points >= 70, 1] = np.nan
     return x[:, None], Y, points[:, None], truth
+
+
+def slopes_over(slopes, X, spread, n_nodes=60):
+    """Return slopes (..., n, P, d) at X (n, d), each expected over a normal perturbation of its regressor alone."""
+    nodes, weights = hermegauss(n_nodes)
+    weights /= weights.sum()
+    expected = []
+    for k, step in enumerate(np.diag(spread)):
+        moved = [w * slopes(X + z * step)[..., k] for z, w in zip(nodes, weights, strict=True)]
+        expected.append(np.sum(moved, axis=0))
+    return np.stack(expected, axis=-1)

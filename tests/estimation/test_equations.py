@@ -126,51 +126,39 @@ def slopes_at(*parts):
     return expanded(*parts).slopes()(slice(None))
 
 
-def moved(name, move):
-    record, layout, value, states = flight_of_sines()
-    value = value | {name: value[name] + move}
-    return linearized(record, layout, value, states)
+def differences(change, step=1e-5):
+    """Return the derivatives of predictions, past errors and path errors by a change of parts of `linearized`."""
+    later, before = (linearized(*change(move)) for move in (step, -step))
+    fields = ("predicted", "past_error", "path_error")
+    return [(getattr(later, name) - getattr(before, name)) / (2 * step) for name in fields]
 
 
 @pytest.mark.parametrize("name", flight_of_sines()[1].names)
 def test_slopes_by_parameters_are_those_of_the_predictions(name):
-    here, step = moved(name, 0.0), 1e-5
-    slopes_here = slopes_at(*flight_of_sines())
-    later, before = moved(name, step), moved(name, -step)
-    j = flight_of_sines()[1].names.index(name)
-    pairs = (
-        ("predicted", slopes_here.Theta),
-        ("past_error", -slopes_here.E),
-        ("path_error", -slopes_here.F),
-    )
-    for field, slopes in pairs:
-        numeric = (getattr(later, field) - getattr(before, field)) / (2 * step)
-        if field == "path_error":  # the state that it starts from moves as well
-            numeric += (here.H @ slopes_here.Theta)[..., j]
-        scale = np.abs(numeric).max() + 1e-3
-        # terms within a step are taken as the mean of its ends, which is least true of rates
-        atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
-        if name in CONSTANTS:
-            atol = 0.01
-        assert_allclose(slopes[..., j] / scale, numeric / scale, atol=atol)
+    record, layout, value, states = flight_of_sines()
+    H = linearized(record, layout, value, states).H
+    here = slopes_at(record, layout, value, states)
+    numeric = differences(lambda move: (record, layout, value | {name: value[name] + move}, states))
+    # the state that the error along the path starts from moves as well
+    slopes = here.Theta, -here.E, -here.F - H @ here.Theta
+    # terms within a step are taken as the mean of its ends, which is least true of rates
+    atol = 0.2 if name.endswith(("_p", "_q", "_r")) else 0.05
+    if name in CONSTANTS:
+        atol = 0.01
+    j = layout.names.index(name)
+    for found, expected in zip(slopes, numeric, strict=True):
+        scale = np.abs(expected).max() + 1e-3
+        assert_allclose(found[..., j] / scale, expected / scale, atol=atol)
 
 
 def test_slopes_by_states_are_those_of_the_predictions():
     record, layout, value, states = flight_of_sines()
     here = linearized(record, layout, value, states)
-    for i in range(N_STATES):
-        shift = np.zeros(N_STATES)
-        shift[i] = 1e-5
-        later, before = (
-            linearized(record, layout, value, states + sign * shift) for sign in (1, -1)
-        )
-        for field, slopes in (
-            ("predicted", here.Phi),
-            ("past_error", -here.D),
-            ("path_error", -here.H @ here.Phi),
-        ):
-            numeric = (getattr(later, field) - getattr(before, field)) / 2e-5
-            assert_allclose(slopes[..., i], numeric, atol=2e-2 * np.abs(numeric).max())
+    slopes = here.Phi, -here.D, -here.H @ here.Phi
+    for i, unit in enumerate(np.eye(N_STATES)):
+        numeric = differences(lambda move, unit=unit: (record, layout, value, states + move * unit))
+        for found, expected in zip(slopes, numeric, strict=True):
+            assert_allclose(found[..., i], expected, atol=2e-2 * np.abs(expected).max())
 
 
 def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():

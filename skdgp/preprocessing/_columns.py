@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from numbers import Real
 from typing import Any, Self
 
@@ -37,7 +37,10 @@ from skdgp.preprocessing._table import (
 CONTROLS = ("throttle", *SURFACES)
 # Standard deviation [rad, or a fraction] from which an auxiliary control is one of a named set; a guess
 LEAST_MOTION = 0.01
-ELEVON_MIXING = ((0.5, 0.5), (0.5, -0.5))
+ELEVON_MIXING = {
+    "elevator": {"elevon_left": 0.5, "elevon_right": 0.5},
+    "aileron": {"elevon_left": 0.5, "elevon_right": -0.5},
+}
 
 
 class ElevonSplitter(TableTransformer):
@@ -51,20 +54,16 @@ class ElevonSplitter(TableTransformer):
 
     A table without the surfaces (a conventional aircraft, a simulation) does not change. With both,
     the controls are computed from the surfaces. Raises ValueError if the table has some of the
-    surfaces or misspells them, or the mixing has another shape.
+    surfaces or misspells them.
 
     Parameters
     ----------
-    surfaces : sequence of str, default=("elevon_left", "elevon_right")
-        Columns of the deflections [rad].
-    controls : sequence of str, default=("elevator", "aileron")
-        Columns to compute [rad].
-    mixing : array-like of shape (n_controls, n_surfaces), optional
-        By default the mixing of two elevons.
+    mixing : dict of str to dict of str to float, optional
+        For each control to compute [rad] the factors of the surfaces [rad]. By default those of two elevons.
 
     Attributes
     ----------
-    mixing_ : ndarray of shape (n_controls, n_surfaces)
+    mixing_ : DataFrame of shape (n_controls, n_surfaces)
         The mixing used.
 
     Examples
@@ -80,58 +79,44 @@ class ElevonSplitter(TableTransformer):
     A V-tail and two ailerons:
 
     >>> tail = ElevonSplitter(
-    ...     surfaces=("aileron_left", "aileron_right", "tail_left", "tail_right"),
-    ...     controls=("aileron", "elevator", "rudder"),
-    ...     mixing=[[0.5, -0.5, 0, 0], [0, 0, 0.5, 0.5], [0, 0, 0.5, -0.5]],
+    ...     {
+    ...         "aileron": {"aileron_left": 0.5, "aileron_right": -0.5},
+    ...         "elevator": {"tail_left": 0.5, "tail_right": 0.5},
+    ...         "rudder": {"tail_left": 0.5, "tail_right": -0.5},
+    ...     }
     ... )
     """
 
-    _parameter_constraints: dict = {
-        "surfaces": [list, tuple],
-        "controls": [list, tuple],
-        "mixing": ["array-like", None],
-    }
+    _parameter_constraints: dict = {"mixing": [dict, None]}
 
-    def __init__(
-        self,
-        *,
-        surfaces: Sequence[str] = ELEVONS,
-        controls: Sequence[str] = MIXED,
-        mixing: Any = None,
-    ) -> None:
-        self.surfaces = surfaces
-        self.controls = controls
+    def __init__(self, mixing: Mapping[str, Mapping[str, float]] | None = None) -> None:
         self.mixing = mixing
 
     def _fit_table(self, table):
-        shape = (len(self.controls), len(self.surfaces))
         mixing = ELEVON_MIXING if self.mixing is None else self.mixing
-        self.mixing_ = np.array(mixing, dtype=float)
-        if self.mixing_.shape != shape:
-            raise ValueError(
-                f"Got mixing of shape {self.mixing_.shape}, but expected (n_controls, n_surfaces) = "
-                f"{shape}: a row for each control, a column for each surface."
-            )
+        self.mixing_ = pd.DataFrame.from_dict(mixing, orient="index", dtype=float).fillna(0.0)
         self._controls_of(table)
 
     def _transform_table(self, table):
         return table.assign(**self._controls_of(table))
 
     def _columns_out(self, names):
-        return with_names(names, self.controls) if {*self.surfaces} <= {*names} else names
+        return with_names(names, self.mixing_.index) if {*self.mixing_} <= {*names} else names
 
     def in_simulation(self) -> dict[str, Any]:
         """Return how controls follow from surfaces."""
-        return {"mixing": Mixing(tuple(self.surfaces), tuple(self.controls), self.mixing_)}
+        mixing = Mixing(tuple(self.mixing_), tuple(self.mixing_.index), self.mixing_.to_numpy())
+        return {"mixing": mixing}
 
     def _controls_of(self, table):
         """Return controls by name; none where the table has no surface."""
-        if not present(self.surfaces, table):
-            check_spelling(table, self.surfaces)
+        surfaces = list(self.mixing_)
+        if not present(surfaces, table):
+            check_spelling(table, surfaces)
             return {}
-        check_columns(table, self.surfaces)
-        values = self.mixing_ @ numeric(table, self.surfaces).T
-        return dict(zip(self.controls, values, strict=True))
+        check_columns(table, surfaces)
+        controls = numeric(table, surfaces) @ self.mixing_.to_numpy().T
+        return by_name(self.mixing_.index, controls)
 
 
 class RateNondimensionalizer(TableTransformer):

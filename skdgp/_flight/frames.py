@@ -240,6 +240,12 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return np.angle(np.exp(1j * angle))
 
 
+def wrapped_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return angles shifted by multiples of 2 pi to less than pi from a reference, where this is finite."""
+    turns = np.round((angle - reference) / (2 * np.pi))
+    return angle - 2 * np.pi * np.nan_to_num(turns, posinf=0.0, neginf=0.0)
+
+
 def unwrapped_paths(angles: np.ndarray) -> np.ndarray:
     """Return the angles (n_paths, n_times) of paths without jumps, near the first angle of the first path."""
     first = angles[:1, :1]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array, Indices
 from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.clock import true_runs
-from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.frames import STANDARD_GRAVITY, wrapped_near
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft
@@ -120,8 +120,7 @@ def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -
         values[rows[1:]] = columns[name][1:]
         if name in EULER:
             # the turn nearest to the log's, which may count heading from 0 to 2 pi
-            turns = np.round((flight[name].to_numpy(float) - values) / (2 * np.pi))
-            values += 2 * np.pi * np.nan_to_num(turns)
+            values = wrapped_near(values, flight[name].to_numpy(float))
         table[name] = values
     return table.astype({"window": int})
 

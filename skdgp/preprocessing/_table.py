@@ -14,6 +14,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context
 from skdgp._compute.typing import Vector
 from skdgp._flight.channels import WRAPPED
+from skdgp._flight.frames import wrapped_near
 from skdgp._flight.tables import FlightTable, check_table
 
 
@@ -108,6 +109,4 @@ def wrap_near(new: dict[str, Vector], table: pd.DataFrame, names: Sequence[str] 
     """Shift the angles among new columns by multiples of 2 pi to less than pi from those of the table."""
     for name in present(names, new):
         reference = table[name].to_numpy(float, na_value=np.nan)
-        turns = np.round((new[name] - reference) / (2 * np.pi))
-        turns = np.where(np.isfinite(turns), turns, 0.0)
-        new[name] = new[name] - 2 * np.pi * turns
+        new[name] = wrapped_near(new[name], reference)

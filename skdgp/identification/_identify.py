@@ -14,7 +14,8 @@ from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_findings, report
-from skdgp._flight.channels import ALL_SURFACES, HIGH_LIFT
+from skdgp._compute.typing import Vector
+from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HIGH_LIFT
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor, FitCode, search_ended
@@ -23,7 +24,12 @@ from skdgp.identification._changed import changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import named_flights, train_and_test
 from skdgp.identification._identification import Identification
-from skdgp.identification._pipeline import FlightPipeline, make_identification_pipeline
+from skdgp.identification._pipeline import (
+    FlightPipeline,
+    make_identification_pipeline,
+    regressor_names,
+    step_of,
+)
 from skdgp.identification._prepare import (
     MEASURED,
     as_aircraft,
@@ -35,9 +41,8 @@ from skdgp.identification._prepare import (
     usable_flights_of_model,
     with_position_of,
 )
-from skdgp.identification._record import fit_record
 from skdgp.io import FULL_THROW, reversed_of
-from skdgp.preprocessing import FlightPathReconstruction
+from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
 #: Units of the controls of a log without their scale
 FULL_THROW_UNITS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
@@ -263,6 +268,72 @@ def validate(
         changes=changes,
         findings=_named_once(findings),
     )
+
+
+def fit_record(pipeline: FlightPipeline) -> Bunch:
+    """Return what a fitted pipeline shows of its fit.
+
+    =============================== =======================================================================
+    ``summary``                     duration, samples and likelihood, and whether the search converged
+    ``inference``                   "exact" or "sparse"
+    ``weights``                     weight of each component of an average, by coefficient
+    ``regressors``                  names of the regressors of the last step
+    ``log_marginal_likelihood``     at the end of the search
+    ``iterations``                  of the search
+    ``converged``, ``interrupted``  whether the search converged, or was ended by Ctrl-C
+    ``noise_std``                   standard deviations of the noise of coefficients
+    ``doubts``                      findings that exclude the judgement "yes" of any use of the model: gusts
+                                    that are not known, and paths that did not converge
+    ``reconstruction``              whether flight paths are reconstructed, and why; None without this step
+    ``lags``                        table of `skdgp.preprocessing.LagCorrector`; None without this step
+    ``lags_corrected``              lags [s] by group that the flights show, and that are removed
+    ``samples``                     rows learned from
+    ``samples_available``           rows with a coefficient
+    ``seconds``, ``flown``          duration of the fit, and of the training flights without gaps [s]
+    ``flights``                     rows of each training flight
+    ``conditions``                  medians of the columns of the training flights
+    ``least_squares``               by coefficient intercept and slopes of the linear model of the same rows
+    =============================== =======================================================================
+    """
+    regressor = pipeline[-1]
+    step = step_of(pipeline, FlightPathReconstruction)
+    corrector = step_of(pipeline, LagCorrector)
+    corrected = {}
+    if corrector is not None:
+        applied = corrector.lags_.dropna(subset="std")["applied"]
+        corrected = applied[applied != 0].to_dict()
+    state = "interrupted" if regressor.interrupted_ else "fitted"
+    samples = f"{pipeline.n_learned_} of {pipeline.n_observed_} samples"
+    likelihood = regressor.log_marginal_likelihood_value_
+    summary = f"{state} in {pipeline.fit_time_:.1f} s on {samples}, log likelihood {likelihood:.1f}"
+    if not regressor.converged_:
+        summary += f"; not converged after {regressor.n_iter_} iterations: raise max_iter"
+    return Bunch(
+        summary=summary,
+        inference=regressor.inference_,
+        weights={name: _by_coefficient(values) for name, values in regressor.weights_.items()},
+        regressors=regressor_names(pipeline),
+        log_marginal_likelihood=likelihood,
+        iterations=regressor.n_iter_,
+        converged=regressor.converged_,
+        interrupted=regressor.interrupted_,
+        noise_std=_by_coefficient(regressor.noise_variance_**0.5),
+        doubts=[] if step is None else step.doubts_,
+        reconstruction=None if step is None else step.finding_,
+        lags=None if corrector is None else corrector.lags_,
+        lags_corrected=corrected,
+        samples=pipeline.n_learned_,
+        samples_available=pipeline.n_observed_,
+        seconds=pipeline.fit_time_,
+        flown=pipeline.seconds_,
+        flights=pipeline.flights_,
+        conditions=pipeline.conditions_,
+        least_squares=pipeline.least_squares_.to_dict(),
+    )
+
+
+def _by_coefficient(values: Vector) -> dict[str, float]:
+    return dict(zip(COEFFICIENTS, values, strict=True))
 
 
 def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -9,7 +9,6 @@ from datetime import datetime
 from functools import cached_property, partial
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -134,12 +133,9 @@ class Identification:
         if len(self.evaluations) > 1:
             for flight in self.evaluations:
                 table.loc[f"flight {flight.name}"] = score_table([flight]).loc["mean"]
-        form: Any = {
-            name: ("{:.1f}" if "%" in name else "{:.3f}").format for name in map(str, table)
-        }
         title = f"{len(self.evaluations)} test flight(s) together"
         lines = [f"{self.aircraft.name}: {self.fit.summary}", "", title]
-        lines += [table.to_string(formatters=form), ""]
+        lines += [table.to_string(float_format="{:.3g}".format), ""]
         if self.fit.reconstruction is not None:
             lines.append(self.fit.reconstruction.clause)
         if self.changes is not None:

@@ -475,8 +475,7 @@ class FlightPipeline(Pipeline):
             self.flights_[str(name)] = len(rows)
             if len(rows) > 1:  # each at its own rate
                 self.seconds_ += len(rows) * float(np.median(np.diff(clock.time[rows])))
-        medians: Any = flights.median(numeric_only=True).astype(float)
-        self.conditions_ = medians.to_dict()
+        self.conditions_ = flights.median(numeric_only=True).astype(float).to_dict()
         self.turbulence_ = None
         if self.aircraft is not None:
             with suppress(TypeError, ValueError):  # short flights, or columns that are missing
@@ -530,4 +529,5 @@ def _n_observed(y: Any) -> int:
     """Return the number of rows with any target."""
     if y is None:
         return 0
-    return int(np.isfinite(np.atleast_2d(np.asarray(y, dtype=float).T)).any(axis=0).sum())
+    targets = np.asarray(y, dtype=float).reshape(len(y), -1)
+    return int(np.isfinite(targets).any(axis=1).sum())

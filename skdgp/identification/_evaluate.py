@@ -39,6 +39,12 @@ from skdgp.metrics import (
 
 REPLAY_HORIZON = 2.0  # seconds from restart to restart of a replay
 MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
+# scores by the names of their columns in summary and report
+SHOWN = {
+    "median_relative_error": "rel. error",
+    "normalized_rmse": "NRMSE",
+    "interval_coverage": "in 95 % band",
+}
 
 
 class Thresholds(NamedTuple):
@@ -135,20 +141,15 @@ def _scores(flights: Sequence[Evaluation], against: str, band: str) -> pd.DataFr
 
 
 def score_table(flights: Sequence[Evaluation]) -> pd.DataFrame:
-    """Return the scores of flights as they are shown, in percent where it is said, and their means.
+    """Return the scores of flights as they are shown, and their means.
 
     The truth of a simulation contains gusts that no band knows: of it there are errors only.
     """
     against = scores(flights)
-    columns = {
-        "rel. error [%]": 100 * against["measured"]["median_relative_error"],
-        "NRMSE": against["measured"]["normalized_rmse"],
-        "in 95 % band [%]": 100 * against["measured"]["interval_coverage"],
-    }
+    table = against["measured"][[*SHOWN]].rename(columns=SHOWN)
     if "truth" in against:
-        columns["rel. error of truth [%]"] = 100 * against["truth"]["median_relative_error"]
-        columns["NRMSE of truth"] = against["truth"]["normalized_rmse"]
-    table = pd.DataFrame(columns)
+        of_truth = against["truth"].rename(columns=SHOWN).add_suffix(" of truth")
+        table = table.join(of_truth[["rel. error of truth", "NRMSE of truth"]])
     table.loc["mean"] = table.mean()
     return table
 

@@ -78,7 +78,7 @@ EFFECTS = (
 )
 HOW_TO_READ = (
     "NRMSE: root mean squared error over the standard deviation of the values; 1 is no better than "
-    "their mean. 95 % coverage: share of the values inside the band of 1.96 standard deviations; 95 "
+    "their mean. Coverage: fraction of the values inside the band of 1.96 standard deviations; 0.95 "
     "when the band is honest.",
     "± in tables is one standard deviation. Figures and the verdict have 95 % bands.",
     f"Thresholds. Predict: errors of at most {THRESHOLDS.error:g} of the spread of the coefficients, "
@@ -298,20 +298,20 @@ def _flights(flights: list[Evaluation], scores: dict[str, pd.DataFrame]) -> list
     parts = []
     for flight in flights:
         shown = scores[flight.name]
-        held = shown["in 95 % band [%]"].map(_coverage)
-        body = table(shown.assign(**{"in 95 % band [%]": held}), SCORES)
+        held = shown["in 95 % band"].map(_coverage)
+        body = table(shown.assign(**{"in 95 % band": held}), SCORES)
         if flight.name in worst:
             body += _figures(flight)
         parts.append(section(f"Test flight {flight.name}", body))
     return parts
 
 
-def _coverage(percent: float) -> str:
+def _coverage(held: float) -> str:
     """Return a coverage, marked where it is below the threshold or above 99 %."""
-    shown = number(percent, ".1f")
-    if percent < 100 * THRESHOLDS.coverage:
+    shown = number(held)
+    if held < THRESHOLDS.coverage:
         return f"▼ {shown}"
-    return f"▲ {shown}" if percent > 100 * THRESHOLDS.widest else shown
+    return f"▲ {shown}" if held > THRESHOLDS.widest else shown
 
 
 def _figures(result: Evaluation) -> str:

@@ -88,9 +88,9 @@ class TestIdentify:
             metrics["test"][name]["coefficients"][of]["CZ"] for of in ("measured", "truth")
         )
         expected = [
-            100 * measured["median_relative_error"],
+            measured["median_relative_error"],
             measured["normalized_rmse"],
-            100 * measured["interval_coverage"],
+            measured["interval_coverage"],
             truth["normalized_rmse"],
         ]
         assert [float(row[k]) for k in (0, 1, 2, -1)] == pytest.approx(expected, rel=6e-3)

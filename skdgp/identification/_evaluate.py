@@ -203,11 +203,11 @@ def _std(regressor: DependentGPRegressor, X: Matrix, noise_ratio: Vector) -> Mat
 
     They cost N^2 each, means only N.
     """
-    every = np.arange(len(X))
+    every = np.arange(len(X), dtype=float)
     step = int(np.ceil(len(X) / MOST_STD_ROWS))
-    rows = every[step // 2 :: step]
+    rows = np.arange(step // 2, len(X), step)
     _, std = regressor.predict(X[rows], return_std=True, include_input_noise=noise_ratio[rows])
-    return interpolated(every, rows, std)
+    return interpolated(every, every[rows], std)
 
 
 def _truth(table: pd.DataFrame, band: float) -> Matrix | None:

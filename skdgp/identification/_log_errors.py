@@ -103,8 +103,8 @@ def thrust_errors(
     )
     (weights,) = learned_as([missing], regressors).weights
     endings = ["", *(f"_{str(name).removesuffix(HAT)}" for name in regressors)]
-    table = pd.DataFrame(weights, endings, [*COEFFICIENTS]).stack()
-    added = {C + ending: float(value) for (ending, C), value in table.items()}
+    table = pd.DataFrame(weights, endings, [*COEFFICIENTS])
+    added = {C + ending: table[C][ending] for C in COEFFICIENTS for ending in endings}
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
 
 

@@ -151,7 +151,7 @@ def simulation_errors(
     simulated = numeric(flown, STATES).reshape(len(parts), -1, len(STATES))
     elapsed = flown["time"].to_numpy()[: simulated.shape[1]]
     measured = np.array(
-        [interpolated(elapsed, part["time"], numeric(part, STATES)) for part in parts]
+        [interpolated(elapsed, part["time"].to_numpy(), numeric(part, STATES)) for part in parts]
     )
     # an infinite error where a simulation ended
     squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)

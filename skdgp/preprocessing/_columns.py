@@ -93,8 +93,8 @@ class ElevonSplitter(TableTransformer):
         self.mixing = mixing
 
     def _fit_table(self, table):
-        mixing = ELEVON_MIXING if self.mixing is None else self.mixing
-        self.mixing_ = pd.DataFrame.from_dict(mixing, orient="index", dtype=float).fillna(0.0)
+        mixing: Any = ELEVON_MIXING if self.mixing is None else self.mixing
+        self.mixing_: Any = pd.DataFrame.from_dict(mixing, orient="index", dtype=float).fillna(0.0)
         self._controls_of(table)
 
     def _transform_table(self, table):

@@ -176,17 +176,17 @@ def facts(values: Any) -> str:
     return table(pd.Series(values, dtype=object), header=False)
 
 
-def number(value: float, form: str = ".3g") -> str:
+def number(value: Any, form: str = ".3g") -> str:
     """Return a number with a true minus, and the sign for infinity."""
     return f"{value:z{form}}".replace("-", "−").replace("inf", "∞")
 
 
-def with_std(value: float, std: float) -> str:
+def with_std(value: Any, std: Any) -> str:
     """Return a value and its standard deviation; this is NaN where it is not known."""
     return number(value) if np.isnan(std) else f"{number(value)} ± {number(std, '.2g')}"
 
 
-def marked(shown: str, lower: float, upper: float) -> str:
+def marked(shown: str, lower: Any, upper: Any) -> str:
     """Return a value, marked if its band holds both signs."""
     return f"▼ {shown}" if lower * upper <= 0 or np.isinf(lower * upper) else shown
 

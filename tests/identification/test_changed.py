@@ -58,7 +58,7 @@ def changes(model, flights, change=0.0):
     return changes_of(model, unexplained)
 
 
-def several(make, *arguments, n=8):
+def several(make, *arguments, n=6):
     """Return flights by their seeds."""
     return {str(seed): make(seed, *arguments) for seed in range(1, n + 1)}
 
@@ -186,7 +186,7 @@ def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
         Y[:, 5] += X[:, 1]
         return pd.DataFrame(X + noise * rng.normal(size=X.shape), columns=["alpha", "beta"]), Y
 
-    found = changes(learned(*flown(0, 1.0), noise), several(flown, size, n=6))
+    found = changes(learned(*flown(0, 1.0), noise), several(flown, size))
     rows = found.derivatives.xs("Cn_alpha", level="derivative")
     variances = np.array([0.1, size * 0.1]) ** 2 + ALPHA_NOISE**2
     of_any_correlation = np.prod(noise) * np.diff(1 / variances) / np.sqrt(3)

@@ -27,12 +27,11 @@ from _common import ROOT, commit, machine, markdown
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def measured(script, out, without):
-    """Run a script, (name, arguments), if its results are not there; return them, None if there are none."""
-    name, arguments = script
+def measured(name, arguments, out):
+    """Run a script if its results are not there; return them, None if there are none."""
     path = out / f"{name}.json"
     start = time.monotonic()
-    if not path.exists() and name not in without:
+    if not path.exists():
         command = [sys.executable, ROOT / "tests" / "benchmarks" / f"{name}.py", *arguments]
         with (out / f"{name}.txt").open("a") as log:
             subprocess.run(
@@ -70,8 +69,6 @@ def main(words=None):
     for name in ("data", "repository", "published"):
         parser.add_argument(name, type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder for the results")
-    parser.add_argument("--jobs", type=int, default=2, help="scripts at a time")
-    parser.add_argument("--without", nargs="+", default=[], help="scripts that are not run")
     options = parser.parse_args(words)
     options.out.mkdir(parents=True, exist_ok=True)
     scripts = {  # those of flights first
@@ -87,9 +84,10 @@ def main(words=None):
         "tabular": [options.published],
         "published": [options.published],
     }
-    run = partial(measured, out=options.out.absolute(), without=options.without)
-    with ThreadPoolExecutor(options.jobs) as pool:
-        results = dict(zip(scripts, pool.map(run, scripts.items()), strict=True))
+    run = partial(measured, out=options.out.absolute())
+    with ThreadPoolExecutor(2) as pool:
+        found = pool.map(run, scripts.keys(), scripts.values())
+        results = dict(zip(scripts, found, strict=True))
     results = {name: each for name, each in results.items() if each}
     failed = [name for name in scripts if name not in results]
     words = machine() | {"threads": "1 of each script"}

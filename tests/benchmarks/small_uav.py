@@ -11,7 +11,6 @@ aircraft); then the worst aircraft, medians of the errors of alpha, with its mea
 the lag of the servos, and how many flights did not converge.
 """
 
-import itertools
 import warnings
 
 import numpy as np
@@ -82,20 +81,21 @@ def main(words=None):
     parser = parser_of(__doc__)
     parser.add_argument("--every", type=int, default=1, help="3: a third, even over all kinds")
     options = parser.parse_args(words)
-    axes = SENSORS, AIRCRAFT, AIRS, [SEED]
-    places = itertools.product(*(range(len(axis)) for axis in axes))
-    chosen = [sum(place) % options.every == 0 for place in places]
-    cases = list(itertools.compress(itertools.product(*axes), chosen))
     warnings.simplefilter("ignore")
-    rngs = [default_rng([*map(ord, "".join(c[:3])), c[3]]) for c in cases]
+    axes = [*SENSORS], [*AIRCRAFT], [*AIRS]
+    cases = []
+    for place in np.ndindex(*map(len, axes)):
+        if sum(place) % options.every == 0:
+            cases.append([axis[k] for axis, k in zip(axes, place, strict=True)])
+    rngs = [default_rng([*map(ord, "".join(case)), SEED]) for case in cases]
     lags = [rng.uniform(0.02, 0.08) for rng in rngs]
-    planes = [AIRCRAFT[name] for _, name, _, _ in cases]
-    flown = Fleet(planes, [AIRS[air] for _, _, air, _ in cases], rngs, SECONDS, lags).fly()
+    planes = [AIRCRAFT[name] for _, name, _ in cases]
+    flown = Fleet(planes, [AIRS[air] for *_, air in cases], rngs, SECONDS, lags).fly()
     kept = Kept(options, "small_uav")
-    for k, case in enumerate(cases):
-        table = logged(flown[:, k], rngs[k], case[0])
-        key = dict(zip(("sensors", "aircraft", "air", "seed"), case, strict=True))
-        kept.run(key, score, table, planes[k], lags[k] if case[0] == "real" else 0.0)
+    for k, (kind, name, air) in enumerate(cases):
+        table = logged(flown[:, k], rngs[k], kind)
+        key = {"sensors": kind, "aircraft": name, "air": air}
+        kept.run(key, score, table, planes[k], lags[k] if kind == "real" else 0.0)
     runs = kept.table
     columns = {SENSORS[kind]: column(some) for kind, some in runs.groupby("sensors", sort=False)}
     rows = pd.DataFrame(columns).reset_index(names="air").to_dict("records")

@@ -35,6 +35,11 @@ def test_a_signal_keeps_its_stated_peak_and_duration(signal):
     assert getattr(signal, "rms", rms) == pytest.approx(rms, rel=1e-3)
 
 
+def test_a_multisine_from_zero_begins_and_ends_at_zero():
+    signal = SIGNALS["multisine"]
+    assert_allclose(signal([0.0, signal.duration - 1e-4]), 0.0, atol=2e-3 * signal.peak)
+
+
 def test_three_two_one_one_is_three_two_one_one():
     middles = 0.5 * (np.arange(8) + 0.5)
     levels = [0.1, 0.1, 0.1, -0.1, -0.1, 0.1, -0.1, 0.0]

@@ -31,7 +31,7 @@ class GappedLCM(gpytorch.models.ExactGP):
         return gpytorch.distributions.MultivariateNormal(self.mean_module(x), total)
 
 
-def gapped_lcm(X, Y, n_latent, steps=100):
+def gapped_lcm(X, Y, n_latent):
     """Return means and standard deviations (n, P) from Y with gaps, by Adam as in GPyTorch's Hadamard example."""
     torch.manual_seed(0)
     rows, outputs = (torch.as_tensor(part) for part in np.nonzero(np.isfinite(Y)))
@@ -42,7 +42,7 @@ def gapped_lcm(X, Y, n_latent, steps=100):
     objective = gpytorch.mlls.ExactMarginalLogLikelihood(likelihood, model)
     optimizer = torch.optim.Adam(model.parameters(), lr=0.1)
     with cholesky(), gpytorch.settings.cholesky_max_tries(6):
-        for _ in range(steps):
+        for _ in range(100):
             optimizer.zero_grad()
             loss = -objective(model(*inputs), values[rows, outputs])
             loss.backward()
@@ -123,7 +123,7 @@ class SparseLCM:
         noise = (self.likelihood.task_noises + self.likelihood.noise).detach().double().numpy()
         return np.sqrt(variance), np.sqrt(variance + noise)
 
-    def _of_parts(self, X, moment, rows=2048):
+    def _of_parts(self, X, moment):
         with torch.no_grad():
-            parts = torch.as_tensor(X, dtype=torch.float32).split(rows)
+            parts = torch.as_tensor(X, dtype=torch.float32).split(2048)
             return torch.cat([moment(self.model(part)) for part in parts]).double().numpy()

@@ -48,7 +48,7 @@ class EquationError:
         return [(fit, C[:, terms]) for fit, terms in zip(self.fits, self.terms, strict=True)]
 
 
-def forward_selection(C, y, level=0.05):
+def forward_selection(C, y):
     """Return the columns of C, in order of entry, that forward selection takes for y."""
     n, k = C.shape
     C = C - C.mean(axis=0)
@@ -62,9 +62,7 @@ def forward_selection(C, y, level=0.05):
         gain = np.where(usable, (C.T @ y) ** 2 / np.where(usable, left, 1.0), 0.0)
         best = int(gain.argmax())
         free = n - len(chosen) - 2
-        significant = gain[best] / ((error - gain[best]) / free) > f_distribution.isf(
-            level, 1, free
-        )
+        significant = gain[best] / ((error - gain[best]) / free) > f_distribution.isf(0.05, 1, free)
         if not significant or gain[best] < total / n:  # the second: PSE would rise
             break
         chosen.append(best)

@@ -34,8 +34,8 @@ def flown():
     return model, data.aircraft, steady, linearize(model, data.aircraft, steady, delay=DELAY)
 
 
-def rates_of(flown, factors, seconds=4.0):
-    """Return the rates (n, 2) of a flight under both loops, with each gain times its factor."""
+def rates_of(flown, factors):
+    """Return the rates (n, 2) of a flight of 4 s under both loops, with each gain times its factor."""
     model, aircraft, steady, linear = flown
     simulator = Simulator(model, aircraft, STEP)
     level = simulator.reset(steady)
@@ -45,7 +45,7 @@ def rates_of(flown, factors, seconds=4.0):
     kick = {"aileron": 0.01, "elevator": 0.01}
     commands = deque([kick] * DELAYED)
     rates = []
-    for _ in range(round(seconds / STEP)):
+    for _ in range(round(4.0 / STEP)):
         command = {}
         for surface, (proportional, of_integral, time_constant) in GAINS.items():
             rate, angle = MOTION[surface]

@@ -84,9 +84,9 @@ def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
 FORCE = 0.5 * 1.2 * 12.0**2 * 0.5  # dynamic pressure and wing area of `surge` [N]
 
 
-def surge(rng, size, n, highest=1.0):
-    """Return a glide whose forward acceleration, up to a frequency [Hz], has noise of 0.1 m/s^2, and its true CX."""
-    below = signal.butter(4, highest, fs=50, output="sos")
+def surge(rng, size, n):
+    """Return a glide whose forward acceleration, up to 1 Hz, has noise of 0.1 m/s^2, and its true CX."""
+    below = signal.butter(4, 1.0, fs=50, output="sos")
     wave = signal.sosfiltfilt(below, rng.normal(size=n))
     wave *= size / wave.std()
     still = dict.fromkeys(["ay", "p", "q", "r"], 0.0)

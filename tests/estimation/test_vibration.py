@@ -14,10 +14,10 @@ MIRROR = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
 STEP, N_ROWS, RATE = 0.02, 4000, 50.0
 
 
-def oscillation(frequency, sizes=SIZES, phases=PHASES):
+def oscillation(frequency, sizes=SIZES):
     """Return readings (n, 6) of an oscillation [Hz]."""
     turn = 2 * np.pi * frequency * STEP * np.arange(N_ROWS)
-    return sizes * np.sin(turn[:, None] + phases)
+    return sizes * np.sin(turn[:, None] + PHASES)
 
 
 def covariance_of(shake, seen_by_path=0.0):

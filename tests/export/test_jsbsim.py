@@ -41,15 +41,15 @@ def load(tmp_path, capfd):
     assert "argument" not in "".join(capfd.readouterr())
 
 
-def placed(fdm, model, x, airspeed=AIRSPEED):
+def placed(fdm, model, x):
     """Set a state and controls, and return the coefficients that JSBSim computes."""
     row = dict(zip(model.regressor_names, x, strict=True))
-    fdm["ic/vt-fps"] = airspeed / FOOT
+    fdm["ic/vt-fps"] = AIRSPEED / FOOT
     fdm["ic/h-sl-ft"] = 1000.0
     fdm["ic/alpha-rad"] = row["alpha"]
     fdm["ic/beta-rad"] = row["beta"]
     for rate, length in zip("pqr", model.aircraft.moment_lengths, strict=True):
-        fdm[f"ic/{rate}-rad_sec"] = row.get(f"{rate}_hat", 0.0) * 2 * airspeed / length
+        fdm[f"ic/{rate}-rad_sec"] = row.get(f"{rate}_hat", 0.0) * 2 * AIRSPEED / length
     for surface, largest in FULL.items():
         fdm[f"fcs/{surface}-cmd-norm"] = row[surface] / largest
     fdm["fcs/throttle-cmd-norm"] = row.get("throttle", fdm["fcs/throttle-cmd-norm"])

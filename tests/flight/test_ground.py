@@ -11,9 +11,9 @@ from skdgp.io import read_flight
 STEP = 0.1
 
 
-def taxi_and_flight(seconds_on_ground, seconds_in_flight=60.0):
+def taxi_and_flight(seconds_on_ground):
     """Return a table that stands at 3 m/s, accelerates within 8 s and flies at 30 to 40 m/s."""
-    time = np.arange(-seconds_on_ground, seconds_in_flight, STEP)
+    time = np.arange(-seconds_on_ground, 60.0, STEP)
     rolling = 3.0 + 27.0 * (time + 8.0) / 8.0
     flown = 35.0 + 5.0 * np.sin(time)
     airspeed = np.select([time < -8.0, time < 0.0], [3.0 + 0.5 * np.sin(7 * time), rolling], flown)

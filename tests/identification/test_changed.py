@@ -58,9 +58,9 @@ def changes(model, flights, change=0.0):
     return changes_of(model, unexplained)
 
 
-def several(make, *arguments, n=6):
+def several(make, *arguments):
     """Return flights by their seeds."""
-    return {str(seed): make(seed, *arguments) for seed in range(1, n + 1)}
+    return {str(seed): make(seed, *arguments) for seed in range(1, 7)}
 
 
 def alarms(result, coefficient="whole"):
@@ -73,9 +73,9 @@ def most_alarms(result):
     return (result.p_values < 0.05).mean().max()
 
 
-def p_value(model, flight, coefficient="Cm", change=0.0):
-    """Return the p-value of one flight, whose alpha by Cm may be changed."""
-    return changes(model, {"one": flight}, change).p_values.loc["one", coefficient]
+def p_value(model, flight, change=0.0):
+    """Return the p-value of Cm of one flight, whose alpha by Cm may be changed."""
+    return changes(model, {"one": flight}, change).p_values.loc["one", "Cm"]
 
 
 def test_flights_of_the_same_aircraft_in_other_gusts_raise_few_alarms(model):

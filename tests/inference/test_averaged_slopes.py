@@ -23,9 +23,9 @@ SWITCHES = {
 }
 
 
-def data(n=80):
+def data():
     rng = default_rng(3)
-    X = rng.uniform(-1, 1, (n, 2))
+    X = rng.uniform(-1, 1, (80, 2))
     Y = np.stack([np.sin(3 * X[:, 0]) + X[:, 1], X[:, 0] * X[:, 1] - X[:, 0] ** 2], axis=1)
     return X, Y + 0.05 * rng.normal(size=Y.shape)
 

@@ -13,10 +13,10 @@ from skdgp.kernels import LinearTrend
 NAN = np.nan
 
 
-def samples(n=200):
+def samples():
     rng = default_rng(0)
-    X = rng.standard_normal((n, 3)) @ [[1.0, 0.3, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 1.0]]
-    Y = X @ [[2.0, 0.0], [1.0, -3.0], [0.5, 1.0]] + 0.1 * rng.standard_normal((n, 2))
+    X = rng.standard_normal((200, 3)) @ [[1.0, 0.3, 0.0], [0.0, 1.0, 0.2], [0.0, 0.0, 1.0]]
+    Y = X @ [[2.0, 0.0], [1.0, -3.0], [0.5, 1.0]] + 0.1 * rng.standard_normal((200, 2))
     return X, Y
 
 

@@ -31,15 +31,15 @@ def points(problem):
     return np.concatenate([problem.X[:2], Z[:2], [[9.0, -9.0]]])
 
 
-def assert_moments(posterior, X, n_paths=N_PATHS, bound=5.0):
+def assert_moments(posterior, X):
     """Mean and joint covariance over paths, within what so many of them allow."""
-    values = posterior.paths(n_paths, 0).values(X[None]).swapaxes(1, 2).reshape(n_paths, -1)
+    values = posterior.paths(N_PATHS, 0).values(X[None]).swapaxes(1, 2).reshape(N_PATHS, -1)
     mean, cov = posterior.predict(X).T.ravel(), posterior.covariance(X)
     variance = np.diag(cov)
     off = values - mean
-    assert (np.abs(off.mean(axis=0)) < bound * np.sqrt(variance / n_paths)).all()
-    error = np.abs(off.T @ off / n_paths - cov)
-    assert (error < bound * np.sqrt((np.outer(variance, variance) + cov**2) / n_paths)).all()
+    assert (np.abs(off.mean(axis=0)) < 5.0 * np.sqrt(variance / N_PATHS)).all()
+    error = np.abs(off.T @ off / N_PATHS - cov)
+    assert (error < 5.0 * np.sqrt((np.outer(variance, variance) + cov**2) / N_PATHS)).all()
 
 
 @pytest.fixture(params=[exact, sparse])

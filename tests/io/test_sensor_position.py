@@ -16,10 +16,10 @@ def parameters(name, place=PLACE):
     return {f"{name}_{axis}": value for axis, value in zip("XYZ", place, strict=True)}
 
 
-def inertial(log, number=0):
+def inertial(log):
     """Add an IMU of ArduPilot."""
     ax, ay, az = FORCE.T
-    return log.gyros(T + number * 1e-3, np.sin(T), I=("B", number), AccX=ax, AccY=ay, AccZ=az)
+    return log.gyros(T, np.sin(T), I=("B", 0), AccX=ax, AccY=ay, AccZ=az)
 
 
 def assert_is_placed(table):

@@ -29,8 +29,8 @@ def convolved(
     )
 
 
-def trend(P=3, d=2, seed=1):
-    rng = default_rng(seed)
+def trend(P=3, d=2):
+    rng = default_rng(1)
     return LinearTrend(
         rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, d)), center=rng.normal(size=d)
     )

@@ -27,10 +27,9 @@ from skdgp.kernels import (
 )
 
 
-def coregionalized(kernel, seed=2, **parameters):
+def coregionalized(kernel, **parameters):
     """One shared process and a private one of each of three outputs."""
-    rng = default_rng(seed)
-    amplitude = np.concatenate([rng.uniform(0.5, 2.0, (1, 3)) * [1, -1, 1], np.eye(3)])
+    amplitude = np.concatenate([default_rng(2).uniform(0.5, 2.0, (1, 3)) * [1, -1, 1], np.eye(3)])
     return Coregionalized(kernel, amplitude=amplitude, **parameters)
 
 

@@ -62,9 +62,9 @@ class TestSpacing:
     """Bounds "spacing": no width below n^(-1/d) deviations, of the samples and regressors that count."""
 
     @staticmethod
-    def smallest(X, Y, bounds="spacing", **parameters):
+    def smallest(X, Y, **parameters):
         """Return the smallest widths (M, P, d), over the deviations of the regressors."""
-        kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": bounds}, **parameters)
+        kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": "spacing"}, **parameters)
         least = kernel.initialize(X, Y, 0).parameter_bounds["length_scale"][..., 0]
         std = X.std(axis=0)
         return least / np.where(std > 0, std, 1.0)

@@ -14,7 +14,6 @@ variables: Soderstrom & Stoica 1989, chapter 8). Noises move by Fisher scoring (
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +34,6 @@ from skdgp.estimation._air_start import (
 from skdgp.estimation._kalman import (
     Linearization,
     Pass,
-    Slopes,
     filtered,
     parameter_slopes,
 )
@@ -48,7 +46,6 @@ class FittedRecord(NamedTuple):
     record: Record
     expansion: Expansion
     linear: Linearization
-    slopes: Callable[[slice], Slopes]  # of some steps by parameters and instruments
     filter_pass: Pass
     scores: Matrix
     log_likelihood: float  # of the innovations, but for a constant
@@ -210,7 +207,9 @@ class AirFit:
             noise = self.noise_search.noise(record)
             value = self.parameters.values(self.x, record.flight)
             expansion = Expansion(record, self.layout, value, states, noise.decay[0], self.settings)
-            linear, slopes = expansion.linearization(), expansion.slopes()
+            linear = expansion.linearization()
+            # derivatives of a known aircraft are held
+            slopes = expansion.slopes_of_flight() if self.is_known else expansion.slopes
             filter_pass = filtered(linear, noise)
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovation_covariance))
             e = matrix_vector(L_inverse, filter_pass.innovations)
@@ -231,7 +230,7 @@ class AirFit:
             determinants = np.log(np.einsum("nii->ni", L_inverse)).sum()
             log_likelihood = float(determinants - 0.5 * np.sum(e**2))
             fitted.append(
-                FittedRecord(record, expansion, linear, slopes, filter_pass, scores, log_likelihood)
+                FittedRecord(record, expansion, linear, filter_pass, scores, log_likelihood)
             )
         return sums, fitted
 
@@ -240,11 +239,11 @@ class AirFit:
     ) -> Matrix:
         """Add and return the scores (n - 1, p) of a record.
 
-        With slopes S of whitened innovations e by the parameters of a flight and, behind these, by the
+        With slopes S of whitened innovations e by the estimated parameters of a flight and, behind these, by the
         instruments, ``weighted`` are S^T e of each sample (n - 1, q), and ``products`` the sum of S^T S.
         """
-        places = self.parameters.places[flight]
-        own = np.flatnonzero(places >= self.parameters.n_held)
+        places = self.parameters.free_places(flight)
+        own = np.arange(len(places))
         if has_instruments:
             used = np.arange(self.layout.n_derivatives, len(products))
             of_own = products[np.ix_(used, own)]
@@ -254,7 +253,7 @@ class AirFit:
         else:
             scores = weighted[:, own]
             information = products[np.ix_(own, own)]
-        sums.add(places[own], scores.sum(axis=0), information)
+        sums.add(places, scores.sum(axis=0), information)
         return scores
 
     def block_scores(self, fitted: list[FittedRecord]) -> Matrix:

@@ -20,8 +20,7 @@ slopes by states and derivatives
           \frac{\partial h}{\partial C} \frac{d C}{d z}, \quad
           \frac{d C_i}{d C_{ij}} = \mathrm{term}_j.
 
-Slopes by constants are differences. Constants move the air velocity, the readings, or the loads by surfaces and
-thrust; changes of loads are expressed as errors of the coefficients. Instruments are the slopes by derivatives with
+Slopes by constants are differences of the predictions. Instruments are the slopes by derivatives with
 the terms in the motion that surfaces alone cause.
 
 n samples, m sensors, N states, k parameters of a flight, of which the first d are derivatives of the
@@ -31,7 +30,8 @@ instruments, the last two q together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +39,7 @@ import numpy as np
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
-from skdgp._flight.frames import STANDARD_GRAVITY, cross_matrix
+from skdgp._flight.frames import STANDARD_GRAVITY, air_data, cross, cross_matrix
 from skdgp.dynamics import Aircraft
 from skdgp.estimation._air_model import (
     AIR_ROLL,
@@ -52,6 +52,7 @@ from skdgp.estimation._air_model import (
     Inputs,
     Slipstream,
     differentiated,
+    relative_rates,
     sensors,
 )
 from skdgp.estimation._air_parameters import (
@@ -79,8 +80,6 @@ RATE_STATES = slice(6, 9)
 """Places of the states: the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
 CONSTANTS = (*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS)
 """Parameters of a flight behind the derivatives."""
-LOAD_CONSTANTS = ("servo_lag", "servo_delay", "thrust_scale", "slipstream")
-"""Constants that change the loads by surfaces and thrust."""
 NOT_SAMPLED = 1e12
 """Variance of a sensor where it is not sampled [SI]."""
 CONSTANT_STEP = 1e-5
@@ -160,27 +159,71 @@ class Layout(NamedTuple):
         return by_coefficients[:, :, rows] * terms[:, None, columns]
 
 
-def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> tuple[Matrix, Array]:
-    """Return the velocity relative to the air (n, 3), body axes, and its derivatives by the states (n, 3, N)."""
-    by_state = np.zeros((len(states), 3, N_STATES))
+def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> Matrix:
+    """Return the velocity relative to the air (n, 3), body axes."""
+    wind = stacked(value, *WINDS) + states[:, GUST]
+    air = record.velocity - matrix_vector(record.attitude, wind)
+    air[:, 1] -= states[:, PATH_ERROR_Y]
+    air[:, 2] -= states[:, PATH_ERROR_Z]
+    return air - cross(states[:, RATE_STATES], stacked(value, *ARM))
+
+
+def air_velocity_slopes(record: Record, value: Mapping[str, Any]) -> Array:
+    """Return the slopes of the velocity relative to the air by the states (n, 3, N)."""
+    by_state = np.zeros((len(record.rows), 3, N_STATES))
     by_state[:, :, GUST] = -record.attitude
     by_state[:, 1, PATH_ERROR_Y] = -1.0
     by_state[:, 2, PATH_ERROR_Z] = -1.0
     by_state[:, :, RATE_STATES] = cross_matrix(stacked(value, *ARM))
-    steady = record.velocity - record.attitude @ stacked(value, *WINDS)
-    return steady + matrix_vector(by_state, states), by_state
+    return by_state
 
 
 def slopes_by_constants(
-    function: Callable[[Mapping[str, Any]], Array], value: Mapping[str, Any], names: Sequence[str]
+    function: Callable[[Mapping[str, Any]], Array], value: Mapping[str, Any], names: Iterable[str]
 ) -> Array:
-    """Return the slopes (..., c) of a function (...) of parameters by name, by some of them."""
+    """Return the slopes (..., c) of a function (...) of parameters by name, by some constants."""
     here = function(value)
     slopes = []
     for name in names:
         moved = function({**value, name: value[name] + CONSTANT_STEP})
         slopes.append((moved - here) / CONSTANT_STEP)
     return np.stack(slopes, axis=-1)
+
+
+class RecordModel:
+    """Motion and readings of a record at parameters by name: surfaces are behind the servos."""
+
+    def __init__(self, record: Record, layout: Layout, value: Mapping[str, Any]) -> None:
+        self.record = record
+        self.value = value
+        self.model = layout.model(value)
+        logged = record.inputs
+        step = record.median_step
+        surfaces = servo_output(logged.surfaces, value["servo_lag"], step)
+        late = value["servo_delay"] * np.gradient(surfaces, step, axis=0)
+        thrust = logged.thrust * (1 + value["thrust_scale"])
+        self.inputs = Inputs(surfaces - late, thrust, logged.density)
+        self.end_inputs = self.inputs.part(slice(1, None))
+
+    def variables(self, states: Matrix) -> Matrix:
+        """Return the variables (n, 13) along the recorded path at states (n, N) of the samples."""
+        return _variables(air_velocity(self.record, self.value, states), states)
+
+    def later_variables(self, states: Matrix) -> Matrix:
+        """Return the same at states (n - 1, N) after each step."""
+        later = self.record.part(slice(1, None))
+        return _variables(air_velocity(later, self.value, states), states)
+
+    def moved(self, start: Matrix, drift: Matrix) -> Matrix:
+        """Return the motion (n - 1, 6) after each step from variables (n - 1, 13), in air of a drift (n - 1, 3)."""
+        gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
+        return self.model.step(start, gravity, drift, self.inputs, self.record.time_step)
+
+    def readings(self, end: Matrix) -> Matrix:
+        """Return the readings of the m sensors (n - 1, m) at variables (n - 1, 13) after each step."""
+        loads = self.model.accelerations(end, self.end_inputs)
+        truth = sensors(loads, end, self.record.position + stacked(self.value, *ARM))
+        return SensorErrors.of(self.value).readings(truth)[:, self.record.sampled]
 
 
 class Expansion:
@@ -201,57 +244,45 @@ class Expansion:
     ) -> None:
         self.record = record
         self.layout = layout
-        self.value = value
         self.states = states
         self.settings = settings
-        # of the m sensors that have any sample, after each step
-        self.measured = record.measured[1:, record.sampled]
-        self.model = layout.model(value)
-        self.inputs = self._inputs_at(value)
-        self.end_inputs = self.inputs.part(slice(1, None))
-        self.air, self.air_by_state = air_velocity(record, value, states)
-        tau = self.model.relative_thrust(np.linalg.norm(self.air, axis=1), self.inputs)
+        here = RecordModel(record, layout, value)
+        self.model = here.model
+        self.inputs = here.inputs
+        self.end_inputs = here.end_inputs
+        self.value = value
+        self.air_by_state = air_velocity_slopes(record, value)
+        airspeed = np.linalg.norm(air_velocity(record, value, states), axis=1)
+        tau = self.model.relative_thrust(airspeed, self.inputs)
         self.surface_effect = self.model.slipstream.effect(tau)  # (n, k)
         # gusts and errors of the path decay, and the air velocity with them
         self.remaining = np.exp(-record.time_step[:, None] * decay)
         self.drift_by_state = -self.air_by_state[:-1] * decay
+        self.drift = matrix_vector(self.drift_by_state, states[:-1])
         # variables (n - 1, 13) before and after each step, and after it along the recorded path
-        self.start = _variables(self.air, states)[:-1]
-        motion = self._moved(self.start)
-        self.by_start = differentiated(self._moved, self.start)  # of the motion, (n - 1, 6, 13)
+        self.start = here.variables(states)[:-1]
+        motion = here.moved(self.start, self.drift)
         self.predicted = states[:-1] * self.remaining  # (n - 1, N)
         self.predicted[:, RATE_STATES] = motion[:, BODY_RATES]
         self.end = _variables(motion[:, AIR_VELOCITY], self.predicted)
-        corrected = matrix_vector(self.air_by_state[1:], self.predicted - states[1:])
-        self.along = _variables(self.air[1:] + corrected, self.predicted)
-        self.instants = (self.start, self.end, self.along)
-        self.rows = (slice(-1), slice(1, None), slice(1, None))  # of their inputs
-        self.past_by_end = differentiated(self._readings, self.end)  # (n - 1, m, 13)
-        self.path_by_along = differentiated(self._readings, self.along)
+        self.along = here.later_variables(self.predicted)
+        # measured less predicted, zero where not sampled
+        self.measured = record.measured[1:, record.sampled]
+        self.past_error = np.nan_to_num(self.measured - here.readings(self.end))
+        self.path_error = np.nan_to_num(self.measured - here.readings(self.along))
+        # of the motion, (n - 1, 6, 13), and of the readings, (n - 1, m, 13)
+        self.by_start = differentiated(lambda start: here.moved(start, self.drift), self.start)
+        self.past_by_end = differentiated(here.readings, self.end)
+        self.path_by_along = differentiated(here.readings, self.along)
 
-    def _inputs_at(self, value: Mapping[str, Any]) -> Inputs:
-        """Return the inputs at parameters by name: surfaces behind the servos, and thrust."""
-        logged = self.record.inputs
-        step = self.record.median_step
-        surfaces = servo_output(logged.surfaces, value["servo_lag"], step)
-        late = value["servo_delay"] * np.gradient(surfaces, step, axis=0)
-        thrust = logged.thrust * (1 + value["thrust_scale"])
-        return Inputs(surfaces - late, thrust, logged.density)
-
-    def _moved(self, start: Matrix) -> Matrix:
-        """Return the motion (n - 1, 6) after the step from variables (n - 1, 13) of each sample."""
-        drift = matrix_vector(self.drift_by_state, self.states[:-1])
-        gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
-        return self.model.step(start, gravity, drift, self.inputs, self.record.time_step)
-
-    def _readings(self, end: Matrix) -> Matrix:
-        """Return the readings of the m sensors (n - 1, m) at variables (n - 1, 13) after each step."""
-        return self._readings_at(self.value, self.model.accelerations(end, self.end_inputs), end)
-
-    def _readings_at(self, value: Mapping[str, Any], loads: Matrix, end: Matrix) -> Matrix:
-        """Return the readings at given constants of the sensors, and accelerations (n - 1, 6)."""
-        truth = sensors(loads, end, self.record.position + stacked(value, *ARM))
-        return SensorErrors.of(value).readings(truth)[:, self.record.sampled]
+    def _predictions(self, value: Mapping[str, Any]) -> Matrix:
+        """Return rates after each step, readings of the past and along the path (n - 1, 3 + 2 m) at other constants."""
+        there = RecordModel(self.record, self.layout, value)
+        motion = there.moved(there.variables(self.states)[:-1], self.drift)
+        end = self.end.copy()
+        end[:, MOTION] = motion
+        path = there.readings(there.later_variables(self.predicted))
+        return np.concatenate([motion[:, BODY_RATES], there.readings(end), path], axis=1)
 
     def linearization(self) -> Linearization:
         """Return the linear filter about the states and parameters."""
@@ -261,10 +292,10 @@ class Expansion:
             states=self.states,
             predicted=self.predicted,
             Phi=Phi,
-            past_error=self._errors(self.end),
+            past_error=self.past_error,
             D=D,
             L=self.past_by_end @ end_by_state,
-            path_error=self._errors(self.along),
+            path_error=self.path_error,
             H=self.path_by_along @ end_by_state,
             time_step=self.record.time_step,
             surface_noise=self._surface_noise(),
@@ -283,75 +314,51 @@ class Expansion:
         D[..., AIR_ROLL_STATE] += by_air_roll * self.remaining[:, [AIR_ROLL_STATE]]
         return Phi, D
 
-    def slopes(self) -> Callable[[slice], Slopes]:
-        """Return the slopes by parameters and instruments, as a function of some steps."""
-        layout = self.layout
-        motion_by_coefficients = self.by_start[..., COEFFICIENT_ERRORS]
-        past_by_step = self.past_by_end[..., MOTION] @ motion_by_coefficients
-        past_by_end = self.past_by_end[..., COEFFICIENT_ERRORS]
-        path_by_end = self.path_by_along[..., COEFFICIENT_ERRORS]
-        terms = [
-            self.model.terms(variables, self.inputs.part(rows), variables[:, AIR_ROLL])
-            for variables, rows in zip(self.instants, self.rows, strict=True)
-        ]
-        # terms within a step are the mean of the terms at its ends
-        terms[0] = 0.5 * (terms[0] + terms[1])
-        if layout.by_instruments:
-            caused = self.instrument_terms(self.record.answers)
-            of_instruments = means_of_neighbours(caused), caused[1:], caused[1:]
-            terms = [np.hstack(pair) for pair in zip(terms, of_instruments, strict=True)]
-        step_terms, end_terms, path_terms = terms
-        by_constants = self._slopes_by_constants()
-        m = past_by_end.shape[1]
+    @cached_property
+    def by_constants(self) -> Array:
+        """Slopes of `_predictions` by all constants (n - 1, 3 + 2 m, c)."""
+        return slopes_by_constants(self._predictions, self.value, CONSTANTS)
 
-        def of_steps(steps: slice) -> Slopes:
-            rates = layout.by_terms(motion_by_coefficients[steps, BODY_RATES], step_terms[steps])
-            past = layout.by_terms(past_by_end[steps], end_terms[steps])
-            past += layout.by_terms(past_by_step[steps], step_terms[steps])
-            path = layout.by_terms(path_by_end[steps], path_terms[steps])
-            by_derivatives = np.concatenate([rates, past, path], axis=1)
-            own, of_instruments = np.split(by_derivatives, [layout.n_derivatives], axis=2)
-            values = np.concatenate([own, by_constants[steps], of_instruments], axis=2)
-            rates, past, path = np.split(values, [3, 3 + m], axis=1)
-            states = np.zeros((len(values), N_STATES, values.shape[2]))
-            states[:, RATE_STATES] = rates
-            return Slopes(states, past, path)
+    def slopes_of_flight(self) -> Callable[[slice], Slopes]:
+        """Return the slopes by the constants of a flight alone, as a function of some steps."""
+        values = slopes_by_constants(self._predictions, self.value, FLIGHT_CONSTANTS)
+        return lambda steps: _slopes_of(values[steps])
 
-        return of_steps
+    def slopes(self, steps: slice) -> Slopes:
+        """Return the slopes of some steps by parameters and instruments."""
+        step_terms, end_terms, path_terms = (terms[steps] for terms in self.terms)
+        by_terms = self.layout.by_terms
+        motion_by_errors = self.by_start[steps, :, COEFFICIENT_ERRORS]
+        past_by_errors = self.past_by_end[steps, :, MOTION] @ motion_by_errors
+        rates = by_terms(motion_by_errors[:, BODY_RATES], step_terms)
+        past = by_terms(past_by_errors, step_terms)
+        past += by_terms(self.past_by_end[steps, :, COEFFICIENT_ERRORS], end_terms)
+        path = by_terms(self.path_by_along[steps, :, COEFFICIENT_ERRORS], path_terms)
+        by_derivatives = np.concatenate([rates, past, path], axis=1)
+        own, of_instruments = np.split(by_derivatives, [self.layout.n_derivatives], axis=2)
+        return _slopes_of(np.concatenate([own, self.by_constants[steps], of_instruments], axis=2))
 
-    def _slopes_by_constants(self) -> Array:
-        """Return slopes of rates after each step, readings of the past and along the path (n - 1, 3 + 2 m, c)."""
-        by_loads = slopes_by_constants(self._errors_by_loads, self.value, LOAD_CONSTANTS)
-        of_start, of_end, of_path = by_loads
-        before, after = self.air_by_state[:-1], self.air_by_state[1:]
-        motion = self.by_start @ _by_constants(before, self.start, 0.5 * (of_start + of_end))
-        end = _by_constants(after, self.end, of_end)
-        end[:, MOTION] = motion
-        past = self.past_by_end @ end + self._by_sensors(self.end)
-        along = _by_constants(after, self.along, of_path)
-        path = self.path_by_along @ along + self._by_sensors(self.along)
-        return np.concatenate([motion[:, BODY_RATES], past, path], axis=1)
+    @cached_property
+    def terms(self) -> list[Matrix]:
+        """The terms of the coefficients (n - 1, f or 2 f) in each step, after it, and after it along the path.
 
-    def _errors_by_loads(self, value: Mapping[str, Any]) -> Array:
-        """Return the errors of the coefficients (3, n - 1, 6) that replace all loads at other constants.
-
-        Before each step, after it, and after it along the recorded path.
+        Behind the terms of the derivatives stand those of the instruments.
         """
-        model = self.layout.model(value)
-        inputs = self._inputs_at(value)
-        errors = []
-        for variables, rows in zip(self.instants, self.rows, strict=True):
-            loads = model.accelerations(variables, inputs.part(rows))
-            airspeed = np.linalg.norm(variables[:, AIR_VELOCITY], axis=1)
-            errors.append(self.model.coefficient_errors(loads, airspeed, self.inputs.part(rows)))
-        return np.stack(errors)
+        instants = (self.start, self.end, self.along)
+        inputs = (self.inputs.part(slice(-1)), self.end_inputs, self.end_inputs)
+        start, end, along = map(self._terms_at, instants, inputs)
+        # terms within a step are the mean of the terms at its ends
+        terms = [0.5 * (start + end), end, along]
+        if self.layout.by_instruments:
+            caused = self.instrument_terms(self.record.answers)
+            of_instruments = [means_of_neighbours(caused), caused[1:], caused[1:]]
+            terms = [np.hstack(pair) for pair in zip(terms, of_instruments, strict=True)]
+        return terms
 
-    def _by_sensors(self, end: Matrix) -> Array:
-        """Return slopes of the readings (n - 1, m, c) by constants of the sensors, at variables after each step."""
-        loads = self.model.accelerations(end, self.end_inputs)
-        return slopes_by_constants(
-            lambda value: self._readings_at(value, loads, end), self.value, CONSTANTS
-        )
+    def _terms_at(self, variables: Matrix, inputs: Inputs) -> Matrix:
+        """Return the terms of the coefficients (n - 1, f) at variables (n - 1, 13)."""
+        air = air_data(variables[:, AIR_VELOCITY])
+        return self.model.terms(air, relative_rates(variables), inputs)
 
     def instrument_terms(self, answers: Matrix | None) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
@@ -372,7 +379,8 @@ class Expansion:
         push = B @ means_of_neighbours(moved)[..., None]
         motion = propagated(A, push)[..., 0]
         motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
-        return self.model.terms(motion, commanded._replace(surfaces=late))
+        air = air_data(motion[:, AIR_VELOCITY])
+        return self.model.terms(air, motion[:, BODY_RATES], commanded._replace(surfaces=late))
 
     def _commanded(self, answers: Matrix | None) -> Inputs:
         """Return surfaces and thrust without an autopilot's answers to gusts."""
@@ -383,10 +391,6 @@ class Expansion:
         thrust = inputs.thrust.copy()
         thrust[:, 0] -= answers[:, -1]
         return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
-
-    def _errors(self, end: Matrix) -> Matrix:
-        """Return measured less predicted readings (n - 1, m) at variables after each step, zero where not sampled."""
-        return np.nan_to_num(self.measured - self._readings(end))
 
     def _added_noise(self) -> Array:
         """Return the covariance (n - 1, m, m) of vibration, and huge variances where a sensor is not sampled."""
@@ -434,18 +438,13 @@ def _by_states(air_by_state: Array) -> Array:
     return slopes
 
 
-def _by_constants(air_by_state: Array, variables: Matrix, by_loads: Array) -> Array:
-    """Return d variables of the model / d constants (n, 13, c), from those of the errors by loads (n, 6, 4)."""
-    slopes = np.zeros((len(variables), N_VARIABLES, len(CONSTANTS)))
-    slopes[:, COEFFICIENT_ERRORS, _places(LOAD_CONSTANTS)] = by_loads
-    slopes[:, AIR_VELOCITY, _places(WINDS)] = air_by_state[..., GUST]
-    slopes[:, AIR_VELOCITY, _places(ARM)] = -cross_matrix(variables[:, BODY_RATES])
-    return slopes
-
-
-def _places(names: Sequence[str]) -> list[int]:
-    """Return the places of constants by name."""
-    return [CONSTANTS.index(name) for name in names]
+def _slopes_of(values: Array) -> Slopes:
+    """Return the slopes, from those of rates, readings of the past and along the path (k, 3 + 2 m, q)."""
+    n, height, q = values.shape
+    rates, past, path = np.split(values, [3, (3 + height) // 2], axis=1)
+    states = np.zeros((n, N_STATES, q))
+    states[:, RATE_STATES] = rates
+    return Slopes(states, past, path)
 
 
 def means_of_neighbours(values: Array) -> Array:

@@ -17,7 +17,7 @@ roll of the air, 13 numbers. Coefficients depend on the rate of roll relative to
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -106,50 +106,42 @@ class AirMotionModel:
         """Derivatives of the coefficients by the surfaces, (6, n_surfaces)."""
         return self.derivatives[:, len(STATE_TERMS) :]
 
-    def terms(self, motion: Array, inputs: Inputs, air_roll: Any = 0.0) -> Array:
-        """Return the values (..., k) of the terms of the coefficients, by air velocity and rates (..., 6 or more).
+    def terms(self, air: tuple[Array, Array, Array], rates: Array, inputs: Inputs) -> Array:
+        """Return the values (..., k) of the terms of the coefficients.
 
-        The air rolls at the rate ``air_roll`` (...) [rad/s].
+        By airspeed, alpha and beta (...), and rates relative to the air (..., 3).
         """
-        airspeed, alpha, beta = air_data(motion[..., AIR_VELOCITY])
+        airspeed, alpha, beta = air
         half_lengths = 0.5 * self.aircraft.moment_lengths
         tau = self.relative_thrust(airspeed, inputs)
         # in the order of `STATE_TERMS`
         angles = np.stack([np.ones_like(alpha), alpha, alpha**2, beta], axis=-1)
-        rates = motion[..., BODY_RATES].copy()
-        rates[..., 0] -= air_roll
-        rates *= half_lengths / airspeed[..., None]
+        scaled_rates = rates * half_lengths / airspeed[..., None]
         surfaces = inputs.surfaces * self.slipstream.effect(tau)
-        return np.concatenate([angles, rates, tau[..., None], surfaces], axis=-1)
+        return np.concatenate([angles, scaled_rates, tau[..., None], surfaces], axis=-1)
 
     def accelerations(self, state: Array, inputs: Inputs) -> Array:
         """Return specific force and angular acceleration (..., 6) at variables (..., 13)."""
         rates = state[..., BODY_RATES]
-        terms = self.terms(state, inputs, state[..., AIR_ROLL])
+        air = air_data(state[..., AIR_VELOCITY])
+        terms = self.terms(air, relative_rates(state), inputs)
         coefficients = terms @ self.derivatives.T + state[..., COEFFICIENT_ERRORS]
-        airspeed = np.linalg.norm(state[..., AIR_VELOCITY], axis=-1)
-        force, moment = aerodynamic_loads(coefficients, airspeed, inputs.density, self.aircraft)
+        force, moment = aerodynamic_loads(coefficients, air[0], inputs.density, self.aircraft)
         specific_force = (force + inputs.thrust[:, :3]) / self.aircraft.mass
         moment = moment + inputs.thrust[:, 3:] - gyroscopic_moment(rates, self.aircraft)
         spin = moment @ self.aircraft.inertia_inverse
         return np.concatenate([specific_force, spin], axis=-1)
 
-    def coefficient_errors(self, accelerations: Matrix, airspeed: Vector, inputs: Inputs) -> Matrix:
-        """Return the errors of the coefficients (n, 6) that change `accelerations` by (n, 6)."""
-        force = self.aircraft.mass * accelerations[:, :3]
-        moment = accelerations[:, 3:] @ self.aircraft.inertia
-        pressure = dynamic_pressure(airspeed, inputs.density)[:, None]
-        loads = np.concatenate([force, moment / self.aircraft.moment_lengths], axis=1)
-        return loads / (pressure * self.aircraft.wing_area)
-
     def coefficients(
-        self, specific_force: Matrix, rates: Matrix, spin: Matrix, air: Matrix, inputs: Inputs
+        self, specific_force: Matrix, rates: Matrix, spin: Matrix, airspeed: Vector, inputs: Inputs
     ) -> Matrix:
         """Return the coefficients (n, 6) at which `accelerations` are ``specific_force`` and ``spin``."""
-        state = np.concatenate([air, rates, np.zeros((len(air), 7))], axis=1)
-        lacking = np.concatenate([specific_force, spin], axis=1) - self.accelerations(state, inputs)
-        errors = self.coefficient_errors(lacking, np.linalg.norm(air, axis=1), inputs)
-        return np.asarray(self.terms(state, inputs) @ self.derivatives.T + errors)
+        aircraft = self.aircraft
+        force = aircraft.mass * specific_force - inputs.thrust[:, :3]
+        moment = spin @ aircraft.inertia + gyroscopic_moment(rates, aircraft) - inputs.thrust[:, 3:]
+        loads = np.concatenate([force, moment / aircraft.moment_lengths], axis=1)
+        pressure = dynamic_pressure(airspeed, inputs.density)[:, None]
+        return loads / (pressure * aircraft.wing_area)
 
     def step(
         self, start: Array, gravity: Matrix, drift: Matrix, inputs: Inputs, time_step: Vector
@@ -159,12 +151,13 @@ class AirMotionModel:
         The method of Runge & Kutta. ``drift`` (n - 1, 3) is the acceleration of the air seen from
         the aircraft, ``gravity`` (n - 1, 3) that in body axes at the start.
         """
+        within = {fraction: inputs.between(fraction) for fraction in (0.0, 0.5, 1.0)}
 
         def change(fraction: float, state: Array) -> Array:
             """Return the change of variables and gravity (..., n - 1, 16) in a step at its rate of change."""
             rates = state[..., BODY_RATES]
             down = state[..., N_VARIABLES:]
-            loads = self.accelerations(state[..., :N_VARIABLES], inputs.between(fraction))
+            loads = self.accelerations(state[..., :N_VARIABLES], within[fraction])
             derivative = np.zeros_like(state)
             derivative[..., AIR_VELOCITY] = (
                 loads[..., :3] + down - cross(rates, state[..., AIR_VELOCITY]) + drift
@@ -181,6 +174,13 @@ class AirMotionModel:
         """Return thrust over dynamic pressure and wing area (..., n)."""
         pressure = dynamic_pressure(airspeed, inputs.density)
         return inputs.thrust[:, 0] / (pressure * self.aircraft.wing_area)
+
+
+def relative_rates(state: Array) -> Array:
+    """Return the rates relative to the air (..., 3) at variables (..., 13)."""
+    rates = state[..., BODY_RATES].copy()
+    rates[..., 0] -= state[..., AIR_ROLL]
+    return rates
 
 
 def sensors(loads: Array, state: Array, arm: Vector) -> Array:

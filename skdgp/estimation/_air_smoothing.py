@@ -24,6 +24,7 @@ from skdgp.estimation._air_linearization import (
     N_STATES,
     RATE_STATES,
     air_velocity,
+    air_velocity_slopes,
     slopes_by_constants,
 )
 from skdgp.estimation._air_parameters import (
@@ -60,9 +61,9 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     layout = fit.layout
     states, P = smoothed(item.linear, item.filter_pass)
     value = fit.parameters.values(fit.x, record.flight)
-    air, air_by_state = air_velocity(record, value, states)
+    air = air_velocity(record, value, states)
     G = np.zeros((len(air), len(ESTIMATED), N_STATES))
-    G[:, OF_AIR_DATA] = air_data_slopes(air) @ air_by_state
+    G[:, OF_AIR_DATA] = air_data_slopes(air) @ air_velocity_slopes(record, value)
     G[:, OF_RATES, RATE_STATES] = np.eye(3)
     G[:, OF_WIND, GUST] = np.eye(3)
     # the first parameters of a flight are derivatives, and what is behind them instruments
@@ -75,7 +76,7 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     variance = _variances(G, P)
     # the first sample has its states from no other
     variance[:1] += _variances(by_constants[:1], C[layout.n_derivatives :, layout.n_derivatives :])
-    for steps, _, Z in parameter_slopes(item.linear, item.filter_pass, item.slopes):
+    for steps, _, Z in parameter_slopes(item.linear, item.filter_pass, item.expansion.slopes):
         rows = slice(steps.start + 1, steps.stop + 1)
         s = G[rows] @ Z[..., :n]
         s[..., layout.n_derivatives :] += by_constants[rows]
@@ -85,7 +86,7 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
 
 def _estimated(record: Record, value: Mapping[str, Any], states: Matrix) -> Matrix:
     """Return air data, rates and wind (n, 9) at parameters by name and states (n, N)."""
-    air, _ = air_velocity(record, value, states)
+    air = air_velocity(record, value, states)
     wind = states[:, GUST] + stacked(value, *WINDS)
     return np.column_stack([*air_data(air), states[:, RATE_STATES], wind])
 

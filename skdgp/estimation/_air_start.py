@@ -15,6 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.frames import air_data
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
 from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters, Sums
 from skdgp.estimation._air_records import Record
@@ -77,14 +78,14 @@ class SteadyRegression:
     def __call__(self, record: Record, x: Vector) -> tuple[Matrix, Matrix]:
         """Return terms (n, f) and coefficients (n, 6) at parameters x."""
         value = self.parameters.values(x, record.flight)
-        air, _ = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
+        air = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
         width = 2 * round(self.settings.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
         model = self.layout.model(value)
-        coefficients = model.coefficients(record.force, record.rates, spin, air, record.inputs)
-        state = np.concatenate([air, record.rates], axis=1)
-        return model.terms(state, record.inputs), coefficients
+        flow = air_data(air)
+        coefficients = model.coefficients(record.force, record.rates, spin, flow[0], record.inputs)
+        return model.terms(flow, record.rates, record.inputs), coefficients
 
     def derivatives(self, records: list[Record], x: Vector) -> Vector:
         """Return parameters with derivatives by least squares, but slopes by alpha and beta as in x.

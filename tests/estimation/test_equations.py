@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from skdgp.dynamics import Aircraft, euler_to_matrix
+from skdgp.dynamics import Aircraft, air_data, euler_to_matrix
 from skdgp.estimation import FlightPath, flights_of
 from skdgp.estimation._air_covariance import (
     add_attenuation,
@@ -123,7 +123,7 @@ def linearized(*parts):
 
 
 def slopes_at(*parts):
-    return expanded(*parts).slopes()(slice(None))
+    return expanded(*parts).slopes(slice(None))
 
 
 def differences(change):
@@ -220,7 +220,7 @@ def test_roll_of_the_air_is_no_roll_of_the_aircraft():
     rolling[:, -1] = 0.2
     inputs = record.inputs.part(slice(1))
     change = model.accelerations(rolling, inputs) - model.accelerations(still, inputs)
-    terms = model.terms(still, inputs)
+    terms = model.terms(air_data(still[:, :3]), still[:, 3:6], inputs)
     by_roll = np.zeros(terms.shape[1])
     by_roll[STATE_TERMS.index("p")] = -0.2 * AIRCRAFT.span / (2 * np.linalg.norm(still[0, :3]))
     errors = still.copy()

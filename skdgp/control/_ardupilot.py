@@ -63,22 +63,14 @@ NO_PULSE = 500
 ROW_STEP = 0.0199
 
 
-class Packet(NamedTuple):
-    """What ArduPilot sends: the steps a second that it asks for, the number of the step, and pulses [us]."""
-
-    rate: int
-    number: int
-    pulses: tuple[int, ...]
-
-
-def read_packet(data: bytes) -> Packet | None:
-    """Return a packet of ArduPilot, or None if the bytes are none."""
+def read_packet(data: bytes) -> tuple[int, int, list[int]] | None:
+    """Return steps a second that ArduPilot asks for, number of the step and pulses [us], None if the bytes are none."""
     for magic, n_pulses in PULSES.items():
         layout = f"<HHI{n_pulses}H"
         if len(data) == struct.calcsize(layout):
-            first, rate, count, *pulses = struct.unpack(layout, data)
+            first, rate, number, *pulses = struct.unpack(layout, data)
             if first == magic:
-                return Packet(rate, count, tuple(pulses))
+                return rate, number, pulses
     return None
 
 
@@ -190,7 +182,7 @@ def bind(link: socket.socket, address: str, port: int) -> None:
         ) from error
 
 
-def receive(link: socket.socket, wait: float) -> tuple[Packet, Any] | None:
+def receive(link: socket.socket, wait: float) -> tuple[Any, Any] | None:
     """Return the next packet and its sender, or None if none comes within ``wait`` [s]; warn of other bytes."""
     end = time.monotonic() + wait
     while (left := end - time.monotonic()) > 0:
@@ -367,17 +359,17 @@ class _Flights:
             received = receive(link, wait)
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
-            packet, sender = received
+            (rate, number, pulses), sender = received
             is_another = sender != autopilot
             # ArduPilot repeats a packet whose answer it did not get
-            if packet.number != last or is_another:
-                if packet.number < last or is_another:
+            if number != last or is_another:
+                if number < last or is_another:
                     self._start()
                     self.n_starts += 1
-                last, autopilot = packet.number, sender
+                last, autopilot = number, sender
                 began = time.perf_counter()
-                commands = self.steady.controls | commands_of(packet.pulses, self.servos)
-                duration = min(1.0 / max(packet.rate, 1), LONGEST_FRAME)
+                commands = self.steady.controls | commands_of(pulses, self.servos)
+                duration = min(1.0 / max(rate, 1), LONGEST_FRAME)
                 if reason := self._advance(commands, duration):
                     return f"the flight ended after {self.simulator.time:.1f} s: {reason}"
                 line = self._readings()

@@ -388,16 +388,12 @@ class _Stability(NamedTuple):
         K = _gains(self.linear, loops, self.s)
         unstable = np.zeros((len(self.axes[0].roots), len(loops)), dtype=bool)
         for axis in self.axes:
-            is_unstable = self._n_right(axis.characteristic(K)) > 0
+            angle = np.unwrap(np.angle(axis.characteristic(K)), axis=-1)
+            is_unstable = np.round((angle[:, 0] - angle[:, -1]) / np.pi) > 0
             # of both axes together only what neither has alone
             is_new = ~unstable[:, axis.loops].any(axis=1)
             unstable[:, axis.loops] |= (is_unstable & is_new)[:, None]
         return unstable
-
-    def _n_right(self, characteristic: Array) -> Array:
-        """Return the number of roots on the right of the curve, (1 + n_paths,)."""
-        angle = np.unwrap(np.angle(characteristic), axis=-1)
-        return np.round((angle[:, 0] - angle[:, -1]) / np.pi)
 
     def causes(self, loops, unstable: Mask) -> dict[str, float]:
         """Return the modes by which the closed loops are unstable, and the fractions of the paths, or of the mean.

@@ -311,9 +311,19 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
         if "regressors" in described:
             n_before = number
     behind = steps[n_before:]
-    _check_unscaled(steps[:n_before])
-    if "regressors" not in known:
-        known["regressors"] = _names_of_table(behind[0], type(model).__name__)
+    scalers = [type(step).__name__ for step in steps[:n_before] if isinstance(step, SCALERS)]
+    if scalers:
+        raise ValueError(
+            f"Got {scalers} before the choice of regressors, but expected flight channels in their units "
+            "there, as a simulation gives them: put it behind RegressorSelector."
+        )
+    names = known.get("regressors", vars(behind[0]).get("feature_names_in_"))
+    if names is None:
+        raise ValueError(
+            f"Got a {type(model).__name__} whose regressors have no names: put RegressorSelector([...]) into the "
+            "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
+        )
+    known["regressors"] = list(names)
     known |= _described(unwrap(model))
     seconds = known.pop("seconds", None)
     coefficients = Coefficients(behind, len(known["regressors"]), seconds)
@@ -335,27 +345,6 @@ def as_aerodynamics(model: Aerodynamics | BaseEstimator) -> Aerodynamics:
 def _described(step: Any) -> dict[str, Any]:
     """Return what a fitted step or pipeline knows for a simulation."""
     return dict(step.in_simulation()) if isinstance(step, Described) else {}
-
-
-def _names_of_table(estimator: Any, model: str) -> list[str]:
-    """Return the names of the columns that an estimator learned from."""
-    names = vars(estimator).get("feature_names_in_")
-    if names is None:
-        raise ValueError(
-            f"Got a {model} whose regressors have no names: put RegressorSelector([...]) into the "
-            "pipeline, fit on a DataFrame, or give Aerodynamics(model.predict, regressors=[...])."
-        )
-    return list(names)
-
-
-def _check_unscaled(steps: list) -> None:
-    """Raise ValueError if scalers stand before the choice of regressors."""
-    scalers = [type(step).__name__ for step in steps if isinstance(step, SCALERS)]
-    if scalers:
-        raise ValueError(
-            f"Got {scalers} before the choice of regressors, but expected flight channels in their units "
-            "there, as a simulation gives them: put it behind RegressorSelector."
-        )
 
 
 class Coefficients:

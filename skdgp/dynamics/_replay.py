@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array, Indices
-from skdgp._flight.channels import COEFFICIENTS, EARTH_VELOCITY, EULER, POSITION, RATES
+from skdgp._flight.channels import EARTH_VELOCITY, EULER, POSITION, RATES
 from skdgp._flight.clock import true_runs
 from skdgp._flight.frames import STANDARD_GRAVITY, wrapped_near
 from skdgp._flight.tables import FlightTable
@@ -77,7 +77,11 @@ def replay(
     flight = flights.table
     time = flights.time
     measured = table_states(flight)
-    _check_coefficients(coefficients, len(flight))
+    if np.shape(coefficients) != (len(flight), 6):
+        raise ValueError(
+            f"Got coefficients of shape {np.shape(coefficients)}, but expected ({len(flight)}, 6): six at every row of "
+            "the flight."
+        )
     aerodynamic = aerodynamic_loads(coefficients, flight["airspeed"], flight["density"], aircraft)
     propulsive = propulsive_loads(flight, aircraft, thrust)
     loads = np.hstack(aerodynamic) + np.hstack(propulsive)
@@ -93,15 +97,6 @@ def replay(
     rows = np.minimum(first + steps[:, None], last)  # a shorter window repeats its last row
     states = _integrated(measured, loads, time, rows, aircraft, gravity)
     return _table(flight, rows, states, horizon)
-
-
-def _check_coefficients(coefficients: ArrayLike, n: int) -> None:
-    """Raise ValueError if there are not six coefficients at every row of a flight."""
-    if np.shape(coefficients) != (n, 6):
-        raise ValueError(
-            f"Got coefficients of shape {np.shape(coefficients)}, but expected ({n}, 6): "
-            f"{', '.join(COEFFICIENTS)} at every row of the flight."
-        )
 
 
 def _table(flight: pd.DataFrame, rows: Indices, states: Array, horizon: float) -> pd.DataFrame:

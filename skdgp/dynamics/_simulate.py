@@ -18,7 +18,6 @@ from skdgp._flight.frames import by_components
 from skdgp._flight.tables import check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, Drift, separate_generator
 from skdgp.dynamics._air import (
-    AirAt,
     LocalAir,
     Turbulence,
     as_air,
@@ -160,7 +159,8 @@ def simulate(
     names = {*motion.inputs, *PROPULSION}
     commands = control_schedule(controls, tables, clock, names, n_starts)
     states = initial_states(starts, partial(air_schedule, 0))
-    speeds = _airspeeds(states, air_schedule)
+    wind = air_schedule(0, states).velocity(states[:, ATTITUDE])
+    speeds = channels(states, wind)["airspeed"]
     turbulence = _turbulence_met(given_air.gusts, winds, motion, speeds, n_paths)
     drifts = None
     if n_paths is not None:
@@ -186,12 +186,6 @@ def simulate(
     table_times = [float(table["time"].iloc[0]) for table in tables]
     first_times = np.broadcast_to(table_times or 0.0, n_starts)
     return trajectory_table(record, motion, farthest, first_times)
-
-
-def _airspeeds(states: Array, air: AirAt) -> Vector:
-    """Return the airspeed of starts (n, 13)."""
-    wind = air(0, states).velocity(states[:, ATTITUDE])
-    return channels(states, wind)["airspeed"]
 
 
 def _turbulence_met(

@@ -85,12 +85,15 @@ def errors_of_sizes(
     Ixz by e sqrt(Ixx Izz) leaves N / Izz in the moment L, and L / Ixx in N: dCl = -e sqrt(Ixx / Izz) Cn and
     dCn = -e sqrt(Izz / Ixx) Cl, from L = Ixx p_dot - Ixz r_dot + ... One of the thrust is ``added``.
     """
+    # powers in the slopes by p b / 2V and p_dot (b / 2V)^2, those by controls have -1
+    of_regressors = {name: {length: -1.0} for name, length in RATE_LENGTHS.items()}
+    of_regressors |= {name: {length: -2.0} for name, length in ACCELERATION_LENGTHS.items()}
     ratio = np.sqrt(inertia[0, 0] / inertia[2, 2])
     endings = ["", *(f"_{name}" for name in regressors)]
     errors = []
     for factor in deviations.values():
         of_coefficients = [_power(POWERS[name], factor) for name in COEFFICIENTS]
-        of_slopes = [_power(_powers_of_slope(name), factor) for name in regressors]
+        of_slopes = [_power(of_regressors.get(name, {name: -1.0}), factor) for name in regressors]
         error = values * np.add.outer(of_coefficients, [0.0, *of_slopes])
         product = factor.powers.get(PRODUCT, 0.0)
         error[3] -= product * ratio * values[5]
@@ -99,15 +102,6 @@ def errors_of_sizes(
             row += [factor.added.get(name + ending, 0.0) for ending in endings]
         errors.append(factor.std * error)
     return np.array(errors)
-
-
-def _powers_of_slope(regressor: str) -> dict[str, float]:
-    """Return the powers of quantities in the slope by a regressor: p b / 2V, p_dot (b / 2V)^2, or a control."""
-    if regressor in ACCELERATION_LENGTHS:
-        return {ACCELERATION_LENGTHS[regressor]: -2.0}
-    if regressor in RATE_LENGTHS:
-        return {RATE_LENGTHS[regressor]: -1.0}
-    return {regressor: -1.0}
 
 
 def _power(powers: Mapping[str, float], factor: ScaleFactor) -> float:
@@ -194,23 +188,21 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     ``sizes`` are mass, span, wing_area, chord, length, None where not given.
     """
     check_choice("kind", kind, KINDS)
-    factors = _factors(KINDS[kind], f"usual of {kind} aircraft", inertia is not None, sizes)
+    usual = f"usual of {kind} aircraft"
+    factors = _factors(KINDS[kind], usual, inertia is not None, sizes)
     values = {name: factor.value for name, factor in factors.items()}
     is_length_given = sizes["length"] is not None
     derived = _sizes(values, is_length_given)
     deviations = {}
-    for name, factor in factors.items():
-        if factor.std > 0:
+    for name, (_, std, source, is_estimate) in factors.items():
+        if std > 0:
             powers = _powers(values, name, is_length_given)
-            deviations[name] = ScaleFactor(
-                factor.std, powers, factor.source, is_estimate=factor.is_estimate
-            )
+            deviations[name] = ScaleFactor(std, powers, source, is_estimate=is_estimate)
     result = {name: derived[name] for name in QUANTITIES}
     if inertia is None:
         inertia = np.diag([derived[moment] for moment in MOMENTS])
-        source = f"none, usual of {kind} aircraft"
         deviations["product of inertia"] = ScaleFactor(
-            PRODUCT_STD, {PRODUCT: 1.0}, source, is_estimate=True
+            PRODUCT_STD, {PRODUCT: 1.0}, f"none, {usual}", is_estimate=True
         )
     return result | {"inertia": inertia, "deviations": deviations}
 

@@ -98,10 +98,8 @@ class Trim:
 
     def __repr__(self) -> str:
         values = {name: vars(self)[name] for name in FLIGHT[1:]} | self.controls
-        parts = [f"{name} {value:.4g}" for name, value in values.items()]
-        if self.beyond:
-            parts.append(f"beyond training in {', '.join(self.beyond)}")
-        return f"Trim({self.airspeed:g} m/s, {', '.join(parts)})"
+        parts = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+        return f"Trim({self.airspeed:g} m/s, {parts}, beyond training in {[*self.beyond]})"
 
 
 def trim(

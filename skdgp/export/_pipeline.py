@@ -75,7 +75,10 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     ('alpha', 'q', 'airspeed')
     """
     check_aircraft(aircraft)
-    regressor = _fitted_regressor(pipeline)
+    regressor = pipeline[-1] if isinstance(pipeline, Pipeline) else pipeline
+    if regressor is pipeline or not isinstance(regressor, DependentGPRegressor):
+        raise ValueError(f"Got {type(regressor).__name__} at the end, which has no form. {REMEDY}")
+    check_is_fitted(pipeline)
     simulated = as_aerodynamics(pipeline)
     learned = simulated.learned
     if learned is None:
@@ -108,27 +111,13 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         provenance=plain(facts | {"inference": regressor.inference_}),
         reference=_reference(learned, samples),
     )
-    _check_names(model)
-    return model
-
-
-def _fitted_regressor(pipeline: Pipeline) -> DependentGPRegressor:
-    """Return the last step of a fitted pipeline; raise ValueError at any other."""
-    last = pipeline[-1] if isinstance(pipeline, Pipeline) else pipeline
-    if last is pipeline or not isinstance(last, DependentGPRegressor):
-        raise ValueError(f"Got {type(last).__name__} at the end, which has no form. {REMEDY}")
-    check_is_fitted(pipeline)
-    return last
-
-
-def _check_names(model: PortableModel) -> None:
-    """Raise ValueError at names that other programs cannot write."""
     names = dict.fromkeys((*model.columns, *model.regressor_names, *model.outputs))
     if strange := [name for name in names if not re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII)]:
         raise ValueError(
             f"Got columns {strange}, but exports need names of letters, digits and underscores: "
             f"rename them in the flights, and learn again."
         )
+    return model
 
 
 def _reference(learned: Any, samples: Matrix) -> Reference:

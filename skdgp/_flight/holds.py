@@ -87,10 +87,9 @@ def fresh_rows(values: Matrix) -> Indices | None:
     The channels change after multiples of a steady period of two or more rows. A sample may equal
     the one before: between changes the clock goes on.
     """
-    is_sampled = np.isfinite(values).any(axis=0)
-    values = values[:, is_sampled]
-    whole = np.isfinite(values).all(axis=1)
-    if not is_sampled.any() or whole.mean() < HOLDS.sampled:
+    values = values[:, np.isfinite(values).any(axis=0)]
+    is_whole = np.isfinite(values).all(axis=1)
+    if not values.size or is_whole.mean() < HOLDS.sampled:
         return None
     changes = 1 + np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
     return clock_rows(changes, len(values))
@@ -111,10 +110,9 @@ def clock_rows(changes: Indices, n: int) -> Indices | None:
         return None
     before = np.arange(changes[0] - period, -0.5, -period)
     after = np.arange(changes[-1], n - 0.5, period)
-    ticks = [before, after]
-    for first, last, number in zip(changes[:-1], changes[1:], n_periods, strict=True):
-        ticks.append(np.linspace(first, last, int(number), endpoint=False))
-    return np.unique(np.rint(np.concatenate(ticks)).astype(int))
+    number = np.append(0, np.cumsum(n_periods))
+    between = np.interp(np.arange(number[-1]), number, changes)
+    return np.unique(np.rint(np.concatenate([before, between, after])).astype(int))
 
 
 def interpolated_rows(time: Vector, values: Vector) -> Indices | None:
@@ -167,15 +165,14 @@ def between_samples(flights: FlightTable, holds: Iterable[Hold]) -> dict[str, Ve
             values = flights.column(name)
             columns[name] = values.copy()
             for run in flights.segments:
-                rows = np.arange(run.start, run.stop)
-                is_sample = ~hold.repeated[run] & np.isfinite(values[run])
-                between = rows[hold.repeated[run] & np.isfinite(values[run])]
-                if not len(between) or is_sample.sum() < 2:
-                    continue
-                samples = rows[is_sample]
-                spline = CubicSpline(flights.time[samples], values[samples])
-                first, last = flights.time[samples[[0, -1]]]
-                columns[name][between] = spline(np.clip(flights.time[between], first, last))
+                time = flights.time[run]
+                is_measured = np.isfinite(values[run])
+                samples = is_measured & ~hold.repeated[run]
+                between = is_measured & hold.repeated[run]
+                if between.any() and samples.sum() > 1:
+                    spline = CubicSpline(time[samples], values[run][samples])
+                    first, last = time[samples][[0, -1]]
+                    columns[name][run][between] = spline(np.clip(time[between], first, last))
     return columns
 
 

@@ -43,8 +43,6 @@ USUAL = {
 # 90 % of a roll or heading turn slower [rad/s]; less than a jump by 360 degrees
 FASTEST_TURN = 2 * np.pi
 FASTEST_JUMP = 300.0
-# median of the size of an angle in degrees, but for roll and heading
-LARGEST_MIDDLE = 30.0
 # [rad], 40 degrees: larger deflections may be commands; the largest of seven logs is 0.31
 LARGEST_DEFLECTION = 0.7
 # least median specific force with gravity, in g
@@ -222,29 +220,18 @@ def check_units(flights: FlightTable) -> None:
 def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
     """Raise ValueError if angles or rates of ``names`` are in degrees; absent ones pass."""
     degrees: dict[str, float] = {}
-    shifted: dict[str, float] = {}
     present = {*names} & {*table.columns}
     for name, usual in USUAL.items():
-        if name not in present:
-            continue
-        sizes = np.abs(table[name].to_numpy(float, na_value=np.nan))
-        top = _quantile(sizes, 0.99)
-        if top > usual and not is_unwrapped(table, name):
-            degrees[name] = round(top, 1)
-            middle = _quantile(sizes, 0.5)
-            if middle > LARGEST_MIDDLE and name not in WRAPPED:
-                shifted[name] = round(middle, 1)
-    if shifted:
-        raise ValueError(
-            f"Got {shifted} as medians of angles, more than an aircraft flies at even in degrees: "
-            f"these look like the values of another column. Check that each name in the header "
-            f"stands above its own values."
-        )
+        if name in present:
+            top = _quantile(np.abs(table[name].to_numpy(float, na_value=np.nan)), 0.99)
+            if top > usual and not is_unwrapped(table, name):
+                degrees[name] = round(top, 1)
     if degrees:
         raise ValueError(
             f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "
-            f"per second: these look like degrees. Convert them with numpy.deg2rad, or say the "
-            f"unit in the header, as in 'alpha [deg]'.{_how_to_wrap(*degrees)}"
+            f"per second: these look like degrees. Convert them with numpy.deg2rad, or say the unit in "
+            f"the header, as in 'alpha [deg]'. If they are the values of another column, correct the "
+            f"header.{_how_to_wrap(*degrees)}"
         )
 
 

@@ -64,7 +64,7 @@ class TestUnitsThatNumbersGiveAway:
         """A name is missing in the header, so the airspeed stands under alpha."""
         rows = table(alpha=0.05)[["time", "airspeed", "alpha", "q"]]
         shifted = rows.set_axis(["time", "alpha", "q", "extra"], axis="columns")
-        refused("look like the values of another column", shifted)
+        refused("the values of another column", shifted)
 
     def test_one_bad_sample_is_not_a_unit(self, read):
         alpha = np.full(500, 0.05)

@@ -129,11 +129,10 @@ def read_flight(
                     "with tables: its columns follow from its messages."
                 )
             return _from_autopilot(path, flight, servos, airborne)
-        is_given = {"servos": servos is not None, "airborne": not isinstance(airborne, bool)}
-        refused = [name for name, given in is_given.items() if given]
-        if refused:
+        if servos is not None or not isinstance(airborne, bool):
             raise FlightReadError(
-                f"Got {refused} for a table, but expected these only with logs of autopilots."
+                f"Got servos={servos}, airborne={airborne} for a table, but expected a servo file and a speed "
+                "only with logs of autopilots."
             )
         table = _unrounded(_from_table(path, flight, dict(rename or {})))
         return without_ground(table, path.name) if airborne else table
@@ -176,13 +175,14 @@ def _unrounded(table: pd.DataFrame) -> pd.DataFrame:
     clock = FlightTable.of(table).clock
     times = clock.time.copy()
     for flight, rows in clock.rows.items():
-        coarsest = 0.0
-        gap = CLOCK.gap * np.median(np.diff(clock.time[rows], prepend=-np.inf))
-        for run in runs_between(clock.time[rows], gap):
-            times[rows[run]], resolution = unrounded(clock.time[rows[run]])
-            coarsest = max(coarsest, resolution)
-        if coarsest:
-            numbers = {"resolution": coarsest}
+        time = clock.time[rows]
+        gap = CLOCK.gap * np.median(np.diff(time, prepend=-np.inf))
+        resolutions = []
+        for run in runs_between(time, gap):
+            times[rows[run]], resolution = unrounded(time[run])
+            resolutions.append(resolution)
+        if any(resolutions):
+            numbers = {"resolution": max(resolutions)}
             report(Finding(Code.TIMES_RESTORED, flight=flight, numbers=numbers))
     restored = table.assign(time=times)
     restored.attrs = table.attrs

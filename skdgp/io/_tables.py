@@ -207,9 +207,9 @@ def _parsed(rows: str, names: list[str], separator: str) -> pd.DataFrame:
     """
     named = [name for name in names if name]
     numbers = [name for name in named if is_number(name)]
-
-    def parsed(decimal: str) -> pd.DataFrame:
-        return pd.read_csv(
+    tables = []
+    for decimal in "." if separator == "," else ".,":
+        table = pd.read_csv(
             io.StringIO(rows),
             sep=separator,
             decimal=decimal,
@@ -221,15 +221,10 @@ def _parsed(rows: str, names: list[str], separator: str) -> pd.DataFrame:
             skipinitialspace=True,
             low_memory=False,
         )
-
-    def n_numeric(table: pd.DataFrame) -> int:
-        return sum(map(pd.api.types.is_numeric_dtype, table[numbers].dtypes))
-
-    table = parsed(".")
-    if separator == "," or n_numeric(table) == len(numbers):
-        return table
-    by_comma = parsed(",")
-    return by_comma if n_numeric(by_comma) > n_numeric(table) else table
+        is_numeric = table[numbers].dtypes.map(pd.api.types.is_numeric_dtype)
+        tables.append((is_numeric.sum(), table))
+    _, table = max(tables, key=lambda item: item[0])
+    return table
 
 
 def _records(lines: list[str], separator: str) -> Any:

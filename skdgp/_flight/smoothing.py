@@ -60,11 +60,6 @@ TOO_SHORT = (
     f"A flight has no gap-free stretch of {SMOOTHING.least_samples} samples: too short to tell "
     "noise from signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
 )
-NO_RATE = (
-    "A segment of a single sample has no rate of change: its derivative is NaN. Drop isolated "
-    "samples, or give the whole flight at its full rate."
-)
-
 LowPass: TypeAlias = Callable[[Matrix, float], Matrix]
 """Filter of equidistant channels (n, k) of a rate [Hz]."""
 
@@ -102,17 +97,14 @@ def smooth(
     if not (callable(cutoff) or isinstance(cutoff, str | None)):
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
-    groups = list(_channel_groups(columns, clock))
-    for group in groups:
+    is_short = False
+    for group in _channel_groups(columns, clock):
+        is_short |= max(group.lengths) < SMOOTHING.least_samples
         filter_of_group = _filter_of(group, cutoff, shrinks[group.channels])
         for run in group.runs:
             place = np.ix_(group.rows[run], group.channels)
             out[place] = _filtered(group.columns[run], group.time[run], filter_of_group, derivative)
-    if is_quiet:
-        return out.reshape(np.shape(values))
-    if derivative and any(min(group.lengths) == 1 for group in groups):
-        warn(NO_RATE)
-    if cutoff == "auto" and any(max(group.lengths) < SMOOTHING.least_samples for group in groups):
+    if is_short and cutoff == "auto" and not is_quiet:
         warn(TOO_SHORT)
     return out.reshape(np.shape(values))
 
@@ -120,8 +112,7 @@ def smooth(
 def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndarray:
     """Return the rate of change of the smoothed channels: the slope of the cubic spline through them.
 
-    Options and errors: see `smooth`. A segment of a single sample has no rate: NaN, with a
-    warning.
+    Options and errors: see `smooth`. A segment of a single sample has no rate: NaN.
     """
     return smooth(values, time, derivative=True, **options)
 

@@ -389,9 +389,8 @@ def with_specific_force(
     rate = min(origin[name].rate for name in EARTH_VELOCITY)
     velocity = table[list(EARTH_VELOCITY)]
     try:
-        # rows that stand alone have no rate of change
         cutoff = SETTINGS.velocity_cutoff * rate
-        change = differentiate(velocity, table["time"], cutoff=cutoff, is_quiet=True)
+        change = differentiate(velocity, table["time"], cutoff=cutoff)
     # the clock of the log is not sound, which coefficients refuse themselves
     except ValueError:
         return table, origin

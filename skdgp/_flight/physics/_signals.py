@@ -177,7 +177,7 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
     for name, values in columns.items():
         parts = []
         for rows, clock in zip(segments, clocks, strict=True):
-            parts.append(_averaged(*_samples(name, time[rows], values[rows]), clock))
+            parts.append(_averaged(name, time[rows], values[rows], clock))
         channel = np.concatenate(parts)
         # a surface that never moves has no effect
         sampled = values[np.isfinite(values)]
@@ -203,19 +203,14 @@ def _block_clock(time: Vector, step: float) -> Matrix:
     return np.minimum(points, time[-1]).reshape(-1, size)
 
 
-def _samples(name: str, time: Vector, values: Vector) -> tuple[Vector, Vector]:
-    """Return time and value of the samples of a channel, angles without jumps."""
-    rows = np.flatnonzero(np.isfinite(values))
-    samples = values[rows]
-    if rows.size and name in EULER:
-        is_degrees = np.abs(samples).max() > PHYSICS.largest_radians
-        samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
-    return time[rows], samples
-
-
-def _averaged(time: Vector, samples: Vector, clock: Matrix) -> Vector:
-    """Return means over the blocks of a clock (n, k) of samples, linear between them; NaN without samples."""
+def _averaged(name: str, time: Vector, values: Vector, clock: Matrix) -> Vector:
+    """Return means over the blocks of a clock (n, k) of a channel, linear between its samples; NaN without samples."""
+    is_sample = np.isfinite(values)
+    samples = values[is_sample]
     if not samples.size:
         return np.full(len(clock), np.nan)
-    sampled = np.interp(clock, time, samples, left=np.nan, right=np.nan)
+    if name in EULER:
+        is_degrees = np.abs(samples).max() > PHYSICS.largest_radians
+        samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
+    sampled = np.interp(clock, time[is_sample], samples, left=np.nan, right=np.nan)
     return sampled.mean(axis=1)

@@ -50,6 +50,18 @@ class Topic:
     order: Vector
     fields: dict[str, np.ndarray]
 
+    @classmethod
+    def of(cls, time: ArrayLike, **fields: ArrayLike) -> Topic:
+        """Return a topic of vectors (n,) or arrays (n, k) at increasing times [s].
+
+        >>> import numpy as np
+        >>> topic = Topic.of([0.0, 0.1], gyro=np.zeros((2, 3)), count=[1, 2])
+        >>> list(topic.fields)
+        ['gyro[0]', 'gyro[1]', 'gyro[2]', 'count']
+        """
+        time = np.asarray(time, dtype=float)
+        return cls(time, time, numeric_fields(fields))
+
     def __len__(self) -> int:
         return len(self.time)
 

@@ -93,14 +93,11 @@ def test_gives_the_numbers_of_the_pipeline_for_rows_of_the_table(behind, flight,
     assert_allclose(aerodynamics(rows[0]), model.predict(flight)[0], atol=1e-12)
 
 
-def assert_limits(aerodynamics, rows):
-    ends = [rows.min(axis=0), rows.max(axis=0)]
-    assert_allclose(aerodynamics.limits, ends, rtol=1e-9, atol=1e-10)
-
-
 def test_knows_what_was_flown_and_the_lengths_and_the_mixing_of_the_pipeline(fitted, flight):
     aerodynamics = as_aerodynamics(fitted)
-    assert_limits(aerodynamics, fitted[:3].transform(flight))
+    rows = fitted[:3].transform(flight)
+    ends = [rows.min(axis=0), rows.max(axis=0)]
+    assert_allclose(aerodynamics.limits, ends, rtol=1e-9, atol=1e-10)
     assert (aerodynamics.span, aerodynamics.chord) == (2.8, 1.2)
     assert aerodynamics.mixing.surfaces == ("elevon_left", "elevon_right")
 

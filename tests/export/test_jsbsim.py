@@ -61,10 +61,6 @@ def density(fdm):
     return fdm["atmosphere/rho-slugs_ft3"] * POUND_FORCE / FOOT**4
 
 
-def trimmed(fdm, pipeline, aircraft, **options):
-    return trim(pipeline, aircraft, air=Air(density=density(fdm)), **options)
-
-
 def of_aircraft(model, **changes):
     return replace(model, aircraft=Aircraft.from_dict(model.aircraft.to_dict() | changes))
 
@@ -76,6 +72,21 @@ def test_coefficients_are_those_of_the_pipeline(written, load):
     assert fdm["aero/regressor/q_hat"] == pytest.approx(
         written.X[-1][written.model.regressor_names.index("q_hat")], abs=1e-8
     )
+
+
+def test_regressors_are_those_of_the_state(load, portable_of):
+    model = portable_of("trend")
+    state = {"airspeed": 25.0, "altitude": 300.0, "phi": 0.3, "theta": 0.1, "psi": 1.2}
+    regressors = [replace(model.regressors[0], name=name) for name in (*state, "throttle")]
+    fdm = load(replace(model, regressors=tuple(regressors)), None)
+    for place, value in {
+        "vt-fps": 25.0 / FOOT, "h-sl-ft": 300.0 / FOOT, "phi-rad": 0.3, "theta-rad": 0.1, "psi-true-rad": 1.2,
+    }.items():  # fmt: skip
+        fdm[f"ic/{place}"] = value
+    fdm["fcs/throttle-cmd-norm"] = 0.6
+    fdm.run_ic()
+    found = {name: fdm[f"aero/regressor/{name}"] for name in (*state, "throttle")}
+    assert found == pytest.approx(state | {"throttle": 0.6})
 
 
 def test_a_command_of_1_is_the_full_deflection(load, portable_of):
@@ -161,7 +172,8 @@ def test_trim_is_that_of_jsbsim(load, fitted, portable_of, propeller):
     model = of_aircraft(portable_of("trend"), propeller=propeller)
     fdm = load(model)
     placed(fdm, model, np.zeros(6))
-    expected = trimmed(fdm, fitted("trend").pipeline, model.aircraft, airspeed=AIRSPEED)
+    air = Air(density=density(fdm))
+    expected = trim(fitted("trend").pipeline, model.aircraft, AIRSPEED, air=air)
     if propeller is None:
         fdm["external_reactions/thrust/magnitude"] = expected.controls["thrust"] / POUND_FORCE
     fdm["simulation/do_simple_trim"] = 1

@@ -114,11 +114,6 @@ def assert_near(table, out, limits):
         assert error(table, out, name) < limit, name
 
 
-def assert_noise_is(reconstruction, sheet, rel):
-    found = {name: reconstruction.noise_std_[name] for name in sheet}
-    assert found == pytest.approx(sheet, rel=rel)
-
-
 def shares(share):
     """Return limits of the errors of air data: a share of the noise of the vanes."""
     return {name: share * SHEET[name] for name in AIR}
@@ -130,7 +125,8 @@ class TestRecovery:
         assert_near(table, out, shares(0.15) | {"airspeed": 0.1 * SHEET["airspeed"]})
         assert_near(table, out, dict.fromkeys(ATTITUDE, 0.2 * 0.005) | dict.fromkeys(WIND, 0.05))
         sheet = {"airspeed": 0.3, "alpha": 0.005, "v_down": 0.1, "tilt": 0.005}
-        assert_noise_is(reconstruction, sheet, rel=0.06)
+        found = {name: reconstruction.noise_std_[name] for name in sheet}
+        assert found == pytest.approx(sheet, rel=0.06)
 
     @pytest.mark.parametrize("gusts", [0.1, 0.5])
     def test_gusts_are_followed(self, gusts):

@@ -379,7 +379,7 @@ def _add_products(products, pairs, evaluated, alpha):
     for k, (a, b) in enumerate(pairs):
         products[a.stacked] += evaluated.products(k, alpha[b.stacked])
         if a is not b:
-            products[b.stacked] += evaluated.transposed_products(k, alpha[a.stacked])
+            products[b.stacked] += evaluated.products(k, alpha[a.stacked], transposed=True)
 
 
 def _add_noise_products(products, noise, data, alpha):

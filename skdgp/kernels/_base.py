@@ -104,12 +104,11 @@ class EvaluatedBlocks(Protocol):
         """Return the sum over the pairs of sum(W * dK_ij / dtheta), (n_theta,), for their weights W (n_i, n_j)."""
         ...
 
-    def products(self, k: int, beta: Vector) -> Matrix:
-        """Return dK_ij / dtheta beta of pair k, (n_i, n_theta), for beta (n_j,)."""
-        ...
+    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
+        """Return dK_ij / dtheta beta of pair k, (n_i, n_theta), for beta (n_j,).
 
-    def transposed_products(self, k: int, beta: Vector) -> Matrix:
-        """Return dK_ij^T / dtheta beta of pair k, (n_j, n_theta), for beta (n_i,)."""
+        ``transposed``: dK_ij^T / dtheta beta, (n_j, n_theta), for beta (n_i,).
+        """
         ...
 
 
@@ -509,15 +508,14 @@ class _EvaluatedOneByOne:
             total += self.kernel.block_gradient(*pair, W)
         return total
 
-    def products(self, k: int, beta: Vector) -> Matrix:
+    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
         i, j, Xi, Xj = self.pairs[k]
-        rows = [self.kernel.block_gradient(i, j, x[None], Xj, beta[None]) for x in Xi]
-        return np.reshape(rows, (len(Xi), self.kernel.n_dims))
-
-    def transposed_products(self, k: int, beta: Vector) -> Matrix:
-        i, j, Xi, Xj = self.pairs[k]
-        rows = [self.kernel.block_gradient(i, j, Xi, x[None], beta[:, None]) for x in Xj]
-        return np.reshape(rows, (len(Xj), self.kernel.n_dims))
+        slopes = self.kernel.block_gradient
+        if transposed:
+            rows = [slopes(i, j, Xi, x[None], beta[:, None]) for x in Xj]
+        else:
+            rows = [slopes(i, j, x[None], Xj, beta[None]) for x in Xi]
+        return np.reshape(rows, (len(rows), self.kernel.n_dims))
 
 
 class _EvaluatedSum:
@@ -547,25 +545,16 @@ class _EvaluatedSum:
             parts.append(evaluated.gradient([weights[k] for k in places]))
         return np.concatenate(parts)
 
-    def products(self, k: int, beta: Vector) -> Matrix:
-        n = len(self.pairs[k].Xi)
-        return self._side_by_side(k, n, lambda evaluated, place: evaluated.products(place, beta))
-
-    def transposed_products(self, k: int, beta: Vector) -> Matrix:
-        n = len(self.pairs[k].Xj)
-        return self._side_by_side(
-            k, n, lambda evaluated, place: evaluated.transposed_products(place, beta)
-        )
-
-    def _side_by_side(self, k, n, of_term):
-        """Return the columns of each term, zeros of one that does not couple the pair."""
-        parts = []
+    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
+        pair = self.pairs[k]
+        n = len(pair.Xj if transposed else pair.Xi)
+        columns = []
         for n_dims, places, evaluated in self.terms:
             if k in places:
-                parts.append(of_term(evaluated, places[k]))
+                columns.append(evaluated.products(places[k], beta, transposed))
             else:
-                parts.append(np.zeros((n, n_dims)))
-        return np.hstack(parts)
+                columns.append(np.zeros((n, n_dims)))
+        return np.hstack(columns)
 
 
 def _with_first(kernel, theta):

@@ -366,15 +366,9 @@ class _EvaluatedFilters:
             slopes.add(pair.i, pair.j, of_one)
         return self.kernel.theta_gradient(slopes._asdict())
 
-    def products(self, k: int, beta: Vector) -> Matrix:
-        return self._columns(k, self.evaluated[k].products(beta))
-
-    def transposed_products(self, k: int, beta: Vector) -> Matrix:
-        return self._columns(k, self.evaluated[k].transposed_products(beta))
-
-    def _columns(self, k, slopes):
-        """Return derivatives by the values of two outputs as derivatives by theta, (n, n_theta)."""
+    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
         i, j = self.pairs[k].i, self.pairs[k].j
+        slopes = self.evaluated[k].products(beta, transposed)
         latents = self.filters.latents(i, j)
         amplitude, length_scale, shift = self.kernel.free_parameters()
         n = slopes.by_amplitude.shape[1]

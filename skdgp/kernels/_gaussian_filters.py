@@ -276,33 +276,24 @@ class EvaluatedPair:
         moments = self.basis.moments(self.Xi, G.reshape(len(G), -1)).of_latents(m)
         return self.pair.slopes(moments)
 
-    def products(self, beta: Vector) -> PairSlopes:
-        """Return the derivatives of cov_ij beta, beta (n_j,): arrays (..., n_i, m) and (..., n_i, m, d)."""
-        x = (self.Xi - self.basis.middle)[:, None] - self.pair.mu
-        z = self.Xj - self.basis.middle
-        sums = self.exponentials @ _weighted_powers(z, beta)
-        return self.pair.slopes(_moments_about(x, sums, 1.0))
+    def products(self, beta: Vector, transposed: bool) -> PairSlopes:
+        """Return the derivatives of cov_ij beta, beta (n_j,), or of cov_ij^T beta, beta (n_i,).
 
-    def transposed_products(self, beta: Vector) -> PairSlopes:
-        """Return the derivatives of cov_ij^T beta, beta (n_i,): arrays (..., n_j, m) and (..., n_j, m, d)."""
-        x = self.Xi - self.basis.middle
-        z = (self.Xj - self.basis.middle)[:, None] + self.pair.mu
-        sums = self.exponentials.transpose(2, 1, 0) @ _weighted_powers(x, beta)
-        return self.pair.slopes(_moments_about(z, sums, -1.0))
-
-
-def _weighted_powers(x, weights):
-    """Return weights times (1, x, x^2), (n, 2 d + 1)."""
-    return weights[:, None] * np.hstack([np.ones((len(x), 1)), x, x * x])
-
-
-def _moments_about(x, sums, sign):
-    """Return moments of ``sign`` (x - z) from sums (..., 2 d + 1) over z of weights times (1, z, z^2)."""
-    d = x.shape[-1]
-    zeroth = sums[..., :1]
-    of_z = sums[..., 1 : d + 1]
-    second = sums[..., d + 1 :] + x * (x * zeroth - 2.0 * of_z)
-    return Moments(zeroth[..., 0], sign * (x * zeroth - of_z), second)
+        Their arrays are (..., n, m) and (..., n, m, d) for the n rows of the other output.
+        """
+        rows, columns = (self.Xj, self.Xi) if transposed else (self.Xi, self.Xj)
+        sign = -1.0 if transposed else 1.0
+        x = (rows - self.basis.middle)[:, None] - sign * self.pair.mu
+        z = columns - self.basis.middle
+        d = z.shape[1]
+        powers = beta[:, None] * np.hstack([np.ones((len(z), 1)), z, z * z])
+        order = (1, 2, 0) if transposed else (1, 0, 2)
+        sums = (self.exponentials.transpose(order) @ powers).swapaxes(0, 1)
+        zeroth = sums[..., :1]
+        of_z = sums[..., 1 : d + 1]
+        second = sums[..., d + 1 :] + x * (x * zeroth - 2.0 * of_z)
+        first = sign * (x * zeroth - of_z)
+        return self.pair.slopes(Moments(zeroth[..., 0], first, second))
 
 
 def strips(n_rows: int, n_columns: int) -> Iterator[slice]:

@@ -240,17 +240,10 @@ class _EvaluatedTrend:
             {"intercept_scale": by_log[:, 0], "slope_scale": by_log[:, 1:]}
         )
 
-    def products(self, k: int, beta: Vector) -> Matrix:
-        first, second = self.bases[k]
-        return self._columns(k, 2 * first * (second.T @ beta))
-
-    def transposed_products(self, k: int, beta: Vector) -> Matrix:
-        first, second = self.bases[k]
-        return self._columns(k, 2 * second * (first.T @ beta))
-
-    def _columns(self, k, by_log):
-        """Return derivatives by the scales of an output (n, d + 1) as derivatives by theta, (n, n_theta)."""
+    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
         i = self.pairs[k].i
+        first, second = self.bases[k][::-1] if transposed else self.bases[k]
+        by_log = 2 * first * (second.T @ beta)
         intercept, slope = self.kernel.free_parameters()
         columns = []
         for parameter, numbers, part in (

@@ -295,7 +295,7 @@ class TestUse:
             beta = default_rng(6).normal(size=len(Xi))
             columns = [kernel.block_gradient(i, j, Xi, x[None], beta[:, None]) for x in Xj]
             equal(
-                evaluated.transposed_products(k, beta),
+                evaluated.products(k, beta, transposed=True),
                 np.reshape(columns, (len(Xj), -1)),
                 atol=1e-9,
             )

@@ -49,10 +49,8 @@ class ShareSettings:
 
     #: Samples in one step: their covariances fit the cache
     rows: int = 512
-    #: Most shares of each output with independent noise
-    shares: int = 8
-    #: Most shares of samples with noise correlated between outputs
-    sample_shares: int = 16
+    #: Most shares, of each output with independent noise
+    shares: int = 16
     #: Rows of a block whose diagonal alone is needed
     diagonal_rows: int = 64
 
@@ -285,18 +283,18 @@ def shares_of(data: Data, settings: ShareSettings) -> list[SampleShare]:
     """Return the observed values in shares that do not depend on the number of threads: sums have the same bits."""
     if data.sample_noise is not None:
         share = SampleShare(tuple(range(len(data.y))), *_sample_table(data))
-        return _cut(share, settings.sample_shares, settings)
+        return _cut(share, settings)
     shares = []
     for i, (X, y) in enumerate(zip(data.X, data.y, strict=True)):
         if len(y):
             share = SampleShare((i,), X, y[:, None], np.zeros((len(y), 1, 0)))
-            shares += _cut(share, settings.shares, settings)
+            shares += _cut(share, settings)
     return shares
 
 
-def _cut(whole, most, settings):
-    """Return at most so many shares of about equal numbers of samples."""
-    n_shares = min(most, -(-len(whole.X) // settings.rows))
+def _cut(whole, settings):
+    """Return shares of about equal numbers of samples."""
+    n_shares = min(settings.shares, -(-len(whole.X) // settings.rows))
     shares = []
     for rows in np.array_split(np.arange(len(whole.X)), n_shares):
         part = slice(rows[0], rows[-1] + 1)
@@ -354,13 +352,7 @@ def compute_statistics(
 ) -> dict[tuple[int, ...], Statistics]:
     """Return the sums over all values by their outputs: each alone, or all if their noise is correlated."""
     of_share = thread_map(partial(_share_sums, kernel, features, noise, Lu, settings), shares)
-    totals: dict[tuple[int, ...], _Sums] = {}
-    for share, sums in zip(shares, of_share, strict=True):
-        if share.outputs in totals:
-            totals[share.outputs].add_sums(sums)
-        else:
-            totals[share.outputs] = sums
-    return {outputs: total.statistics() for outputs, total in totals.items()}
+    return _total([{share.outputs: sums} for share, sums in zip(shares, of_share, strict=True)])
 
 
 def _share_sums(kernel, features, noise, Lu, settings, share):
@@ -373,7 +365,7 @@ def _share_sums(kernel, features, noise, Lu, settings, share):
         precision, log_determinants = precisions(Y, share.loading[rows], noise)
         total.add(X, np.nan_to_num(Y), precision, settings)
         total.log_determinant += log_determinants.sum()
-    return total
+    return total.statistics()
 
 
 def _total(parts: Sequence[dict[tuple[int, ...], Statistics]]) -> dict[tuple[int, ...], Statistics]:
@@ -430,17 +422,6 @@ class _Sums:
             times = 1 if a == b else 2
             variance = _variance(self.kernel, i, j, X, settings.diagonal_rows)
             self.variance += times * weight @ variance
-
-    def add_sums(self, other):
-        """Add the sums over other samples of the same outputs."""
-        for pair, block in other.blocks.items():
-            self.blocks[pair] += block
-        for total, part in zip(self.inner, other.inner, strict=True):
-            total += part
-        self.square += other.square
-        self.variance += other.variance
-        self.log_determinant += other.log_determinant
-        self.n += other.n
 
     def statistics(self):
         """Return the sums, in the order of the features of the outputs."""

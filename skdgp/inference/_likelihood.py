@@ -296,14 +296,20 @@ def covariance(
 
     ``noise`` is as for ``add_noise``.
     """
+    pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
+    return _assembled(pairs, lambda k: kernel.block(*_inputs(data, *pairs[k])), noise, data)
 
-    def fill(pair):
-        a, b = pair
-        upper[a.stacked, b.stacked] = kernel.block(*_inputs(data, a, b))
+
+def _assembled(pairs, block, noise, data):
+    """Return Kff + noise from ``block`` (k) of each pair of tiles on and above the diagonal."""
+
+    def fill(k):
+        a, b = pairs[k]
+        upper[a.stacked, b.stacked] = block(k)
 
     # In C order: its transpose is the lower triangle in Fortran order.
     upper = np.zeros((data.n_values, data.n_values))
-    thread_map(fill, _pairs(kernel, data, tiles.side, tiles.diagonal))
+    thread_map(fill, range(len(pairs)))
     add_noise(upper, noise, data)
     return upper.T
 
@@ -360,7 +366,7 @@ def log_likelihood(
             return _value(jittered_cholesky(lambda: covariance(kernel, noise, data, tiles)), y)
         pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
         evaluated = kernel.evaluate([_inputs(data, a, b) for a, b in pairs])
-        L = jittered_cholesky(lambda: _assembled(pairs, evaluated.blocks, noise, data))
+        L = jittered_cholesky(lambda: _assembled(pairs, evaluated.blocks.__getitem__, noise, data))
         value = _value(L, y)
         alpha = cholesky_solve(L, y)
         products = np.zeros((len(y), kernel.n_dims + len(noise)), order="F")
@@ -420,12 +426,3 @@ def _weights(W, a, b):
         weights = np.triu(weights)
         np.einsum("ii->i", weights)[:] *= 0.5
     return weights
-
-
-def _assembled(pairs, blocks, noise, data):
-    """Return Kff + noise as ``covariance`` does."""
-    upper = np.zeros((data.n_values, data.n_values))
-    for (a, b), block in zip(pairs, blocks, strict=True):
-        upper[a.stacked, b.stacked] = block
-    add_noise(upper, noise, data)
-    return upper.T

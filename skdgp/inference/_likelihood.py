@@ -383,9 +383,9 @@ def log_likelihood(
 def _add_products(products, pairs, evaluated, alpha):
     """Add dK / dtheta alpha, (N, n_theta), from tiles on and above the diagonal."""
     for k, (a, b) in enumerate(pairs):
-        products[a.stacked] += evaluated.products(k, alpha[b.stacked])
+        evaluated.add_products(products[a.stacked], k, alpha[b.stacked])
         if a is not b:
-            products[b.stacked] += evaluated.products(k, alpha[a.stacked], transposed=True)
+            evaluated.add_products(products[b.stacked], k, alpha[a.stacked], transposed=True)
 
 
 def _add_noise_products(products, noise, data, alpha):

@@ -104,8 +104,8 @@ class EvaluatedBlocks(Protocol):
         """Return the sum over the pairs of sum(W * dK_ij / dtheta), (n_theta,), for their weights W (n_i, n_j)."""
         ...
 
-    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
-        """Return dK_ij / dtheta beta of pair k, (n_i, n_theta), for beta (n_j,).
+    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
+        """Add dK_ij / dtheta beta of pair k, (n_i, n_theta), for beta (n_j,), to ``total``.
 
         ``transposed``: dK_ij^T / dtheta beta, (n_j, n_theta), for beta (n_i,).
         """
@@ -508,14 +508,14 @@ class _EvaluatedOneByOne:
             total += self.kernel.block_gradient(*pair, W)
         return total
 
-    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
+    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
         i, j, Xi, Xj = self.pairs[k]
         slopes = self.kernel.block_gradient
-        if transposed:
-            rows = [slopes(i, j, Xi, x[None], beta[:, None]) for x in Xj]
-        else:
-            rows = [slopes(i, j, x[None], Xj, beta[None]) for x in Xi]
-        return np.reshape(rows, (len(rows), self.kernel.n_dims))
+        for row, x in zip(total, Xj if transposed else Xi, strict=True):
+            if transposed:
+                row += slopes(i, j, Xi, x[None], beta[:, None])
+            else:
+                row += slopes(i, j, x[None], Xj, beta[None])
 
 
 class _EvaluatedSum:
@@ -545,16 +545,13 @@ class _EvaluatedSum:
             parts.append(evaluated.gradient([weights[k] for k in places]))
         return np.concatenate(parts)
 
-    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
-        pair = self.pairs[k]
-        n = len(pair.Xj if transposed else pair.Xi)
-        columns = []
+    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
+        start = 0
         for n_dims, places, evaluated in self.terms:
             if k in places:
-                columns.append(evaluated.products(places[k], beta, transposed))
-            else:
-                columns.append(np.zeros((n, n_dims)))
-        return np.hstack(columns)
+                columns = total[:, start : start + n_dims]
+                evaluated.add_products(columns, places[k], beta, transposed)
+            start += n_dims
 
 
 def _with_first(kernel, theta):

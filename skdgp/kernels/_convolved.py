@@ -366,27 +366,23 @@ class _EvaluatedFilters:
             slopes.add(pair.i, pair.j, of_one)
         return self.kernel.theta_gradient(slopes._asdict())
 
-    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
+    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
         i, j = self.pairs[k].i, self.pairs[k].j
         slopes = self.evaluated[k].products(beta, transposed)
         latents = self.filters.latents(i, j)
         amplitude, length_scale, shift = self.kernel.free_parameters()
-        n = slopes.by_amplitude.shape[1]
-        columns: list[Matrix] = []
-        for parameter, parts in (
-            (amplitude, [(i, slopes.by_amplitude[0]), (j, slopes.by_amplitude[1])]),
-            (length_scale, [(i, slopes.by_width[0]), (j, slopes.by_width[1])]),
-            (shift, [(i, slopes.by_shift), (j, -slopes.by_shift)]),
+        start = 0
+        for parameter, of_i, of_j in (
+            (amplitude, *slopes.by_amplitude),
+            (length_scale, *slopes.by_width),
+            (shift, slopes.by_shift, -slopes.by_shift),
         ):
-            of_parameter = np.zeros((n, parameter.n_elements))
-            if parameter.n_elements:
-                for output, part in parts:
-                    numbers = parameter.index[latents, output]
-                    free = numbers >= 0
-                    # each number stands once: those of tied length scales are of different latents
-                    of_parameter[:, numbers[free]] += part[:, free]
-            columns.append(of_parameter)
-        return np.hstack(columns)
+            for output, part in ((i, of_i), (j, of_j)) if parameter.n_elements else ():
+                numbers = parameter.index[latents, output]
+                free = numbers >= 0
+                # each number stands once: those of tied length scales are of different latents
+                total[:, start + numbers[free]] += part[:, free]
+            start += parameter.n_elements
 
 
 def is_spacing(bounds: Any) -> bool:

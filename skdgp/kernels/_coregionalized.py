@@ -258,12 +258,12 @@ class _EvaluatedCoregionalized:
             total += self._by_theta(pair, np.array([np.sum(W * k)]), by_theta[None])[0]
         return total
 
-    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
+    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
         values, slopes = self.inner[k]
         if transposed:
             values, slopes = values.T, slopes.swapaxes(0, 1)
         of_slopes = np.einsum("abt,b->at", slopes, beta)
-        return self._by_theta(self.pairs[k], values @ beta, of_slopes)
+        total += self._by_theta(self.pairs[k], values @ beta, of_slopes)
 
     def _by_theta(self, pair, by_B, by_inner):
         """Return derivatives by theta (n, n_theta) from sums of k (n,), and of its derivatives (n, t)."""

@@ -240,21 +240,15 @@ class _EvaluatedTrend:
             {"intercept_scale": by_log[:, 0], "slope_scale": by_log[:, 1:]}
         )
 
-    def products(self, k: int, beta: Vector, transposed: bool = False) -> Matrix:
+    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
         i = self.pairs[k].i
         first, second = self.bases[k][::-1] if transposed else self.bases[k]
         by_log = 2 * first * (second.T @ beta)
         intercept, slope = self.kernel.free_parameters()
-        columns = []
-        for parameter, numbers, part in (
-            (intercept, intercept.index[i : i + 1], by_log[:, :1]),
-            (slope, slope.index[i], by_log[:, 1:]),
-        ):
-            of_parameter = np.zeros((len(by_log), parameter.n_elements))
-            if parameter.n_elements:
-                of_parameter[:, numbers] = part
-            columns.append(of_parameter)
-        return np.hstack(columns)
+        if intercept.n_elements:
+            total[:, intercept.index[i]] += by_log[:, 0]
+        if slope.n_elements:
+            total[:, intercept.n_elements + slope.index[i]] += by_log[:, 1:]
 
 
 def _basis(values, i, X):

@@ -12,6 +12,7 @@ from inspect import signature
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from sklearn.base import clone
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
@@ -665,6 +666,24 @@ def rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
             f"Got {name} of shape {values.shape}, but expected {len(factor)} entries, "
             f"one for each output, along axis {axis}."
         ) from None
+
+
+def rescaled_parameters(
+    kernel: MultiOutputKernel, factor: Vector, axes: Mapping[str, int], names: Iterable[str]
+) -> MultiOutputKernel:
+    """Return a kernel whose parameters in the units of the outputs, and their bounds, are multiplied by factors (P,).
+
+    ``axes`` has the axis of the outputs of each such parameter, ``names`` are those that may have bounds.
+    """
+    factor = np.asarray(factor, dtype=float)
+    parameters = kernel.get_params(deep=False)
+    bounds = given_bounds(kernel, names)
+    changed = {}
+    for name, axis in axes.items():
+        changed[name] = rescaled_values(name, parameters[name], factor, axis)
+        if name in bounds:  # whose last axis is the pair
+            bounds[name] = rescaled_values(f"bounds of {name}", bounds[name], factor, axis - 1)
+    return clone(kernel).set_params(**changed, parameter_bounds=bounds or None)
 
 
 def numbered(free: Mask) -> Indices:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from sklearn.base import clone
 from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import column_scale, constant_columns, output_scale
@@ -23,7 +22,7 @@ from skdgp.kernels._base import (
     complete_bounds,
     given_bounds,
     numbered,
-    rescaled_values,
+    rescaled_parameters,
 )
 from skdgp.kernels._gaussian_filters import FilterPair, PairSlopes
 
@@ -231,7 +230,7 @@ class ConvolvedGaussian(MultiOutputKernel):
         return self.filters._asdict()
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return rescaled_amplitude(self, factor, PARAMETERS)
+        return rescaled_parameters(self, factor, {"amplitude": -1}, PARAMETERS)
 
     def bounds_from_data(self, name: str) -> bool:
         bounds = given_bounds(self, PARAMETERS).get(name)
@@ -447,25 +446,6 @@ def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None)
             "or set private_latents=True."
         )
     return matrix
-
-
-def rescaled_amplitude(
-    kernel: MultiOutputKernel, factor: Vector, names: Iterable[str]
-) -> MultiOutputKernel:
-    """Return a kernel whose amplitudes, and their bounds, are multiplied by factors of the outputs (P,).
-
-    ``names`` are the parameters that have bounds.
-    """
-    factor = np.asarray(factor, dtype=float)
-    amplitude = kernel.get_params(deep=False)["amplitude"]
-    bounds = given_bounds(kernel, names)
-    if "amplitude" in bounds:
-        limits = bounds["amplitude"]
-        bounds["amplitude"] = rescaled_values("bounds of amplitude", limits, factor, axis=-2)
-    return clone(kernel).set_params(
-        amplitude=rescaled_values("amplitude", amplitude, factor, axis=-1),
-        parameter_bounds=bounds or None,
-    )
 
 
 def independent_processes(variance: Vector, length_scale: Vector) -> ConvolvedGaussian:

@@ -22,11 +22,11 @@ from skdgp.kernels._base import (
     given_bounds,
     is_per_output,
     numbered,
+    rescaled_parameters,
 )
 from skdgp.kernels._convolved import (
     DEFAULT_BOUNDS,
     feed_matrix,
-    rescaled_amplitude,
     starting_values,
 )
 
@@ -179,7 +179,7 @@ class Coregionalized(MultiOutputKernel):
         )
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return rescaled_amplitude(self, factor, ["amplitude"])
+        return rescaled_parameters(self, factor, {"amplitude": -1}, ["amplitude"])
 
     def bounds_from_data(self, name: str) -> bool:
         return name == "amplitude" and not given_bounds(self, ["amplitude"])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sklearn.base import clone
 from sklearn.linear_model import BayesianRidge
 
 from skdgp._compute.linalg import column_scale, constant_columns, least_squares
@@ -20,7 +19,7 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     given_bounds,
-    rescaled_values,
+    rescaled_parameters,
 )
 
 
@@ -115,17 +114,7 @@ class LinearTrend(MultiOutputKernel):
         return 0
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        factor = np.asarray(factor, dtype=float)
-        parameters = self.get_params()
-        params: dict[str, Any] = {}
-        bounds = given_bounds(self, OUTPUT_AXES)
-        for name, axis in OUTPUT_AXES.items():
-            params[name] = rescaled_values(name, parameters[name], factor, axis)
-            if name in bounds:
-                # the last axis of bounds is the pair
-                pairs = rescaled_values(f"bounds of {name}", bounds[name], factor, axis - 1)
-                bounds[name] = pairs
-        return clone(self).set_params(**params, parameter_bounds=bounds or None)
+        return rescaled_parameters(self, factor, OUTPUT_AXES, OUTPUT_AXES)
 
     def bounds_from_data(self, name: str) -> bool:
         return name not in given_bounds(self, OUTPUT_AXES)

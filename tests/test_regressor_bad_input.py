@@ -13,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
+from sklearn.gaussian_process.kernels import RBF
 from sklearn.utils._param_validation import InvalidParameterError
 
 from skdgp import DependentGPRegressor, FewRowsWarning
@@ -73,7 +74,13 @@ REFUSED_FITS = [  # parameters, X and Y of others, what is said
         ({"parameter_bounds": {"length_scale": "free"}}, "bounds 'free' of length_scale.*'fixed'"),
         ({"parameter_bounds": {"length_scale": (2.0, 1.0)}}, "of length_scale.*lower <= upper"),
         ({"parameter_bounds": {"length_scale": (-1.0, 1.0)}}, "of length_scale.*0 < lower"),
+        ({"length_scale": 3.0, "parameter_bounds": {"length_scale": (1.0, 2.0)}},
+         r"length_scale=3 with the bounds \(1, 2\).*inside its bounds"),
         )),
+    ({"kernel": RBF(5.0, (0.1, 1.0)), "trend": "constant"}, lambda X, Y: (X, Y),
+     r"kernel__length_scale=5 with the bounds \(0.1, 1\).*inside its bounds"),
+    ({"noise_variance": 5.0, "noise_variance_bounds": (0.01, 0.1)}, lambda X, Y: (X, Y),
+     r"noise_variance=5 with the bounds \(0.01, 0.1\).*inside its bounds"),
 ]  # fmt: skip
 REFUSED_QUESTIONS = [
     (quick(), lambda model, X: model.predict_gradient(np.zeros((4, 3))),

@@ -83,6 +83,14 @@ class FitCode(Kind):
         "{repeated} of {samples} samples repeat another sample with the same regressors and targets",
         "They count as independent, so the uncertainty is too small: drop repeated rows.",
     )
+    OUTLIERS_FOUND = (
+        "{count} values lie far from the others, and count as outliers: {outliers:short}",
+        "Check them. If the function jumps or has a narrow peak there, give noise_variance: then none is an outlier.",
+    )
+    SEARCH_ROUNDED = (
+        "the fit stopped before it converged, where rounding errors hide whether the likelihood rises",
+        "Give a larger noise_variance, or bounds that keep it above 1e-10 of the variance of the outputs.",
+    )
     SEARCH_STOPPED = (
         "the fit stopped at max_iter={max_iter} before it converged",
         "Raise max_iter[, or scale the regressors {unscaled!r} (StandardScaler)].",
@@ -231,8 +239,10 @@ def check_noise(variance: Any, bounds: Any, Y: np.ndarray, is_single: bool) -> K
         smallest = np.nanmin(table, axis=0)
         return KnownNoise.of_values(np.where(np.isnan(table), smallest, table))
     white = np.broadcast_to(values, P).astype(float)
-    fixed = np.column_stack([white, white])
-    return KnownNoise(white, fixed if limits is None else limits)
+    if limits is None:
+        return KnownNoise(white, np.column_stack([white, white]))
+    _check_inside("noise_variance", white, limits)
+    return KnownNoise(white, limits)
 
 
 def _check_noise_bounds(bounds, P):
@@ -321,8 +331,8 @@ def warn_of_few_rows(
 
     ``errors`` (n, P) are residuals of the targets, in recording order, NaN where not observed. They
     count as rows over their autocorrelation time, median over the outputs. An average leans on its
-    trend then. A trend alone states its uncertainty well with few rows, unless their errors are
-    correlated.
+    trend then. A trend alone states its uncertainty well with few rows, if there are more than
+    regressors and their errors are not correlated.
     """
     times, counts = [], []
     for column in errors.T:
@@ -332,7 +342,7 @@ def warn_of_few_rows(
     lasting = float(np.median(times))
     lasting = lasting if lasting >= SETTINGS.white else 1.0
     rows = float(np.median(counts)) / lasting
-    is_trend = members == ["trend"] and lasting == 1.0
+    is_trend = members == ["trend"] and lasting == 1.0 and rows > n_regressors
     if rows >= SETTINGS.least_rows * n_regressors or is_trend:
         return
     numbers = {
@@ -357,12 +367,26 @@ def search_ended(
         return Finding(FitCode.FIT_INTERRUPTED)
     if regressor.converged_:
         return None
+    if regressor.n_iter_ < regressor.max_iter:
+        return Finding(FitCode.SEARCH_ROUNDED)
     numbers = {"max_iter": regressor.max_iter}
     if X is not None:
         std = X.std(axis=0)
         is_unscaled = (std > SETTINGS.scaled) | ((std > 0) & (std < 1 / SETTINGS.scaled))
         numbers["unscaled"] = _marked(names, is_unscaled)
     return Finding(FitCode.SEARCH_STOPPED, numbers=numbers)
+
+
+def warn_of_outliers(added: np.ndarray, noise: np.ndarray, names: Sequence[str]) -> None:
+    """Warn of values whose own noise variance, ``added`` (n, P), is larger than the ``noise`` (P,) of all."""
+    rows = {
+        name: np.flatnonzero(of_output > white).tolist()
+        for name, of_output, white in zip(names, added.T, noise, strict=True)
+    }
+    outliers = [f"{name} of row {row}" for name, found in rows.items() for row in found]
+    if outliers:
+        numbers = {"count": len(outliers), "outliers": outliers}
+        report(Finding(FitCode.OUTLIERS_FOUND, numbers=numbers))
 
 
 def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
@@ -383,21 +407,30 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
         report(finding, SearchWarning)
 
 
-def check_start(kernel: MultiOutputKernel) -> None:
-    """Raise a ValueError if values that were given to a kernel lie outside of bounds that were given."""
-    for term in kernel.summands():
-        for f in term.free_parameters() if term.has_values() else ():
-            if not f.n_elements or term.bounds_from_data(f.name):
-                continue
-            values = f.elements(term.values()[f.name])
-            low, high = f.pairs().T
-            outside = (values < (1 - 1e-9) * low - 1e-12) | (values > (1 + 1e-9) * high + 1e-12)
-            if outside.any():
-                k = int(np.flatnonzero(outside)[0])
-                raise ValueError(
-                    f"Got {f.name}={values[k]:.4g} with the bounds ({low[k]:.4g}, {high[k]:.4g}), but expected a "
-                    "starting value inside its bounds."
-                )
+def check_start(kernel: MultiOutputKernel, X: np.ndarray, Z: np.ndarray) -> None:
+    """Raise a ValueError if values that were given to a kernel lie outside of bounds that were given.
+
+    X (n, d) and Z (n, P) are the samples, which a kernel needs to know its shape.
+    """
+    start = kernel.initialize(X, Z, np.random.RandomState(0))
+    for given, term in zip(kernel.summands(), start.summands(), strict=True):
+        parameters = given.get_params()
+        for f in term.free_parameters():
+            is_given = parameters[f.name] is not None and not given.bounds_from_data(f.name)
+            if f.n_elements and is_given:
+                _check_inside(f.name, f.elements(term.values()[f.name]), f.pairs())
+
+
+def _check_inside(name, values, pairs):
+    """Raise a ValueError unless values (n,) lie inside their bounds ``pairs`` (n, 2)."""
+    low, high = pairs.T
+    outside = (values < (1 - 1e-9) * low - 1e-12) | (values > (1 + 1e-9) * high + 1e-12)
+    if outside.any():
+        k = int(np.flatnonzero(outside)[0])
+        raise ValueError(
+            f"Got {name}={values[k]:.4g} with the bounds ({low[k]:.4g}, {high[k]:.4g}), but expected a "
+            "starting value inside its bounds."
+        )
 
 
 def _at_bounds(kernel):

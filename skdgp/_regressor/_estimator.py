@@ -129,10 +129,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Fitted covariance of the outputs, in their units. A fit with ``kernel=model.kernel_`` and
         ``structure="joint"`` continues there; with ``noise_variance=model.noise_variance_ +
         model.misfit_variance_``, ``input_noise=np.sqrt(np.diag(model.input_covariance_))`` after a
-        fit with ``time``, and ``optimizer=None`` it is the same joint model.
+        fit with ``time``, and ``optimizer=None`` it is the same joint model, if no value was an
+        outlier.
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, without model discrepancy, in squared units of the
-        outputs; the mean over the samples where it was given for each.
+        outputs; the mean over the samples where it was given for each, or where some are outliers.
     drift_variance_, drift_memory_ : ndarray (P,)
         Variance tau^2 of the drift, and its correlation time T [s], estimated from the residuals;
         zero without ``time``. The drift holds the effect of errors of the regressors, too.
@@ -386,7 +387,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
         fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
-        self._warn_of_fit(fit, X, Z)
+        self._warn_of_fit(fit, X, Z, known_noise)
         self._set_noise(fit, X, Z, clock, known_noise)
         self.posterior_ = self._with_errors(fit, errors, recipe.time_series)
 
@@ -413,13 +414,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.converged_ = learned.converged
         self.interrupted_ = learned.interrupted
 
-    def _warn_of_fit(self, fit, X, Z):
-        """Warn of a search that did not converge, of values at their bounds, and of few rows."""
+    def _warn_of_fit(self, fit, X, Z, known):
+        """Warn of a search that did not converge, of values at their bounds, of outliers, and of few rows."""
         ended = _checks.search_ended(self, X, self._regressor_names())
         if ended is not None:
             report(ended, _checks.SearchWarning)
         if self.kernel is not None and self.optimizer is not None:
             _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
+        loading = fit.learned.loading
+        if loading is not None and known.loading is None:
+            variance = np.einsum("npp->np", loading) ** 2
+            _checks.warn_of_outliers(variance, fit.learned.noise, self.output_names_)
         if not fit.learned.interrupted:
             errors = Z - likeliest_mean(fit.posterior, X)
             _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
@@ -440,7 +445,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             least = np.maximum(least, known.bounds[:, 0])
         white = np.where(known.is_learned, np.maximum(noise - misfit, least), noise)
         loading = fit.learned.loading
-        if loading is not None:
+        if loading is not None:  # a new measurement is an outlier as often as those of the fit
             white = white + np.mean(np.einsum("npp->np", loading) ** 2, axis=0)
         self.misfit_variance_ = misfit * self.scale_**2
         self.noise_variance_ = white * self.scale_**2
@@ -525,11 +530,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         loading = self._loading(X, include_input_noise)
         blocks = cov.reshape(P, n, P, n)
         np.einsum("iaja->aij", blocks)[:] += loading @ loading.swapaxes(1, 2)
-        if include_noise:
-            noise = self.noise_variance_ / self.scale_**2
-            cov[np.diag_indices_from(cov)] += np.repeat(noise, n)
         scale = np.repeat(self.scale_, n)
-        return cov * np.multiply.outer(scale, scale)
+        cov *= np.multiply.outer(scale, scale)
+        _, std = self._mean_and_std(X, include_noise, include_input_noise)
+        np.fill_diagonal(cov, std.T.ravel() ** 2)
+        return cov
 
     def predict_gradient(self, X: Matrix, spread: Any = None) -> Array:
         r"""Return the slopes of the mean at X (n, d), d mean / d regressor.

@@ -197,7 +197,7 @@ class SparseFit:
     @property
     def _bounds(self):
         """Bounds of the noise, (P, 2)."""
-        return self.known.start(self.Y, output_scale(self.Y), self.X.shape[1])[1]
+        return self.known.start(self.Y, output_scale(self.Y), self.X)[1]
 
     def _white(self, noise, loading):
         """Return the noise of the outputs without the noise that regressors propagate."""
@@ -326,6 +326,7 @@ def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
     common = learned[0]._replace(
         noise=np.average([part.noise for part in learned], axis=0, weights=weights),
         input_std=input_std,
+        n_iter=max(part.n_iter for part in learned),
         converged=all(part.converged for part in learned),
     )
     return Fit(AveragePosterior(members, np.concatenate(mixture)), common)

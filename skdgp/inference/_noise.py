@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.inference._likelihood import SampleNoise
 
@@ -96,16 +97,17 @@ class KnownNoise(NamedTuple):
             self.input_std,
         )
 
-    def start(self, residual: Matrix, scale: Vector, n_regressors: int) -> tuple[Vector, Matrix]:
+    def start(self, residual: Matrix, scale: Vector, X: Matrix) -> tuple[Vector, Matrix]:
         """Return the starting noise variances (P,) and their bounds (P, 2).
 
         Without known ones: a fifth of the variance of the ``residual`` (n, P), and bounds relative
-        to the ``scale`` (P,) of the outputs, the lower one larger for few rows.
+        to the ``scale`` (P,) of the outputs, the lower one larger for few rows of X (n, d).
         """
         bounds = self.bounds
         if bounds is None:
             n_rows = np.isfinite(residual).sum(axis=0)
-            few = SETTINGS.few_rows * (1.0 - (n_rows - 1) / (2.0 * (n_regressors + 1)))
+            n_weights = 1 + np.sum(~constant_columns(X))  # of a plane
+            few = SETTINGS.few_rows * (1.0 - (n_rows - 1) / (2.0 * n_weights))
             bounds = np.multiply.outer(scale**2, SETTINGS.bounds)
             bounds[:, 0] = np.maximum(bounds[:, 0], few * scale**2)
         variance = self.variance

@@ -115,6 +115,7 @@ def maximize(
         If the likelihood is not defined at the start.
     """
     theta = np.clip(theta, *bounds.T)
+    origin = theta
     point = objective(theta)
     correction = np.zeros_like(point.information)
     damping, smallest, largest = settings.damping
@@ -130,7 +131,7 @@ def maximize(
             if n_iter == max_iter or is_hopeless or stop.is_set():
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
-            end, predicted = _proposed(theta, point, curvature, bounds, damping, settings)
+            end, predicted = _proposed(theta, point, curvature, bounds, damping, settings, origin)
             step = end - theta
             other = _evaluated(objective, end) if predicted > 0 else None
             values.append(point.value)
@@ -189,15 +190,18 @@ def _is_flat(theta, point, curvature, bounds, settings):
     return bool(0.5 * step @ point.gradient < settings.gradient)
 
 
-def _proposed(theta, point, curvature, bounds, damping, settings):
-    """Return the end of a step on the coarsest grid that keeps most of its predicted rise, and this rise."""
+def _proposed(theta, point, curvature, bounds, damping, settings, origin):
+    """Return the end of a step on the coarsest grid that keeps most of its predicted rise, and this rise.
+
+    Grids lie about the ``origin``, where the search began, so that units of the regressors do not matter.
+    """
     step = _step(theta, point, curvature, bounds, damping, settings.longest)
     promised = _predicted_rise(step, point, curvature)
     if promised <= 0.0:
         return theta + step, promised
     spacing = settings.grid * _standard_errors(point.information)
     for _ in range(GRIDS):
-        end = _on_grid(theta + step, spacing, bounds)
+        end = _on_grid(theta + step, spacing, bounds, origin)
         predicted = _predicted_rise(end - theta, point, curvature)
         if predicted > settings.kept * promised:
             return end, predicted
@@ -244,15 +248,15 @@ def _predicted_rise(step, point, curvature):
     return step @ point.gradient - 0.5 * step @ curvature @ step
 
 
-def _on_grid(theta, spacing, bounds):
-    """Return the centre of the cell of a grid that theta is in, so that no amplitude is zero, or a bound.
+def _on_grid(theta, spacing, bounds, origin):
+    """Return the centre of the cell of a grid about the origin that theta is in, or a bound.
 
     The spacing is a power of three, as the standard errors have rounding errors too: a centre is also
     one of a finer grid, so that no step begins between two cells.
     """
     low, high = bounds.T
     spacing = 3.0 ** np.round(np.log(spacing) / np.log(3.0))
-    centre = np.clip(spacing * (np.floor(theta / spacing) + 0.5), low, high)
+    centre = np.clip(origin + spacing * np.rint((theta - origin) / spacing), low, high)
     is_low, is_high = theta <= low + ROUNDING, theta >= high - ROUNDING
     return np.where(is_low, low, np.where(is_high, high, centre))
 

@@ -30,7 +30,7 @@ from skdgp.inference._likelihood import Data, SampleNoise
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
 from skdgp.inference._objective import Objective, climb
 from skdgp.inference._outliers import SETTINGS as SETTINGS_OF_OUTLIERS
-from skdgp.inference._outliers import contaminated_variances, gross_outliers
+from skdgp.inference._outliers import Neighbours, contaminated_variances
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._shifts import found_shifts, price_of_shifts
 from skdgp.inference._starts import SETTINGS as SETTINGS_OF_STARTS
@@ -173,7 +173,7 @@ def search(
     rows = blocks_of_rows(X, Y, options.settings.blocks, options.time_series)
     if options.optimizer is None:
         start = starting_kernel(kernels[0], X, Y)
-        noise, _ = known.start(start.residual(X, Y), output_scale(Y), X.shape[1])
+        noise, _ = known.start(start.residual(X, Y), output_scale(Y), X)
         learned = Hyperparameters(start, noise, known.input_std, known.loading)
         data = learned.noisy(Data.from_table(X, Y, known.loading))
         return [with_best_noise(learned, data, rows, X, Y, known)]
@@ -235,7 +235,7 @@ class _Search:
     def _noise(self, kernel):
         """Return the starting noise (P,) and its bounds (P, 2) of a kernel with values."""
         residual = kernel.residual(self.X, self.Y)
-        return self.known.start(residual, output_scale(self.Y), self.X.shape[1])
+        return self.known.start(residual, output_scale(self.Y), self.X)
 
     # -- each output alone
 
@@ -267,13 +267,16 @@ class _Search:
         observed = np.isfinite(self.Y[:, i])
         X, y = self.X[observed], self.Y[observed, i]
         added = np.zeros(len(self.Y))
+        neighbours = Neighbours.of_values(X, y)
         if not self.has_normal_noise:
-            added[observed] = gross_outliers(X, y)
+            added[observed] = neighbours.gross_outliers()
         fit, data = self._alone(single, i, added)
         for _ in range(0 if self.has_normal_noise else settings.fits):
             function = ExactPosterior(fit.kernel, fit.noise, data)
             mean, variance = function.predict(X, return_variance=True)
-            variances = contaminated_variances((y - mean[:, 0]) ** 2 + variance[:, 0])
+            variances = contaminated_variances(
+                (y - mean[:, 0]) ** 2 + variance[:, 0], neighbours.third
+            )
             before = fit.noise + added[observed]
             after = np.full(len(y), fit.noise[0]) if variances is None else variances
             added[observed] = after - after.min()
@@ -299,7 +302,7 @@ class _Search:
         kernel = starting_kernel(single, self.X[rows], self.Y[rows, column])
         residual = kernel.residual(self.X, self.Y[:, column])
         scale = output_scale(self.Y[:, column])
-        noise, bounds = self.known.of_output(i).start(residual, scale, self.X.shape[1])
+        noise, bounds = self.known.of_output(i).start(residual, scale, self.X)
         if start is None:
             starts = {}
             for width, factor in product(settings.widths, settings.noises):
@@ -437,7 +440,7 @@ def with_best_noise(
     It is learned from the blocks of rows of the ``data``, whose values are those of X (n, d) and Y
     (n, P). After Ctrl-C it is the best so far, and the result is interrupted.
     """
-    noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y), X.shape[1])
+    noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y), X)
     if known.is_fixed:
         return learned._replace(noise=noise)
     blocks = [data.of_samples(of_block) for of_block in rows]

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.special import softmax
 from sklearn.base import clone
 
-from skdgp._compute.linalg import column_scale
+from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.kernels import ConvolvedGaussian, MultiOutputKernel, Sum
+from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum
 
 
 @dataclass(frozen=True)
@@ -75,20 +75,25 @@ def n_mattering(
 ) -> int:
     """Return the number of hyperparameters that matter to the covariance of samples X (n, d).
 
-    An amplitude that is nearly zero does not, nor does a length scale far beyond the samples, nor the
-    shift of one output of a latent whose outputs all move, as only differences matter.
+    An amplitude that is nearly zero does not, nor does a length scale far beyond the samples or along
+    a constant regressor, nor the shift of one output of a latent whose outputs all move, as only
+    differences matter.
     """
-    return sum(_n_mattering(term, column_scale(X), settings) for term in kernel.summands())
+    return sum(_n_mattering(term, X, settings) for term in kernel.summands())
 
 
-def _n_mattering(term, scale, settings):
+def _n_mattering(term, X, settings):
+    if isinstance(term, LinearTrend):  # a slope by a constant regressor is learned from nothing
+        n_constant = constant_columns(X).sum() * term.n_outputs
+        return term.n_dims - int(n_constant)
     if not isinstance(term, ConvolvedGaussian):
         return term.n_dims
+    scale = column_scale(X)
     filters = term.filters
     size = np.abs(filters.amplitude)
     total = np.sqrt(np.sum(size**2, axis=0))
     feeds = size > settings.amplitude * total
-    wide = filters.length_scale > settings.length_scale * scale
+    wide = (filters.length_scale > settings.length_scale * scale) | constant_columns(X)
     matters = {
         "amplitude": feeds,
         "length_scale": feeds[..., None] & ~wide,

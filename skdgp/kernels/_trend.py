@@ -44,7 +44,7 @@ class TrendSettings:
     def least_slope(self, n_rows: int, n_regressors: int) -> float:
         """Return the lower bound of slopes by so many regressors that are learned from so many rows."""
         of_few_rows = min(self.few_rows / n_rows, self.largest_bound)
-        of_few_regressors = float(n_regressors) ** self.few_regressors
+        of_few_regressors = float(max(1, n_regressors)) ** self.few_regressors
         return max(self.slope_bounds[0], of_few_rows, of_few_regressors)
 
 
@@ -140,7 +140,7 @@ class LinearTrend(MultiOutputKernel):
         y_scale = column_scale(Y)
         unit = y_scale[:, None] / column_scale(X)
         n_rows = np.isfinite(Y).sum(axis=0).max()
-        least = settings.least_slope(n_rows, d)
+        least = settings.least_slope(n_rows, int(np.sum(~constant_columns(X))))
         bounds: dict[str, Any] = {
             "intercept_scale": "fixed",  # learned from centred outputs it would vanish
             "slope_scale": np.multiply.outer(unit, (least, settings.slope_bounds[1])),

@@ -45,9 +45,12 @@ def changed(X, Y, change):
         return X[:, ::-1], Y, X[:, ::-1]
     if change == "outputs":
         return X, Y[:, ::-1], X
-    if change == "a constant":
-        more = np.column_stack([X, np.full(len(X), 0.6)])
+    if change == "constants":
+        more = np.column_stack([np.full(len(X), -7.0), X, np.full(len(X), 0.6)])
         return more, Y, more
+    if change == "units":
+        units = np.array([1e6, 1.0, 3e-4])
+        return units * X, Y, units * X
     if change == "signs":
         return -X, Y, -X
     return X + 1e-12 * rng.normal(size=X.shape), Y, X
@@ -65,7 +68,7 @@ def usual():
 
 @pytest.mark.filterwarnings("ignore:The regressors .* constant")
 @pytest.mark.parametrize(
-    "change", ["rows", "regressors", "outputs", "signs", "a constant", "rounding", "seed"]
+    "change", ["rows", "regressors", "outputs", "signs", "constants", "units", "rounding", "seed"]
 )
 def test_the_same_table_in_another_form_has_the_same_model(usual, change):
     X, Y, mean, std = usual
@@ -75,3 +78,12 @@ def test_the_same_table_in_another_form_has_the_same_model(usual, change):
     if change == "outputs":
         other = other[:, ::-1]
     assert np.max(np.abs(mean - other) / std) < 0.05
+
+
+def test_a_function_of_many_periods_is_learned():
+    """Widths of many samples along one regressor go down to their spacing."""
+    rng = default_rng(4)
+    x, at = rng.uniform(0, 10, (800, 1)), rng.uniform(0, 10, (200, 1))
+    model = DependentGPRegressor(random_state=0)
+    model.fit(x, np.sin(40 * x[:, 0]) + 0.1 * rng.normal(size=800))
+    assert np.std(model.predict(at) - np.sin(40 * at[:, 0])) < 0.15

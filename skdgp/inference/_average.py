@@ -23,7 +23,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.inference._blocks import leaves
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
-from skdgp.kernels import MultiOutputKernel, PathBundle
+from skdgp.kernels import MultiOutputKernel, PathBundle, summed
 
 
 @dataclass(frozen=True)
@@ -124,11 +124,10 @@ class AveragePosterior(Posterior):
     @cached_property
     def mean_function(self) -> PathBundle:
         """The mean, as a single path, whose Gaussian functions are one basis."""
-        first, *others = [
-            member.mean_function.times(weights)
-            for member, weights in zip(self.members, self.mixture, strict=True)
-        ]
-        return sum(others, first).rounded()
+        parts: list[PathBundle] = []
+        for member, weights in zip(self.members, self.mixture, strict=True):
+            parts += member.mean_function.times(weights).summands()
+        return summed(parts).rounded()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "mean_function"}
@@ -171,11 +170,12 @@ class AveragePosterior(Posterior):
         ends = n_paths * np.cumsum(self.mixture, axis=0)
         member = np.sum(pick[:, None, None] >= ends[:-1], axis=1)
         seeds = rng.randint(2**31 - 1, size=len(self.members))
-        first, *others = [
-            component.paths(n_paths, int(seed))
-            for component, seed in zip(self.members, seeds, strict=True)
-        ]
-        return first.mixed(others, member)
+        parts: list[PathBundle] = []
+        for k, (component, seed) in enumerate(zip(self.members, seeds, strict=True)):
+            if (member == k).any():
+                paths = component.paths(n_paths, int(seed)).times(1.0 * (member == k))
+                parts += paths.summands()
+        return summed(parts)
 
 
 def held_out_weights(

@@ -242,12 +242,10 @@ class Data(NamedTuple):
         return sum(len(y) for y in self.y)
 
 
-def coupled_outputs(
-    kernel: MultiOutputKernel, data: Data, common_noise: bool = True
-) -> list[list[int]]:
+def coupled_outputs(kernel: MultiOutputKernel, data: Data) -> list[list[int]]:
     """Return the groups of outputs that have values and depend on each other by the kernel, or by noise in common."""
     outputs = [i for i, y in enumerate(data.y) if len(y)]
-    if common_noise and data.sample_noise is not None:
+    if data.sample_noise is not None:
         return [outputs]
     depends = np.eye(len(data.y), dtype=bool)
     for i, j in combinations(outputs, 2):

@@ -461,9 +461,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
         return _EvaluatedSum(self, pairs)
 
-    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        return self.k1.block_derivative(i, j, Xi, Xj) + self.k2.block_derivative(i, j, Xi, Xj)
-
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)
 

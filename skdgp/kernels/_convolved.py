@@ -324,11 +324,6 @@ class ConvolvedGaussian(MultiOutputKernel):
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return np.full(len(Xi), np.sum(self.filters.amplitude[:, i] ** 2))
 
-    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        Xi = np.asarray(Xi, dtype=float)
-        Xj = np.asarray(Xj, dtype=float)
-        return self.pair(i, j).derivative(Xi, Xj)
-
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
         return self.evaluate([InputPair(i, j, Xi, Xj)]).gradient([W])
 

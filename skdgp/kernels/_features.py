@@ -40,9 +40,6 @@ class FeaturePaths(BasisPaths):
         # Pickle the coefficients only: they are smaller than the weights of all columns.
         return FeaturePaths, (self.features, self.coefficients)
 
-    def take(self, index):
-        return FeaturePaths(self.features, self.coefficients[index])
-
 
 @dataclass(frozen=True)
 class FeatureSettings:
@@ -88,10 +85,6 @@ class Features(ABC):
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
-
-    @abstractmethod
-    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
-        """Return dKfu / dX, (d, n, c_i)."""
 
     def basis(self) -> tuple[Basis, list[Indices]]:
         """Return the functions of the regressors that Kfu is made of, and the variable of each, for each output.
@@ -287,10 +280,6 @@ class TrendFeatures(Features):
         centre = np.broadcast_to(values["center"], (d,))
         return LinearPaths(weights.swapaxes(1, 2).copy(), centre)
 
-    def Kfu_derivative(self, i, X):
-        slopes = self.kernel.basis_slopes(i)
-        return np.broadcast_to(slopes, (len(slopes), len(X), self.n_weights))
-
     def prior_paths(self, n_paths, n_frequencies, random_state):
         u = random_state.standard_normal((n_paths, self.size))
         return self.paths(u), u
@@ -316,10 +305,6 @@ class SumFeatures(Features):
 
     def Kfu(self, i, X):
         return np.hstack([self.first.Kfu(i, X), self.second.Kfu(i, X)])
-
-    def Kfu_derivative(self, i, X):
-        first = self.first.Kfu_derivative(i, X)
-        return np.concatenate([first, self.second.Kfu_derivative(i, X)], axis=-1)
 
     def prior_paths(self, *args):
         first, u = self.first.prior_paths(*args)

@@ -22,14 +22,13 @@ slopes and sample paths alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from skdgp._compute.typing import Array, Matrix, Vector
 
-STRIP = 3 * 2**16  # numbers of one strip of rows, which fit the cache
 FAR = 1e9  # exponent above which cancellation, relatively about 1e-16, becomes visible
 
 
@@ -214,25 +213,7 @@ class FilterPair:
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""
-        basis = self.basis(Xj)
-        total = np.empty((len(Xi), len(Xj)))
-        for rows in strips(len(Xi), len(basis.gain)):
-            terms = basis(Xi[rows]).reshape(rows.stop - rows.start, len(self.gain), len(Xj))
-            np.sum(terms, axis=1, out=total[rows])
-        return total
-
-    def derivative(self, Xi: Matrix, Xj: Matrix) -> Array:
-        """Return the derivative of equation 16 by the rows of Xi, (d, n_i, n_j)."""
-        basis = self.basis(Xj)
-        values = basis(Xi)
-        shape = len(Xi), len(self.gain), len(Xj)
-        slopes = np.empty((Xi.shape[1], len(Xi), len(Xj)))
-        for k, (x, z, Sigma) in enumerate(
-            zip(Xi.T, basis.centres.T, basis.precision.T, strict=True)
-        ):
-            of_functions = values * Sigma * np.subtract.outer(-x, -z)
-            slopes[k] = of_functions.reshape(shape).sum(axis=1)
-        return slopes
+        return self.evaluated(Xi, Xj).covariance
 
     # -- derivatives by the parameters
 
@@ -294,9 +275,3 @@ class EvaluatedPair:
         second = sums[..., d + 1 :] + x * (x * zeroth - 2.0 * of_z)
         first = sign * (x * zeroth - of_z)
         return self.pair.slopes(Moments(zeroth[..., 0], first, second))
-
-
-def strips(n_rows: int, n_columns: int) -> Iterator[slice]:
-    """Return slices of the rows with about STRIP numbers each."""
-    step = max(8, STRIP // max(n_columns, 1))
-    return (slice(a, min(a + step, n_rows)) for a in range(0, n_rows, step))

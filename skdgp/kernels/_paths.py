@@ -1,4 +1,4 @@
-"""Functions of the regressors, many at once: linear ones, waves and other bases; their sums, means and mixtures."""
+"""Functions of the regressors, many at once: linear ones, waves and other bases; their sums and means."""
 
 from __future__ import annotations
 
@@ -32,10 +32,6 @@ class PathBundle(ABC):
     def gradient(self, X: Array) -> np.ndarray:
         """Return the slopes of all outputs, (S, n, P, d)."""
 
-    def take(self, index: slice | np.ndarray) -> PathBundle:
-        """Return some of the functions; a mixture takes the ones that it needs."""
-        raise NotImplementedError
-
     @abstractmethod
     def doubles(self, same_points: bool) -> int:
         """Return the working memory for one point of each function, in doubles."""
@@ -47,9 +43,9 @@ class PathBundle(ABC):
         """
         return self
 
-    def times(self, factor: Vector) -> PathBundle:
-        """Return means, which are linear or of a basis, with outputs multiplied by factors (P,)."""
-        raise NotImplementedError
+    @abstractmethod
+    def times(self, factor: Array) -> PathBundle:
+        """Return the functions with outputs multiplied by factors (P,), or by those of each function (S, P)."""
 
     def averaged(self, spread: Vector) -> PathBundle:
         """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
@@ -75,28 +71,6 @@ class PathBundle(ABC):
 
     def __add__(self, other: PathBundle) -> PathBundle:
         return summed([*self.summands(), *other.summands()])
-
-    def mixed(self, others: list[PathBundle], member: np.ndarray) -> PathBundle:
-        """Return S functions with outputs of this bundle, where ``member`` (S, P) is 0, or of another.
-
-        Linear parts of all bundles become one.
-        """
-        parts: list[PathBundle] = []
-        bundles: list[PathBundle] = []
-        # numbers among the bundles that are not linear, -1 for none
-        number = np.full(member.shape, -1)
-        for k, bundle in enumerate([self, *others]):
-            is_member = member == k
-            curved = [part for part in bundle.summands() if not isinstance(part, LinearPaths)]
-            for part in bundle.summands():
-                if isinstance(part, LinearPaths):
-                    parts.append(LinearPaths(part.weights * is_member[:, None], part.centre))
-            if curved and is_member.any():
-                number[is_member] = len(bundles)
-                bundles.append(summed(curved).take(is_member.any(axis=1)))
-        if bundles:
-            parts.append(MixedPaths(bundles, number))
-        return summed(parts)
 
     def values(self, X: Array) -> np.ndarray:
         """Return the values at many points, in chunks."""
@@ -139,6 +113,9 @@ class MeanPaths(PathBundle):
     def gradient(self, X):
         return self._mean(self.paths.gradient, X)
 
+    def times(self, factor):
+        return MeanPaths(self.paths.times(factor), self.moves)
+
     def _mean(self, function, X):
         total = function(X + self.moves[0])
         for move in self.moves[1:]:
@@ -154,9 +131,6 @@ class SumPaths(PathBundle):
 
     def summands(self):
         return self.parts
-
-    def take(self, index):
-        return SumPaths([part.take(index) for part in self.parts])
 
     def rounded(self):
         return SumPaths(_with_one_basis([part.rounded() for part in self.parts]))
@@ -191,9 +165,6 @@ class LinearPaths(PathBundle):
         self.weights = weights
         self.centre = centre
 
-    def take(self, index):
-        return LinearPaths(self.weights[index], self.centre)
-
     def averaged(self, spread):
         return self
 
@@ -201,7 +172,7 @@ class LinearPaths(PathBundle):
         return len(self.weights) * sum(self.weights.shape[1:])
 
     def times(self, factor):
-        return LinearPaths(self.weights * factor, self.centre)
+        return LinearPaths(self.weights * factor[..., None, :], self.centre)
 
     def about(self, centre: Vector) -> LinearPaths:
         """Return the same functions with another centre."""
@@ -226,48 +197,6 @@ def summed(parts: Sequence[PathBundle]) -> PathBundle:
         weights = [part.about(centre).weights for part in linear]
         others.insert(0, LinearPaths(np.sum(weights, axis=0), centre))
     return others[0] if len(others) == 1 else SumPaths(others)
-
-
-class MixedPaths(PathBundle):
-    """Functions that take each output from one of several bundles, or are zero.
-
-    ``member`` (S, P) is the number of the bundle that each output of each function is taken from, -1 for zero. A
-    bundle holds the functions that need it, in their order, whose numbers are ``rows``.
-    """
-
-    def __init__(self, bundles: list[PathBundle], member: np.ndarray):
-        self.bundles = bundles
-        self.member = member
-        self.rows = [np.flatnonzero((member == k).any(axis=1)) for k in range(len(bundles))]
-        # whether an output is taken, in the order of the functions of each bundle
-        self._taken = [1.0 * (member[rows] == k) for k, rows in enumerate(self.rows)]
-
-    def rounded(self):
-        return MixedPaths([bundle.rounded() for bundle in self.bundles], self.member)
-
-    def averaged(self, spread):
-        return MixedPaths([bundle.averaged(spread) for bundle in self.bundles], self.member)
-
-    def doubles(self, same_points):
-        needed = zip(self.bundles, self.rows, strict=True)
-        return max(bundle.doubles(same_points) for bundle, rows in needed if len(rows))
-
-    def each(self, X):
-        values = np.zeros((len(self.member), X.shape[1], self.member.shape[1]))
-        return self._fill(values, X, [bundle.each for bundle in self.bundles])
-
-    def gradient(self, X):
-        slopes = np.zeros((len(self.member), X.shape[1], *self.member.shape[1:], X.shape[-1]))
-        return self._fill(slopes, X, [bundle.gradient for bundle in self.bundles])
-
-    def _fill(self, values, X, functions):
-        """Add the outputs of all functions, each from the bundle that it is taken from."""
-        for evaluate, rows, taken in zip(functions, self.rows, self._taken, strict=True):
-            if len(rows):
-                of_bundle = evaluate(X if len(X) == 1 else X[rows])
-                of_bundle *= taken.reshape(len(rows), 1, -1, *(1,) * (values.ndim - 3))
-                values[rows] += of_bundle
-        return values
 
 
 class Basis(Protocol):
@@ -302,11 +231,9 @@ class BasisPaths(PathBundle):
         """The weights (S, c) of each output."""
         return [self._all_weights[:, columns] for columns in self.columns]
 
-    def take(self, index):
-        return BasisPaths(self.basis, [w[index] for w in self.weights], self.columns)
-
     def times(self, factor):
-        weights = [w * f for w, f in zip(self.weights, factor, strict=True)]
+        factors = np.moveaxis(factor, -1, 0)[..., None]
+        weights = [w * f for w, f in zip(self.weights, factors, strict=True)]
         return BasisPaths(self.basis, weights, self.columns)
 
     def averaged(self, spread):
@@ -379,8 +306,8 @@ class Waves(PathBundle):
         self.phase = phase
         self.weights = weights
 
-    def take(self, index):
-        return Waves(self.omega[index], self.phase[index], self.weights[index])
+    def times(self, factor):
+        return Waves(self.omega, self.phase, self.weights * factor[..., None])
 
     def rounded(self):
         return Waves(

@@ -165,10 +165,6 @@ class LinearTrend(MultiOutputKernel):
         """Return the basis (n, d + 1) that maps the standardised weights of output i to its trend at X."""
         return _basis(self.values(), i, X)
 
-    def basis_slopes(self, i: int) -> Array:
-        """Return dbasis / dX, (d, 1, d + 1), which is constant."""
-        return np.pad(np.diag(self.value("slope_scale")[i]), [(0, 0), (1, 0)])[:, None]
-
     def residual(self, X: Matrix, Y: Matrix) -> Matrix:
         slopes = ((X - X.mean(axis=0)) / column_scale(X))[:, ~constant_columns(X)]
         basis = np.column_stack([np.ones(len(X)), slopes])

@@ -133,8 +133,8 @@ class MultiOutputKernel(Kernel):
 
     @property
     @abstractmethod
-    def n_features(self) -> int:
-        """Number of regressors d."""
+    def n_features(self) -> int | None:
+        """Number of regressors d, None for a kernel that takes any number."""
 
     @property
     def n_processes(self) -> int:
@@ -222,7 +222,7 @@ class MultiOutputKernel(Kernel):
         return self
 
     def _check_columns(self, what, data, expected):
-        if data.shape[1] != expected:
+        if expected not in (None, data.shape[1]):
             raise ValueError(
                 f"Got data of {data.shape[1]} {what}, but expected {expected}, "
                 f"as many as the kernel {type(self).__name__} has."
@@ -254,7 +254,7 @@ class MultiOutputKernel(Kernel):
         else:
             arrays = [np.asarray(X, dtype=float)] * self.n_outputs
         for x in arrays:
-            if x.ndim != 2 or x.shape[1] != self.n_features:
+            if x.ndim != 2 or self.n_features not in (None, x.shape[1]):
                 raise ValueError(
                     f"Got inputs of shape {x.shape}, but expected (n, {self.n_features}): "
                     "one column for each regressor of the kernel."
@@ -435,8 +435,8 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return _common("n_outputs", self.k1.n_outputs, self.k2.n_outputs)
 
     @property
-    def n_features(self) -> int:
-        """Number of regressors d."""
+    def n_features(self) -> int | None:
+        """Number of regressors d, None for kernels that take any number."""
         return _common("n_features", self.k1.n_features, self.k2.n_features)
 
     def couples(self, i: int, j: int) -> bool:
@@ -563,7 +563,9 @@ def _with_first(kernel, theta):
 
 
 def _common(name, first, second):
-    """Return a number that both terms of a sum have in common."""
+    """Return a number that both terms of a sum have in common, or the one that is known."""
+    if first is None or second is None:
+        return second if first is None else first
     if first != second:
         raise ValueError(
             f"Got a sum of kernels with {name} {first} and {second}, but expected the same number."

@@ -20,7 +20,6 @@ from skdgp.kernels._base import (
     as_shape,
     complete_bounds,
     given_bounds,
-    is_per_output,
     numbered,
     rescaled_parameters,
 )
@@ -52,8 +51,6 @@ class Coregionalized(MultiOutputKernel):
     amplitude : array (M, P) or None
         Signed W, in the unit of the output, shared processes first, then private ones. None: from
         the data.
-    n_regressors : int or None
-        Number of regressors. None: from the data, or of an anisotropic kernel.
     parameter_bounds : mapping or None
         Bounds by the name ``"amplitude"``: a pair, an array (..., 2), or "fixed". None: from the
         data.
@@ -75,14 +72,12 @@ class Coregionalized(MultiOutputKernel):
         *,
         private_latents: bool = True,
         amplitude: Any = None,
-        n_regressors: int | None = None,
         parameter_bounds: Mapping[str, Any] | None = None,
     ) -> None:
         self.kernel = kernel
         self.n_latent = n_latent
         self.private_latents = private_latents
         self.amplitude = amplitude
-        self.n_regressors = n_regressors
         self.parameter_bounds = parameter_bounds
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
@@ -134,46 +129,22 @@ class Coregionalized(MultiOutputKernel):
         return self.weights.shape[1]
 
     @property
-    def n_features(self) -> int:
-        """Number of regressors d."""
-        d = self._known_features()
-        if d is None:
-            raise ValueError(
-                "Coregionalized has no number of regressors yet: give n_regressors, "
-                "or let DependentGPRegressor.fit set it."
-            )
-        return d
-
-    def _known_features(self):
-        """Return the number of regressors that was given, of an anisotropic kernel, or None."""
+    def n_features(self) -> int | None:
+        """Number of regressors d of an anisotropic kernel; None for an isotropic one, which takes any number."""
         check_kernel(self.kernel)
-        if self.n_regressors is not None:
-            return self.n_regressors
         n_scales = max((h.n_elements for h in self.kernel.hyperparameters), default=1)
         return None if n_scales == 1 else n_scales
-
-    def split(self, X: Matrix) -> list[np.ndarray]:
-        if self._known_features() is None:  # an isotropic kernel takes any number
-            d = np.shape(X[0] if is_per_output(X) else X)[-1]
-            return clone(self).set_params(n_regressors=d).split(X)
-        return super().split(X)
 
     def has_values(self) -> bool:
         return self.amplitude is not None
 
     def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
-        d = X.shape[1]
-        if self._known_features() not in (None, d):
-            raise ValueError(
-                f"Got data of {d} regressors, but expected {self.n_features}, "
-                f"as many as the kernel {self.kernel!r} has."
-            )
+        self._check_columns("regressors", X, self.n_features)
         feeds = self._feeds(Y.shape[1])
         values, bounds = starting_values(feeds, X, Y, random_state)
         amplitude = values["amplitude"] if self.amplitude is None else self.amplitude
         defaults = {"amplitude": bounds["amplitude"]}
         return clone(self).set_params(
-            n_regressors=d,
             amplitude=as_shape("amplitude", amplitude, feeds.shape),
             parameter_bounds=complete_bounds(self.parameter_bounds, defaults),
         )
@@ -287,13 +258,11 @@ def as_multi_output(kernel: Kernel, n_fixed: int | None = None) -> MultiOutputKe
     amplitudes of the outputs are left to be estimated. Raises TypeError for products and powers of
     multi-output kernels, and for white noise.
     """
-    if isinstance(kernel, Sum):
-        return Sum(as_multi_output(kernel.k1, n_fixed), as_multi_output(kernel.k2, n_fixed))
-    if isinstance(kernel, MultiOutputKernel):
-        return kernel
     if any(isinstance(part, MultiOutputKernel) for part in _parts(kernel)):
         if isinstance(kernel, SklearnSum):
             return Sum(as_multi_output(kernel.k1, n_fixed), as_multi_output(kernel.k2, n_fixed))
+        if isinstance(kernel, MultiOutputKernel):
+            return kernel
         raise TypeError(
             f"Got {kernel!r}, a product or power of a multi-output kernel, but such kernels can only be added. "
             "Multiply scikit-learn's kernels inside Coregionalized."

@@ -58,7 +58,6 @@ KERNELS = {
     "of scikit-learn": coregionalized(Matern([0.8, 1.7], nu=2.5)),
     "product of scikit-learn, partly fixed": coregionalized(
         ConstantKernel(2.0, "fixed") * RBF(0.9),
-        n_regressors=2,
         parameter_bounds={"amplitude": "fixed"},
     ),
     "trend + sum of scikit-learn": trend() + coregionalized(RBF(0.9) + Matern([0.8, 1.7], nu=2.5)),
@@ -75,7 +74,9 @@ ALSO = ["of scikit-learn", "trend + sum of scikit-learn"]
 
 def n_features(kernel):
     first = kernel.summands()[0]
-    return len(first.center) if isinstance(first, LinearTrend) else first.n_features
+    if isinstance(first, LinearTrend):
+        return len(first.center)
+    return first.n_features or 2  # of one that takes any number
 
 
 def inputs(kernel, sizes=(4, 3, 5), seed=2):

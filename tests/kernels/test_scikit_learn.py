@@ -38,16 +38,14 @@ class TestCoregionalized:
         assert_allclose(kernel(X), np.kron(W.T @ W, inner(X)), rtol=1e-12)
         assert_allclose(kernel(X, X[:2]), np.kron(W.T @ W, inner(X, X[:2])), rtol=1e-12)
 
-    def test_takes_amplitudes_and_the_number_of_regressors_from_the_data(self):
+    def test_takes_amplitudes_from_the_data(self):
         Y = default_rng(2).normal(size=(5, 3)) * [1.0, 10.0, 1e-3]
         kernel = Coregionalized(RBF()).initialize(X, Y, 0)
-        assert (kernel.n_outputs, kernel.n_features) == (3, 2)
+        assert (kernel.n_outputs, kernel.n_features) == (3, None)
         variance = kernel.diag(X[:1]) / Y.var(axis=0)
         assert ((variance > 0.5) & (variance < 5)).all()
         with pytest.raises(ValueError, match="no values yet: give amplitude"):
             Coregionalized(RBF())(X)
-        with pytest.raises(ValueError, match="no number of regressors yet: give n_regressors"):
-            _ = Coregionalized(RBF(), amplitude=[[1.0]]).n_features
         with pytest.raises(ValueError, match=r"2 regressors, but expected 3"):
             Coregionalized(RBF([1.0, 2.0, 3.0])).initialize(X, Y, 0)
 

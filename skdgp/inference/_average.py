@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.inference._blocks import leaves
 from skdgp.inference._likelihood import Data
 from skdgp.inference._posterior import Posterior, SinglePosterior
-from skdgp.kernels import MultiOutputKernel, PathBundle, summed
+from skdgp.kernels import MultiOutputKernel, PathBundle
 
 
 @dataclass(frozen=True)
@@ -124,10 +125,11 @@ class AveragePosterior(Posterior):
     @cached_property
     def mean_function(self) -> PathBundle:
         """The mean, as a single path, whose Gaussian functions are one basis."""
-        parts: list[PathBundle] = []
-        for member, weights in zip(self.members, self.mixture, strict=True):
-            parts += member.mean_function.times(weights).summands()
-        return summed(parts).rounded()
+        weighted = [
+            member.mean_function.times(weights)
+            for member, weights in zip(self.members, self.mixture, strict=True)
+        ]
+        return reduce(add, weighted).rounded()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "mean_function"}
@@ -173,9 +175,8 @@ class AveragePosterior(Posterior):
         parts: list[PathBundle] = []
         for k, (component, seed) in enumerate(zip(self.members, seeds, strict=True)):
             if (member == k).any():
-                paths = component.paths(n_paths, int(seed)).times(1.0 * (member == k))
-                parts += paths.summands()
-        return summed(parts)
+                parts.append(component.paths(n_paths, int(seed)).times(1.0 * (member == k)))
+        return reduce(add, parts)
 
 
 def held_out_weights(

@@ -74,7 +74,7 @@ def margins(run: Run) -> None:
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
         "servos": servos,
-        "margins": now.reset_index().to_dict("records"),
+        "margins": now,
         "unstable": now.attrs["unstable"],
     }
     try:
@@ -94,7 +94,7 @@ def margins(run: Run) -> None:
         texts += ["", "margins with these gains", _margin_text(then)]
         files["suggested.csv"] = csv_writer(gains)
         numbers["gains"] = gains.to_dict("records")
-        numbers["margins_suggested"] = then.reset_index().to_dict("records")
+        numbers["margins_suggested"] = then
     run.finish(texts, numbers, files, "margins.json")
 
 

@@ -80,12 +80,14 @@ def text_writer(text: str) -> Writer:
 def plain(value: Any) -> Any:
     """Return a value for JSON: None instead of NaN and infinity, text instead of types that JSON does not have.
 
-    Tables are rows by their index, records their fields by name.
+    Tables are rows by their index, level by level, records their fields by name.
     """
     if isinstance(value, Finding):
         value = value.to_dict()
     if isinstance(value, Kind):
         return value.label
+    if isinstance(value, pd.DataFrame) and value.index.nlevels > 1:
+        value = {key: part.droplevel(0) for key, part in value.groupby(level=0, sort=False)}
     if isinstance(value, pd.DataFrame):
         value = value.to_dict("index")
     if is_dataclass(value):

@@ -112,14 +112,6 @@ class Changes:
         ]
         return ", ".join(parts) + " (+- one standard deviation)"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain values."""
-        of_flight = self.derivatives.groupby("flight")
-        derivatives = {
-            name: table.droplevel("flight").to_dict("index") for name, table in of_flight
-        }
-        return {"p_values": self.p_values.to_dict("index"), "derivatives": derivatives}
-
 
 def changes_in_flights(
     pipeline: FlightPipeline,

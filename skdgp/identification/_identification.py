@@ -108,24 +108,24 @@ class Identification:
         tests = {}
         for flight in self.evaluations:
             tests[flight.name] = _sampling_of(flight.table) | _score_metrics([flight])
-        metrics = {
-            "format": FORMAT,
-            "created": self.created,
-            "command": self.command,
-            "versions": software_versions(),
-            "aircraft": self.aircraft.to_dict(),
-            "options": self.options,
-            "fit": self.fit,
-            "train": {name: _sampling_of(table) for name, table in self.train.items()},
-            "test": tests,
-            "test_together": _score_metrics(self.evaluations),
-            "verdict": self.verdict,
-            "flight_mechanics": self.mechanics,
-            "findings": self.findings,
-        }
-        if self.changes is not None:
-            metrics["changed"] = self.changes.to_dict()
-        return plain(metrics)
+        return plain(
+            {
+                "format": FORMAT,
+                "created": self.created,
+                "command": self.command,
+                "versions": software_versions(),
+                "aircraft": self.aircraft.to_dict(),
+                "options": self.options,
+                "fit": self.fit,
+                "train": {name: _sampling_of(table) for name, table in self.train.items()},
+                "test": tests,
+                "test_together": _score_metrics(self.evaluations),
+                "verdict": self.verdict,
+                "flight_mechanics": self.mechanics,
+                "findings": self.findings,
+                "changed": self.changes,
+            }
+        )
 
     def summary(self) -> str:
         """Return the text of the command line: scores of all test flights together and of each, and the verdict."""

@@ -186,7 +186,7 @@ class TestMargins:
         linear = linearize(model.pipeline, model.aircraft, at, n_paths=10, delay=0.02)
         loops = autopilot_loops(parameters, {"aileron": 0.4, "elevator": 0.4})
         expected = margins(linear, loops)
-        shown = pd.DataFrame(said["margins"]).set_index(["loop", "quantity"])
+        shown = pd.concat({loop: pd.DataFrame(rows).T for loop, rows in said["margins"].items()})
         assert_allclose(shown["value"].astype(float), expected["value"], rtol=1e-6)
         suggested = pd.read_csv(tmp_path / "out" / "suggested.csv")
         assert list(suggested["parameter"]) == ["FW_RR_P", "FW_RR_I", "FW_PR_P", "FW_PR_I"]

@@ -90,8 +90,8 @@ class Evaluation:
         Standard deviations of such measurements, which have the same errors of the log.
     regressors : (n, d)
         Inputs of the last step of the pipeline.
-    baseline : (n, 6), optional
-        Coefficients that least squares on the same rows predict, where targets had names.
+    baseline : (n, 6)
+        Coefficients that least squares on the same rows predict.
     truth : (n, 6), optional
         Noise-free coefficients of a simulation.
     replay : DataFrame, optional
@@ -107,7 +107,7 @@ class Evaluation:
     std: Matrix
     prediction_std: Matrix
     regressors: Matrix
-    baseline: Matrix | None = None
+    baseline: Matrix
     truth: Matrix | None = None
     replay: pd.DataFrame | None = None
 
@@ -131,9 +131,8 @@ def _scores(flights: Sequence[Evaluation], against: str, band: str) -> pd.DataFr
     table = pd.DataFrame(index=list(COEFFICIENTS))
     table["median_relative_error"] = median_relative_error(expected, mean, **each)
     table["normalized_rmse"] = normalized_rmse(expected, mean, **each)
-    if all(flight.baseline is not None for flight in flights):
-        linear = joined("baseline")
-        table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
+    linear = joined("baseline")
+    table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
     bands = expected, mean, joined(band)
     table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
     table["interval_coverage"] = interval_coverage(*bands, **each)
@@ -193,7 +192,7 @@ def evaluate(
         prediction_std=np.sqrt(variance + pipeline[-1].noise_variance_),
         regressors=X,
         truth=_truth(corrected, band),
-        baseline=_baseline(pipeline, X),
+        baseline=by_least_squares(named_regressors(pipeline, X), pipeline.least_squares_),
         replay=replayed,
     )
 
@@ -216,10 +215,3 @@ def _truth(table: pd.DataFrame, band: float) -> Matrix | None:
     if not {*names} <= {*table}:
         return None
     return band_limited(table[names].to_numpy(float), table, band)
-
-
-def _baseline(pipeline: FlightPipeline, X: Matrix) -> Matrix | None:
-    """Return the coefficients (n, 6) by least squares on the rows of the fit, None of targets without names."""
-    if pipeline.least_squares_.empty:
-        return None
-    return by_least_squares(named_regressors(pipeline, X), pipeline.least_squares_)

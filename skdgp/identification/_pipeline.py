@@ -306,9 +306,12 @@ class FlightPipeline(Pipeline):
     def fit(self, X: Any, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
+        Six targets without names are CX CY CZ Cl Cm Cn.
         ``params`` are as of scikit-learn's ``Pipeline``.
         """
         began = time.monotonic()
+        if np.shape(y)[1:] == (len(COEFFICIENTS),) and not isinstance(y, pd.DataFrame):
+            y = pd.DataFrame(y, columns=[*COEFFICIENTS])
         self.n_observed_ = _n_observed(y)
         y = self._thinned(y)
         self.n_learned_ = _n_observed(y)

@@ -103,8 +103,8 @@ class Verdict:
         NRMSE, mean of the coefficients that vary; NaN where none does.
     coverage : float
         Coverage of the 95 % bands, mean of the coefficients.
-    least_squares_error : float or None
-        Error of a linear model of the same rows, where it is known.
+    least_squares_error : float
+        Error of a linear model of the same rows.
     unvarying : tuple of str
         Coefficients that vary by less than their noise, so that no error judges them.
     uses : tuple of Use
@@ -115,7 +115,7 @@ class Verdict:
 
     error: float
     coverage: float
-    least_squares_error: float | None
+    least_squares_error: float
     unvarying: tuple[str, ...]
     uses: tuple[Use, ...]
     findings: tuple[Finding, ...]
@@ -130,8 +130,6 @@ class Verdict:
         text = f"error {self.error:.3f} of the spread, {100 * self.coverage:.1f} % in 95 % bands"
         if self.unvarying:
             text += f" (errors without {' '.join(self.unvarying)})"
-        if self.least_squares_error is None:
-            return text
         return (
             f"{text}; least squares on the same rows has an error of {self.least_squares_error:.3f}"
         )
@@ -170,7 +168,7 @@ def judge(
     return Verdict(
         error=float(means[NRMSE]),
         coverage=float(table[COVERAGE].mean()),
-        least_squares_error=means.get(LINEAR_NRMSE),
+        least_squares_error=means[LINEAR_NRMSE],
         unvarying=tuple(unvarying),
         uses=tuple(_judged(purpose, every) for purpose in LIMITS),
         findings=tuple(finding for finding in every if finding.severity is not Severity.NOTE),
@@ -340,8 +338,6 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
 
 def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
     """Return the warning that least squares predicts better, if it does."""
-    if LINEAR_NRMSE not in varying:
-        return []
     limits = (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
     if not varying[NRMSE].mean() > limits.mean():
         return []

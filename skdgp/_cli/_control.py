@@ -18,13 +18,10 @@ from skdgp._cli._shared import (
     SEED,
     Commands,
     Run,
-    at_least,
     changed,
     checked,
-    from_zero,
     number,
     option,
-    positive,
 )
 from skdgp._cli._use import read_model_to_fly, trimmed, warn_unfit
 from skdgp._compute.files import csv_writer
@@ -220,7 +217,7 @@ COMMANDS: Commands = {
             ),
             option(
                 "--delay",
-                type=from_zero(),
+                type=number(">= 0"),
                 default=0.02,
                 help="of the commands before they are logged [s], from sampling and computing; the delay of the "
                 "servos and the hold of the commands, which the flights show, come on top (default: 0.02)",
@@ -233,13 +230,13 @@ COMMANDS: Commands = {
             ),
             option(
                 "--gain-margin",
-                type=positive("dB"),
+                type=number("> 0"),
                 default=6.0,
                 help="wanted (default: 6)",
             ),
             option(
                 "--phase-margin",
-                type=positive("deg"),
+                type=number("> 0"),
                 default=45.0,
                 help="wanted (default: 45)",
             ),
@@ -261,12 +258,12 @@ COMMANDS: Commands = {
             PARAMETERS,
             option(
                 "--path",
-                type=at_least(0),
+                type=number(">= 0", kind=int),
                 help="seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
             ),
             option(
                 "--height",
-                type=positive("m"),
+                type=number("> 0"),
                 default=100.0,
                 help="of the start above the ground [m] (default: 100)",
             ),
@@ -281,23 +278,23 @@ COMMANDS: Commands = {
             option(
                 "--gusts",
                 metavar="W|flown",
-                type=from_zero("flown"),
+                type=number(">= 0", "flown"),
                 help="gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
             ),
             option(
                 "--seconds",
-                type=positive("seconds"),
+                type=number("> 0"),
                 help="of flight (default: until the autopilot is silent)",
             ),
             option(
                 "--wait",
-                type=positive("seconds"),
+                type=number("> 0"),
                 default=60.0,
                 help="longest silence of the autopilot [s] (default: 60)",
             ),
             option(
                 "--port",
-                type=at_least(1),
+                type=number(">= 1", kind=int),
                 default=9002,
                 help="UDP port (default: 9002)",
             ),

@@ -17,7 +17,6 @@ from skdgp._cli._shared import (
     SEED,
     Commands,
     Run,
-    at_least,
     changed,
     factors,
     number,
@@ -220,7 +219,7 @@ LEARNING = [
     option(
         "--samples",
         metavar="N|all",
-        type=at_least(2, "all"),
+        type=number(">= 2", "all", kind=int),
         help="rows to learn from (default: all, at most 30,000)",
     ),
     option(
@@ -233,7 +232,7 @@ LEARNING = [
     ),
     option(
         "--max-iter",
-        type=at_least(1),
+        type=number(">= 1", kind=int),
         help="largest number of steps of the fit from each start (default: 300)",
     ),
     SEED,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import operator
 import os
 import shutil
 import sys
@@ -55,33 +56,16 @@ def checked(
     return value
 
 
-def number(
-    expected: str = "a number",
-    least: float = -math.inf,
-    *keywords: str,
-    kind: type = float,
-) -> Callable[[str], float | str]:
-    """Return the type of finite numbers from ``least`` on, or of some words."""
+def number(bound: str = "", *words: str, kind: type = float) -> Callable[[str], float | str]:
+    """Return the type of finite numbers within a bound such as "> 0", or of some words."""
+    symbol, limit = bound.split() if bound else (">", "-inf")
+    is_within = {">": operator.gt, ">=": operator.ge}[symbol]
+    expected = f"a {'whole number' if kind is int else 'number'} {bound}".strip()
     return checked(
-        ", or ".join([expected, *keywords]),
-        lambda text: text if text in keywords else kind(text),
-        lambda value: value in keywords or (least <= value and math.isfinite(value)),
+        ", or ".join([expected, *words]),
+        lambda text: text if text in words else kind(text),
+        lambda value: value in words or (is_within(value, float(limit)) and math.isfinite(value)),
     )
-
-
-def at_least(lowest: int, *keywords: str) -> Callable[[str], float | str]:
-    """Return the type of whole numbers from ``lowest`` on, or of some words."""
-    return number(f"a whole number, {lowest} or more", lowest, *keywords, kind=int)
-
-
-def positive(unit: str, *keywords: str) -> Callable[[str], float | str]:
-    """Return the type of numbers > 0, or of some words."""
-    return number(f"{unit} > 0", math.nextafter(0.0, 1.0), *keywords)
-
-
-def from_zero(*keywords: str) -> Callable[[str], float | str]:
-    """Return the type of numbers from 0 on, or of some words."""
-    return number("a number, 0 or more", 0.0, *keywords)
 
 
 def _pair(text: str, separator: str, first: type = float, second: type = float) -> tuple[Any, Any]:
@@ -134,7 +118,7 @@ LOG = [
     option(
         "--airborne",
         metavar="V|all",
-        type=positive("m/s", "all"),
+        type=number("> 0", "all"),
         help="airspeed [m/s] above which logs of autopilots are flights, or all of a log "
         "(default: estimated)",
     ),
@@ -147,13 +131,15 @@ AIRCRAFT = option(
 )
 HORIZON = option(
     "--horizon",
-    type=positive("seconds"),
+    type=number("> 0"),
     default=10.0,
     help="seconds after which simulations start again (default: 10)",
 )
-SEED = option("--seed", type=at_least(0), default=0, help="of random numbers (default: 0)")
+SEED = option(
+    "--seed", type=number(">= 0", kind=int), default=0, help="of random numbers (default: 0)"
+)
 OUTPUT = option("-o", "--output", help="folder for the outputs")
-AIRSPEED = option("--airspeed", type=positive("m/s"), required=True, help="of the trim [m/s]")
+AIRSPEED = option("--airspeed", type=number("> 0"), required=True, help="of the trim [m/s]")
 ALTITUDE = option("--altitude", type=number(), default=0.0, help="of the trim [m] (default: 0)")
 PATHS = option(
     "--paths",

@@ -29,10 +29,8 @@ from skdgp._cli._shared import (
     Run,
     axis_value,
     changed,
-    from_zero,
     number,
     option,
-    positive,
     reading,
     table_file,
 )
@@ -365,7 +363,7 @@ COMMANDS: Commands = {
             AIRSPEED,
             option(
                 "--seconds",
-                type=positive("seconds"),
+                type=number("> 0"),
                 required=True,
                 help="of all flights together",
             ),
@@ -389,7 +387,7 @@ COMMANDS: Commands = {
                 default=[],
                 help="largest deviations from trim [rad] (default: as flown)",
             ),
-            option("--max-bank", type=positive("rad"), help="to either side"),
+            option("--max-bank", type=number("> 0"), help="to either side"),
             option(
                 "--floor",
                 type=number(),
@@ -397,7 +395,7 @@ COMMANDS: Commands = {
             ),
             option(
                 "--growth",
-                type=from_zero("inf"),
+                type=number(">= 0", "inf"),
                 default=0.2,
                 help="part of its range by which a quantity may leave its range in training; inf: no "
                 "limit (default: 0.2)",

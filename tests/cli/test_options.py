@@ -40,9 +40,9 @@ def usage_error(command, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("demo --samples 1", "got 1, but expected a whole number, 2 or more, or all"),
+        ("demo --samples 1", "got 1, but expected a whole number >= 2, or all"),
         (f"demo --seed {'9' * 400}", "but expected a whole number"),
-        ("demo --horizon nan", "got nan, but expected seconds > 0"),
+        ("demo --horizon nan", "got nan, but expected a number > 0"),
         ("demo --sampels 40", "unrecognized arguments: --sampels 40"),
         ("identify a --mass 3+--1", "but expected a number > 0, or with its standard deviation"),
         ("identify a --mass 3 --propeller 10", "got 10, but expected two numbers > 0"),

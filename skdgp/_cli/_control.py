@@ -143,7 +143,7 @@ def fly(run: Run) -> None:
     steady = trimmed(model, options.airspeed, options.altitude + options.height)
 
     def ready() -> None:
-        run.console.end_stage()
+        run.console.stage("")
         run.console.print_error(f"waiting for ArduPilot at port {options.port}; Ctrl-C ends")
 
     flown = fly_model(

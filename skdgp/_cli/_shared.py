@@ -234,15 +234,10 @@ class Console:
         self._write(f"{self._clear}{text}\n")
 
     def stage(self, text: str) -> None:
-        """Show the stage that begins."""
+        """Show the stage that begins, none of an empty text."""
         self._began = time.monotonic()
         self._stage = text
         self._steps = ""
-
-    def end_stage(self) -> None:
-        """Show no stage until the next one begins."""
-        self._stage = ""
-        self._write(self._clear)
 
     def _show_stages(self):
         while not self._done.wait(self._period):
@@ -269,8 +264,7 @@ class Console:
         counted, began, first = self._first_step
         if name != counted or done <= first:
             self._first_step = name, now, done
-        filled = round(BAR * done / total)
-        bar = "#" * filled + "-" * (BAR - filled)
+        bar = ("#" * round(BAR * done / total)).ljust(BAR, "-")
         self._steps = f" · {name} [{bar}] {done} of {total}"
         if name == counted and done > first:
             left = (now - began) * (total - done) / (done - first)
@@ -319,11 +313,10 @@ class Run:
         numbers: dict[str, Any],
         files: Mapping[str, Writer],
         record: str = "",
-        obsolete: Sequence[str] = (),
     ) -> None:
         """Write files into the folder, if there is one, all or none, and print the result with their names.
 
-        The numbers are one more file in JSON, of the name ``record``. Files of ``obsolete`` names are removed.
+        The numbers are one more file in JSON, of the name ``record``.
         """
         if self.folder is not None:
             writers = dict(files)
@@ -332,8 +325,6 @@ class Run:
             for name in writers:
                 (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_together(self.folder, writers)
-            for name in obsolete:
-                (self.folder / name).unlink(missing_ok=True)
             names = ", ".join(str(self.folder / name) for name in writers)
             lines = [*lines, f"wrote {names}"]
         self.print(lines, numbers)

@@ -253,9 +253,11 @@ def plan(run: Run) -> None:
         )
     numbers = {"seconds": planned.seconds, **planned.to_dict()}
     writers = _plan_writers(planned, full)
-    planned_before = (Path(options.output) / "plan.json").is_file()
-    obsolete = ["plan.lua"] if planned_before and "plan.lua" not in writers else []
-    run.finish(_plan_lines(planned, full), numbers, writers, "plan.json", obsolete)
+    folder = Path(options.output)
+    was_planned = (folder / "plan.json").is_file()
+    run.finish(_plan_lines(planned, full), numbers, writers, "plan.json")
+    if was_planned and "plan.lua" not in writers:  # a script of another plan
+        (folder / "plan.lua").unlink(missing_ok=True)
 
 
 def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:

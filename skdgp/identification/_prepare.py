@@ -153,12 +153,11 @@ def usable_flights_of_model(pipeline: Pipeline, flights: Flights, aircraft: Airc
 
 def check_identified(pipeline: Pipeline) -> None:
     """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
-    names = list(pipeline.named_steps) if isinstance(pipeline, FlightPipeline) else []
-    if not {*names} >= STEPS or not isinstance(pipeline[-1], DependentGPRegressor):
+    is_whole = isinstance(pipeline, FlightPipeline) and pipeline.named_steps.keys() >= STEPS
+    if not is_whole or not isinstance(pipeline[-1], DependentGPRegressor):
         raise ValueError(
-            f"Got a model of {names or type(pipeline).__name__}, but expected what "
-            "make_identification_pipeline makes, with a DependentGPRegressor: learn it with "
-            "identify."
+            f"Got a model {type(pipeline).__name__}, but expected what make_identification_pipeline "
+            "makes, with a DependentGPRegressor: learn it with identify."
         )
 
 
@@ -194,7 +193,7 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
     columns = regressor_columns([table], regressors)
     missing = pd.DataFrame(~np.isfinite(numeric(table, columns)), columns=columns)
     complete = np.flatnonzero(~missing.any(axis=1))
-    counts = {name: n for name, n in missing.sum().to_dict().items() if n}
+    counts = missing.sum()[missing.any()].to_dict()
     runs = flights.part(complete).segments if complete.size else []
     rows = [complete[run] for run in runs if n_rows(run) > 1]
     if not rows:

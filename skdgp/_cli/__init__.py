@@ -89,11 +89,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for run, options in COMMANDS.items():
         add_command(commands, run, options)
-    parsed = parser.parse_args(argv)
-    strange = [word for word in argv if word != word.encode(errors="replace").decode()]
-    if strange:  # no record of the run could hold it
-        parsed.parser.error(f"got {strange[0]!a}, but expected a name in UTF-8: rename it")
-    return parsed
+    return parser.parse_args(argv)
 
 
 def _open_streams() -> None:

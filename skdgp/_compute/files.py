@@ -73,8 +73,8 @@ def write_together(folder: Path, writers: dict[str, Writer]) -> None:
 
 
 def text_writer(text: str) -> Writer:
-    """Return the writer of a text in UTF-8."""
-    return lambda path: path.write_text(text, encoding="utf-8")
+    """Return the writer of a text in UTF-8; bytes of names that are none are escaped."""
+    return lambda path: path.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def plain(value: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from sklearn.pipeline import Pipeline
 
-from skdgp._compute.typing import Array
+from skdgp._compute.typing import Array, Vector
 from skdgp._flight.channels import RATES, WIND
 from skdgp._flight.clock import n_rows
 from skdgp._flight.findings import Code, Finding
@@ -158,10 +158,7 @@ def simulation_errors(
     intervals = np.array_split(np.arange(len(elapsed)), min(TIMES, len(elapsed)))
     means = np.array([squares[rows].mean(axis=0) for rows in intervals])
 
-    spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
-    # no noise of flights that are too short to show it
-    levels = pd.DataFrame([noise_level(table, STATES) for table in tables])
-    limit = np.maximum(THRESHOLDS.error * spread, 3 * np.nan_to_num(levels.median()))
+    spread, limit = _limits(tables)
     # of an error that is late in no interval the end
     late = np.vstack([means > limit**2, np.ones(len(STATES), bool)])
     ends = np.array([*(elapsed[rows[0]] for rows in intervals), elapsed[-1]])
@@ -174,6 +171,14 @@ def simulation_errors(
         "wind_known": wind_known,
     }
     return pd.DataFrame(columns, index=[*STATES])
+
+
+def _limits(tables: Sequence[pd.DataFrame]) -> tuple[Vector, Vector]:
+    """Return the spread of each state in flights, and the largest error of a simulation that follows them."""
+    spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
+    # no noise of flights that are too short to show it
+    levels = pd.DataFrame([noise_level(table, STATES) for table in tables])
+    return spread, np.maximum(THRESHOLDS.error * spread, 3 * np.nan_to_num(levels.median()))
 
 
 def _simulated(

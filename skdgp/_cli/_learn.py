@@ -157,6 +157,7 @@ def demo(run: Run) -> None:
       skdgp demo
       skdgp demo --samples 250 -o quick
     """
+    run.console.stage("simulating the example flights")
     example = load_example_flights()
     _identify(
         run, example.train, example.aircraft, example.test, title="Example flights: a simulated UAV"

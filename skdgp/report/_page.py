@@ -182,8 +182,8 @@ def number(value: Any, form: str = ".3g") -> str:
 
 
 def with_std(value: Any, std: Any) -> str:
-    """Return a value and its standard deviation; this is NaN where it is not known."""
-    return number(value) if np.isnan(std) else f"{number(value)} ± {number(std, '.2g')}"
+    """Return a value and its standard deviation, where this is known and not zero."""
+    return f"{number(value)} ± {number(std, '.2g')}" if std > 0 else number(value)
 
 
 def marked(shown: str, lower: Any, upper: Any) -> str:

@@ -532,5 +532,5 @@ def _n_observed(y: Any) -> int:
     """Return the number of rows with any target."""
     if y is None:
         return 0
-    targets = np.asarray(y, dtype=float).reshape(len(y), -1)
+    targets = pd.DataFrame(np.asarray(y, dtype=float))
     return int(np.isfinite(targets).any(axis=1).sum())

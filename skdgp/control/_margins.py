@@ -172,7 +172,7 @@ def suggest_gains(
             rises[k] = search.largest(loops, rises, k)
         if np.array_equal(rises, before):
             return _risen(loops, rises)
-    changing = [loops[k].name for k in np.flatnonzero(rises != before)]
+    changing = [loops[k].name for k in np.flatnonzero(rises != before).tolist()]
     raise ValueError(
         f"Got gains of {changing} that still change after {ROUNDS} rounds over the loops, but expected that they "
         "settle: lower the wanted margins, or suggest gains of fewer loops."

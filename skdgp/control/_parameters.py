@@ -311,10 +311,8 @@ def _check_parameters(given: Mapping[str, float]) -> None:
         is_number = isinstance(value, int | float | np.number) and np.isfinite(value)
         if str(name).startswith(OF_LAWS) and not is_number:
             raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
-    # without scaling by the airspeed that of the trim does not count
-    is_scaled = given.get("FW_ARSP_SCALE_EN", 1)
     for name in POSITIVE & {*given}:
-        if not given[name] > 0 and (is_scaled or not name.startswith("FW_AIRSPD")):
+        if not given[name] > 0:
             raise ValueError(f"Got {name}={given[name]:g}, but expected a number above zero.")
 
 

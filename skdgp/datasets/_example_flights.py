@@ -262,8 +262,9 @@ def fly_plans(
     for _ in range(PASSES):
         truth = motion.at(states, controls_set, local_air, implicit)
         implicit = truth.implicit
-    record = flown._replace(time=time[n_settling:], states=states, controls=controls_set)
-    return record._replace(wind=flown.wind[n_settling:]), truth
+    met: Any = flown.wind
+    record = flown._replace(states=states, controls=controls_set, wind=met[n_settling:])
+    return record._replace(time=time[n_settling:]), truth
 
 
 def _gusts(

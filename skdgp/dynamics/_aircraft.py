@@ -121,7 +121,7 @@ class Aircraft:
         checked |= {
             "inertia": _inertia(inertia),
             "deviations": deviations or None,
-            "propeller": _built(Propeller, _sized(self.propeller), "propeller"),
+            "propeller": _propeller(self.propeller),
             "thrust_line": _built(ThrustLine, self.thrust_line, "thrust_line"),
             "full_deflections": full or None,
             "sensor_position": _sensor_position(self.sensor_position, checked["span"]),
@@ -355,13 +355,13 @@ def _inertia(value: ArrayLike) -> Array:
     return inertia
 
 
-def _sized(propeller: Any) -> Any:
-    """Return the usual propeller of a mapping with a pitch, anything else as it is."""
-    if not (isinstance(propeller, Mapping) and "pitch" in propeller):
-        return propeller
+def _propeller(value: Any) -> Propeller | None:
+    """Return a propeller, the usual one of a mapping with a pitch, or None."""
+    if not (isinstance(value, Mapping) and "pitch" in value):
+        return _built(Propeller, value, "propeller")
     names = list(signature(Propeller.from_size).parameters)
-    check_keys(propeller, names, ["diameter"], "propeller")
-    return Propeller.from_size(**propeller)
+    check_keys(value, names, ["diameter"], "propeller")
+    return Propeller.from_size(**value)
 
 
 def _built(kind: type, value: Any, what: str) -> Any:

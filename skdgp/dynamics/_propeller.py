@@ -97,12 +97,7 @@ class Propeller:
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
-        if self.speed_range is None:
-            raise ValueError(
-                "Got a throttle, but the propeller has no speed_range=(idle, full) [rad/s]: give it, or "
-                "propeller_speed."
-            )
-        idle, full = self.speed_range
+        idle, full = check_numbers("speed_range", self.speed_range, 2)
         return idle + (full - idle) * np.asarray(throttle, dtype=float)
 
     def thrust(

@@ -88,10 +88,10 @@ def _identity(shape: tuple[int, ...], n_times: int) -> dict[str, Array]:
     return {name: np.repeat(numbers, n_times) for name, numbers in columns.items()}
 
 
-def farthest_beyond(motion: Motion, regressors: Array, margin: float = 0.02) -> np.ndarray:
+def farthest_beyond(motion: Motion, regressors: Array) -> np.ndarray:
     """Return the 1-based index of the regressor (..., d) farthest outside its training range, 0 if none is outside.
 
-    ``margin`` is the largest excess that counts as inside, as a fraction of the range.
+    An excess of a fiftieth of the range counts as inside.
     """
     limits = motion.aerodynamics.limits
     if limits is None:
@@ -99,7 +99,7 @@ def farthest_beyond(motion: Motion, regressors: Array, margin: float = 0.02) -> 
     low, high = limits
     width = np.maximum(high - low, np.finfo(float).tiny)
     outside = np.nan_to_num(np.maximum(low - regressors, regressors - high) / width, posinf=0.0)
-    return np.where(outside.max(axis=-1) > margin, 1 + outside.argmax(axis=-1), 0)
+    return np.where(outside.max(axis=-1) > 0.02, 1 + outside.argmax(axis=-1), 0)
 
 
 def warn_of(record: Trajectories, motion: Motion, farthest: Array) -> None:

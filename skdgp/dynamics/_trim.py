@@ -189,11 +189,11 @@ def trim(
     flight, state, now = steady.at(steady.solve(airspeed), airspeed)
     check_settled(now)
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
-    values = by_name(motion.aerodynamics.regressors, now.regressors)
+    met = by_name(motion.aerodynamics.regressors, now.regressors)
     beyond = {}
     for name, (low, high) in motion.aerodynamics.training_ranges.items():
-        if not low <= values[name] <= high:
-            beyond[name] = (float(values[name]), low, high)
+        if not low <= met[name] <= high:
+            beyond[name] = (float(met[name]), low, high)
     return Trim(
         state=state,
         controls={name: float(flight[name]) for name in steady.controls},
@@ -249,8 +249,13 @@ class SteadyFlight:
 
         Held are given ones, a throttle without thrust, and surfaces of unknown effect.
         """
-        engine = self._engine(fixed)
-        names = list(self.motion.controls)
+        motion = self.motion
+        engine = thrust_control(motion.aircraft, motion.thrust)
+        if engine == "throttle" and "propeller_speed" in motion.controls:
+            engine = "propeller_speed"
+        if not fixed.keys().isdisjoint(THRUST_SOURCES):
+            engine = None
+        names = list(motion.controls)
         if engine is not None and engine not in names:
             names.append(engine)
         check_names(fixed, (*names, *THRUST_SOURCES), "controls of the model and the engine")
@@ -271,16 +276,6 @@ class SteadyFlight:
                 f"fixed={{{lacking[0]!r}: value}}."
             )
         return held, free
-
-    def _engine(self, fixed: dict) -> str | None:
-        """Return the control of the thrust that is solved for, None without one."""
-        motion = self.motion
-        if not fixed.keys().isdisjoint(THRUST_SOURCES):
-            return None
-        engine = thrust_control(motion.aircraft, motion.thrust)
-        if engine == "throttle" and "propeller_speed" in motion.controls:
-            return "propeller_speed"
-        return engine
 
     def _limits(self, name: str) -> tuple[float, float]:
         """Return the limits of an unknown."""

@@ -143,7 +143,9 @@ class TimeHistoryDisplay(Display):
         def columns(values: ArrayLike | None) -> Any:
             if values is None:
                 return None
-            return np.asarray(values, dtype=float).reshape(len(time), np.size(mean) // len(time))
+            return np.asarray(values, dtype=float).reshape(
+                np.size(time), np.size(mean) // np.size(time)
+            )
 
         center = columns(mean)
         half = None if std is None else BAND * columns(std)

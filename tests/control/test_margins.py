@@ -423,8 +423,7 @@ def test_too_high_gains_of_pitch_are_not_the_roll_loops(with_spiral):
 
 
 def test_parameters_that_do_not_count_are_no_errors():
-    """The trim's airspeed of gains that are not scaled, the yaw controller of a rudder that is left out."""
-    autopilot_loops(UNFILTERED | {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4})
+    """The yaw controller of a rudder that is left out; FF that a turn commands."""
     autopilot_loops({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"aileron": 0.4})
     yaw = UNFILTERED | {"FW_RR_P": 0.0, "FW_YR_FF": 0.3}
     assert autopilot_loops(yaw, {"rudder": 0.3})[0].name == "yaw"

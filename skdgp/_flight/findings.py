@@ -79,6 +79,10 @@ class Code(Kind):
         "[{from_east: The heading counts from north to the right: write pi/2 - psi.}]"
         "[{is_late:Bring the columns to one clock: numpy.interp(time + delay, time, column).}]",
     )
+    WRONG_CLOCK = (
+        "[flight {flight}: ]time is probably wrong: is the rate {rate:.3g} Hz or {true_rate:.3g} Hz?",
+        "Gyros against attitude, and velocities against accelerometers or positions, differ by this one factor.",
+    )
     LARGE_SURFACES = (
         "got surfaces in rad up to {largest:.2f}, more than most servos reach",
         "If these are commands from -1 to 1, multiply each by its largest deflection [rad].",

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from skdgp._flight.channels import ELEVONS, MIXED
+from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES
 from skdgp._flight.physics._checks import (
+    SAME,
     Contradiction,
-    Equality,
-    Exchange,
     Mistake,
     Relation,
     Sign,
@@ -49,16 +48,19 @@ def find_contradictions(flights: FlightTable) -> list[Contradiction | Mistake]:
 def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
     """Return the contradictions of all rows together, or the mistake without which there is none."""
     signals = signals_of(flights, CHANNELS)
+    exchanged = _exchanges_in(signals)
+    for mistake in exchanged:
+        signals = mistake.undone(signals)
     contradictions, confirmed = _contradictions_in(signals)
     causes = _causes(contradictions, confirmed)
     doubted = {name for each in contradictions for name in each.channels}
     for mistake in _candidates(signals, contradictions):
         is_possible = len(mistake.channels) > 1 and not doubted.isdisjoint(mistake.channels)
-        if is_possible and _are_sound(mistake.undone(signals)):
-            return [mistake]
+        if (is_possible or mistake.clock != 1.0) and _n_contradicted(mistake.undone(signals)) == 0:
+            return [*exchanged, mistake]
     if {*ELEVONS} <= {*flights.table.columns}:
-        return [_of_elevons(contradiction) for contradiction in causes]
-    return [*causes]
+        causes = [_of_elevons(contradiction) for contradiction in causes]
+    return [*exchanged, *causes]
 
 
 def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterator[Mistake]:
@@ -69,6 +71,11 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
     is_turned = any(each.relation is TURNING for each in contradictions)
     are_several = is_turned or len(contradictions) >= PHYSICS.several
     lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]
+    scaled = [each for each in contradictions if each.admissible is SAME and each.lag is None]
+    doubted = {name for each in scaled for name in each.channels}
+    if not doubted.isdisjoint(RATES) and not doubted.isdisjoint(EARTH_VELOCITY):
+        clearest = min(scaled, key=lambda each: each.slope.std)
+        yield Mistake(clock=clearest.slope.value, rate=signals.rate)
     for mistake in MISTAKES:
         own = mistake.of(signals)
         if not own.late and are_several:
@@ -77,11 +84,20 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
             yield from [replace(own, lag=lag) for lag in sorted({*lags})]
 
 
-def _are_sound(signals: Signals) -> bool:
-    """Return whether no check contradicts the signals."""
-    checks: list[Equality | Sign | Exchange] = [*COPIES, *EQUALITIES, *SIGNS]
-    checks += [*EXCHANGES, *OFFSETS]
-    return not any(isinstance(check.judge(signals), Contradiction) for check in checks)
+def _exchanges_in(signals: Signals) -> list[Mistake]:
+    """Return the exchange after which the fewest checks are contradicted, in a list, empty if none shows."""
+    judgements = [exchange.judge(signals) for exchange in EXCHANGES]
+    shown = [mistake for mistake in judgements if mistake is not None]
+    if not shown:
+        return []
+    return [min(shown, key=lambda mistake: _n_contradicted(mistake.undone(signals)))]
+
+
+def _n_contradicted(signals: Signals) -> int:
+    """Return the number of checks that contradict signals."""
+    contradictions, _ = _contradictions_in(signals)
+    exchanges = [exchange.judge(signals) for exchange in EXCHANGES]
+    return len(contradictions) + len(exchanges) - exchanges.count(None)
 
 
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:
@@ -97,13 +113,12 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
         *_contradicted(COPIES, signals),
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
-        *_contradicted(EXCHANGES, signals),
         *_contradicted(OFFSETS, signals),
     ]
     return contradictions, confirmed
 
 
-def _contradicted(checks: Iterable[Sign | Exchange], signals: Signals) -> list[Contradiction]:
+def _contradicted(checks: Iterable[Sign], signals: Signals) -> list[Contradiction]:
     """Return the contradictions among checks."""
     judgements = [check.judge(signals) for check in checks]
     return [contradiction for contradiction in judgements if contradiction is not None]

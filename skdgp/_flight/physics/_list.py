@@ -18,10 +18,12 @@ from skdgp._flight.physics import _equations as equations
 from skdgp._flight.physics._checks import (
     AHEAD,
     CALIBRATED,
+    EQUAL,
     GUSTY,
     LEVEL,
     NEGATIVE,
     POSITIVE,
+    SAME,
     UNALIKE,
     Equality,
     Exchange,
@@ -81,7 +83,8 @@ def _equality_of_level_force(channels: tuple[str, ...], axis: int) -> Equality:
         regression=partial(equations.level_force, axis=axis),
         lags=KINEMATIC_LAGS,
     )
-    return Equality(relation=relation, noise=0.5, vibrates=True)
+    admissible = SAME if axis == 1 else EQUAL
+    return Equality(relation=relation, noise=0.5, vibrates=True, admissible=admissible)
 
 
 ROLL = _relation_of_attitude(0, (1, 2), ("q", "r", "theta"))
@@ -169,16 +172,17 @@ def _equality_of_vane(relation: Relation) -> Equality:
     )
 
 
+FALLING = _equality_of_level_force(("v_down", "az"), axis=2)
 # noise: angles [rad], positions [m], velocities [m/s]
 EQUALITIES = (
-    Equality(relation=ROLL, noise=0.008),
-    Equality(relation=PITCH, noise=0.008),
-    Equality(relation=YAW, noise=0.008),
+    Equality(relation=ROLL, noise=0.008, admissible=SAME),
+    Equality(relation=PITCH, noise=0.008, admissible=SAME),
+    Equality(relation=YAW, noise=0.008, admissible=SAME),
     Equality(relation=TURNING, noise=0.008),
-    Equality(relation=NORTH, noise=0.3),
-    Equality(relation=EAST, noise=0.3),
-    Equality(relation=DOWN, noise=0.3),
-    Equality(relation=ALTITUDE, noise=0.3),
+    Equality(relation=NORTH, noise=0.3, admissible=SAME),
+    Equality(relation=EAST, noise=0.3, admissible=SAME),
+    Equality(relation=DOWN, noise=0.3, admissible=SAME),
+    Equality(relation=ALTITUDE, noise=0.3, admissible=SAME),
     Equality(
         relation=AIRSPEED,
         noise=3.0,
@@ -190,7 +194,7 @@ EQUALITIES = (
     Equality(relation=GRAVITY, noise=0.5),
     _equality_of_level_force(("theta", "psi", "v_north", "v_east", "ax", "az"), axis=0),
     _equality_of_level_force(("phi", "psi", "v_north", "v_east", "ay", "az"), axis=1),
-    _equality_of_level_force(("v_down", "az"), axis=2),
+    FALLING,
 )
 
 
@@ -238,6 +242,8 @@ def _sign_of_effect(name: str, effects: tuple[str, ...], admissible: Interval) -
 
 LIFT = _relation_of_response("az", ("alpha", "q", "elevator"))
 SIDEFORCE = _relation_of_response("ay", ("beta", *LATERAL_EFFECTS))
+BY_AILERON = _sign_of_effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE)
+BY_RUDDER = _sign_of_effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE)
 WEATHERCOCK = _sign_of_effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
 
 
@@ -290,9 +296,9 @@ SIGNS = (
         angle="beta",
         witness=WEATHERCOCK,
     ),
-    _sign_of_effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE),
+    BY_AILERON,
     _sign_of_effect("q", ("elevator", "alpha", "q"), NEGATIVE),
-    _sign_of_effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE),
+    BY_RUDDER,
     Sign(relation=_relation_of_drive("throttle", "m/s^2"), admissible=POSITIVE, noise=0.01),
     Sign(relation=DRIVES["thrust"], admissible=POSITIVE),
     Sign(relation=DRIVES["thrust_x"], admissible=POSITIVE),
@@ -316,23 +322,36 @@ OFFSETS = (
 # -- exchanges
 
 
+ROLL_BY_AILERON = _relation_of_response("p", ("aileron", "elevator", "beta", "p", "r", "rudder"))
+PITCH_BY_ELEVATOR = _relation_of_response("q", ("elevator", "aileron", "alpha", "q"))
+BY_ELEVONS = (ROLL_BY_AILERON, PITCH_BY_ELEVATOR)
+LIFT_BY_ALPHA = _relation_of_response("az", ("alpha", "beta", "q", "elevator"))
+SIDEFORCE_BY_BETA = _relation_of_response("ay", ("beta", "alpha", *LATERAL_EFFECTS))
+
+
+HORIZONTAL = (("v_north", "v_east"), ("north", "east"))
+EARTH_UP = Mistake(exchanged=HORIZONTAL, turned=("v_down", "down"), axes="east, north, up")
+
+
+def _exchange(first: str, second: str, *relations: Relation) -> Exchange:
+    """Return the check that two channels do not stand for each other."""
+    return Exchange(Mistake(exchanged=((first, second),)), relations)
+
+
 EXCHANGES = (
-    Exchange(("q", "r"), (PITCH, YAW)),
-    Exchange(("v_north", "v_east"), (NORTH, EAST)),
-    Exchange(
-        ("elevator", "aileron"),
-        (
-            _relation_of_response("p", ("aileron", "elevator", "beta", "p", "r", "rudder")),
-            _relation_of_response("q", ("elevator", "aileron", "alpha", "q")),
-        ),
-    ),
-    Exchange(
-        ("beta", "alpha"),
-        (
-            _relation_of_response("az", ("alpha", "beta", "q", "elevator")),
-            _relation_of_response("ay", ("beta", "alpha", *LATERAL_EFFECTS)),
-        ),
-    ),
+    Exchange(Mistake(turned=("elevon_left",)), BY_ELEVONS),
+    Exchange(Mistake(turned=("elevon_right",)), BY_ELEVONS),
+    _exchange("p", "q", ROLL, PITCH),
+    _exchange("p", "r", ROLL, YAW),
+    _exchange("q", "r", PITCH, YAW),
+    _exchange("phi", "theta", ROLL, PITCH),
+    _exchange("ax", "az", GRAVITY, FALLING.relation),
+    _exchange("ay", "az", GRAVITY, FALLING.relation),
+    Exchange(replace(EARTH_UP, exchanged=HORIZONTAL[:1], turned=("v_down",)), (NORTH, EAST)),
+    _exchange("v_north", "v_east", NORTH, EAST),
+    _exchange("elevator", "aileron", *BY_ELEVONS),
+    _exchange("aileron", "rudder", BY_AILERON.relation, BY_RUDDER.relation),
+    _exchange("beta", "alpha", LIFT_BY_ALPHA, SIDEFORCE_BY_BETA),
 )
 
 
@@ -341,14 +360,13 @@ EXCHANGES = (
 BODY_TURNED = ("q", "r", "ay", "az")
 NAVIGATION_TURNED = ("v_east", "v_down", "east", "down")
 LEFT_UP = "forward, left, up (ROS)"
-HORIZONTAL = (("v_north", "v_east"), ("north", "east"))
 MISTAKES = (
     Mistake(turned=("q", "theta")),
     Mistake(turned=("p", "phi")),
     Mistake(turned=("r", "psi")),
     Mistake(late=EARTH_VELOCITY),
     Mistake(late=ALL_SURFACES),
-    Mistake(exchanged=HORIZONTAL, turned=("v_down", "down"), axes="east, north, up"),
+    EARTH_UP,
     Mistake(turned=BODY_TURNED, axes=LEFT_UP),
     Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP),
     Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP, from_east=True),

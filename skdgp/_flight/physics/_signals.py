@@ -97,6 +97,7 @@ class Signals:
     channels: dict[str, Vector]
     segment: Indices
     step: float  # [s]
+    rate: float = np.nan  # rows of the flights [Hz]
 
     def __getitem__(self, name: str) -> Vector:
         return self.channels[name]
@@ -188,7 +189,8 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
     if {*ELEVONS} <= channels.keys():
         channels |= by_elevons(channels)
     channels = {name: np.where(is_on_ground, np.nan, values) for name, values in channels.items()}
-    return Signals(channels, np.repeat(np.arange(len(segments)), lengths), step)
+    segment = np.repeat(np.arange(len(segments)), lengths)
+    return Signals(channels, segment, step, 1 / usual_step)
 
 
 def _block_clock(time: Vector, step: float) -> Matrix:

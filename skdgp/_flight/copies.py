@@ -9,6 +9,7 @@ from skdgp._compute.findings import Finding
 from skdgp._compute.messages import report
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
+from skdgp._flight.clock import median_step
 from skdgp._flight.findings import Code
 from skdgp._flight.frames import wrapped
 from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
@@ -18,8 +19,11 @@ COPIED = 0.5
 ROUNDED = 4
 # median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
 SAME_ATTITUDE = 0.05
-# largest total variance of the difference of attitudes over that of the attitude, of one flight (guess)
-UNSHARED = 0.1
+# delays of telemetry that are tried [s]
+LAGS = np.linspace(-0.4, 0.4, 9)
+# largest total variance of the difference of changes within a second over that of the changes: 0.0 to 0.4 of
+# copies, 0.7 to 9 of flights with the same inputs on one course (38 pairs)
+UNSHARED = 0.5
 
 
 def without_copies(
@@ -64,11 +68,17 @@ def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
     if is_inside.sum() <= COPIED * len(is_inside):
         return False
     angles = unwrapped(other.table, EULER)
-    there = interpolated(flight.time[is_inside], other.time, angles, beyond=np.nan)
-    own = unwrapped(flight.table, EULER)[is_inside]
-    apart = wrapped(own - there)
-    is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
-    return bool(is_near and _total_variance(apart) < UNSHARED * _total_variance(own))
+    own = unwrapped(flight.table, EULER)
+    n_rows = round(1 / median_step(flight.time, flight.segments))
+    for lag in LAGS:
+        there = interpolated(flight.time - lag, other.time, angles, beyond=np.nan)
+        apart = wrapped(own - there)
+        is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
+        fast = own[n_rows:] - own[:-n_rows]
+        unshared = apart[n_rows:] - apart[:-n_rows]
+        if is_near and _total_variance(unshared) < UNSHARED * _total_variance(fast):
+            return True
+    return False
 
 
 def _total_variance(angles: Matrix) -> float:

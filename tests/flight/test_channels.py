@@ -196,6 +196,18 @@ def test_doublets_of_different_surfaces_at_one_trim_are_no_copies(doublets):
     assert {*kept} == {*flights}
 
 
+def test_another_flight_on_the_same_course_is_no_copy(doublets):
+    flights = {}
+    for name, phase in {"first": 0.0, "second": np.pi / 2}.items():
+        table = doublets["rudder"]
+        phi = 0.03 * np.sin(1.5 * table["time"] + phase)
+        table = table.assign(phi=phi, psi=0.1 * table["time"])
+        table[SENSORS] += default_rng(len(name)).normal(0.0, 0.001, (len(table), len(SENSORS)))
+        flights[name] = FlightTable.of(table)
+    kept, _ = without_copies(flights, {})
+    assert {*kept} == {*flights}
+
+
 @pytest.mark.parametrize("name", ANGLES)
 def test_telemetry_of_a_doublet_is_a_copy(doublets, name):
     sent = doublets[name].iloc[3::10].reset_index(drop=True)

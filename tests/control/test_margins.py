@@ -158,41 +158,34 @@ ROLL = {"RLL_RATE_P": 1e-9, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.3, "RLL2SRV_TCON
 PITCH = {name.replace("RLL", "PTCH"): value for name, value in ROLL.items()}
 RATE = {"RLL_RATE_P": 0.2, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.0, "SCALING_SPEED": 15.0}
 RATE |= {"INS_GYRO_FILTER": 0.0}
-# The last loop of parameters and full deflections: its command for a channel at s, 20 m/s and density 0.9
+S = 30j
+# The loop of parameters and a surface of 0.4 rad: its command for a channel at s, 20 m/s and density 0.9
 LAWS = {
     "AlphaFilter of PX4's derivative": (
-        UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_D": 0.02, "IMU_DGYRO_CUTOFF": 25.0}, {"aileron": 0.4}, "p", 30j,
-        lambda s: -0.4 * (0.1 + 0.02 * s / (1.0 + s / (2 * np.pi * 25.0))),
+        UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_D": 0.02, "IMU_DGYRO_CUTOFF": 25.0}, "aileron", "p", S,
+        -0.4 * (0.1 + 0.02 * S / (1.0 + S / (2 * np.pi * 25.0))),
     ),
     "PX4's feed-forward alone": (
-        UNFILTERED | {"FW_RR_P": 0.0, "FW_RR_FF": 0.3, "FW_R_TC": 0.5}, {"aileron": 0.4}, "phi", 2j,
-        lambda s: -0.4 * 0.3 / 0.5,
+        UNFILTERED | {"FW_RR_P": 0.0, "FW_RR_FF": 0.3, "FW_R_TC": 0.5}, "aileron", "phi", 2j, -0.4 * 0.3 / 0.5
     ),
-    **{f"PX4 without airspeed, {name}": (
-        PX4 | {name: value}, {"aileron": 0.4}, "p", 1e9j, lambda s: -0.4 * PX4["FW_RR_P"]
-    ) for name, value in (("FW_ARSP_MODE", 1.0), ("FW_USE_AIRSPD", 0.0))},
+    **{f"PX4 without airspeed, {name}": (PX4 | {name: value}, "aileron", "p", 1e9j, -0.4 * PX4["FW_RR_P"])
+       for name, value in (("FW_ARSP_MODE", 1.0), ("FW_USE_AIRSPD", 0.0))},
     # AP_FW_Controller: "FF should be scaled by scaler/eas2tas"
-    "ArduPilot's feed-forward of roll": (
-        ROLL, {"aileron": 0.4}, "phi", 1e-6, lambda s: -0.4 * 0.3 * UNIT * 15 / 20 / 0.4
-    ),
-    "ArduPilot's feed-forward of pitch": (
-        PITCH, {"elevator": 0.4}, "theta", 1e-6, lambda s: -0.4 * 0.3 * UNIT * 15 / 20 / 0.4
-    ),
-    "ArduPilot's rate": (
-        RATE, {"aileron": 0.4}, "p", 1e-6, lambda s: -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9
-    ),
+    "ArduPilot's feed-forward of roll": (ROLL, "aileron", "phi", 1e-6, -0.4 * 0.3 * UNIT * 15 / 20 / 0.4),
+    "ArduPilot's feed-forward of pitch": (PITCH, "elevator", "theta", 1e-6, -0.4 * 0.3 * UNIT * 15 / 20 / 0.4),
+    "ArduPilot's rate": (RATE, "aileron", "p", 1e-6, -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9),
     # RLL2SRV_TCONST of the firmware
     "ArduPilot's attitude": (
-        RATE, {"aileron": 0.4}, "phi", 1e-6, lambda s: -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9 / 0.5
+        RATE, "aileron", "phi", 1e-6, -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9 / 0.5
     ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("parameters", "full", "channel", "s", "law"), LAWS.values(), ids=LAWS)
-def test_laws_are_those_of_the_firmware(parameters, full, channel, s, law):
-    loop = autopilot_loops(parameters, full)[-1]
+@pytest.mark.parametrize(("parameters", "surface", "channel", "s", "law"), LAWS.values(), ids=LAWS)
+def test_laws_are_those_of_the_firmware(parameters, surface, channel, s, law):
+    (loop,) = autopilot_loops(parameters, {surface: 0.4})
     found = loop.feedback(np.array([s + 0j]), 20.0, 0.9)[channel]
-    assert_allclose(found, law(s), rtol=1e-3)
+    assert_allclose(found, law, rtol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -380,37 +373,42 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("parameters", "full", "words"),
+    ("parameters", "words"),
     [
-        (
-            {"MC_ROLLRATE_P": 0.1},
-            {"aileron": 0.4},
-            "not those of a multicopter",
-        ),
-        ({"BATT_CAPACITY": 5.0}, {"aileron": 0.4}, "without gains of a rate loop"),
-        ({"RLL2SRV_P": 1.0}, {"aileron": 0.4}, "4.1 .RLL2SRV_P., which has another"),
-        (UNFILTERED, {"aileron": 0.4}, "no gains other than zero"),
-        ({"FW_RR_P": 0.1}, {"aileron": 24.0}, "radians, not degrees"),
-        ({"FW_RR_P": 0.1}, ["aileron"], "expected deflections"),
-        ({"FW_RR_P": 0.1, "RLL_RATE_P": 0.1}, {"aileron": 0.4}, "of one autopilot"),
-        ({"FW_RR_P": 0.1}, {}, "full={}, but expected deflections"),
-        ({"FW_RR_P": np.nan}, {"aileron": 0.4}, "FW_RR_P=nan"),
-        ({"FW_RR_P": "0.2"}, {"aileron": 0.4}, "FW_RR_P='0.2'"),
-        ({"FW_RR_P": [0.2, 0.3]}, {"aileron": 0.4}, "FW_RR_P=.0.2, 0.3.,"),
-        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, {"aileron": 0.4}, "above zero"),
+        ({"MC_ROLLRATE_P": 0.1}, "not those of a multicopter"),
+        ({"BATT_CAPACITY": 5.0}, "without gains of a rate loop"),
+        ({"RLL2SRV_P": 1.0}, "4.1 .RLL2SRV_P., which has another"),
+        (UNFILTERED, "no gains other than zero"),
+        ({"FW_RR_P": 0.1, "RLL_RATE_P": 0.1}, "of one autopilot"),
+        ({"FW_RR_P": np.nan}, "FW_RR_P=nan"),
+        ({"FW_RR_P": "0.2"}, "FW_RR_P='0.2'"),
+        ({"FW_RR_P": [0.2, 0.3]}, "FW_RR_P=.0.2, 0.3.,"),
+        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, "above zero"),
         (
             {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 25.0, "FW_AIRSPD_MAX": 20.0},
-            {"aileron": 0.4},
             "airspeeds that increase",
         ),
         # the default of FW_AIRSPD_MAX is 20 m/s
-        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 30.0}, {"aileron": 0.4}, "airspeeds that increase"),
-        ({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, {"rudder": 0.4}, "yaw rate controller"),
+        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 30.0}, "airspeeds that increase"),
     ],
 )
-def test_parameters_that_are_of_no_use_are_refused(parameters, full, words):
+def test_parameters_that_are_of_no_use_are_refused(parameters, words):
     with pytest.raises(ValueError, match=words):
-        autopilot_loops(parameters, full)
+        autopilot_loops(parameters, {"aileron": 0.4})
+
+
+@pytest.mark.parametrize(
+    ("full", "words"),
+    [
+        ({"aileron": 24.0}, "radians, not degrees"),
+        (["aileron"], "expected deflections"),
+        ({}, "full={}, but expected deflections"),
+        ({"rudder": 0.4}, "yaw rate controller"),
+    ],
+)
+def test_full_deflections_of_no_use_are_refused(full, words):
+    with pytest.raises(ValueError, match=words):
+        autopilot_loops({"RLL_RATE_P": 0.1, "YAW_RATE_ENABLE": 1.0}, full)
 
 
 def test_too_high_gains_of_pitch_are_not_the_roll_loops(with_spiral):

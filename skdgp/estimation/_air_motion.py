@@ -70,6 +70,7 @@ from skdgp.estimation._sensors import (
     PATH_CHANNELS,
     RATE_READINGS,
     Prior,
+    moving,
 )
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
 
@@ -363,7 +364,7 @@ class _Priors(NamedTuple):
 
 def _wide_priors(table: pd.DataFrame) -> _Priors:
     """Return priors of an aircraft of which nothing is known."""
-    surfaces = [name for name in SURFACES if _moves(table, name)]
+    surfaces = moving(table, SURFACES)
     derivatives = derivatives_of(ALL_TERMS, surfaces)
     constants = dict(AIRCRAFT_CONSTANTS)
     if np.isfinite(sensor_position(table)).all():
@@ -424,11 +425,6 @@ def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
     if not {*ELEVONS} <= {*table}:
         return table
     return table.assign(**by_elevons(table))
-
-
-def _moves(table: pd.DataFrame, surface: str) -> bool:
-    """Return whether the table has a surface that moves."""
-    return has_values(table, surface) and bool(table[surface].max() > table[surface].min())
 
 
 def _needs_thrust(derivative: str) -> bool:

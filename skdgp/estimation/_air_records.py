@@ -82,16 +82,11 @@ class Record(NamedTuple):
         """
         inputs = np.column_stack([self.inputs.surfaces, self.inputs.thrust[:, 0]])
         inputs -= inputs.mean(axis=0)
-        periods = [*self.periods, 0.0]
         answers = np.empty_like(inputs)
-        sums = {
-            period: _sums_around(innovation, self.median_step, period, settings)
-            for period in set(periods)
-        }
-        for k, surface in enumerate(inputs.T):
-            X = sums[periods[k]]
-            # by the normal equations, as rows are many
-            residual = surface - X @ least_squares(X.T @ X, X.T @ surface)
+        X = _sums_around(innovation, self.median_step, self.periods.max(initial=0.0), settings)
+        # by the normal equations, as rows are many
+        residuals = inputs - X @ np.linalg.lstsq(X.T @ X, X.T @ inputs, rcond=None)[0]
+        for k, (surface, residual) in enumerate(zip(inputs.T, residuals.T, strict=True)):
             rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, np.finfo(float).tiny)
             X_rest = X[1:] - rho * X[:-1]
             whitened = surface[1:] - rho * surface[:-1]

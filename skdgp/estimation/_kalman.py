@@ -109,6 +109,7 @@ class Pass(NamedTuple):
     covariance: Array  # (n, N, N)
     predicted_covariance: Array  # (n - 1, N, N)
     gain: Array  # (n - 1, N, m)
+    path_covariance: Array  # (n - 1, m, m) S, of the predictions with the recorded motion
 
 
 def filtered(linear: Linearization, noise: Noise) -> Pass:
@@ -120,11 +121,13 @@ def filtered(linear: Linearization, noise: Noise) -> Pass:
     P = np.empty((n + 1, N, N))
     P_predicted = np.empty((n, N, N))
     K = np.empty((n, N, m))
+    S = np.empty((n, m, m))
     P[0] = np.diag(noise.start[0])
     for k in range(n):
         P_predicted[k] = Phi[k] @ P[k] @ Phi[k].T + Q[k]
         PHt = P_predicted[k] @ linear.H[k].T
-        K[k] = _gain(linear.H[k] @ PHt + R[k], PHt)
+        S[k] = linear.H[k] @ PHt + R[k]
+        K[k] = _gain(S[k], PHt)
         corrected = P_predicted[k] - K[k] @ PHt.T
         P[k + 1] = 0.5 * (corrected + corrected.T)
     # deviations from the expansion point
@@ -138,6 +141,7 @@ def filtered(linear: Linearization, noise: Noise) -> Pass:
         covariance=P,
         predicted_covariance=P_predicted,
         gain=K,
+        path_covariance=S,
     )
 
 
@@ -207,15 +211,6 @@ def both_sides(A: Array, values: Array) -> Array:
     return _times(left, A.mT)
 
 
-def _weighted_errors(linear: Linearization, noise: Noise, predicted: Array, x: Matrix) -> Array:
-    """Return S^-1 (y - H Phi x), (n - 1, m, 1), of filtered states x (n - 1, N) and predicted covariances."""
-    R = _covariances(linear, noise)[1][:, :, 0] + linear.added
-    S = linear.H @ predicted @ linear.H.mT + R
-    error = linear.path_error - matrix_vector(linear.H, matrix_vector(linear.Phi, x))
-    weighted: Any = np.linalg.solve(S, error[..., None])
-    return weighted
-
-
 def _propagated_covariances(T: Array, push: Array, start: Array) -> Array:
     """Return P (n, N, s, N) with P[k + 1] = T[k] P[k] T[k]^T + push[k], s sets, from the ``start`` (N, s, N)."""
     N = len(start)
@@ -250,7 +245,8 @@ def noise_slopes(
         part = linear.part(first, first + STEPS_AT_A_TIME)
         Phi, H, K = part.Phi, part.H, filter_pass.gain[steps]
         x = deviations[:-1][steps]
-        u = _weighted_errors(part, noise, filter_pass.predicted_covariance[steps], x)
+        error = part.path_error - matrix_vector(H, matrix_vector(Phi, x))
+        u: Any = np.linalg.solve(filter_pass.path_covariance[steps], error[..., None])
         Htu = H.mT @ u
         dQ, dR, dR_past = _covariances(part, change)
         h = part.time_step[:, None, None]

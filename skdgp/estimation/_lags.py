@@ -48,7 +48,7 @@ from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
 from skdgp._flight.units import check_radians
 from skdgp.estimation._path import ground_path
-from skdgp.estimation._sensors import LAGS, flights_of, missing_channels
+from skdgp.estimation._sensors import LAGS, flights_of, missing_channels, moving
 from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import LAG_SETTINGS as SETTINGS
 
@@ -195,7 +195,7 @@ class _Segment:
         force = on_clock(SPECIFIC_FORCE)
         rates = on_clock(RATES)
         commands = on_clock(_moving_surfaces(table))
-        vanes = _moving(table, VANES)
+        vanes = moving(table, VANES)
         speed = np.ones((len(clock), 1))
         groups = {"surfaces": commands, "vanes": on_clock(vanes)}
         if has_values(table, "airspeed"):
@@ -272,15 +272,10 @@ def _steady_speed(airspeed: Matrix, rate_hz: float) -> Matrix:
     return np.maximum(speed, SETTINGS.least_speed * np.median(speed))
 
 
-def _moving(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """Return the names of channels that move."""
-    return [name for name in names if has_values(table, name) and np.ptp(table[name].dropna()) > 0]
-
-
 def _moving_surfaces(table: pd.DataFrame) -> list[str]:
     """Return the names of surfaces that move, elevons in place of elevator and aileron."""
-    elevons = _moving(table, ELEVONS)
-    return elevons + _moving(table, SURFACES if len(elevons) < len(ELEVONS) else ["rudder"])
+    elevons = moving(table, ELEVONS)
+    return elevons + moving(table, SURFACES if len(elevons) < len(ELEVONS) else ["rudder"])
 
 
 def _rate_of(clock: Vector) -> float:

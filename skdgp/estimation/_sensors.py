@@ -10,7 +10,7 @@ velocity and attitude are late by a constant lag.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -228,26 +228,27 @@ def missing_channels(table: pd.DataFrame) -> list[str]:
     return silent if "time" in table else ["time", *silent]
 
 
+def moving(table: pd.DataFrame, names: Iterable[str]) -> list[str]:
+    """Return the names of channels that the table has and that move."""
+    present = [name for name in names if has_values(table, name)]
+    return [name for name in present if table[name].max() > table[name].min()]
+
+
 def third_differences(values: Array) -> Array:
     """Return third differences (n - 3, ...) of readings, scaled to the variance of their white noise."""
     return np.diff(values, 3, axis=0) / np.sqrt(20)  # 1 + 9 + 9 + 1, squares of the coefficients
 
 
-def squared_differences(column: Vector, segment: Indices) -> Vector:
-    """Return estimates of the variance of white noise in a channel, one for each third difference.
+def noise_by_differences(flights: Sequence[FlightSensors], columns: slice) -> float:
+    """Return the standard deviation of the white noise in some readings of all flights; NaN if unknown.
 
     Samples that are not finite are left out; differences do not cross gaps.
     """
-    rows = np.flatnonzero(np.isfinite(column))
-    joined = segment[rows[3:]] == segment[rows[:-3]]
-    return third_differences(column[rows])[joined] ** 2
-
-
-def noise_by_differences(flights: Sequence[FlightSensors], columns: slice) -> float:
-    """Return the standard deviation of the white noise in some readings of all flights; NaN if unknown."""
     squares = []
     for sensors in flights:
         for column in sensors.readings.T[columns]:
-            squares.append(squared_differences(column, sensors.segment))
+            rows = np.flatnonzero(np.isfinite(column))
+            joined = sensors.segment[rows[3:]] == sensors.segment[rows[:-3]]
+            squares.append(third_differences(column[rows])[joined] ** 2)
     values = np.concatenate(squares)
     return float(np.sqrt(values.mean())) if len(values) else np.nan

@@ -18,6 +18,7 @@ from skdgp.estimation._air_parameters import (
     Sums,
 )
 from skdgp.estimation._kalman import surface_covariance
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 
 def sandwich(information: Matrix, scatter: Matrix) -> Matrix:
@@ -128,10 +129,10 @@ def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
     search may end at gusts that are too large with slopes that are too small.
     """
     unknown = without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
-    last = fit.history[-fit.settings.last_passes :]
+    last = fit.history[-SETTINGS.last_passes :]
     if len(last) == len(fit.history):
         return unknown
-    covariance = inflate(covariance, fit.settings.unfinished) + spread_of(last)
+    covariance = inflate(covariance, SETTINGS.unfinished) + spread_of(last)
     variance = np.minimum(np.diag(covariance), np.diag(unknown))
     by_angles = np.flatnonzero(fit.layout.is_by("alpha", "alpha2", "beta"))
     variance[by_angles] = np.diag(unknown)[by_angles]
@@ -152,7 +153,7 @@ def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:
             by_errors = surface_covariance(item.linear, fit.noise_search.noise(item.record))
             fractions = np.linalg.solve(item.filter_pass.innovation_covariance, by_errors)
             squared_length += np.einsum("nii->", fractions)
-    return np.sqrt(1 + fit.settings.surface_correlation**2 * squared_length)
+    return np.sqrt(1 + SETTINGS.surface_correlation**2 * squared_length)
 
 
 def misfit_of_sensors(fit: AirFit) -> float:
@@ -170,8 +171,8 @@ def widened(covariance: Matrix, fit: AirFit, fitted: list[FittedRecord], misfit:
     covariance = inflate(covariance, misfit)
     covariance = inflate(covariance, surface_factor(fit, fitted))
     if fit.vibrates:
-        covariance = inflate(covariance, fit.settings.vibrating)
-    return add_model_error(covariance, fit.derivatives, fit.settings.model_error)
+        covariance = inflate(covariance, SETTINGS.vibrating)
+    return add_model_error(covariance, fit.derivatives, SETTINGS.model_error)
 
 
 def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
@@ -196,11 +197,10 @@ def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
 
 def _term_errors(fit: AirFit, fitted: list[FittedRecord], n_terms: int) -> Vector:
     """Return the errors (n_terms,) of the terms of the coefficients by path, rates and surfaces."""
-    settings = fit.settings
     velocity = np.concatenate([item.record.velocity for item in fitted])
     speed = np.linalg.norm(velocity, axis=1).mean()
-    angle = settings.velocity_error / speed
-    rates = settings.rate_error * fit.layout.aircraft.moment_lengths / (2 * speed)
-    error = np.full(n_terms, settings.surface_error)
-    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates, settings.thrust_error]
+    angle = SETTINGS.velocity_error / speed
+    rates = SETTINGS.rate_error * fit.layout.aircraft.moment_lengths / (2 * speed)
+    error = np.full(n_terms, SETTINGS.surface_error)
+    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates, SETTINGS.thrust_error]
     return error

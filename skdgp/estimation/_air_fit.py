@@ -37,6 +37,7 @@ from skdgp.estimation._kalman import (
     filtered,
     parameter_slopes,
 )
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 from skdgp.estimation._settings import AirSettings
 
 
@@ -54,9 +55,8 @@ class FittedRecord(NamedTuple):
 class _StepControl:
     """Damping of the steps of a search, and the fraction of them that is taken."""
 
-    def __init__(self, n_free: int, settings: AirSettings) -> None:
-        self.settings = settings
-        self.damping = settings.first_damping  # over the information
+    def __init__(self, n_free: int, damping: float) -> None:
+        self.damping = damping  # over the information
         self.fraction = 1.0
         self.last_step = np.zeros(n_free)
 
@@ -65,13 +65,12 @@ class _StepControl:
 
         The next step is damped less.
         """
-        settings = self.settings
         if step @ information @ self.last_step < 0:
-            self.fraction = max(settings.shorter * self.fraction, settings.least_fraction)
+            self.fraction = max(SETTINGS.shorter * self.fraction, SETTINGS.least_fraction)
         else:
-            self.fraction = min(settings.longer * self.fraction, 1.0)
+            self.fraction = min(SETTINGS.longer * self.fraction, 1.0)
         self.last_step = step
-        self.damping *= settings.less_damping
+        self.damping *= SETTINGS.less_damping
         return self.fraction * step
 
 
@@ -92,16 +91,16 @@ class AirFit:
         self.records = records
         self.layout = layout
         self.parameters = parameters
-        self.noise_search = NoiseSearch(noises, layout.aircraft.span, settings)
+        self.noise_search = NoiseSearch(noises, layout.aircraft.span)
         self.settings = settings
         self.is_known = parameters.n_held > 0
-        self.regression = SteadyRegression(layout, parameters, settings)
+        self.regression = SteadyRegression(layout, parameters)
         self.x = parameters.mean.copy()
         self.history: list[Vector] = []  # of x in the search
         self.airspeed_variances = []  # of each flight
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
-            pitot, variance = steady_wind(own, settings)
+            pitot, variance = steady_wind(own)
             self.airspeed_variances.append(variance)
             self.x[parameters.places_of(flight, WINDS[:2])] = pitot[1:]
         if not self.is_known:
@@ -129,14 +128,15 @@ class AirFit:
         earlier pass, and the search did not converge.
         """
         keep_freed_memory()
-        settings = self.settings
-        control = _StepControl(len(self.x) - self.parameters.n_held, settings)
+        n_free = len(self.x) - self.parameters.n_held
+        control = _StepControl(n_free, self.settings.first_damping)
+        max_passes = self.settings.max_passes
         was_small = False
         converged = False
         likelihood = -np.inf
         best = likelihood, self.x.copy(), self.noise_search.psi.copy()
-        for number in range(settings.max_passes):
-            notify(Progress("estimating the air", number, settings.max_passes))
+        for number in range(max_passes):
+            notify(Progress("estimating the air", number, max_passes))
             sums, fitted = self._pass(by_instruments=number >= n_before)
             likelihood = sum(item.log_likelihood for item in fitted)
             if likelihood > best[0]:
@@ -148,15 +148,15 @@ class AirFit:
             # noises move from the second pass on, by the middle of each record
             noise_length = np.inf
             if number:
-                linears = [item.linear.middle(settings.noise_samples) for item in fitted]
+                linears = [item.linear.middle(SETTINGS.noise_samples) for item in fitted]
                 noise_length = self.noise_search.move(self.records, linears)
-            is_small = sums.squared_length(step) < settings.tolerance
-            is_still = was_small and is_small and noise_length < settings.noise_tolerance
+            is_small = sums.squared_length(step) < SETTINGS.tolerance
+            is_still = was_small and is_small and noise_length < SETTINGS.noise_tolerance
             converged = is_still and number > n_before
             if converged:
                 break
             was_small = is_small
-        lost = settings.lost_likelihood * n_samples(self.records)
+        lost = SETTINGS.lost_likelihood * n_samples(self.records)
         if likelihood >= best[0] - lost:
             return converged, False
         _, self.x, self.noise_search.psi = best
@@ -190,7 +190,7 @@ class AirFit:
         if not self.is_known:
             nd = self.layout.n_derivatives
             farthest = np.max(np.abs(step[:nd]) / self.parameters.std[:nd])
-            step *= min(1.0, self.settings.largest_step / farthest)
+            step *= min(1.0, SETTINGS.largest_step / farthest)
         if not np.isfinite(step).all():
             raise np.linalg.LinAlgError
         return step
@@ -206,7 +206,7 @@ class AirFit:
                 add_airspeed(sums, record, self.x, self.parameters, variance)
             noise = self.noise_search.noise(record)
             value = self.parameters.values(self.x, record.flight)
-            expansion = Expansion(record, self.layout, value, states, noise.decay[0], self.settings)
+            expansion = Expansion(record, self.layout, value, states, noise.decay[0])
             linear = expansion.linearization()
             # derivatives of a known aircraft are held
             slopes = expansion.slopes_of_flight() if self.is_known else expansion.slopes
@@ -226,7 +226,7 @@ class AirFit:
             )
             if has_instruments:
                 # for the instruments of the next pass
-                record = record.with_answers(e, self.settings)
+                record = record.with_answers(e)
             determinants = np.log(np.einsum("nii->ni", L_inverse)).sum()
             log_likelihood = float(determinants - 0.5 * np.sum(e**2))
             fitted.append(
@@ -247,7 +247,7 @@ class AirFit:
         if has_instruments:
             used = np.arange(self.layout.n_derivatives, len(products))
             of_own = products[np.ix_(used, own)]
-            weights = _projection(products[np.ix_(used, used)], of_own, self.settings)
+            weights = _projection(products[np.ix_(used, used)], of_own)
             scores = weighted[:, used] @ weights
             information = weights.T @ of_own
         else:
@@ -260,7 +260,7 @@ class AirFit:
         """Return the scores of all records, summed over blocks of some seconds, (b, p)."""
         blocks = []
         for item in fitted:
-            width = max(round(self.settings.block / item.record.median_step), 1)
+            width = max(round(SETTINGS.block / item.record.median_step), 1)
             starts = np.arange(0, len(item.scores), width)
             sums = np.zeros((len(starts), len(self.x)))
             places = self.parameters.free_places(item.record.flight)
@@ -269,7 +269,7 @@ class AirFit:
         return np.concatenate(blocks)
 
 
-def _projection(squares: Matrix, products: Matrix, settings: AirSettings) -> Matrix:
+def _projection(squares: Matrix, products: Matrix) -> Matrix:
     """Return weights (r, d): instruments R (n, r) times these are slopes D (n, d) projected on R.
 
     ``squares`` are R^T R, ``products`` R^T D. Directions of R that are small are left out.
@@ -277,6 +277,6 @@ def _projection(squares: Matrix, products: Matrix, settings: AirSettings) -> Mat
     size = np.sqrt(np.diag(squares))
     unit = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     variance, V = np.linalg.eigh(unit[:, None] * squares * unit)  # squares of singular values
-    is_direction = variance > settings.least_direction**2 * variance[-1]
+    is_direction = variance > SETTINGS.least_direction**2 * variance[-1]
     V = unit[:, None] * V[:, is_direction]
     return V @ (V.T @ products / variance[is_direction, None])

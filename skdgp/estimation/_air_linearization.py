@@ -69,7 +69,7 @@ from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Linearization, Slopes, propagated
 from skdgp.estimation._sensors import INERTIAL_READINGS, SENSORS, SensorErrors
 from skdgp.estimation._servos import servo_output
-from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 N_STATES = 9
 GUST = slice(0, 3)
@@ -240,12 +240,10 @@ class Expansion:
         value: Mapping[str, Any],
         states: Matrix,
         decay: Vector,
-        settings: AirSettings = AIR_SETTINGS,
     ) -> None:
         self.record = record
         self.layout = layout
         self.states = states
-        self.settings = settings
         here = RecordModel(record, layout, value)
         self.model = here.model
         self.inputs = here.inputs
@@ -364,15 +362,15 @@ class Expansion:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
         It contains no gusts, nor an autopilot's ``answers`` (n, k + 1) to these. The motion is damped to a
-        correlation time of ``settings.response_time``, as the motion of an unstable aircraft would grow.
+        correlation time of the `response_time`, as the motion of an unstable aircraft would grow.
         """
         commanded = self._commanded(answers)
         surfaces = commanded.surfaces
-        delay = self.settings.response_delay
+        delay = SETTINGS.response_delay
         late = np.concatenate([surfaces[:1]] * delay + [surfaces[: len(surfaces) - delay]])
         A = self.by_start[:, :, MOTION]
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
-        damping = np.exp(-self.record.median_step / self.settings.response_time)
+        damping = np.exp(-self.record.median_step / SETTINGS.response_time)
         A = A * damping / max(growth, 1.0)
         B = self.by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
         moved = (late - late.mean(axis=0)) * self.surface_effect

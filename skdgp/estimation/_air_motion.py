@@ -73,6 +73,7 @@ from skdgp.estimation._sensors import (
     moving,
 )
 from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 ZERO_STD = 1e-6  # prior standard deviation of a parameter that stays zero
 DIVERGED = (
@@ -285,16 +286,16 @@ def estimate_air_motion(
         # the measured axial force takes the place of thrust and CX
         thrust = None
         priors = priors.without_thrust()
-    every = _records(table, priors.surfaces, aircraft, thrust, settings)
+    every = _records(table, priors.surfaces, aircraft, thrust)
     if known is None:
         records = _to_learn_from(every, settings)
         mean_thrust = 0.0 if thrust is None else _mean_thrust(records, aircraft)
     else:
-        _check_any(every, settings.fewest_known)
+        _check_any(every, SETTINGS.fewest_known)
         records = every
         mean_thrust = known.mean_thrust
     n_flights = 1 + max(record.flight for record in records)
-    noises = _noises(records, known, n_flights, settings)
+    noises = _noises(records, known, n_flights)
     layout = Layout.of(
         aircraft,
         mean_thrust,
@@ -310,16 +311,16 @@ def estimate_air_motion(
         noises,
         settings,
     )
-    return _searched(start, settings, len(table))
+    return _searched(start, len(table))
 
 
-def _searched(start: Callable[[], AirFit], settings: AirSettings, n_rows: int) -> AirMotion:
+def _searched(start: Callable[[], AirFit], n_rows: int) -> AirMotion:
     """Return the result of the first search that does not go back to an earlier pass, else of the last one that ends.
 
     Raise ValueError if all diverge.
     """
     motion = None
-    for n_before in settings.attempts:
+    for n_before in SETTINGS.attempts:
         fit = start()
         try:
             # a search that diverges leaves the range of numbers
@@ -383,11 +384,10 @@ def _records(
     surfaces: list[str],
     aircraft: Aircraft,
     thrust: str | None,
-    settings: AirSettings,
 ) -> list[Record]:
     """Return the records of the flights; without thrust with the measured axial force in its place."""
     loads = np.hstack(propulsive_loads(table, aircraft, thrust))
-    records = records_of(table, surfaces, loads, settings)
+    records = records_of(table, surfaces, loads)
     if thrust is None:
         records = [record.with_axial_force(aircraft.mass) for record in records]
     return records
@@ -407,9 +407,9 @@ def _mean_thrust(records: list[Record], aircraft: Aircraft) -> float:
 
 def _to_learn_from(records: list[Record], settings: AirSettings) -> list[Record]:
     """Return the records that are long enough, the first parts of many samples."""
-    long = [record for record in records if len(record.rows) >= settings.fewest_samples]
-    _check_any(long, settings.fewest_samples)
-    return shortened(long, settings)
+    long = [record for record in records if len(record.rows) >= SETTINGS.fewest_samples]
+    _check_any(long, SETTINGS.fewest_samples)
+    return shortened(long, settings.most_samples)
 
 
 def _check_any(records: list[Record], fewest: int) -> None:
@@ -445,15 +445,13 @@ def _as_prior(estimates: pd.DataFrame) -> Prior:
     return dict(zip(estimates.index, pairs, strict=True))
 
 
-def _noises(
-    records: list[Record], known: AirMotion | None, n_flights: int, settings: AirSettings
-) -> Parameters:
+def _noises(records: list[Record], known: AirMotion | None, n_flights: int) -> Parameters:
     """Return the priors of the noises of the flights; shared ones of a known aircraft are held."""
     if known is not None:
         shared = {name: (known.noise[name], 1.0) for name in AIRCRAFT_NOISES}
         return Parameters.of(shared, FLIGHT_NOISES, n_flights, len(shared))
-    accelerometer = quietest_noise(records, FORCE_READINGS, settings.least_noise)
-    gyro = quietest_noise(records, RATE_READINGS, settings.least_noise)
+    accelerometer = quietest_noise(records, FORCE_READINGS, SETTINGS.least_noise)
+    gyro = quietest_noise(records, RATE_READINGS, SETTINGS.least_noise)
     shared = dict(AIRCRAFT_NOISES)
     for name in ("ax", "ay", "az"):
         shared[name] = (accelerometer, shared[name][1])
@@ -475,7 +473,7 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
         misfit = misfit_of_sensors(fit)
         covariance = widened(covariance, fit, fitted, misfit)
         place = names.index("servo_delay")
-        covariance = add_delay_error(covariance, sums.information, place, fit.settings.delay_error)
+        covariance = add_delay_error(covariance, sums.information, place, SETTINGS.delay_error)
     # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)
     if not fit.is_known:

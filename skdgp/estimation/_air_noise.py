@@ -29,7 +29,7 @@ from skdgp.estimation._kalman import (
     filtered,
     noise_slopes,
 )
-from skdgp.estimation._settings import AirSettings
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 NOISE_STEP = 1e-6  # of the logarithms, in slopes of the noises
 
@@ -40,13 +40,12 @@ class NoiseSearch:
     ``noises`` have the prior medians, and the standard deviations of the logarithms.
     """
 
-    def __init__(self, noises: Parameters, span: float, settings: AirSettings) -> None:
+    def __init__(self, noises: Parameters, span: float) -> None:
         self.span = span
         self.prior = noises._replace(mean=np.log(noises.mean))
-        self.settings = settings
         self.psi = self.prior.mean.copy()
         self.last = np.zeros(len(self.psi))
-        self.limits = np.full(len(self.psi), settings.largest_noise_step)
+        self.limits = np.full(len(self.psi), SETTINGS.largest_noise_step)
 
     @property
     def values(self) -> dict[str, float]:
@@ -59,7 +58,7 @@ class NoiseSearch:
         value = self.prior.values(np.exp(psi), record.flight)
         found = self.prior.values(np.exp(self.psi), record.flight)
         roll = GustProcesses.of(found).rolling(record.airspeed, self.span)
-        return air_noise(value, record, roll, self.settings)
+        return air_noise(value, record, roll)
 
     def move(self, records: list[Record], linears: list[Linearization]) -> float:
         """Move the noises by a step of Fisher scoring; return its squared length in standard deviations.
@@ -79,11 +78,11 @@ class NoiseSearch:
             gradient, fisher = _likelihood_slopes(filter_pass, slopes)
             weight = len(record.time_step) / len(linear.time_step)
             sums.add(places, weight * gradient, weight * fisher)
-        information, score = sums.damped(self.settings.noise_damping)
+        information, score = sums.damped(SETTINGS.noise_damping)
         before = self.psi[sums.free].copy()
         full_step: Any = -np.linalg.solve(information, score)
         step = self._limited(full_step)
-        reach = self.settings.noise_reach * self.prior.std
+        reach = SETTINGS.noise_reach * self.prior.std
         moved = self.psi[sums.free] + step
         low, high = self.prior.mean - reach, self.prior.mean + reach
         self.psi[sums.free] = np.clip(moved, low[sums.free], high[sums.free])
@@ -92,19 +91,16 @@ class NoiseSearch:
     def _limited(self, step: Vector) -> Vector:
         """Return the step within limits, half as large where it turns back: noises near zero overshoot."""
         free = slice(self.prior.n_held, None)
-        settings = self.settings
         turns_back = step * self.last[free] < 0
-        factor = np.where(turns_back, settings.shorter_noise_step, settings.longer_noise_step)
-        limits = np.minimum(self.limits[free] * factor, settings.largest_noise_step)
+        factor = np.where(turns_back, SETTINGS.shorter_noise_step, SETTINGS.longer_noise_step)
+        limits = np.minimum(self.limits[free] * factor, SETTINGS.largest_noise_step)
         step = np.clip(step, -limits, limits)
         self.limits[free] = limits
         self.last[free] = step
         return step
 
 
-def air_noise(
-    value: Mapping[str, Any], record: Record, roll: tuple[float, float], settings: AirSettings
-) -> Noise:
+def air_noise(value: Mapping[str, Any], record: Record, roll: tuple[float, float]) -> Noise:
     """Return the noises of a record at parameters by name, each (s,).
 
     ``roll`` are standard deviation and correlation time of the rate of roll of the air, by the spectrum
@@ -114,11 +110,11 @@ def air_noise(
     gusts = GustProcesses.of(value)
     roll_std, roll_time = (np.full_like(value["time_v"][..., None], number) for number in roll)
     path_std = stacked(value, *PATH_ERRORS)
-    path_time = np.full_like(path_std, settings.path_time)
+    path_time = np.full_like(path_std, SETTINGS.path_time)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")
     std = np.concatenate([gusts.std, path_std, value["rolling"][..., None] * roll_std], axis=-1)
     time = np.concatenate([gusts.time, path_time, roll_time], axis=-1)
-    start_rates = np.full_like(drive, settings.start_rate_variance)
+    start_rates = np.full_like(drive, SETTINGS.start_rate_variance)
     inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")
     air = stacked(value, "airspeed", "vane", "vane")
     sensors = np.concatenate([inertial, air], axis=-1)

@@ -29,7 +29,7 @@ from skdgp.estimation._sensors import (
     flights_of,
     third_differences,
 )
-from skdgp.estimation._settings import AirSettings
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 from skdgp.estimation._vibration import vibration_covariance, without_vibration
 
 
@@ -73,7 +73,7 @@ class Record(NamedTuple):
         measured[:, 0] = np.nan
         return self._replace(measured=measured, inputs=self.inputs._replace(thrust=thrust))
 
-    def with_answers(self, innovation: Matrix, settings: AirSettings) -> Record:
+    def with_answers(self, innovation: Matrix) -> Record:
         """Return the record with the part of surfaces and thrust that innovations (n - 1, m) explain.
 
         By least squares on sums of the innovations over bins of the past, wider the earlier. Other
@@ -83,7 +83,7 @@ class Record(NamedTuple):
         inputs = np.column_stack([self.inputs.surfaces, self.inputs.thrust[:, 0]])
         inputs -= inputs.mean(axis=0)
         answers = np.empty_like(inputs)
-        X = _sums_around(innovation, self.median_step, self.periods.max(initial=0.0), settings)
+        X = _sums_around(innovation, self.median_step, self.periods.max(initial=0.0))
         # by the normal equations, as rows are many
         residuals = inputs - X @ np.linalg.lstsq(X.T @ X, X.T @ inputs, rcond=None)[0]
         for k, (surface, residual) in enumerate(zip(inputs.T, residuals.T, strict=True)):
@@ -131,17 +131,17 @@ class Record(NamedTuple):
         return np.any(np.isfinite(self.measured[1:]), axis=0)
 
 
-def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSettings) -> Matrix:
+def _sums_around(innovation: Matrix, step: float, period: float) -> Matrix:
     """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample.
 
     And of a ``period`` [s] later: a surface between samples of a slow clock follows from the next
     one, too. Periods of less than four rows are not recognised, so four rows are the least.
     """
     n = len(innovation) + 1
-    longest = max(settings.answer_time / step, 2.0)
-    past = np.geomspace(1, longest, settings.answer_bins).round()
-    period_ahead = max(period / step, settings.unseen_period)
-    ahead = np.linspace(-period_ahead, 0, settings.later_bins + 1).round()
+    longest = max(SETTINGS.answer_time / step, 2.0)
+    past = np.geomspace(1, longest, SETTINGS.answer_bins).round()
+    period_ahead = max(period / step, SETTINGS.unseen_period)
+    ahead = np.linspace(-period_ahead, 0, SETTINGS.later_bins + 1).round()
     edges = np.unique(np.concatenate([ahead, past]).astype(int))  # of the bins, delays in samples
     # sums over bins are differences of the cumulative sum, with zeros beyond the record
     earlier = np.zeros((edges[-1] + 2, innovation.shape[1]))
@@ -152,23 +152,19 @@ def _sums_around(innovation: Matrix, step: float, period: float, settings: AirSe
     return np.concatenate(sums, axis=1)
 
 
-def records_of(
-    table: pd.DataFrame, surfaces: list[str], loads: Matrix, settings: AirSettings
-) -> list[Record]:
+def records_of(table: pd.DataFrame, surfaces: list[str], loads: Matrix) -> list[Record]:
     """Return the records of a table with propulsive ``loads`` (n, 6) that are long enough for a known aircraft."""
     logged = np.hstack([numeric(table, surfaces), loads, numeric(table, ["density"])])
     air_data = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
     for number, flight in enumerate(flights_of(table)):
         rows = flight.rows
-        record = _whole_flight(
-            number, flight, logged[rows], air_data[rows], len(surfaces), settings
-        )
+        record = _whole_flight(number, flight, logged[rows], air_data[rows], len(surfaces))
         for segment in flight.sensors.segments():
-            if len(segment) < settings.fewest_known:
+            if len(segment) < SETTINGS.fewest_known:
                 continue
-            part = record.part(_thinned(record.time, segment, settings.sample_rate))
-            if len(part.rows) >= settings.fewest_known:
+            part = record.part(_thinned(record.time, segment, SETTINGS.sample_rate))
+            if len(part.rows) >= SETTINGS.fewest_known:
                 records.append(part)
     return records
 
@@ -179,7 +175,6 @@ def _whole_flight(
     logged: Matrix,
     air_data: Matrix,
     n_surfaces: int,
-    settings: AirSettings,
 ) -> Record:
     """Return a flight with its gaps as one record, by its path without air data."""
     sensors = flight.sensors.without_air_data()
@@ -189,7 +184,7 @@ def _whole_flight(
     force, rates = path.inertial(sensors)
     inertial = np.concatenate([force + sensors.lever_acceleration, rates], axis=1)
     rate = 1 / np.median(np.diff(sensors.time))
-    vibration = vibration_covariance(inertial, estimate.off_path, rate, settings)
+    vibration = vibration_covariance(inertial, estimate.off_path, rate)
     inputs = interpolate_missing(sensors.time, logged)
     surfaces = inputs[:, :n_surfaces]
     periods, surface_errors = _own_clocks(sensors.time, surfaces)
@@ -239,12 +234,12 @@ def n_samples(records: list[Record]) -> int:
     return sum(len(record.rows) for record in records)
 
 
-def shortened(records: list[Record], settings: AirSettings) -> list[Record]:
-    """Return the first part of each record, ``settings.most_samples`` samples together."""
-    fraction = settings.most_samples / n_samples(records)
+def shortened(records: list[Record], most_samples: int) -> list[Record]:
+    """Return the first part of each record, ``most_samples`` together."""
+    fraction = most_samples / n_samples(records)
     shorter = []
     for record in records:
-        n = max(settings.fewest_samples, int(fraction * len(record.rows)))
+        n = max(SETTINGS.fewest_samples, int(fraction * len(record.rows)))
         shorter.append(record.part(slice(n)))
     return shorter
 

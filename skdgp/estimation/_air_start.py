@@ -20,7 +20,7 @@ from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
 from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, WIND_STD
-from skdgp.estimation._settings import AirSettings
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 
 def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
@@ -34,16 +34,16 @@ def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
     return np.column_stack([speed, by_wind]), error
 
 
-def steady_wind(records: list[Record], settings: AirSettings) -> tuple[Vector, float]:
+def steady_wind(records: list[Record]) -> tuple[Vector, float]:
     """Return `PITOT` (3,) of a flight by least squares of its airspeed, and the variance of a sample of it [m^2/s^2].
 
     By Gauss-Newton steps. Gusts correlate over seconds, so the variance of a sample is the variance of means over
-    ``settings.gust_window`` times the number of samples in a mean.
+    the `gust_window` times the number of samples in a mean.
     """
     _, scale_std = AIRCRAFT_CONSTANTS["airspeed_scale"]
-    prior = np.diag(settings.pitot_noise / np.array([scale_std, WIND_STD, WIND_STD]))
+    prior = np.diag(SETTINGS.pitot_noise / np.array([scale_std, WIND_STD, WIND_STD]))
     pitot = np.zeros(3)
-    for _ in range(settings.wind_steps):
+    for _ in range(SETTINGS.wind_steps):
         slopes = [prior]
         residuals = [prior @ pitot]
         for record in records:
@@ -52,17 +52,17 @@ def steady_wind(records: list[Record], settings: AirSettings) -> tuple[Vector, f
             residuals.append(error)
         residual = np.concatenate(residuals)
         pitot = pitot - least_squares(np.vstack(slopes), residual)
-    variance = _sample_variance(residual[len(prior) :], records, settings)
+    variance = _sample_variance(residual[len(prior) :], records)
     return pitot, variance
 
 
-def _sample_variance(error: Vector, records: list[Record], settings: AirSettings) -> float:
+def _sample_variance(error: Vector, records: list[Record]) -> float:
     """Return the variance of a sample of the airspeed, by the errors of all."""
-    least = settings.least_pitot_std**2
+    least = SETTINGS.least_pitot_std**2
     if not len(error):
         return least
     seconds = sum(record.seconds for record in records)
-    width = max(1, int(len(error) * min(settings.gust_window / seconds, 0.25)))
+    width = max(1, int(len(error) * min(SETTINGS.gust_window / seconds, 0.25)))
     means = uniform_filter1d(error, width, mode="nearest")
     return max(width * means.var(), error.var(), least)
 
@@ -70,16 +70,15 @@ def _sample_variance(error: Vector, records: list[Record], settings: AirSettings
 class SteadyRegression:
     """Coefficients of records by inverse dynamics in steady wind, and their regressors."""
 
-    def __init__(self, layout: Layout, parameters: Parameters, settings: AirSettings) -> None:
+    def __init__(self, layout: Layout, parameters: Parameters) -> None:
         self.layout = layout
         self.parameters = parameters
-        self.settings = settings
 
     def __call__(self, record: Record, x: Vector) -> tuple[Matrix, Matrix]:
         """Return terms (n, f) and coefficients (n, 6) at parameters x."""
         value = self.parameters.values(x, record.flight)
         air = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
-        width = 2 * round(self.settings.rate_window / record.median_step) + 1
+        width = 2 * round(SETTINGS.rate_window / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
         model = self.layout.model(value)
@@ -117,8 +116,7 @@ def add_mean_lift(sums: Sums, record: Record, x: Vector, regression: SteadyRegre
     slopes = X.mean(axis=0)[regression.layout.columns[places]]
     residual = slopes @ x[places] - C[:, 2].mean()
     speed = np.linalg.norm(record.velocity, axis=1).mean()
-    settings = regression.settings
-    std = settings.lift_slope * settings.mean_gust / speed
+    std = SETTINGS.lift_slope * SETTINGS.mean_gust / speed
     sums.add_equations(places, slopes[None], np.array([residual]), std**2)
 
 

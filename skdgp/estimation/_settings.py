@@ -120,14 +120,24 @@ class LagSettings:
 
 @dataclass(frozen=True)
 class AirSettings:
-    """Settings of `estimate_air_motion`, chosen on simulated flights of six aircraft unless said."""
+    """Settings of `estimate_air_motion`."""
+
+    # passes at most of one attempt
+    max_passes: int = 45
+    # samples to learn from at most, of all records
+    most_samples: int = 12000
+    # damping of the first step, over the information (Levenberg 1944)
+    first_damping: float = 0.3
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Constants of the filter-error method, chosen on simulated flights of six aircraft unless said."""
 
     # samples of a shortest record of flights to learn from
     fewest_samples: int = 100
     # the same of flights of a known aircraft: a step
     fewest_known: int = 2
-    # samples to learn from at most, of all records
-    most_samples: int = 12000
     # rate of samples [Hz]; faster logs are thinned to 50 to 100 Hz
     sample_rate: float = 50.0
     # samples of each record, from its middle, that show the noises
@@ -172,14 +182,11 @@ class AirSettings:
     # passes before the instruments are used, whose slopes are small far from the solution; the
     # second number where the first attempt diverges, or goes back to an earlier pass
     attempts: tuple[int, ...] = (0, 6)
-    # passes at most of one attempt
-    max_passes: int = 45
     # last passes of a search that did not converge, whose spread is an error
     last_passes: int = 15
     # factor of the standard deviations of such a search; trials on flights with vibration
     unfinished: float = 2.0
-    # damping of the first step, over the information (Levenberg 1944), and its factor from step to step
-    first_damping: float = 0.3
+    # factor of the damping from step to step
     less_damping: float = 0.25
     # factor of the fraction of a step that is taken, where steps turn back; least fraction; else
     shorter: float = 0.5
@@ -239,3 +246,4 @@ class AirSettings:
 PATH_SETTINGS = PathSettings()
 LAG_SETTINGS = LagSettings()
 AIR_SETTINGS = AirSettings()
+FILTER_SETTINGS = FilterSettings()

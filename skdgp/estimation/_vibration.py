@@ -22,7 +22,7 @@ from sklearn.decomposition import FactorAnalysis
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.estimation._sensors import AIR_NOISE, third_differences
-from skdgp.estimation._settings import AirSettings
+from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 USUAL = np.array([AIR_NOISE[name][0] for name in ("ax", "ay", "az", "gyro", "gyro", "gyro")])
 """Usual noises of the inertial sensors (6,) [SI]."""
@@ -30,9 +30,7 @@ DIRECTIONS = 2
 """Directions of an oscillation."""
 
 
-def vibration_covariance(
-    readings: Matrix, off_path: Matrix, rate: float, settings: AirSettings
-) -> Matrix:
+def vibration_covariance(readings: Matrix, off_path: Matrix, rate: float) -> Matrix:
     """Return the covariance (6, 6) of the vibration of readings (n, 6) [SI]; zero where they do not vibrate.
 
     It is as large as the readings in the directions of the vibration, which also contain motion: vibration
@@ -46,10 +44,9 @@ def vibration_covariance(
         The readings by the path over the ground less those of the sensors.
     rate : float
         Of the samples [Hz]; slow ones do not tell vibration from motion.
-    settings : AirSettings
     """
     none = np.zeros((6, 6))
-    if rate < settings.least_vibration_rate:
+    if rate < SETTINGS.least_vibration_rate:
         return none
     scaled = readings / USUAL
     differences = third_differences(scaled)
@@ -57,9 +54,9 @@ def vibration_covariance(
     slow, directions = _principal(off_path / USUAL)
     is_fast = fast[-2] >= slow[-2]
     fourth, fifth, _ = (fast if is_fast else slow)[-3:]
-    if fifth < max(settings.least_vibration, settings.vibration_ratio * fourth):
+    if fifth < max(SETTINGS.least_vibration, SETTINGS.vibration_ratio * fourth):
         return none
-    if not _is_shared(differences if is_fast else off_path, settings):
+    if not _is_shared(differences if is_fast else off_path):
         return none
     if is_fast:
         # gusts shake az, and little else: one channel alone is no vibration
@@ -71,12 +68,12 @@ def vibration_covariance(
     return np.outer(USUAL, USUAL) * (B @ B.T) * whole / np.sum(B**2)
 
 
-def _is_shared(values: Matrix, settings: AirSettings) -> bool:
+def _is_shared(values: Matrix) -> bool:
     """Return whether two directions make most of all channels of values (n, 6), none of which is constant."""
     if constant_columns(values).any():
         return False
     correlations = np.corrcoef(values.T)
-    return bool(np.linalg.eigvalsh(correlations)[-DIRECTIONS:].sum() >= settings.least_shared)
+    return bool(np.linalg.eigvalsh(correlations)[-DIRECTIONS:].sum() >= SETTINGS.least_shared)
 
 
 def _principal(values: Matrix) -> tuple[Vector, Matrix]:

@@ -363,6 +363,8 @@ def power_spectra(runs: Sequence[Matrix], step: float, size: int) -> tuple[Vecto
     Runs (n, k) at even steps [s] that are shorter than a window are left out. Windows by Hann overlap by half and
     lose their trends; they are counted from either end of a run, so that no sample is left over.
     """
+    options: Any = {"fs": 1.0 / step, "window": hann(size), "nperseg": size, "axis": 0}
+    options["detrend"] = "linear"
     total: Any = 0.0
     n_windows = 0
     for run in runs:
@@ -370,9 +372,7 @@ def power_spectra(runs: Sequence[Matrix], step: float, size: int) -> tuple[Vecto
         for part in (run, run[n_left_over:]):
             if len(part) >= size:
                 n = 1 + (len(part) - size) // (size - size // 2)
-                frequency, power = signal.welch(
-                    part, fs=1.0 / step, window=hann(size), nperseg=size, detrend="linear", axis=0
-                )
+                frequency, power = signal.welch(part, **options)
                 total = total + n * power
                 n_windows += n
     return frequency, total / n_windows, n_windows

@@ -161,7 +161,7 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
             "log these topics."
         )
     flights = []
-    origin = {}
+    origin: dict[str, Origin] = {}
     remarks = [*log.remarks, *remarks]
     for part in parts:
         flights += part.flights
@@ -483,8 +483,8 @@ def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     """Return a flight without rows at its ends, at most a second, where slow channels have no value."""
     time = flight["time"]
     channels = flight.dropna(axis=1, how="all")
-    begins = time[channels.apply(pd.Series.first_valid_index)]
-    ends = time[channels.apply(pd.Series.last_valid_index)]
+    begins = channels.apply(lambda column: time[column.first_valid_index()])
+    ends = channels.apply(lambda column: time[column.last_valid_index()])
     begin = begins[begins <= begins.min() + SETTINGS.longest_edge].max()
     end = ends[ends >= ends.max() - SETTINGS.longest_edge].min()
     return flight[time.between(begin, end)]

@@ -164,9 +164,9 @@ def question_of_sizes(
     as_given = [(0.0, name, 1.0, "") for name in given if name not in named]
     asked = []
     for _, name, factor, unit in in_other_units + as_given:
-        value = {"value": factor * sizes[name], "si_unit": SI_UNITS[name]}
-        numbers = value | {"given": sizes[name], "unit": unit}
-        asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=numbers))
+        value = factor * sizes[name]
+        units = {"si_unit": SI_UNITS[name], "given": sizes[name], "unit": unit}
+        asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers={"value": value, **units}))
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
 
 

@@ -189,8 +189,8 @@ class _Segment:
 
         def on_clock(names: Sequence[str]) -> Matrix:
             """Return channels (n', k), zero where there is none."""
-            values = numeric(table.reindex(columns=list(names), fill_value=0.0), names)
-            return CubicSpline(time, interpolate_missing(time, values))(clock)
+            values = interpolate_missing(time, numeric(table.reindex(columns=list(names)), names))
+            return CubicSpline(time, np.nan_to_num(values))(clock)
 
         force = on_clock(SPECIFIC_FORCE)
         rates = on_clock(RATES)
@@ -200,7 +200,7 @@ class _Segment:
         groups = {"surfaces": commands, "vanes": on_clock(vanes)}
         if has_values(table, "airspeed"):
             speed = _steady_speed(on_clock(["airspeed"]), rate_hz)
-            alpha = np.mean(on_clock(["alpha"]))
+            alpha = float(np.mean(on_clock(["alpha"])))
             angle_rates = _angle_rates(force, rates, on_clock(ATTITUDE), alpha, speed[:, 0])
             motion = cumulative_trapezoid(angle_rates, clock, axis=0, initial=0)
             groups["motion"] = motion[:, np.isin(VANES, vanes)]
@@ -369,8 +369,8 @@ def _lag_behind_motion(segments: list[_Segment]) -> Lag:
         return UNKNOWN
     lags = _tried_lags()
     losses = []
-    for lag in lags:
-        pairs = _vanes_and_motion(segments, lag)
+    for tried in lags:
+        pairs = _vanes_and_motion(segments, tried)
         losses.append(sum(len(y) * np.log1p(-((x @ y) ** 2) / (y @ y)) for y, x, _ in pairs))
     lag = _minimum(lags, np.array(losses))
     if not lags[0] < lag < lags[-1]:

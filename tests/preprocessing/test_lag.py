@@ -194,6 +194,11 @@ class TestEstimate:
         assert_frame_equal(lags_of(table.assign(beta=0.02)), lags_of(missing))
         assert lags_of(missing).lag["air"] == pytest.approx(0.06, abs=0.01)
 
+    def test_columns_without_values_are_none(self):
+        table = linear_aircraft(0).assign(airspeed=20.0).drop(columns=["alpha", "beta"])
+        empty = table.assign(alpha=np.nan, beta=np.nan, phi=np.nan)
+        assert_frame_equal(lags_of(empty), lags_of(table))
+
     def test_a_log_slower_than_the_band_tells_nothing(self):
         assert tells_nothing(linear_aircraft(0)[::27])  # 1.5 Hz
 

@@ -33,7 +33,7 @@ from skdgp._flight.clock import CLOCK, n_rows, true_runs
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
 from skdgp._flight.tables import FlightTable
-from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE
+from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, MOST_THROTTLE
 
 # of one sensor
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
@@ -65,8 +65,8 @@ POSSIBLE = {
     **_within(1e7, *POSITION),
     "density": (1e-3, 3.0),
     "altitude": (-1000.0, 1e5),
-    "throttle": (-0.1, 1.5),
-    "differential_throttle": (-1.5, 1.5),
+    "throttle": (-0.1, MOST_THROTTLE),
+    "differential_throttle": (-MOST_THROTTLE, MOST_THROTTLE),
     "propeller_speed": (-1e4, 1e4),
     **_within(np.pi / 2, *ALL_SURFACES, *HIGH_LIFT),
 }

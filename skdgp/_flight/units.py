@@ -45,6 +45,8 @@ FASTEST_TURN = 2 * np.pi
 FASTEST_JUMP = 300.0
 # [rad], 40 degrees: larger deflections may be commands; the largest of seven logs is 0.31
 LARGEST_DEFLECTION = 0.7
+# with an afterburner
+MOST_THROTTLE = 2.1
 # least median specific force with gravity, in g
 LEAST_FORCE = 0.5
 
@@ -113,7 +115,7 @@ LAWS = (
     Law(
         _quantile_of("throttle", 0.99),
         -np.inf,
-        1.5,
+        MOST_THROTTLE,
         "Got throttle up to {value:g}, but expected 0 to 1: divide it by its full range (100 for per "
         "cent, or 'throttle [%]' in the header).",
     ),
@@ -127,10 +129,11 @@ LAWS = (
     ),
     Law(
         lambda flights: _quantile(np.diff(flights.time), 0.5),
-        -np.inf,
+        9e-4,
         5.0,
         "Got a median time step of {value:g}, but expected seconds: this looks like milliseconds or "
-        "microseconds. Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'.",
+        "microseconds, or like minutes if it is small. Divide time by 1e3 or 1e6, multiply it by 60, or say the unit "
+        "in the header, as in 'time [ms]'.",
     ),
     Law(_density_over_standard, 0.8, 1.25, ALTITUDE, is_error=False),
 )
@@ -222,10 +225,18 @@ def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
     degrees: dict[str, float] = {}
     present = {*names} & {*table.columns}
     for name, usual in USUAL.items():
-        if name in present:
-            top = _quantile(np.abs(table[name].to_numpy(float, na_value=np.nan)), 0.99)
-            if top > usual and not is_unwrapped(table, name):
-                degrees[name] = round(top, 1)
+        if name not in present:
+            continue
+        sizes = np.abs(table[name].to_numpy(float, na_value=np.nan))
+        top = _quantile(sizes, 0.99)
+        if top > usual and not is_unwrapped(table, name):
+            too_large = sizes[sizes > usual]
+            if np.ptp(too_large) == 0 and (sizes <= usual).any():
+                raise ValueError(
+                    f"Got {name} of magnitude {top:g} in {len(too_large)} rows and of no other above {usual:.3g}: "
+                    f"this looks like a mark of missing values. Leave these cells empty."
+                )
+            degrees[name] = round(top, 1)
     if degrees:
         raise ValueError(
             f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "

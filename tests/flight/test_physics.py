@@ -113,6 +113,7 @@ SCALED = [
     ({"psi": -1}, "psi r", None),
     ({"elevon_left elevon_right": -1}, "elevon_left elevon_right", None),
     ({"alpha": DEGREES}, "alpha", None),
+    ({"beta": 0.5}, "beta", 0.5),
     ({"phi": DEGREES}, "phi", DEGREES),
     ({"psi": DEGREES}, "psi", None),
     ({"phi theta psi": DEGREES}, "phi p", DEGREES),
@@ -606,6 +607,42 @@ def test_a_size_of_another_source_is_asked_for():
     assert ("mass", "g") in asked
 
 
+@pytest.mark.parametrize(
+    ("size", "unit", "factor"),
+    [
+        ("span", "m of half the span", 0.5),
+        ("wing_area", "m^2 of one wing", 0.5),
+        ("Ixx", "kgf m s^2", 1 / GRAVITY),
+    ],
+)
+def test_the_half_and_the_technical_unit_are_asked_for_first(size, unit, factor):
+    right = published("Zagi")
+    bare = {name: right[name] for name in (*NAMES, *INERTIA)}
+    names = INERTIA if size == "Ixx" else [size]
+    changed = {name: factor * bare[name] for name in names}
+    question = question_of_sizes(bare | changed, {})
+    assert unit in [found.numbers["unit"] for found in question.numbers["asked"]]
+
+
+@pytest.mark.parametrize("seconds", [60.0, 120.0])
+def test_q_and_theta_turned_together_in_shallow_turns(seconds):
+    """Of a jet psi hardly turns, but q and the turn still have one sign."""
+    time = np.arange(0.0, seconds, 0.05)
+    phi = 0.3 * np.sin(0.4 * time)
+    psi = np.cumsum(0.05 * 9.81 / 130 * np.tan(phi))
+    theta = 0.02 * np.sin(1.3 * time)
+    q = np.gradient(theta, time) * np.cos(phi) + np.gradient(psi, time) * np.sin(phi)
+    r = np.gradient(psi, time) * np.cos(phi) - np.gradient(theta, time) * np.sin(phi)
+    p = np.gradient(phi, time) - np.gradient(psi, time) * np.sin(theta)
+    table = pd.DataFrame(
+        {"time": time, "p": p, "q": q, "r": r, "phi": phi, "theta": theta, "psi": psi}
+    )
+    table.iloc[:, 1:] += default_rng(0).normal(0.0, 0.001, (len(time), 6))
+    assert contradictions(table) == []
+    (found,) = contradictions(opposite(table, "q theta"))
+    assert found.numbers["turned"] == ["q", "theta"]
+
+
 @pytest.mark.parametrize(("size", "factor"), [("mass", 1 / 0.45359237), ("thrust_x", 1 / 4.44822)])
 def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
     """Newton's second law: the slope of ax over the thrust is 1 / mass."""
@@ -645,7 +682,7 @@ def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):
     ("mass", "span", "factor", "asked"),
     [
         (450.0, 2.8, 1.0, "mass .* kg"),
-        (45.0, 1.4, 1.0, "CL_alpha over that of a wing .* span 1.4 m"),
+        (45.0, 1.4, 1.0, r"CL_alpha over that of a wing .* span 2.8 m \(1.4 m of half"),
         (45.0, 280.0, 1.0, r"span 2.8 m \(280 cm\)"),
         (45.0, 2.8 / FOOT, 1.0, r"span 2.8 m \(9.186 ft\)"),
         (45.0, 2.8, 1 / FOOT, r"airspeed 3\d.* m/s \(.* ft/s\)"),
@@ -664,7 +701,7 @@ def test_flights_ask_for_the_wrong_size(mass, span, factor, asked, train):
 def test_half_a_span_is_asked_for_and_no_mass_in_grams(train):
     """A mass of 45 g has a small slope of the lift, whose error is as small."""
     question = Aircraft.estimate(45.0, 1.4).question_of_sizes(FlightTable.of(train)).text
-    assert "span 1.4 m" in question
+    assert "span 2.8 m (1.4 m of half the span)" in question
     assert "45 g" not in question
 
 

@@ -37,6 +37,8 @@ CALIBRATED = Interval(0.97, 1.03, "0.97 to 1.03")
 AHEAD = Interval(-0.15, 0.15, "-0.15 to 0.15")
 # of the angle of attack less that by the ground velocity; mean updrafts are smaller parts of V (guess)
 LEVEL = Interval(-0.05, 0.05, "-0.05 to 0.05")
+# of vanes where gusts, which attenuate the slope, are small: 0.85 to 1.07 in 230 sound flights
+SMOOTH = Interval(0.75, 1.1, "0.75 to 1.1")
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 NONE = Interval(0.0, 0.0, "0")
@@ -262,6 +264,7 @@ class Sign:
     is_cause: bool = False
     #: Least ratio of explained to unexplained variance of a contradiction
     least_explained: float = 0.0
+    least_t: float = PHYSICS.least_t
     #: Another sign that must be wrong, too. Accelerometers ahead of the centre of gravity feel the
     #: yawing by beta, so the sign of ay alone tells nothing.
     witness: Sign | None = None
@@ -281,7 +284,7 @@ class Sign:
                 return late
         slope = self._judged_slope(slopes, signals)
         t = slope.t(self.admissible.least, self.admissible.most)
-        if _is_weak(slope, t) or slope.explained < self.least_explained:
+        if _is_weak(slope, t, self.least_t) or slope.explained < self.least_explained:
             return None
         if self.witness is not None and self.witness.judge(signals) is None:
             return None
@@ -382,9 +385,9 @@ def _of_unusual_lag(
     return replace(_of_slope(relation, admissible, best, t), lag=(best_lag, std))
 
 
-def _is_weak(slope: Slope, t: float) -> bool:
+def _is_weak(slope: Slope, t: float, least_t: float = PHYSICS.least_t) -> bool:
     """Return whether a slope outside of its interval by t is too weak an effect, or not surely outside."""
-    return abs(slope.correlation) < PHYSICS.least_correlation or abs(t) < PHYSICS.least_t
+    return abs(slope.correlation) < PHYSICS.least_correlation or abs(t) < least_t
 
 
 def _of_slope(relation: Relation, admissible: Interval, slope: Slope, t: float) -> Contradiction:

@@ -24,6 +24,7 @@ from skdgp._flight.physics._checks import (
     NEGATIVE,
     POSITIVE,
     SAME,
+    SMOOTH,
     UNALIKE,
     Equality,
     Exchange,
@@ -178,7 +179,6 @@ EQUALITIES = (
     Equality(relation=ROLL, noise=0.008, admissible=SAME),
     Equality(relation=PITCH, noise=0.008, admissible=SAME),
     Equality(relation=YAW, noise=0.008, admissible=SAME),
-    Equality(relation=TURNING, noise=0.008),
     Equality(relation=NORTH, noise=0.3, admissible=SAME),
     Equality(relation=EAST, noise=0.3, admissible=SAME),
     Equality(relation=DOWN, noise=0.3, admissible=SAME),
@@ -286,6 +286,7 @@ COPIES = (
     ),
 )
 SIGNS = (
+    Sign(relation=TURNING, admissible=POSITIVE, noise=0.002),
     Sign(relation=FALL, admissible=GUSTY, noise=0.003),
     _sign_of_accelerometer("ax", axis=0),
     _sign_of_accelerometer("ay", axis=1),
@@ -311,10 +312,25 @@ SCALE = replace(
     lags=(0.0,),
     causes=("indicated in place of true airspeed", "the calibration of the pitot tube"),
 )
+
+
+def _scale_of_vane(relation: Relation) -> Sign:
+    """Return the check of the scale of a vane by the motion of the aircraft, where gusts are small."""
+    return Sign(
+        relation=replace(relation, lags=(0.0,), causes=("the flow about the vane", "another unit")),
+        admissible=SMOOTH,
+        noise=0.008,
+        least_explained=PHYSICS.smooth,
+        least_t=PHYSICS.least_scale_t,
+    )
+
+
 OFFSETS = (
     Sign(relation=COURSE, admissible=AHEAD, noise=3.0),
     Sign(relation=INCIDENCE, admissible=LEVEL, noise=3.0),
     Sign(relation=SCALE, admissible=CALIBRATED, noise=3.0),
+    _scale_of_vane(ALPHA),
+    _scale_of_vane(BETA),
 )
 """Judged last, as a small error of a scale or of an angle's zero explains no wrong sign."""
 

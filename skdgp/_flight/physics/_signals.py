@@ -70,6 +70,11 @@ class PhysicsSettings:
     # least part of the wind across the heading in the airspeed that tells it from the speed over the ground (guess)
     least_drift: float = 0.05
 
+    # scale of vanes: least ratio of explained to unexplained variance of a contradiction, a correlation of 0.9,
+    # and its least t
+    smooth: float = 4.3
+    least_scale_t: float = 4.0
+
     # signs and exchanges: least partial correlation; feedback, lags and gusts cause weaker ones
     least_correlation: float = 0.3
     # a lag is possible if the ratio of explained to unexplained variance is this fraction of the best

@@ -126,10 +126,16 @@ SI_UNITS = {
 # Other units of sizes, in the SI unit
 UNITS = {
     "mass": {"lb": POUND, "g": 0.001},
-    "span": OF_LENGTHS,
+    "span": {**OF_LENGTHS, "m of half the span": 2.0},
     "chord": OF_LENGTHS,
-    "wing_area": {"ft^2": FOOT**2, "dm^2": 0.01, "cm^2": 1e-4},
-    "Ixx": {"slug ft^2": 1.3558179, "lb ft^2": POUND * FOOT**2, "g m^2": 0.001, "kg cm^2": 1e-4},
+    "wing_area": {"ft^2": FOOT**2, "dm^2": 0.01, "cm^2": 1e-4, "m^2 of one wing": 2.0},
+    "Ixx": {
+        "slug ft^2": 1.3558179,
+        "kgf m s^2": STANDARD_GRAVITY,
+        "lb ft^2": POUND * FOOT**2,
+        "g m^2": 0.001,
+        "kg cm^2": 1e-4,
+    },
     "thrust": {"lbf": POUND * STANDARD_GRAVITY},
     "airspeed": {"kt": 1852 / 3600, "ft/s": FOOT, "km/h": 1 / 3.6},
 }

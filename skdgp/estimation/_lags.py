@@ -204,7 +204,8 @@ class _Segment:
             angle_rates = _angle_rates(force, rates, on_clock(ATTITUDE), alpha, speed[:, 0])
             motion = cumulative_trapezoid(angle_rates, clock, axis=0, initial=0)
             groups["motion"] = motion[:, np.isin(VANES, vanes)]
-        groups["accelerations"] = CubicSpline(clock, rates)(clock, 1) / speed**2
+        smooth_rates = low_pass(rates, rate_hz, 2 * high)
+        groups["accelerations"] = CubicSpline(clock, smooth_rates)(clock, 1) / speed**2
         groups["inertial"] = np.hstack([force / speed**2, rates / speed])
         splines = {}
         for name, values in groups.items():

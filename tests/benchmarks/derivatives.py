@@ -75,19 +75,17 @@ def over_perturbation(truth, model):
     return replace(truth, slopes=partial(slopes_over, truth.gradient, spread=spread, n_nodes=NODES))
 
 
-def compared(model, truth, data):
-    """Return all derivatives at the trims, learned and known."""
-    trims = trim(truth, data.aircraft, AIRSPEEDS, altitude=ALTITUDE)
-    table = stability_derivatives(model, data.aircraft, trims)
+def compared(model, truth, data, airspeed):
+    """Return all derivatives at a trim, learned and known."""
+    at_trim = trim(truth, data.aircraft, airspeed, altitude=ALTITUDE)
+    table = stability_derivatives(model, data.aircraft, at_trim)
     table = table[table["regressor"] != ""].copy()
-    known = stability_derivatives(truth, data.aircraft, trims)["value"]
+    known = stability_derivatives(truth, data.aircraft, at_trim)["value"]
     slopes = slopes_of_slopes(data, list(table["regressor"].unique()))
     table["known"] = known.reindex(table.index).fillna(0.0)  # by throttle
     table["merged"] = table["known"]
     for rate in slopes:
-        by_rate = [
-            known[point, f"{name}_{rate}"] for (point, _), name in table["coefficient"].items()
-        ]
+        by_rate = known[table["coefficient"] + f"_{rate}"].to_numpy()
         table["merged"] += by_rate * table["regressor"].map(slopes[rate])
     return table
 
@@ -141,13 +139,13 @@ def measured(air):
     model.set_params(dependentgpregressor__random_state=0)
     model.fit(data.train, aerodynamic_coefficients(data.train, data.aircraft))
     truth = over_perturbation(truth, model)
-    table = compared(model, truth, data)
-    middle = table.loc[AIRSPEEDS.index(36.0)]
+    tables = {airspeed: compared(model, truth, data, airspeed) for airspeed in AIRSPEEDS}
+    middle = tables[36.0]
     shown = middle.loc[[*SHOWN], ["value", "std", "known", "merged"]]
     slopes = {"Cl_p, example aircraft": middle.loc["Cl_p", "value"] / middle.loc["Cl_p", "known"]}
     return {
         "over": slopes | cessna(air),
-        "coverage": [coverage(table)],
+        "coverage": [coverage(pd.concat(tables))],
         "at_36_m_per_s": [{"derivative": name, **row} for name, row in shown.iterrows()],
         "modes": modes(model, truth, data.aircraft),
     }

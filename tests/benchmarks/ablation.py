@@ -130,7 +130,7 @@ def rows_of(pipeline, flight, aircraft, loads, is_known):
     """Return the rows of a flight that are scored."""
     some = slice(None, None, EVERY)
     log = sensed(flight)
-    X, ratio = flight_regressors(pipeline, log)
+    X, ratio, _ = flight_regressors(pipeline, log)
     measured = aerodynamic_coefficients(pipeline[:1].transform(log), aircraft, **loads).to_numpy()
     exact = truth = None
     if is_known:

@@ -21,7 +21,8 @@ from skdgp._compute.messages import report
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
-FORMAT = 13  # a line with the SHA-256 of all bytes behind it, a line of JSON, and a pickle
+FORMAT = 13  # a pickle, a line of JSON, and the SHA-256 of all bytes before it
+DIGEST = 64  # its length
 # Packages whose versions may change predictions of a model that can be read
 MATTERS = ("skdgp", "scikit-learn", "numpy")
 
@@ -62,23 +63,22 @@ def save_model(
         )
 
     def write(temporary: Path) -> None:
-        header = json.dumps({"format": FORMAT, **made}).encode()
-        content = header + b"\n" + pickle.dumps(model, protocol=5)
-        temporary.write_bytes(_with_digest(content))
+        closing = json.dumps({"format": FORMAT, **made}).encode()
+        temporary.write_bytes(_with_digest(pickle.dumps(model, protocol=5) + b"\n" + closing))
 
     return write_atomically(path, write)
 
 
 def _with_digest(content: bytes) -> bytes:
-    """Return the bytes of a file, and before them a line with their SHA-256."""
-    return hashlib.sha256(content).hexdigest().encode() + b"\n" + content
+    """Return the bytes of a file, and after them their SHA-256."""
+    return content + hashlib.sha256(content).hexdigest().encode()
 
 
 def load_model(path: str | os.PathLike) -> Bunch:
     """Return a model that :func:`save_model` or ``skdgp identify`` wrote.
 
-    The file is a pickle, and loading may run any code in it: open only files whose origin you
-    trust.
+    The file is a pickle, which ``joblib.load`` reads too, without these checks, and loading may run any
+    code in it: open only files whose origin you trust.
 
     The result has ``pipeline`` (fitted: a raw flight table in, coefficients out), ``aircraft``,
     ``created``, ``versions`` and the facts saved with it: of :func:`identify` ``options`` (thrust,
@@ -90,14 +90,14 @@ def load_model(path: str | os.PathLike) -> Bunch:
     installed here. Warns if it was made by other versions of skdgp, scikit-learn or NumPy.
     """
     data = Path(path).read_bytes()
-    content = data.partition(b"\n")[2]
+    content = data[:-DIGEST]
     if data != _with_digest(content):
         raise ModelFileError(
             f"Got {path} ({len(data)} bytes), which is not a whole skdgp model. Expected a file that skdgp identify "
             f"or skdgp.identification.save_model wrote; if it is one, it was cut off or changed, or "
             f"written by another version: copy it again, or fit it again."
         )
-    line, _, pickled = content.partition(b"\n")
+    pickled, _, line = content.rpartition(b"\n")
     header = json.loads(line)
     made_by, installed = _in_words(header["versions"]), _in_words(software_versions())
     if header["format"] != FORMAT:

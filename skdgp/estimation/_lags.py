@@ -376,9 +376,9 @@ def _lag_behind_motion(segments: list[_Segment]) -> Lag:
     lag = _minimum(lags, np.array(losses))
     if not lags[0] < lag < lags[-1]:
         return UNKNOWN
-    variance = 0.0
-    information = 0.0
-    unexplained = 0.0
+    variance: Any = 0.0
+    information: Any = 0.0
+    unexplained: Any = 0.0
     for y, x, time in _vanes_and_motion(segments, lag):
         fitted = x * (x @ y)
         e = y - fitted

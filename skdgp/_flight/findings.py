@@ -83,6 +83,11 @@ class Code(Kind):
         "[flight {flight}: ]time is probably wrong: is the rate {rate:.3g} Hz or {true_rate:.3g} Hz?",
         "Gyros against attitude, and velocities against accelerometers or positions, differ by this one factor.",
     )
+    STUCK_SURFACE = (
+        "[flight {flight}: ]{channels: or } may be stuck: it stands still in {percent:.0f} % of the rows, where "
+        "{y} differs {ratio:.2g} times as much from what explains it elsewhere",
+        "Leave out these rows, unless the surface stood still in gusts.",
+    )
     LARGE_SURFACES = (
         "got surfaces in rad up to {largest:.2f}, more than most servos reach",
         "If these are commands from -1 to 1, multiply each by its largest deflection [rad].",

@@ -437,6 +437,38 @@ def test_late_vanes_are_named_and_no_surface(ordinary, rows):
 SURFACES = ["elevator", "aileron", "rudder"]
 
 
+def from_half(values, change):
+    """Return a channel with the second half changed."""
+    half = len(values) // 2
+    return np.concatenate([values[:half], change(values.to_numpy()[half:])])
+
+
+@pytest.mark.parametrize("name", ["elevator", "aileron"])
+def test_a_surface_that_is_stuck_from_the_middle(ordinary, name):
+    stuck = from_half(ordinary[name], lambda later: np.full(len(later), later[0]))
+    (found,) = contradictions(ordinary.assign(**{name: stuck}))
+    assert found.code is Code.STUCK_SURFACE
+    assert found.numbers["channels"] == [name]
+    assert found.numbers["percent"] == pytest.approx(50.0, abs=3.0)
+
+
+def test_a_surface_that_stands_still_is_not_stuck(ordinary):
+    """In steady flight its response does not go on."""
+    steady = ordinary.iloc[:1200].copy()
+    still = [name for name in steady if name not in ("time", "flight")]
+    steady.loc[600:, still] = steady.loc[[600], still].to_numpy()
+    codes = [finding.code for finding in contradictions(steady)]
+    assert Code.STUCK_SURFACE not in codes
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_a_pitot_tube_that_changes_in_flight(ordinary, factor):
+    airspeed = from_half(ordinary["airspeed"], lambda later: factor * later)
+    (found,) = contradictions(ordinary.assign(airspeed=airspeed))
+    assert found.numbers["channels"] == ["airspeed"]
+    assert found.numbers["slope"] == pytest.approx(1 - 1 / factor, abs=0.05)
+
+
 @pytest.mark.parametrize(
     ("names", "seconds", "without"),
     [(SURFACES, 0.3, []), (log_errors.VELOCITY, 1.0, []), (log_errors.VELOCITY, 1.0, VANES)],

@@ -39,6 +39,8 @@ AHEAD = Interval(-0.15, 0.15, "-0.15 to 0.15")
 LEVEL = Interval(-0.05, 0.05, "-0.05 to 0.05")
 # of vanes where gusts, which attenuate the slope, are small: 0.85 to 1.07 in 230 sound flights
 SMOOTH = Interval(0.75, 1.1, "0.75 to 1.1")
+# of the later less the earlier airspeed, over the airspeed: 0.03 at most in 122 sound flights
+STEADY = Interval(-0.2, 0.2, "-0.2 to 0.2")
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
 NONE = Interval(0.0, 0.0, "0")
@@ -321,6 +323,64 @@ def _lags_before_angle(slopes: dict[float, Slope], best: float) -> list[float]:
     # of the ratio of total to unexplained variance
     least = fraction * (1 + best)
     return [lag for lag in lags if lag <= first and 1 + slopes[lag].explained >= least]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stuck:
+    """A surface that stands still while the response to it goes on."""
+
+    channels: tuple[str, ...]
+    #: The response
+    y: str
+    #: Rows without motion [%], and the residual of the response in them over that in the others
+    percent: float
+    ratio: float
+    #: None for all flights together
+    flight: Any = None
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the surface."""
+        numbers = {
+            "channels": list(self.channels),
+            "y": self.y,
+            "percent": self.percent,
+            "ratio": self.ratio,
+        }
+        return Finding(Code.STUCK_SURFACE, self.flight, numbers=numbers)
+
+
+class Still(NamedTuple):
+    """Where a surface stands still, the regression of the other rows explains the response as well.
+
+    Without vanes the angles that they measure would explain it.
+    """
+
+    name: str
+    relation: Relation
+
+    def judge(self, signals: Signals) -> Stuck | None:
+        """Return the surface if it is probably stuck."""
+        slopes = self.relation.slopes(signals)
+        if not slopes or not {self.name, *self.relation.beside} <= signals.channels.keys():
+            return None
+        moves = np.abs(np.diff(signals[self.name], prepend=np.nan)) > PHYSICS.still
+        n_moves = signals.change(np.cumsum(moves, dtype=float), PHYSICS.still_window)
+        lag = max(slopes, key=lambda lag: slopes[lag].explained)
+        y, x, others = self.relation.regression(signals)
+        terms = np.column_stack([*others, signals.ahead(x, -lag), y])
+        is_whole = np.isfinite(terms).all(axis=1)
+        terms = terms[is_whole] / np.sqrt(np.mean(terms[is_whole] ** 2, axis=0))
+        is_still = n_moves[is_whole] == 0
+        if min(is_still.sum(), (~is_still).sum()) < PHYSICS.least_rows:
+            return None
+        coefficients = np.linalg.lstsq(terms[~is_still, :-1], terms[~is_still, -1], rcond=1e-8)[0]
+        squared = (terms[:, -1] - terms[:, :-1] @ coefficients) ** 2
+        ratio = float(np.sqrt(squared[is_still].mean() / squared[~is_still].mean()))
+        if ratio < PHYSICS.still_ratio:
+            return None
+        percent = 100 * float(is_still.mean())
+        return Stuck(channels=(self.name,), y=self.relation.y, percent=percent, ratio=ratio)
 
 
 class Exchange(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,22 +16,26 @@ from skdgp._flight.physics._checks import (
     Mistake,
     Relation,
     Sign,
+    Stuck,
 )
 from skdgp._flight.physics._list import (
     CHANNELS,
-    COPIES,
     EQUALITIES,
     EXCHANGES,
+    FIRST,
     MISTAKES,
     OFFSETS,
     SIGNS,
+    STILL,
     TURNING,
 )
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.tables import FlightTable
 
+Doubt: TypeAlias = Contradiction | Mistake | Stuck
 
-def find_contradictions(flights: FlightTable) -> list[Contradiction | Mistake]:
+
+def find_contradictions(flights: FlightTable) -> list[Doubt]:
     """Return the relations that flights contradict, or the mistake of several channels that explains them.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
@@ -45,7 +50,7 @@ def find_contradictions(flights: FlightTable) -> list[Contradiction | Mistake]:
     return contradictions
 
 
-def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
+def _contradictions_of(flights: FlightTable) -> list[Doubt]:
     """Return the contradictions of all rows together, or the mistake without which there is none."""
     signals = signals_of(flights, CHANNELS)
     exchanged = _exchanges_in(signals)
@@ -60,7 +65,8 @@ def _contradictions_of(flights: FlightTable) -> list[Contradiction | Mistake]:
             return [*exchanged, mistake]
     if {*ELEVONS} <= {*flights.table.columns}:
         causes = [_of_elevons(contradiction) for contradiction in causes]
-    return [*exchanged, *causes]
+    stuck = [still.judge(signals) for still in STILL if not contradictions]
+    return [*exchanged, *causes, *(each for each in stuck if each is not None)]
 
 
 def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterator[Mistake]:
@@ -110,7 +116,7 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
             confirmed.update(judgement.channels)
     # others may be consequences of the first
     contradictions = [
-        *_contradicted(COPIES, signals),
+        *_contradicted(FIRST, signals),
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
         *_contradicted(OFFSETS, signals),

@@ -66,6 +66,15 @@ def velocity_along(flight: Signals) -> Regression:
     return Regression(ground, flight["airspeed"], wind)
 
 
+def airspeed_later(flight: Signals) -> Regression:
+    """Return V less the component along x, and V in the second half of each segment, beside V and a steady wind."""
+    ground, airspeed, wind = velocity_along(flight)
+    first = np.searchsorted(flight.segment, flight.segment)
+    number = np.arange(len(first)) - first
+    is_later = number >= np.bincount(flight.segment)[flight.segment] / 2
+    return Regression(airspeed - ground, is_later * airspeed, [airspeed, *wind])
+
+
 def course_through_the_air(flight: Signals) -> Regression:
     """Return the terms of the component along y, V sin(beta - e) in a heading that is too large by e.
 

@@ -25,6 +25,7 @@ from skdgp._flight.physics._checks import (
     POSITIVE,
     SAME,
     SMOOTH,
+    STEADY,
     UNALIKE,
     Equality,
     Exchange,
@@ -32,6 +33,7 @@ from skdgp._flight.physics._checks import (
     Mistake,
     Relation,
     Sign,
+    Still,
 )
 from skdgp._flight.physics._signals import (
     AIRSPEED_LAGS,
@@ -134,6 +136,14 @@ AIRSPEED = Relation(
     x="airspeed",
     regression=equations.velocity_along,
     lags=(*KINEMATIC_LAGS, *AIRSPEED_LAGS),
+)
+LATER = Relation(
+    channels=("airspeed",),
+    uses=(*EULER, *EARTH_VELOCITY),
+    y="the airspeed less the ground velocity and a steady wind",
+    x="the airspeed of the second half",
+    regression=equations.airspeed_later,
+    causes=("water or ice in the pitot tube",),
 )
 # a magnetic heading, or one of another zero, turns the velocity
 COURSE = Relation(
@@ -244,6 +254,7 @@ LIFT = _relation_of_response("az", ("alpha", "q", "elevator"))
 SIDEFORCE = _relation_of_response("ay", ("beta", *LATERAL_EFFECTS))
 BY_AILERON = _sign_of_effect("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE)
 BY_RUDDER = _sign_of_effect("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE)
+BY_ELEVATOR = _sign_of_effect("q", ("elevator", "alpha", "q"), NEGATIVE)
 WEATHERCOCK = _sign_of_effect("r", ("beta", *LATERAL_EFFECTS), POSITIVE)
 
 
@@ -275,7 +286,7 @@ def _copy(name: str, other: str, uses: tuple[str, ...], regression: Callable) ->
     return Sign(relation=relation, admissible=UNALIKE, least_explained=PHYSICS.copied)
 
 
-COPIES = (
+FIRST = (
     _copy("alpha", "theta", ("theta",), equations.alpha_by_attitude),
     _copy("psi", "the course over the ground", EARTH_VELOCITY[:2], equations.heading_by_course),
     _copy(
@@ -284,7 +295,9 @@ COPIES = (
         ("beta", *EULER, *EARTH_VELOCITY),
         equations.airspeed_by_ground_speed,
     ),
+    Sign(relation=LATER, admissible=STEADY, noise=1.0),
 )
+"""Judged first, as other contradictions follow from them."""
 SIGNS = (
     Sign(relation=TURNING, admissible=POSITIVE, noise=0.002),
     Sign(relation=FALL, admissible=GUSTY, noise=0.003),
@@ -298,7 +311,7 @@ SIGNS = (
         witness=WEATHERCOCK,
     ),
     BY_AILERON,
-    _sign_of_effect("q", ("elevator", "alpha", "q"), NEGATIVE),
+    BY_ELEVATOR,
     BY_RUDDER,
     Sign(relation=_relation_of_drive("throttle", "m/s^2"), admissible=POSITIVE, noise=0.01),
     Sign(relation=DRIVES["thrust"], admissible=POSITIVE),
@@ -371,6 +384,15 @@ EXCHANGES = (
 )
 
 
+STILL = (
+    Still("aileron", BY_AILERON.relation),
+    Still("elevator", BY_ELEVATOR.relation),
+    Still("rudder", BY_RUDDER.relation),
+    Still("elevon_left", BY_AILERON.relation),
+    Still("elevon_right", BY_AILERON.relation),
+)
+
+
 # -- mistakes of several channels at once
 
 BODY_TURNED = ("q", "r", "ay", "az")
@@ -389,7 +411,7 @@ MISTAKES = (
     Mistake(turned=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
-CHECKS: list[Equality | Sign] = [*COPIES, *EQUALITIES, *SIGNS, *OFFSETS]
+CHECKS: list[Equality | Sign] = [*FIRST, *EQUALITIES, *SIGNS, *OFFSETS]
 RELATIONS = [check.relation for check in CHECKS]
 CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[relation.needs for relation in RELATIONS]))
 """Channels that the checks use."""

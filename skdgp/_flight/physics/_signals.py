@@ -70,6 +70,12 @@ class PhysicsSettings:
     # least part of the wind across the heading in the airspeed that tells it from the speed over the ground (guess)
     least_drift: float = 0.05
 
+    # a surface that stands still: largest step [rad], least seconds, and least residual of its response over that
+    # in other rows: 1.1 at most in 30 sound flights, 2.1 to 7 where it is stuck, 1.7 to 2.5 where it is clipped
+    still: float = 1e-9
+    still_window: float = 0.5
+    still_ratio: float = 2.0
+
     # scale of vanes: least ratio of explained to unexplained variance of a contradiction, a correlation of 0.9,
     # and its least t
     smooth: float = 4.3

@@ -133,7 +133,7 @@ class MultiOutputKernel(Kernel):
 
     @property
     @abstractmethod
-    def n_features(self) -> int | None:
+    def n_features(self) -> Any:
         """Number of regressors d, None for a kernel that takes any number."""
 
     @property
@@ -435,7 +435,7 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return _common("n_outputs", self.k1.n_outputs, self.k2.n_outputs)
 
     @property
-    def n_features(self) -> int | None:
+    def n_features(self) -> Any:
         """Number of regressors d, None for kernels that take any number."""
         return _common("n_features", self.k1.n_features, self.k2.n_features)
 

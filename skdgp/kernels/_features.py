@@ -86,6 +86,10 @@ class Features(ABC):
     ) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
+    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
+        """Return dKfu / dX, (d, n, c_i), for slopes of paths, unless the class has paths of its own."""
+        raise NotImplementedError
+
     def basis(self) -> tuple[Basis, list[Indices]]:
         """Return the functions of the regressors that Kfu is made of, and the variable of each, for each output.
 

@@ -425,6 +425,12 @@ def test_axes_forward_left_up_are_one_mistake(ordinary, names):
     assert channels_of_each(turned) == [{*names}]
 
 
+@pytest.mark.parametrize("earth", [[], ["v_east", "v_down"]])
+def test_beta_may_be_in_these_axes_too(ordinary, earth):
+    names = [*BODY, "theta", "psi", "beta", *earth]
+    assert channels_of_each(opposite(ordinary, " ".join(names))) == [{*names}]
+
+
 @pytest.mark.parametrize("rows", [4, 20])
 def test_late_vanes_are_named_and_no_surface(ordinary, rows):
     """Of 0.1 s at most LagCorrector corrects in silence."""

@@ -407,8 +407,10 @@ MISTAKES = (
     EARTH_UP,
     Mistake(turned=BODY_TURNED, axes=LEFT_UP),
     Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP),
+    Mistake(turned=(*BODY_TURNED, "theta", "psi", "beta"), axes=LEFT_UP),
     Mistake(turned=(*BODY_TURNED, "theta", "psi"), axes=LEFT_UP, from_east=True),
     Mistake(turned=(*BODY_TURNED, "theta", "psi", *NAVIGATION_TURNED), axes=LEFT_UP),
+    Mistake(turned=(*BODY_TURNED, "theta", "psi", "beta", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
 CHECKS: list[Equality | Sign] = [*FIRST, *EQUALITIES, *SIGNS, *OFFSETS]

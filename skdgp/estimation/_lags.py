@@ -450,18 +450,23 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
     is_significant = removable(Lag(removed, surfaces.std)) or removed_delay
     if not is_significant or removed + SETTINGS.precision >= SETTINGS.largest:
         return None
-    limited = []
-    for fraction, relative in product(SETTINGS.limited_lags, SETTINGS.limits):
-        shorter = fraction * lag
-        limit = relative * max(segment.largest_rate(shorter) for segment in segments)
-        limited.append((loss_of(shorter, limit)(delay), shorter, limit))
-    least_limited, shorter, limit = min(limited)
+    least_limited, shorter, limit = _limited(segments, loss_of, lag, delay)
     rate_limit = np.inf
     if least - least_limited >= SETTINGS.delay_evidence:
         removed, removed_delay = shorter, delay
         lag, rate_limit = shorter, limit
     servos = Lag(lag, lag_std, removed, rate_limit, delay_std)
     return servos, Lag(-delay, surfaces.std, -removed_delay)
+
+
+def _limited(segments, loss_of, lag, delay):
+    """Return the least loss of servos with a limit of their rate and a shorter lag, this lag and the limit."""
+    found = []
+    for fraction, relative in product(SETTINGS.limited_lags, SETTINGS.limits):
+        shorter = fraction * lag
+        limit = relative * max(segment.largest_rate(shorter) for segment in segments)
+        found.append((loss_of(shorter, limit)(delay), shorter, limit))
+    return min(found)
 
 
 def _std_of_profile(errors: Vector, losses: Vector, std: float) -> float:

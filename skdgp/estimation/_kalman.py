@@ -249,8 +249,7 @@ def noise_slopes(
         u: Any = np.linalg.solve(filter_pass.path_covariance[steps], error[..., None])
         Htu = H.mT @ u
         dQ, dR, dR_past = _covariances(part, change)
-        h = part.time_step[:, None, None]
-        dPhi = (-h * np.exp(-h * noise.decay) * change.decay).mT  # on the diagonal, (k, N, s)
+        dPhi = _transition_slopes(part.time_step[:, None, None], noise, change)
         turned = dPhi[..., None] * (filter_pass.covariance[:-1][steps] @ Phi.mT)[:, :, None]
         V = dQ + turned + turned.swapaxes(1, 3)
         A = np.eye(N) - K @ H
@@ -263,6 +262,11 @@ def noise_slopes(
         dx = propagated(T, push, dx_start)
         yield steps, -(part.D @ dx[:-1]), both_sides(part.D, dP[:-1]) + dR_past
         dP_start, dx_start = dP[-1], dx[-1]
+
+
+def _transition_slopes(h, noise, change):
+    """Return the slopes of the diagonal of Phi over steps h (k, 1, 1), (k, N, s)."""
+    return (-h * np.exp(-h * noise.decay) * change.decay).mT
 
 
 def parameter_slopes(

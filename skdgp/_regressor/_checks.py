@@ -377,13 +377,16 @@ def search_ended(
     return Finding(FitCode.SEARCH_STOPPED, numbers=numbers)
 
 
-def warn_of_outliers(added: np.ndarray, noise: np.ndarray, names: Sequence[str]) -> None:
-    """Warn of values whose own noise variance, ``added`` (n, P), is larger than the ``noise`` (P,) of all."""
-    rows = {
-        name: np.flatnonzero(of_output > white).tolist()
-        for name, of_output, white in zip(names, added.T, noise, strict=True)
-    }
-    outliers = [f"{name} of row {row}" for name, found in rows.items() for row in found]
+def warn_of_outliers(
+    added: np.ndarray, noise: np.ndarray, names: Sequence[str], rows: np.ndarray
+) -> None:
+    """Warn of values whose own noise variance, ``added`` (n, P), is larger than the ``noise`` (P,) of all.
+
+    ``rows`` (n,) are their numbers in the table.
+    """
+    outliers = []
+    for name, of_output, white in zip(names, added.T, noise, strict=True):
+        outliers += [f"{name} of row {row}" for row in rows[of_output > white]]
     if outliers:
         numbers = {"count": len(outliers), "outliers": outliers}
         report(Finding(FitCode.OUTLIERS_FOUND, numbers=numbers))
@@ -429,7 +432,7 @@ def _check_inside(name, values, pairs):
         k = int(np.flatnonzero(outside)[0])
         raise ValueError(
             f"Got {name}={values[k]:.4g} with the bounds ({low[k]:.4g}, {high[k]:.4g}), but expected a "
-            "starting value inside its bounds."
+            "starting value inside its bounds: give wider bounds, or another value."
         )
 
 

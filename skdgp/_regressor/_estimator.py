@@ -316,15 +316,15 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """
         before = dict(vars(self))
         try:
-            X, Y, clock, noise = self._checked(X, y, time, flight)
-            self._learn(X, Y, clock, slopes, errors, noise)
+            X, Y, clock, noise, rows = self._checked(X, y, time, flight)
+            self._learn(X, Y, clock, slopes, errors, noise, rows)
         except BaseException:  # a refused fit changes nothing
             self.__dict__ = before
             raise
         return self
 
     def _checked(self, X, y, time, flight):
-        """Return the samples with a target, X (n, d), Y (n, P), their clock (n, 2) or None, and their known noise."""
+        """Return the samples with a target, X (n, d), Y (n, P), their clock (n, 2) or None, known noise, and rows."""
         index = getattr(X, "index", None)
         _checks.check_unmasked(X)
         X = validate_data(self, X, dtype=np.float64, ensure_min_samples=2)
@@ -358,7 +358,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
         _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
         _checks.warn_of_samples(X, Y, self._regressor_names(), self.output_names_)
-        return X, Y, clock, noise
+        return X, Y, clock, noise, used
 
     def _recipe(self, time_series: bool) -> Recipe:
         """Return the parameters of the fit."""
@@ -378,7 +378,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             settings=self.settings,
         )
 
-    def _learn(self, X, Y, clock, slopes, errors, noise):
+    def _learn(self, X, Y, clock, slopes, errors, noise, rows):
         """Set the fitted attributes."""
         recipe = self._recipe(clock is not None)
         _check_memory(recipe, int(np.isfinite(Y).sum()))
@@ -387,7 +387,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
         fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
-        self._warn_of_fit(fit, X, Z, known_noise)
+        self._warn_of_fit(fit, X, Z, known_noise, rows)
         self._set_noise(fit, X, Z, clock, known_noise)
         self.posterior_ = self._with_errors(fit, errors, recipe.time_series)
 
@@ -414,7 +414,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.converged_ = learned.converged
         self.interrupted_ = learned.interrupted
 
-    def _warn_of_fit(self, fit, X, Z, known):
+    def _warn_of_fit(self, fit, X, Z, known, rows):
         """Warn of a search that did not converge, of values at their bounds, of outliers, and of few rows."""
         ended = _checks.search_ended(self, X, self._regressor_names())
         if ended is not None:
@@ -424,7 +424,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         loading = fit.learned.loading
         if loading is not None and known.loading is None:
             variance = np.einsum("npp->np", loading) ** 2
-            _checks.warn_of_outliers(variance, fit.learned.noise, self.output_names_)
+            _checks.warn_of_outliers(variance, fit.learned.noise, self.output_names_, rows)
         if not fit.learned.interrupted:
             errors = Z - likeliest_mean(fit.posterior, X)
             _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))

@@ -102,7 +102,8 @@ class Recipe:
         if self.kernel is not None:
             n_fixed = Z.shape[1] if self.optimizer is None else None
             multi_output = as_multi_output(clone(self.kernel), n_fixed)
-            _checks.check_start(multi_output, X, Z)
+            if self.optimizer is not None:
+                _checks.check_start(multi_output, X, Z)
             has_trend = any(term.n_processes == 0 for term in multi_output.summands())
             return [multi_output if trend is None or has_trend else trend + multi_output]
         averaged = self.structure == "average" and trend is not None

@@ -14,7 +14,6 @@ with Student's t distribution they are up to twice as large, as its weights diff
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm
@@ -46,40 +45,22 @@ class OutlierSettings:
 SETTINGS = OutlierSettings()
 
 
-class Neighbours(NamedTuple):
-    """Distances (n,) of each value from the values at the nearest regressors.
+def gross_outliers(X: Matrix, y: Vector, settings: OutlierSettings = SETTINGS) -> Vector:
+    """Return the squared distance (n,) of values far from their neighbours' median, zero for the others.
 
-    From their ``median``, and, as several neighbours are alike beside a jump or on a narrow peak, from
-    the ``third`` nearest value.
+    X (n, d) are the regressors, y (n,) the values.
     """
-
-    median: Vector
-    third: Vector
-
-    @classmethod
-    def of_values(cls, X: Matrix, y: Vector, settings: OutlierSettings = SETTINGS) -> Neighbours:
-        """Return the distances of the values y (n,) at X (n, d), infinite ones of few values."""
-        if len(y) <= 2 * settings.neighbours:
-            return cls(np.zeros(len(y)), np.full(len(y), np.inf))
-        neighbours = NearestNeighbors(n_neighbors=settings.neighbours).fit(X / column_scale(X))
-        near = y[neighbours.kneighbors(return_distance=False)]
-        apart = np.sort(np.abs(y[:, None] - near), axis=1)
-        return cls(np.abs(y - np.median(near, axis=1)), apart[:, 2])
-
-    def gross_outliers(self, settings: OutlierSettings = SETTINGS) -> Vector:
-        """Return the squared distance (n,) from the median of values far from both, zero for the others."""
-        std = np.median(self.median) / norm.ppf(0.75)
-        is_far = np.minimum(self.median, self.third) > settings.distance * std
-        return np.where(is_far & (std > 0), self.median**2, 0.0)
+    if len(y) <= 2 * settings.neighbours:
+        return np.zeros(len(y))
+    neighbours = NearestNeighbors(n_neighbors=settings.neighbours).fit(X / column_scale(X))
+    distance = y - np.median(y[neighbours.kneighbors(return_distance=False)], axis=1)
+    std = np.median(np.abs(distance)) / norm.ppf(0.75)
+    is_far = np.abs(distance) > settings.distance * std
+    return np.where(is_far & (std > 0), distance**2, 0.0)
 
 
-def contaminated_variances(
-    squares: Vector, third: Vector, settings: OutlierSettings = SETTINGS
-) -> Vector | None:
-    """Return the noise variance of each value (n,) by the expected squares of the errors; None for normal ones.
-
-    A value at a small distance from the ``third`` nearest among its neighbours' values is no outlier.
-    """
+def contaminated_variances(squares: Vector, settings: OutlierSettings = SETTINGS) -> Vector | None:
+    """Return the noise variance of each value (n,) by the expected squares of the errors; None for normal ones."""
     error = np.sqrt(squares)
     small, large, fraction = np.median(squares), squares.max(), 1.0 / len(squares)
     if small <= 0.0:
@@ -88,8 +69,7 @@ def contaminated_variances(
         of_small = np.log1p(-fraction) + norm.logpdf(error, scale=np.sqrt(small))
         of_large = np.log(fraction) + norm.logpdf(error, scale=np.sqrt(large))
         likelihood = np.logaddexp(of_small, of_large)
-        is_apart = third > settings.distance * np.sqrt(small)
-        outlying = np.where(is_apart, np.exp(of_large - likelihood), 0.0)
+        outlying = np.exp(of_large - likelihood)
         fraction = np.clip(outlying.mean(), 1e-9, 0.5)
         small = np.average(squares, weights=1.0 - outlying + 1e-12)
         large = max(np.average(squares, weights=outlying + 1e-300), small)

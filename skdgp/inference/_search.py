@@ -30,7 +30,7 @@ from skdgp.inference._likelihood import Data, SampleNoise
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
 from skdgp.inference._objective import Objective, climb
 from skdgp.inference._outliers import SETTINGS as SETTINGS_OF_OUTLIERS
-from skdgp.inference._outliers import Neighbours, contaminated_variances
+from skdgp.inference._outliers import contaminated_variances, gross_outliers
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._shifts import found_shifts, price_of_shifts
 from skdgp.inference._starts import SETTINGS as SETTINGS_OF_STARTS
@@ -267,16 +267,13 @@ class _Search:
         observed = np.isfinite(self.Y[:, i])
         X, y = self.X[observed], self.Y[observed, i]
         added = np.zeros(len(self.Y))
-        neighbours = Neighbours.of_values(X, y)
         if not self.has_normal_noise:
-            added[observed] = neighbours.gross_outliers()
+            added[observed] = gross_outliers(X, y)
         fit, data = self._alone(single, i, added)
         for _ in range(0 if self.has_normal_noise else settings.fits):
             function = ExactPosterior(fit.kernel, fit.noise, data)
             mean, variance = function.predict(X, return_variance=True)
-            variances = contaminated_variances(
-                (y - mean[:, 0]) ** 2 + variance[:, 0], neighbours.third
-            )
+            variances = contaminated_variances((y - mean[:, 0]) ** 2 + variance[:, 0])
             before = fit.noise + added[observed]
             after = np.full(len(y), fit.noise[0]) if variances is None else variances
             added[observed] = after - after.min()

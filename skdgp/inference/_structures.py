@@ -84,8 +84,9 @@ def n_mattering(
 
 def _n_mattering(term, X, settings):
     if isinstance(term, LinearTrend):  # a slope by a constant regressor is learned from nothing
-        n_constant = constant_columns(X).sum() * term.n_outputs
-        return term.n_dims - int(n_constant)
+        has_slopes = any(f.n_elements for f in term.free_parameters() if f.name == "slope_scale")
+        n_constant = int(constant_columns(X).sum()) * term.n_outputs
+        return term.n_dims - n_constant * has_slopes
     if not isinstance(term, ConvolvedGaussian):
         return term.n_dims
     scale = column_scale(X)

@@ -509,10 +509,11 @@ class _EvaluatedOneByOne:
     def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
         i, j, Xi, Xj = self.pairs[k]
         slopes = self.kernel.block_gradient
-        for row, x in zip(total, Xj if transposed else Xi, strict=True):
-            if transposed:
+        if transposed:
+            for row, x in zip(total, Xj, strict=True):
                 row += slopes(i, j, Xi, x[None], beta[:, None])
-            else:
+        else:
+            for row, x in zip(total, Xi, strict=True):
                 row += slopes(i, j, x[None], Xj, beta[None])
 
 

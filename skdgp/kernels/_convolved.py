@@ -49,7 +49,7 @@ class StartSettings:
     #: Smallest amplitude of a private latent beside shared ones where targets are missing: without
     #: it a few rows where outputs overlap may make one output certain from another (trials)
     least_private: float = 0.2
-    #: Smallest and largest width; many samples along few regressors have a smaller one, see `spacing`
+    #: Smallest and largest width; of a single regressor the smallest is `spacing`, where smaller
     width_bounds: tuple[float, float] = (0.05, 1e3)
     #: Starting widths of the first and of the last shared latent, for one regressor
     shared_widths: tuple[float, float] = (2.0, 0.8)
@@ -155,8 +155,8 @@ class ConvolvedGaussian(MultiOutputKernel):
     parameter_bounds : mapping or None
         Bounds on the values by the names ``"amplitude"``, ``"length_scale"`` and ``"shift"``: a
         pair, an array (..., 2), or "fixed". Without an entry shifts are fixed, and bounds come from
-        the data, on widths 0.05 to 1000 standard deviations of the regressor, of one or two regressors
-        down to the spacing below.
+        the data, on widths 0.05 to 1000 standard deviations of the regressor, of a single
+        regressor down to the spacing below.
         ``{"length_scale": "spacing"}``: widths of at least n^(-1/d) standard deviations, for n
         samples, at most 400, in d regressors. In many regressors, a process of smaller width is
         noise to the samples.
@@ -372,11 +372,12 @@ class _EvaluatedFilters:
             (length_scale, *slopes.by_width),
             (shift, slopes.by_shift, -slopes.by_shift),
         ):
-            for output, part in ((i, of_i), (j, of_j)) if parameter.n_elements else ():
-                numbers = parameter.index[latents, output]
-                free = numbers >= 0
-                # each number stands once: those of tied length scales are of different latents
-                total[:, start + numbers[free]] += part[:, free]
+            if parameter.n_elements:
+                for output, part in ((i, of_i), (j, of_j)):
+                    numbers = parameter.index[latents, output]
+                    free = numbers >= 0
+                    # each number stands once: those of tied length scales are of different latents
+                    total[:, start + numbers[free]] += part[:, free]
             start += parameter.n_elements
 
 

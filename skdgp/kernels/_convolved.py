@@ -49,7 +49,7 @@ class StartSettings:
     #: Smallest amplitude of a private latent beside shared ones where targets are missing: without
     #: it a few rows where outputs overlap may make one output certain from another (trials)
     least_private: float = 0.2
-    #: Smallest and largest width; of a single regressor the smallest is `spacing`, where smaller
+    #: Smallest and largest width
     width_bounds: tuple[float, float] = (0.05, 1e3)
     #: Starting widths of the first and of the last shared latent, for one regressor
     shared_widths: tuple[float, float] = (2.0, 0.8)
@@ -155,8 +155,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     parameter_bounds : mapping or None
         Bounds on the values by the names ``"amplitude"``, ``"length_scale"`` and ``"shift"``: a
         pair, an array (..., 2), or "fixed". Without an entry shifts are fixed, and bounds come from
-        the data, on widths 0.05 to 1000 standard deviations of the regressor, of a single
-        regressor down to the spacing below.
+        the data, on widths 0.05 to 1000 standard deviations of the regressor.
         ``{"length_scale": "spacing"}``: widths of at least n^(-1/d) standard deviations, for n
         samples, at most 400, in d regressors. In many regressors, a process of smaller width is
         noise to the samples.
@@ -496,8 +495,7 @@ def starting_values(
     if shared.any() and has_gaps:
         is_private = ~shared[:, None] & feeds
         smallest = np.where(is_private, STARTS.least_private * y_scale, smallest)
-    narrowest, widest = STARTS.width_bounds
-    widths = np.multiply.outer(x_scale, (min(narrowest, spacing(X, Y)), widest))
+    widths = np.multiply.outer(x_scale, STARTS.width_bounds)
     bounds = {
         "amplitude": np.stack([smallest, largest], axis=-1),
         "length_scale": np.array(np.broadcast_to(widths, (*feeds.shape, *widths.shape))),

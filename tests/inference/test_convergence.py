@@ -78,12 +78,3 @@ def test_the_same_table_in_another_form_has_the_same_model(usual, change):
     if change == "outputs":
         other = other[:, ::-1]
     assert np.max(np.abs(mean - other) / std) < 0.05
-
-
-def test_a_function_of_many_periods_is_learned():
-    """Widths of many samples along one regressor go down to their spacing."""
-    rng = default_rng(4)
-    x, at = rng.uniform(0, 10, (800, 1)), rng.uniform(0, 10, (200, 1))
-    model = DependentGPRegressor(random_state=0)
-    model.fit(x, np.sin(40 * x[:, 0]) + 0.1 * rng.normal(size=800))
-    assert np.std(model.predict(at) - np.sin(40 * at[:, 0])) < 0.15

@@ -109,10 +109,7 @@ def _n_contradicted(signals: Signals) -> int:
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:
     """Return all contradictions of signals, and the channels that an equality confirms."""
     judgements = [check.judge(signals) for check in EQUALITIES]
-    contradicted = [item for item in judgements if isinstance(item, Contradiction)]
-    unequal = [item for item in contradicted if item.lag is None]
-    # a turned sign may look late
-    late = _clearest_first([item for item in contradicted if item.lag is not None])
+    unequal = [item for item in judgements if isinstance(item, Contradiction)]
     confirmed: set[str] = set()
     for judgement in judgements:
         if isinstance(judgement, Relation):
@@ -122,7 +119,6 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
         *_contradicted(FIRST, signals),
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
-        *late,
         *_contradicted(OFFSETS, signals),
     ]
     return contradictions, confirmed

@@ -61,6 +61,8 @@ LONGEST_FRAME = 0.09
 NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
+# Silence [s] of an autopilot after which another one may fly
+HANDOVER = 1.0
 
 
 def read_packet(data: bytes) -> tuple[int, int, list[int]] | None:
@@ -236,7 +238,8 @@ def fly(
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
     that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot starts
-    another flight, and so does another autopilot. Silence for ``wait``, ``seconds`` or Ctrl-C end it.
+    another flight, and so does another autopilot after one second of silence. Silence for ``wait``, ``seconds`` or
+    Ctrl-C end it.
 
     Parameters
     ----------
@@ -285,7 +288,7 @@ def fly(
     Warns
     -----
     UserWarning
-        If other bytes come, which are ignored.
+        If other bytes come, or packets of a second autopilot, which are ignored.
     SimulationWarning
         When the flight leaves the training range of a regressor, once a second at most.
     """
@@ -354,6 +357,8 @@ class _Flights:
         """Answer packets; return why the flight is over."""
         last = sys.maxsize  # number of the last packet
         autopilot = None  # address of its sender
+        heard = -np.inf  # time of the last packet [s]
+        has_warned = False
         line = ""
         while self.simulator.time < seconds:
             received = receive(link, wait)
@@ -361,6 +366,16 @@ class _Flights:
                 return f"the autopilot is silent for {wait:g} s"
             (rate, number, pulses), sender = received
             is_another = sender != autopilot
+            now = time.monotonic()
+            if is_another and now < heard + HANDOVER:
+                if not has_warned:
+                    warn(
+                        f"Got packets of two autopilots, {autopilot} and {sender}, but expected one: those of the "
+                        "second are ignored."
+                    )
+                has_warned = True
+                continue
+            heard = now
             # ArduPilot repeats a packet whose answer it did not get
             if number != last or is_another:
                 if number < last or is_another:

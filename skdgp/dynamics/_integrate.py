@@ -43,11 +43,11 @@ FASTEST = np.repeat([1000.0, np.inf, 60.0], [3, 4, 3])
 STAGE_LIMIT = 1e9
 
 
-# Steps from one evaluation of paths to the next, longest time between them [s], and number of evaluations for which
-# slopes are kept; errors: docs/simulation.md, "Bands of a trajectory"
+# Steps from one evaluation of paths to the next, longest time between them, and time for which slopes are kept [s];
+# errors: docs/simulation.md, "Bands of a trajectory"
 STRIDE = 3
 LONGEST_STRIDE = 0.06
-RENEWAL = 5
+SLOPES_KEPT = 0.3
 # Largest change of a control in a step, over its training range, that slopes account for, and largest change
 # until the paths are evaluated again, over the one in a step
 REACH = 0.02
@@ -126,10 +126,12 @@ class Integrator:
         self.servos = motion.aerodynamics.servos
         self._surfaces = motion.surfaces
         self._stride = max(1, min(STRIDE, round(LONGEST_STRIDE / clock.dt)))
+        n_kept = min(clock.n_steps, round(SLOPES_KEPT / clock.dt))
+        self._renewal = n_kept // self._stride  # in evaluations
         model = motion.aerodynamics
         has_path_slopes = model.n_paths is not None and model.slopes is not None
-        # slopes of a single step save nothing
-        self._has_tangents = has_path_slopes and clock.n_steps > 1
+        # slopes that are kept for one step save nothing
+        self._has_tangents = has_path_slopes and n_kept > 1
 
     def begin(self, step: int, last: End) -> Moment:
         """Return what happens at the beginning of a step, with what the ``last`` one reached."""
@@ -202,7 +204,7 @@ class Integrator:
             return change, self._tangent(last, coefficients)
         error = coefficients - tangent(last)
         change = 0.5 * n_steps * self.dt * self.motion.response(now, error)
-        if tangent.age + 1 >= RENEWAL:
+        if tangent.age + 1 >= self._renewal:
             return change, self._tangent(last, coefficients)
         return change, tangent.moved(last, coefficients)
 

@@ -40,6 +40,16 @@ def test_derivative_is_newton_and_euler(aircraft):
         assert_allclose(derivative[10:], euler, atol=1e-12)
 
 
+def test_one_state_under_many_loads(aircraft):
+    state = RNG.normal(size=13)
+    force, moment = RNG.normal(size=(5, 3)), RNG.normal(size=(5, 3))
+    found = rigid_body_derivative(state, force, moment, aircraft)
+    each = [
+        rigid_body_derivative(state, *loads, aircraft) for loads in zip(force, moment, strict=True)
+    ]
+    assert_allclose(found, each, rtol=1e-12)
+
+
 def test_a_sphere_falls_to_its_terminal_velocity_in_the_wind_that_carries_it():
     """v = v_t tanh(g t / v_t) with v_t^2 = 2 m g / (rho S CD), whatever it turns (cases 6 and 7)."""
     mass, gravity, density, CD = 14.6, 9.80665, 1.1, 0.1

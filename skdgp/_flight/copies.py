@@ -69,13 +69,17 @@ def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
         return False
     angles = unwrapped(other.table, EULER)
     own = unwrapped(flight.table, EULER)
-    n_rows = round(1 / median_step(flight.time, flight.segments))
+    n_rows = max(1, round(1 / median_step(flight.time, flight.segments)))
+    if len(own) <= n_rows + 1:
+        return False
     for lag in LAGS:
         there = interpolated(flight.time - lag, other.time, angles, beyond=np.nan)
         apart = wrapped(own - there)
+        unshared = apart[n_rows:] - apart[:-n_rows]
+        if not np.isfinite(unshared).all(axis=1).any():
+            continue
         is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
         fast = own[n_rows:] - own[:-n_rows]
-        unshared = apart[n_rows:] - apart[:-n_rows]
         if is_near and _total_variance(unshared) < UNSHARED * _total_variance(fast):
             return True
     return False

@@ -163,7 +163,7 @@ class Multisine:
             raise ValueError(
                 f"Got harmonics {orders.tolist()} of {self.duration} s, amplitudes {self.amplitudes} and phases "
                 f"{self.phases}, but expected distinct integers from 1 to {self.most_periods}, a duration > 0, "
-                f"and a finite amplitude and phase for each: choose a shorter signal or lower frequencies."
+                f"and a finite amplitude and phase for each."
             )
         object.__setattr__(self, "harmonics", tuple(map(int, orders)))
         object.__setattr__(self, "amplitudes", tuple(map(float, self.amplitudes)))

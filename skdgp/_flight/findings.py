@@ -80,7 +80,8 @@ class Code(Kind):
         "[{is_late:Bring the columns to one clock: numpy.interp(time + delay, time, column).}]",
     )
     WRONG_CLOCK = (
-        "[flight {flight}: ]time is probably wrong: is the rate {rate:.3g} Hz or {true_rate:.3g} Hz?",
+        "[flight {flight}: ]time is probably wrong: rows come at {rate:.3g} Hz by time, "
+        "at {true_rate:.3g} Hz by the motion",
         "Gyros against attitude, and velocities against accelerometers or positions, differ by this one factor.",
     )
     STUCK_SURFACE = (

@@ -422,9 +422,8 @@ class _File:
         if name not in self.messages:
             return []
         of_type = self.messages[name].columns(self.data)
-        return list(
-            zip(*[of_type.get(column, np.empty(0)).tolist() for column in columns], strict=False)
-        )
+        cells = [of_type.get(column, np.empty(0)).tolist() for column in columns]
+        return list(zip(*cells, strict=False))
 
 
 def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> Log:

@@ -183,7 +183,8 @@ def _mean_engine(log: Log, rule: Rule) -> Source | None:
     """Return the root mean square of the engines that drive, fields of the instances; None if none is logged.
 
     Thrusts go with the square of the speeds. It is at the times of the first of these, and left out where one
-    of them tells no speed, before its first message or after its last. It is empty where no engine runs.
+    of them tells no speed, before its first message or after its last. It is empty where none of several engines
+    runs, or no speed is valid.
     """
     logged = []
     engines = {}

@@ -6,6 +6,7 @@ Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as p
 from __future__ import annotations
 
 import io
+from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -44,6 +45,8 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35"
+# bytes before each message
+HEAD_SIZE = 3
 # microseconds from sampling to publishing, at most
 LATEST = 1_000_000
 TAILSITTERS = (19, 20, 23)
@@ -216,12 +219,13 @@ def read_ulog(path: Path) -> Log:
     Raises FlightReadError if it is none, of a later format, or holds no message, ImportError
     without pyulog.
     """
-    log = _parsed(path.read_bytes())
+    file = _File(path.read_bytes())
+    log = _parsed(file)
     topics = {}
     for data_set in log.data_list:
         if "timestamp" in data_set.data:
             name = instance_name(data_set.name, data_set.multi_id)
-            topics[name] = _topic(data_set)
+            topics[name] = _topic(data_set, file.places[data_set.msg_id])
     if not topics:
         raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")
     parameters = _parameters(log, topics)
@@ -250,10 +254,28 @@ def read_ulog(path: Path) -> Log:
     )
 
 
-def _parsed(data: bytes) -> Any:
+class _File(io.BytesIO):
+    """A file that notes where data messages end, by their number."""
+
+    def __init__(self, data: bytes):
+        super().__init__(data)
+        self.places: defaultdict[int, list[int]] = defaultdict(list)
+        self._is_data = False
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Return the next bytes: a head, or what stands behind it."""
+        content = super().read(size)
+        if self._is_data and len(content) == size:
+            number = int.from_bytes(content[:2], "little")
+            self.places[number].append(self.tell())
+        self._is_data = size == HEAD_SIZE and content[2:] == b"D"
+        return content
+
+
+def _parsed(file: _File) -> Any:
     """Return the log of pyulog; raise FlightReadError if it reads none."""
     pyulog = extra("pyulog", "logs")
-    if not data.startswith(HEADER):
+    if not file.getvalue().startswith(HEADER):
         raise FlightReadError(
             "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, "
             "or of another kind? A log of PX4 is named .ulg, one of ArduPilot .bin."
@@ -261,7 +283,7 @@ def _parsed(data: bytes) -> Any:
     try:
         # where pyulog tells of damage
         with redirect_stdout(io.StringIO()):
-            log = pyulog.ULog(io.BytesIO(data))
+            log = pyulog.ULog(file)
             log.get_version_info_str()
     except (pyulog.ULogException, RecursionError, LookupError, TypeError, ValueError) as error:
         raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
@@ -300,11 +322,14 @@ def _mean_motor(commands: Matrix) -> Matrix:
     return np.nan_to_num(commands).mean(axis=1)[:, None]
 
 
-def _topic(data_set: Any) -> Topic:
-    """Return the messages of a topic, in the order of their times: the clock of a ULog is not set back."""
+def _topic(data_set: Any, places: list[int]) -> Topic:
+    """Return the messages of a topic; places are approximate where pyulog refused messages."""
     fields = numeric_fields(data_set.data)
     time = sampled(data_set.name, fields) * 1e-6
-    return Topic(time, time, fields)
+    order = np.array(places, dtype=float)
+    if len(order) != len(time):
+        order = np.linspace(order[0], order[-1], len(time))
+    return Topic(time, order, fields)
 
 
 def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:

@@ -218,6 +218,30 @@ def test_telemetry_of_a_doublet_is_a_copy(doublets, name):
     assert {*kept} == {*flights}
 
 
+def with_another_recorder(table):
+    """Return a flight, and the same with noise of its own."""
+    noise = default_rng(3).normal(0.0, 0.001, (len(table), len(SENSORS)))
+    again = table.assign(**(table[SENSORS] + noise))
+    return {"log": FlightTable.of(table), "again": FlightTable.of(again)}
+
+
+def test_a_copy_with_steps_of_two_seconds_is_found(doublets):
+    table = doublets["elevator"]
+    table["theta"] += 0.1 * np.sin(table.index)
+    with pytest.warns(FindingWarning, match="'again' repeats"):
+        without_copies(with_another_recorder(table.assign(time=2.0 * table.index)), {})
+
+
+@pytest.mark.parametrize(("n", "attitude"), [(12, 0.1), (1000, np.nan)])
+def test_flights_too_short_or_without_attitude_are_judged_by_their_rows_alone(
+    doublets, n, attitude
+):
+    table = doublets["elevator"][:n].copy()
+    table.loc[1:, "phi"] = attitude
+    kept, _ = without_copies(with_another_recorder(table), {})
+    assert [*kept] == ["log", "again"]
+
+
 CHAINS = {
     "a log and its halves": ([(0, 1000), (0, 550), (450, 1000)], ["0"]),
     "halves and their log": ([(0, 550), (450, 1000), (0, 1000)], ["2"]),

@@ -177,6 +177,12 @@ def test_a_wrong_scale_of_one_gyro_is_no_wrong_clock(flight):
     assert_found(contradictions(scaled(flight, {"p": 1.25})), "p")
 
 
+@pytest.mark.parametrize("factor", [-1.0, 0.001])
+def test_impossible_factors_are_no_wrong_clock(flight, factor):
+    wrong = contradictions(scaled(flight, {"p q r v_north v_east v_down": factor}))
+    assert Code.WRONG_CLOCK not in {finding.code for finding in wrong}
+
+
 @pytest.mark.parametrize("degrees", [0.0, 5.0, -5.0])
 def test_a_constant_error_of_alpha_is_found_by_the_velocity_through_the_air(flight, degrees):
     found = contradictions(flight.assign(alpha=flight["alpha"] + np.deg2rad(degrees)))

@@ -347,12 +347,13 @@ class TestStamps:
         assert_allclose(table["p"], table["time"] - 100, atol=1e-5)
 
     @pytest.mark.parametrize("place", [-60, -5, 5, 60])
-    def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, told, dataflash, place):
+    @pytest.mark.parametrize("kind", ["ulog", "dataflash"])
+    def test_a_clock_that_was_set_back_makes_flights_of_their_own(self, told, request, kind, place):
         """Both stretches have times from 10 to 42 s, and near the restart one message has a wrong time."""
         time = np.arange(10, 50, 0.02)
         times = np.append(time, time - 8)
         times[len(time) + place] = 5000.0
-        log = dataflash().gyros(times, np.repeat([1.0, 2.0], len(time)))
+        log = request.getfixturevalue(kind)().gyros(times, np.repeat([1.0, 2.0], len(time)))
         log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
         words = r"the clock was set back 1 times \(from 50\.0 s to 2\.0 s\)"
         rates = told(words, log, airborne=False).groupby("flight").p
@@ -371,6 +372,17 @@ class TestStamps:
         rates = table.groupby("flight", sort=False).p
         assert_allclose([rates.min(), rates.max()], [[1.0, 2.0]] * 2)
         assert rates.count().tolist() == [n_before, n_after]
+
+    def test_messages_of_a_topic_without_times_are_left_out(self, told, ulog):
+        """The sensor of distances of a simulator has the stamp 0."""
+        time = np.arange(10, 50, 0.02)
+        log = ulog().gyros(time, 1.0).topic("distance_sensor", time[::10], x=0.0)
+        stamp = slice(5, 13)  # behind the head and the number
+        for k in range(len(time), len(log.data)):
+            place, message = log.data[k]
+            log.data[k] = place, message[: stamp.start] + bytes(8) + message[stamp.stop :]
+        words = r"200 of 2200 messages have a time that cannot be \(200 of distance_sensor\)"
+        told(words, log, airborne=False)
 
     def test_messages_out_of_order_are_sorted(self, recorded):
         time = np.arange(500) * 0.02

@@ -56,7 +56,8 @@ class TestUnitsThatNumbersGiveAway:
         refused("expected air in kg/m", table(density=1.2e-3))
         refused("looks like g", table(ax=0.02, ay=0.0, az=-1.01))
         refused("looks like milliseconds", table(time=20.0 * np.arange(50)))
-        refused("like minutes", table(time=4e-4 * np.arange(50)))
+        with pytest.warns(UserWarning, match="if this is in minutes"):
+            read(table(time=4e-4 * np.arange(50)))
         assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)
         # gravity was removed
         assert read(table(ax=0.2, ay=0.0, az=-0.2)).az.mean() == pytest.approx(-0.2)
@@ -64,6 +65,12 @@ class TestUnitsThatNumbersGiveAway:
     def test_a_mark_of_missing_angles_is_no_angle_in_degrees(self, refused):
         marked = np.where(np.arange(50) % 10, 0.1, -999.0)
         refused("alpha of magnitude 999 in 5 rows.*mark of missing", table(alpha=marked))
+
+    @pytest.mark.parametrize(
+        ("name", "values"), [("elevator", [0, 5, -5]), ("flap", [0, 20]), ("alpha", [0, 12])]
+    )
+    def test_steps_of_one_size_in_degrees_are_no_mark(self, refused, name, values):
+        refused(f"'{name}'.*degrees", table(**{name: np.resize(np.repeat(values, 5), 50)}))
 
     def test_values_of_another_column(self, refused):
         """A name is missing in the header, so the airspeed stands under alpha."""

@@ -77,7 +77,7 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
     is_turned = any(each.relation is TURNING for each in contradictions)
     are_several = is_turned or len(contradictions) >= PHYSICS.several
     lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]
-    scaled = [each for each in contradictions if each.admissible is SAME and each.lag is None]
+    scaled = [each for each in contradictions if _may_be_of_clock(each)]
     doubted = {name for each in scaled for name in each.channels}
     if not doubted.isdisjoint(RATES) and not doubted.isdisjoint(EARTH_VELOCITY):
         clearest = min(scaled, key=lambda each: each.slope.std)
@@ -88,6 +88,14 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
             yield own
         elif own.late and len(lags) > 1:
             yield from [replace(own, lag=lag) for lag in sorted({*lags})]
+
+
+def _may_be_of_clock(contradiction: Contradiction) -> bool:
+    """Return whether the slope of clear signals that clocks scale is a possible factor of one."""
+    is_scaled = contradiction.admissible is SAME and contradiction.lag is None
+    slope = contradiction.slope
+    is_clear = slope.correlation > PHYSICS.lagged_correlation
+    return is_scaled and is_clear and 1 / PHYSICS.clock_factor < slope.value < PHYSICS.clock_factor
 
 
 def _exchanges_in(signals: Signals) -> list[Mistake]:

@@ -65,6 +65,9 @@ class PhysicsSettings:
     # least correlation at a lag that is a contradiction, whatever the slope (guess)
     lagged_correlation: float = 0.5
 
+    # largest factor of a wrong clock (guess)
+    clock_factor: float = 3.0
+
     # least ratio of explained to unexplained variance of a copy: rounding and means of samples remain (guess)
     copied: float = 1e6
     # least part of the wind across the heading in the airspeed that tells it from the speed over the ground (guess)

@@ -210,6 +210,10 @@ class Code(Kind):
         "given, or from the centre of gravity if none was given",
         "Bands are wider by it: measure the position.",
     )
+    TRUTH_AS_REGRESSORS = (
+        "regressors {names!r} are noise-free truth of a simulation, which no aircraft has",
+        "Use them only to score, or to measure the effect of sensor noise.",
+    )
     CONSTANT_REGRESSORS = (
         "in the training flights {names!r} never change, so the model cannot learn their effects",
         "Fly manoeuvres that move them, or leave them out of the regressors.",
@@ -220,6 +224,7 @@ class Code(Kind):
         "[{general_bands: Bands of derivatives are those of small aircraft in general.}]",
         DOUBT,
     )
+    NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
     LAGS_CORRECTED = (
         "lags against the inertial unit, positive where late, are corrected: {lags:+.3f} [s]",
         "[{commands:The logged surfaces are commands of slower servos.}]",

@@ -20,6 +20,7 @@ from skdgp._flight.channels import (
     MIXED,
     REGRESSOR_SETS,
     SURFACES,
+    TRUTH_SUFFIX,
     rate_factor,
 )
 from skdgp._flight.faults import FlightDataWarning
@@ -291,6 +292,9 @@ class RegressorSelector(TableTransformer):
             raise ValueError(f"Got regressors {chosen}, but expected at least one, each once.")
         check_columns(table, chosen)
         numeric(table, chosen)
+        truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
+        if truth:
+            report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}))
         self.regressors_ = chosen
 
     def _transform_table(self, table):

@@ -220,7 +220,7 @@ class FlightPathReconstruction(TableTransformer):
             return
         self._check(table)
         has_vanes = has_values(table, *AIR_DATA)
-        if not has_vanes and self.aircraft is not None:
+        if not has_vanes:
             self._fit_air_motion(table)
         if self.air_motion_ is None:
             self._fit_path(table, has_vanes)
@@ -243,6 +243,10 @@ class FlightPathReconstruction(TableTransformer):
 
     def _fit_air_motion(self, table: pd.DataFrame) -> None:
         """Set the fitted attributes by the motion of the air, if it can be estimated."""
+        if self.aircraft is None:
+            cause = Finding(Code.NO_AIRCRAFT)
+            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})]
+            return
         motion, self.doubts_ = self._estimated_motion(table)
         if motion is None:
             return

@@ -227,6 +227,12 @@ class TestHonesty:
         assert doubt.code.name == "PATHS_NOT_CONVERGED"
         assert doubt.numbers["flights"] == ["b"]
 
+    def test_gusts_without_vanes_and_aircraft_are_not_known(self):
+        (doubt,) = fitted(flown(10.0).drop(columns=["alpha", "beta"])).doubts_
+        assert doubt.code.name == "GUSTS_UNKNOWN"
+        assert doubt.numbers["cause"].code.name == "NO_AIRCRAFT"
+        assert doubt.text.startswith("Gusts without vanes are not known: no sensor measures alpha")
+
     def test_flights_are_not_mixed(self):
         one, reconstruction, alone = reconstructed()
         two = flown(6.0, seed=1, gusts=0.3).assign(flight="two")

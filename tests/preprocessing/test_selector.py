@@ -75,7 +75,9 @@ def test_limits_are_those_of_rows_with_all_regressors_of_any_type():
     np.testing.assert_array_equal(limits, [[0.1, 1.0, 0.0], [0.2, 3.0, 1.0]])
 
 
-def test_truth_only_by_name():
+def test_truth_only_by_name_and_with_a_warning():
+    with pytest.warns(UserWarning, match=r"\['alpha_true'\] are noise-free truth"):
+        RegressorSelector(["alpha_true", "q"]).fit(EVERY)
     assert not any(
         name.endswith("_true") for name in RegressorSelector("classical").fit(EVERY).regressors_
     )

@@ -70,8 +70,10 @@ def margins(run: Run) -> None:
         texts.append(f"the closed loops are unstable in {part:.0%} of the aircraft: {name}")
     files = {"margins.csv": csv_writer(now.reset_index())}
     numbers: dict[str, Any] = {
+        "parameters": options.params,
         "servos": servos,
-        "margins": now,
+        "delay": options.delay,
+        "margins": _with_infinities(now),
         "unstable": now.attrs["unstable"],
     }
     try:
@@ -91,7 +93,7 @@ def margins(run: Run) -> None:
         texts += ["", "margins with these gains", _margin_text(then)]
         files["suggested.csv"] = csv_writer(gains)
         numbers["gains"] = gains.to_dict("records")
-        numbers["margins_suggested"] = then
+        numbers["margins_suggested"] = _with_infinities(then)
     run.finish(texts, numbers, files, "margins.json")
 
 
@@ -103,6 +105,11 @@ def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
             new = float(f"{(after.parameters or {})[name]:.4g}")
             rows.append({"parameter": name, "now": value, "suggested": new})
     return pd.DataFrame(rows)
+
+
+def _with_infinities(table: pd.DataFrame) -> pd.DataFrame:
+    """Return margins for JSON, which has no infinity: that of an unstable loop is "-inf", an unlimited one "inf"."""
+    return table.astype(object).replace({np.inf: "inf", -np.inf: "-inf"})
 
 
 def _margin_text(table: pd.DataFrame) -> str:

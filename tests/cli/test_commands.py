@@ -17,6 +17,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
+from skdgp._cli._control import _with_infinities
+from skdgp._compute.files import json_text
 from skdgp.control import autopilot_loops, margins
 from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
 from skdgp.identification import load_model, save_model, validate
@@ -188,8 +190,15 @@ class TestMargins:
         expected = margins(linear, loops)
         shown = pd.concat({loop: pd.DataFrame(rows).T for loop, rows in said["margins"].items()})
         assert_allclose(shown["value"].astype(float), expected["value"], rtol=1e-6)
+        assert said["parameters"] == str(parameters)
+        assert said["delay"] == 0.02
         suggested = pd.read_csv(tmp_path / "out" / "suggested.csv")
         assert list(suggested["parameter"]) == ["FW_RR_P", "FW_RR_I", "FW_PR_P", "FW_PR_I"]
+
+    def test_tell_unstable_unlimited_and_unknown_apart(self):
+        table = pd.DataFrame({"value": [-np.inf, np.inf, np.nan, 6.0]}, index=list("abcd"))
+        said = json.loads(json_text(_with_infinities(table)))
+        assert [row["value"] for row in said.values()] == ["-inf", "inf", None, 6.0]
 
 
 class TestFly:

@@ -170,7 +170,7 @@ class Mistake:
             signals = signals.exchanged(first, second)
         channels = signals.channels | {name: -signals[name] for name in self.turned}
         channels |= {name: signals.ahead(signals[name], self.lag) for name in self.late}
-        if not {*ELEVONS}.isdisjoint(self.turned):
+        if {*ELEVONS} <= channels.keys() and not {*ELEVONS}.isdisjoint(self.turned):
             channels |= by_elevons(channels)
         if self.from_east and "psi" in channels:
             channels["psi"] = np.pi / 2 + channels["psi"]

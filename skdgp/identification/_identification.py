@@ -67,7 +67,6 @@ class Identification:
     train: dict[str, pd.DataFrame]
     evaluations: list[Evaluation]
     findings: tuple[Finding, ...] = ()
-
     changes: Changes | None = None
     title: str = ""
     command: str | None = None

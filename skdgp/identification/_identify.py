@@ -140,10 +140,10 @@ def identify(
         train, tests, servos = train_and_test(flights, test, names, MEASURED, **reading or {})
         aircraft = with_position_of(as_aircraft(aircraft), train)
         units = FULL_THROW_UNITS if reversed_of(servos) is not None else None
-        thrust = thrust_of(train, aircraft, names, thrust)
         columns = regressor_columns([flight.table for flight in train.values()], names)
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
         tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
+        thrust = thrust_of(train, aircraft, names, thrust)
         learned_from = FlightTable.together(train.values())
         if units is not None:
             report(Finding(Code.FULL_THROWS))

@@ -71,6 +71,7 @@ def make_identification_pipeline(
     regressors: str | Sequence[str] = "quasi-steady",
     reconstruction: Any = "auto",
     cutoff: float | str | None = "auto",
+    mixer: Any = None,
     regressor: Any = None,
     lags: str | dict | None = "auto",
     samples: int | str | None = None,
@@ -108,6 +109,8 @@ def make_identification_pipeline(
         of the servos of flights without vanes.
     cutoff : float, "auto" or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
+    mixer : transformer, optional
+        By default ``ElevonSplitter()``.
     regressor : estimator, optional
         By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will
         do.
@@ -150,7 +153,7 @@ def make_identification_pipeline(
         ("lagcorrector", LagCorrector(lags, aircraft=aircraft)),
         ("flightpathreconstruction", reconstruction),
         ("flightsmoother", FlightSmoother(cutoff=cutoff)),
-        ("elevonsplitter", ElevonSplitter()),
+        ("elevonsplitter", ElevonSplitter() if mixer is None else mixer),
         ("ratenondimensionalizer", RateNondimensionalizer(aircraft.span, aircraft.chord)),
         ("regressorselector", RegressorSelector(regressors, engine=thrust is None)),
         ("standardscaler", StandardScaler()),

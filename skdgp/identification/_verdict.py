@@ -339,11 +339,12 @@ def _sign_findings(derivatives: pd.DataFrame) -> list[Finding]:
 def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
     """Return the warning that least squares predicts better, if it does."""
     limits = (1 + THRESHOLDS.tie) * varying[LINEAR_NRMSE]
-    if not varying[NRMSE].mean() > limits.mean():
-        return []
     worse = list(varying.index[varying[NRMSE] > limits])
-    numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
-    return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]
+    is_worse_in_half = bool(worse) and len(worse) >= len(varying) / 2
+    if is_worse_in_half or varying[NRMSE].mean() > limits.mean():
+        numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
+        return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]
+    return []
 
 
 def _band_findings(table: pd.DataFrame) -> list[Finding]:

@@ -15,6 +15,7 @@ from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import export_model, portable_model
 from skdgp.identification import identify, load_model, validate
+from skdgp.preprocessing import ElevonSplitter
 
 LINE = DependentGPRegressor(structure="trend", random_state=0)
 QUICK = clone(LINE).set_params(max_iter=2, input_noise=None)
@@ -124,6 +125,29 @@ def test_a_table_without_thrust():
 def test_of_an_engine_that_never_ran_no_thrust_is_assumed():
     found = quietly(table().assign(throttle=0.0), UNKNOWN, samples=60, horizon=1.0)
     assert found.options["thrust"] is None
+    assert "THRUST_IN_COEFFICIENTS" not in codes(found.findings)
+    assert "throttle" not in found.fit.regressors
+
+
+@pytest.mark.usefixtures("no_mechanics")
+def test_surfaces_may_have_a_mixing_of_their_own():
+    flight = table()
+    elevator = flight.pop("elevator")
+    flight = flight.assign(tail_left=elevator, tail_right=elevator)
+    v_tail = ElevonSplitter({"elevator": {"tail_left": 0.5, "tail_right": 0.5}})
+    names = ["alpha", "q_hat", "elevator"]
+    found = quietly(
+        flight, UNKNOWN, regressors=names, pipeline={"mixer": v_tail}, samples=60, horizon=1.0
+    )
+    assert list(found.fit.regressors) == names
+
+
+@pytest.mark.usefixtures("no_mechanics")
+def test_an_engine_that_ran_only_in_rows_that_are_left_out_is_no_engine():
+    flight = table().assign(throttle=0.0)
+    flight.loc[:60, "throttle"] = 0.5
+    flight.loc[:60, "airspeed"] = np.nan
+    found = quietly(flight, UNKNOWN, samples=60, horizon=1.0)
     assert "THRUST_IN_COEFFICIENTS" not in codes(found.findings)
     assert "throttle" not in found.fit.regressors
 

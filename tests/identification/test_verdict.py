@@ -182,6 +182,9 @@ def test_least_squares_that_is_better_is_a_warning():
     (better,) = verdict([evaluation(error=0.3, linear=linear)]).findings
     assert better.code is Code.LEAST_SQUARES_BETTER
     assert better.numbers["names"] == [*COEFFICIENTS]
+    in_half = np.array([0.05, 0.05, 0.05, 0.4, 0.4, 0.4])
+    (better,) = verdict([evaluation(error=0.1, linear=in_half)]).findings
+    assert better.numbers["names"] == [*COEFFICIENTS[:3]]
 
 
 @pytest.mark.parametrize(

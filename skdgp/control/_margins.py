@@ -245,7 +245,9 @@ def _factor(decibels):
 
 
 def _check(linear, loops):
-    """Raise a ValueError if loops are none, two of a control, or of controls that are no inputs."""
+    """Raise an error if loops are none, two of a control, or of controls that are no inputs."""
+    if not isinstance(loops, list | tuple) or not all(isinstance(loop, Loop) for loop in loops):
+        raise TypeError(f"Got loops={loops!r}, but expected a list of Loop, of autopilot_loops.")
     inputs = [*linear.B.columns]
     controls = [loop.control for loop in loops]
     moved = controls + ["rudder" for loop in loops if loop.rudder]

@@ -195,12 +195,12 @@ class Parameters:
 
     def unread(self, prefixes: tuple[str, ...]) -> dict[str, float]:
         """Return the parameters with some beginnings of their names that are not zero, and were not asked."""
-        unread = {name: self.given[name] for name in self.given if name not in self.asked}
-        return {
-            name: value
-            for name, value in unread.items()
-            if value and name.startswith(prefixes) and not WITHOUT_EFFECT.fullmatch(name)
-        }
+        unread = {}
+        for name, value in self.given.items():
+            is_known = name in self.asked or WITHOUT_EFFECT.fullmatch(name)
+            if value and name.startswith(prefixes) and not is_known:
+                unread[name] = value
+        return unread
 
 
 def autopilot_loops(

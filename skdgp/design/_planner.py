@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -243,7 +243,7 @@ def plan(
         trim=trim,
         manoeuvres=_timetable(flown, pause, RESPONSE),
         flight=pd.concat(flights, ignore_index=True),
-        errors=errors.reindex(goal),
+        errors=errors.reindex(_taught(goal, aerodynamics, flown)),
         limits=pd.DataFrame(bounds, ["low", "high"]).T,
         aircraft=aircraft,
         margin=margin,
@@ -294,8 +294,7 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[
     """
     places = _derivatives(model)
     if goal is None:
-        still = {*CONTROLS} - {*axes}
-        return [name for name, k in places.items() if model.regressors[k] not in still]
+        return _moved(places, model, axes)
     if isinstance(goal, str) or not len(goal) or not {*goal} <= places.keys():
         raise ValueError(
             f"Got the goal {goal!r}, but the model has the regressors {list(model.regressors)}: give a list of "
@@ -309,6 +308,26 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[
                 "from: learn from a flight in which it moves, or ask for another goal."
             )
     return list(goal)
+
+
+def _moved(goal: Iterable[str], model: Aerodynamics, axes: Iterable[str]) -> list[str]:
+    """Return the derivatives of a goal that are not by a control other than the axes."""
+    still = {*CONTROLS} - {*axes}
+    places = _derivatives(model)
+    return [name for name in goal if model.regressors[places[name]] not in still]
+
+
+def _taught(goal: Sequence[str], model: Aerodynamics, flown: Sequence[Rehearsed]) -> list[str]:
+    """Return the derivatives of a goal that the chosen manoeuvres teach; warn of the others."""
+    taught = _moved(goal, model, [axis for item in flown for axis in item.inputs])
+    lost = [name for name in goal if name not in taught]
+    if lost:
+        warn(
+            f"The plan has no manoeuvre that moves the controls of {', '.join(lost)}, as others lower the errors of "
+            "the goal more, or the limits leave no room: nothing is expected of them. Give more seconds, wider "
+            "limits, or these derivatives alone as the goal."
+        )
+    return taught
 
 
 def _amplitudes(

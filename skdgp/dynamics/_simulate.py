@@ -306,6 +306,11 @@ class Simulator:
         self.dt = check_number("dt", dt, unit="s")
         self._mean_motion = self.motion
         self._wind = STILL
+        winds = air.wind if isinstance(air.wind, list | tuple) else [air.wind]
+        if any(isinstance(wind, pd.DataFrame) for wind in winds):
+            raise ValueError(
+                "Got a wind over time, but a Simulator flies in a constant one: simulate() takes it."
+            )
         if air.wind is not None:
             self._wind = LocalAir(check_numbers("wind", air.wind, 3, unit="m/s north, east, down"))
         self._turbulence = air.gusts if isinstance(air.gusts, Turbulence) else None

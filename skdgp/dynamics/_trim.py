@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -98,8 +97,10 @@ class Trim:
 
     def __repr__(self) -> str:
         values = {name: vars(self)[name] for name in FLIGHT[1:]} | self.controls
-        parts = ", ".join(f"{name} {value:.4g}" for name, value in values.items())
-        return f"Trim({self.airspeed:g} m/s, {parts}, beyond training in {[*self.beyond]})"
+        parts = [f"{name} {value:.4g}" for name, value in values.items()]
+        if self.beyond:
+            parts.append(f"beyond training in {', '.join(self.beyond)}")
+        return f"Trim({self.airspeed:g} m/s, {', '.join(parts)})"
 
 
 def trim(
@@ -362,14 +363,15 @@ class SteadyFlight:
         accelerations = ", ".join(f"{name} = {value:.3g}" for name, value in remaining)
         given = {"airspeed": airspeed, **self.given}
         conditions = ", ".join(f"{name} {value:g}" for name, value in given.items())
-        limits = np.array([*self.limits.values()])
-        distances = np.abs(limits - best.x[:, None]).min(axis=1)
-        is_at_limit = distances < 1e-3 * np.minimum(1.0, np.ptp(limits, axis=1))
-        ends = ", ".join(compress(self.unknowns, is_at_limit)) or "nothing"
+        ends = []
+        for name, value in zip(self.unknowns, best.x, strict=True):
+            for limit in self.limits[name]:
+                if abs(value - limit) < 1e-3 * min(1.0, np.ptp(self.limits[name])):
+                    ends.append(f"{name} at its limit {limit:.4g}")
         return (
             f"There is no trim of {self.motion.aircraft.name} at {conditions} (SI units): nearest to it are left "
-            f"{accelerations} (m/s^2, rad/s^2), with {ends} at a limit. Ask for another airspeed, climb or turn, "
-            "free a control, or let the path follow (climb=None)."
+            f"{accelerations} (m/s^2, rad/s^2), with {', '.join(ends) or 'nothing at a limit'}. "
+            "Ask for another airspeed, climb or turn, free a control, or let the path follow (climb=None)."
         )
 
 

@@ -555,6 +555,8 @@ def test_a_gain_that_is_no_number_is_refused(value, tmp_path):
 
 def test_a_loop_of_a_control_that_the_model_lacks_is_refused(linear, glider):
     (loop,) = autopilot_loops({"FW_RR_P": 0.1}, {"aileron": 0.4})
+    with pytest.raises(TypeError, match="Got loops='roll', but expected a list of Loop"):
+        margins(linear, "roll")
     with pytest.raises(ValueError, match="flaperon"):
         margins(linear, [replace(loop, control="flaperon")])
     with pytest.raises(ValueError, match="each of its own control"):

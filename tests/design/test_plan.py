@@ -165,6 +165,13 @@ def test_the_goal_decides_which_axis_moves(ask, goal, axis):
     assert found.manoeuvres["name"].str.startswith(axis).all()
 
 
+def test_derivatives_whose_control_no_manoeuvre_moves_are_named(ask):
+    limits = {"elevator": 0.06, "rudder": 1e-6}
+    with pytest.warns(UserWarning, match="no manoeuvre that moves the controls of Cn_rudder, as"):
+        found = ask(axes=[*limits], limits=limits, goal=["Cm_elevator", "Cn_rudder"], seconds=7.0)
+    assert list(found.errors.index) == ["Cm_elevator"]
+
+
 # CX ... Cn at zero and by alpha, q_hat and elevator
 SLOPES = np.zeros((6, 4))
 SLOPES[[0, 2, 4]] = [-0.01, 0.2, 0, 0], [-0.3, -4.5, 0, 0], [0.02, -0.6, -9, -1]

@@ -110,6 +110,13 @@ class TestShape:
         found = trim(model, glider.aircraft, 20.0, **AIR)
         assert list(found.beyond) == ["elevator"]
         assert_allclose(found.beyond["elevator"], (found.controls["elevator"], 0.05, 0.2))
+        assert repr(found).endswith(", beyond training in elevator)")
+        assert "beyond" not in repr(trim(glider.model(), glider.aircraft, 20.0, **AIR))
+
+    def test_unknowns_at_a_limit_are_named_with_it(self, glider):
+        model = glider.model(limits=np.outer([-0.1, 0.1], np.ones(8)))
+        with pytest.raises(ValueError, match=r"with alpha at its limit 0\.3\. Ask"):
+            trim(model, glider.aircraft, 8.0, **AIR)
 
     def test_a_throttle_that_sets_no_thrust_stays_in_the_middle_of_what_was_flown(
         self, glider, of_columns
@@ -163,7 +170,7 @@ def test_what_cannot_be_asked(asked, match):
     [
         (
             lambda names: BRUMBYS,
-            r"no trim of brumby at airspeed 12, .*w_dot = .*m/s\^2.*another airspeed",
+            r"no trim of brumby at airspeed 12, .*w_dot = .*m/s\^2.*.*, with nothing at a limit.*another airspeed",
         ),
         (lambda names: Aerodynamics(lambda X: X[:, :6] * np.nan, names), "not defined there"),
         (

@@ -76,7 +76,9 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     Raises
     ------
     ValueError
-        If a loop has a control that the linear model has not, or the linear model has no airspeed or density.
+        If there are no loops, two of a control, or one of a control that the linear model has not.
+    TypeError
+        If ``loops`` is no list of Loop.
 
     Examples
     --------

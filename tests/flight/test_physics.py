@@ -166,7 +166,7 @@ def test_velocities_east_north_up_are_named_as_such(flight):
 
 
 def test_without_an_altitude_an_exchange_of_velocities_does_not_blame_the_third(flights):
-    table = flights["lateral"].drop(columns=["altitude", "down"])
+    table = flights["lateral"].drop(columns="altitude")
     (found,) = contradictions(table.rename(columns={"v_north": "v_east", "v_east": "v_north"}))
     assert {*found.numbers["channels"]} == {"v_north", "v_east"}
 

@@ -56,6 +56,11 @@ def test_a_multisine_has_its_power_in_its_harmonics_alone():
     assert np.delete(found, harmonics).max() < 1e-20
 
 
+def test_phases_that_are_no_numbers_are_refused():
+    with pytest.raises(ValueError, match=r"a finite amplitude and phase for each\.$"):
+        Multisine(20.0, [1, 2], [0.1, 0.1], [0.0, np.nan])
+
+
 @pytest.mark.parametrize(("axes", "tones", "more"), [(1, 1, 0), (2, 2, 1), (3, 1, 30), (3, 7, 2)])
 def test_tones_are_dealt_out_over_the_band(axes, tones, more):
     count = axes * tones + more  # harmonics 1, 2 ... of 10 s

@@ -12,7 +12,7 @@ from sklearn.utils import Bunch
 
 from skdgp._compute.files import plain
 from skdgp._flight.findings import Code, Finding
-from skdgp._regressor import FitCode
+from skdgp._regressor import FitCode, search_ended
 from skdgp.dynamics import (
     Air,
     Turbulence,
@@ -471,6 +471,12 @@ def test_of_little_flown_a_large_error_says_nothing():
     found = verdict([evaluation(error=1.5)], fit={"flown": 5.0}, trim=None)
     assert {use.judgement for use in found.uses} == {"unknown"}
     assert {use.findings[0].numbers["seconds"] for use in found.uses} == {5.0}
+
+
+def test_a_search_that_rounding_ends_is_not_to_go_on():
+    ended = {"interrupted_": False, "converged_": False, "max_iter": 300}
+    assert search_ended(Bunch(**ended, n_iter_=40)).code == FitCode.SEARCH_ROUNDED
+    assert search_ended(Bunch(**ended, n_iter_=300)).code == FitCode.SEARCH_STOPPED
 
 
 def test_warnings_are_ranked():

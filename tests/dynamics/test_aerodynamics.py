@@ -118,9 +118,9 @@ def test_slopes_over_the_flown_perturbation_are_expected_local_ones(fitted, X):
     local = as_aerodynamics(fitted)
     points = X[:3]
     found = local.over("flown").gradient(points)
-    expected = slopes_over(local.gradient, points, local.perturbation, n_nodes=100)
+    expected = slopes_over(local.gradient, points, local.perturbation, n_nodes=200)
     largest = np.abs(expected).max(axis=(0, 1))
-    assert_allclose(found / largest, expected / largest, atol=1e-4)
+    assert_allclose(found / largest, expected / largest, atol=1e-5)
 
 
 def test_outputs_come_in_the_order_of_the_house_whatever_the_table_had(flight, targets, X):

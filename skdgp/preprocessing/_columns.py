@@ -95,6 +95,16 @@ class ElevonSplitter(TableTransformer):
 
     def _fit_table(self, table):
         mixing: Any = ELEVON_MIXING if self.mixing is None else self.mixing
+        rows = list(mixing.values()) if isinstance(mixing, Mapping) else []
+        is_named = bool(rows) and all(isinstance(row, Mapping) and row for row in rows)
+        if (
+            not is_named
+            or not np.isfinite([factor for row in rows for factor in row.values()]).all()
+        ):
+            raise ValueError(
+                f"Got mixing={self.mixing!r}, but expected for each control the surfaces that move it, with finite "
+                "factors, such as {'elevator': {'elevon_left': 0.5, 'elevon_right': 0.5}}."
+            )
         self.mixing_: Any = pd.DataFrame.from_dict(mixing, orient="index", dtype=float).fillna(0.0)
         self._controls_of(table)
 

@@ -1,5 +1,6 @@
 """Parity of surfaces: mixing, and what happens when a table has both or neither."""
 
+import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
@@ -52,3 +53,12 @@ def test_neither_surfaces_nor_controls():
         ElevonSplitter().fit(pd.DataFrame({"elevon_l": [0.1], "elevon_r": [0.1], "alpha": [0.0]}))
     with pytest.raises(ValueError, match="elevon_right"):
         ElevonSplitter().fit(ELEVONS[["elevon_left"]])
+
+
+@pytest.mark.parametrize(
+    "mixing",
+    [{}, {"elevator": {}}, {"elevator": [0.5, 0.5]}, {"elevator": {"elevon_left": np.nan}}],
+)
+def test_what_is_no_mixing(mixing):
+    with pytest.raises(ValueError, match="expected for each control the surfaces that move it"):
+        ElevonSplitter(mixing).fit(ELEVONS)

@@ -34,14 +34,15 @@ def without_copies(
     They have most of their rows in common, or the attitude at the same times. Of training flights the longer
     one stays; if all test flights are copies, they stay.
     """
+    motions = {id(flight): _motion(flight) for flight in [*train.values(), *tests.values()]}
     kept: dict[str, FlightTable] = {}
     for name in sorted(train, key=lambda name: -len(train[name].time)):
-        other = _original(train[name], kept)
+        other = _original(train[name], kept, motions)
         if other is None:
             kept[name] = train[name]
         else:
             report(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
-    originals = {name: _original(flight, kept) for name, flight in tests.items()}
+    originals = {name: _original(flight, kept, motions) for name, flight in tests.items()}
     others = {name: flight for name, flight in tests.items() if originals[name] is None}
     for name, other in originals.items():
         if other is not None:
@@ -50,11 +51,16 @@ def without_copies(
     return {name: train[name] for name in train if name in kept}, others or tests
 
 
-def _original(flight: FlightTable, others: dict[str, FlightTable]) -> str | None:
-    """Return the name of the flight that a flight repeats, None if it repeats none."""
-    motion = _motion(flight)
+def _original(
+    flight: FlightTable, others: dict[str, FlightTable], motions: dict[int, Array]
+) -> str | None:
+    """Return the name of the flight that a flight repeats, None if it repeats none.
+
+    ``motions`` are the rows of each flight, as of `_motion`, by its id.
+    """
+    motion = motions[id(flight)]
     for name, other in others.items():
-        has_its_rows = np.isin(motion, _motion(other)).sum() > COPIED * len(motion)
+        has_its_rows = np.isin(motion, motions[id(other)]).sum() > COPIED * len(motion)
         if has_its_rows or _has_its_attitude(flight, other):
             return name
     return None

@@ -241,8 +241,8 @@ def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
             is_one_mark = np.ptp(too_large) == 0 and too_large[0] > 90.0
             if is_one_mark and name not in WRAPPED and (sizes <= usual).any():
                 raise ValueError(
-                    f"Got {name} of magnitude {top:g} in {len(too_large)} rows and of no other above {usual:.3g}: "
-                    f"this looks like a mark of missing values. Leave these cells empty."
+                    f"Got {name} of magnitude {too_large[0]:g} in {len(too_large)} rows, and of no other above "
+                    f"{usual:.3g}: this looks like a mark of missing values. Leave these cells empty."
                 )
             degrees[name] = round(top, 1)
     if degrees:

@@ -764,3 +764,63 @@ def test_a_noisy_sensor_accuses_no_size(first_minute, train, name, factor):
     noise = factor * train[name].std() * rng.standard_normal(len(train))
     noisy = train.assign(**{name: train[name] + noise})
     assert first_minute().aircraft.question_of_sizes(FlightTable.of(noisy)) is None
+
+
+def doublets(order):
+    """Return a flight of a linear aircraft at 30 m/s, whose surfaces fly doublets of 2 s in this order."""
+    step, speed = 0.02, 30.0
+    time = np.arange(0.0, 7.0 * len(order) + 3.0, step)
+    size = {"elevator": 0.05, "aileron": 0.06, "rudder": 0.1}
+    surfaces = {name: np.zeros(len(time)) for name in size}
+    for k, name in enumerate(order):
+        since = time - 7.0 * k - 3.0
+        sign = (-1.0) ** k * np.where(since < 1.0, 1.0, -1.0)
+        surfaces[name] += size[name] * sign * ((since >= 0.0) & (since < 2.0))
+    state = np.zeros((len(time), 8))  # beta, p, r, phi, alpha, q, theta, psi
+    force = np.zeros((len(time), 2))
+    for k in range(len(time)):
+        beta, p, r, phi, alpha, q, _, _ = state[k]
+        elevator, aileron, rudder = (values[k] for values in surfaces.values())
+        force[k] = -15 * beta + 3 * rudder, -GRAVITY - 100 * alpha - 8 * elevator
+        slope = [
+            force[k, 0] / speed + GRAVITY / speed * np.sin(phi) - r,
+            -25 * beta - 8 * p + 2 * r + 60 * aileron + 2 * rudder,
+            18 * beta - 0.3 * p - 1.5 * r - 12 * rudder - 4 * aileron,
+            p,
+            q + (force[k, 1] + GRAVITY) / speed,
+            -30 * alpha - 4 * q - 40 * elevator,
+            q * np.cos(phi) - r * np.sin(phi),
+            r * np.cos(phi) + q * np.sin(phi),
+        ]
+        state[k + 1 : k + 2] = state[k] + step * np.array(slope)
+    columns = dict(
+        zip(("beta", "p", "r", "phi", "alpha", "q", "theta", "psi"), state.T, strict=True)
+    )
+    table = pd.DataFrame({"time": time, "airspeed": speed, "ax": 0.0, **columns, **surfaces})
+    table["ay"], table["az"] = force.T
+    noise = {
+        "ax": 0.05,
+        "ay": 0.05,
+        "az": 0.05,
+        "p": 0.005,
+        "q": 0.005,
+        "r": 0.005,
+        "airspeed": 0.3,
+    }
+    noise |= dict.fromkeys(("alpha", "beta", "phi", "theta", "psi"), 0.002)
+    rng = default_rng(1)
+    for name, std in noise.items():
+        table[name] += std * rng.standard_normal(len(table))
+    return table
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        ["elevator", "elevator", "aileron", "aileron", "rudder", "rudder"],
+        ["aileron", "aileron", "aileron", "aileron", "rudder"],
+    ],
+)
+def test_surfaces_that_move_one_after_another_are_not_stuck(order):
+    """What the other surfaces do is not known from rows where one moves alone."""
+    assert contradictions(doublets(order)) == []

@@ -26,7 +26,8 @@ class Interval(NamedTuple):
 
 
 EQUAL = Interval(1 / 1.5, 1.5, "1")
-# of gyros and velocities: 0.94 to 1.06 in 230 sound flights, but 0.89 in a simulator whose clock is slow
+# of gyros, velocities, north, east, down and the lateral force: 0.94 to 1.06 in 230 sound flights, but 0.89 in a
+# simulator whose clock is slow
 SAME = Interval(1 / 1.15, 1.15, "1")
 # gusts move the air past the aircraft, which follows them
 GUSTY = Interval(-0.5, 1.5, "0 to 1")
@@ -139,9 +140,9 @@ class Mistake:
     #: Channels that are late, and by how much [s]
     late: tuple[str, ...] = ()
     lag: float = 0.0
-    #: True seconds in one of the clock
+    #: True seconds per second of the clock
     clock: float = 1.0
-    #: Rows a second by the clock
+    #: Rate of the rows by the clock [Hz]
     rate: float = 0.0
     #: Axes in which they do, empty of a pair
     axes: str = ""
@@ -189,7 +190,7 @@ class Mistake:
             "late": list(self.late) or None,
             "lag": self.lag,
             "is_late": bool(self.late),
-            "is_frame": bool(self.turned),
+            "is_frame": not {*self.turned} <= {*ELEVONS},
             "axes": self.axes,
             "from_east": self.from_east,
         }
@@ -370,9 +371,14 @@ class Still(NamedTuple):
         y, x, others = self.relation.regression(signals)
         terms = np.column_stack([*others, signals.ahead(x, -lag), y])
         is_whole = np.isfinite(terms).all(axis=1)
-        terms = terms[is_whole] / np.sqrt(np.mean(terms[is_whole] ** 2, axis=0))
+        size = np.sqrt(np.mean(terms[is_whole] ** 2, axis=0))
+        terms = terms[is_whole] / np.where(size > 0, size, 1.0)
         is_still = n_moves[is_whole] == 0
         if min(is_still.sum(), (~is_still).sum()) < PHYSICS.least_rows:
+            return None
+        # effects that hardly vary while the surface moves are not known from these rows
+        spreads = [terms[rows, :-1].std(axis=0) for rows in (is_still, ~is_still)]
+        if (spreads[0] > PHYSICS.still_spread * spreads[1]).any():
             return None
         coefficients = np.linalg.lstsq(terms[~is_still, :-1], terms[~is_still, -1], rcond=1e-8)[0]
         squared = (terms[:, -1] - terms[:, :-1] @ coefficients) ** 2

@@ -192,7 +192,7 @@ EQUALITIES = (
     Equality(relation=NORTH, noise=0.3, admissible=SAME),
     Equality(relation=EAST, noise=0.3, admissible=SAME),
     Equality(relation=DOWN, noise=0.3, admissible=SAME),
-    Equality(relation=ALTITUDE, noise=0.3, admissible=SAME),
+    Equality(relation=ALTITUDE, noise=0.3),  # cold air shrinks a pressure altitude
     Equality(
         relation=AIRSPEED,
         noise=3.0,
@@ -295,7 +295,7 @@ FIRST = (
         ("beta", *EULER, *EARTH_VELOCITY),
         equations.airspeed_by_ground_speed,
     ),
-    Sign(relation=LATER, admissible=STEADY, noise=1.0),
+    Sign(relation=LATER, admissible=STEADY, noise=2.0),
 )
 """Judged first, as other contradictions follow from them."""
 SIGNS = (

@@ -62,7 +62,7 @@ class PhysicsSettings:
     least_lead_t: float = 10.0
     # contradictions from which on a mistake of several channels at once is looked for
     several: int = 3
-    # least correlation at a lag that is a contradiction, whatever the slope (guess)
+    # least correlation at a lag that is a contradiction, whatever the slope, and of a wrong clock (guess)
     lagged_correlation: float = 0.5
 
     # largest factor of a wrong clock (guess)
@@ -78,9 +78,12 @@ class PhysicsSettings:
     still: float = 1e-9
     still_window: float = 0.5
     still_ratio: float = 2.0
+    # and largest spread of an effect in these rows over that in other rows, where it is learned: 2.4 where a
+    # surface is stuck, 20 or more where surfaces move one after another
+    still_spread: float = 5.0
 
     # scale of vanes: least ratio of explained to unexplained variance of a contradiction, a correlation of 0.9,
-    # and its least t
+    # and its least t (guess)
     smooth: float = 4.3
     least_scale_t: float = 4.0
 

@@ -131,7 +131,7 @@ class Contradiction:
 
 @dataclass(frozen=True, kw_only=True)
 class Mistake:
-    """A mistake of several channels at once, which hide each other."""
+    """A mistake that several contradictions may follow from, as channels hide each other."""
 
     #: Channels that have the other sign
     turned: tuple[str, ...] = ()
@@ -140,11 +140,7 @@ class Mistake:
     #: Channels that are late, and by how much [s]
     late: tuple[str, ...] = ()
     lag: float = 0.0
-    #: True seconds per second of the clock
-    clock: float = 1.0
-    #: Rate of the rows by the clock [Hz]
-    rate: float = 0.0
-    #: Axes in which they do, empty of a pair
+    #: Axes of the channels, empty if they are not known
     axes: str = ""
     #: Whether the heading counts from east
     from_east: bool = False
@@ -154,8 +150,6 @@ class Mistake:
     @property
     def channels(self) -> tuple[str, ...]:
         """All channels."""
-        if self.clock != 1.0:
-            return ("time",)
         return (*self.turned, *sum(self.exchanged, ()), *self.late)
 
     def of(self, signals: Signals) -> Mistake:
@@ -175,14 +169,11 @@ class Mistake:
             channels |= by_elevons(channels)
         if self.from_east and "psi" in channels:
             channels["psi"] = np.pi / 2 + channels["psi"]
-        return replace(signals, channels=channels, step=self.clock * signals.step)
+        return replace(signals, channels=channels)
 
     @property
     def finding(self) -> Finding:
         """The finding of the channels."""
-        if self.clock != 1.0:
-            rates = {"rate": self.rate, "true_rate": self.rate / self.clock}
-            return Finding(Code.WRONG_CLOCK, self.flight, numbers=rates)
         numbers = {
             "channels": list(self.channels),
             "turned": list(self.turned) or None,
@@ -195,6 +186,28 @@ class Mistake:
             "from_east": self.from_east,
         }
         return Finding(Code.CHANNELS_TOGETHER, self.flight, numbers=numbers)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrongClock:
+    """Times that are too long or too short by a factor."""
+
+    #: True seconds per second of the clock
+    factor: float
+    #: Rate of the rows by the clock [Hz]
+    rate: float
+    #: None for all flights together
+    flight: Any = None
+
+    def undone(self, signals: Signals) -> Signals:
+        """Return the signals by the true time."""
+        return replace(signals, step=self.factor * signals.step)
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the time."""
+        rates = {"rate": self.rate, "true_rate": self.rate / self.factor}
+        return Finding(Code.WRONG_CLOCK, self.flight, numbers=rates)
 
 
 @dataclass(frozen=True, kw_only=True)

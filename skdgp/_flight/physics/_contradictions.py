@@ -17,6 +17,7 @@ from skdgp._flight.physics._checks import (
     Relation,
     Sign,
     Stuck,
+    WrongClock,
 )
 from skdgp._flight.physics._list import (
     CHANNELS,
@@ -32,7 +33,7 @@ from skdgp._flight.physics._list import (
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.tables import FlightTable
 
-Doubt: TypeAlias = Contradiction | Mistake | Stuck
+Doubt: TypeAlias = Contradiction | Mistake | Stuck | WrongClock
 
 
 def find_contradictions(flights: FlightTable) -> list[Doubt]:
@@ -58,18 +59,18 @@ def _contradictions_of(flights: FlightTable) -> list[Doubt]:
         signals = mistake.undone(signals)
     contradictions, confirmed = _contradictions_in(signals)
     causes = _causes(contradictions, confirmed)
-    doubted = {name for each in contradictions for name in each.channels}
-    for mistake in _candidates(signals, contradictions):
-        is_possible = len(mistake.channels) > 1 and not doubted.isdisjoint(mistake.channels)
-        if (is_possible or mistake.clock != 1.0) and _n_contradicted(mistake.undone(signals)) == 0:
-            return [*exchanged, mistake]
+    for candidate in _candidates(signals, contradictions):
+        if _n_contradicted(candidate.undone(signals)) == 0:
+            return [*exchanged, candidate]
     if {*ELEVONS} <= {*flights.table.columns}:
         causes = [_of_elevons(contradiction) for contradiction in causes]
     stuck = [still.judge(signals) for still in STILL if not contradictions]
     return [*exchanged, *causes, *(each for each in stuck if each is not None)]
 
 
-def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterator[Mistake]:
+def _candidates(
+    signals: Signals, contradictions: list[Contradiction]
+) -> Iterator[Mistake | WrongClock]:
     """Yield the mistakes that several contradictions may follow from, of channels that the signals have.
 
     Channels are late together by a lag that one of the contradictions shows.
@@ -78,12 +79,15 @@ def _candidates(signals: Signals, contradictions: list[Contradiction]) -> Iterat
     are_several = is_turned or len(contradictions) >= PHYSICS.several
     lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]
     scaled = [each for each in contradictions if _may_be_of_clock(each)]
-    doubted = {name for each in scaled for name in each.channels}
-    if not doubted.isdisjoint(RATES) and not doubted.isdisjoint(EARTH_VELOCITY):
+    of_scaled = {name for each in scaled for name in each.channels}
+    if not of_scaled.isdisjoint(RATES) and not of_scaled.isdisjoint(EARTH_VELOCITY):
         clearest = min(scaled, key=lambda each: each.slope.std)
-        yield Mistake(clock=clearest.slope.value, rate=signals.rate)
+        yield WrongClock(factor=clearest.slope.value, rate=signals.rate)
+    doubted = {name for each in contradictions for name in each.channels}
     for mistake in MISTAKES:
         own = mistake.of(signals)
+        if len(own.channels) < 2 or doubted.isdisjoint(own.channels):
+            continue
         if not own.late and are_several:
             yield own
         elif own.late and len(lags) > 1:

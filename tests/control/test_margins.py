@@ -515,6 +515,12 @@ def test_parameters_of_the_loops_that_are_not_known_are_named(extra, names):
         autopilot_loops(given, {"aileron": 0.4})
 
 
+def test_the_slip_that_the_yaw_damper_integrates_is_named():
+    given = {"RLL_RATE_P": 0.1, "YAW2SRV_DAMP": 0.5, "YAW2SRV_SLIP": 3.0}
+    with pytest.warns(UserWarning, match=r"margins do not contain what they do: YAW2SRV_SLIP 3\."):
+        autopilot_loops(given, {"aileron": 0.4, "rudder": 0.3})
+
+
 def test_an_integrator_without_room_is_none():
     gains = UNFILTERED | {"FW_RR_P": 0.1, "FW_RR_I": 0.2, "FW_RR_IMAX": 0.0}
     assert autopilot_loops(gains, {"aileron": 0.4})[0].I == 0.0

@@ -1,4 +1,4 @@
-"""The rigid body against Newton and Euler, and a fall whose course is a formula."""
+"""The rigid body against Newton and Euler, and flights whose course is a formula."""
 
 import numpy as np
 from numpy.random import default_rng
@@ -50,10 +50,16 @@ def test_one_state_under_many_loads(aircraft):
     assert_allclose(found, each, rtol=1e-12)
 
 
+SIZES = {"wing_area": 0.0182, "span": 0.152, "chord": 0.152}
+
+
 def test_a_sphere_falls_to_its_terminal_velocity_in_the_wind_that_carries_it():
-    """v = v_t tanh(g t / v_t) with v_t^2 = 2 m g / (rho S CD), whatever it turns (cases 6 and 7)."""
+    """v = v_t tanh(g t / v_t) with v_t^2 = 2 m g / (rho S CD), whatever it turns.
+
+    (Jackson et al., NASA/TM-2015-218675, cases 6 and 7, on a flat Earth)
+    """
     mass, gravity, density, CD = 14.6, 9.80665, 1.1, 0.1
-    sphere = Aircraft(mass=mass, inertia=4.9 * np.eye(3), wing_area=0.0182, span=0.152, chord=0.152)
+    sphere = Aircraft(mass=mass, inertia=4.9 * np.eye(3), **SIZES)
     wind, attitude = np.array([5.0, -3.0, 0.0]), euler_to_quaternion(0.3, -0.2, 1.0)
 
     def rate(t, state):
@@ -70,3 +76,20 @@ def test_a_sphere_falls_to_its_terminal_velocity_in_the_wind_that_carries_it():
     place[2] = terminal**2 / gravity * np.log(np.cosh(gravity * times / terminal))
     states = solve_ivp(rate, times[[0, -1]], start, "DOP853", times, rtol=1e-12, atol=1e-12).y
     assert_allclose(states[:3], place, atol=1e-5)
+
+
+def test_a_loop_passes_theta_of_90_degrees_and_comes_back():
+    """A centripetal force m V q on a body that pitches at q; a full turn is minus the quaternion."""
+    V, q, mass = 30.0, 0.8, 2.0
+    body = Aircraft(mass=mass, inertia=np.diag([0.5, 0.6, 0.8]), **SIZES)
+    loads = np.array([0.0, 0.0, -mass * V * q]), np.zeros(3)
+
+    def rate(t, state):
+        return rigid_body_derivative(state, *loads, body, 0.0)
+
+    start = np.concatenate([[0, 0, 0, V, 0, 0], euler_to_quaternion(0.0, 0.0, 0.7), [0, q, 0]])
+    times = np.linspace(0, 2 * np.pi / q, 101)
+    states = solve_ivp(rate, times[[0, -1]], start, "DOP853", times, rtol=1e-12, atol=1e-12).y
+    assert_allclose(states[2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
+    assert_allclose(states[:6, -1], start[:6], atol=1e-7)
+    assert_allclose(states[6:10, -1], -start[6:10], atol=1e-9)

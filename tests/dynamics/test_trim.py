@@ -170,7 +170,7 @@ def test_what_cannot_be_asked(asked, match):
     [
         (
             lambda names: BRUMBYS,
-            r"no trim of brumby at airspeed 12, .*w_dot = .*m/s\^2.*.*, with nothing at a limit.*another airspeed",
+            r"no trim of brumby at airspeed 12, .*w_dot = .*m/s\^2.*, with nothing at a limit.*another airspeed",
         ),
         (lambda names: Aerodynamics(lambda X: X[:, :6] * np.nan, names), "not defined there"),
         (

@@ -213,7 +213,7 @@ def test_telemetry_of_a_doublet_is_a_copy(doublets, name):
     sent = doublets[name].iloc[3::10].reset_index(drop=True)
     sent[SENSORS] += default_rng(3).normal(0.0, 0.001, (len(sent), len(SENSORS)))
     flights = {surface: FlightTable.of(flight) for surface, flight in doublets.items()}
-    with pytest.warns(FindingWarning, match=f"'sent' repeats .*{name}"):
+    with pytest.warns(FindingWarning, match=f"'sent' repeats flight '{name}'"):
         kept, _ = without_copies(flights | {"sent": FlightTable.of(sent)}, {})
     assert {*kept} == {*flights}
 

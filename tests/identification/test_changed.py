@@ -60,7 +60,7 @@ def changes(model, flights, change=0.0):
 
 def several(make, *arguments):
     """Return flights by their seeds."""
-    return {str(seed): make(seed, *arguments) for seed in range(1, 7)}
+    return {str(seed): make(seed, *arguments) for seed in range(1, 9)}
 
 
 def alarms(result, coefficient="whole"):

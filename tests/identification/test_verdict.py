@@ -154,7 +154,7 @@ def with_derivative(name, value, std=0.01, **parts):
 
 def use(found, purpose):
     (one,) = [one for one in found.uses if one.purpose == purpose]
-    return one.judgement, " ".join(finding.code.name for finding in one.findings)
+    return one.judgement, {finding.code.name for finding in one.findings}
 
 
 def mechanics_of(*tables, train=None, **options):
@@ -274,7 +274,7 @@ def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(fit):
     assert found.findings[0] == DIVERGED
     assert "yes" not in {use.judgement for use in found.uses}
     assert found.findings[1:] == (ALONE["a"],)
-    assert use(found, CONTROL) == ("no", "PATHS_NOT_CONVERGED")
+    assert use(found, CONTROL) == ("no", {"PATHS_NOT_CONVERGED"})
 
 
 def still(flight, *outputs):
@@ -292,7 +292,7 @@ class TestCoefficientsThatDoNotVary:
         calm = still(evaluation(), 5)
         found = verdict([calm])
         assert found.error == pytest.approx(verdict().error)
-        assert use(found, PREDICT) == ("partly", "NOT_VARYING")
+        assert use(found, PREDICT) == ("partly", {"NOT_VARYING"})
         assert "without Cn" in found.compared()
         (not_varying,) = [one for one in found.findings if one.code is Code.NOT_VARYING]
         assert not_varying.numbers["names"] == ["Cn"]
@@ -334,7 +334,7 @@ def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts without vanes are not known: too short.",)
     for purpose, judgement in {PREDICT: "partly", SIMULATE: "partly", CONTROL: "no"}.items():
-        assert use(found, purpose) == (judgement, "GUSTS_UNKNOWN")
+        assert use(found, purpose) == (judgement, {"GUSTS_UNKNOWN"})
 
 
 AX = {"regressors": ["alpha", "ax"]}
@@ -410,7 +410,7 @@ USES = [
 
 @pytest.mark.parametrize(("purpose", "parts", "judgement", "codes"), USES)
 def test_what_a_model_may_be_used_for_and_why(purpose, parts, judgement, codes):
-    assert use(verdict(**parts), purpose) == (judgement, codes)
+    assert use(verdict(**parts), purpose) == (judgement, {*codes.split()})
 
 
 def test_how_wide_a_band_is_is_told():

@@ -364,7 +364,7 @@ class Stuck:
         return Finding(Code.STUCK_SURFACE, self.flight, numbers=numbers)
 
 
-class Still(NamedTuple):
+class StuckCheck(NamedTuple):
     """Where a surface stands still, the regression of the other rows explains the response as well.
 
     Without vanes the angles that they measure would explain it.

@@ -23,11 +23,11 @@ from skdgp._flight.physics._list import (
     CHANNELS,
     EQUALITIES,
     EXCHANGES,
-    FIRST,
+    JUDGED_FIRST,
     MISTAKES,
     OFFSETS,
     SIGNS,
-    STILL,
+    STUCK_CHECKS,
     TURNING,
 )
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
@@ -64,7 +64,7 @@ def _contradictions_of(flights: FlightTable) -> list[Doubt]:
             return [*exchanged, candidate]
     if {*ELEVONS} <= {*flights.table.columns}:
         causes = [_of_elevons(contradiction) for contradiction in causes]
-    stuck = [still.judge(signals) for still in STILL if not contradictions]
+    stuck = [still.judge(signals) for still in STUCK_CHECKS if not contradictions]
     return [*exchanged, *causes, *(each for each in stuck if each is not None)]
 
 
@@ -128,7 +128,7 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
             confirmed.update(judgement.channels)
     # others may be consequences of the first
     contradictions = [
-        *_contradicted(FIRST, signals),
+        *_contradicted(JUDGED_FIRST, signals),
         *_clearest_first(unequal),
         *_clearest_first(_contradicted(SIGNS, signals)),
         *_contradicted(OFFSETS, signals),

@@ -33,7 +33,7 @@ from skdgp._flight.physics._checks import (
     Mistake,
     Relation,
     Sign,
-    Still,
+    StuckCheck,
 )
 from skdgp._flight.physics._signals import (
     AIRSPEED_LAGS,
@@ -137,7 +137,7 @@ AIRSPEED = Relation(
     regression=equations.velocity_along,
     lags=(*KINEMATIC_LAGS, *AIRSPEED_LAGS),
 )
-LATER = Relation(
+AIRSPEED_CHANGE = Relation(
     channels=("airspeed",),
     uses=(*EULER, *EARTH_VELOCITY),
     y="the airspeed less the ground velocity and a steady wind",
@@ -286,7 +286,7 @@ def _copy(name: str, other: str, uses: tuple[str, ...], regression: Callable) ->
     return Sign(relation=relation, admissible=UNALIKE, least_explained=PHYSICS.copied)
 
 
-FIRST = (
+JUDGED_FIRST = (
     _copy("alpha", "theta", ("theta",), equations.alpha_by_attitude),
     _copy("psi", "the course over the ground", EARTH_VELOCITY[:2], equations.heading_by_course),
     _copy(
@@ -295,7 +295,7 @@ FIRST = (
         ("beta", *EULER, *EARTH_VELOCITY),
         equations.airspeed_by_ground_speed,
     ),
-    Sign(relation=LATER, admissible=STEADY, noise=2.0),
+    Sign(relation=AIRSPEED_CHANGE, admissible=STEADY, noise=2.0),
 )
 """Judged first, as other contradictions follow from them."""
 SIGNS = (
@@ -384,12 +384,12 @@ EXCHANGES = (
 )
 
 
-STILL = (
-    Still("aileron", BY_AILERON.relation),
-    Still("elevator", BY_ELEVATOR.relation),
-    Still("rudder", BY_RUDDER.relation),
-    Still("elevon_left", BY_AILERON.relation),
-    Still("elevon_right", BY_AILERON.relation),
+STUCK_CHECKS = (
+    StuckCheck("aileron", BY_AILERON.relation),
+    StuckCheck("elevator", BY_ELEVATOR.relation),
+    StuckCheck("rudder", BY_RUDDER.relation),
+    StuckCheck("elevon_left", BY_AILERON.relation),
+    StuckCheck("elevon_right", BY_AILERON.relation),
 )
 
 
@@ -413,7 +413,7 @@ MISTAKES = (
     Mistake(turned=(*BODY_TURNED, "theta", "psi", "beta", *NAVIGATION_TURNED), axes=LEFT_UP),
 )
 
-CHECKS: list[Equality | Sign] = [*FIRST, *EQUALITIES, *SIGNS, *OFFSETS]
+CHECKS: list[Equality | Sign] = [*JUDGED_FIRST, *EQUALITIES, *SIGNS, *OFFSETS]
 RELATIONS = [check.relation for check in CHECKS]
 CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[relation.needs for relation in RELATIONS]))
 """Channels that the checks use."""

@@ -33,7 +33,6 @@ from skdgp.dynamics import (
     Instant,
     LocalAir,
     Motion,
-    StepClock,
     Trajectories,
     Turbulence,
     air_velocity,
@@ -254,7 +253,8 @@ def fly_plans(
     motion = Motion(BRUMBY_AERODYNAMICS, BRUMBY, lagged=True)
     controls = FlightControls(plans, time, STEP)
     states = _initial_states(controls, wind)
-    flown = fly_record(motion, controls, air, StepClock(STEP, n_times - 1), states)
+    stages = 0.5 * STEP * np.arange(2 * n_times - 1)
+    flown = fly_record(motion, controls, air, stages, states)
     states = flown.states[n_settling:]
     controls_set = {name: values[n_settling:] for name, values in flown.controls.items()}
     local_air = air(slice(2 * n_settling, 2 * n_times, 2), states)

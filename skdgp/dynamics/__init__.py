@@ -27,7 +27,6 @@ from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import gust_rate_lags as gust_rate_lags
 from skdgp.dynamics._dryden import rolling_gust as rolling_gust
-from skdgp.dynamics._inputs import StepClock as StepClock
 from skdgp.dynamics._integrate import REASONS as REASONS
 from skdgp.dynamics._integrate import Trajectories as Trajectories
 from skdgp.dynamics._integrate import channels as channels

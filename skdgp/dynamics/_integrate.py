@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -21,11 +22,19 @@ from skdgp._flight.frames import (
 )
 from skdgp._flight.tables import by_name
 from skdgp.dynamics._air import AirAt, LocalAir
-from skdgp.dynamics._inputs import StepClock
-from skdgp.dynamics._motion import Instant, Motion, Tangent
-from skdgp.dynamics._rigid_body import ATTITUDE, POSITION, RATES, VELOCITY, rk4_step
-from skdgp.dynamics._servos import Ramp, ServoState
+from skdgp.dynamics._motion import Instant, Motion
+from skdgp.dynamics._rigid_body import (
+    ATTITUDE,
+    POSITION,
+    RATES,
+    VELOCITY,
+    aerodynamic_loads,
+    rk4_step,
+)
+from skdgp.dynamics._servos import Ramp
 
+# From a stage of a step, 0, 1 or 2, and states to the air, the commands and the drift there
+Inputs: TypeAlias = "Callable[[int, Array], tuple[LocalAir, dict, Any]]"
 FLYING = ""
 REASONS = {
     "airspeed": "airspeed under 1 m/s",
@@ -70,33 +79,44 @@ def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     }
 
 
-class Moment(NamedTuple):
-    """States at the beginning of a step, and what happens there."""
+class Tangent:
+    """Coefficients of paths near regressors x_0 where they are known, C(x) = C_0 + J (x - x_0).
 
-    state: Array
-    now: Instant
-    commands: dict[str, Any]
-    controls: dict[str, Any]  #: With the deflections of the surfaces
-    wind: Array | None
-    tangent: Tangent | None  #: Of the paths, None where every stage evaluates the model
-    servos: ServoState
+    Where controls change by more than `REACH` of their ranges a step, as they jump, the paths are evaluated.
+    """
 
+    def __init__(self, motion: Motion, X: Array, coefficients: Array) -> None:
+        self.motion = motion
+        finite = np.isfinite(X).all(axis=-1, keepdims=True)
+        self.slopes = motion.aerodynamics.gradient(np.where(finite, X, 0.0))
+        is_control = np.isin(motion.regressors, motion.controls)
+        self.reach = np.where(is_control, REACH * motion.aerodynamics.ranges, np.inf)
+        self.age = -1  # evaluations since that of the slopes
+        self.move(X, coefficients)
 
-class End(NamedTuple):
-    """States at the end of a step, and what the next step begins with."""
+    def move(self, X: Array, coefficients: Array) -> None:
+        """Begin at other regressors x_0 (..., d) with coefficients C_0 (..., 6), with the same slopes."""
+        self.regressors = X
+        self.coefficients = coefficients
+        self.age += 1
+        self.steps = 0  # since the last evaluation
 
-    state: Array
-    servos: ServoState | None = None  #: None: the surfaces are as commanded next
-    implicit: Array | None = None  #: Guess of the implicit regressors
-    tangent: Tangent | None = None
-    now: Instant | None = None  #: At the last stage, which is nearly the end
+    def __call__(self, X: Array) -> Array:
+        """Return the coefficients (..., 6) at regressors (..., d)."""
+        if self.is_beyond(X, 1 + self.steps):
+            return self.motion.evaluated(X)
+        change = X - self.regressors
+        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
+
+    def is_beyond(self, X: Array, steps: float) -> bool:
+        """Return whether any controls have changed by more than their reach in some steps."""
+        return bool((np.abs(X - self.regressors) > steps * self.reach).any())
 
 
 class Integrator:
-    r"""Integration of a motion under commands in some air, step by step.
+    r"""Integration of a motion in time, step by step.
 
-    Parameters as for `fly_record`. A step has three stages: its beginning, its middle and its end,
-    which is the beginning of the next step.
+    A step has three stages: its beginning, its middle and its end, which is the beginning of the next step.
 
     Paths are evaluated once in some steps, as they take most of the time. The stages of these steps have
     their tangent at the beginning,
@@ -108,118 +128,113 @@ class Integrator:
     the end of these steps of h seconds in all is corrected by :math:`h B e / 2`. The next tangent begins at
     :math:`x_1`. Its slopes J are kept for some evaluations. Stages beyond the reach of the tangent evaluate the paths.
     A step that ends there is corrected by the error at its middle. Steps since the last evaluation stay uncorrected.
+
+    Parameters
+    ----------
+    motion : Motion
+    state : array (..., 13)
+        At the start.
+    dt : float
+        Time step [s].
+    n_steps : int
+        Of the flight; slopes that are kept for one step save nothing.
+
+    Attributes
+    ----------
+    state : array (..., 13)
+    now : Instant
+        At the last stage, which is nearly the end of the last step.
+    controls : dict
+        At the beginning of the last step, with the deflections of the surfaces.
+    wind : array (..., 3) or None
+        At the beginning of the last step.
     """
 
-    def __init__(
-        self,
-        motion: Motion,
-        commands: Callable,
-        air: AirAt,
-        clock: StepClock,
-        drifts: Array | None = None,
-    ) -> None:
+    def __init__(self, motion: Motion, state: Array, dt: float, n_steps: int = 1) -> None:
         self.motion = motion
-        self.commands = commands
-        self.air = air
-        self.dt = clock.dt
-        self.drifts = np.zeros(len(clock.stages)) if drifts is None else drifts
+        self.state = by_components(state)
+        self.dt = dt
+        self.now: Any = None
         self.servos = motion.aerodynamics.servos
-        self._surfaces = motion.surfaces
-        self._stride = max(1, min(STRIDE, round(LONGEST_STRIDE / clock.dt)))
-        n_kept = min(clock.n_steps, round(SLOPES_KEPT / clock.dt))
+        self._servo_state: Any = None
+        self._implicit: Array | None = None  # guess of the implicit regressors
+        self._tangent: Tangent | None = None
+        self._stride = max(1, min(STRIDE, round(LONGEST_STRIDE / dt)))
+        n_kept = min(n_steps, round(SLOPES_KEPT / dt))
         self._renewal = n_kept // self._stride  # in evaluations
         model = motion.aerodynamics
         has_path_slopes = model.n_paths is not None and model.slopes is not None
-        # slopes that are kept for one step save nothing
         self._has_tangents = has_path_slopes and n_kept > 1
 
-    def begin(self, step: int, last: End) -> Moment:
-        """Return what happens at the beginning of a step, with what the ``last`` one reached."""
-        state = last.state
-        stage = 2 * step
-        air, commands = self._inputs(step, stage, state)
-        servos = last.servos
-        if servos is None or self.servos.are_ideal:
-            servos = self.servos.at_rest(self._of_surfaces(commands))
-        controls = {**commands, **servos.deflections}
-        drift = self.drifts[stage]
-        tangent = last.tangent
-        now = self.motion.at(state, controls, air, last.implicit, drift, tangent)
-        if self._has_tangents and tangent is None:
-            tangent = self._tangent(now.regressors, now.coefficients - drift)
-        wind = air.velocity(state[..., ATTITUDE])
-        return Moment(state, now, commands, controls, wind, tangent, servos)
+    def begin(self, inputs: Inputs) -> None:
+        """Evaluate the beginning of a step."""
+        air, commands, drift = inputs(0, self.state)
+        if self._servo_state is None or self.servos.are_ideal:
+            self._servo_state = self.servos.at_rest(self._of_surfaces(commands))
+        self._commands = commands
+        self.wind = air.velocity(self.state[..., ATTITUDE])
+        self.controls = {**commands, **self._servo_state.deflections}
+        self.now = self._at(self.state, self.controls, air, drift)
+        self._implicit = self.now.implicit
+        if self._has_tangents and self._tangent is None:
+            coefficients = self.now.coefficients - drift
+            self._tangent = Tangent(self.motion, self.now.regressors, coefficients)
 
-    def step(self, step: int, begin: Moment) -> End:
-        """Return the end of a step: states, deflections of the surfaces, and the next tangent."""
-        before = now = begin.now
-        servos, tangent = begin.servos, begin.tangent
+    def step(self, inputs: Inputs) -> None:
+        """Fly the step that has begun."""
+        begun = self._servo_state
+        before = self.now
 
         def rate(t: float, state: Array) -> Array:
-            nonlocal before, now, servos
+            nonlocal before
             if t > 0.0:
                 # what diverges within a step is ended at its end
                 within = np.clip(state, -STAGE_LIMIT, STAGE_LIMIT)
-                before = now
-                now, servos = self._at(step, begin, t, within)
-            return now.derivative
+                air, commands, drift = inputs(round(2 * t / self.dt), within)
+                controls = commands
+                if not self.servos.are_ideal:
+                    first = self._of_surfaces(self._commands)
+                    ramp = Ramp(t, first, self._of_surfaces(commands))
+                    self._servo_state = self.servos.moved(begun, ramp)
+                    controls = {**commands, **self._servo_state.deflections}
+                before = self.now
+                self.now = self._at(within, controls, air, drift)
+            return self.now.derivative
 
-        state = rk4_step(rate, 0.0, begin.state, self.dt)
-        if tangent is not None:
-            change, tangent = self._corrected(before.regressors, now, tangent)
-            state = state + change
-        return End(state, servos, begin.now.implicit, tangent, now)
+        self.state = rk4_step(rate, 0.0, self.state, self.dt)
+        if self._tangent is not None:
+            self._correct(self._tangent, before.regressors)
 
-    def _at(self, step: int, begin: Moment, t: float, state: Array) -> tuple[Instant, ServoState]:
-        """Return what happens at a time ``t`` [s] after a step began, and the servos."""
-        stage = 2 * step + round(2 * t / self.dt)
-        air, commands = self._inputs(step, stage, state)
-        controls, servos = commands, begin.servos
-        if not self.servos.are_ideal:
-            ramp = Ramp(t, self._of_surfaces(begin.commands), self._of_surfaces(commands))
-            servos = self.servos.moved(servos, ramp)
-            controls = {**commands, **servos.deflections}
-        guess = begin.now.implicit
-        drift = self.drifts[stage]
-        return self.motion.at(state, controls, air, guess, drift, begin.tangent), servos
+    def _at(self, state: Array, controls: Mapping, air: LocalAir, drift: Array | float) -> Instant:
+        return self.motion.at(state, controls, air, self._implicit, drift, self._tangent)
 
     def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
-        return {name: commands[name] for name in self._surfaces & commands.keys()}
+        return {name: commands[name] for name in self.motion.surfaces & commands.keys()}
 
-    def _corrected(
-        self, middle: Array, now: Instant, tangent: Tangent
-    ) -> tuple[Array | float, Tangent]:
-        """Return the change of the states by the errors of the tangent in a step, and the next tangent."""
-        last = now.regressors
-        distance = last - tangent.regressors
+    def _correct(self, tangent: Tangent, middle: Array) -> None:
+        """Correct the states by the error of the tangent in its steps, if they are over, and begin the next one."""
+        last = self.now.regressors
         n_steps = tangent.steps + 1
-        is_near = not (np.abs(distance) > STEADY * tangent.reach).any()
-        if is_near and n_steps < self._stride:
-            return 0.0, tangent._replace(steps=n_steps)
+        if n_steps < self._stride and not tangent.is_beyond(last, STEADY):
+            tangent.steps = n_steps
+            return
         coefficients = self.motion.evaluated(last)
-        if tangent.is_far(distance):
+        is_beyond = tangent.is_beyond(last, n_steps)
+        if is_beyond:
             # Simpson's rule; the error is zero at the beginning, and at the end, without a tangent
-            halfway = self.motion.evaluated(middle) - tangent(middle)
-            change = 2.0 / 3.0 * self.dt * self.motion.response(now, halfway)
-            return change, self._tangent(last, coefficients)
-        error = coefficients - tangent(last)
-        change = 0.5 * n_steps * self.dt * self.motion.response(now, error)
-        if tangent.age + 1 >= self._renewal:
-            return change, self._tangent(last, coefficients)
-        return change, tangent.moved(last, coefficients)
-
-    def _tangent(self, X: Array, coefficients: Array) -> Tangent:
-        return self.motion.tangent(X, coefficients, REACH)
-
-    def _inputs(self, step: int, stage: int, state: Array) -> tuple[LocalAir, dict]:
-        """Return the air and the commands at a stage of a step."""
-        air = self.air(stage, state)
-
-        def observe() -> dict[str, Array]:
-            return channels(state, air.velocity(state[..., ATTITUDE]))
-
-        commands = self.commands(step, stage, observe)
-        return air, self.motion.mixed(commands)
+            error = self.motion.evaluated(middle) - tangent(middle)
+            seconds = 2.0 / 3.0 * self.dt
+        else:
+            error = coefficients - tangent(last)
+            seconds = 0.5 * n_steps * self.dt
+        aircraft = self.motion.aircraft
+        force, moment = aerodynamic_loads(error, self.now.airspeed, self.now.density, aircraft)
+        self.state[..., VELOCITY] += seconds * (force / aircraft.mass)
+        self.state[..., RATES] += seconds * (moment @ aircraft.inertia_inverse)
+        if is_beyond or tangent.age + 1 >= self._renewal:
+            self._tangent = Tangent(self.motion, last, coefficients)
+        else:
+            tangent.move(last, coefficients)
 
 
 class Trajectories(NamedTuple):
@@ -227,11 +242,7 @@ class Trajectories(NamedTuple):
 
     time: np.ndarray  #: Since the start, (n_steps + 1,)
     states: Array
-    regressors: Array
-    coefficients: Array
-    specific_force: Array
-    derivative: Array
-    density: Array
+    now: Instant
     wind: Array | None
     controls: dict[str, Array]
     ended: np.ndarray  #: Why each trajectory ended, (...), `FLYING` where it did not
@@ -241,7 +252,7 @@ def fly_record(
     motion: Motion,
     commands: Callable,
     air: AirAt,
-    clock: StepClock,
+    stages: Array,
     state: Array,
     drifts: Array | None = None,
 ) -> Trajectories:
@@ -255,66 +266,69 @@ def fly_record(
         states. A step has two stages.
     air : callable
         (stage, state) -> LocalAir.
-    clock : StepClock
+    stages : array (2 n_steps + 1,)
+        Times since the start [s]: beginning and middle of each step, and the end.
     state : array (..., 13)
         At the start.
-    drifts : array (n_stages, ..., 6) or None
+    drifts : array (2 n_steps + 1, ..., 6) or None
         Added to the coefficients.
 
     Returns
     -------
     Trajectories
     """
-    integrator = Integrator(motion, commands, air, clock, drifts)
-    state = by_components(state)
-    last = End(state)
+    time = stages[::2]
+    n_steps = len(time) - 1
+    drifts = np.zeros(len(stages)) if drifts is None else drifts
+
+    def inputs(step: int, part: int, state: Array) -> tuple[LocalAir, dict, Any]:
+        stage = 2 * step + part
+        local = air(stage, state)
+
+        def observe() -> dict[str, Array]:
+            return channels(state, local.velocity(state[..., ATTITUDE]))
+
+        return local, motion.mixed(commands(step, stage, observe)), drifts[stage]
+
+    flight = Integrator(motion, state, float(time[1]), n_steps)
     ended = np.full(state.shape[:-1], FLYING, dtype=object)
     over: list[Any] = []  # which trajectories have ended, by step
-    flown: list[Moment] = []
+    flown: list[Any] = []
     with threads_for(ended.size), np.errstate(all="ignore"):  # what diverges is ended
-        for k in range(clock.n_steps + 1):
-            moment = integrator.begin(k, last)
-            flown.append(moment)
-            for reason, where in end_reasons(moment.state, moment.now).items():
+        for k in range(n_steps + 1):
+            of_step = partial(inputs, k)
+            flight.begin(of_step)
+            flown.append((flight.state, flight.now, flight.wind, flight.controls))
+            for reason, where in end_reasons(flight.state, flight.now).items():
                 ended[where & (ended == FLYING)] = reason
             over.append(ended != FLYING)
             # flights that ended go on without being shown
-            if k == clock.n_steps or over[-1].all():
+            if k == n_steps or over[-1].all():
                 break
-            last = integrator.step(k, moment)
-    return _record(motion, clock, flown, np.array(over), ended)
+            flight.step(of_step)
+    return _record(time, flown, np.array(over), ended)
 
 
-def _record(
-    motion: Motion, clock: StepClock, flown: list[Moment], over: Array, ended: Array
-) -> Trajectories:
-    """Return the record of the steps ``flown``."""
-    time = clock.dt * np.arange(clock.n_steps + 1)
+def _record(time: Array, flown: list, over: Array, ended: Array) -> Trajectories:
+    """Return the record of the steps ``flown``: states, instant, wind and controls at the beginning of each."""
 
-    def over_time(values: Iterable, *size: int) -> Array:
+    def over_time(values: Sequence, *size: int) -> Array:
         array = np.full((*time.shape, *ended.shape, *size), np.nan)
         for k, value in enumerate(values):
             array[k] = value
         array[: len(over)][over] = np.nan
         return array
 
-    states, instants, _, controls, winds, *_ = zip(*flown, strict=True)
-    force = over_time((now.force for now in instants), 3)
+    states, instants, winds, controls = zip(*flown, strict=True)
+    fields: list[Any] = []
+    for values in zip(*instants, strict=True):
+        size = np.shape(values[0])[ended.ndim :]
+        fields.append(None if values[0] is None else over_time(values, *size))
     deflected = {}
     for name in controls[0]:
-        deflected[name] = over_time(moment[name] for moment in controls)
-    return Trajectories(
-        time=time,
-        states=over_time(states, 13),
-        regressors=over_time((now.regressors for now in instants), len(motion.regressors)),
-        coefficients=over_time((now.coefficients for now in instants), 6),
-        specific_force=force / motion.aircraft.mass,
-        derivative=over_time((now.derivative for now in instants), 13),
-        density=over_time(now.density for now in instants),
-        wind=None if winds[0] is None else over_time(winds, 3),
-        controls=deflected,
-        ended=ended,
-    )
+        deflected[name] = over_time([moment[name] for moment in controls])
+    wind = None if winds[0] is None else over_time(winds, 3)
+    return Trajectories(time, over_time(states, 13), Instant(*fields), wind, deflected, ended)
 
 
 def end_reasons(state: Array, now: Instant) -> dict[str, Array]:

@@ -96,36 +96,6 @@ def check_settled(instant: Instant) -> None:
         )
 
 
-class Tangent(NamedTuple):
-    """Coefficients near regressors x_0 where they are known, C(x) = C_0 + J (x - x_0).
-
-    Where regressors change by more than ``reach`` a step the model is evaluated: controls jump.
-    """
-
-    model: Callable
-    reach: Array  #: (d,)
-    regressors: Array  #: x_0, (..., d)
-    coefficients: Array  #: C_0, (..., 6)
-    slopes: Array  #: J, (..., 6, d)
-    age: int = 0  #: Evaluations since the slopes were evaluated
-    steps: int = 0  #: Since the last evaluation
-
-    def __call__(self, X: Array) -> Array:
-        """Return the coefficients (..., 6) at regressors (..., d)."""
-        change = X - self.regressors
-        if self.is_far(change):
-            return self.model(X)
-        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
-
-    def is_far(self, change: Array) -> bool:
-        """Return whether any regressors are out of reach, by their ``change`` x - x_0 (..., d)."""
-        return bool((np.abs(change) > (1 + self.steps) * self.reach).any())
-
-    def moved(self, X: Array, coefficients: Array) -> Tangent:
-        """Return the tangent at other regressors, with the same slopes."""
-        return self._replace(regressors=X, coefficients=coefficients, age=self.age + 1, steps=0)
-
-
 class Flow(NamedTuple):
     """The air that an aircraft meets, at states (..., 13)."""
 
@@ -348,25 +318,6 @@ class Motion:
         # models refuse infinite values
         finite = np.isfinite(X).all(axis=-1, keepdims=True)
         return np.where(finite, self.aerodynamics(np.where(finite, X, 0.0)), np.nan)
-
-    def tangent(self, X: Array, coefficients: Array, reach: float) -> Tangent:
-        """Return the tangent of the model at regressors (..., d), where it has these ``coefficients`` (..., 6).
-
-        It holds for controls that change by at most ``reach`` of their ranges in a step.
-        """
-        finite = np.isfinite(X).all(axis=-1, keepdims=True)
-        slopes = self.aerodynamics.gradient(np.where(finite, X, 0.0))
-        is_control = np.isin(self.regressors, self.controls)
-        largest = np.where(is_control, reach * self.aerodynamics.ranges, np.inf)
-        return Tangent(self.evaluated, largest, X, coefficients, slopes)
-
-    def response(self, now: Instant, change: Array) -> Array:
-        """Return the change of d state / dt (..., 13) by a ``change`` of the coefficients (..., 6)."""
-        force, moment = aerodynamic_loads(change, now.airspeed, now.density, self.aircraft)
-        response = np.zeros_like(now.derivative)
-        response[..., VELOCITY] = force / self.aircraft.mass
-        response[..., RATES] = moment @ self.aircraft.inertia_inverse
-        return response
 
     def _loaded(
         self, state: Array, X: Array, C: Array, flow: Flow, other_loads: tuple[Array, Array]

@@ -16,6 +16,7 @@ from skdgp._flight.frames import STANDARD_GRAVITY, wrapped_near
 from skdgp._flight.tables import FlightTable
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft
+from skdgp.dynamics._inputs import table_states
 from skdgp.dynamics._integrate import channels
 from skdgp.dynamics._rigid_body import (
     aerodynamic_loads,
@@ -23,7 +24,6 @@ from skdgp.dynamics._rigid_body import (
     rigid_body_derivative,
     rk4_step,
 )
-from skdgp.dynamics._starts import table_states
 
 COMPARED_STATES = [*EARTH_VELOCITY, *EULER, *RATES]
 

@@ -27,16 +27,17 @@ from skdgp.dynamics._air import (
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._dryden import Gusts, dryden_gusts, gust_stream
 from skdgp.dynamics._inputs import (
-    StepClock,
+    as_starts,
     control_schedule,
+    initial_states,
+    stages_of,
     tables_of,
     warn_of_clocks,
     wind_schedule,
 )
-from skdgp.dynamics._integrate import FLYING, End, Integrator, channels, end_reasons, fly_record
+from skdgp.dynamics._integrate import FLYING, Integrator, channels, end_reasons, fly_record
 from skdgp.dynamics._motion import PROPULSION, STILL, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
-from skdgp.dynamics._starts import as_starts, initial_states
 from skdgp.dynamics._trajectories import (
     SimulationWarning,
     farthest_beyond,
@@ -153,11 +154,11 @@ def simulate(
     n_starts = len(starts)
     tables = tables_of(controls, "controls", n_starts)
     winds = tables_of(given_air.wind, "wind", n_starts)
-    clock = StepClock.of(dt, duration, [*tables, *winds])
-    warn_of_clocks(starts, tables, clock.dt)
-    air_schedule = wind_schedule(given_air.wind, winds, clock, n_starts)
+    stages = stages_of(dt, duration, [*tables, *winds])
+    warn_of_clocks(starts, tables, dt)
+    air_schedule = wind_schedule(given_air.wind, winds, stages, n_starts)
     names = {*motion.inputs, *PROPULSION}
-    commands = control_schedule(controls, tables, clock, names, n_starts)
+    commands = control_schedule(controls, tables, stages, names, n_starts)
     states = initial_states(starts, partial(air_schedule, 0))
     wind = air_schedule(0, states).velocity(states[:, ATTITUDE])
     speeds = channels(states, wind)["airspeed"]
@@ -167,7 +168,7 @@ def simulate(
         states = np.tile(states, (n_paths, 1, 1))
         drift = drift_in_still_air(motion.aerodynamics) if given_air.drift else None
         if drift is not None:
-            drifts = drift.draw(clock.stages, states.shape[:-1], random_state)
+            drifts = drift.draw(stages, states.shape[:-1], random_state)
         drawn = motion.aerodynamics.sample(n_paths, random_state, rounded=True)
         motion = motion.with_aerodynamics(drawn)
     elif len(states) == 1:
@@ -175,13 +176,13 @@ def simulate(
     if turbulence is not None:
         generator = separate_generator(random_state, 5)
         span = motion.aircraft.span
-        gusts = _drawn_gusts(turbulence, clock, states.shape[:-1], speeds, span, generator)
+        gusts = _drawn_gusts(turbulence, stages, states.shape[:-1], speeds, span, generator)
         if winds:  # contain their velocity
             velocity = np.zeros_like(gusts.velocity)
             gusts = gusts._replace(velocity=velocity, acceleration=velocity)
         air_schedule = gusty_air(air_schedule, gusts)
-    record = fly_record(motion, commands, air_schedule, clock, states, drifts)
-    farthest = farthest_beyond(motion, record.regressors)
+    record = fly_record(motion, commands, air_schedule, stages, states, drifts)
+    farthest = farthest_beyond(motion, record.now.regressors)
     warn_of(record, motion, farthest)
     table_times = [float(table["time"].iloc[0]) for table in tables]
     first_times = np.broadcast_to(table_times or 0.0, n_starts)
@@ -212,7 +213,7 @@ def _turbulence_met(
 
 def _drawn_gusts(
     turbulence: Turbulence,
-    clock: StepClock,
+    stages: Vector,
     shape: tuple[int, ...],
     speeds: Vector,
     span: float,
@@ -221,8 +222,8 @@ def _drawn_gusts(
     """Return gusts (n_stages, *shape, 3) of trajectories (), (n_starts,) or (n_paths, n_starts)."""
     n_starts = len(speeds)
     drawn = dryden_gusts(
-        len(clock.stages),
-        0.5 * clock.dt,
+        len(stages),
+        stages[1],
         speeds,
         np.tile(turbulence.length, (n_starts, 1)),
         np.tile(turbulence.intensity, (n_starts, 1)),
@@ -314,7 +315,7 @@ class Simulator:
         if air.wind is not None:
             self._wind = LocalAir(check_numbers("wind", air.wind, 3, unit="m/s north, east, down"))
         self._turbulence = air.gusts if isinstance(air.gusts, Turbulence) else None
-        self._end: Any = None
+        self._flight: Any = None
 
     def reset(
         self, x0: Any, *, controls: Mapping | None = None, random_state: Seed = None
@@ -355,11 +356,9 @@ class Simulator:
         self._generator = separate_generator(0 if random_state is None else random_state, 5)
         if controls is None and isinstance(x0, Trim):
             controls = x0.controls
-        state = states[0]
-        now = None
+        self._flight = Integrator(motion, states[0], self.dt)
         if controls is not None:
-            now = motion.at(state, motion.mixed(controls), self._air)
-        self._end = End(state, now=now)
+            self._flight.now = motion.at(states[0], motion.mixed(controls), self._air)
         return self._seen()
 
     def step(self, controls: Mapping, duration: float | None = None) -> dict[str, float]:
@@ -369,7 +368,7 @@ class Simulator:
         :meth:`reset`. Accelerometers show the last stage of the integration, before the next controls. All
         but ``time`` are NaN after the end of the flight. Raises ValueError before `reset` or after the end.
         """
-        if self._end is None:
+        if self._flight is None:
             raise ValueError("Got no start yet, but expected a flight: call reset(x0).")
         if self.ended:
             raise ValueError(
@@ -378,13 +377,22 @@ class Simulator:
             )
         duration = self.dt if duration is None else duration
         n_steps = max(1, math.ceil(duration / self.dt - 1e-6))
+        flight = self._flight
+        flight.dt = duration / n_steps
+        mixed = self.motion.mixed(controls)
+
+        def inputs(stage: int, state: Array) -> tuple[LocalAir, dict, float]:
+            return self._air, mixed, 0.0
+
         with np.errstate(all="ignore"):  # what diverges is ended
             for _ in range(n_steps):
-                self._integrate(controls, duration / n_steps)
-            reasons = end_reasons(self._end.state, self._end.now)
+                self._meet_gust(flight.dt)
+                flight.begin(inputs)
+                flight.step(inputs)
+            reasons = end_reasons(flight.state, flight.now)
         self.state[ATTITUDE] /= np.linalg.norm(self.state[ATTITUDE])
         self.time += duration
-        farthest = int(farthest_beyond(self.motion, self._end.now.regressors))
+        farthest = int(farthest_beyond(self.motion, flight.now.regressors))
         self.beyond = ["", *self.motion.regressors][farthest]
         self.ended = next(iter(reasons), FLYING)
         return self._seen()
@@ -392,33 +400,26 @@ class Simulator:
     @property
     def state(self) -> Array:
         """State (13,), see `STATE_NAMES`."""
-        return self._end.state
+        return self._flight.state
 
-    def _integrate(self, controls: Mapping, dt: float) -> None:
-        """Fly a step of ``dt`` [s]."""
-        if self._turbulence is not None:
-            self._air = self._next_gust(self._turbulence, dt)
-        integrator = Integrator(
-            self.motion,
-            lambda step, stage, observe: controls,
-            lambda stage, state: self._air,
-            StepClock(dt, 1),
-        )
-        self._end = integrator.step(0, integrator.begin(0, self._end))
-
-    def _next_gust(self, turbulence: Turbulence, dt: float) -> LocalAir:
-        """Return the air of the next step."""
+    def _meet_gust(self, dt: float) -> None:
+        """Put the air to the one of the next step of ``dt`` [s]."""
+        if self._turbulence is None:
+            return
+        turbulence = self._turbulence
         if dt != self._gust_step:
             self._gust_step = dt
             airspeed = np.linalg.norm(self.state[VELOCITY])
             size = ([turbulence.length], [turbulence.intensity], self.motion.aircraft.span)
             self._gusts = gust_stream(dt, airspeed, *size, self._generator)
-        return self._wind._replace(gusts=Gusts(*(part[0] for part in next(self._gusts))))
+        gusts = Gusts(*(part[0] for part in next(self._gusts)))
+        self._air = self._wind._replace(gusts=gusts)
 
     def _seen(self) -> dict[str, float]:
         wind = self._air.velocity(self.state[ATTITUDE])
         readings = {name: float(value) for name, value in channels(self.state, wind).items()}
-        force = UNKNOWN_FORCE if self._end.now is None else self._end.now.force
+        now = self._flight.now
+        force = UNKNOWN_FORCE if now is None else now.force
         specific_force = force / self.motion.aircraft.mass
         readings |= dict(zip(SPECIFIC_FORCE, specific_force.tolist(), strict=True))
         if self.ended:

@@ -55,7 +55,7 @@ def trajectory_table(
     starts = first_times if shape else first_times[0]
     times = np.expand_dims(record.time, tuple(range(1, 1 + len(shape)))) + starts
     table: dict[str, Any] = {"time": column(times), **_identity(shape, n_times)}
-    for name, values in _columns(record).items():
+    for name, values in _columns(record, motion.aircraft.mass).items():
         table[name] = column(values)
     if motion.aircraft.sensor_position is not None:
         # the specific force is that at the centre of gravity
@@ -68,13 +68,13 @@ def trajectory_table(
     return pd.DataFrame(table)
 
 
-def _columns(record: Trajectories) -> dict[str, Array]:
+def _columns(record: Trajectories, mass: float) -> dict[str, Array]:
     """Return the channels of a record by name, (n_times, ...) each."""
     columns = channels(record.states, record.wind)
-    columns["density"] = record.density
-    columns |= by_name(RATE_DERIVATIVES, record.derivative[..., rigid_body.RATES])
-    columns |= by_name(SPECIFIC_FORCE, record.specific_force)
-    columns |= by_name(COEFFICIENTS, record.coefficients)
+    columns["density"] = record.now.density
+    columns |= by_name(RATE_DERIVATIVES, record.now.derivative[..., rigid_body.RATES])
+    columns |= by_name(SPECIFIC_FORCE, record.now.force / mass)
+    columns |= by_name(COEFFICIENTS, record.now.coefficients)
     if record.wind is not None:
         columns |= by_name(WIND, record.wind)
     return columns | record.controls

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import minimize
+from scipy.signal import periodogram
 
-from skdgp._compute.typing import Array, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, WIND
 from skdgp._flight.frames import (
     STANDARD_GRAVITY,
@@ -22,6 +21,7 @@ from skdgp._flight.frames import (
 from skdgp._flight.tables import (
     FlightTable,
     as_floats,
+    by_name,
     check_choice,
     check_number,
     interpolated,
@@ -53,11 +53,11 @@ LENGTH_STD = 0.72
 FEWEST = 3
 # Variance [m^2/s^2] of a wind below which it is round-off
 CALM = 1e-16
-# Variances of the noise of a sample over that of the gusts: limits, and starts of the fit, as the
-# likelihood of weak gusts has several maxima
-NOISES = (1e-4, 1e4)
-NO_NOISE = (1e-12, 1e-12)
-NOISE_STARTS = (0.01, 1.0, 100.0)
+# Lengths that are tried, 3 % apart, and variances of the noise of a sample over that of the gusts; the likelihood of
+# weak gusts has several maxima
+N_LENGTHS = 200
+NOISES = np.geomspace(1e-4, 1e4, 161)
+NO_NOISE = np.zeros(1)
 
 
 class Turbulence(NamedTuple):
@@ -155,24 +155,28 @@ class Turbulence(NamedTuple):
 
 
 def turbulence_of_winds(
-    winds: Sequence[pd.DataFrame], span: float, noises: tuple[float, float] = NO_NOISE
+    winds: Sequence[pd.DataFrame], span: float, noises: Vector = NO_NOISE
 ) -> Turbulence | None:
     """Return the turbulence of winds, by `Turbulence.from_flight`; None where they are too short to show gusts.
 
     Each has time, airspeed at which it was met, wind_north, wind_east, wind_down. Winds of a few seconds show
-    the rates of the gusts, not their lengths. ``noises`` are limits of the variance of a sample's noise over that
-    of the gusts.
+    the rates of the gusts, not their lengths. ``noises`` are possible variances of a sample's noise over that of
+    the gusts.
     """
     parts = [_periodogram(wind, span) for wind in winds]
     if sum(map(len, parts)) < FEWEST:
         return None
     wave_number, interval, north, east, down = np.concatenate(parts).T
     shortest = max(SAMPLES * interval.min(), 4.0 * span / np.pi)
-    limits = [(shortest, LONGEST), noises]
-    along = partial(_horizontal_spectrum, wave_number)
-    across = partial(_vertical_spectrum, wave_number)
-    horizontal = _fitted(along, 0.5 * (north + east), interval, limits)
-    vertical = _fitted(across, down, interval, limits)
+    lengths = np.geomspace(shortest, LONGEST, N_LENGTHS)
+    # of unit variance, (n_lengths, n)
+    x = np.square(np.multiply.outer(lengths, wave_number))
+    scale = lengths[:, None]
+    across = scale * (1 + 3 * x) / (1 + x) ** 2
+    # north and east have the mean of the spectra of u and v, whatever the direction of the flight
+    along = scale / (1 + x) + across / 2
+    horizontal = _likeliest(along, 0.5 * (north + east), interval, lengths, noises)
+    vertical = _likeliest(across, down, interval, lengths, noises)
     intensity, length = np.transpose([horizontal, horizontal, vertical])
     speeds = [wind["airspeed"].mean() for wind in winds]
     durations = [np.ptp(wind["time"]) for wind in winds]
@@ -189,9 +193,8 @@ def _periodogram(wind: pd.DataFrame, span: float) -> Array:
         return np.empty((0, 5))
     even = np.arange(time[0], time[-1], interval / airspeed)
     gusts = interpolated(even, time, numeric(wind, WIND))
-    gusts -= gusts.mean(axis=0)
-    wave_number = 2 * np.pi * np.fft.rfftfreq(len(gusts), interval)
-    power = np.abs(np.fft.rfft(gusts, axis=0)) ** 2 * interval / len(gusts)
+    frequency, power = periodogram(gusts, 1 / interval, return_onesided=False, axis=0)
+    wave_number = 2 * np.pi * frequency
     # above, a wing meets the mean over its span, while sensors measure the wind at a point
     highest = min(np.pi / (4 * span), 0.9 * np.pi / interval)
     is_used = (wave_number > SLOWEST / airspeed) & (wave_number < highest)
@@ -203,47 +206,27 @@ def _wind_of(rows: pd.DataFrame) -> pd.DataFrame:
     """Return time, airspeed and wind of a flight."""
     attitude = euler_to_quaternion(*numeric(rows, EULER).T)
     air = body_to_ned(attitude, air_velocity(*numeric(rows, AIR_DATA).T))
-    wind = pd.DataFrame(numeric(rows, EARTH_VELOCITY) - air, columns=[*WIND])
-    wind["time"] = rows["time"].to_numpy(float)
-    wind["airspeed"] = rows["airspeed"].to_numpy(float)
-    return wind
+    wind = by_name(WIND, numeric(rows, EARTH_VELOCITY) - air)
+    return rows[["time", "airspeed"]].astype(float).assign(**wind)
 
 
-def _vertical_spectrum(wave_number: Array, length: Array) -> Array:
-    """Return the spectrum of v and w of unit variance without lags."""
-    x = (length * wave_number) ** 2
-    return length * (1 + 3 * x) / (1 + x) ** 2
-
-
-def _horizontal_spectrum(wave_number: Array, length: Array) -> Array:
-    """Return the spectrum of unit variance of u and v, whatever the direction of the flight: see `dryden_system`."""
-    of_u = 2 * length / (1 + (length * wave_number) ** 2)
-    return (of_u + _vertical_spectrum(wave_number, length)) / 2
-
-
-def _fitted(
-    unit_spectrum: Callable, power: Vector, interval: Vector, limits: list[tuple[float, float]]
+def _likeliest(
+    spectra: Matrix, power: Vector, interval: Vector, lengths: Vector, noises: Vector
 ) -> tuple[float, float]:
-    """Return intensity [m/s] and length [m] of an axis with a periodogram (n,), by limits of length and noise."""
+    """Return intensity [m/s] and length [m] of an axis with a periodogram (n,).
 
-    def spectrum(logarithms: Vector) -> Vector:
-        """Return the spectrum of gusts of unit variance and noise, whose spectrum is the interval."""
-        length, noise = np.exp(logarithms)
-        return unit_spectrum(length) + noise * interval
-
-    def loss(logarithms: Vector) -> float:
-        S = spectrum(logarithms)
-        variance = max(float(np.mean(power / S)), CALM)
-        prior = 0.5 * ((logarithms[0] - np.log(LENGTH)) / LENGTH_STD) ** 2
-        return float(len(S) * np.log(variance) + np.log(S).sum() + prior)
-
-    bounds: Any = np.log(limits)
-    starts = np.log([(LENGTH, noise) for noise in NOISE_STARTS])
-    # The starts coincide where the noise is fixed
-    starts = np.unique(starts.clip(*bounds.T), axis=0)
-    fits = [minimize(loss, start, bounds=bounds) for start in starts]
-    best = min(fits, key=lambda fit: fit.fun).x
-    return float(np.sqrt(np.mean(power / spectrum(best)))), float(np.exp(best[0]))
+    ``spectra`` (n_lengths, n) are of gusts of unit variance; the spectrum of unit noise is the interval.
+    """
+    best = np.inf, 0.0, 0.0
+    for length, of_gusts in zip(lengths, spectra, strict=True):
+        S = of_gusts + noises[:, None] * interval
+        variance = np.maximum((power / S).mean(axis=1), CALM)
+        prior = 0.5 * (np.log(length / LENGTH) / LENGTH_STD) ** 2
+        loss = len(power) * np.log(variance) + np.log(S).sum(axis=1) + prior
+        k = loss.argmin()
+        best = min(best, (loss[k], variance[k], length))
+    _, variance, length = best
+    return float(np.sqrt(variance)), float(length)
 
 
 @dataclass(frozen=True, eq=False)

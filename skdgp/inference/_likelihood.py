@@ -364,7 +364,11 @@ def log_likelihood(
             return _value(jittered_cholesky(lambda: covariance(kernel, noise, data, tiles)), y)
         pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
         evaluated = kernel.evaluate([_inputs(data, a, b) for a, b in pairs])
-        L = jittered_cholesky(lambda: _assembled(pairs, evaluated.blocks.__getitem__, noise, data))
+
+        def block(k):
+            return evaluated[k].covariance()
+
+        L = jittered_cholesky(lambda: _assembled(pairs, block, noise, data))
         value = _value(L, y)
         alpha = cholesky_solve(L, y)
         products = np.zeros((len(y), kernel.n_dims + len(noise)), order="F")
@@ -372,18 +376,29 @@ def log_likelihood(
         _add_noise_products(products[:, kernel.n_dims :], noise, data, alpha)
         half = triangular_solve(L, products)
         minus_W = _minus_W(L, alpha)
-        by_theta = evaluated.gradient([_weights(minus_W, a, b) for a, b in pairs])
+        by_theta = _gradient(pairs, evaluated, minus_W, kernel.n_dims)
         by_noise = noise_gradient(minus_W, noise, data)
         gradient = -np.concatenate([by_theta, by_noise])
         return Likelihood(value, gradient, 0.5 * half.T @ half)
 
 
+def _gradient(pairs, evaluated, W, n_dims):
+    """Return sum(W * dK / dtheta), (n_theta,), from tiles on and above the diagonal."""
+
+    def of_pair(k):
+        slopes = np.zeros(n_dims)
+        evaluated[k].add_gradient(slopes, _weights(W, *pairs[k]))
+        return slopes
+
+    return np.sum(thread_map(of_pair, range(len(pairs))), axis=0)
+
+
 def _add_products(products, pairs, evaluated, alpha):
     """Add dK / dtheta alpha, (N, n_theta), from tiles on and above the diagonal."""
-    for k, (a, b) in enumerate(pairs):
-        evaluated.add_products(products[a.stacked], k, alpha[b.stacked])
+    for (a, b), of_pair in zip(pairs, evaluated, strict=True):
+        of_pair.add_products(products[a.stacked], alpha[b.stacked])
         if a is not b:
-            evaluated.add_products(products[b.stacked], k, alpha[a.stacked], transposed=True)
+            of_pair.add_products(products[b.stacked], alpha[a.stacked], transposed=True)
 
 
 def _add_noise_products(products, noise, data, alpha):

@@ -16,7 +16,7 @@ from sklearn.base import clone
 from sklearn.gaussian_process.kernels import Hyperparameter, Kernel
 from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 
-from skdgp._compute.parallel import thread_map
+from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 
 DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
@@ -47,27 +47,31 @@ class FreeParameter:
         return isinstance(self.bounds, str)
 
     @cached_property
+    def free(self) -> Mask:
+        """Whether an entry is free, in the shape of the array."""
+        return np.zeros(self.index.shape, dtype=bool) if self.fixed else self.index >= 0
+
+    @cached_property
     def n_elements(self) -> int:
         """Number of entries of theta for this parameter."""
-        return 0 if self.fixed else int(self.index.max(initial=-1)) + 1
+        return int(self.index[self.free].max(initial=-1)) + 1
 
     def elements(self, values: Array) -> Array:
         """Return the value of each element, (n_elements, ...), from an array of the values of all entries."""
         elements = np.empty((self.n_elements, *values.shape[self.index.ndim :]))
-        if self.n_elements:
-            free = self.index >= 0
-            elements[self.index[free]] = values[free]
+        elements[self.index[self.free]] = values[self.free]
         return elements
 
     def with_elements(self, values: Array, elements: Vector) -> Array:
         """Return a copy of the values of all entries, with the elements in the free ones."""
         changed = np.array(values)
-        free = self.index >= 0
-        changed[free] = elements[self.index[free]]
+        changed[self.free] = elements[self.index[self.free]]
         return changed
 
     def pairs(self) -> Matrix:
         """Return the bounds of each element, (n_elements, 2), from one pair or one for each entry."""
+        if self.fixed:
+            return np.empty((0, 2))
         bounds = np.asarray(self.bounds, dtype=float)
         lower = "0 < lower" if self.log else "lower"
         is_pair = bounds.shape[-1:] == (2,) and (bounds[..., 0] <= bounds[..., 1]).all()
@@ -76,8 +80,6 @@ class FreeParameter:
                 f"Got bounds {self.bounds!r} of {self.name}, but expected {lower} <= upper: "
                 "a pair, or one for each entry."
             )
-        if bounds.shape == (2,):
-            return np.tile(bounds, (self.n_elements, 1))
         return self.elements(np.broadcast_to(bounds, (*self.index.shape, 2)))
 
 
@@ -90,25 +92,21 @@ class InputPair(NamedTuple):
     Xj: Matrix
 
 
-class EvaluatedBlocks(Protocol):
-    """Covariances of pairs of inputs, and their derivatives by theta.
+class EvaluatedBlock(Protocol):
+    """The covariance of a pair of inputs, and its derivatives by theta."""
 
-    Attributes
-    ----------
-    blocks : list of ndarray (n_i, n_j)
-        Covariances of each pair.
-    """
-
-    blocks: list[Matrix]
-
-    def gradient(self, weights: Sequence[Matrix]) -> Vector:
-        """Return the sum over the pairs of sum(W * dK_ij / dtheta), (n_theta,), for their weights W (n_i, n_j)."""
+    def covariance(self) -> Matrix:
+        """Return K_ij, (n_i, n_j)."""
         ...
 
-    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
-        """Add dK_ij / dtheta beta of pair k, (n_i, n_theta), for beta (n_j,), to ``total``.
+    def add_gradient(self, total: Vector, W: Matrix) -> None:
+        """Add sum(W * dK_ij / dtheta), for weights W (n_i, n_j), to ``total`` (n_theta,)."""
+        ...
 
-        ``transposed``: dK_ij^T / dtheta beta, (n_j, n_theta), for beta (n_i,).
+    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
+        """Add dK_ij / dtheta beta, for beta (n_j,), to ``total`` (n_i, n_theta).
+
+        ``transposed``: dK_ij^T / dtheta beta, for beta (n_i,), to ``total`` (n_j, n_theta).
         """
         ...
 
@@ -175,13 +173,13 @@ class MultiOutputKernel(Kernel):
         """Return whether cov(y_i, y_j) can differ from zero; otherwise ``block`` is not called for the pair."""
         return True
 
-    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
-        """Return ``block`` of each pair, and their derivatives by theta.
+    def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
+        """Return the covariance of each pair, with its derivatives by theta.
 
         The default is of ``block`` and ``block_gradient``. For kernels that save time by computing
         these together.
         """
-        return _EvaluatedOneByOne(self, pairs)
+        return [_EvaluatedPair(self, pair) for pair in pairs]
 
     def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
         """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
@@ -282,17 +280,18 @@ class MultiOutputKernel(Kernel):
         return K
 
     def _gradient(self, rows):
-        """Return the derivatives of the covariance matrix by theta, entry by entry."""
-        outputs = np.repeat(np.arange(len(rows)), [len(x) for x in rows]).tolist()
-        samples = np.concatenate(rows)[:, None]
-        gradient = np.zeros((len(samples), len(samples), self.n_dims))
-        unit = np.ones((1, 1))
-        for a, i in enumerate(outputs):
-            for b, j in enumerate(outputs[: a + 1]):
-                if self.couples(i, j):
-                    slopes = self.block_gradient(i, j, samples[a], samples[b], unit)
-                    gradient[a, b] = slopes
-                    gradient[b, a] = slopes
+        """Return the derivatives of the covariance matrix by theta, column by column."""
+        places = consecutive(rows)
+        pairs = []
+        for i, j in np.ndindex(len(rows), len(rows)):
+            if self.couples(i, j):
+                pairs.append(InputPair(i, j, rows[i], rows[j]))
+        n = places[-1].stop
+        gradient = np.zeros((n, n, self.n_dims))
+        for pair, evaluated in zip(pairs, self.evaluate(pairs), strict=True):
+            block = gradient[places[pair.i], places[pair.j]]
+            for column, unit in enumerate(np.eye(len(pair.Xj))):
+                evaluated.add_products(block[:, column], unit)
         return gradient
 
     def diag(self, X: Matrix) -> Vector:
@@ -343,9 +342,8 @@ class MultiOutputKernel(Kernel):
         values = self.values()
         theta = [np.empty(0)]
         for f in self.free_parameters():
-            if f.n_elements:
-                elements = f.elements(values[f.name])
-                theta.append(np.log(elements) if f.log else elements)
+            elements = f.elements(values[f.name])
+            theta.append(np.log(elements) if f.log else elements)
         return np.concatenate(theta)
 
     @theta.setter
@@ -374,8 +372,7 @@ class MultiOutputKernel(Kernel):
         """Bounds on theta, (n_theta, 2), of logarithms where theta holds logarithms."""
         bounds = [np.empty((0, 2))]
         for f in self.free_parameters():
-            if f.n_elements:
-                bounds.append(np.log(f.pairs()) if f.log else f.pairs())
+            bounds.append(np.log(f.pairs()) if f.log else f.pairs())
         return np.concatenate(bounds)
 
     @property
@@ -416,12 +413,25 @@ class MultiOutputKernel(Kernel):
         """Return d/dtheta from derivatives by the parameter entries (by their logarithms where ``log``)."""
         theta: list[Vector] = [np.empty(0)]
         for f in self.free_parameters():
-            if f.n_elements:
-                free = f.index >= 0
-                slopes = gradients[f.name][free]
-                sums: Any = np.bincount(f.index[free], slopes, minlength=f.n_elements)
-                theta.append(sums)
+            sums: Any = np.bincount(f.index[f.free], gradients[f.name][f.free], f.n_elements)
+            theta.append(sums)
         return np.concatenate(theta)
+
+    def theta_places(self) -> dict[str, Indices]:
+        """Return the place in theta of each entry of each parameter, -1 where it is fixed."""
+        places = {}
+        start = 0
+        for f in self.free_parameters():
+            places[f.name] = np.where(f.free, start + f.index, -1)
+            start += f.n_elements
+        return places
+
+
+def add_at(total: Matrix, places: Indices, slopes: Array) -> None:
+    """Add derivatives (n, ...) by entries with different ``places`` (...) in theta to ``total`` (n, n_theta)."""
+    free = places >= 0
+    if free.any():
+        total[:, places[free]] += slopes[:, free]
 
 
 class Sum(_SklearnSum, MultiOutputKernel):
@@ -458,8 +468,15 @@ class Sum(_SklearnSum, MultiOutputKernel):
         first = self.k1.block_gradient(i, j, Xi, Xj, W)
         return np.concatenate([first, self.k2.block_gradient(i, j, Xi, Xj, W)])
 
-    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
-        return _EvaluatedSum(self, pairs)
+    def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
+        n_first = self.k1.n_dims
+        sums = [_EvaluatedSum([]) for _ in pairs]
+        for term, places in ((self.k1, slice(n_first)), (self.k2, slice(n_first, None))):
+            coupled = [k for k, pair in enumerate(pairs) if term.couples(pair.i, pair.j)]
+            evaluated = term.evaluate([pairs[k] for k in coupled])
+            for k, of_pair in zip(coupled, evaluated, strict=True):
+                sums[k].terms.append((places, of_pair))
+        return sums
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.k1.block_diag(i, Xi) + self.k2.block_diag(i, Xi)
@@ -479,11 +496,9 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return self.k2.residual(X, self.k1.residual(X, Y))
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
-        kernel, rest = _with_first(self, theta)
-        if len(rest):
-            n_dims = len(theta) - len(rest)
-            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({n_dims},).")
-        return kernel
+        n_first = self.k1.n_dims
+        first = self.k1.clone_with_theta(theta[:n_first])
+        return Sum(first, self.k2.clone_with_theta(theta[n_first:]))
 
     def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]
@@ -492,22 +507,28 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))
 
 
-class _EvaluatedOneByOne:
-    """`EvaluatedBlocks` of any kernel."""
+def gradient_of(kernel: MultiOutputKernel, pair: InputPair, W: Matrix) -> Vector:
+    """Return ``block_gradient`` of a kernel by its `evaluate`."""
+    total = np.zeros(kernel.n_dims)
+    kernel.evaluate([pair])[0].add_gradient(total, W)
+    return total
 
-    def __init__(self, kernel: MultiOutputKernel, pairs: Sequence[InputPair]) -> None:
+
+class _EvaluatedPair:
+    """`EvaluatedBlock` of any kernel."""
+
+    def __init__(self, kernel: MultiOutputKernel, pair: InputPair) -> None:
         self.kernel = kernel
-        self.pairs = pairs
-        self.blocks = thread_map(lambda pair: kernel.block(*pair), pairs)
+        self.pair = pair
 
-    def gradient(self, weights: Sequence[Matrix]) -> Vector:
-        total = np.zeros(self.kernel.n_dims)
-        for pair, W in zip(self.pairs, weights, strict=True):
-            total += self.kernel.block_gradient(*pair, W)
-        return total
+    def covariance(self) -> Matrix:
+        return self.kernel.block(*self.pair)
 
-    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
-        i, j, Xi, Xj = self.pairs[k]
+    def add_gradient(self, total: Vector, W: Matrix) -> None:
+        total += self.kernel.block_gradient(*self.pair, W)
+
+    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
+        i, j, Xi, Xj = self.pair
         slopes = self.kernel.block_gradient
         if transposed:
             for row, x in zip(total, Xj, strict=True):
@@ -517,50 +538,25 @@ class _EvaluatedOneByOne:
                 row += slopes(i, j, x[None], Xj, beta[None])
 
 
-class _EvaluatedSum:
-    """`EvaluatedBlocks` of a sum: of each term, at the pairs that it couples."""
+class _EvaluatedSum(NamedTuple):
+    """`EvaluatedBlock` of a sum: of each term that couples the pair, and its places in theta."""
 
-    def __init__(self, kernel: Sum, pairs: Sequence[InputPair]) -> None:
-        self.pairs = pairs
-        self.terms = []
-        total: list[Any] = [None] * len(pairs)
-        for term in (kernel.k1, kernel.k2):
-            coupled = [k for k, pair in enumerate(pairs) if term.couples(pair.i, pair.j)]
-            evaluated = term.evaluate([pairs[k] for k in coupled])
-            self.terms.append(
-                (term.n_dims, {k: place for place, k in enumerate(coupled)}, evaluated)
-            )
-            for k, block in zip(coupled, evaluated.blocks, strict=True):
-                if total[k] is None:
-                    total[k] = block
-                else:
-                    total[k] += block
-            evaluated.blocks = []  # they are in the sum
-        self.blocks = total
+    terms: list[tuple[slice, EvaluatedBlock]]
 
-    def gradient(self, weights: Sequence[Matrix]) -> Vector:
-        parts = []
-        for _, places, evaluated in self.terms:
-            parts.append(evaluated.gradient([weights[k] for k in places]))
-        return np.concatenate(parts)
+    def covariance(self) -> Matrix:
+        (_, first), *others = self.terms
+        total = first.covariance()
+        for _, evaluated in others:
+            total += evaluated.covariance()
+        return total
 
-    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
-        start = 0
-        for n_dims, places, evaluated in self.terms:
-            if k in places:
-                columns = total[:, start : start + n_dims]
-                evaluated.add_products(columns, places[k], beta, transposed)
-            start += n_dims
+    def add_gradient(self, total: Vector, W: Matrix) -> None:
+        for places, evaluated in self.terms:
+            evaluated.add_gradient(total[places], W)
 
-
-def _with_first(kernel, theta):
-    """Return a kernel with the first entries of theta, and the other entries."""
-    if isinstance(kernel, Sum):
-        first, theta = _with_first(kernel.k1, theta)
-        second, theta = _with_first(kernel.k2, theta)
-        return Sum(first, second), theta
-    n_dims = kernel.n_dims
-    return kernel.clone_with_theta(theta[:n_dims]), theta[n_dims:]
+    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
+        for places, evaluated in self.terms:
+            evaluated.add_products(total[:, places], beta, transposed)
 
 
 def _common(name, first, second):

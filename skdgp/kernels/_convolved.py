@@ -14,17 +14,19 @@ from skdgp._compute.linalg import column_scale, constant_columns, output_scale
 from skdgp._compute.parallel import thread_map
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import (
-    EvaluatedBlocks,
+    EvaluatedBlock,
     FreeParameter,
     InputPair,
     MultiOutputKernel,
+    add_at,
     as_shape,
     complete_bounds,
     given_bounds,
+    gradient_of,
     numbered,
     rescaled_parameters,
 )
-from skdgp.kernels._gaussian_filters import FilterPair, PairSlopes
+from skdgp.kernels._gaussian_filters import EvaluatedPair, FilterPair
 
 PARAMETERS = ("amplitude", "length_scale", "shift")
 # Bounds of a kernel that has values, and was not initialized from data
@@ -95,24 +97,6 @@ class Filters(NamedTuple):
             np.stack([width[:, i], width[:, j]]),
             shift[:, i] - shift[:, j],
         )
-
-    def zeros(self) -> Filters:
-        """Return zeros in the shapes of the parameters, to which derivatives are added."""
-        return Filters(
-            self.feeds,
-            np.zeros_like(self.amplitude),
-            np.zeros_like(self.length_scale),
-            np.zeros_like(self.shift),
-        )
-
-    def add(self, i: int, j: int, slopes: PairSlopes) -> None:
-        """Add the derivatives by the parameters of outputs i and j."""
-        latents = self.latents(i, j)
-        for k, output in enumerate((i, j)):
-            self.amplitude[latents, output] += slopes.by_amplitude[k]
-            self.length_scale[latents, output] += slopes.by_width[k]
-        self.shift[latents, i] += slopes.by_shift
-        self.shift[latents, j] -= slopes.by_shift
 
 
 class ConvolvedGaussian(MultiOutputKernel):
@@ -324,60 +308,50 @@ class ConvolvedGaussian(MultiOutputKernel):
         return np.full(len(Xi), np.sum(self.filters.amplitude[:, i] ** 2))
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        return self.evaluate([InputPair(i, j, Xi, Xj)]).gradient([W])
+        return gradient_of(self, InputPair(i, j, Xi, Xj), W)
 
-    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
-        return _EvaluatedFilters(self, pairs)
+    def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
+        filters = self.filters
+        places = self.theta_places().values()
+        of_outputs = {}
+        for i, j in {(pair.i, pair.j) for pair in pairs}:
+            latents = filters.latents(i, j)
+            of_outputs[i, j] = [(of_all[latents, i], of_all[latents, j]) for of_all in places]
+
+        def evaluated(pair):
+            of_pair = EvaluatedPair(filters.pair(pair.i, pair.j), pair.Xi, pair.Xj)
+            return _EvaluatedFilters(of_pair, of_outputs[pair.i, pair.j])
+
+        return thread_map(evaluated, pairs)
 
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
 
 
-class _EvaluatedFilters:
-    """`EvaluatedBlocks` of a `ConvolvedGaussian`."""
+class _EvaluatedFilters(NamedTuple):
+    """`EvaluatedBlock` of a `ConvolvedGaussian`, with the places in theta of each parameter of both outputs."""
 
-    def __init__(self, kernel: ConvolvedGaussian, pairs: Sequence[InputPair]) -> None:
-        self.kernel = kernel
-        self.pairs = pairs
-        self.filters = kernel.filters
-        of_outputs = {(pair.i, pair.j): self.filters.pair(pair.i, pair.j) for pair in pairs}
+    pair: EvaluatedPair
+    places: Sequence[tuple[Indices, Indices]]
 
-        def evaluated(pair):
-            return of_outputs[pair.i, pair.j].evaluated(pair.Xi, pair.Xj)
+    def covariance(self) -> Matrix:
+        return self.pair.covariance()
 
-        self.evaluated = thread_map(evaluated, pairs)
-        self.blocks = [each.covariance for each in self.evaluated]
+    def add_gradient(self, total: Vector, W: Matrix) -> None:
+        self._add(total[None], self.pair.gradient(W))
 
-    def gradient(self, weights: Sequence[Matrix]) -> Vector:
-        def of_pair(k):
-            return self.evaluated[k].gradient(weights[k])
+    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
+        self._add(total, self.pair.products(beta, transposed))
 
-        slopes = self.filters.zeros()
-        for pair, of_one in zip(
-            self.pairs, thread_map(of_pair, range(len(self.pairs))), strict=True
-        ):
-            slopes.add(pair.i, pair.j, of_one)
-        return self.kernel.theta_gradient(slopes._asdict())
-
-    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
-        i, j = self.pairs[k].i, self.pairs[k].j
-        slopes = self.evaluated[k].products(beta, transposed)
-        latents = self.filters.latents(i, j)
-        amplitude, length_scale, shift = self.kernel.free_parameters()
-        start = 0
-        for parameter, of_i, of_j in (
-            (amplitude, *slopes.by_amplitude),
-            (length_scale, *slopes.by_width),
-            (shift, slopes.by_shift, -slopes.by_shift),
-        ):
-            if parameter.n_elements:
-                for output, part in ((i, of_i), (j, of_j)):
-                    numbers = parameter.index[latents, output]
-                    free = numbers >= 0
-                    # each number stands once: those of tied length scales are of different latents
-                    total[:, start + numbers[free]] += part[:, free]
-            start += parameter.n_elements
+    def _add(self, total, slopes):
+        """Add derivatives of n rows to ``total`` (n, n_theta)."""
+        of_shifts = (slopes.by_shift, -slopes.by_shift)
+        of_parameters = (slopes.by_amplitude, slopes.by_width, of_shifts)
+        for places, of_outputs in zip(self.places, of_parameters, strict=True):
+            for of_output, part in zip(places, of_outputs, strict=True):
+                # places differ: those of tied length scales are of different latents
+                add_at(total, of_output, part)
 
 
 def is_spacing(bounds: Any) -> bool:

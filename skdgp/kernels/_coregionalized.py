@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.base import clone
 from sklearn.gaussian_process.kernels import CompoundKernel, Kernel, WhiteKernel
 from sklearn.gaussian_process.kernels import Sum as SklearnSum
 
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._base import (
-    EvaluatedBlocks,
+    EvaluatedBlock,
     FreeParameter,
     InputPair,
     MultiOutputKernel,
     Sum,
+    add_at,
     as_shape,
     complete_bounds,
     given_bounds,
+    gradient_of,
     numbered,
     rescaled_parameters,
 )
@@ -193,62 +195,57 @@ class Coregionalized(MultiOutputKernel):
         return self.B[i, i] * self.kernel.diag(Xi)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        return self.evaluate([InputPair(i, j, Xi, Xj)]).gradient([W])
+        return gradient_of(self, InputPair(i, j, Xi, Xj), W)
 
-    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
-        return _EvaluatedCoregionalized(self, pairs)
-
-    def inner_gradient(self, Xi: Matrix, Xj: Matrix) -> tuple[Matrix, Array]:
-        """Return k(Xi, Xj) and its derivatives by its theta, which scikit-learn has for equal inputs alone."""
-        if Xi is Xj:
-            return self.kernel(Xi, eval_gradient=True)
-        k, slopes = self.kernel(np.vstack([Xi, Xj]), eval_gradient=True)
-        n = len(Xi)
-        return k[:n, n:], slopes[:n, n:]
+    def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
+        weights = self.weights
+        places = self.theta_places()["amplitude"]
+        evaluated = []
+        for i, j, Xi, Xj in pairs:
+            # scikit-learn has derivatives for equal inputs alone
+            k, slopes = self.kernel(np.vstack([Xi, Xj]), eval_gradient=True)
+            n = len(Xi)
+            evaluated.append(
+                _EvaluatedPair(k[:n, n:], slopes[:n, n:], (i, j), weights[:, [i, j]], places)
+            )
+        return evaluated
 
     def is_stationary(self) -> bool:
         """Return whether the covariance depends only on x - x'."""
         return self.kernel.is_stationary()
 
 
-class _EvaluatedCoregionalized:
-    """`EvaluatedBlocks` of a `Coregionalized`."""
+class _EvaluatedPair(NamedTuple):
+    """`EvaluatedBlock` of a `Coregionalized`, of outputs with the ``weights`` (M, 2)."""
 
-    def __init__(self, kernel: Coregionalized, pairs: Sequence[InputPair]) -> None:
-        self.kernel = kernel
-        self.pairs = pairs
-        self.inner = [kernel.inner_gradient(pair.Xi, pair.Xj) for pair in pairs]
-        self.blocks = []
-        for pair, (k, _) in zip(pairs, self.inner, strict=True):
-            self.blocks.append(kernel.B[pair.i, pair.j] * k)
+    k: Matrix
+    slopes: Array
+    outputs: tuple[int, int]
+    weights: Matrix
+    places: Indices
 
-    def gradient(self, weights: Sequence[Matrix]) -> Vector:
-        total = np.zeros(self.kernel.n_dims)
-        for pair, (k, slopes), W in zip(self.pairs, self.inner, weights, strict=True):
-            by_theta = np.einsum("ab,abt->t", W, slopes)
-            total += self._by_theta(pair, np.array([np.sum(W * k)]), by_theta[None])[0]
-        return total
+    @property
+    def B(self) -> float:
+        return self.weights[:, 0] @ self.weights[:, 1]
 
-    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
-        values, slopes = self.inner[k]
+    def covariance(self) -> Matrix:
+        return self.B * self.k
+
+    def add_gradient(self, total: Vector, W: Matrix) -> None:
+        by_inner = np.einsum("ab,abt->t", W, self.slopes)
+        self._add(total[None], np.array([np.sum(W * self.k)]), by_inner)
+
+    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
+        k, slopes = self.k, self.slopes
         if transposed:
-            values, slopes = values.T, slopes.swapaxes(0, 1)
-        of_slopes = np.einsum("abt,b->at", slopes, beta)
-        total += self._by_theta(self.pairs[k], values @ beta, of_slopes)
+            k, slopes = k.T, slopes.swapaxes(0, 1)
+        self._add(total, k @ beta, np.einsum("abt,b->at", slopes, beta))
 
-    def _by_theta(self, pair, by_B, by_inner):
-        """Return derivatives by theta (n, n_theta) from sums of k (n,), and of its derivatives (n, t)."""
-        i, j = pair.i, pair.j
-        w = self.kernel.weights
-        amplitude, *_ = self.kernel.free_parameters()
-        by_amplitude = np.zeros((len(by_B), *w.shape))
-        by_amplitude[:, :, i] += np.multiply.outer(by_B, w[:, j])
-        by_amplitude[:, :, j] += np.multiply.outer(by_B, w[:, i])
-        columns = np.zeros((len(by_B), amplitude.n_elements))
-        if amplitude.n_elements:
-            free = amplitude.index >= 0
-            columns[:, amplitude.index[free]] = by_amplitude[:, free]
-        return np.hstack([columns, self.kernel.B[i, j] * by_inner])
+    def _add(self, total, by_B, by_inner):
+        """Add derivatives from sums of k (n,), and of its derivatives (n, t), to ``total`` (n, n_theta)."""
+        for output, other in zip(self.outputs, self.weights.T[::-1], strict=True):
+            add_at(total, self.places[:, output], np.multiply.outer(by_B, other))
+        total[:, total.shape[1] - self.slopes.shape[2] :] += self.B * by_inner
 
 
 def as_multi_output(kernel: Kernel, n_fixed: int | None = None) -> MultiOutputKernel:

@@ -133,45 +133,25 @@ class GaussianBasis:
         gain = self.gain / np.sqrt(wider.prod(axis=1))
         return GaussianBasis(gain, self.precision / wider, self.centres)
 
-    def moments(self, X: Matrix, G: Matrix) -> Moments:
-        """Return the moments of weights G (n, C) about the centre of each function."""
-        d = X.shape[1]
-        sums = (self._powers(X).T @ G).T
-        z = self._centred
-        zeroth = sums[:, -1]
-        of_x = sums[:, d:-1]
-        first = of_x - z * zeroth[:, None]
-        second = sums[:, :d] - z * (2.0 * of_x - z * zeroth[:, None])
-        return Moments(zeroth, first, second)
-
 
 class Moments(NamedTuple):
-    """Sums of weights G: of G, (..., m), of G (x - z) and of G (x - z)^2, (..., m, d)."""
+    """Sums of weights G over the columns: of G, (n, m), of G (x - z) and of G (x - z)^2, (n, m, d)."""
 
-    zeroth: Vector
-    first: Matrix
-    second: Matrix
-
-    def of_latents(self, m: int) -> Moments:
-        """Return the sums over the functions of each of m latents, which stand one after another."""
-        n, d = len(self.zeroth) // max(m, 1), self.first.shape[1]
-        return Moments(
-            self.zeroth.reshape(m, n).sum(axis=1),
-            self.first.reshape(m, n, d).sum(axis=1),
-            self.second.reshape(m, n, d).sum(axis=1),
-        )
+    zeroth: Matrix
+    first: Array
+    second: Array
 
 
 class PairSlopes(NamedTuple):
-    """Derivatives by the parameters of two outputs.
+    """Derivatives by the parameters of two outputs, n rows of each.
 
-    By the amplitudes (2, ..., m), by the logarithms of the length scales (2, ..., m, d), and by
-    mu_i - mu_j (..., m, d).
+    By the amplitudes (2, n, m), by the logarithms of the length scales (2, n, m, d), and by
+    mu_i - mu_j (n, m, d).
     """
 
-    by_amplitude: Matrix
+    by_amplitude: Array
     by_width: Array
-    by_shift: Matrix
+    by_shift: Array
 
 
 class FilterPair:
@@ -213,16 +193,10 @@ class FilterPair:
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""
-        return self.evaluated(Xi, Xj).covariance
-
-    # -- derivatives by the parameters
-
-    def evaluated(self, Xi: Matrix, Xj: Matrix) -> EvaluatedPair:
-        """Return equation 16 at all pairs of rows, for derivatives by the parameters."""
-        return EvaluatedPair(self, Xi, Xj)
+        return EvaluatedPair(self, Xi, Xj).covariance()
 
     def slopes(self, moments: Moments) -> PairSlopes:
-        """Return the derivatives of sum(G * cov_ij) by the parameters of both outputs, from the moments of G."""
+        """Return the derivatives by the parameters of both outputs from moments of the exponentials."""
         scaled = self.c * moments.zeroth
         by_w = np.stack([scaled * self.w[1], scaled * self.w[0]])
         gain = self.gain[:, None]
@@ -245,23 +219,21 @@ class EvaluatedPair:
         self.basis = pair.basis(Xj)
         self.exponentials = self.basis.exponentials(Xi).reshape(len(Xi), len(pair.gain), len(Xj))
 
-    @property
     def covariance(self) -> Matrix:
-        """Equation 16, (n_i, n_j)."""
+        """Return equation 16, (n_i, n_j)."""
         return np.einsum("m,nmk->nk", self.pair.gain, self.exponentials)
 
     def gradient(self, W: Matrix) -> PairSlopes:
-        """Return the derivatives of sum(W * cov_ij)."""
-        G = self.exponentials * W[:, None]
-        m = len(self.pair.gain)
-        moments = self.basis.moments(self.Xi, G.reshape(len(G), -1)).of_latents(m)
-        return self.pair.slopes(moments)
+        """Return the derivatives of sum(W * cov_ij), as one row."""
+        moments = self._moments(self.exponentials * W[:, None], np.ones(len(self.Xj)), False)
+        return self.pair.slopes(Moments(*(part.sum(axis=0, keepdims=True) for part in moments)))
 
     def products(self, beta: Vector, transposed: bool) -> PairSlopes:
-        """Return the derivatives of cov_ij beta, beta (n_j,), or of cov_ij^T beta, beta (n_i,).
+        """Return the derivatives of cov_ij beta, beta (n_j,), or of cov_ij^T beta, beta (n_i,)."""
+        return self.pair.slopes(self._moments(self.exponentials, beta, transposed))
 
-        Their arrays are (..., n, m) and (..., n, m, d) for the n rows of the other output.
-        """
+    def _moments(self, exponentials, beta, transposed):
+        """Return the moments of exponentials (n_i, m, n_j) times ``beta`` of the columns, or of the rows."""
         rows, columns = (self.Xj, self.Xi) if transposed else (self.Xi, self.Xj)
         sign = -1.0 if transposed else 1.0
         x = (rows - self.basis.middle)[:, None] - sign * self.pair.mu
@@ -269,9 +241,9 @@ class EvaluatedPair:
         d = z.shape[1]
         powers = beta[:, None] * np.hstack([np.ones((len(z), 1)), z, z * z])
         order = (1, 2, 0) if transposed else (1, 0, 2)
-        sums = (self.exponentials.transpose(order) @ powers).swapaxes(0, 1)
+        sums = (exponentials.transpose(order) @ powers).swapaxes(0, 1)
         zeroth = sums[..., :1]
         of_z = sums[..., 1 : d + 1]
         second = sums[..., d + 1 :] + x * (x * zeroth - 2.0 * of_z)
         first = sign * (x * zeroth - of_z)
-        return self.pair.slopes(Moments(zeroth[..., 0], first, second))
+        return Moments(zeroth[..., 0], first, second)

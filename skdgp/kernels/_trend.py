@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.linear_model import BayesianRidge
 
 from skdgp._compute.linalg import column_scale, constant_columns, least_squares
-from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._base import (
-    EvaluatedBlocks,
+    EvaluatedBlock,
     FreeParameter,
     InputPair,
     MultiOutputKernel,
+    add_at,
     as_shape,
     complete_bounds,
     given_bounds,
+    gradient_of,
     rescaled_parameters,
 )
 
@@ -187,10 +189,17 @@ class LinearTrend(MultiOutputKernel):
         return (self.basis(i, Xi) ** 2).sum(axis=1)
 
     def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        return self.evaluate([InputPair(i, j, Xi, Xj)]).gradient([W])
+        return gradient_of(self, InputPair(i, j, Xi, Xj), W)
 
-    def evaluate(self, pairs: Sequence[InputPair]) -> EvaluatedBlocks:
-        return _EvaluatedTrend(self, pairs)
+    def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
+        values = self.values()
+        of_parameters = self.theta_places()
+        places = np.column_stack(list(of_parameters.values()))
+        evaluated = []
+        for i, j, Xi, Xj in pairs:
+            first, second = _basis(values, i, Xi), _basis(values, j, Xj)
+            evaluated.append(_EvaluatedTrend(first * (i == j), second, places[i]))
+        return evaluated
 
     def free_parameters(self) -> list[FreeParameter]:
         bounds = complete_bounds(self.parameter_bounds, DEFAULT_BOUNDS)
@@ -202,38 +211,23 @@ class LinearTrend(MultiOutputKernel):
         return parameters
 
 
-class _EvaluatedTrend:
-    """`EvaluatedBlocks` of a `LinearTrend`; the derivative by log tau_k is 2 phi_k phi_k^T of basis function k."""
+class _EvaluatedTrend(NamedTuple):
+    """`EvaluatedBlock` of a `LinearTrend`; the derivative by log tau_k is 2 phi_k phi_k^T of basis function k."""
 
-    def __init__(self, kernel: LinearTrend, pairs: Sequence[InputPair]) -> None:
-        self.kernel = kernel
-        self.pairs = pairs
-        values = kernel.values()
-        self.bases = []
-        self.blocks = []
-        for pair in pairs:
-            first, second = (_basis(values, pair.i, pair.Xi), _basis(values, pair.j, pair.Xj))
-            self.bases.append((first, second))
-            self.blocks.append((first @ second.T) * (pair.i == pair.j))
+    first: Matrix
+    second: Matrix
+    places: Indices
 
-    def gradient(self, weights: Sequence[Matrix]) -> Vector:
-        by_log = np.zeros((self.kernel.n_outputs, 1 + self.kernel.n_features))
-        for pair, (first, second), W in zip(self.pairs, self.bases, weights, strict=True):
-            if pair.i == pair.j:
-                by_log[pair.i] += 2 * np.einsum("ak,ak->k", first, W @ second)
-        return self.kernel.theta_gradient(
-            {"intercept_scale": by_log[:, 0], "slope_scale": by_log[:, 1:]}
-        )
+    def covariance(self) -> Matrix:
+        return self.first @ self.second.T
 
-    def add_products(self, total: Matrix, k: int, beta: Vector, transposed: bool = False) -> None:
-        i = self.pairs[k].i
-        first, second = self.bases[k][::-1] if transposed else self.bases[k]
-        by_log = 2 * first * (second.T @ beta)
-        intercept, slope = self.kernel.free_parameters()
-        if intercept.n_elements:
-            total[:, intercept.index[i]] += by_log[:, 0]
-        if slope.n_elements:
-            total[:, intercept.n_elements + slope.index[i]] += by_log[:, 1:]
+    def add_gradient(self, total: Vector, W: Matrix) -> None:
+        by_log = 2 * np.einsum("ak,ak->k", self.first, W @ self.second)
+        add_at(total[None], self.places, by_log[None])
+
+    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
+        first, second = self[1::-1] if transposed else self[:2]
+        add_at(total, self.places, 2 * first * (second.T @ beta))
 
 
 def _basis(values, i, X):

@@ -291,28 +291,26 @@ class TestUse:
         X = inputs(kernel)
         pairs = coupled(kernel, X)
         weights = [default_rng(3).normal(size=(len(pair.Xi), len(pair.Xj))) for pair in pairs]
-        evaluated = kernel.evaluate(pairs)
-        by_block = np.zeros(kernel.n_dims)
-        for pair, block, W in zip(pairs, evaluated.blocks, weights, strict=True):
-            equal(block, kernel.block(*pair))
-            by_block += kernel.block_gradient(*pair, W)
-        equal(evaluated.gradient(weights), by_block, atol=1e-9)
+        for pair, evaluated, W in zip(pairs, kernel.evaluate(pairs), weights, strict=True):
+            equal(evaluated.covariance(), kernel.block(*pair))
+            total = np.ones(kernel.n_dims)
+            evaluated.add_gradient(total, W)
+            equal(total - 1.0, kernel.block_gradient(*pair, W), atol=1e-9)
 
     def test_products_with_a_vector_are_those_of_the_derivatives(self, kernel):
         """Row a of dK / dtheta beta is the gradient of row a of K beta, and likewise of the transpose."""
         X = inputs(kernel)
         pairs = coupled(kernel, X)
-        evaluated = kernel.evaluate(pairs)
-        for k, (i, j, Xi, Xj) in enumerate(pairs):
+        for (i, j, Xi, Xj), evaluated in zip(pairs, kernel.evaluate(pairs), strict=True):
             beta = default_rng(5).normal(size=len(Xj))
             rows = [kernel.block_gradient(i, j, x[None], Xj, beta[None]) for x in Xi]
             total = np.ones((len(Xi), kernel.n_dims))
-            evaluated.add_products(total, k, beta)
+            evaluated.add_products(total, beta)
             equal(total - 1.0, np.reshape(rows, total.shape), atol=1e-9)
             beta = default_rng(6).normal(size=len(Xi))
             columns = [kernel.block_gradient(i, j, Xi, x[None], beta[:, None]) for x in Xj]
             total = np.ones((len(Xj), kernel.n_dims))
-            evaluated.add_products(total, k, beta, transposed=True)
+            evaluated.add_products(total, beta, transposed=True)
             equal(total - 1.0, np.reshape(columns, total.shape), atol=1e-9)
 
     @pytest.mark.parametrize("name", FEW)

@@ -67,7 +67,7 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Linearization, Slopes, propagated
-from skdgp.estimation._sensors import INERTIAL_READINGS, SENSORS, SensorErrors
+from skdgp.estimation._sensors import BIASED, INERTIAL_READINGS, SENSORS, SensorErrors
 from skdgp.estimation._servos import servo_output
 from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
@@ -82,6 +82,8 @@ CONSTANTS = (*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS)
 """Parameters of a flight behind the derivatives."""
 NOT_SAMPLED = 1e12
 """Variance of a sensor where it is not sampled [SI]."""
+SENSOR_ERRORS = {"airspeed_scale", *BIASED}
+"""Constants of the readings alone, which no motion depends on."""
 CONSTANT_STEP = 1e-5
 """Step of constants in slopes, in their own units."""
 
@@ -190,6 +192,11 @@ def slopes_by_constants(
     return np.stack(slopes, axis=-1)
 
 
+def readings_of(record: Record, value: Mapping[str, Any], truth: Matrix) -> Matrix:
+    """Return the readings (n - 1, m) of the sensors of a record, of true values (n - 1, 9)."""
+    return SensorErrors.of(value).readings(truth)[:, record.sampled]
+
+
 class RecordModel:
     """Motion and readings of a record at parameters by name: surfaces are behind the servos."""
 
@@ -219,11 +226,14 @@ class RecordModel:
         gravity = STANDARD_GRAVITY * self.record.attitude[:-1, :, 2]
         return self.model.step(start, gravity, drift, self.inputs, self.record.time_step)
 
+    def truth(self, end: Matrix) -> Matrix:
+        """Return what sensors without errors read (n - 1, 9) at variables (n - 1, 13) after each step."""
+        loads = self.model.accelerations(end, self.end_inputs)
+        return sensors(loads, end, self.record.position + stacked(self.value, *ARM))
+
     def readings(self, end: Matrix) -> Matrix:
         """Return the readings of the m sensors (n - 1, m) at variables (n - 1, 13) after each step."""
-        loads = self.model.accelerations(end, self.end_inputs)
-        truth = sensors(loads, end, self.record.position + stacked(self.value, *ARM))
-        return SensorErrors.of(self.value).readings(truth)[:, self.record.sampled]
+        return readings_of(self.record, self.value, self.truth(end))
 
 
 class Expansion:
@@ -266,21 +276,32 @@ class Expansion:
         self.along = here.later_variables(self.predicted)
         # measured less predicted, zero where not sampled
         self.measured = record.measured[1:, record.sampled]
-        self.past_error = np.nan_to_num(self.measured - here.readings(self.end))
-        self.path_error = np.nan_to_num(self.measured - here.readings(self.along))
+        self.past_truth = here.truth(self.end)
+        self.path_truth = here.truth(self.along)
+        past = readings_of(record, value, self.past_truth)
+        path = readings_of(record, value, self.path_truth)
+        self.past_error = np.nan_to_num(self.measured - past)
+        self.path_error = np.nan_to_num(self.measured - path)
         # of the motion, (n - 1, 6, 13), and of the readings, (n - 1, m, 13)
-        self.by_start = differentiated(lambda start: here.moved(start, self.drift), self.start)
-        self.past_by_end = differentiated(here.readings, self.end)
-        self.path_by_along = differentiated(here.readings, self.along)
+        self.by_start = differentiated(
+            lambda start: here.moved(start, self.drift), self.start, motion
+        )
+        self.past_by_end = differentiated(here.readings, self.end, past)
+        self.path_by_along = differentiated(here.readings, self.along, path)
 
     def _predictions(self, value: Mapping[str, Any]) -> Matrix:
         """Return rates after each step, readings of the past and along the path (n - 1, 3 + 2 m) at other constants."""
-        there = RecordModel(self.record, self.layout, value)
-        motion = there.moved(there.variables(self.states)[:-1], self.drift)
-        end = self.end.copy()
-        end[:, MOTION] = motion
-        path = there.readings(there.later_variables(self.predicted))
-        return np.concatenate([motion[:, BODY_RATES], there.readings(end), path], axis=1)
+        rates, past, path = self.predicted[:, RATE_STATES], self.past_truth, self.path_truth
+        changed = {name for name in CONSTANTS if value[name] != self.value[name]}
+        if not changed <= SENSOR_ERRORS:
+            there = RecordModel(self.record, self.layout, value)
+            motion = there.moved(there.variables(self.states)[:-1], self.drift)
+            end = self.end.copy()
+            end[:, MOTION] = motion
+            rates, past = motion[:, BODY_RATES], there.truth(end)
+            path = there.truth(there.later_variables(self.predicted))
+        readings = [readings_of(self.record, value, truth) for truth in (past, path)]
+        return np.concatenate([rates, *readings], axis=1)
 
     def linearization(self) -> Linearization:
         """Return the linear filter about the states and parameters."""

@@ -194,12 +194,11 @@ def sensors(loads: Array, state: Array, arm: Vector) -> Array:
     return np.concatenate([loads[..., :3] + turning, rates, air], axis=-1)
 
 
-def differentiated(function: Callable[[Matrix], Matrix], state: Matrix) -> Array:
-    """Return the derivatives (n, k, 13) of a function (n, 13) -> (n, k) at states (n, 13)."""
+def differentiated(function: Callable[[Matrix], Matrix], state: Matrix, here: Matrix) -> Array:
+    """Return the derivatives (n, k, 13) of a function (n, 13) -> (n, k) at states (n, 13), where it is ``here``."""
     moves = np.full(N_VARIABLES, 1e-6)
     # velocities move by the airspeed times as much
     moves[AIR_VELOCITY] *= np.sqrt(np.mean(state[:, AIR_VELOCITY] ** 2) * 3)
-    here = function(state)
     slopes = []
     for place, move in enumerate(moves):
         moved = state.copy()

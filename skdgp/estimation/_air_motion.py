@@ -64,6 +64,7 @@ from skdgp.estimation._air_parameters import (
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
 from skdgp.estimation._air_smoothing import smoothed_air
+from skdgp.estimation._path import PathEstimate, ground_paths
 from skdgp.estimation._sensors import (
     FORCE_READINGS,
     KNOWN_ARM,
@@ -217,6 +218,7 @@ def estimate_air_motion(
     thrust: str | None = "auto",
     known: AirMotion | None = None,
     settings: AirSettings = AIR_SETTINGS,
+    paths: Sequence[PathEstimate] | None = None,
 ) -> AirMotion:
     r"""Estimate derivatives, gusts, wind and lag of the servos from flights with or without vanes.
 
@@ -266,6 +268,8 @@ def estimate_air_motion(
         the sensors are held at its values; winds, biases and gusts of the given flights are
         estimated.
     settings : AirSettings
+    paths : sequence of PathEstimate, optional
+        Paths of the flights without air data, where they are known.
 
     Returns
     -------
@@ -286,7 +290,9 @@ def estimate_air_motion(
         # the measured axial force takes the place of thrust and CX
         thrust = None
         priors = priors.without_thrust()
-    every = _records(table, priors.surfaces, aircraft, thrust)
+    if paths is None:
+        paths = ground_paths(table)
+    every = _records(table, priors.surfaces, aircraft, thrust, paths)
     if known is None:
         records = _to_learn_from(every, settings)
         mean_thrust = 0.0 if thrust is None else _mean_thrust(records, aircraft)
@@ -384,10 +390,11 @@ def _records(
     surfaces: list[str],
     aircraft: Aircraft,
     thrust: str | None,
+    paths: Sequence[PathEstimate],
 ) -> list[Record]:
     """Return the records of the flights; without thrust with the measured axial force in its place."""
     loads = np.hstack(propulsive_loads(table, aircraft, thrust))
-    records = records_of(table, surfaces, loads)
+    records = records_of(table, surfaces, loads, paths)
     if thrust is None:
         records = [record.with_axial_force(aircraft.mass) for record in records]
     return records

@@ -7,6 +7,7 @@ gusts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ from skdgp._flight.channels import AIR_DATA
 from skdgp._flight.holds import error_between_samples, interpolated_rows
 from skdgp._flight.tables import interpolate_missing, numeric
 from skdgp.estimation._air_model import Inputs
-from skdgp.estimation._path import ground_path
+from skdgp.estimation._path import PathEstimate
 from skdgp.estimation._sensors import (
     AIRSPEED,
     INERTIAL_READINGS,
@@ -152,14 +153,19 @@ def _sums_around(innovation: Matrix, step: float, period: float) -> Matrix:
     return np.concatenate(sums, axis=1)
 
 
-def records_of(table: pd.DataFrame, surfaces: list[str], loads: Matrix) -> list[Record]:
-    """Return the records of a table with propulsive ``loads`` (n, 6) that are long enough for a known aircraft."""
+def records_of(
+    table: pd.DataFrame, surfaces: list[str], loads: Matrix, paths: Sequence[PathEstimate]
+) -> list[Record]:
+    """Return the records of a table with propulsive ``loads`` (n, 6) that are long enough for a known aircraft.
+
+    ``paths`` are those of its flights over the ground.
+    """
     logged = np.hstack([numeric(table, surfaces), loads, numeric(table, ["density"])])
     air_data = table.reindex(columns=list(AIR_DATA)).to_numpy(float)
     records = []
-    for number, flight in enumerate(flights_of(table)):
+    for number, (flight, path) in enumerate(zip(flights_of(table), paths, strict=True)):
         rows = flight.rows
-        record = _whole_flight(number, flight, logged[rows], air_data[rows], len(surfaces))
+        record = _whole_flight(number, flight, path, logged[rows], air_data[rows], len(surfaces))
         for segment in flight.sensors.segments():
             if len(segment) < SETTINGS.fewest_known:
                 continue
@@ -172,13 +178,13 @@ def records_of(table: pd.DataFrame, surfaces: list[str], loads: Matrix) -> list[
 def _whole_flight(
     number: int,
     flight: NamedFlight,
+    estimate: PathEstimate,
     logged: Matrix,
     air_data: Matrix,
     n_surfaces: int,
 ) -> Record:
     """Return a flight with its gaps as one record, by its path without air data."""
     sensors = flight.sensors.without_air_data()
-    estimate = ground_path(sensors)
     path = estimate.path
     to_body = path.attitude.inv()
     force, rates = path.inertial(sensors)

@@ -123,13 +123,15 @@ def filtered(linear: Linearization, noise: Noise) -> Pass:
     K = np.empty((n, N, m))
     S = np.empty((n, m, m))
     P[0] = np.diag(noise.start[0])
-    for k in range(n):
-        P_predicted[k] = Phi[k] @ P[k] @ Phi[k].T + Q[k]
-        PHt = P_predicted[k] @ linear.H[k].T
-        S[k] = linear.H[k] @ PHt + R[k]
-        K[k] = _gain(S[k], PHt)
-        corrected = P_predicted[k] - K[k] @ PHt.T
+    steps = zip(Phi, Q, linear.H, R, strict=True)
+    for k, (Phi_k, Q_k, H_k, R_k) in enumerate(steps):
+        predicted = Phi_k @ P[k] @ Phi_k.T + Q_k
+        PHt = predicted @ H_k.T
+        S_k = H_k @ PHt + R_k
+        gain = _gain(S_k, PHt)
+        corrected = predicted - gain @ PHt.T
         P[k + 1] = 0.5 * (corrected + corrected.T)
+        P_predicted[k], S[k], K[k] = predicted, S_k, gain
     # deviations from the expansion point
     push = linear.predicted - linear.states[1:] + matrix_vector(K, linear.path_error)
     T = Phi - K @ (linear.H @ Phi)

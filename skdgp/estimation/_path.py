@@ -60,6 +60,7 @@ from skdgp.estimation._sensors import (
     PATH_NOISE,
     READINGS_OF,
     FlightSensors,
+    flights_of,
     noise_by_differences,
 )
 from skdgp.estimation._settings import PATH_SETTINGS as SETTINGS
@@ -137,6 +138,11 @@ def ground_path(sensors: FlightSensors) -> PathEstimate:
     learn = PATH_NOISE.keys() - {*AIR_DATA}
     free = [*INERTIAL_BIASES, *LAGS]
     return estimate_path(sensors.without_air_data(), PATH_NOISE | GUSTS, learn=learn, free=free)
+
+
+def ground_paths(table: pd.DataFrame) -> list[PathEstimate]:
+    """Return the path of each flight of a table without air data."""
+    return [ground_path(flight.sensors) for flight in flights_of(table)]
 
 
 class _Search:

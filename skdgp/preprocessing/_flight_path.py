@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import Progress, notify, report
-from skdgp._compute.sklearn_compat import Interval
+from skdgp._compute.sklearn_compat import Interval, fit_context
 from skdgp._compute.typing import Indices
 from skdgp._flight.channels import (
     AIR_DATA,
@@ -44,6 +44,7 @@ from skdgp.estimation import (
     estimate_air_motion,
     estimate_path,
     flights_of,
+    ground_paths,
     missing_channels,
     overlapping_parts,
     path_columns,
@@ -208,7 +209,20 @@ class FlightPathReconstruction(TableTransformer):
         }
         return Finding(code, numbers=numbers)
 
+    @fit_context(prefer_skip_nested_validation=True)
+    def fit_transform(self, X: Any, y: Any = None) -> Any:
+        """Return ``fit(X).transform(X)``; y is ignored."""
+        paths = self._learn(self._checked(X))
+        return self._reconstructed(self._as_table(X), paths)
+
     def _fit_table(self, table):
+        self._learn(table)
+
+    def _transform_table(self, table):
+        return self._reconstructed(table)
+
+    def _learn(self, table: pd.DataFrame) -> list[PathEstimate] | None:
+        """Set the fitted attributes; return the paths over the ground of flights without vanes, else None."""
         table = with_sensor_position(table, self.aircraft)
         self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table)
@@ -217,13 +231,15 @@ class FlightPathReconstruction(TableTransformer):
         self.air_motion_: AirMotion | None = None
         self.doubts_: list[Finding] = []
         if self.missing_:
-            return
+            return None
         self._check(table)
         has_vanes = has_values(table, *AIR_DATA)
+        paths = None
         if not has_vanes:
-            self._fit_air_motion(table)
+            paths = self._fit_air_motion(table)
         if self.air_motion_ is None:
             self._fit_path(table, has_vanes)
+        return paths
 
     def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
         """Set the fitted attributes by the paths of the flights."""
@@ -241,15 +257,16 @@ class FlightPathReconstruction(TableTransformer):
         if self.used_:
             self.doubts_ += _diverged(parts, table)
 
-    def _fit_air_motion(self, table: pd.DataFrame) -> None:
-        """Set the fitted attributes by the motion of the air, if it can be estimated."""
+    def _fit_air_motion(self, table: pd.DataFrame) -> list[PathEstimate] | None:
+        """Set the fitted attributes by the motion of the air, if it can be estimated; return paths over the ground."""
         if self.aircraft is None:
             cause = Finding(Code.NO_AIRCRAFT)
             self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})]
-            return
-        motion, self.doubts_ = self._estimated_motion(table)
+            return None
+        paths = ground_paths(table)
+        motion, self.doubts_ = self._estimated_motion(table, paths)
         if motion is None:
-            return
+            return None
         error = motion.position_error()
         if not self.doubts_ and error is not None:
             numbers = {"distance": float(np.linalg.norm(error))}
@@ -259,9 +276,13 @@ class FlightPathReconstruction(TableTransformer):
         changes = [motion.gust_change(number) for number in range(len(flights_of(table)))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
+        return paths
 
     def _estimated_motion(
-        self, table: pd.DataFrame, known: AirMotion | None = None
+        self,
+        table: pd.DataFrame,
+        paths: list[PathEstimate] | None,
+        known: AirMotion | None = None,
     ) -> tuple[AirMotion | None, list[Finding]]:
         """Return the motion of the air, None where it cannot be estimated, and its doubts."""
         aircraft: Any = self.aircraft
@@ -273,6 +294,7 @@ class FlightPathReconstruction(TableTransformer):
                 thrust=self.thrust,
                 known=known,
                 settings=self.settings or AirSettings(),
+                paths=paths,
             )
             if motion.converged:
                 return motion, []
@@ -288,7 +310,10 @@ class FlightPathReconstruction(TableTransformer):
         report(doubt)
         return motion, [doubt]
 
-    def _transform_table(self, table):
+    def _reconstructed(
+        self, table: pd.DataFrame, paths: list[PathEstimate] | None = None
+    ) -> pd.DataFrame:
+        """Return the transformed table, whose flights have ``paths`` over the ground where these are known."""
         table = with_sensor_position(table, self.aircraft)
         if not self.used_:
             return at_centre_of_gravity(table)
@@ -299,7 +324,7 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         motion = None
         if self.air_motion_ is not None:
-            motion, _ = self._estimated_motion(table, self.air_motion_)
+            motion, _ = self._estimated_motion(table, paths, self.air_motion_)
         if motion is None:
             flights = self._columns_by_path(table)
         else:

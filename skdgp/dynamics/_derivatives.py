@@ -171,9 +171,9 @@ def _standard_deviations(
         std_errors = np.linalg.norm(frame(np.concatenate([values, slopes], axis=-1)), axis=0)
     # the part that the errors of the function do not explain
     std_posterior = np.sqrt(np.maximum(std**2 - std_errors**2, 0.0))
-    slopes = unsteady_terms(motion, now, terms[..., 1:]).errors
+    K, S, _ = unsteady_terms(motion, now, terms[..., 1:])
     unsteady = np.zeros((2, *terms.shape))
-    unsteady[..., 1:] = np.moveaxis(slopes, -1, 0)
+    unsteady[..., 1:] = np.einsum("...ij,...jk->j...ik", K, S)
     merged = np.sqrt(np.square(frame(unsteady)).mean(axis=1))
     return {
         "std": std,

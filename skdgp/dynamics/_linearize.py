@@ -14,7 +14,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import compress
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -60,10 +60,13 @@ UNUSED = ("north", "east", "down", "psi")
 
 
 # Rate of each air angle, and the rate of rotation whose slopes have a similar effect
-ROTATION_OF = {"alpha_dot": "q", "beta_dot": "r"}
+ANGLE_RATES = ("alpha_dot", "beta_dot")
+ROTATIONS = ("q", "r")
 # Standard deviation of the slopes by alpha_dot and beta_dot over those by q and r; a guess, for a
 # tail in the downwash
 RELATIVE_STD = np.array([0.4, 0.2])
+# K, S and M of `unsteady_terms`
+UnsteadyTerms: TypeAlias = tuple[Array, Array, Array]
 
 
 class Matrices(NamedTuple):
@@ -276,7 +279,8 @@ def jacobian(
     C_z = loop @ c_X @ G_z
     if unsteady is not None:
         angle_rates = H_z[..., AIR_ANGLES, : len(LINEAR_STATES)] @ (F_z + F_C @ C_z)
-        C_z = C_z + loop @ unsteady.coefficients(angle_rates, G_z)
+        K, S, M = unsteady
+        C_z = C_z + loop @ K @ (M * angle_rates - S @ G_z)
     x_dot_z = F_z + F_C @ C_z
     y_z = H_z + H_C @ C_z
     return x_dot_z, y_z, now
@@ -369,10 +373,10 @@ def _drawn(
     if model.learned is None:
         return motion_of_paths, None
     at_point = np.tile(now.regressors, (n_paths, 1))
-    unsteady = unsteady_terms(motion, now, motion_of_paths.aerodynamics.gradient(at_point))
+    K, S, M = unsteady_terms(motion, now, motion_of_paths.aerodynamics.gradient(at_point))
     # slopes by alpha_dot and beta_dot of each path
     draws = separate_generator(random_state).standard_normal((n_paths, 1, 2))
-    return motion_of_paths, unsteady._replace(slopes=draws * unsteady.slopes)
+    return motion_of_paths, (draws * K, S, M)
 
 
 def flight_point(
@@ -415,63 +419,35 @@ def transfer(
     return C[:, kept] @ np.linalg.solve(resolvent, B[None, kept]) + D
 
 
-class UnsteadyTerms(NamedTuple):
-    r"""Effects of alpha_dot and beta_dot that a model without them merges with other derivatives.
+def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms:
+    r"""Return K (..., 6, 2), S (..., 2, d), M (2, 1), effects of alpha_dot, beta_dot that a model merges with others.
 
-    They change C by slopes @ (missing * rates - relation @ regressors). Most flights do not tell alpha_dot from q
+    They change C by K (M rates - S regressors). Most flights do not tell alpha_dot from q
     and beta_dot from r (Klein & Morelli 2006, section 5.1). A model without them gives their effect to the
     regressors that they follow from. With :math:`\dot\alpha = S x` of the motion that the loads of the model cause
     without gravity, a slope by x holds :math:`C_{\dot\alpha} S`. A tail in the downwash gives
     :math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known
-    here, so :math:`C_{\dot\alpha}` is zero with a standard deviation of `RELATIVE_STD` of :math:`C_q`, and of
-    :math:`C_r` for beta_dot, of each function drawn from the posterior: where gusts make :math:`C_q` of the mean
-    vanish, :math:`C_{\dot\alpha}` need not vanish.
-    """
-
-    slopes: Array  #: One standard deviation of the slopes of C by them [s/rad], (..., 6, 2)
-    #: S, their slopes by the regressors, less their slopes as regressors themselves, (..., 2, d)
-    relation: Array
-    missing: Array  #: Whether they are no regressors, (2, 1)
-
-    @property
-    def errors(self) -> Array:
-        """Errors of the slopes of C, (..., 6, d, 2)."""
-        return -np.einsum("...ij,...jk->...ikj", self.slopes, self.relation)
-
-    def coefficients(self, angle_rates: Array, regressors: Array) -> Array:
-        """Return the change of C (..., 6, k) by changes of alpha_dot, beta_dot (..., 2, k), regressors (..., d, k)."""
-        return self.slopes @ (self.missing * angle_rates - self.relation @ regressors)
-
-
-def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms:
-    """Return the unsteady terms at a flight, by the slopes (..., 6, d) of the model or of its paths."""
-    units = 1.0 / motion.factors(
-        now.airspeed
-    )  # the channel over its regressor: 2 V / b [1/s] of p_hat
-    std = np.zeros((*slopes.shape[:-1], 2))
-    relation = _angle_rate_slopes(motion, now, slopes, units)
-    missing = np.ones((2, 1), dtype=bool)
-    for j, (angle_rate, rotation) in enumerate(ROTATION_OF.items()):
-        for k, name in enumerate(motion.regressors):
-            if name == rotation:
-                std[..., j] = RELATIVE_STD[j] * slopes[..., k] / units[..., k, None]
-            if name == angle_rate:
-                relation[..., j, k] -= units[..., k]
-                missing[j] = False
-    return UnsteadyTerms(std, relation, missing)
-
-
-def _angle_rate_slopes(motion: Motion, now: Instant, slopes: Array, units: Array) -> Array:
-    r"""Return S (..., 2, d), slopes of alpha_dot and beta_dot by the regressors, without gravity.
+    here, so :math:`C_{\dot\alpha}` is zero with a standard deviation, K, of `RELATIVE_STD` of :math:`C_q`, and of
+    :math:`C_r` for beta_dot, by the slopes (..., 6, d) of each function drawn from the posterior: where gusts make
+    :math:`C_q` of the mean vanish, :math:`C_{\dot\alpha}` need not vanish. M says whether they are no regressors; S
+    is less their slopes as regressors.
 
     .. math:: \dot V = F_A(x) / m - \omega(x) \times V
     """
     aircraft = motion.aircraft
+    units = 1.0 / motion.factors(now.airspeed)  # channel over regressor: 2 V / b [1/s] of p_hat
     velocity = air_velocity(now.airspeed, now.alpha, now.beta)
     force_per_slope = dynamic_pressure(now.airspeed, now.density) * aircraft.wing_area
     acceleration = (force_per_slope / aircraft.mass)[..., None, None] * slopes[..., :3, :]
+    std = np.zeros((*slopes.shape[:-1], 2))
     for k, name in enumerate(motion.regressors):
         if name in RATE_NAMES:
             axis = np.eye(3)[RATE_NAMES.index(name)] * np.ones_like(velocity)
             acceleration[..., k] -= cross(axis, velocity) * units[..., k, None]
-    return air_data_slopes(velocity)[..., 1:, :] @ acceleration
+        if name in ROTATIONS:
+            j = ROTATIONS.index(name)
+            std[..., j] = RELATIVE_STD[j] * slopes[..., k] / units[..., k, None]
+    relation = air_data_slopes(velocity)[..., 1:, :] @ acceleration
+    is_regressor = np.array(ANGLE_RATES)[:, None] == motion.regressors
+    relation -= is_regressor * units[..., None, :]
+    return std, relation, ~is_regressor.any(axis=1, keepdims=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -109,17 +109,9 @@ def _power(powers: Mapping[str, float], factor: ScaleFactor) -> float:
     return sum(power * factor.powers.get(name, 0.0) for name, power in powers.items())
 
 
-class Kind(NamedTuple):
-    """A class of aircraft: sizes, radii of gyration, and relative standard deviations of all."""
-
-    aspect_ratio: tuple[float, float]  # b^2 / S
-    length: tuple[float, float]  # Overall length over span
-    radii: tuple[float, float, float]  # Radii of gyration over half of: span, length, their mean
-    inertia_std: tuple[float, float, float]  # Of the moments that these radii give
-    source: str  # Of the radii
-    chord: tuple[float, float] = (1.0, 0.0)  # Mean aerodynamic chord over the mean one, S / b
-
-
+# Usual ratios of kinds of aircraft, each with its relative standard deviation: aspect ratio b^2 / S, length over span,
+# radii of gyration over half of span, length and their mean (with the deviations of the moments that they give), and
+# mean aerodynamic chord over the mean one, S / b, where they differ.
 # Radii: Raymer, Aircraft Design, table 16.1, equations 16.52 to 16.54. Their deviations, and those
 # of length and aspect ratio, of the conventional kind: published moments of five aircraft
 # (tests/dynamics/test_estimate.py). Radii of the flying wing in pitch: the Zagi (Beard &
@@ -129,43 +121,43 @@ class Kind(NamedTuple):
 # the four have smaller ones, but are crewed. Ratio of the chord between F-16 (1.13), ADMIRE (1.16),
 # F-106 (1.31) and a triangle (4/3). Sizes of other kinds and their deviations: guesses, wider for
 # gliders.
-KINDS = {
-    "conventional": Kind(
-        (7.5, 0.35),
-        (0.77, 0.15),
-        (0.25, 0.38, 0.39),
-        (0.45, 0.25, 0.35),
-        "of a single propeller, Raymer",
-    ),
-    "flying wing": Kind(
-        (6.5, 0.2),
-        (0.4, 0.2),
-        (0.32, 0.55, 0.51),
-        (0.5, 0.5, 0.5),
-        "of a flying wing, Raymer and two UAVs",
-    ),
-    "delta": Kind(
-        (2.2, 0.2),
-        (1.55, 0.2),
-        (0.26, 0.375, 0.48),
-        (0.45, 0.25, 0.35),
-        "of four deltas",
-        (1.25, 0.15),
-    ),
-    "motor glider": Kind(
-        (16.0, 0.25),
-        (0.5, 0.2),
-        (0.25, 0.38, 0.39),
-        (0.6, 0.6, 0.6),
-        "of a single propeller, Raymer",
-    ),
-    "twin": Kind(
-        (8.0, 0.3),
-        (0.75, 0.15),
-        (0.34, 0.29, 0.44),
-        (0.45, 0.3, 0.35),
-        "of twin propellers, Raymer",
-    ),
+KINDS: dict[str, dict[str, tuple[float, float]]] = {
+    "conventional": {
+        "aspect ratio": (7.5, 0.35),
+        "length": (0.77, 0.15),
+        "roll inertia": (0.25, 0.45),
+        "pitch inertia": (0.38, 0.25),
+        "yaw inertia": (0.39, 0.35),
+    },
+    "flying wing": {
+        "aspect ratio": (6.5, 0.2),
+        "length": (0.4, 0.2),
+        "roll inertia": (0.32, 0.5),
+        "pitch inertia": (0.55, 0.5),
+        "yaw inertia": (0.51, 0.5),
+    },
+    "delta": {
+        "aspect ratio": (2.2, 0.2),
+        "mean aerodynamic chord": (1.25, 0.15),
+        "length": (1.55, 0.2),
+        "roll inertia": (0.26, 0.45),
+        "pitch inertia": (0.375, 0.25),
+        "yaw inertia": (0.48, 0.35),
+    },
+    "motor glider": {
+        "aspect ratio": (16.0, 0.25),
+        "length": (0.5, 0.2),
+        "roll inertia": (0.25, 0.6),
+        "pitch inertia": (0.38, 0.6),
+        "yaw inertia": (0.39, 0.6),
+    },
+    "twin": {
+        "aspect ratio": (8.0, 0.3),
+        "length": (0.75, 0.15),
+        "roll inertia": (0.34, 0.45),
+        "pitch inertia": (0.29, 0.3),
+        "yaw inertia": (0.44, 0.35),
+    },
 }
 # Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde 0.100, Ultra Stick
 # 25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
@@ -173,13 +165,13 @@ KINDS = {
 PRODUCT_STD = 0.07
 
 
-class Factor(NamedTuple):
-    """A factor of the sizes of an aircraft."""
-
-    value: float
-    std: float  # Relative
-    source: str
-    is_estimate: bool = True
+# Usual ratios that a given size takes the place of
+REPLACED = {
+    "chord": ("aspect ratio", "mean aerodynamic chord"),
+    "wing area": ("aspect ratio",),
+    "length": ("length",),
+    "inertia": ("length", *INERTIAS),
+}
 
 
 def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
@@ -188,50 +180,32 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     ``sizes`` are mass, span, wing_area, chord, length, None where not given.
     """
     check_choice("kind", kind, KINDS)
-    usual = f"usual of {kind} aircraft"
-    factors = _factors(KINDS[kind], usual, inertia is not None, sizes)
-    values = {name: factor.value for name, factor in factors.items()}
-    is_length_given = sizes["length"] is not None
-    derived = _sizes(values, is_length_given)
-    deviations = {}
-    for name, (_, std, source, is_estimate) in factors.items():
-        if std > 0:
-            powers = _powers(values, name, is_length_given)
-            deviations[name] = ScaleFactor(std, powers, source, is_estimate=is_estimate)
-    result = {name: derived[name] for name in QUANTITIES}
-    if inertia is None:
-        inertia = np.diag([derived[moment] for moment in MOMENTS])
-        deviations["product of inertia"] = ScaleFactor(
-            PRODUCT_STD, {PRODUCT: 1.0}, f"none, {usual}", is_estimate=True
-        )
-    return result | {"inertia": inertia, "deviations": deviations}
-
-
-def _factors(
-    rule: Kind, usual: str, is_inertia_given: bool, sizes: Mapping[str, Any]
-) -> dict[str, Factor]:
-    """Return the factors that all sizes are products of: given sizes, and usual ratios in place of others."""
-    measured = {}
+    given = {}
     for name, value in sizes.items():
         if value is not None:
-            number, std = value_and_std(name, value)
-            measured[name.replace("_", " ")] = Factor(number, std, "given", is_estimate=False)
-    length = measured.pop("length", None)
-    factors = {}
-    if "chord" not in measured:
-        if "wing area" not in measured:
-            ratio, std = rule.aspect_ratio
-            factors["aspect ratio"] = Factor(ratio, std, f"{ratio:g}, {usual}")
-        ratio, std = rule.chord
-        factors["mean aerodynamic chord"] = Factor(ratio, std, f"{ratio:g} S / b, {usual}")
-    if not is_inertia_given:
-        if length is None:
-            ratio, std = rule.length
-            length = Factor(ratio, std, f"{measured['span'].value * ratio:.3g} m, {usual}")
-        factors["length"] = length
-        for name, radius, std in zip(INERTIAS, rule.radii, rule.inertia_std, strict=True):
-            factors[name] = Factor(radius**2, std, f"radius of gyration {radius:g}, {rule.source}")
-    return factors | measured
+            given[name.replace("_", " ")] = value_and_std(name, value)
+    replaced = {*REPLACED["inertia"]} if inertia is not None else set()
+    replaced.update(*(REPLACED.get(name, ()) for name in given))
+    usual = {name: ratio for name, ratio in KINDS[kind].items() if name not in replaced}
+    # all sizes are products of these factors, moments of inertia of squared radii of gyration
+    factors = usual | given
+    values = {name: value**2 if name in INERTIAS else value for name, (value, _) in factors.items()}
+    source = f"usual of {kind} aircraft"
+    deviations = {}
+    for name, (value, std) in factors.items():
+        powers = _powers(values, name, "length" in given)
+        if name in given and std > 0:
+            deviations[name] = ScaleFactor(std, powers, "given")
+        elif name in usual:
+            text = f"ratio {value:g}, {source}"
+            deviations[name] = ScaleFactor(std, powers, text, is_estimate=True)
+    derived = _sizes(values, "length" in given)
+    if inertia is None:
+        inertia = np.diag([derived.pop(moment) for moment in MOMENTS])
+        deviations["product of inertia"] = ScaleFactor(
+            PRODUCT_STD, {PRODUCT: 1.0}, source, is_estimate=True
+        )
+    return derived | {"inertia": inertia, "deviations": deviations}
 
 
 def _powers(
@@ -259,9 +233,10 @@ def _sizes(values: Mapping[str, Any], is_length_given: bool) -> dict[str, Any]:
         S = b**2 / values["aspect ratio"]
     else:
         S = b * values["chord"]
-    c = values["chord"] if "chord" in values else values["mean aerodynamic chord"] * S / b
+    ratio = values.get("mean aerodynamic chord", 1.0)
+    c = values["chord"] if "chord" in values else ratio * S / b
     sizes = {"mass": values["mass"], "wing_area": S, "span": b, "chord": c}
-    if "length" in values:
+    if "roll inertia" in values:
         l = values["length"] if is_length_given else values["length"] * b
         # Raymer, equations 16.52 to 16.54; the factors are the squared radii of gyration
         sizes["Ixx"] = values["mass"] * (0.5 * b) ** 2 * values["roll inertia"]

@@ -21,7 +21,7 @@ from skdgp.dynamics import (
 )
 from skdgp.dynamics._air import turbulence_of_winds
 from skdgp.dynamics._dryden import dryden_system, rolling_gust
-from skdgp.dynamics._linearize import RELATIVE_STD, UnsteadyTerms, jacobian, unsteady_terms
+from skdgp.dynamics._linearize import RELATIVE_STD, jacobian, unsteady_terms
 from skdgp.dynamics._simulate import drift_in_still_air
 
 BRUMBY = load_example_flights(duration=1.0).aircraft
@@ -57,9 +57,7 @@ def test_unsteady_terms_act_as_a_small_slope_by_alpha_dot_does():
     named = Aerodynamics(
         lambda X: LEVEL + X[:, :7] @ SLOPES.T + X[:, 7:] * column, [*LINEAR_NAMES, "alpha_dot"]
     )
-    terms = UnsteadyTerms(
-        np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool)
-    )
+    terms = np.column_stack([column, 0 * column]), np.zeros((2, 7)), np.ones((2, 1), dtype=bool)
     at = state_of(), HELD, ["elevator"]
     expected = jacobian(Motion(named, BRUMBY, thrust=None), *at)
     plain = jacobian(MOTION, *at)
@@ -90,10 +88,11 @@ def test_with_alpha_dot_the_rest_of_it_is_uncertain():
         lambda X: LEVEL + X @ slopes.T, [*LINEAR_NAMES, "alpha_dot", "beta_dot_hat"]
     )
     motion = Motion(model, BRUMBY, thrust=None)
-    terms = unsteady_terms(motion, motion.at(state_of(), HELD), slopes)
-    assert not terms.missing.any()
-    assert_allclose(terms.errors[4, 7], [RELATIVE_STD[0] * SLOPES[4, 3], 0.0])
-    assert_allclose(terms.errors[5, 8, 1], RELATIVE_STD[1] * SLOPES[5, 4])
+    K, S, M = unsteady_terms(motion, motion.at(state_of(), HELD), slopes)
+    assert not M.any()
+    errors = -K[:, None] * S.T
+    assert_allclose(errors[4, 7], [RELATIVE_STD[0] * SLOPES[4, 3], 0.0])
+    assert_allclose(errors[5, 8, 1], RELATIVE_STD[1] * SLOPES[5, 4])
 
 
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))

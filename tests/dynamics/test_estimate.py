@@ -71,7 +71,7 @@ class TestPublishedAircraft:
 
     def test_planforms_of_deltas(self):
         spans, areas, lengths = np.transpose(list(PLANFORMS.values()))
-        rules = KINDS["delta"].aspect_ratio, KINDS["delta"].length
+        rules = KINDS["delta"]["aspect ratio"], KINDS["delta"]["length"]
         for (middle, std), published in zip(
             rules, (spans**2 / areas, lengths / spans), strict=True
         ):

@@ -267,7 +267,9 @@ def _plan_writers(planned: Plan, full: dict[str, float]) -> dict[str, Writer]:
         "expected.csv": csv_writer(planned.flight),
     }
     if can_draw():
-        writers["plan.svg"] = lambda path: planned.plot().figure_.savefig(path, format="svg")
+        writers["plan.svg"] = lambda path: planned.plot().figure_.savefig(
+            path, format="svg", dpi=150
+        )
     if full:
         try:
             script = ardupilot_script(planned.train, RATE, full)

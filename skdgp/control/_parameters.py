@@ -543,10 +543,7 @@ def _loop(
     values = {gain: value(f"{prefix}_{gain}") for gain in GAINS}
     if not value(f"{prefix}_IMAX"):
         values["I"] = 0.0
-    feeds_back = any(values[gain] for gain in ("P", "I", "D"))
-    # FF and D_FF close the loop of the attitude, or of the turn
-    commands = np.isfinite(settings.get("time_constant", np.inf)) or settings.get("coordination")
-    if not (feeds_back or ((values["FF"] or values["D_FF"]) and commands)):
+    if not any(values.values()):
         return []
     named = {f"{prefix}_{gain}": values[gain] for gain in GAINS if values[gain]}
     gains: dict[str, Any] = {gain: unit * values[gain] for gain in GAINS}

@@ -1,4 +1,4 @@
-"""Base of the displays: panels, and long records with few points."""
+"""Base of the displays: panels, and lines with gaps."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import Any, Self
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.messages import extra
 from skdgp._compute.statistics import half_width
-from skdgp._compute.typing import Indices, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp.plotting._style import (
     legend_above,
     tidy,
@@ -75,60 +74,24 @@ class Display(ABC):
         return self
 
 
-def segment_starts(time: Vector, window: np.ndarray | None = None, longest: float = 5.0) -> Indices:
-    """Return the indices where a new segment begins: after a gap, when time goes back, at a new window.
+def segments(
+    time: Vector, values: Array, window: np.ndarray | None = None, longest: float = 5.0
+) -> Matrix:
+    """Return time and columns of values (n, ...), rows with NaN where a line breaks.
 
-    A gap is longer than ``longest`` times the usual step.
+    Rows that are not known are left out. A line breaks at a gap longer than ``longest`` times the usual step, when
+    time goes back, at a new window.
+
+    >>> segments(np.array([0.0, 1.0, 2.0, 9.0]), np.array([5.0, 6.0, 7.0, 8.0]))[1]
+    array([ 5.,  6.,  7., nan,  8.])
     """
-    step = np.diff(time)
+    rows = np.column_stack([time, values])
+    is_known = np.isfinite(rows).all(axis=1)
+    rows = rows[is_known]
+    step = np.diff(rows[:, 0])
     forward = step[step > 0]
     usual = np.median(forward) if forward.size else np.inf
     cut = ~((step > 0) & (step <= longest * usual))
     if window is not None:
-        cut |= window[1:] != window[:-1]
-    return np.flatnonzero(np.concatenate([[True], cut]))
-
-
-def _slices(time: Vector, starts: Indices, n_slices: int = 300) -> Indices:
-    """Return the number of each sample's slice of a record; it jumps by two where a line breaks."""
-    new = np.zeros(len(time), dtype=int)
-    new[:: max(1, len(time) // n_slices)] = 1
-    new[starts] = 2
-    return np.cumsum(new)
-
-
-def line_points(time: Vector, values: Vector, starts: Indices) -> tuple[Vector, Vector]:
-    """Return the lowest and the highest sample of each slice of a record, with NaN where the line breaks.
-
-    It breaks at ``starts`` of segments, and at slices without a finite value.
-
-    >>> t = np.arange(10_000) / 100.0
-    >>> v = np.sin(t)
-    >>> v[5000] = 7.0
-    >>> few_t, few_v = line_points(t, v, segment_starts(t))
-    >>> len(few_t) < 610, float(few_v.max())
-    (True, 7.0)
-    """
-    number = _slices(time, starts)
-    finite = pd.Series(values)[np.isfinite(values)]
-    slices = finite.groupby(number[finite.index])
-    rows = np.unique(np.concatenate([slices.idxmin(), slices.idxmax()])).astype(int)
-    gaps = np.flatnonzero(np.diff(number[rows]) > 1) + 1
-    return np.insert(time[rows], gaps, np.nan), np.insert(values[rows], gaps, np.nan)
-
-
-def band_points(
-    time: Vector, lower: Vector, upper: Vector, starts: Indices
-) -> tuple[Vector, Vector, Vector]:
-    """Return times, lower and upper edge of a band: in each slice the union of the samples' intervals."""
-    band = pd.DataFrame({"time": time, "lower": lower, "upper": upper})
-    finite = band[np.isfinite(band).all(axis=1)]
-    slices = finite.groupby(_slices(time, starts)[finite.index])
-    edges = pd.DataFrame({"lower": slices["lower"].min(), "upper": slices["upper"].max()})
-    # A slice has the same edges from its first to its last time
-    first = edges.assign(time=slices["time"].min())
-    last = edges.assign(time=slices["time"].max())
-    ends = pd.concat([first, last]).sort_index(kind="stable")
-    gaps = np.flatnonzero(np.diff(ends.index) > 1) + 1
-    low, high, times = np.insert(ends.to_numpy(float), gaps, np.nan, axis=0).T
-    return times, low, high
+        cut |= np.diff(window[is_known]) != 0
+    return np.insert(rows, np.flatnonzero(cut) + 1, np.nan, axis=0).T

@@ -13,11 +13,13 @@ from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
 from skdgp._flight.tables import check_columns, interpolated, unwrapped
 from skdgp.dynamics import trajectory_bands
-from skdgp.plotting._display import BAND, Display, band_points, line_points, segment_starts
+from skdgp.plotting._display import BAND, Display, segments
 from skdgp.plotting._style import ROLES, axis_label, display_unit
 
 LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
+# Samples above which lines are drawn as a picture
+LONG = 1000
 TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
 
 
@@ -99,18 +101,19 @@ class TimeHistoryDisplay(Display):
         """Draw the lines and the band of a name."""
         k = self.names.index(key)
         factor, _ = display_unit(key)
-        starts = segment_starts(self.time, self.window)
+        # a picture of every sample of a long record is smaller, and drawn faster, than its lines
+        common = {"rasterized": len(self.time) > LONG}
 
         def line(label: str, values: Matrix | None, **style: Any) -> None:
             if values is not None:
-                time, points = line_points(self.time, factor * values[:, k], starts)
-                ax.plot(time, points, label=label, **style)
+                drawn = segments(self.time, factor * values[:, k], self.window)
+                ax.plot(*drawn, label=label, **style, **common)
 
         if self.lower is not None and self.upper is not None:
-            low = factor * self.lower[:, k]
-            high = factor * self.upper[:, k]
+            edges = factor * np.column_stack([self.lower[:, k], self.upper[:, k]])
             style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0.6, "zorder": 2.2}
-            ax.fill_between(*band_points(self.time, low, high, starts), label="95 % band", **style)
+            drawn = segments(self.time, edges, self.window)
+            ax.fill_between(*drawn, label="95 % band", **style, **common)
         line("measured", self.measured, color=ROLES["measured"], linewidth=1.4)
         line("truth", self.truth, color=ROLES["truth"], linewidth=0.9, linestyle="--")
         line(self.estimate, self.mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3)

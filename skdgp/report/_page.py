@@ -40,7 +40,12 @@ from skdgp.plotting import (
 
 STYLE = files("skdgp.report").joinpath("page.css").read_text(encoding="utf-8")
 PAGE = Template(files("skdgp.report").joinpath("page.html").read_text(encoding="utf-8"))
-PICTURE: dict[Any, Any] = {"svg.fonttype": "none", "svg.hashsalt": "skdgp", "font.size": 8}
+PICTURE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "skdgp",
+    "font.size": 8,
+    "savefig.dpi": 150,
+}
 SHOWN_FLIGHTS = 3  # with figures (guess)
 EXCERPT = 15.0  # length of the look at a flight [s] (guess)
 

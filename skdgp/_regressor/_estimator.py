@@ -360,27 +360,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         _checks.warn_of_samples(X, Y, self._regressor_names(), self.output_names_)
         return X, Y, clock, noise, used
 
-    def _recipe(self, time_series: bool) -> Recipe:
-        """Return the parameters of the fit."""
-        return Recipe(
-            kernel=self.kernel,
-            n_latent=self.n_latent,
-            structure=self.structure,
-            trend=self.trend,
-            inference=self.inference,
-            n_inducing=self.n_inducing,
-            input_noise=self.input_noise,
-            optimizer=self.optimizer,
-            n_restarts_optimizer=self.n_restarts_optimizer,
-            max_iter=self.max_iter,
-            random_state=self.random_state,
-            time_series=time_series,
-            settings=self.settings,
-        )
-
     def _learn(self, X, Y, clock, slopes, errors, noise, rows):
         """Set the fitted attributes."""
-        recipe = self._recipe(clock is not None)
+        recipe = Recipe(self, time_series=clock is not None)
         _check_memory(recipe, int(np.isfinite(Y).sum()))
         Z = self._normalised(X, Y, slopes, noise.weights)
         known_noise = noise.in_units(self.scale_)
@@ -748,6 +730,6 @@ def _check_memory(recipe, n_values):
     """Raise a ValueError if the covariance, and the factors of the components, do not fit into memory."""
     if recipe.inference_of(n_values) == "exact":
         # the covariance, and a factor for each component of the average of a time series
-        is_average = recipe.time_series and recipe.structure == "average"
+        is_average = recipe.time_series and recipe.given.structure == "average"
         n_matrices = 4 if is_average else 2
         check_memory(n_values, "Exact inference on", FIT_REMEDY, n_matrices)

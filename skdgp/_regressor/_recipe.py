@@ -1,4 +1,4 @@
-"""Request to the estimator, as a value: the kernel of all terms, and its fit."""
+"""What an estimator is asked for: the kernel of all terms, and its fit."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.base import clone
-from sklearn.gaussian_process.kernels import Kernel
 from sklearn.utils import check_random_state
 
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import _checks
 from skdgp.inference import (
     BlockSettings,
@@ -56,58 +55,54 @@ class RegressorSettings:
     search: SearchSettings = field(default_factory=SearchSettings)
 
 
-@dataclass(frozen=True)
 class Recipe:
-    """How a kernel is made and fitted.
+    """How the kernel of an estimator is made and fitted.
 
-    ``time_series`` is whether the rows are in the order of recording, with errors that last. The
-    other fields are parameters of DependentGPRegressor.
+    Parameters
+    ----------
+    estimator : DependentGPRegressor
+        Its parameters and settings.
+    time_series : bool
+        Whether the rows are in the order of recording, with errors that last.
     """
 
-    kernel: Kernel | None
-    n_latent: int | None
-    structure: str
-    trend: str | None
-    inference: str
-    n_inducing: int
-    input_noise: Any
-    optimizer: str | None
-    n_restarts_optimizer: int
-    max_iter: int
-    random_state: Seed
-    time_series: bool
-    settings: RegressorSettings = field(default_factory=RegressorSettings)
+    def __init__(self, estimator: Any, time_series: bool) -> None:
+        self.given = estimator
+        self.settings: RegressorSettings = estimator.settings
+        self.time_series = time_series
 
     # -- the kernel
 
     def check(self) -> None:
         """Raise a ValueError if parameters contradict each other."""
-        if self.structure == "trend" and (self.kernel is not None or self.trend != "linear"):
+        given = self.given
+        if given.structure == "trend" and (given.kernel is not None or given.trend != "linear"):
             raise ValueError(
-                f"Got structure='trend' with kernel={self.kernel!r} and trend={self.trend!r}, but expected "
+                f"Got structure='trend' with kernel={given.kernel!r} and trend={given.trend!r}, but expected "
                 "kernel=None and trend='linear', or structure='joint' for a given kernel."
             )
-        if self.n_latent is not None and self.kernel is not None:
+        if given.n_latent is not None and given.kernel is not None:
             raise ValueError(
-                f"Got n_latent={self.n_latent} with kernel={self.kernel!r}, but expected one of them: leave out "
-                f"n_latent, and give it to the kernel, such as ConvolvedGaussian({self.n_latent})."
+                f"Got n_latent={given.n_latent} with kernel={given.kernel!r}, but expected one of them: leave out "
+                f"n_latent, and give it to the kernel, such as ConvolvedGaussian({given.n_latent})."
             )
 
     def make_kernels(self, X: Matrix, Z: Matrix) -> list[MultiOutputKernel]:
         """Return the kernels of all terms to be compared, in the units of the outputs."""
         self.check()
+        given = self.given
         n, d = X.shape
         # one centre for all searches and components
-        trend = LinearTrend(center=X.mean(axis=0)) if self.trend == "linear" else None
-        if self.kernel is not None:
-            n_fixed = Z.shape[1] if self.optimizer is None else None
-            multi_output = as_multi_output(clone(self.kernel), n_fixed)
-            if self.optimizer is not None:
+        trend = LinearTrend(center=X.mean(axis=0)) if given.trend == "linear" else None
+        if given.kernel is not None:
+            n_fixed = Z.shape[1] if given.optimizer is None else None
+            multi_output = as_multi_output(clone(given.kernel), n_fixed)
+            if given.optimizer is not None:
                 _checks.check_start(multi_output, X, Z)
             has_trend = any(term.n_processes == 0 for term in multi_output.summands())
             return [multi_output if trend is None or has_trend else trend + multi_output]
-        averaged = self.structure == "average" and trend is not None
-        if trend is not None and (self.structure == "trend" or (averaged and d > n)):
+        averaged = given.structure == "average" and trend is not None
+        if trend is not None and (given.structure == "trend" or (averaged and d > n)):
             return [trend]  # with fewer rows than regressors a process would have no weight
         kernels = self._processes(X, Z)
         return [kernel if trend is None else trend + kernel for kernel in kernels]
@@ -133,8 +128,8 @@ class Recipe:
 
     def _number_of_latents(self, Z):
         """Return the number of shared latents, more where they can fill missing targets."""
-        if self.n_latent is not None:
-            return self.n_latent
+        if self.given.n_latent is not None:
+            return self.given.n_latent
         fewest, most = self.settings.n_latent
         if self.time_series or np.isfinite(Z).all():
             return fewest
@@ -144,12 +139,12 @@ class Recipe:
 
     @property
     def _averages(self):
-        return self.structure == "average" and self.optimizer is not None
+        return self.given.structure == "average" and self.given.optimizer is not None
 
     def inference_of(self, n_values: int) -> str:
         """Return "exact" or "sparse", for so many observed values."""
-        if self.inference != "auto":
-            return self.inference
+        if self.given.inference != "auto":
+            return self.given.inference
         settings = self.settings
         most = settings.exact_time_series_values if self.time_series else settings.exact_values
         return "exact" if n_values <= most else "sparse"
@@ -160,9 +155,9 @@ class Recipe:
             return False
         if known.input_std is not None:
             return True
-        if not isinstance(self.input_noise, str):
+        if not isinstance(self.given.input_noise, str):
             return False
-        return self.input_noise == "learned" or self.time_series
+        return self.given.input_noise == "learned" or self.time_series
 
     def fit(
         self, kernels: Sequence[MultiOutputKernel], X: Matrix, Z: Matrix, known: KnownNoise
@@ -172,22 +167,23 @@ class Recipe:
         ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
         """
         settings = self.settings
-        random_state = check_random_state(self.random_state)
+        random_state = check_random_state(self.given.random_state)
         data = Data.from_table(X, Z, known.loading)  # one copy for all
         seeds = random_state.randint(2**31 - 1, size=2)
         request = SearchOptions(
-            optimizer=self.optimizer,
-            max_iter=self.max_iter,
+            optimizer=self.given.optimizer,
+            max_iter=self.given.max_iter,
             random_state=check_random_state(seeds[0]),
             input_noise=self.learns_input_noise(known),
-            n_restarts=self.n_restarts_optimizer,
+            n_restarts=self.given.n_restarts_optimizer,
             shifts=len(kernels) > 1,
             time_series=self.time_series,
             settings=settings.search,
         )
         is_exact = self.inference_of(data.n_values) == "exact"
         if not is_exact:
-            check_inducing(kernels[-1], X, Z, self.n_inducing)
+            start = kernels[-1].initialize(X, Z, np.random.RandomState(0))
+            check_inducing(start, X, self.given.n_inducing)
         found = search(kernels, X, Z, request, known=known)
         if known.loading is None and found[0].loading is not None:  # of outliers
             known = known._replace(loading=found[0].loading)
@@ -199,7 +195,7 @@ class Recipe:
             rng = check_random_state(seeds[1])  # the same inducing inputs for all
             samples = _Samples(X, Z, data, known)
             if is_exact:
-                fit = fit_exact(found[k], data, self.time_series)
+                fit = fit_exact(found[k], data, self.time_series, known)
             else:
                 fit, samples = self._of_many(found[k], samples, rng)
             if self._averages and not fit.learned.interrupted:
@@ -212,14 +208,21 @@ class Recipe:
     def _of_many(self, learned, samples, rng):
         """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""
         settings = self.settings
-        is_auto = self.inference == "auto"
+        is_auto = self.given.inference == "auto"
         most = settings.most_neglected
         if is_auto:
             grown = settings.least_neglected * (samples.data.n_values / settings.exact_values) ** 2
             most = min(grown, most)
         for times in settings.times_inducing if is_auto else (1,):
-            n_inducing = times * self.n_inducing
-            fit = self._sparse(learned, samples, n_inducing, rng)
+            n_inducing = times * self.given.n_inducing
+            fit = fit_sparse(
+                learned,
+                samples.data,
+                n_inducing=n_inducing,
+                random_state=rng,
+                ordered=self.time_series,
+                known=samples.known,
+            )
             if not self._can_neglect(fit.learned):
                 return fit, samples
             neglected = fit.posterior.neglected_variance
@@ -234,24 +237,11 @@ class Recipe:
         of_exact = BlockSettings(values=settings.exact_values, most=1)
         (rows,) = blocks_of_rows(samples.X, samples.Z, of_exact)
         few = samples.of_rows(rows)
-        return fit_exact(fit.learned, few.data, self.time_series), few
+        return fit_exact(fit.learned, few.data, self.time_series, few.known), few
 
     def _can_neglect(self, learned):
         """Return whether the variance that inducing variables neglect is known, and decides."""
         return not (self.time_series or learned.interrupted or learned.input_std is not None)
-
-    def _sparse(self, learned, samples, n_inducing, rng):
-        """Return the fit with so many inducing inputs."""
-        return fit_sparse(
-            learned,
-            samples.X,
-            samples.Z,
-            n_inducing=n_inducing,
-            ordered=self.time_series,
-            known=samples.known,
-            data=samples.data,
-            random_state=rng,
-        )
 
     def _average(self, fit, samples):
         """Return the average of the terms of the kernel of a fit."""

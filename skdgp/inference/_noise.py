@@ -68,6 +68,10 @@ class KnownNoise(NamedTuple):
         """Whether all variances keep their values."""
         return not np.any(self.is_learned)
 
+    def within(self, variance: Vector) -> Vector:
+        """Return variances (P,) of learned noise within given bounds."""
+        return variance if self.bounds is None else np.clip(variance, *self.bounds.T)
+
     @property
     def weights(self) -> Matrix | None:
         """Inverse variances of the values, (n, P), where they differ between samples."""

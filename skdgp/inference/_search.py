@@ -173,10 +173,8 @@ def search(
     rows = blocks_of_rows(X, Y, options.settings.blocks, options.time_series)
     if options.optimizer is None:
         start = starting_kernel(kernels[0], X, Y)
-        noise, _ = known.start(start.residual(X, Y), output_scale(Y), X)
-        learned = Hyperparameters(start, noise, known.input_std, known.loading)
-        data = learned.noisy(Data.from_table(X, Y, known.loading))
-        return [with_best_noise(learned, data, rows, X, Y, known)]
+        learned = Hyperparameters(start, np.ones(Y.shape[1]), known.input_std, known.loading)
+        return [with_best_noise(learned, X, Y, rows, known)]
     problem = _Search(X, Y, rows, known, options, Event(), check_random_state(options.random_state))
     alone = problem.outputs_alone(kernels[0])
     ends: list[Hyperparameters] = []
@@ -425,22 +423,26 @@ class _Search:
 
 def with_best_noise(
     learned: Hyperparameters,
-    data: Data,
-    rows: Sequence[Indices],
     X: Matrix,
     Y: Matrix,
+    rows: Sequence[Indices],
     known: KnownNoise,
     max_iter: int = 100,
 ) -> Hyperparameters:
     """Return the hyperparameters with the noise (P,) that is best for their kernel.
 
-    It is learned from the blocks of rows of the ``data``, whose values are those of X (n, d) and Y
-    (n, P). After Ctrl-C it is the best so far, and the result is interrupted.
+    It is learned from blocks of rows of X (n, d) and Y (n, P). After Ctrl-C it is the best so far, and
+    the result is interrupted.
     """
     noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y), X)
+    learned = learned._replace(noise=noise)
     if known.is_fixed:
-        return learned._replace(noise=noise)
-    blocks = [data.of_samples(of_block) for of_block in rows]
+        return learned
+    blocks = []
+    for of_block in rows:
+        loading = None if known.loading is None else known.loading[of_block]
+        data = Data.from_table(X[of_block], Y[of_block], loading)
+        blocks.append(learned.noisy(data).with_loadings())
     stop = Event()
     point = climb(
         learned.kernel, noise, bounds, blocks, max_iter, stop, noise_alone=True, stage="members"

@@ -59,7 +59,7 @@ SHARES = ShareSettings()
 
 
 class SparseSums(NamedTuple):
-    """Cholesky factor of Kuu, and the sums over all values by their outputs, for unit or known noise."""
+    """Cholesky factor of Kuu, and the sums over all values by their outputs."""
 
     Lu: Matrix
     statistics: dict[tuple[int, ...], Statistics]
@@ -99,20 +99,16 @@ class SparsePosterior(SinglePosterior):
         self.noise = np.asarray(noise, dtype=float)
         self.data = data
         self.share_settings = share_settings
-        unit = self._unit_noise
         if sums is None:
             with threads_for(self.size):
                 Lu = jittered_cholesky(lambda: np.asfortranarray(features.Kuu()))
             shares = shares_of(data, share_settings)
-            statistics = compute_statistics(kernel, features, unit, Lu, shares, share_settings)
+            statistics = compute_statistics(
+                kernel, features, self.noise, Lu, shares, share_settings
+            )
             sums = SparseSums(Lu, statistics)
         self.sums = sums
-        self._condition(self.noise / unit)
-
-    @property
-    def _unit_noise(self):
-        """Noise (P,) of the sums: one where it is independent, so that another noise needs no sample."""
-        return np.ones_like(self.noise) if self.data.sample_noise is None else self.noise
+        self._condition()
 
     @property
     def Lu(self) -> Matrix:
@@ -128,21 +124,16 @@ class SparsePosterior(SinglePosterior):
         """Number of features K."""
         return self.features.size
 
-    def _condition(self, factor):
-        """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i V_i^T / noise_i and mean B^-1 b.
-
-        The noise of the statistics of one output is multiplied by its ``factor`` (P,).
-        """
+    def _condition(self):
+        """Compute the posterior of w in u = Lu w: precision B = I + sum_i V_i Pi_i V_i^T and mean B^-1 b."""
         self.B = np.eye(self.size)
         b = np.zeros(self.size)
         constant = 0.0
-        for outputs, sums in self.sums.statistics.items():
-            times = factor[outputs[0]]
-            self.B[np.ix_(sums.columns, sums.columns)] += sums.outer / times
-            b[sums.columns] += sums.inner / times
+        for sums in self.sums.statistics.values():
+            self.B[np.ix_(sums.columns, sums.columns)] += sums.outer
+            b[sums.columns] += sums.inner
             # log |2 pi noise| + y Pi y + tr(Pi (var(y) - V^T V)), which completes the bound
-            constant += sums.log_determinant + sums.n * np.log(times)
-            constant += (sums.square + sums.unexplained) / times
+            constant += sums.log_determinant + sums.square + sums.unexplained
         with threads_for(self.size):
             self.LB = jittered_cholesky(lambda: np.array(self.B, order="F"))
             self.white = cholesky_solve(self.LB, b)
@@ -157,24 +148,6 @@ class SparsePosterior(SinglePosterior):
         with threads_for(self.size):
             return symmetric(cholesky_inverse(self.LB.copy(order="F")))
 
-    def with_noise(self, noise: Vector) -> SparsePosterior:
-        """Return the posterior with other variances of independent noise, from the same sums over samples."""
-        return SparsePosterior(self.kernel, self.features, noise, self.data, self.sums)
-
-    def noise_seen(self) -> np.ndarray:
-        """Return the expected mean squared residual of each output, (P,), for independent noise.
-
-        This is the noise update of expectation maximisation: at its fixed point the bound is
-        stationary in the noise.
-        """
-        residual = np.zeros(len(self.noise))
-        for (i,), s in self.sums.statistics.items():
-            w = self.white[s.columns]
-            covariance = self.B_inverse[np.ix_(s.columns, s.columns)]
-            spread = np.einsum("ab,ab->", covariance, s.outer) + s.unexplained
-            residual[i] = (s.square - 2 * w @ s.inner + w @ s.outer @ w + spread) / s.n
-        return residual
-
     @property
     def neglected_variance(self) -> float:
         """Mean prior variance that the features do not explain, over the noise variance.
@@ -182,10 +155,10 @@ class SparsePosterior(SinglePosterior):
         Of the worst output, or of all values where their noise is correlated or known for each.
         Far below one, the posterior is nearly the exact one (Burt, Rasmussen & van der Wilk 2020).
         """
-        statistics = self.sums.statistics
         if self.data.sample_noise is not None:
-            return sum(sums.unexplained for sums in statistics.values()) / self.data.n_values
-        return max(sums.unexplained / sums.n / self.noise[i] for (i,), sums in statistics.items())
+            total = sum(sums.unexplained for sums in self.sums.statistics.values())
+            return total / self.data.n_values
+        return max(sums.unexplained / sums.n for sums in self.sums.statistics.values())
 
     def of(self, data: Data, noise: Vector) -> SparsePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters and features."""
@@ -199,12 +172,11 @@ class SparsePosterior(SinglePosterior):
             yield from super().folds(noise, data, parts)
             return
         settings = self.share_settings
-        unit = noise if is_correlated else np.ones_like(noise)
         of_parts = []
         for _, left_out in parts:
             shares = shares_of(left_out, settings)
             of_parts.append(
-                compute_statistics(self.kernel, self.features, unit, self.Lu, shares, settings)
+                compute_statistics(self.kernel, self.features, noise, self.Lu, shares, settings)
             )
         for k, (remaining, _) in enumerate(parts):
             sums = SparseSums(self.Lu, _total(of_parts[:k] + of_parts[k + 1 :]))

@@ -6,7 +6,7 @@ from made_flights import lasting
 from numpy.random import default_rng
 from scipy.signal import lfilter
 
-from skdgp.inference import SearchOptions, autocorrelation_time, fit_sparse, search
+from skdgp.inference import Data, SearchOptions, autocorrelation_time, fit_sparse, search
 from skdgp.kernels import ConvolvedGaussian
 
 
@@ -30,7 +30,8 @@ NOISE = 0.3 * lasting(default_rng(3), (3000, 4), 9.5)
 def fitted(X, Y):
     options = SearchOptions("fmin_l_bfgs_b", max_iter=30, random_state=0, time_series=True)
     (learned,) = search([ConvolvedGaussian(0)], X, Y, options)
-    return fit_sparse(learned, X, Y, n_inducing=15, random_state=0, ordered=True)
+    data = Data.from_table(X, Y)
+    return fit_sparse(learned, data, n_inducing=15, random_state=0, ordered=True)
 
 
 class TestSparseFit:

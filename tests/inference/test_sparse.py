@@ -98,24 +98,6 @@ class TestFolds:
             assert_allclose(posterior.predict(NEW), mean.reshape(3, -1).T, rtol=1e-6, atol=1e-8)
 
 
-class TestNoise:
-    def test_another_noise_needs_no_sample(self, one_problem):
-        posterior, noise = sparse(one_problem), 2.5 * one_problem.noise
-        got = posterior.with_noise(noise)
-        expected = SparsePosterior(one_problem.kernel, posterior.features, noise, posterior.data)
-        assert got.log_marginal_likelihood == pytest.approx(
-            expected.log_marginal_likelihood, rel=1e-10
-        )
-        assert_allclose(got.predict(NEW, True), expected.predict(NEW, True), rtol=1e-9, atol=1e-10)
-
-    def test_that_is_seen_never_lowers_the_bound(self, one_problem):
-        posterior = sparse(one_problem).with_noise(30 * one_problem.noise)
-        for _ in range(5):
-            better = posterior.with_noise(posterior.noise_seen())
-            assert better.log_marginal_likelihood > posterior.log_marginal_likelihood
-            posterior = better
-
-
 class TestRows:
     def test_how_samples_are_cut_does_not_matter(self, problem):
         """By as many threads as BLAS may use; also of so many points that threads share them."""

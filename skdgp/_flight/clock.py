@@ -13,25 +13,8 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Indices, Mask, Vector
 
-
-@dataclass(frozen=True)
-class ClockSettings:
-    """Settings of the search for segments without gaps; guesses."""
-
-    # a step of more usual steps than this starts a new segment: one lost sample is bridged
-    gap: float = 2.5
-    # steps that differ from the usual one by more than this fraction of it are uneven
-    uneven: float = 0.5
-    # largest fraction of gaps, and of uneven steps, of a clock with a usual step
-    most_irregular: float = 0.1
-    # samples nearer than this fraction of a step to a uniform grid count as on it: rounded clocks
-    jitter: float = 0.02
-
-
-CLOCK = ClockSettings()
-# Steps that tell rounded times from a jittered clock, and the least resolution, over the step, that disturbs rates
-FEWEST_ROUNDED = 50
-COARSE = 0.05
+# A step of more usual steps than this starts a new segment: one lost sample is bridged
+LONGEST_STEP = 2.5
 
 
 @dataclass(frozen=True)
@@ -105,11 +88,11 @@ class Clock:
         is_same = np.diff(self.flight) == 0
         steps = pd.Series(step).where(is_same)
         usual = steps.groupby(self.flight[1:]).transform("median").to_numpy()
-        is_gap = is_same & (step > CLOCK.gap * usual)
-        deviation = np.abs(step - usual)
-        is_uneven = is_same & ~is_gap & (deviation > CLOCK.uneven * usual)
+        is_gap = is_same & (step > LONGEST_STEP * usual)
+        is_uneven = is_same & ~is_gap & (np.abs(step - usual) > usual / 2)
         n_irregular = max(is_gap.sum(), is_uneven.sum())
-        if n_irregular > CLOCK.most_irregular * max(is_same.sum(), 10):
+        # a tenth of gaps, or of uneven steps (guess)
+        if n_irregular > 0.1 * max(is_same.sum(), 10):
             raise _irregular(step[is_same])
         starts = np.flatnonzero(~is_same | is_gap) + 1
         return slices(starts, len(self.time))
@@ -185,15 +168,16 @@ def true_runs(mask: Mask) -> list[slice]:
 def unrounded(time: Vector) -> tuple[Vector, float]:
     """Return the times of a run on a uniform clock if they are rounded from one, and the resolution, 0 if they are not.
 
-    Rounded steps have two sizes, one resolution apart, and no time is off the clock by more than half of it.
+    Rounded steps have two sizes, one resolution apart, and no time is off the clock by more than half of it. Fewer
+    than 50 steps do not tell them from jitter, and a resolution of less than a twentieth of a step disturbs no rate.
     """
     steps = np.diff(time)
-    if len(steps) < FEWEST_ROUNDED:
+    if len(steps) < 50:
         return time, 0.0
     sizes = np.unique(np.round(steps, 6))
     resolution = float(np.ptp(sizes))
     between = (sizes > sizes[0] + 0.1 * resolution) & (sizes < sizes[-1] - 0.1 * resolution)
-    if resolution < COARSE * np.median(steps) or between.any():
+    if resolution < 0.05 * np.median(steps) or between.any():
         return time, 0.0
     line = _line(time)
     if np.abs(time - line).max() > 0.6 * resolution:
@@ -208,14 +192,17 @@ def _line(time: Vector) -> Vector:
 
 
 def uniform_grid(time: Vector) -> tuple[Vector, bool]:
-    """Return the uniform grid of a run, and whether the samples lie off it (so must be resampled)."""
+    """Return the uniform grid of a run, and whether the samples lie off it (so must be resampled).
+
+    Samples nearer than a fiftieth of a step are on it: clocks are rounded.
+    """
     n = len(time)
     if n < 3:
         return time, False
     line = _line(time)
     step = np.ptp(line) / (n - 1)
     jitter = np.abs(time - line).max()
-    if jitter <= CLOCK.jitter * step:
+    if jitter <= 0.02 * step:
         return line, False
     n_steps = round(np.ptp(time) / np.median(np.diff(time)))
     return np.linspace(time[0], time[-1], max(n, 1 + n_steps)), True

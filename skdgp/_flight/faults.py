@@ -9,11 +9,11 @@ noise-free channel has long runs without a fault: it is stuck only if it jumps a
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.lib.stride_tricks import sliding_window_view
 
 from skdgp._compute.messages import FindingWarning, report
 from skdgp._compute.typing import Indices, Mask, Vector
@@ -29,11 +29,11 @@ from skdgp._flight.channels import (
     VANES,
     WRAPPED,
 )
-from skdgp._flight.clock import CLOCK, n_rows, true_runs
+from skdgp._flight.clock import LONGEST_STEP, n_rows, true_runs
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
 from skdgp._flight.tables import FlightTable
-from skdgp._flight.units import ANGLE_NOISE, FASTEST_RATE, LARGEST_ANGLE, MOST_THROTTLE
+from skdgp._flight.units import ANGLE_NOISE, MOST_THROTTLE
 
 # of one sensor
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
@@ -56,10 +56,9 @@ def _within(size: float, *names: str) -> dict[str, tuple[float, float]]:
 # Outside of these nothing can have been measured
 POSSIBLE = {
     "airspeed": (-10.0, 1000.0),
-    **_within(LARGEST_ANGLE["alpha"] + ANGLE_NOISE, "alpha"),
-    **_within(LARGEST_ANGLE["beta"] + ANGLE_NOISE, "beta"),
-    **_within(LARGEST_ANGLE["theta"] + ANGLE_NOISE, "theta"),
-    **_within(FASTEST_RATE, *RATES),
+    **_within(np.pi + ANGLE_NOISE, "alpha"),
+    **_within(np.pi / 2 + ANGLE_NOISE, "beta", "theta"),
+    **_within(50.0, *RATES),  # eight turns a second
     **_within(1000.0, *SPECIFIC_FORCE, *WRAPPED),
     **_within(1500.0, *EARTH_VELOCITY, *BODY_VELOCITY),
     **_within(1e7, *POSITION),
@@ -72,50 +71,11 @@ POSSIBLE = {
 }
 
 
-@dataclass(frozen=True)
-class FaultSettings:
-    """Constants of the search for faults; without another source they are guesses."""
-
-    # Impossible values more frequent than this fraction are of another unit, which other checks name.
-    rare: float = 0.05
-    # Least number of samples to estimate the usual length of runs.
-    enough: int = 50
-    # Expected number of such runs in a flight below which chance is ruled out.
-    improbable: float = 1e-4
-    # Shorter holds [s] are no fault.
-    least_hold: float = 0.3
-    # A last run of this length [s], and so many times the longest other one, is frozen to the end.
-    frozen_seconds: float = 2.0
-    frozen_runs: float = 5.0
-    # Repeated values, at least, to estimate the resolution of a channel.
-    fewest_held: int = 6
-    # Fraction of such values that are multiples of the resolution.
-    most_on_step: float = 0.9
-    # Tolerance of such multiples, as a fraction of the resolution.
-    off_step: float = 0.1
-    # A spike stands out from its neighbours by so many times what all but 0.5 % of samples do.
-    spike: float = 8.0
-    # Most samples of a spike.
-    widest_spike: int = 3
-    # Steps that change by less than this fraction of themselves show no noise (with noise: 1.7).
-    smooth: float = 0.5
-    # One value is a mark of missing samples if it comes again this often at least, and so many times
-    # as often as any other.
-    fewest_marks: int = 5
-    marks_ratio: float = 5.0
-    # A leap to it is so many times the change from before it to after it, or the edge of a dead band.
-    mark_leap: float = 3.0
-    # An angle jumps by more than this beyond what the gyros turn [rad], within steps shorter than this [s]; more
-    # often than this a channel of another unit does, which other checks name. Steeper than this [rad] no angle tells.
-    jump: float = 0.15
-    soon: float = 0.11
-    most_jumps: int = 10
-    steep: float = 1.2
-    # A sample is missing where the next comes later than so many usual spacings.
-    missing: float = 1.5
-
-
-FAULTS = FaultSettings()
+# Constants of the search without another source are guesses.
+# Impossible values more frequent than this fraction are of another unit, which other checks name
+RARE = 0.05
+# Least number of samples to estimate the usual length of runs, and of leaps
+ENOUGH = 50
 NOT_MEASURED = (Code.STUCK, Code.IMPOSSIBLE, Code.SPIKE)
 
 
@@ -173,7 +133,7 @@ def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[Fault]:
     """Yield each fault of a flight: gaps in time, then channel by channel, then dead sensors."""
     steps = np.diff(flight.time)
     step = float(np.median(steps)) if len(steps) else 1.0
-    gaps = np.flatnonzero(steps > CLOCK.gap * step)
+    gaps = np.flatnonzero(steps > LONGEST_STEP * step)
     if gaps.size:
         numbers = {"times": len(gaps), "longest": float(steps.max())}
         yield Fault("time", Code.GAP, gaps, numbers)
@@ -186,7 +146,10 @@ def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[Fault]:
 
 
 def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[Fault]:
-    """Yield the steps in which an angle of the attitude changes by far more than the gyros turn."""
+    """Yield the steps in which an angle of the attitude changes by far more than the gyros turn.
+
+    More jumps than ten are of a channel in another unit, which other checks name.
+    """
     if not {*RATES} <= channels.keys():
         return
     rates = np.max([np.abs(channels[name]) for name in RATES], axis=0)
@@ -194,19 +157,21 @@ def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[Fault]:
     for name in {*EULER} & channels.keys():
         change = np.abs(wrapped(np.diff(channels[name])))
         # near the vertical roll and heading change by more than the rates
-        is_jump = change > FAULTS.jump + FAULTS.missing * turned
+        is_jump = change > 0.15 + 1.5 * turned
         if "theta" in channels:
-            is_jump &= np.abs(channels["theta"][1:]) < FAULTS.steep
-        rows = 1 + np.flatnonzero(is_jump & (steps < FAULTS.soon))
-        if 0 < rows.size <= FAULTS.most_jumps:
+            is_jump &= np.abs(channels["theta"][1:]) < 1.2
+        rows = 1 + np.flatnonzero(is_jump & (steps < 0.11))
+        if 0 < rows.size <= 10:
             yield Fault(name, Code.JUMP, rows, {"size": float(change[rows - 1].max())})
 
 
 def attitude_jumps(flights: FlightTable) -> Vector:
     """Return the times [s] at which the attitude jumps, as by another estimator."""
     channels = flights.numeric_channels((*RATES, *EULER))
-    jumps = [jump.rows for jump in _jumps(channels, np.diff(flights.time))]
-    return np.unique(flights.time[np.concatenate([np.empty(0, int), *jumps])])
+    rows: set[int] = set()
+    for jump in _jumps(channels, np.diff(flights.time)):
+        rows.update(jump.rows)
+    return flights.time[sorted(rows)]
 
 
 def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[Fault], Vector]:
@@ -236,7 +201,7 @@ def _missing(name: str, values: Vector, step: float) -> list[Fault]:
     if is_missing.all():
         return [Fault(name, Code.NEVER_MEASURED, np.arange(len(values)), {})]
     # as many rows are missing between samples of a sensor that is slower than the table
-    usual = FAULTS.missing * usual_spacing(values) - 1
+    usual = 1.5 * usual_spacing(values) - 1
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
     if not gaps:
         return []
@@ -252,7 +217,7 @@ def _impossible(name: str, values: Vector) -> list[Fault]:
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
     n_sampled = np.isfinite(values).sum()
-    if not 0 < rows.size <= FAULTS.rare * n_sampled:
+    if not 0 < rows.size <= RARE * n_sampled:
         return []
     return [Fault(name, Code.IMPOSSIBLE, rows, {"value": float(values[rows[0]])})]
 
@@ -267,7 +232,7 @@ def _dead(channels: dict[str, Vector]) -> Iterator[Fault]:
     ranges = {}
     for name, values in channels.items():
         sampled = values[np.isfinite(values)]
-        if len(sampled) >= FAULTS.enough:
+        if len(sampled) >= ENOUGH:
             ranges[name] = np.ptp(sampled)
     for names in (("airspeed",), ("elevator",), *SIBLINGS):
         for witnesses in (names, WITNESSES.get(names, ())):
@@ -296,13 +261,17 @@ class _Runs(NamedTuple):
         length = np.diff(start, append=len(rows))
         return cls(rows, start, length, readings[start])
 
+    def readings_of(self, is_chosen: Mask) -> Indices:
+        """Return the rows of the readings in some of the runs."""
+        return self.rows[np.repeat(is_chosen, self.length)]
+
 
 def stuck_rows(values: Vector, step: float) -> list[Indices]:
-    """Return the rows of each run where a sensor repeats its last value, improbably often."""
+    """Return the rows of each run of 0.3 s or more where a sensor repeats its last value, improbably often."""
     runs = _Runs.of(values)
-    if len(runs.rows) < FAULTS.enough or np.ptp(runs.value) == 0:
+    if len(runs.rows) < ENOUGH or np.ptp(runs.value) == 0:
         return []
-    is_stuck = _is_improbable(runs.length) & (runs.length * step >= FAULTS.least_hold)
+    is_stuck = _is_improbable(runs.length) & (runs.length * step >= 0.3)
 
     # a channel that turns back repeats its value, and leaves it by one quantum
     leap = np.abs(np.diff(runs.value))
@@ -311,10 +280,11 @@ def stuck_rows(values: Vector, step: float) -> list[Indices]:
     quantum = max(np.quantile(leap, 0.01), _resolution(runs.value[runs.length > 1]))
     is_stuck[:-1] &= leap > 3 * quantum
 
-    # a channel without noise has long runs: it is stuck only if it jumps after the run
+    # a channel without noise has long runs: it is stuck only if it jumps after the run. With noise steps change
+    # by 1.7 times themselves.
     is_jump = leap > largest_usual
-    is_coarse = usual_step <= FAULTS.missing * quantum
-    if is_coarse or _bend(runs.value) < FAULTS.smooth * usual_step:
+    is_coarse = usual_step <= 1.5 * quantum
+    if is_coarse or _bend(runs.value) < 0.5 * usual_step:
         is_stuck[:-1] &= is_jump
         is_stuck[-1] &= _never_recovers(runs.length, step)
 
@@ -329,14 +299,13 @@ def stuck_rows(values: Vector, step: float) -> list[Indices]:
 
 
 def _never_recovers(length: Indices, step: float) -> bool:
-    """Return whether the last run is far longer than all others, so that no step after it is needed."""
+    """Return whether the last run has 2 s and is far longer than all others, so that no step after it is needed."""
     longest_other = length[:-1].max(initial=1)
-    is_long = length[-1] * step >= FAULTS.frozen_seconds
-    return bool(is_long and length[-1] >= FAULTS.frozen_runs * longest_other)
+    return bool(length[-1] * step >= 2.0 and length[-1] >= 5 * longest_other)
 
 
 def _is_improbable(length: Indices) -> Mask:
-    """Return which of the runs are longer than chance makes one of them.
+    """Return which of the runs are longer than chance makes one of them in 10,000 flights.
 
     Where a fraction p of n runs is longer than usual, chance makes n p^(k - 1) of them k times as long.
     """
@@ -345,7 +314,7 @@ def _is_improbable(length: Indices) -> Mask:
     p = (1 + n_long) / (1 + len(length))
     k = np.floor(length / usual)
     expected = len(length) * p ** (k - 1)
-    return expected < FAULTS.improbable
+    return expected < 1e-4
 
 
 def _bend(values: Vector) -> float:
@@ -356,68 +325,63 @@ def _bend(values: Vector) -> float:
 
 
 def _resolution(held: Vector) -> float:
-    """Return the common step of held values, from any origin; 0 if there is none."""
+    """Return the step that nine in ten of held values are multiples of, from any origin; 0 if there is none."""
     levels = np.unique(held)
-    if len(levels) < FAULTS.fewest_held:
+    if len(levels) < 6:
         return 0.0
     step = np.diff(levels).min()
     middle = levels[len(levels) // 2]
     multiples = (levels - middle) / step
-    distance = np.abs(multiples - np.rint(multiples))
-    on_step = distance < FAULTS.off_step
-    return float(step) if on_step.mean() > FAULTS.most_on_step else 0.0
+    is_on_step = np.abs(multiples - np.rint(multiples)) < 0.1
+    return float(step) if is_on_step.mean() > 0.9 else 0.0
 
 
 def mark_rows(values: Vector) -> Indices:
     """Return the rows of one value that stands for missing samples, such as zero.
 
-    A sensor leaps to it and back, which changes what it reads far less, and repeats no other value
-    as often. The edges of a dead band are no farther from it than the leaps.
+    A sensor leaps to it and back at least five times, which changes what it reads less than a third as much, and
+    repeats no other value a fifth as often. The edges of a dead band are no farther from it than the leaps.
     """
     runs = _Runs.of(values)
     nothing = np.empty(0, int)
-    if len(runs.rows) < FAULTS.enough:
+    counts = pd.Series(runs.value).value_counts()
+    if len(runs.rows) < ENOUGH or len(counts) < 2:
         return nothing
-    levels, level, counts = np.unique(runs.value, return_inverse=True, return_counts=True)
-    place = counts.argmax()
-    most_other = np.delete(counts, place).max(initial=1)
-    if counts[place] < max(FAULTS.fewest_marks, FAULTS.marks_ratio * most_other):
+    first, second = counts.iloc[:2]
+    if first < max(5, 5 * second):
         return nothing
-
-    mark = levels[place]
-    is_mark = level == place
+    mark = counts.index[0]
+    is_mark = runs.value == mark
     inner = 1 + np.flatnonzero(is_mark[1:-1])
     before = runs.value[inner - 1]
     after = runs.value[inner + 1]
     usual = np.median(np.abs(after - before))
-    others = np.delete(levels, place)
+    others = runs.value[~is_mark]
     if others.min() < mark < others.max():
         usual = max(usual, np.abs(others - mark).min())
     leap = np.median(np.abs(mark - (before + after) / 2))
-    if leap <= FAULTS.mark_leap * usual:
-        return nothing
-    is_row = np.repeat(is_mark, runs.length)
-    return runs.rows[is_row]
+    return runs.readings_of(is_mark) if leap > 3 * usual else nothing
 
 
 def spike_rows(values: Vector, *, angle: bool) -> Indices:
-    """Return the rows of a few samples that leap from their neighbours and back."""
+    """Return the rows of one to three samples that leap from their neighbours and back.
+
+    The leap is eight times what all but 0.5 % of samples do.
+    """
     runs = _Runs.of(values)
-    rows = np.empty(0, int)
-    if len(runs.value) < FAULTS.enough:
-        return rows
+    n = len(runs.value)
+    is_spike = np.zeros(n, dtype=bool)
+    if n < ENOUGH:
+        return runs.readings_of(is_spike)
     readings = np.unwrap(runs.value) if angle else runs.value
-    padded = np.pad(readings, 2, mode="reflect")
-    neighbours = [padded[:-4], padded[1:-3], padded[3:-1], padded[4:]]
-    out = np.abs(readings - np.median(neighbours, axis=0))
-    ends = np.append(runs.start, len(runs.rows))
-    last = len(readings) - 1
-    for run in true_runs(out > FAULTS.spike * np.quantile(out, 0.995)):
-        change = readings[min(run.stop, last)] - readings[max(run.start - 1, 0)]
+    windows = sliding_window_view(np.pad(readings, 2, mode="reflect"), 5)
+    neighbours = np.delete(windows, 2, axis=1)
+    out = np.abs(readings - np.median(neighbours, axis=1))
+    for run in true_runs(out > 8 * np.quantile(out, 0.995)):
+        change = readings[min(run.stop, n - 1)] - readings[max(run.start - 1, 0)]
         returns = abs(change) < out[run].max() / 2
-        if n_rows(run) <= FAULTS.widest_spike and returns:
-            rows = np.append(rows, runs.rows[ends[run.start] : ends[run.stop]])
-    return rows
+        is_spike[run] = returns and n_rows(run) <= 3
+    return runs.readings_of(is_spike)
 
 
 def usual_spacing(values: Vector) -> float:

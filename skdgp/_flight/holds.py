@@ -1,13 +1,12 @@
 """Clocks of single channels: rows in which a log repeats the last sample of a slower channel.
 
 A log of one clock repeats the last sample of a channel with a lower rate (zero-order hold). Taken for
-fresh ones, repeated samples are late by half a period on average.
+fresh ones, repeated samples are late by half a period on average. Numbers of the search are guesses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,31 +22,6 @@ SENSOR_GROUPS: tuple[Sequence[str], ...] = (
     ("airspeed",), VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY,
 )  # fmt: skip
 """Channels of one message, which have one clock."""
-
-
-@dataclass(frozen=True)
-class HoldSettings:
-    """Settings of the search for repeated samples; guesses."""
-
-    # least period of a slow channel [rows]
-    least_period: float = 1.9
-    # longest period [s]; a GPS of 1 Hz
-    longest_period: float = 1.1
-    # changes that show a clock
-    least_changes: int = 20
-    # largest distance of a change from the clock of the one before, over the period
-    jitter: float = 0.25
-    # least fraction of changes on the clock; noise changes a channel in every row
-    on_clock: float = 0.95
-    # least fraction of changes after one period: a sequence of steps pauses more often
-    successive: float = 0.7
-    # least fraction of rows with values: sparse channels repeat none
-    sampled: float = 0.9
-    # fourth differences of polynomials, over the standard deviation of a channel
-    rounding: float = 1e-9
-
-
-HOLDS = HoldSettings()
 
 
 class Hold(NamedTuple):
@@ -71,7 +45,8 @@ def find_holds(flights: FlightTable, groups: Iterable[Sequence[str]]) -> list[Ho
         for run in flights.segments:
             fresh = fresh_rows(values[run])
             seconds = float(np.ptp(flights.time[run]))
-            if fresh is None or seconds > HOLDS.longest_period * len(fresh):
+            # a GPS of 1 Hz is the slowest
+            if fresh is None or seconds > 1.1 * len(fresh):
                 continue
             repeated[run] = True
             repeated[run.start + fresh] = False
@@ -85,28 +60,32 @@ def fresh_rows(values: Matrix) -> Indices | None:
     """Return the rows of fresh samples of channels (n, k) of one clock, None unless they repeat samples.
 
     The channels change after multiples of a steady period of two or more rows. A sample may equal
-    the one before: between changes the clock goes on.
+    the one before: between changes the clock goes on. Channels that lack more than a tenth of the rows repeat none.
     """
     values = values[:, np.isfinite(values).any(axis=0)]
     is_whole = np.isfinite(values).all(axis=1)
-    if not values.size or is_whole.mean() < HOLDS.sampled:
+    if not values.size or is_whole.mean() < 0.9:
         return None
     changes = 1 + np.flatnonzero(np.any(values[1:] != values[:-1], axis=1))
     return clock_rows(changes, len(values))
 
 
 def clock_rows(changes: Indices, n: int) -> Indices | None:
-    """Return the rows of n of a steady clock that shows in the rows of changes, None if there is none."""
-    if len(changes) < HOLDS.least_changes:
+    """Return the rows of n of a steady clock that shows in the rows of changes, None if there is none.
+
+    It shows in 20 changes, of which 95 % are within a quarter of a period of it, and 70 % are one period after the
+    one before. Noise changes a channel in every row, and a sequence of steps pauses more often.
+    """
+    if len(changes) < 20:
         return None
     gaps = np.diff(changes)
     usual = np.median(gaps)
-    period = gaps[np.abs(gaps - usual) <= max(1.0, HOLDS.jitter * usual)].mean()
-    if period < HOLDS.least_period:
+    period = gaps[np.abs(gaps - usual) <= max(1.0, usual / 4)].mean()
+    if period < 1.9:
         return None
     n_periods = np.maximum(np.rint(gaps / period), 1)
-    on_clock = np.abs(gaps - n_periods * period) <= HOLDS.jitter * period + 0.1
-    if on_clock.mean() < HOLDS.on_clock or np.mean(n_periods == 1) < HOLDS.successive:
+    is_on_clock = np.abs(gaps - n_periods * period) <= period / 4 + 0.1
+    if is_on_clock.mean() < 0.95 or np.mean(n_periods == 1) < 0.7:
         return None
     before = np.arange(changes[0] - period, -0.5, -period)
     after = np.arange(changes[-1], n - 0.5, period)
@@ -128,7 +107,7 @@ def interpolated_rows(time: Vector, values: Vector) -> Indices | None:
     for order in range(1, 5):
         differences = np.diff(differences) / (time[order:] - time[:-order])
     step = float(np.median(np.diff(time)))
-    is_bend = np.abs(differences) * step**4 > HOLDS.rounding * scale
+    is_bend = np.abs(differences) * step**4 > 1e-9 * scale
     # the last but one of the five rows
     samples = 4 + np.flatnonzero(is_bend[1:] & ~is_bend[:-1])
     return clock_rows(samples, len(time))

@@ -22,21 +22,13 @@ from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density
 from skdgp._flight.tables import FlightTable, check_columns
 
-# largest angles [rad], and rates [rad/s], eight turns a second; noise may carry an angle beyond
+# noise may carry an angle beyond its limit by this [rad]
 ANGLE_NOISE = 0.05
-FASTEST_RATE = 50.0
-LARGEST_ANGLE = {
-    "alpha": np.pi,
-    "beta": np.pi / 2,
-    "phi": np.pi,
-    "theta": np.pi / 2,
-    "psi": 2 * np.pi,
-}
 # 99 % of the values of a flight are smaller [rad, rad/s]
 USUAL = {
     **dict.fromkeys(("alpha", "beta", "theta"), 1.7),
-    "phi": LARGEST_ANGLE["phi"] + ANGLE_NOISE,
-    "psi": LARGEST_ANGLE["psi"] + ANGLE_NOISE,
+    "phi": np.pi + ANGLE_NOISE,
+    "psi": 2 * np.pi + ANGLE_NOISE,
     **dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), 1.6),
     **dict.fromkeys(RATES, 20.0),
 }

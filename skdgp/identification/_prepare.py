@@ -129,8 +129,7 @@ def _warn_of_contradictions(flights: Flights, aircraft: Aircraft) -> None:
     together = FlightTable.together(flights.values())
     only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
-        finding = replace(contradiction, flight=contradiction.flight or only).finding
-        report(finding, FlightDataWarning)
+        report(replace(contradiction, flight=contradiction.flight or only), FlightDataWarning)
     question = aircraft.question_of_sizes(together)
     if question is not None:
         report(question)

@@ -21,7 +21,7 @@ from skdgp._flight.channels import (
     SENSOR_POSITION,
     SPECIFIC_FORCE,
 )
-from skdgp._flight.faults import FAULTS, POSSIBLE, attitude_jumps
+from skdgp._flight.faults import POSSIBLE, RARE, attitude_jumps
 from skdgp._flight.frames import (
     HIGHEST,
     LOWEST,
@@ -254,7 +254,7 @@ def _problem(source: Source, rule: Rule) -> str:
     is_impossible = (source.values < low) | (source.values > high)
     impossible = is_impossible.any(axis=1).mean()
     # fewer are faults of a sensor
-    if impossible > FAULTS.rare:
+    if impossible > RARE:
         return f"{source.name} cannot be {rule.words}: {100 * impossible:.0f} % is impossible"
     return ""
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.clock import CLOCK, runs_between, slices
+from skdgp._flight.clock import LONGEST_STEP, runs_between, slices
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
@@ -144,7 +144,7 @@ def usual_step(step: Vector) -> float:
     In bursts, steps longer than gaps are frequent and make up most of the time.
     """
     median = np.median(step)
-    gap = step > CLOCK.gap * median
+    gap = step > LONGEST_STEP * median
     are_bursts = gap.mean() > RESAMPLING.most_gaps and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step) if are_bursts else median)
 
@@ -170,7 +170,7 @@ def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix
     the initial states in forward-backward filtering); then it is interpolated linearly.
     """
     result = np.full((len(clock), values.shape[1]), np.nan)
-    gap = CLOCK.gap * usual_step(np.diff(time))
+    gap = LONGEST_STEP * usual_step(np.diff(time))
     tolerance = 1e-6 / rate
     for run in runs_between(time, gap):
         run_time = time[run]

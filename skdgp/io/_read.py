@@ -17,7 +17,7 @@ from skdgp._compute.files import plain
 from skdgp._compute.messages import report, warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
-from skdgp._flight.clock import CLOCK, flight_codes, runs_between, unrounded
+from skdgp._flight.clock import LONGEST_STEP, flight_codes, runs_between, unrounded
 from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults, without_ground
 from skdgp._flight.findings import Code, Finding, texts_of
 from skdgp._flight.physics import find_contradictions
@@ -176,7 +176,7 @@ def _unrounded(table: pd.DataFrame) -> pd.DataFrame:
     times = clock.time.copy()
     for flight, rows in clock.rows.items():
         time = clock.time[rows]
-        gap = CLOCK.gap * np.median(np.diff(time, prepend=-np.inf))
+        gap = LONGEST_STEP * np.median(np.diff(time, prepend=-np.inf))
         resolutions = []
         for run in runs_between(time, gap):
             times[rows[run]], resolution = unrounded(time[run])
@@ -460,5 +460,5 @@ def _faults(table: pd.DataFrame, aircraft: Aircraft | None) -> list[str]:
         question = None if aircraft is None else aircraft.question_of_sizes(measured)
     except ValueError:
         return faults
-    faults += [contradiction.finding.text for contradiction in contradictions]
+    faults += [contradiction.text for contradiction in contradictions]
     return faults if question is None else [*faults, question.text]

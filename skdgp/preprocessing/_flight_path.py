@@ -407,8 +407,7 @@ def _diverged(parts: Sequence[FlightPart], table: pd.DataFrame) -> list[Finding]
 def _agreement(table: pd.DataFrame) -> dict[str, Any]:
     """Return the contradictions of flights, and whether there are none."""
     contradictions = find_contradictions(FlightTable.of(table))
-    found = [contradiction.finding for contradiction in contradictions]
-    return {"contradictions": found, "agrees": not found}
+    return {"contradictions": contradictions, "agrees": not contradictions}
 
 
 def _mean_std(stds: Any, weights: Any = None) -> float:

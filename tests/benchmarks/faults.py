@@ -153,7 +153,9 @@ def named(table):
         check_flight(table, ["time"])
     except ValueError as error:
         return [{name for name in table if f"'{name}'" in str(error) or f" {name}" in str(error)}]
-    return [{*each.channels} for each in find_contradictions(FlightTable.of(table))]
+    return [
+        {*each.numbers.get("channels", ())} for each in find_contradictions(FlightTable.of(table))
+    ]
 
 
 def score(table, wrong):

@@ -46,7 +46,7 @@ def flight(flights):
 
 def contradictions(table):
     """Return findings."""
-    return [each.finding for each in find_contradictions(FlightTable.of(table))]
+    return find_contradictions(FlightTable.of(table))
 
 
 def channels_of(findings):

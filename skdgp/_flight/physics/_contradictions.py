@@ -5,20 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 
 from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES
-from skdgp._flight.physics._checks import (
-    SAME,
-    Contradiction,
-    Mistake,
-    Relation,
-    Sign,
-    Stuck,
-    WrongClock,
-)
+from skdgp._flight.findings import Finding
+from skdgp._flight.physics._laws import Contradiction, Law, Mistake, WrongClock, stuck_surface
 from skdgp._flight.physics._list import (
     CHANNELS,
     EQUALITIES,
@@ -26,46 +18,52 @@ from skdgp._flight.physics._list import (
     JUDGED_FIRST,
     MISTAKES,
     OFFSETS,
+    RESPONSES,
+    SAME,
     SIGNS,
-    STUCK_CHECKS,
     TURNING,
 )
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.tables import FlightTable
 
-Doubt: TypeAlias = Contradiction | Mistake | Stuck | WrongClock
+LONG_FLIGHT = 30.0
+"""Shorter flights [s] are judged together with others only."""
 
 
-def find_contradictions(flights: FlightTable) -> list[Doubt]:
-    """Return the relations that flights contradict, or the mistake of several channels that explains them.
+def find_contradictions(flights: FlightTable) -> list[Finding]:
+    """Return the laws that flights break, or the mistake of several channels that explains them.
 
     All flights are judged together, and each of at least 30 s by itself if nothing is found in all.
     """
-    contradictions = _contradictions_of(flights)
-    if contradictions or len(flights.clock.names) < 2:
-        return contradictions
+    findings = _findings_of(flights)
+    if findings or len(flights.clock.names) < 2:
+        return findings
     for name, flight in flights.flights.items():
-        if np.ptp(flight.time) >= PHYSICS.long_flight:
-            for contradiction in _contradictions_of(flight):
-                contradictions.append(replace(contradiction, flight=name))
-    return contradictions
+        if np.ptp(flight.time) >= LONG_FLIGHT:
+            findings += [replace(finding, flight=name) for finding in _findings_of(flight)]
+    return findings
 
 
-def _contradictions_of(flights: FlightTable) -> list[Doubt]:
+def _findings_of(flights: FlightTable) -> list[Finding]:
     """Return the contradictions of all rows together, or the mistake without which there is none."""
     signals = signals_of(flights, CHANNELS)
-    exchanged = _exchanges_in(signals)
-    for mistake in exchanged:
-        signals = mistake.undone(signals)
+    findings = []
+    exchanged = _exchange_in(signals)
+    if exchanged is not None:
+        signals = exchanged.undone(signals)
+        findings.append(exchanged.finding)
     contradictions, confirmed = _contradictions_in(signals)
-    causes = _causes(contradictions, confirmed)
-    for candidate in _candidates(signals, contradictions):
-        if _n_contradicted(candidate.undone(signals)) == 0:
-            return [*exchanged, candidate]
-    if {*ELEVONS} <= {*flights.table.columns}:
-        causes = [_of_elevons(contradiction) for contradiction in causes]
-    stuck = [still.judge(signals) for still in STUCK_CHECKS if not contradictions]
-    return [*exchanged, *causes, *(each for each in stuck if each is not None)]
+    for mistake in _candidates(signals, contradictions):
+        if _n_contradicted(mistake.undone(signals)) == 0:
+            return [*findings, mistake.finding]
+    for cause in _causes(contradictions, confirmed):
+        if {*ELEVONS} <= {*flights.table.columns}:
+            cause = _of_elevons(cause)
+        findings.append(cause.finding)
+    if not contradictions:
+        stuck = [stuck_surface(name, law, signals) for name, law in RESPONSES.items()]
+        findings += [finding for finding in stuck if finding is not None]
+    return findings
 
 
 def _candidates(
@@ -75,8 +73,8 @@ def _candidates(
 
     Channels are late together by a lag that one of the contradictions shows.
     """
-    is_turned = any(each.relation is TURNING for each in contradictions)
-    are_several = is_turned or len(contradictions) >= PHYSICS.several
+    is_turned = any(each.law is TURNING for each in contradictions)
+    are_several = is_turned or len(contradictions) >= 3
     lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]
     scaled = [each for each in contradictions if _may_be_of_clock(each)]
     of_scaled = {name for each in scaled for name in each.channels}
@@ -95,24 +93,22 @@ def _candidates(
 
 
 def _may_be_of_clock(contradiction: Contradiction) -> bool:
-    """Return whether the slope of clear signals that clocks scale is a possible factor of one."""
-    is_scaled = contradiction.admissible is SAME and contradiction.lag is None
+    """Return whether the slope of clear signals that clocks scale is a possible factor of one, up to 3 (guess)."""
+    is_scaled = contradiction.law.admissible is SAME and contradiction.lag is None
     slope = contradiction.slope
-    is_clear = slope.correlation > PHYSICS.lagged_correlation
-    return is_scaled and is_clear and 1 / PHYSICS.clock_factor < slope.value < PHYSICS.clock_factor
+    is_clear = slope.correlation > PHYSICS.clear_correlation
+    return is_scaled and is_clear and 1 / 3 < slope.value < 3
 
 
-def _exchanges_in(signals: Signals) -> list[Mistake]:
-    """Return the exchange after which the fewest checks are contradicted, in a list, empty if none shows."""
+def _exchange_in(signals: Signals) -> Mistake | None:
+    """Return the exchange after which the fewest laws are broken, None if none shows."""
     judgements = [exchange.judge(signals) for exchange in EXCHANGES]
     shown = [mistake for mistake in judgements if mistake is not None]
-    if not shown:
-        return []
-    return [min(shown, key=lambda mistake: _n_contradicted(mistake.undone(signals)))]
+    return min(shown, key=lambda mistake: _n_contradicted(mistake.undone(signals)), default=None)
 
 
 def _n_contradicted(signals: Signals) -> int:
-    """Return the number of checks that contradict signals."""
+    """Return the number of laws that signals break, with exchanges."""
     contradictions, _ = _contradictions_in(signals)
     exchanges = [exchange.judge(signals) for exchange in EXCHANGES]
     return len(contradictions) + len(exchanges) - exchanges.count(None)
@@ -120,12 +116,14 @@ def _n_contradicted(signals: Signals) -> int:
 
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:
     """Return all contradictions of signals, and the channels that an equality confirms."""
-    judgements = [check.judge(signals) for check in EQUALITIES]
-    unequal = [item for item in judgements if isinstance(item, Contradiction)]
+    unequal = []
     confirmed: set[str] = set()
-    for judgement in judgements:
-        if isinstance(judgement, Relation):
-            confirmed.update(judgement.channels)
+    for law in EQUALITIES:
+        contradiction, is_equal = law.judge(signals)
+        if contradiction is not None:
+            unequal.append(contradiction)
+        elif is_equal:
+            confirmed.update(law.channels)
     # others may be consequences of the first
     contradictions = [
         *_contradicted(JUDGED_FIRST, signals),
@@ -136,9 +134,9 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
     return contradictions, confirmed
 
 
-def _contradicted(checks: Iterable[Sign], signals: Signals) -> list[Contradiction]:
-    """Return the contradictions among checks."""
-    judgements = [check.judge(signals) for check in checks]
+def _contradicted(laws: Iterable[Law], signals: Signals) -> list[Contradiction]:
+    """Return the contradictions of laws."""
+    judgements = [law.judge(signals).contradiction for law in laws]
     return [contradiction for contradiction in judgements if contradiction is not None]
 
 
@@ -146,7 +144,7 @@ def _clearest_first(contradictions: list[Contradiction]) -> list[Contradiction]:
     """Return contradictions in the order of their correlations, that of turns last: a single channel explains it."""
     return sorted(
         contradictions,
-        key=lambda item: (item.relation is TURNING, -abs(item.slope.correlation)),
+        key=lambda item: (item.law is TURNING, -abs(item.slope.correlation)),
     )
 
 
@@ -162,8 +160,8 @@ def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Co
     causes = []
     for contradiction in contradictions:
         suspects = _suspects(contradiction, confirmed - accused, counts)
-        relation = contradiction.relation
-        uses_accused = not accused.isdisjoint((*relation.uses, *relation.beside))
+        law = contradiction.law
+        uses_accused = not accused.isdisjoint((*law.uses, *law.beside))
         if not uses_accused and not accused.issuperset(suspects):
             accused.update(suspects)
             causes.append(replace(contradiction, channels=suspects))

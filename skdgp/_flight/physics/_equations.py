@@ -88,7 +88,8 @@ def course_through_the_air(flight: Signals) -> Regression:
         ground = ground - airspeed * np.sin(flight["beta"])
     late = airspeed * flight.change(flight["psi"])
     ahead = np.exp(1j * flight["psi"][np.isfinite(flight["psi"])])
-    if abs(ahead.sum()) >= PHYSICS.most_ahead * len(ahead):
+    # the mean of the unit vectors ahead is 1 of one heading, 0 of a circle (guess)
+    if abs(ahead.sum()) >= 0.8 * len(ahead):
         ground = np.full_like(ground, np.nan)
     return Regression(ground, airspeed, [*wind, direction[:, 2], late])
 
@@ -112,12 +113,15 @@ def heading_by_course(flight: Signals) -> Regression:
 
 
 def airspeed_by_ground_speed(flight: Signals) -> Regression:
-    """Return the airspeed and the speed over the ground, which differ where the wind is across the heading."""
+    """Return the airspeed and the speed over the ground, which differ where the wind is across the heading.
+
+    A twentieth of the airspeed tells (guess).
+    """
     ground, _ = _velocity_terms(flight, 1)
     airspeed = flight["airspeed"]
     across = np.abs(ground / airspeed - np.sin(flight["beta"]))
     ground_speed = np.hypot(flight["v_north"], flight["v_east"])
-    in_wind = np.where(across > PHYSICS.least_drift, ground_speed, np.nan)
+    in_wind = np.where(across > 0.05, ground_speed, np.nan)
     return Regression.with_intercept(airspeed, in_wind)
 
 
@@ -217,7 +221,7 @@ def response(flight: Signals, name: str, effects: tuple[str, ...]) -> Regression
     measured, all are changes from one window to the next, in which it hardly moves. A specific force
     would not stand for it: ahead of the centre of gravity it holds the angular acceleration.
     """
-    window = PHYSICS.response_window
+    window = 0.1  # [s], shorter than the time constant of roll
     airspeed = flight["airspeed"]
     columns = []
     for effect in effects:

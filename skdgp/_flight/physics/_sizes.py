@@ -237,14 +237,14 @@ def sizes_in_flight(
         numbers["CL"] = float(np.nanmedian(loads))
     laws = [("mass_by_thrust", drive, mass) for drive in DRIVES.values()]
     laws.append(("CZ_alpha", LIFT, 2 * mass / (density * wing_area)))
-    for name, relation, scale in laws:
-        slope = relation.slopes(signals).get(0.0)
+    for name, law, scale in laws:
+        slope = law.slopes(signals).get(0.0)
         if slope is not None and slope.n_effective >= PHYSICS.least_samples:
             middle, std = _in_bounds(slope)
             numbers[name] = scale * middle
             stds[name] = scale * std
-            if relation is not LIFT:
-                numbers["thrust"] = float(np.nanmedian(signals[relation.x]))
+            if law is not LIFT:
+                numbers["thrust"] = float(np.nanmedian(signals[law.x]))
     return numbers, stds
 
 

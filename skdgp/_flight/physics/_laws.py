@@ -1,0 +1,358 @@
+"""Laws of flight, how signals are judged by them, and what flights that break them are told.
+
+By a law the slope of a signal y over another, x, lies within an interval. Signals contradict it if
+the slope is outside by 5 standard deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from skdgp._flight.channels import ELEVONS, by_elevons
+from skdgp._flight.findings import Code, Finding
+from skdgp._flight.physics._regression import Regression, Slope, estimated_slope
+from skdgp._flight.physics._signals import PHYSICS, Signals
+
+
+class Interval(NamedTuple):
+    """Admissible slopes, and their text in a finding."""
+
+    least: float
+    most: float
+    text: str
+
+
+EQUAL = Interval(1 / 1.5, 1.5, "1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Law:
+    """Signals y and x of a flight, and the admissible slopes of y over x."""
+
+    #: Channels that are compared: one of them is wrong where the law is broken
+    channels: tuple[str, ...]
+    #: Further channels
+    uses: tuple[str, ...]
+    y: str
+    x: str
+    regression: Callable[[Signals], Regression]
+    admissible: Interval
+    #: Vanes that are used where the flights have them
+    beside: tuple[str, ...] = ()
+    #: Usual causes of a contradiction
+    causes: tuple[str, ...] = ()
+    #: Unit of the slope
+    unit: str = ""
+    #: Error of x [unit of x]: a signal of no larger root mean square decides nothing
+    noise: float = 0.0
+    #: Whether x is of accelerometers, whose noise has no bound: engines shake them
+    vibrates: bool = False
+    #: Lags that are tried, and the first and last that are no contradiction [s]
+    lags: tuple[float, ...] = (0.0,)
+    usual_lags: tuple[float, float] = (-np.inf, np.inf)
+    #: Whether x is a surface, which causes y and may answer to it
+    is_cause: bool = False
+    #: Angle of the flow that the response depends on, if one
+    angle: str | None = None
+    #: Least t of a slope and of a lag, and least ratio of explained to unexplained variance, of a contradiction
+    least_t: float = PHYSICS.least_t
+    least_lag_t: float = PHYSICS.least_t
+    least_explained: float = PHYSICS.least_explained
+    #: Another law that must be broken, too. Accelerometers ahead of the centre of gravity feel the
+    #: yawing by beta, so the sign of ay alone tells nothing.
+    witness: Law | None = None
+
+    @property
+    def needs(self) -> set[str]:
+        """All channels."""
+        return {*self.channels, *self.uses}
+
+    def slopes(self, signals: Signals) -> dict[float, Slope]:
+        """Return the slopes by lag [s], where the rows determine them; empty where a channel is missing."""
+        if not self.needs <= signals.channels.keys():
+            return {}
+        y, x, others = self.regression(signals)
+        slopes: dict[float, Slope] = {}
+        for lag in self.lags:
+            slope = estimated_slope(Regression(y, signals.ahead(x, -lag), others))
+            if slope is not None:
+                slopes[lag] = slope
+        return slopes
+
+    def judge(self, signals: Signals) -> Judgement:
+        """Return whether flights break the law, or confirm it."""
+        slopes = self.slopes(signals)
+        best = most_explained(slopes)
+        if best is None or best.size <= self.noise or best.n_effective < PHYSICS.least_samples:
+            return Judgement()
+        late = self._unusual_lag(slopes, best)
+        if late is not None:
+            return Judgement(late)
+        least, most, _ = self.admissible
+        distance_inside = min(best.value - EQUAL.least, EQUAL.most - best.value)
+        is_equal = distance_inside > PHYSICS.least_t * best.std
+        if is_equal and abs(best.t(least, most)) < PHYSICS.least_t:
+            return Judgement(is_equal=True)
+        # the error of x attenuates the slope (Fuller 1987, section 1.1)
+        least *= 1 - (self.noise / best.size) ** 2
+        slope = slopes.get(0.0, best)
+        if self.is_cause:
+            slope = self._nearest_slope(slopes, best, signals)
+        t = slope.t(least, most)
+        if abs(t) < self.least_t or slope.explained < self.least_explained:
+            return Judgement()
+        is_attenuated = self.vibrates and 0 < slope.value < least
+        if is_attenuated and self._is_reverse_equal(signals):
+            return Judgement()
+        if self.witness is not None and self.witness.judge(signals).contradiction is None:
+            return Judgement()
+        return Judgement(Contradiction(law=self, channels=self.channels, slope=slope, t=t))
+
+    def _unusual_lag(self, slopes: dict[float, Slope], best: Slope) -> Contradiction | None:
+        """Return the contradiction of a best lag outside of the usual ones, if it is one."""
+        first, last = self.usual_lags
+        best_lag = next(lag for lag, slope in slopes.items() if slope is best)
+        expected_sign = np.sign(self.admissible.least + self.admissible.most)
+        is_clear = expected_sign * best.correlation > PHYSICS.clear_correlation
+        if first <= best_lag <= last or not is_clear:
+            return None
+        of_usual = [slope.explained for lag, slope in slopes.items() if first <= lag <= last]
+        explained = max(of_usual, default=0.0)
+        # likelihood ratio: t^2 = n log of the ratio of unexplained variances
+        ratio = (1 + best.explained) / (1 + explained)
+        t = float(np.sqrt(best.n_effective * np.log(ratio)))
+        if t < self.least_lag_t:
+            return None
+        # a uniform distribution between the lags that are tried, where they are farthest apart
+        std = float(np.diff(sorted(slopes)).max(initial=0.0) / np.sqrt(12))
+        lag = (best_lag, std)
+        return Contradiction(law=self, channels=self.channels, slope=best, t=t, lag=lag)
+
+    def _nearest_slope(self, slopes: dict[float, Slope], best: Slope, signals: Signals) -> Slope:
+        """Return the slope nearest to the admissible ones, of the lags that explain y about as well as the best.
+
+        Under feedback a late servo turns the sign at lag zero.
+        """
+        enough = best.explained / 3
+        lags = [lag for lag, slope in slopes.items() if slope.explained >= enough]
+        if self.angle is not None and self.angle not in signals:
+            lags = [lag for lag in lags if lag < 0] + _lags_before_angle(slopes, best)
+        least, most, _ = self.admissible
+        return min((slopes[lag] for lag in lags), key=lambda slope: abs(slope.t(least, most)))
+
+    def _is_reverse_equal(self, signals: Signals) -> bool:
+        """Return whether x over y has an admissible slope: equal signals, of which x alone is noisy.
+
+        Noise of x attenuates the slope of y over x, not this one (Frisch 1934); a wrong scale
+        changes both.
+        """
+        y, x, others = self.regression(signals)
+        reverse = estimated_slope(Regression(x, y, others))
+        # guesses
+        if reverse is None or reverse.std > 0.5:
+            return False
+        return abs(reverse.t(*EQUAL[:2])) < 1.5
+
+
+def most_explained(slopes: dict[float, Slope]) -> Slope | None:
+    """Return the slope at the lag that explains y best, None of none."""
+    return max(slopes.values(), key=lambda slope: slope.explained, default=None)
+
+
+def _lags_before_angle(slopes: dict[float, Slope], best: Slope) -> list[float]:
+    """Return the lags from zero to the first that explains y.
+
+    Later, an angle that was not measured answers to the surface, with the other sign. Before zero, the
+    surface answers to the response, with the sign of an autopilot.
+    """
+    fraction = 1 / 8
+    lags = [lag for lag in sorted(slopes) if lag >= 0]
+    first = next((lag for lag in lags if slopes[lag].explained >= fraction * best.explained), 0.0)
+    # of the ratio of total to unexplained variance
+    least = fraction * (1 + best.explained)
+    return [lag for lag in lags if lag <= first and 1 + slopes[lag].explained >= least]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contradiction:
+    """A law that flights break, and the numbers."""
+
+    law: Law
+    #: Channels that may be wrong
+    channels: tuple[str, ...]
+    slope: Slope
+    #: Distance from the admissible values, in standard deviations
+    t: float
+    #: Lag that breaks the law, in place of the slope [s], and its standard deviation
+    lag: tuple[float, float] | None = None
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the compared signals, y over x, and the numbers."""
+        quantity, (value, std) = "slope", self.slope[:2]
+        if self.lag is not None:
+            quantity, (value, std) = "lag", self.lag
+        least, most, expected = self.law.admissible
+        unit = self.law.unit
+        is_opposite = np.sign(least + most) * value < 0
+        numbers = {
+            "channels": list(self.channels),
+            "y": self.law.y,
+            "x": self.law.x,
+            "expected": f"{expected} [{unit}]" if unit else expected,
+            quantity: value,
+            "std": std,
+            "t": self.t,
+            "correlation": self.slope.correlation,
+            "effective_samples": self.slope.n_effective,
+            "causes": list(self.law.causes),
+            "is_turned": bool(self.lag is None and is_opposite and self.slope.explained > 1),
+        }
+        return Finding(Code.CONTRADICTION, numbers=numbers)
+
+
+class Judgement(NamedTuple):
+    """How flights stand to a law: they break it, or its slope is surely near 1, or neither."""
+
+    contradiction: Contradiction | None = None
+    is_equal: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mistake:
+    """A mistake that several contradictions may follow from, as channels hide each other."""
+
+    #: Channels that have the other sign
+    turned: tuple[str, ...] = ()
+    #: Pairs of channels that stand for each other
+    exchanged: tuple[tuple[str, str], ...] = ()
+    #: Channels that are late, and by how much [s]
+    late: tuple[str, ...] = ()
+    lag: float = 0.0
+    #: Axes of the channels, empty if they are not known
+    axes: str = ""
+    #: Whether the heading counts from east
+    from_east: bool = False
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All channels."""
+        return (*self.turned, *sum(self.exchanged, ()), *self.late)
+
+    def of(self, signals: Signals) -> Mistake:
+        """Return the mistake of the channels that the signals have."""
+        turned = tuple(name for name in self.turned if name in signals)
+        late = tuple(name for name in self.late if name in signals)
+        exchanged = tuple(pair for pair in self.exchanged if {*pair} <= signals.channels.keys())
+        return replace(self, turned=turned, exchanged=exchanged, late=late)
+
+    def undone(self, signals: Signals) -> Signals:
+        """Return the signals without the mistake."""
+        channels = dict(signals.channels)
+        for first, second in self.exchanged:
+            channels[first], channels[second] = channels[second], channels[first]
+        for name in self.turned:
+            channels[name] = -channels[name]
+        for name in self.late:
+            channels[name] = signals.ahead(channels[name], self.lag)
+        if not {*ELEVONS}.isdisjoint(self.turned):
+            channels |= by_elevons(channels)
+        if self.from_east and "psi" in channels:
+            channels["psi"] = np.pi / 2 + channels["psi"]
+        return replace(signals, channels=channels)
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the channels."""
+        numbers = {
+            "channels": list(self.channels),
+            "turned": list(self.turned) or None,
+            "exchanged": [" and ".join(pair) for pair in self.exchanged] or None,
+            "late": list(self.late) or None,
+            "lag": self.lag,
+            "is_late": bool(self.late),
+            "is_frame": not {*self.turned} <= {*ELEVONS},
+            "axes": self.axes,
+            "from_east": self.from_east,
+        }
+        return Finding(Code.CHANNELS_TOGETHER, numbers=numbers)
+
+
+@dataclass(frozen=True)
+class WrongClock:
+    """Times that are too long or too short by a factor, true seconds per second of the clock."""
+
+    factor: float
+    #: Rate of the rows by the clock [Hz]
+    rate: float
+
+    def undone(self, signals: Signals) -> Signals:
+        """Return the signals by the true time."""
+        return replace(signals, step=self.factor * signals.step)
+
+    @property
+    def finding(self) -> Finding:
+        """The finding of the time."""
+        rates = {"rate": self.rate, "true_rate": self.rate / self.factor}
+        return Finding(Code.WRONG_CLOCK, numbers=rates)
+
+
+class Exchange(NamedTuple):
+    """A mistake of channels that stand for each other: without it, each law explains its response better."""
+
+    mistake: Mistake
+    laws: tuple[Law, ...]
+
+    def judge(self, signals: Signals) -> Mistake | None:
+        """Return the mistake, if all laws show it."""
+        if not {*self.mistake.channels} <= signals.channels.keys():
+            return None
+        undone = self.mistake.undone(signals)
+        for law in self.laws:
+            best = most_explained(law.slopes(undone))
+            if best is None or best.explained < PHYSICS.least_explained:
+                return None
+            others = [slope.explained for slope in law.slopes(signals).values()]
+            is_better = best.explained > max(others, default=0.0)
+            if not is_better or abs(best.t(0.0, 0.0)) < PHYSICS.least_t:
+                return None
+        return self.mistake
+
+
+def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:
+    """Return the finding of a surface that stands still for 0.5 s while the response to it, by a law, goes on.
+
+    The response in these rows differs from what explains it where the surface moves. Without vanes
+    the angles that they measure would explain it. The ratio of the residuals is 1.1 at most in 30 sound
+    flights, 2.1 to 7 where a surface is stuck, and 1.7 to 2.5 where it is clipped.
+    """
+    slopes = law.slopes(signals)
+    if not slopes or not {name, *law.beside} <= signals.channels.keys():
+        return None
+    moves = np.abs(np.diff(signals[name], prepend=np.nan)) > 1e-9
+    n_moves = signals.change(np.cumsum(moves, dtype=float), 0.5)
+    lag = max(slopes, key=lambda lag: slopes[lag].explained)
+    y, x, others = law.regression(signals)
+    terms = np.column_stack([*others, signals.ahead(x, -lag)])
+    is_whole = np.isfinite(terms).all(axis=1) & np.isfinite(y)
+    is_still = is_whole & (n_moves == 0)
+    is_moving = is_whole & ~is_still
+    if min(is_still.sum(), is_moving.sum()) < PHYSICS.least_rows:
+        return None
+    # effects that hardly vary while the surface moves are not known from these rows: their spread is 2.4 times as
+    # large in the others where a surface is stuck, 20 and more where surfaces move one after another
+    spreads = terms[is_still].std(axis=0), terms[is_moving].std(axis=0)
+    if (spreads[0] > 5 * spreads[1]).any():
+        return None
+    coefficients = np.linalg.lstsq(terms[is_moving], y[is_moving], rcond=1e-8)[0]
+    squared = (y - terms @ coefficients) ** 2
+    ratio = float(np.sqrt(squared[is_still].mean() / squared[is_moving].mean()))
+    if ratio < 2:
+        return None
+    percent = 100 * float(is_still.sum() / is_whole.sum())
+    numbers = {"channels": [name], "y": law.y, "percent": percent, "ratio": ratio}
+    return Finding(Code.STUCK_SURFACE, numbers=numbers)

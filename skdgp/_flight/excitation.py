@@ -302,10 +302,8 @@ def orthogonal_multisines(
     first = int(np.ceil(low * duration - ROUNDING))
     available = np.arange(first, int(high * duration + ROUNDING) + 1)
     n_axes = len(limits)
-    n_each = n_tones
-    if n_tones is None and n_axes:
-        n_each = max(1, len(available) // n_axes)
-    if not n_each or not 0 < n_each * n_axes <= len(available):
+    n_each = len(available) // max(n_axes, 1) if n_tones is None else n_tones
+    if not 0 < n_each * n_axes <= len(available):
         raise ValueError(
             f"Got {n_axes} axes with {n_tones or 'at least 1'} tones each, but there are "
             f"{len(available)} harmonics of {1.0 / duration:.3g} Hz in the band {band} Hz: give an axis, "

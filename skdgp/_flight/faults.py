@@ -205,11 +205,8 @@ def _missing(name: str, values: Vector, step: float) -> list[Fault]:
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
     if not gaps:
         return []
-    places = np.arange(len(values))
-    rows_of_gaps = [places[gap] for gap in gaps]
-    rows = np.concatenate(rows_of_gaps)
     numbers = {"times": len(gaps), "longest": max(map(n_rows, gaps)) * step}
-    return [Fault(name, Code.MISSING, rows, numbers)]
+    return [Fault(name, Code.MISSING, np.r_[tuple(gaps)], numbers)]
 
 
 def _impossible(name: str, values: Vector) -> list[Fault]:

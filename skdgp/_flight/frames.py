@@ -256,9 +256,8 @@ def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:
     """Return the same attitudes with signs such that neighbours are near each other; NaN rows stay."""
     sampled = np.isfinite(quaternions).all(axis=1)
     rotations = quaternions[sampled]
-    changes = np.sum(rotations[1:] * rotations[:-1], axis=1) < 0
-    n_changes = np.cumsum(np.append(0, changes))
-    signs = np.where(n_changes % 2, -1.0, 1.0)
+    is_opposite = np.sum(rotations[1:] * rotations[:-1], axis=1) < 0
+    signs = np.cumprod(np.append(1.0, np.where(is_opposite, -1.0, 1.0)))
     result = quaternions.copy()
     result[sampled] = rotations * signs[:, None]
     return result

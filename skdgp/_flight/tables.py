@@ -13,9 +13,7 @@ import pandas as pd
 from skdgp._compute.findings import Finding, shortened
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import (
-    ALL_SURFACES,
     CHANNELS,
-    HIGH_LIFT,
     MIXED,
     SENSOR_POSITION,
     TRUTH_SUFFIX,
@@ -337,11 +335,11 @@ def check_number(
 
 
 def check_full_deflections(
-    full: object, known: Iterable[str], units: Mapping[str, str] | None = None
+    full: object, known: Iterable[str], units: Mapping[str, str] = CHANNELS
 ) -> dict[str, float]:
     """Return the values at full output of some of the ``known`` controls, above zero; raise ValueError at others.
 
-    The unit of surfaces is by default rad, and a right angle is the most.
+    Of a surface in rad a right angle is the most.
     """
     if not isinstance(full, Mapping):
         raise ValueError(
@@ -355,8 +353,7 @@ def check_full_deflections(
         )
     values = {}
     for name, value in full.items():
-        unit = "rad" if name in (*ALL_SURFACES, *HIGH_LIFT) else ""
-        unit = (units or {}).get(name) or unit
+        unit = units.get(name, "")
         values[name] = check_number(f"full deflection of the {name}", value, unit=unit)
         if unit == "rad" and values[name] > np.pi / 2:
             raise ValueError(
@@ -384,9 +381,6 @@ def _lacking(needed: Iterable[str], names: list[str]) -> str:
     hints = []
     for name in dict.fromkeys(needed):
         if name not in names:
-            hint = repr(name)
             near = [meant[name]] if name in meant else get_close_matches(name, names, 1, 0.75)
-            if near:
-                hint += f" (nearest: {near[0]!r})"
-            hints.append(hint)
+            hints.append(repr(name) + "".join(f" (nearest: {other!r})" for other in near))
     return ", ".join(hints)

@@ -32,18 +32,11 @@ USUAL = {
     **dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), 1.6),
     **dict.fromkeys(RATES, 20.0),
 }
-# 90 % of a roll or heading turn slower [rad/s]; less than a jump by 360 degrees
-FASTEST_TURN = 2 * np.pi
-FASTEST_JUMP = 300.0
-# [rad], 40 degrees: larger deflections may be commands; the largest of seven logs is 0.31
-LARGEST_DEFLECTION = 0.7
 # with an afterburner
 MOST_THROTTLE = 2.1
-# least median specific force with gravity, in g
-LEAST_FORCE = 0.5
 
 
-class Law(NamedTuple):
+class Limit(NamedTuple):
     """Limits of a number of flights in SI units; guesses without another source."""
 
     value: Callable[[FlightTable], float]
@@ -76,9 +69,9 @@ def _specific_force(flights: FlightTable) -> float:
 
 
 def _force_with_gravity(flights: FlightTable) -> float:
-    """Return the median specific force, NaN if it is too small even in g: gravity was removed."""
+    """Return the median specific force, NaN if it is less than 0.5 even in g: gravity was removed."""
     force = _specific_force(flights)
-    return force if force > LEAST_FORCE else np.nan
+    return force if force > 0.5 else np.nan
 
 
 def _density_over_standard(flights: FlightTable) -> float:
@@ -102,16 +95,16 @@ FORCE = (
     "force, so add gravity if it was subtracted."
 )
 # units of single channels
-LAWS = (
-    Law(_quantile_of("density"), 0.05, 2.5, DENSITY),
-    Law(
+LIMITS = (
+    Limit(_quantile_of("density"), 0.05, 2.5, DENSITY),
+    Limit(
         _quantile_of("throttle", 0.99),
         -np.inf,
         MOST_THROTTLE,
         "Got throttle up to {value:g}, but expected 0 to 1: divide it by its full range (100 for per "
         "cent, or 'throttle [%]' in the header).",
     ),
-    Law(
+    Limit(
         _force_with_gravity,
         2.0,
         np.inf,
@@ -119,27 +112,27 @@ LAWS = (
         "looks like g. Multiply by 9.80665, or say the unit in the header, as in 'az [g]'; if gravity "
         "was removed, add it (az is -9.8 in level flight).",
     ),
-    Law(
+    Limit(
         lambda flights: _quantile(np.diff(flights.time), 0.5),
         -np.inf,
         5.0,
         "Got a median time step of {value:g}, but expected seconds: this looks like milliseconds or "
         "microseconds. Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'.",
     ),
-    Law(
+    Limit(
         lambda flights: _quantile(np.diff(flights.time), 0.5),
         9e-4,
         np.inf,
         "The median time step is {value:g} s: if this is in minutes, multiply time by 60.",
         is_error=False,
     ),
-    Law(_density_over_standard, 0.8, 1.25, ALTITUDE, is_error=False),
+    Limit(_density_over_standard, 0.8, 1.25, ALTITUDE, is_error=False),
 )
 # of flights whose coefficients are computed
-LAWS_OF_MOTION = (
-    Law(_quantile_of("density", 0.0), np.nextafter(0.0, 1.0), np.inf, DENSITY),
-    Law(_specific_force, 3.0, 300.0, FORCE, is_error=False),
-    Law(
+LIMITS_OF_MOTION = (
+    Limit(_quantile_of("density", 0.0), np.nextafter(0.0, 1.0), np.inf, DENSITY),
+    Limit(_specific_force, 3.0, 300.0, FORCE, is_error=False),
+    Limit(
         _quantile_of("az"),
         -np.inf,
         3.0,
@@ -168,18 +161,20 @@ def _how_to_wrap(*names: str) -> str:
 def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     """Return whether roll or heading goes on from within a turn without jumps, as unwrapping leaves it.
 
-    Degrees change 57 times as fast; a tenth of the steps may be faster, as spikes are.
+    Degrees change 57 times as fast as a turn a second, and jump by 360; a tenth of the steps may be faster, as spikes
+    are.
     """
     if name not in WRAPPED or "time" not in table:
         return False
     for flight in FlightTable.of(table).flights.values():
-        measured = np.isfinite(flight.column(name))
-        angle = flight.column(name)[measured]
+        angle = flight.column(name)
+        measured = np.isfinite(angle)
+        angle = angle[measured]
         steps = np.abs(np.diff(angle))
         rates = steps / np.diff(flight.time[measured])
-        begins_elsewhere = (np.abs(angle[:1]) > 2 * np.pi + ANGLE_NOISE).any()
-        is_fast = _quantile(rates, 0.9) > FASTEST_TURN or steps.max(initial=0.0) >= FASTEST_JUMP
-        if begins_elsewhere or is_fast:
+        first = np.abs(angle[:1]).max(initial=0.0)
+        is_fast = _quantile(rates, 0.9) > 2 * np.pi or steps.max(initial=0.0) >= 300.0
+        if is_fast or first > 2 * np.pi + ANGLE_NOISE:
             return False
     return True
 
@@ -201,8 +196,8 @@ def check_flight(flight: pd.DataFrame | FlightTable, needed: Iterable[str]) -> F
     _ = flights.segments
     check_airspeed(flights.column("airspeed"))
     check_units(flights)
-    for law in LAWS_OF_MOTION:
-        law.check(flights)
+    for limit in LIMITS_OF_MOTION:
+        limit.check(flights)
     return flights
 
 
@@ -212,8 +207,8 @@ def check_units(flights: FlightTable) -> None:
     A hundredth of the values may be faults. Warn of surfaces in radians that are probably commands.
     """
     check_radians(flights.table)
-    for law in LAWS:
-        law.check(flights)
+    for limit in LIMITS:
+        limit.check(flights)
     if FULL_THROW not in flights.table:
         _warn_of_commands(flights)
 
@@ -221,10 +216,8 @@ def check_units(flights: FlightTable) -> None:
 def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
     """Raise ValueError if angles or rates of ``names`` are in degrees; absent ones pass."""
     degrees: dict[str, float] = {}
-    present = {*names} & {*table.columns}
-    for name, usual in USUAL.items():
-        if name not in present:
-            continue
+    for name in [name for name in USUAL if name in names and name in table]:
+        usual = USUAL[name]
         sizes = np.abs(table[name].to_numpy(float, na_value=np.nan))
         top = _quantile(sizes, 0.99)
         if top > usual and not is_unwrapped(table, name):
@@ -247,12 +240,15 @@ def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
 
 
 def _warn_of_commands(flights: FlightTable) -> None:
-    """Warn of surfaces that are probably commands from -1 to 1: large, or at 1 exactly."""
+    """Warn of surfaces that are probably commands from -1 to 1: large, or at 1 exactly.
+
+    The largest deflection of seven logs is 0.31 rad; 0.7 are 40 degrees.
+    """
     large = {}
     for name in ALL_SURFACES:
         angles = np.abs(flights.column(name))
         top = _quantile(angles, 0.99)
-        if top > LARGEST_DEFLECTION or (angles == 1).sum() > 1:
+        if top > 0.7 or (angles == 1).sum() > 1:
             large[name] = float(np.nanmax(angles))
     if large:
         report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}))

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES
-from skdgp._flight.findings import Finding
-from skdgp._flight.physics._laws import Contradiction, Law, Mistake, WrongClock, stuck_surface
+from skdgp._flight.findings import Code, Finding
+from skdgp._flight.physics._laws import Contradiction, Law, Mistake, stuck_surface
 from skdgp._flight.physics._list import (
     CHANNELS,
     EQUALITIES,
@@ -53,13 +53,13 @@ def _findings_of(flights: FlightTable) -> list[Finding]:
         signals = exchanged.undone(signals)
         findings.append(exchanged.finding)
     contradictions, confirmed = _contradictions_in(signals)
-    for mistake in _candidates(signals, contradictions):
-        if _n_contradicted(mistake.undone(signals)) == 0:
-            return [*findings, mistake.finding]
-    for cause in _causes(contradictions, confirmed):
+    for cause, corrected in _candidates(signals, contradictions):
+        if _n_contradicted(corrected) == 0:
+            return [*findings, cause]
+    for contradiction in _causes(contradictions, confirmed):
         if {*ELEVONS} <= {*flights.table.columns}:
-            cause = _of_elevons(cause)
-        findings.append(cause.finding)
+            contradiction = _of_elevons(contradiction)
+        findings.append(contradiction.finding)
     if not contradictions:
         stuck = [stuck_surface(name, law, signals) for name, law in RESPONSES.items()]
         findings += [finding for finding in stuck if finding is not None]
@@ -68,28 +68,36 @@ def _findings_of(flights: FlightTable) -> list[Finding]:
 
 def _candidates(
     signals: Signals, contradictions: list[Contradiction]
-) -> Iterator[Mistake | WrongClock]:
-    """Yield the mistakes that several contradictions may follow from, of channels that the signals have.
+) -> Iterator[tuple[Finding, Signals]]:
+    """Yield mistakes that several contradictions may follow from, each with the signals without it.
 
     Channels are late together by a lag that one of the contradictions shows.
     """
-    is_turned = any(each.law is TURNING for each in contradictions)
-    are_several = is_turned or len(contradictions) >= 3
-    lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]
     scaled = [each for each in contradictions if _may_be_of_clock(each)]
     of_scaled = {name for each in scaled for name in each.channels}
     if not of_scaled.isdisjoint(RATES) and not of_scaled.isdisjoint(EARTH_VELOCITY):
         clearest = min(scaled, key=lambda each: each.slope.std)
-        yield WrongClock(factor=clearest.slope.value, rate=signals.rate)
+        factor = clearest.slope.value
+        rates = {"rate": signals.rate, "true_rate": signals.rate / factor}
+        yield (
+            Finding(Code.WRONG_CLOCK, numbers=rates),
+            replace(signals, step=factor * signals.step),
+        )
+    lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]
+    is_turned = any(each.law is TURNING for each in contradictions)
+    are_several = is_turned or len(contradictions) >= 3
     doubted = {name for each in contradictions for name in each.channels}
     for mistake in MISTAKES:
         own = mistake.of(signals)
         if len(own.channels) < 2 or doubted.isdisjoint(own.channels):
             continue
-        if not own.late and are_several:
-            yield own
-        elif own.late and len(lags) > 1:
-            yield from [replace(own, lag=lag) for lag in sorted({*lags})]
+        candidates = []
+        if own.late and len(lags) > 1:
+            candidates = [replace(own, lag=lag) for lag in sorted({*lags})]
+        elif not own.late and are_several:
+            candidates = [own]
+        for candidate in candidates:
+            yield candidate.finding, candidate.undone(signals)
 
 
 def _may_be_of_clock(contradiction: Contradiction) -> bool:
@@ -136,8 +144,8 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
 
 def _contradicted(laws: Iterable[Law], signals: Signals) -> list[Contradiction]:
     """Return the contradictions of laws."""
-    judgements = [law.judge(signals).contradiction for law in laws]
-    return [contradiction for contradiction in judgements if contradiction is not None]
+    judgements = [law.judge(signals) for law in laws]
+    return [contradiction for contradiction, _ in judgements if contradiction is not None]
 
 
 def _clearest_first(contradictions: list[Contradiction]) -> list[Contradiction]:

@@ -83,20 +83,20 @@ class Law:
                 slopes[lag] = slope
         return slopes
 
-    def judge(self, signals: Signals) -> Judgement:
-        """Return whether flights break the law, or confirm it."""
+    def judge(self, signals: Signals) -> tuple[Contradiction | None, bool]:
+        """Return the contradiction of flights that break the law, and whether its slope is surely near 1."""
         slopes = self.slopes(signals)
         best = most_explained(slopes)
         if best is None or best.size <= self.noise or best.n_effective < PHYSICS.least_samples:
-            return Judgement()
+            return None, False
         late = self._unusual_lag(slopes, best)
         if late is not None:
-            return Judgement(late)
+            return late, False
         least, most, _ = self.admissible
         distance_inside = min(best.value - EQUAL.least, EQUAL.most - best.value)
         is_equal = distance_inside > PHYSICS.least_t * best.std
         if is_equal and abs(best.t(least, most)) < PHYSICS.least_t:
-            return Judgement(is_equal=True)
+            return None, True
         # the error of x attenuates the slope (Fuller 1987, section 1.1)
         least *= 1 - (self.noise / best.size) ** 2
         slope = slopes.get(0.0, best)
@@ -104,13 +104,13 @@ class Law:
             slope = self._nearest_slope(slopes, best, signals)
         t = slope.t(least, most)
         if abs(t) < self.least_t or slope.explained < self.least_explained:
-            return Judgement()
+            return None, False
         is_attenuated = self.vibrates and 0 < slope.value < least
         if is_attenuated and self._is_reverse_equal(signals):
-            return Judgement()
-        if self.witness is not None and self.witness.judge(signals).contradiction is None:
-            return Judgement()
-        return Judgement(Contradiction(law=self, channels=self.channels, slope=slope, t=t))
+            return None, False
+        if self.witness is not None and self.witness.judge(signals)[0] is None:
+            return None, False
+        return Contradiction(law=self, channels=self.channels, slope=slope, t=t), False
 
     def _unusual_lag(self, slopes: dict[float, Slope], best: Slope) -> Contradiction | None:
         """Return the contradiction of a best lag outside of the usual ones, if it is one."""
@@ -215,13 +215,6 @@ class Contradiction:
         return Finding(Code.CONTRADICTION, numbers=numbers)
 
 
-class Judgement(NamedTuple):
-    """How flights stand to a law: they break it, or its slope is surely near 1, or neither."""
-
-    contradiction: Contradiction | None = None
-    is_equal: bool = False
-
-
 @dataclass(frozen=True, kw_only=True)
 class Mistake:
     """A mistake that several contradictions may follow from, as channels hide each other."""
@@ -280,25 +273,6 @@ class Mistake:
             "from_east": self.from_east,
         }
         return Finding(Code.CHANNELS_TOGETHER, numbers=numbers)
-
-
-@dataclass(frozen=True)
-class WrongClock:
-    """Times that are too long or too short by a factor, true seconds per second of the clock."""
-
-    factor: float
-    #: Rate of the rows by the clock [Hz]
-    rate: float
-
-    def undone(self, signals: Signals) -> Signals:
-        """Return the signals by the true time."""
-        return replace(signals, step=self.factor * signals.step)
-
-    @property
-    def finding(self) -> Finding:
-        """The finding of the time."""
-        rates = {"rate": self.rate, "true_rate": self.rate / self.factor}
-        return Finding(Code.WRONG_CLOCK, numbers=rates)
 
 
 class Exchange(NamedTuple):

@@ -23,8 +23,6 @@ from skdgp._flight.tables import FlightTable
 Sizes: TypeAlias = Mapping[str, float]
 #: Standard deviations outside of its limits by which a derivative contradicts a law
 LEAST_T = 2.0
-#: Sizes in other units that a question asks for
-MOST_ASKED = 3
 
 
 class Law(NamedTuple):
@@ -146,7 +144,8 @@ def question_of_sizes(
 ) -> Finding | None:
     """Return the finding of numbers that break a law, None if all hold.
 
-    It asks for each size that would keep all laws in another unit, then for the others as they are.
+    It asks for the three sizes that would keep all laws in the most usual other units, then for the others as they
+    are.
     Sizes that were ``estimated`` follow mass and span.
     """
     # the same in all units
@@ -165,14 +164,14 @@ def question_of_sizes(
             changed = _in_other_unit(sizes, name, factor, estimated)
             if not _broken(changed, relative):
                 plausible.append((_distance_from_usual(changed), name, factor, unit))
-    in_other_units = sorted(plausible)[:MOST_ASKED]
-    named = {name for _, name, _, _ in in_other_units}
-    as_given = [(0.0, name, 1.0, "") for name in given if name not in named]
+    units = sorted(plausible)[:3]
+    named = {name for _, name, *_ in units}
+    units += [(0.0, name, 1.0, "") for name in given if name not in named]
     asked = []
-    for _, name, factor, unit in in_other_units + as_given:
-        value = factor * sizes[name]
-        units = {"si_unit": SI_UNITS[name], "given": sizes[name], "unit": unit}
-        asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers={"value": value, **units}))
+    for _, name, factor, unit in units:
+        numbers = {"value": factor * sizes[name], "given": sizes[name]}
+        numbers |= {"si_unit": SI_UNITS[name], "unit": unit}
+        asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=numbers))
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
 
 
@@ -232,12 +231,11 @@ def sizes_in_flight(
     if "density" in flights.table:
         density = float(np.nanmedian(flights.column("density")))
     numbers |= {"airspeed": float(np.nanmedian(signals["airspeed"])), "density": density}
+    load = 2 * mass / (density * wing_area)
     if "az" in signals:
-        loads = -2 * mass * signals["az"] / (density * wing_area * signals["airspeed"] ** 2)
-        numbers["CL"] = float(np.nanmedian(loads))
-    laws = [("mass_by_thrust", drive, mass) for drive in DRIVES.values()]
-    laws.append(("CZ_alpha", LIFT, 2 * mass / (density * wing_area)))
-    for name, law, scale in laws:
+        numbers["CL"] = -load * float(np.nanmedian(signals["az"] / signals["airspeed"] ** 2))
+    laws = [(drive, "mass_by_thrust", mass) for drive in DRIVES.values()]
+    for law, name, scale in [*laws, (LIFT, "CZ_alpha", load)]:
         slope = law.slopes(signals).get(0.0)
         if slope is not None and slope.n_effective >= PHYSICS.least_samples:
             middle, std = _in_bounds(slope)

@@ -139,8 +139,7 @@ def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[Fault]:
         yield Fault("time", Code.GAP, gaps, numbers)
     channels = flight.numeric_channels(names)
     for name, values in channels.items():
-        faults, channels[name] = _faults_of_channel(name, values, step)
-        yield from faults
+        yield from _faults_of_channel(name, values, step)
     yield from _dead(channels)
     yield from _jumps(channels, steps)
 
@@ -154,7 +153,7 @@ def _jumps(channels: dict[str, Vector], steps: Vector) -> Iterator[Fault]:
         return
     rates = np.max([np.abs(channels[name]) for name in RATES], axis=0)
     turned = np.fmax(rates[1:], rates[:-1]) * steps
-    for name in {*EULER} & channels.keys():
+    for name in [name for name in EULER if name in channels]:
         change = np.abs(wrapped(np.diff(channels[name])))
         # near the vertical roll and heading change by more than the rates
         is_jump = change > 0.15 + 1.5 * turned
@@ -174,49 +173,55 @@ def attitude_jumps(flights: FlightTable) -> Vector:
     return flights.time[sorted(rows)]
 
 
-def _faults_of_channel(name: str, values: Vector, step: float) -> tuple[list[Fault], Vector]:
-    """Return the faults of a channel, and its values with NaN in their place: each is found without those before."""
-    faults = _missing(name, values, step)
-    values = np.where(np.isfinite(values), values, np.nan)
-    for fault in _impossible(name, values):
-        faults.append(fault)
-        values[fault.rows] = np.nan
-    if name not in SENSORS:
-        return faults, values
-    for rows in stuck_rows(values, step):
-        faults.append(Fault(name, Code.STUCK, rows, {"value": float(values[rows[0]])}))
-        values[rows] = np.nan
-    marks = mark_rows(values)
-    values[marks] = np.nan
-    rows = np.union1d(marks, spike_rows(values, angle=name in WRAPPED))
-    if rows.size:
-        n_runs = 1 + int(np.sum(np.diff(rows) > 1))
-        faults.append(Fault(name, Code.SPIKE, rows, {"times": n_runs}))
-    return faults, values
+def _faults_of_channel(name: str, values: Vector, step: float) -> Iterator[Fault]:
+    """Yield the faults of a channel, in whose place its values become NaN: each is found without those before."""
+    values[~np.isfinite(values)] = np.nan
+    checks = [_missing, _impossible]
+    if name in SENSORS:
+        checks += [_stuck, _spikes]
+    for check in checks:
+        for fault in check(name, values, step):
+            yield fault
+            if not fault.is_measured:
+                values[fault.rows] = np.nan
 
 
-def _missing(name: str, values: Vector, step: float) -> list[Fault]:
-    """Return the gaps, together, of a channel that usually has values there, if any."""
-    is_missing = ~np.isfinite(values)
-    if is_missing.all():
-        return [Fault(name, Code.NEVER_MEASURED, np.arange(len(values)), {})]
+def _missing(name: str, values: Vector, step: float) -> Iterator[Fault]:
+    """Yield the gaps, together, of a channel that usually has values there, if any."""
+    is_missing = np.isnan(values)
     # as many rows are missing between samples of a sensor that is slower than the table
     usual = 1.5 * usual_spacing(values) - 1
     gaps = [gap for gap in true_runs(is_missing) if n_rows(gap) > usual]
-    if not gaps:
-        return []
-    numbers = {"times": len(gaps), "longest": max(map(n_rows, gaps)) * step}
-    return [Fault(name, Code.MISSING, np.r_[tuple(gaps)], numbers)]
+    if is_missing.all():
+        yield Fault(name, Code.NEVER_MEASURED, np.arange(len(values)), {})
+    elif gaps:
+        numbers = {"times": len(gaps), "longest": max(map(n_rows, gaps)) * step}
+        yield Fault(name, Code.MISSING, np.r_[tuple(gaps)], numbers)
 
 
-def _impossible(name: str, values: Vector) -> list[Fault]:
-    """Return the values that no aircraft has, if there are any and they are rare."""
+def _impossible(name: str, values: Vector, _: float) -> Iterator[Fault]:
+    """Yield the values that no aircraft has, together, if there are any and they are rare."""
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
-    n_sampled = np.isfinite(values).sum()
-    if not 0 < rows.size <= RARE * n_sampled:
-        return []
-    return [Fault(name, Code.IMPOSSIBLE, rows, {"value": float(values[rows[0]])})]
+    if 0 < rows.size <= RARE * np.isfinite(values).sum():
+        yield Fault(name, Code.IMPOSSIBLE, rows, {"value": float(values[rows[0]])})
+
+
+def _stuck(name: str, values: Vector, step: float) -> Iterator[Fault]:
+    """Yield each run in which a sensor is stuck."""
+    for rows in stuck_rows(values, step):
+        yield Fault(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
+
+
+def _spikes(name: str, values: Vector, _: float) -> Iterator[Fault]:
+    """Yield the marks of missing samples and the spikes, together, if there are any."""
+    marks = mark_rows(values)
+    others = values.copy()
+    others[marks] = np.nan
+    rows = np.union1d(marks, spike_rows(others, angle=name in WRAPPED))
+    if rows.size:
+        n_runs = 1 + int(np.sum(np.diff(rows) > 1))
+        yield Fault(name, Code.SPIKE, rows, {"times": n_runs})
 
 
 def dead_channels(flights: FlightTable) -> list[str]:

@@ -110,16 +110,14 @@ def _may_be_of_clock(contradiction: Contradiction) -> bool:
 
 def _exchange_in(signals: Signals) -> Mistake | None:
     """Return the exchange after which the fewest laws are broken, None if none shows."""
-    judgements = [exchange.judge(signals) for exchange in EXCHANGES]
-    shown = [mistake for mistake in judgements if mistake is not None]
+    shown = [mistake for mistake in EXCHANGES if mistake.is_shown(signals)]
     return min(shown, key=lambda mistake: _n_contradicted(mistake.undone(signals)), default=None)
 
 
 def _n_contradicted(signals: Signals) -> int:
     """Return the number of laws that signals break, with exchanges."""
     contradictions, _ = _contradictions_in(signals)
-    exchanges = [exchange.judge(signals) for exchange in EXCHANGES]
-    return len(contradictions) + len(exchanges) - exchanges.count(None)
+    return len(contradictions) + sum(mistake.is_shown(signals) for mistake in EXCHANGES)
 
 
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:

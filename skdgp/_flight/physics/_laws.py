@@ -230,6 +230,8 @@ class Mistake:
     axes: str = ""
     #: Whether the heading counts from east
     from_east: bool = False
+    #: Laws that show the mistake of channels that stand for each other
+    laws: tuple[Law, ...] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -258,6 +260,13 @@ class Mistake:
             channels["psi"] = np.pi / 2 + channels["psi"]
         return replace(signals, channels=channels)
 
+    def is_shown(self, signals: Signals) -> bool:
+        """Return whether without the mistake each of its laws explains its response better."""
+        if not {*self.channels} <= signals.channels.keys():
+            return False
+        undone = self.undone(signals)
+        return all(_is_clearer(law.slopes(undone), law.slopes(signals)) for law in self.laws)
+
     @property
     def finding(self) -> Finding:
         """The finding of the channels."""
@@ -275,26 +284,14 @@ class Mistake:
         return Finding(Code.CHANNELS_TOGETHER, numbers=numbers)
 
 
-class Exchange(NamedTuple):
-    """A mistake of channels that stand for each other: without it, each law explains its response better."""
-
-    mistake: Mistake
-    laws: tuple[Law, ...]
-
-    def judge(self, signals: Signals) -> Mistake | None:
-        """Return the mistake, if all laws show it."""
-        if not {*self.mistake.channels} <= signals.channels.keys():
-            return None
-        undone = self.mistake.undone(signals)
-        for law in self.laws:
-            best = most_explained(law.slopes(undone))
-            if best is None or best.explained < PHYSICS.least_explained:
-                return None
-            others = [slope.explained for slope in law.slopes(signals).values()]
-            is_better = best.explained > max(others, default=0.0)
-            if not is_better or abs(best.t(0.0, 0.0)) < PHYSICS.least_t:
-                return None
-        return self.mistake
+def _is_clearer(slopes: dict[float, Slope], others: dict[float, Slope]) -> bool:
+    """Return whether the best of some slopes is no chance and explains more than the best of others."""
+    best = most_explained(slopes)
+    if best is None:
+        return False
+    explained = [slope.explained for slope in others.values()]
+    least = max([PHYSICS.least_explained, *explained])
+    return best.explained > least and abs(best.t(0.0, 0.0)) >= PHYSICS.least_t
 
 
 def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:

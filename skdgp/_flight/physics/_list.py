@@ -18,7 +18,7 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.physics import _equations as equations
-from skdgp._flight.physics._laws import EQUAL, Exchange, Interval, Law, Mistake
+from skdgp._flight.physics._laws import EQUAL, Interval, Law, Mistake
 from skdgp._flight.physics._signals import PHYSICS
 
 # of gyros, velocities, north, east, down and the lateral force: 0.94 to 1.06 in 230 sound flights, but 0.89 in a
@@ -385,14 +385,14 @@ BY_ELEVONS = (
 )
 
 
-def _exchange(first: str, second: str, *laws: Law) -> Exchange:
-    """Return the check that two channels do not stand for each other."""
-    return Exchange(Mistake(exchanged=((first, second),)), laws)
+def _exchange(first: str, second: str, *laws: Law) -> Mistake:
+    """Return the mistake of two channels that stand for each other, which laws show."""
+    return Mistake(exchanged=((first, second),), laws=laws)
 
 
 EXCHANGES = (
-    Exchange(Mistake(turned=("elevon_left",)), BY_ELEVONS),
-    Exchange(Mistake(turned=("elevon_right",)), BY_ELEVONS),
+    Mistake(turned=("elevon_left",), laws=BY_ELEVONS),
+    Mistake(turned=("elevon_right",), laws=BY_ELEVONS),
     _exchange("p", "q", ROLL, PITCH),
     _exchange("p", "r", ROLL, YAW),
     _exchange("q", "r", PITCH, YAW),
@@ -400,7 +400,7 @@ EXCHANGES = (
     _exchange("ax", "az", GRAVITY, FALLING),
     _exchange("ay", "az", GRAVITY, FALLING),
     _exchange("v_north", "v_east", NORTH, EAST),
-    Exchange(replace(EARTH_UP, exchanged=HORIZONTAL[:1], turned=("v_down",)), (NORTH, EAST)),
+    replace(EARTH_UP, exchanged=HORIZONTAL[:1], turned=("v_down",), laws=(NORTH, EAST)),
     _exchange("elevator", "aileron", *BY_ELEVONS),
     _exchange("aileron", "rudder", BY_AILERON, BY_RUDDER),
     _exchange(

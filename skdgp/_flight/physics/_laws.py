@@ -304,26 +304,24 @@ def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:
     slopes = law.slopes(signals)
     if not slopes or not {name, *law.beside} <= signals.channels.keys():
         return None
-    moves = np.abs(np.diff(signals[name], prepend=np.nan)) > 1e-9
-    n_moves = signals.change(np.cumsum(moves, dtype=float), 0.5)
     lag = max(slopes, key=lambda lag: slopes[lag].explained)
     y, x, others = law.regression(signals)
     terms = np.column_stack([*others, signals.ahead(x, -lag)])
     is_whole = np.isfinite(terms).all(axis=1) & np.isfinite(y)
-    is_still = is_whole & (n_moves == 0)
-    is_moving = is_whole & ~is_still
-    if min(is_still.sum(), is_moving.sum()) < PHYSICS.least_rows:
+    is_still = np.abs(signals.change(signals[name], 0.5)) < 1e-9
+    still = is_whole & is_still
+    moving = is_whole & ~is_still
+    if min(still.sum(), moving.sum()) < PHYSICS.least_rows:
         return None
     # effects that hardly vary while the surface moves are not known from these rows: their spread is 2.4 times as
     # large in the others where a surface is stuck, 20 and more where surfaces move one after another
-    spreads = terms[is_still].std(axis=0), terms[is_moving].std(axis=0)
-    if (spreads[0] > 5 * spreads[1]).any():
+    if (terms[still].std(axis=0) > 5 * terms[moving].std(axis=0)).any():
         return None
-    coefficients = np.linalg.lstsq(terms[is_moving], y[is_moving], rcond=1e-8)[0]
+    coefficients = np.linalg.lstsq(terms[moving], y[moving], rcond=1e-8)[0]
     squared = (y - terms @ coefficients) ** 2
-    ratio = float(np.sqrt(squared[is_still].mean() / squared[is_moving].mean()))
+    ratio = float(np.sqrt(squared[still].mean() / squared[moving].mean()))
     if ratio < 2:
         return None
-    percent = 100 * float(is_still.sum() / is_whole.sum())
+    percent = 100 * float(is_still[is_whole].mean())
     numbers = {"channels": [name], "y": law.y, "percent": percent, "ratio": ratio}
     return Finding(Code.STUCK_SURFACE, numbers=numbers)

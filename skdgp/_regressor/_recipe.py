@@ -223,12 +223,13 @@ class Recipe:
                 ordered=self.time_series,
                 known=samples.known,
             )
+            posterior: Any = fit.posterior
             if not self._can_neglect(fit.learned):
                 return fit, samples
-            neglected = fit.posterior.neglected_variance
+            neglected = posterior.neglected_variance
             if neglected <= most:
                 return fit, samples
-            if 2 * fit.posterior.size > settings.exact_values:
+            if 2 * posterior.size > settings.exact_values:
                 break  # exact inference takes less time
         n_exact = settings.exact_values if is_auto else None
         _checks.warn_of_approximation(neglected, n_inducing, n_exact)

@@ -126,18 +126,12 @@ class Hyperparameters(NamedTuple):
         """Return the logarithm of the weight among structures (Akaike 1974)."""
         return self.log_likelihood - self.price
 
-    def noisy(self, data: Data, passes: int = 2) -> Data:
-        """Return observed values of exact regressors with the noise of the regressors.
-
-        The first pass takes slopes of a fit to exact regressors, the second of one to noisy
-        regressors.
-        """
+    def noisy(self, data: Data) -> Data:
+        """Return observed values of exact regressors with their noise, by slopes of the fit to exact ones."""
         if self.input_std is None:
             return data
-        for _ in range(passes):
-            mean = ExactPosterior(self.kernel, self.noise, data).mean_function
-            data = data.with_slopes(mean, self.input_std)
-        return data
+        mean = ExactPosterior(self.kernel, self.noise, data).mean_function
+        return data.with_slopes(mean, self.input_std)
 
 
 def search(
@@ -403,7 +397,7 @@ class _Search:
         on if the data show none, as it does not raise the likelihood of exact regressors.
         """
         unit = exact._replace(input_std=self.scale)
-        blocks = [unit.noisy(block, 1).with_loadings() for block in self.blocks]
+        blocks = [unit.noisy(block).with_loadings() for block in self.blocks]
         loadings = [cast(SampleNoise, block.sample_noise) for block in blocks]
         noise, input_bounds = initial_input_noise(exact.noise, loadings, self.scale, self.known)
         max_iter = self.options.max_iter

@@ -296,8 +296,8 @@ def _sparse_terms(
         last = first + len(features.columns(i))
         if isinstance(features, LatentFeatures):
             place = first
+            Z = features.Z
             for f in features.blocks[i]:
-                Z = features.Z[f]
                 latent = n_outputs + f
                 terms += _terms(features.joint, i, latent, len(of_terms), Z)
                 of_terms += range(place, place + len(Z))

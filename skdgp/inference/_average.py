@@ -124,12 +124,12 @@ class AveragePosterior(Posterior):
 
     @cached_property
     def mean_function(self) -> PathBundle:
-        """The mean, as a single path, whose Gaussian functions are one basis."""
+        """The mean, as a single path."""
         weighted = [
             member.mean_function.times(weights)
             for member, weights in zip(self.members, self.mixture, strict=True)
         ]
-        return reduce(add, weighted).rounded()
+        return reduce(add, weighted)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "mean_function"}

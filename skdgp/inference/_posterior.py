@@ -152,9 +152,7 @@ class SinglePosterior(Posterior):
         mean = self.mean_function
 
         def of_batch(X: Matrix) -> list[Array]:
-            if spread is None:
-                return [mean.slopes(X[None])[0]]
-            return [mean.averaged_slopes(X[None], spread)[0]]
+            return [mean.slopes(X[None], spread)[0]]
 
         (slopes,) = self._in_batches(of_batch, Xs, width)
         return slopes
@@ -384,11 +382,10 @@ class Paths:
         alone, as of ``predict_gradient``.
         """
         X = self._check_points(X, 3) if np.ndim(X) == 3 else self._check_points(X, 2)[None]
+        if spread is not None:
+            spread = check_spread(spread, self.n_features)
         with threads_for(X.shape[1]):
-            if spread is None:
-                slopes = self.bundle.slopes(X)
-            else:
-                slopes = self.bundle.averaged_slopes(X, check_spread(spread, self.n_features))
+            slopes = self.bundle.slopes(X, spread)
             return self._squeeze(slopes * np.reshape(self.scale, (-1, 1)))
 
     def _values(self, X):

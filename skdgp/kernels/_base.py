@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -19,7 +19,6 @@ from sklearn.gaussian_process.kernels import Sum as _SklearnSum
 from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 
-DERIVATIVE_STEP = 1e-3  # step of numerical derivatives, for regressors of about unit size
 SHOWN_ENTRIES = 12  # largest number of entries of an array that ``repr`` shows in full
 
 
@@ -180,26 +179,6 @@ class MultiOutputKernel(Kernel):
         these together.
         """
         return [_EvaluatedPair(self, pair) for pair in pairs]
-
-    def block_derivative(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Array:
-        """Return d cov(y_i(Xi), y_j(Xj)) / dXi, (d, n_i, n_j).
-
-        The default uses central differences of fourth order, for regressors of about unit size.
-        """
-        Xi = np.asarray(Xi, dtype=float)
-        Xj = np.asarray(Xj, dtype=float)
-        if self.is_stationary() and len(Xj):
-            # small steps at points far from zero would be rounded
-            Xi = Xi - Xj[0]
-            Xj = Xj - Xj[0]
-        slopes = []
-        for unit in np.eye(Xi.shape[1]):
-
-            def along(step, unit=unit):
-                return self.block(i, j, Xi + step * unit, Xj)
-
-            slopes.append(_derivative_at_zero(along))
-        return np.stack(slopes)
 
     def has_values(self) -> bool:
         """Return whether all parameter values are given."""
@@ -568,14 +547,6 @@ def _common(name, first, second):
             f"Got a sum of kernels with {name} {first} and {second}, but expected the same number."
         )
     return first
-
-
-def _derivative_at_zero(function: Callable[[float], Matrix]) -> Matrix:
-    """Return the derivative of a function of one number, by central differences of fourth order."""
-    step = DERIVATIVE_STEP
-    near = function(step) - function(-step)
-    far = function(2 * step) - function(-2 * step)
-    return (8 * near - far) / (12 * step)
 
 
 def is_per_output(X: Any) -> bool:

@@ -8,48 +8,23 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, reduce, singledispatch
-from operator import add
-from typing import Any, cast
+from functools import cached_property, singledispatch
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from skdgp._compute.linalg import consecutive
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Indices, Matrix, Vector
 from skdgp.kernels._base import MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._gaussian_filters import GaussianBasis
-from skdgp.kernels._paths import Basis, BasisPaths, LinearPaths, PathBundle, contract
-from skdgp.kernels._prior_paths import draw_waves, prior_paths
+from skdgp.kernels._paths import CovariancePaths, GaussianPaths, LinearPaths, PathBundle, summed
+from skdgp.kernels._prior_paths import prior_paths
 from skdgp.kernels._trend import LinearTrend
 
-
-class FeaturePaths(BasisPaths):
-    """Covariances with inducing variables, Kfu, times coefficients (S, K)."""
-
-    def __init__(self, features: Features, coefficients: Matrix) -> None:
-        self.features = features
-        self.coefficients = coefficients
-        basis, variables = features.basis()
-        weights = [np.ascontiguousarray(coefficients[:, places]) for places in variables]
-        super().__init__(basis, weights, consecutive(variables))
-
-    def __reduce__(self):
-        # Pickle the coefficients only: they are smaller than the weights of all columns.
-        return FeaturePaths, (self.features, self.coefficients)
-
-
-@dataclass(frozen=True)
-class FeatureSettings:
-    """How inducing variables are rounded."""
-
-    #: Variance of white noise in the inducing variables, over their variance; the bound remains a bound
-    jitter: float = 1e-6
-
-
-SETTINGS = FeatureSettings()
+# Variance of white noise in the inducing variables, over their variance; the bound remains a bound
+JITTER = 1e-6
 
 
 class Features(ABC):
@@ -86,148 +61,71 @@ class Features(ABC):
     ) -> tuple[PathBundle, Matrix]:
         """Return sample paths of the outputs and the values of u (n_paths, K), drawn jointly from the prior."""
 
-    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
-        """Return dKfu / dX, (d, n, c_i), for slopes of paths, unless the class has paths of its own."""
-        raise NotImplementedError
-
-    def basis(self) -> tuple[Basis, list[Indices]]:
-        """Return the functions of the regressors that Kfu is made of, and the variable of each, for each output.
-
-        Functions of the first output come first, then of the second, and so on. Functions of one
-        variable and output add up to its column of Kfu.
-        """
-        n_outputs = self.kernel.n_outputs
-        return FeatureBasis(self, n_outputs), [self.columns(i) for i in range(n_outputs)]
-
+    @abstractmethod
     def paths(self, coefficients: Matrix) -> PathBundle:
         """Return the functions Kfu c of the outputs, for coefficients (S, K)."""
-        return FeaturePaths(self, coefficients)
-
-
-class FeatureBasis:
-    """The columns of Kfu of all outputs, as their features compute them."""
-
-    def __init__(self, features: Features, n_outputs: int) -> None:
-        self.features = features
-        self.outputs = range(n_outputs)
-
-    def __call__(self, X: Matrix) -> Matrix:
-        return np.hstack([self.features.Kfu(i, X) for i in self.outputs])
-
-    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
-        points = X.reshape(-1, X.shape[-1])
-        slopes = []
-        for i, w in zip(self.outputs, weights, strict=True):
-            D = self.features.Kfu_derivative(i, points)
-            of_output = contract(D.reshape(len(D), *X.shape[:2], D.shape[-1]), w)
-            slopes.append(np.moveaxis(of_output, 0, -1))
-        return np.stack(slopes, axis=2)
-
-    def averaged(self, spread: Vector) -> None:
-        return None
 
 
 class ValueFeatures(Features):
-    """The values of output ``outputs[f]`` of the kernel ``joint`` at the inputs ``Z[f]`` (k, d), for each block f.
+    """The values at Z (k, d) of some outputs of the kernel ``joint``, block after block.
 
-    The outputs of the kernel come first in ``joint``. Output i covaries with the blocks to
-    which ``joint`` couples it, ``blocks[i]``. By default ``joint`` is the kernel, whose outputs may
-    all be coupled.
+    The outputs of ``kernel`` come first in ``joint``, which is the kernel itself by default; the
+    values are of all outputs then, or of the further ones. Output i covaries with ``blocks[i]``.
     """
 
-    settings = SETTINGS
-
     def __init__(
-        self,
-        kernel: MultiOutputKernel,
-        Z: Sequence[Matrix],
-        joint: MultiOutputKernel | None = None,
+        self, kernel: MultiOutputKernel, Z: Matrix, joint: MultiOutputKernel | None = None
     ) -> None:
         first = 0 if joint is None else kernel.n_outputs
         self.kernel = kernel
         self.joint = joint or kernel
-        self.Z = [np.asarray(z, dtype=float) for z in Z]
-        self.outputs = range(first, first + len(self.Z))
-        self.size = sum(map(len, self.Z))
-        self._variables = [np.arange(place.start, place.stop) for place in consecutive(self.Z)]
-        self.blocks = [list(range(len(self.Z)))] * kernel.n_outputs
+        self.Z = np.asarray(Z, dtype=float)
+        self.outputs = range(first, self.joint.n_outputs)
+        self.size = len(self.outputs) * len(self.Z)
+        self.blocks = [list(range(len(self.outputs)))] * kernel.n_outputs
 
     def columns(self, i: int) -> Indices:
-        return np.concatenate([np.arange(0), *(self._variables[f] for f in self.blocks[i])])
+        return np.arange(self.size).reshape(len(self.outputs), -1)[self.blocks[i]].ravel()
 
     def Kuu(self) -> Matrix:
+        n = len(self.Z)
         K = np.zeros((self.size, self.size))
-        blocks = list(zip(self.outputs, self.Z, self._variables, strict=True))
-        for f, z, rows in blocks:
-            for g, x, columns in blocks:
+        for a, f in enumerate(self.outputs):
+            for b, g in enumerate(self.outputs):
                 if self.joint.couples(f, g):
-                    K[np.ix_(rows, columns)] = self.joint.block(f, g, z, x)
-        np.einsum("ii->i", K)[:] *= 1.0 + self.settings.jitter
+                    block = self.joint.block(f, g, self.Z, self.Z)
+                    K[a * n : (a + 1) * n, b * n : (b + 1) * n] = block
+        np.einsum("ii->i", K)[:] *= 1.0 + JITTER
         return K
 
     def Kfu(self, i: int, X: Matrix) -> Matrix:
-        blocks = [self.joint.block(i, self.outputs[f], X, self.Z[f]) for f in self.blocks[i]]
-        return np.hstack([np.empty((len(X), 0)), *blocks])
-
-    def Kfu_derivative(self, i: int, X: Matrix) -> Array:
-        """Return dKfu / dX, (d, n, c_i)."""
-        slopes = [np.empty((*np.shape(X)[::-1], 0))]
-        for f in self.blocks[i]:
-            slopes.append(self.joint.block_derivative(i, self.outputs[f], X, self.Z[f]))
-        return np.concatenate(slopes, axis=2)
+        blocks = [self.joint.block(i, self.outputs[f], X, self.Z) for f in self.blocks[i]]
+        return np.hstack(blocks)
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
-        return paths, self._values_of(paths, random_state)
+        # single precision is exact enough beside the white noise
+        values = paths.rounded().values(self.Z[None])[..., self.outputs.start :]
+        u = values.swapaxes(1, 2).reshape(n_paths, self.size)
+        variance = np.concatenate([self.joint.block_diag(f, self.Z) for f in self.outputs])
+        return paths, u + np.sqrt(JITTER * variance) * random_state.standard_normal(u.shape)
 
-    def _values_of(self, paths: PathBundle, random_state: Any) -> Matrix:
-        """Return the variables (S, K) of paths of ``joint``, with a little white noise."""
-        blocks = list(zip(self.outputs, self.Z, strict=True))
-        # blocks with the same inputs share the values of all outputs there
-        # single precision is exact enough beside this noise
-        rounded = paths.rounded()
-        values: dict[int, Array] = {}
-        for z in self.Z:
-            if id(z) not in values:
-                values[id(z)] = rounded.values(z[None])
-        u = np.hstack([values[id(z)][..., f] for f, z in blocks])
-        variance = np.concatenate([self.joint.block_diag(f, z) for f, z in blocks])
-        return u + np.sqrt(self.settings.jitter * variance) * random_state.standard_normal(u.shape)
-
-    def basis(self) -> tuple[Basis, list[Indices]]:
-        if not isinstance(self.joint, ConvolvedGaussian):
-            return super().basis()
-        bases, variables = [], []
-        for i, blocks in enumerate(self.blocks):
-            bases.append(self._basis_of(i))
-            places = [np.arange(0)]
-            for f in blocks:
-                n_latents = len(self.joint.filters.latents(i, self.outputs[f]))
-                places.append(np.tile(self._variables[f], n_latents))
-            variables.append(np.concatenate(places))
-        return GaussianBasis.joined(self.kernel.n_features, bases), variables
-
-    def _basis_of(self, i):
-        """Return the functions of output i of a convolved Gaussian."""
-        joint = cast(ConvolvedGaussian, self.joint)
-        filters = joint.filters
-        parts = [filters.pair(i, self.outputs[f]).basis(self.Z[f]) for f in self.blocks[i]]
-        return GaussianBasis.joined(self.kernel.n_features, parts)
+    def paths(self, coefficients: Matrix) -> PathBundle:
+        sources = [(f, self.Z) for f in self.outputs]
+        return _paths_of_values(self.joint, self.kernel.n_outputs, sources, coefficients)
 
 
 class LatentFeatures(ValueFeatures):
     r"""Filtered latents of a convolved Gaussian, u_f(z) = (g_f * x_m)(z), with Gaussian filters g_f and unit variance.
 
     Such a variable is a further output of the same family (Alvarez et al. 2010). A
-    ConvolvedGaussian gives all covariances, with one further output for every block f of
-    variables, whose
-    filter g_f is a window with length scales ``width`` (M, d). Block m is of latent m, at the
-    inducing inputs ``Z[m]``.
+    ConvolvedGaussian gives all covariances, with one further output for every latent m, whose
+    filter g_m is a window with length scales ``width`` (M, d).
     """
 
-    def __init__(self, kernel: ConvolvedGaussian, Z: Sequence[Matrix], width: Matrix) -> None:
+    def __init__(self, kernel: ConvolvedGaussian, Z: Matrix, width: Matrix) -> None:
         filters = kernel.filters
         windows = np.eye(len(width))
         further = {"amplitude": windows, "feeds": windows, "length_scale": width}
@@ -244,18 +142,28 @@ class LatentFeatures(ValueFeatures):
         return LatentFeatures, (self.kernel, self.Z, self.width)  # without the bases
 
     @cached_property
-    def _bases(self) -> list[GaussianBasis]:
-        """The functions of each output, one for each variable, as a variable has a single latent."""
-        return [self._basis_of(i) for i in range(self.kernel.n_outputs)]
+    def _bases(self) -> list[tuple[GaussianBasis, Vector]]:
+        """The functions of each output and their gains, one for each variable, as it has a single latent."""
+        filters = self.joint.filters
+        bases = []
+        for i, blocks in enumerate(self.blocks):
+            pairs = [filters.pair(i, self.outputs[f]) for f in blocks]
+            gain = np.concatenate([pair.gain for pair in pairs])
+            basis = GaussianBasis.joined([pair.basis(self.Z) for pair in pairs])
+            bases.append((basis, np.repeat(gain, len(self.Z))))
+        return bases
 
     def Kfu(self, i: int, X: Matrix) -> Matrix:
-        return self._bases[i](X)
+        basis, gain = self._bases[i]
+        values = basis(X)
+        values *= gain
+        return values
 
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
-        waves = draw_waves(self.joint, n_paths, n_frequencies, random_state)
-        return waves.of_outputs(self.kernel.n_outputs), self._values_of(waves, random_state)
+        waves, u = super().prior_paths(n_paths, n_frequencies, random_state)
+        return waves.of_outputs(self.kernel.n_outputs), u
 
 
 class TrendFeatures(Features):
@@ -331,7 +239,7 @@ def inducing_features(kernel: MultiOutputKernel, Z: Matrix) -> Features:
     By default they are the values of the outputs at Z. ``inducing_features.register`` adds a class
     of kernels with others.
     """
-    return ValueFeatures(kernel, [Z] * kernel.n_outputs)
+    return ValueFeatures(kernel, Z)
 
 
 @inducing_features.register
@@ -341,7 +249,7 @@ def _(kernel: ConvolvedGaussian, Z):
     weight = np.maximum(filters.amplitude**2, 1e-12) * filters.feeds
     weight /= weight.sum(axis=1, keepdims=True)
     width = np.exp(np.einsum("mp,mpk->mk", weight, np.log(filters.length_scale)))
-    return LatentFeatures(kernel, [Z] * len(width), width)
+    return LatentFeatures(kernel, Z, width)
 
 
 @inducing_features.register
@@ -366,8 +274,28 @@ def covariance_paths(
                 weights.append(coefficients[:, places] @ term.basis(i, x))
             paths.append(TrendFeatures(term).paths(np.hstack(weights)))
         else:
-            paths.append(ValueFeatures(term, X).paths(coefficients))
-    return reduce(add, paths)
+            paths.append(_paths_of_values(term, len(X), list(enumerate(X)), coefficients))
+    return summed(paths)
+
+
+def _paths_of_values(kernel, n_outputs, sources, coefficients):
+    """Return the `CovariancePaths` of a kernel; a convolved Gaussian has a formula."""
+    if not isinstance(kernel, ConvolvedGaussian):
+        return CovariancePaths(kernel, n_outputs, sources, coefficients)
+    filters = kernel.filters
+    parts = consecutive([inputs for _, inputs in sources])
+    bases = []
+    weights = []
+    for i in range(n_outputs):
+        of_output = []
+        for (j, inputs), part in zip(sources, parts, strict=True):
+            pair = filters.pair(i, j)
+            bases.append(pair.basis(inputs))
+            of_latents = pair.gain[:, None] * coefficients[:, None, part]
+            of_output.append(of_latents.reshape(len(coefficients), -1))
+        weights.append(np.concatenate(of_output, axis=1))
+    columns = consecutive([w.T for w in weights])
+    return GaussianPaths(GaussianBasis.joined(bases), np.concatenate(weights, axis=1), columns)
 
 
 @prior_paths.register

@@ -35,61 +35,42 @@ FAR = 1e9  # exponent above which cancellation, relatively about 1e-16, becomes 
 class GaussianBasis:
     r"""Gaussian functions of the regressors.
 
-    .. math:: g_c(x) = \gamma_c \exp\left(-\frac{1}{2} \sum_k \Sigma_{ck} (x_k - z_{ck})^2\right)
+    .. math:: g_c(x) = \exp\left(-\frac{1}{2} \sum_k \Sigma_{ck} (x_k - z_{ck})^2\right)
 
     The exponents of all functions are one matrix product, (x^2, x, 1) M, with x and z relative to
     the mean of the centres, which avoids cancellation.
 
     Parameters
     ----------
-    gain : array (C,)
     precision : array (C, d)
         Diagonals of Sigma.
     centres : array (C, d)
         z.
     """
 
-    def __init__(self, gain: Vector, precision: Matrix, centres: Matrix) -> None:
-        self.gain = gain
+    def __init__(self, precision: Matrix, centres: Matrix) -> None:
         self.precision = precision
         self.centres = centres
         self.middle = np.add.reduce(centres, axis=0) / max(len(centres), 1)
-        self._centred = centres - self.middle
-        linear = precision * self._centred
-        constant = -0.5 * np.einsum("ck,ck->c", linear, self._centred)
+        centred = centres - self.middle
+        linear = precision * centred
+        constant = -0.5 * np.einsum("ck,ck->c", linear, centred)
         self._matrix = np.vstack([-0.5 * precision.T, linear.T, constant])
         self._far = -constant.min(initial=0.0) > FAR
-        self._has_gain = bool((gain != 1.0).any())
 
     @classmethod
-    def joined(cls, n_features: int, parts: Sequence[GaussianBasis]) -> GaussianBasis:
-        """Return the functions of several bases of ``n_features`` regressors, one after another."""
-        none = np.empty((0, n_features))
-        return cls(
-            np.concatenate([np.empty(0), *(part.gain for part in parts)]),
-            np.concatenate([none, *(part.precision for part in parts)]),
-            np.concatenate([none, *(part.centres for part in parts)]),
-        )
-
-    def part(self, columns: slice) -> GaussianBasis:
-        """Return some of the functions."""
-        return GaussianBasis(self.gain[columns], self.precision[columns], self.centres[columns])
+    def joined(cls, parts: Sequence[GaussianBasis]) -> GaussianBasis:
+        """Return the functions of several bases, one after another."""
+        precision = np.concatenate([part.precision for part in parts])
+        return cls(precision, np.concatenate([part.centres for part in parts]))
 
     def __call__(self, X: Matrix) -> Matrix:
         """Return all functions at X (n, d), (n, C)."""
-        values = self.exponentials(X)
-        if self._has_gain:
-            values *= self.gain
-        return values
-
-    def exponentials(self, X: Matrix) -> Matrix:
-        """Return all functions without their gains at X (n, d), (n, C)."""
         if self._far:
             values = self._exponents_of_differences(X)
         else:
             values = self._powers(X) @ self._matrix
-        np.exp(values, out=values)
-        return values
+        return np.exp(values, out=values)
 
     def _powers(self, X):
         """Return (x^2, x, 1), (n, 2 d + 1)."""
@@ -102,7 +83,7 @@ class GaussianBasis:
 
     def _exponents_of_differences(self, X):
         """Return the exponents (n, C) of centres so far apart that expanded squares would cancel."""
-        exponents = np.zeros((len(X), len(self.gain)))
+        exponents = np.zeros((len(X), len(self.centres)))
         for x, centre, precision in zip(X.T, self.centres.T, self.precision.T, strict=True):
             exponents -= 0.5 * precision * np.subtract.outer(x, centre) ** 2
         return exponents
@@ -113,7 +94,7 @@ class GaussianBasis:
         ``weights`` (S, c) belong to the functions in the columns of each output.
         """
         n_functions, n, d = X.shape
-        values = self(X.reshape(-1, d)).reshape(n_functions, n, len(self.gain))
+        values = self(X.reshape(-1, d)).reshape(n_functions, n, len(self.centres))
         slopes = []
         for w, places in zip(weights, columns, strict=True):
             weighted = values[..., places] * w[:, None]
@@ -123,15 +104,15 @@ class GaussianBasis:
             slopes.append(sums[..., d:-1] + 2.0 * sums[..., :d] * (X - self.middle))
         return np.stack(slopes, axis=2)
 
-    def averaged(self, spread: Vector) -> GaussianBasis:
-        r"""Return the expected functions at x + e, :math:`e_k \sim N(0, s_k^2)`: wider Gaussian functions.
+    def averaged(self, spread: Vector) -> tuple[GaussianBasis, Vector]:
+        r"""Return the expected functions at x + e, :math:`e_k \sim N(0, s_k^2)`: wider ones and their factors.
 
         With the variance :math:`\Sigma^{-1} + s^2` for :math:`\Sigma^{-1}` the integral of each is
         the same (Rasmussen & Williams 2006, equation A.6).
         """
         wider = 1.0 + self.precision * spread**2
-        gain = self.gain / np.sqrt(wider.prod(axis=1))
-        return GaussianBasis(gain, self.precision / wider, self.centres)
+        basis = GaussianBasis(self.precision / wider, self.centres)
+        return basis, 1.0 / np.sqrt(wider.prod(axis=1))
 
 
 class Moments(NamedTuple):
@@ -185,11 +166,11 @@ class FilterPair:
         self.gain = self.c * w[0] * w[1]
 
     def basis(self, Z: Matrix) -> GaussianBasis:
-        """Return the covariances with output j at Z (k, d), of each latent in turn, (m k) functions."""
+        """Return the exponentials of each latent in turn for output j at Z (k, d), (m k) functions."""
         m, d = self.mu.shape
         precision = np.repeat(self.Sigma, len(Z), axis=0)
         centres = (self.mu[:, None] + Z).reshape(m * len(Z), d)
-        return GaussianBasis(np.repeat(self.gain, len(Z)), precision, centres)
+        return GaussianBasis(precision, centres)
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""
@@ -217,7 +198,7 @@ class EvaluatedPair:
         self.Xi = Xi
         self.Xj = Xj
         self.basis = pair.basis(Xj)
-        self.exponentials = self.basis.exponentials(Xi).reshape(len(Xi), len(pair.gain), len(Xj))
+        self.exponentials = self.basis(Xi).reshape(len(Xi), len(pair.gain), len(Xj))
 
     def covariance(self) -> Matrix:
         """Return equation 16, (n_i, n_j)."""

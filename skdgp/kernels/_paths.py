@@ -1,69 +1,52 @@
-"""Functions of the regressors, many at once: linear ones, waves and other bases; their sums and means."""
+"""Functions of the regressors, many at once: linear ones, waves, Gaussian functions, covariances, and sums."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, Protocol, cast
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
-from scipy.stats.qmc import Sobol
 
 from skdgp._compute.linalg import consecutive
 from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp.kernels._base import MultiOutputKernel
 from skdgp.kernels._gaussian_filters import GaussianBasis
 
 CHUNK_BYTES = 2**25  # working memory of an evaluation
+STEP = 2.0**-10  # of differences, for regressors of about unit size; adding it rounds little
+NODES = np.linspace(-5.0, 5.0, 101)  # of a perturbation, in its standard deviations
 
 
 class PathBundle(ABC):
     """S functions of the regressors with P values, evaluated together.
 
     Inputs are (S, n, d), with different points for each function, or (1, n, d), with the same
-    points for all.
+    points for all. ``weights`` are the numbers that make the functions.
     """
+
+    weights: Array
 
     @abstractmethod
     def each(self, X: Array) -> np.ndarray:
         """Return the values of all outputs, (S, n, P)."""
 
     @abstractmethod
-    def gradient(self, X: Array) -> np.ndarray:
-        """Return the slopes of all outputs, (S, n, P, d)."""
+    def gradient(self, X: Array, spread: Vector | None = None) -> np.ndarray:
+        """Return the slopes of all outputs, (S, n, P, d).
 
-    @abstractmethod
-    def doubles(self, same_points: bool) -> int:
-        """Return the working memory for one point of each function, in doubles."""
-
-    def rounded(self) -> PathBundle:
-        """Return the functions as simulations evaluate them, with errors 1e-6 of the prior.
-
-        Waves are of single precision, and the Gaussian functions of all terms one basis.
+        With ``spread`` (d,) the slope by each regressor is expected over a normal perturbation of it
+        alone with this standard deviation. It is the slope of the best linear approximation over
+        this perturbation (Stein's lemma), and of the expected function.
         """
-        return self
 
     @abstractmethod
     def times(self, factor: Array) -> PathBundle:
         """Return the functions with outputs multiplied by factors (P,), or by those of each function (S, P)."""
 
-    def averaged(self, spread: Vector) -> PathBundle:
-        """Return the expected functions at x + e, where e is normal with standard deviations ``spread`` (d,).
-
-        By default they are means over fixed draws of e.
-        """
-        return MeanPaths(self, spread * normal_nodes(len(spread)))
-
-    def averaged_slopes(self, X: Array, spread: Vector) -> np.ndarray:
-        """Return the slope by each regressor, expected over a normal perturbation of it alone, (S, n, P, d).
-
-        It is that of the best linear approximation over this perturbation (Stein's lemma), and the
-        slope of the expected function.
-        """
-        slopes = []
-        for k, alone in enumerate(np.diag(spread)):
-            slopes.append(self.averaged(alone).slopes(X)[..., k])
-        return np.stack(slopes, axis=-1)
+    def rounded(self) -> PathBundle:
+        """Return the functions as simulations evaluate them: waves of single precision, errors 1e-6 of the prior."""
+        return self
 
     def summands(self) -> Sequence[PathBundle]:
         """Return the functions that these are sums of."""
@@ -74,53 +57,17 @@ class PathBundle(ABC):
 
     def values(self, X: Array) -> np.ndarray:
         """Return the values at many points, in chunks."""
-        return _in_chunks(self.each, X, self.doubles(len(X) == 1))
+        return self._in_chunks(self.each, X, 1)
 
-    def slopes(self, X: Array) -> np.ndarray:
+    def slopes(self, X: Array, spread: Vector | None = None) -> np.ndarray:
         """Return the slopes at many points, in chunks."""
-        return _in_chunks(self.gradient, X, X.shape[-1] * self.doubles(len(X) == 1))
+        return self._in_chunks(lambda part: self.gradient(part, spread), X, X.shape[-1])
 
-
-def _in_chunks(function, X, doubles):
-    """Return a function of X (S, n, d), evaluated in chunks of n; each point needs ``doubles`` of working memory."""
-    step = max(1, CHUNK_BYTES // max(1, 8 * doubles))
-    if X.shape[1] <= step:
-        return function(X)
-    chunks = [function(X[:, a : a + step]) for a in range(0, X.shape[1], step)]
-    return np.concatenate(chunks, axis=1)
-
-
-def normal_nodes(d: int, log2_size: int = 6) -> Matrix:
-    """Return points (n, d) with their mirror images, which fill the standard normal distribution evenly."""
-    uniform = Sobol(d, seed=0).random_base2(log2_size)
-    nodes = ndtri(np.clip(uniform, 1e-6, 1.0 - 1e-6))
-    return np.concatenate([nodes, -nodes])
-
-
-class MeanPaths(PathBundle):
-    """Means of paths over points moved by ``moves`` (m, d)."""
-
-    def __init__(self, paths: PathBundle, moves: Matrix):
-        self.paths = paths
-        self.moves = moves
-
-    def doubles(self, same_points):
-        return self.paths.doubles(same_points)
-
-    def each(self, X):
-        return self._mean(self.paths.each, X)
-
-    def gradient(self, X):
-        return self._mean(self.paths.gradient, X)
-
-    def times(self, factor):
-        return MeanPaths(self.paths.times(factor), self.moves)
-
-    def _mean(self, function, X):
-        total = function(X + self.moves[0])
-        for move in self.moves[1:]:
-            total += function(X + move)
-        return total / len(self.moves)
+    def _in_chunks(self, function, X, width):
+        """Return a function of X (S, n, d), evaluated in chunks of n, with ``width`` times the weights in memory."""
+        step = max(1, CHUNK_BYTES // max(1, 8 * width * self.weights.size))
+        chunks = [function(X[:, a : a + step]) for a in range(0, max(1, X.shape[1]), step)]
+        return np.concatenate(chunks, axis=1)
 
 
 class SumPaths(PathBundle):
@@ -133,29 +80,22 @@ class SumPaths(PathBundle):
         return self.parts
 
     def rounded(self):
-        return SumPaths(_with_one_basis([part.rounded() for part in self.parts]))
+        return SumPaths([part.rounded() for part in self.parts])
 
     def times(self, factor):
         return SumPaths([part.times(factor) for part in self.parts])
 
-    def averaged(self, spread):
-        return SumPaths([part.averaged(spread) for part in self.parts])
-
-    def doubles(self, same_points):
-        return max(part.doubles(same_points) for part in self.parts)
-
     def each(self, X):
-        return self._sum(X, [part.each for part in self.parts])
+        return sum(part.each(X) for part in self.parts)
 
-    def gradient(self, X):
-        return self._sum(X, [part.gradient for part in self.parts])
+    def gradient(self, X, spread=None):
+        return sum(part.gradient(X, spread) for part in self.parts)
 
-    def _sum(self, X, functions):
-        first, *others = functions
-        total = first(X)
-        for function in others:
-            total += function(X)
-        return total
+    def values(self, X):
+        return sum(part.values(X) for part in self.parts)
+
+    def slopes(self, X, spread=None):
+        return sum(part.slopes(X, spread) for part in self.parts)
 
 
 class LinearPaths(PathBundle):
@@ -164,12 +104,6 @@ class LinearPaths(PathBundle):
     def __init__(self, weights: Array, centre: Vector) -> None:
         self.weights = weights
         self.centre = centre
-
-    def averaged(self, spread):
-        return self
-
-    def doubles(self, same_points):
-        return len(self.weights) * sum(self.weights.shape[1:])
 
     def times(self, factor):
         return LinearPaths(self.weights * factor[..., None, :], self.centre)
@@ -183,7 +117,7 @@ class LinearPaths(PathBundle):
     def each(self, X):
         return (X - self.centre) @ self.weights[:, 1:] + self.weights[:, :1]
 
-    def gradient(self, X):
+    def gradient(self, X, spread=None):
         slopes = self.weights[:, 1:].swapaxes(1, 2)[:, None]
         return np.repeat(slopes, X.shape[1], axis=1)
 
@@ -199,93 +133,111 @@ def summed(parts: Sequence[PathBundle]) -> PathBundle:
     return others[0] if len(others) == 1 else SumPaths(others)
 
 
-class Basis(Protocol):
-    """Functions of the regressors that add up to paths."""
+class GaussianPaths(PathBundle):
+    """Gaussian functions times weights (S, C), for each output those in its ``columns``."""
 
-    def __call__(self, X: Matrix) -> Matrix:
-        """Return all functions at X (n, d), (n, C)."""
-
-    def slopes(self, X: Array, weights: list[Matrix], columns: list[slice]) -> Array:
-        """Return the slopes at X (S or 1, n, d) of sums of some functions for each output, (S, n, P, d).
-
-        ``weights`` (S, c) belong to the functions in the columns of each output.
-        """
-
-    def averaged(self, spread: Vector) -> Basis | None:
-        """Return the expected functions over a perturbation as of `PathBundle.averaged`, None without a formula."""
-
-
-class BasisPaths(PathBundle):
-    """Functions of a basis times weights (S, c) of each output, for the functions in its columns."""
-
-    def __init__(self, basis: Basis, weights: list[Matrix], columns: list[slice]) -> None:
+    def __init__(self, basis: GaussianBasis, weights: Matrix, columns: Sequence[slice]) -> None:
         self.basis = basis
+        self.weights = weights
         self.columns = columns
-        self._all_weights = np.concatenate(weights, axis=1)
         self._starts = [places.start for places in columns]
         # `reduceat` has no sums of no functions
         self._is_dense = all(places.stop > places.start for places in columns)
 
     @property
-    def weights(self) -> list[Matrix]:
+    def _of_outputs(self):
         """The weights (S, c) of each output."""
-        return [self._all_weights[:, columns] for columns in self.columns]
+        return [self.weights[:, places] for places in self.columns]
 
     def times(self, factor):
-        factors = np.moveaxis(factor, -1, 0)[..., None]
-        weights = [w * f for w, f in zip(self.weights, factors, strict=True)]
-        return BasisPaths(self.basis, weights, self.columns)
-
-    def averaged(self, spread):
-        basis = self.basis.averaged(spread)
-        if basis is None:
-            return super().averaged(spread)
-        return BasisPaths(basis, self.weights, self.columns)
-
-    def doubles(self, same_points):
-        return (1 if same_points else len(self.weights[0])) * self.columns[-1].stop
+        sizes = [places.stop - places.start for places in self.columns]
+        weights = self.weights * np.repeat(factor, sizes, axis=-1)
+        return GaussianPaths(self.basis, weights, self.columns)
 
     def each(self, X):
         A = self.basis(X.reshape(-1, X.shape[-1]))
         A = A.reshape(*X.shape[:2], A.shape[-1])
-        if self._is_dense and A.shape[:2] == (len(self._all_weights), 1):
+        if self._is_dense and A.shape[:2] == (len(self.weights), 1):
             # a step of a simulation
-            A *= self._all_weights[:, None]
+            A *= self.weights[:, None]
             return np.add.reduceat(A, self._starts, axis=-1)
-        outputs = zip(self.columns, self.weights, strict=True)
+        outputs = zip(self.columns, self._of_outputs, strict=True)
         return np.stack([contract(A[..., columns], c) for columns, c in outputs], axis=-1)
 
-    def gradient(self, X):
-        return self.basis.slopes(X, self.weights, self.columns)
+    def gradient(self, X, spread=None):
+        if spread is None:
+            return self.basis.slopes(X, self._of_outputs, self.columns)
+        slopes = []
+        for k, alone in enumerate(np.diag(spread)):
+            wider, factor = self.basis.averaged(alone)
+            of_outputs = [self.weights[:, places] * factor[places] for places in self.columns]
+            slopes.append(wider.slopes(X, of_outputs, self.columns)[..., k])
+        return np.stack(slopes, axis=-1)
 
 
-def _with_one_basis(parts: Sequence[PathBundle]) -> list[PathBundle]:
-    """Return the parts of a sum, where those of Gaussian functions are one bundle."""
-    based: list[BasisPaths] = []
-    others: list[PathBundle] = []
-    for part in parts:
-        if isinstance(part, BasisPaths) and isinstance(part.basis, GaussianBasis):
-            based.append(part)
-        else:
-            others.append(part)
-    if based:
-        others.append(_joined_bases(based))
-    return others
+class CovariancePaths(PathBundle):
+    """Covariances of the first ``n_outputs`` outputs of a kernel with some values, times weights (S, N).
+
+    ``sources`` are the output j and the inputs X (n_j, d) of each part of the N values. Slopes are
+    differences of fourth order.
+    """
+
+    def __init__(
+        self,
+        kernel: MultiOutputKernel,
+        n_outputs: int,
+        sources: Sequence[tuple[int, Matrix]],
+        weights: Matrix,
+        factor: Any = 1.0,
+    ) -> None:
+        self.kernel = kernel
+        self.n_outputs = n_outputs
+        self.sources = sources
+        self.weights = weights
+        self.factor = factor
+        all_inputs = [inputs for _, inputs in sources]
+        # small steps at points far from zero would be rounded
+        self._origin = np.concatenate(all_inputs).mean(axis=0) if kernel.is_stationary() else 0.0
+        self._coupled = []
+        for (j, inputs), columns in zip(sources, consecutive(all_inputs), strict=True):
+            for i in range(n_outputs):
+                if kernel.couples(i, j):
+                    self._coupled.append((i, j, inputs - self._origin, columns))
+
+    def times(self, factor):
+        factor = self.factor * factor[..., None, :]
+        return CovariancePaths(self.kernel, self.n_outputs, self.sources, self.weights, factor)
+
+    def each(self, X):
+        points = X.reshape(-1, X.shape[-1]) - self._origin
+        values = np.zeros((len(self.weights), X.shape[1], self.n_outputs))
+        for i, j, inputs, columns in self._coupled:
+            A = self.kernel.block(i, j, points, inputs)
+            A = A.reshape(*X.shape[:2], len(inputs))
+            values[..., i] += contract(A, self.weights[:, columns])
+        return values * self.factor
+
+    def gradient(self, X, spread=None):
+        slopes = []
+        for k, unit in enumerate(np.eye(X.shape[-1])):
+            if spread is None:
+                slopes.append(_difference(self.each, X, STEP * unit))
+            else:
+                slopes.append(self._expected(X, STEP * unit, spread[k] * unit))
+        return np.stack(slopes, axis=-1)
+
+    def _expected(self, X, step, spread):
+        """Return slopes expected over a normal perturbation, by the trapezoidal rule."""
+        weights = np.exp(-0.5 * NODES**2)
+        moved = [_difference(self.each, X + node * spread, step) for node in NODES]
+        return np.tensordot(weights / weights.sum(), moved, axes=1)
 
 
-def _joined_bases(parts: Sequence[BasisPaths]) -> BasisPaths:
-    """Return the sum of functions of Gaussian bases, which have no gains, with those of each output side by side."""
-    bases: list[GaussianBasis] = []
-    weights: list[Matrix] = []
-    for i in range(len(parts[0].columns)):
-        of_output = []
-        for part in parts:
-            basis = cast(GaussianBasis, part.basis).part(part.columns[i])
-            of_output.append(part.weights[i] * basis.gain)
-            bases.append(GaussianBasis(np.ones(len(basis.gain)), basis.precision, basis.centres))
-        weights.append(np.concatenate(of_output, axis=1))
-    joined = GaussianBasis.joined(bases[0].centres.shape[1], bases)
-    return BasisPaths(joined, weights, consecutive([w.T for w in weights]))
+def _difference(function: Callable, X: Array, step: Vector) -> Array:
+    """Return the derivative of a function along a step, by central differences of fourth order."""
+    near = function(X + step) - function(X - step)
+    far = function(X + 2 * step) - function(X - 2 * step)
+    return (8 * near - far) / (12 * STEP)
 
 
 def contract(A: Array, c: Matrix) -> Array:
@@ -316,14 +268,6 @@ class Waves(PathBundle):
             self.weights.astype(np.float32),
         )
 
-    def averaged(self, spread):
-        # the characteristic function of the normal distribution
-        damping = np.exp(-0.5 * spread**2 @ self.omega**2).astype(self.omega.dtype)
-        return Waves(self.omega, self.phase, self.weights * damping[:, None])
-
-    def doubles(self, same_points):
-        return len(self.omega) * self.omega.shape[2]
-
     def _arguments(self, X):
         """Return the arguments of the waves, (S, n, C)."""
         x = X.astype(self.omega.dtype) @ self.omega
@@ -334,10 +278,14 @@ class Waves(PathBundle):
         wave = _cosine(self._arguments(X))
         return (self.weights @ wave.swapaxes(1, 2)).swapaxes(1, 2).astype(float)
 
-    def gradient(self, X):
+    def gradient(self, X, spread=None):
+        omega = self.omega
+        if spread is not None:  # the characteristic function of the normal distribution
+            damping = np.exp(-0.5 * (spread[:, None] * omega) ** 2)
+            omega = (damping * omega).astype(omega.dtype)
         wave = _negative_sine(self._arguments(X))
         of_outputs = wave[:, :, None] * self.weights[:, None]
-        return (of_outputs @ self.omega.swapaxes(1, 2)[:, None]).astype(float)
+        return (of_outputs @ omega.swapaxes(1, 2)[:, None]).astype(float)
 
     def of_outputs(self, n_outputs: int) -> Waves:
         """Return the paths of the first outputs."""

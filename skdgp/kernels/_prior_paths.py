@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import singledispatch
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -35,46 +35,36 @@ def draw_waves(
     """
     filters = kernel.filters
     F = max(n_frequencies, int(filters.feeds.sum(axis=1).max()))
-    drawn: list[_LatentWaves] = []
-    for m in range(len(filters.feeds)):
-        drawn += _latent_waves(filters, m, n_paths, F, random_state)
-    omega = np.concatenate([waves.omega for waves in drawn], axis=1)
-    phase = np.concatenate([waves.phase for waves in drawn], axis=1)
-    gains = np.concatenate([waves.gains for waves in drawn], axis=1)
-    return Waves(omega.swapaxes(1, 2).copy(), phase[:, None], gains.swapaxes(1, 2).copy())
-
-
-class _LatentWaves(NamedTuple):
-    """Waves gain_i cos(omega^T s + phase) of a latent in c outputs i."""
-
-    omega: Array  #: (n_paths, F, k)
-    phase: Array  #: (n_paths, F)
-    gains: Array  #: (n_paths, F, c)
-
-    def scattered(self, outputs: Indices, n_outputs: int) -> _LatentWaves:
-        """Return the waves in all outputs, without those that the latent does not feed."""
-        gains = np.zeros((*self.phase.shape, n_outputs))
-        gains[..., outputs] = self.gains
-        return self._replace(gains=gains)
-
-
-def _latent_waves(
-    filters: Filters, m: int, n_paths: int, n_frequencies: int, random_state: Any
-) -> list[_LatentWaves]:
-    """Return the waves of latent m in all outputs; with shifts these are cosines and sines."""
-    feeds = filters.feeds[m]
-    i = np.flatnonzero(feeds)
-    amplitude = filters.amplitude[m, i]
-    lengths = filters.length_scale[m, i]
-    component = np.arange(n_frequencies) % len(i)
-    normal = random_state.standard_normal((n_paths, n_frequencies, lengths.shape[1]))
-    omega = normal / lengths[component]
-    gains = amplitude * _importance_gains(omega, lengths, np.bincount(component))
-    # (g, g') in polar coordinates: its length, and its direction, the phase
-    gains *= random_state.rayleigh(size=(n_paths, n_frequencies, 1))
-    phase = random_state.uniform(0.0, 2 * np.pi, (n_paths, n_frequencies))
-    waves = _delayed_waves(omega, phase, gains, filters.shift[m, i])
-    return [wave.scattered(i, len(feeds)) for wave in waves]
+    omegas = []
+    phases = []
+    all_gains = []
+    for m, feeds in enumerate(filters.feeds):
+        i = np.flatnonzero(feeds)
+        lengths = filters.length_scale[m, i]
+        component = np.arange(F) % len(i)
+        normal = random_state.standard_normal((n_paths, F, lengths.shape[1]))
+        omega = normal / lengths[component]
+        # (g, g') in polar coordinates: its length, and its direction, the phase
+        length = random_state.rayleigh(size=(n_paths, F, 1))
+        phase = random_state.uniform(0.0, 2 * np.pi, (n_paths, F))
+        roots = _importance_gains(omega, lengths, np.bincount(component))
+        gains = np.zeros((n_paths, F, len(feeds)))
+        gains[..., i] = filters.amplitude[m, i] * roots * length
+        # with a = omega^T (s - mu_1) + phi and b_i = omega^T (mu_i - mu_1) the waves are
+        # cos(a - b_i) = cos b_i cos a + sin b_i cos(a - pi / 2), which all outputs share
+        delay = omega @ filters.shift[m].T
+        phase -= delay[..., i[0]]
+        delay -= delay[..., i[:1]].copy()
+        for turn, part in ((0.0, np.cos(delay)), (0.5 * np.pi, np.sin(delay))):
+            if (gains * part).any():  # no sines without shifts
+                omegas.append(omega)
+                phases.append(phase - turn)
+                all_gains.append(gains * part)
+    return Waves(
+        np.concatenate(omegas, axis=1).swapaxes(1, 2).copy(),
+        np.concatenate(phases, axis=1)[:, None],
+        np.concatenate(all_gains, axis=1).swapaxes(1, 2).copy(),
+    )
 
 
 def _importance_gains(omega: Array, lengths: Matrix, counts: Indices) -> Array:
@@ -85,23 +75,6 @@ def _importance_gains(omega: Array, lengths: Matrix, counts: Indices) -> Array:
     log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
     log_mixture = logsumexp(log_density, axis=2, b=counts, keepdims=True)  # log(F q)
     return np.exp(0.5 * (log_density - log_mixture))
-
-
-def _delayed_waves(omega: Array, phase: Array, gains: Array, shift: Matrix) -> list[_LatentWaves]:
-    r"""Return the waves :math:`\cos(\omega^T (s - \mu_i) + \phi)` of c outputs with shifts (c, k).
-
-    With :math:`a = \omega^T (s - \mu_1) + \phi` and :math:`b_i = \omega^T (\mu_i - \mu_1)` they are
-    :math:`\cos(a - b_i) = \cos b_i \cos a + \sin b_i \cos(a - \pi / 2)`: a cosine and a sine, which
-    all outputs share; without shifts a cosine.
-    """
-    delay = omega @ shift.T
-    phase = phase - delay[..., 0]
-    delay -= delay[..., :1].copy()
-    cosine = _LatentWaves(omega, phase, gains * np.cos(delay))
-    if not delay.any():
-        return [cosine]
-    sine = _LatentWaves(omega, phase - 0.5 * np.pi, gains * np.sin(delay))
-    return [cosine, sine]
 
 
 def draw_waves_of_one_width(

@@ -209,23 +209,12 @@ class TestContract:
         equal(back.theta, kernel.theta)
         equal(back.bounds, kernel.bounds)
 
-    def test_block_derivative_is_the_derivative_along_the_first_input(
-        self, kernel, central_difference
-    ):
-        X, rows = inputs(kernel), places(inputs(kernel))
-        moved = central_difference(
-            lambda step: kernel([x + step for x in X], X), np.zeros(n_features(kernel))
-        )
-        for i, j in np.ndindex(len(X), len(X)):
-            expected = np.moveaxis(moved[rows[i], rows[j]], -1, 0)
-            equal(kernel.block_derivative(i, j, X[i], X[j]), expected, rtol=1e-8, atol=1e-9)
-
     def test_features_are_jointly_gaussian_with_the_outputs(self, kernel):
         X, features = inputs(kernel, (6, 6, 6))[0], inducing_features(kernel, inputs(kernel)[0])
         joint = with_features(kernel, features, X)
         assert np.linalg.eigvalsh(joint).min() > -1e-10 * np.abs(joint).max()
-        blocks = [features.Kfu(i, X) for i in range(kernel.n_outputs)]
-        equal(features.basis()[0](X), np.hstack(blocks), rtol=1e-9, atol=1e-10)
+        Kfu = joint[: kernel.n_outputs * len(X), kernel.n_outputs * len(X) :]
+        equal(stacked(features.paths(np.eye(features.size)), X), Kfu.T, rtol=1e-9, atol=1e-10)
 
     def test_theta_is_what_is_free_within_its_bounds_and_every_entry_matters(
         self, kernel, name, gradient_by_differences
@@ -247,10 +236,11 @@ class TestContract:
             assert not np.allclose(kernel(there), kernel(here))
             return
         W = np.eye(4) + 0.1
+        c = np.ones((1, sum(map(len, here))))
         for quantity in (
             kernel,
             lambda X: kernel.block_gradient(0, 0, X[0], X[0], W),
-            lambda X: kernel.block_derivative(0, 0, X[0], X[0]),
+            lambda X: covariance_paths(kernel, X, c).slopes(X[0][None]),
         ):
             # Of 2^30 doubles keep a ten-millionth
             equal(quantity(there), quantity(here), rtol=1e-6, atol=1e-6)

@@ -157,7 +157,7 @@ def cell(value):
     return f"{value:#.3g}".rstrip(".") if isinstance(value, float) else str(value)
 
 
-def winners(errors, notes=None, missing=f"none in {LIMIT} s"):
+def winners(errors, notes=None, missing="-"):
     """Return a column of errors as cells, the smallest in bold, with notes in brackets."""
     best = cell(errors.min())
     shown = {}
@@ -170,10 +170,23 @@ def winners(errors, notes=None, missing=f"none in {LIMIT} s"):
     return shown
 
 
-def ranges(values):
-    """Return the least and the largest value of each method, as cells."""
-    methods = values.groupby("method", sort=False)
-    return {name: f"{cell(some.min())} to {cell(some.max())}" for name, some in methods}
+def contest(runs, by, limit=LIMIT):
+    """Return a row of cells for each method, a column for each case, means of its runs; and seconds of CPU.
+
+    Cells have the error and, where they are known, the percentage in bands and the log density.
+    """
+    columns = [name for name in ("error", "held", "density", "seconds") if name in runs]
+    means = runs.groupby([by, "method"], sort=False)[columns].mean()
+    cells = {}
+    for case, scores in means.groupby(by, sort=False):
+        scores = scores.droplevel(by)
+        notes = scores.get("held", scores["error"][:0]).dropna().map("{:.0f} %".format)
+        if "density" in scores:
+            notes += scores["density"].loc[notes.index].map(", {:.2f}".format)
+        cells[case] = winners(scores["error"], notes.to_dict(), f"none in {limit} s")
+    seconds = means["seconds"].where(means["error"].notna()).groupby("method", sort=False)
+    texts = [f"{cell(some.min())} to {cell(some.max())}" for _, some in seconds]
+    return pd.DataFrame(cells).assign(**{"CPU s": pd.Series(texts, [name for name, _ in seconds])})
 
 
 def markdown(rows):

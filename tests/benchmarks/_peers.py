@@ -1,7 +1,7 @@
 """Other methods of the field behind one face: ``fit(X, Y)``, ``predict(X)`` and, where a method has them, bands.
 
-``X`` (n, d) are scaled regressors, ``Y`` (n, P) targets without gaps. ``bands(X)`` gives two
-standard deviations (n, P): of the function, and of a new measurement.
+``X`` (n, d) are scaled regressors, ``Y`` (n, P) targets. ``bands(X)`` gives two standard deviations
+(n, P): of the function, and of a new measurement.
 """
 
 import numpy as np
@@ -14,8 +14,29 @@ from sklearn.multioutput import MultiOutputRegressor
 from sklearn.preprocessing import PolynomialFeatures
 
 
+class EachOutput:
+    """A model of its own for each target, of the rows in which that was observed."""
+
+    def __init__(self, make):
+        self.make = make
+
+    def fit(self, X, Y):
+        self.models = []
+        for y in Y.T:
+            seen = np.isfinite(y)
+            self.models.append(self.make().fit(X[seen], y[seen]))
+        return self
+
+    def predict(self, X):
+        return np.column_stack([model.predict(X) for model in self.models])
+
+    def bands(self, X):
+        both = np.array([model.bands(X) for model in self.models])
+        return tuple(both.transpose(1, 2, 0))
+
+
 class EquationError:
-    """Polynomials by least squares, the classical equation-error method (Klein & Morelli 2006, chapter 5).
+    """A polynomial by least squares, the classical equation-error method (Klein & Morelli 2006, chapter 5).
 
     With ``stepwise``, terms enter one at a time, the one with the largest partial F first, while F
     is significant at 5 % and the predicted square error falls: PSE = RSS / n + s^2 p / n, with s^2
@@ -23,29 +44,28 @@ class EquationError:
     """
 
     def __init__(self, degree=1, *, stepwise=False):
-        self.degree = degree
+        self.features = PolynomialFeatures(degree, include_bias=False)
         self.stepwise = stepwise
 
-    def fit(self, X, Y):
-        self.features = PolynomialFeatures(self.degree, include_bias=False).fit(X)
-        C = self.features.transform(X)
-        every = np.arange(C.shape[1])
-        self.terms = [forward_selection(C, y) if self.stepwise else every for y in Y.T]
-        self.fits = [
-            _LeastSquares(C[:, terms], y) for terms, y in zip(self.terms, Y.T, strict=True)
-        ]
+    def fit(self, X, y):
+        C = self.features.fit_transform(X)
+        self.terms = forward_selection(C, y) if self.stepwise else np.arange(C.shape[1])
+        A = self._matrix(X)
+        self.weights, *_ = np.linalg.lstsq(A, y)
+        self.variance = ((y - A @ self.weights) ** 2).sum() / (len(y) - A.shape[1])
+        self.root = np.linalg.inv(np.linalg.qr(A, mode="r"))
         return self
 
     def predict(self, X):
-        return np.column_stack([fit.predict(C) for fit, C in self._each(X)])
+        return self._matrix(X) @ self.weights
 
     def bands(self, X):
-        both = np.array([fit.bands(C) for fit, C in self._each(X)])
-        return tuple(both.transpose(1, 2, 0))
+        function = self.variance * ((self._matrix(X) @ self.root) ** 2).sum(axis=1)
+        return np.sqrt(function), np.sqrt(function + self.variance)
 
-    def _each(self, X):
-        C = self.features.transform(X)
-        return [(fit, C[:, terms]) for fit, terms in zip(self.fits, self.terms, strict=True)]
+    def _matrix(self, X):
+        terms = self.features.transform(X)[:, self.terms]
+        return np.column_stack([np.ones(len(X)), terms])
 
 
 def forward_selection(C, y):
@@ -73,24 +93,6 @@ def forward_selection(C, y):
     return np.array(chosen, dtype=int)
 
 
-class _LeastSquares:
-    """One target by least squares, with the standard deviations of the textbook."""
-
-    def __init__(self, C, y):
-        A = np.column_stack([np.ones(len(C)), C])
-        self.weights, *_ = np.linalg.lstsq(A, y)
-        self.variance = ((y - A @ self.weights) ** 2).sum() / (len(y) - A.shape[1])
-        self.root = np.linalg.inv(np.linalg.qr(A, mode="r"))
-
-    def predict(self, C):
-        return self.weights[0] + C @ self.weights[1:]
-
-    def bands(self, C):
-        A = np.column_stack([np.ones(len(C)), C])
-        function = self.variance * ((A @ self.root) ** 2).sum(axis=1)
-        return np.sqrt(function), np.sqrt(function + self.variance)
-
-
 class OnTrend:
     """A model of the residuals of a linear trend, scaled to variance one; the trend is taken as exact."""
 
@@ -109,36 +111,37 @@ class OnTrend:
 
     def bands(self, X):
         if not hasattr(self.model, "bands"):
-            return None
+            return ()
         return [self.scale * std for std in self.model.bands(X)]
 
 
-class IndependentProcesses:
-    """scikit-learn's Gaussian process, once for each target: RBF with a width for each regressor, and noise."""
+class Process:
+    """scikit-learn's Gaussian process of one target: RBF with a width for each regressor or one, and noise."""
 
-    def fit(self, X, Y):
-        kernel = ConstantKernel() * RBF(np.full(X.shape[1], 3.0), (1e-1, 1e4)) + WhiteKernel(
-            0.1, (1e-6, 1e2)
+    def __init__(self, *, one_width=False, searches=1):
+        self.one_width = one_width
+        self.searches = searches
+
+    def fit(self, X, y):
+        d = X.shape[1]
+        widths = 3.0 if self.one_width else np.full(d, 3.0)
+        bounds = (0.1 if d > 2 else 0.01, 1e4)  # with more inputs shorter widths fit noise
+        kernel = ConstantKernel() * RBF(widths, bounds) + WhiteKernel(0.1, (1e-6, 1e2))
+        self.model = GaussianProcessRegressor(
+            kernel, n_restarts_optimizer=self.searches - 1, normalize_y=True, random_state=0
         )
-        self.models = [GaussianProcessRegressor(kernel, random_state=0).fit(X, y) for y in Y.T]
+        self.model.fit(X, y)
+        self.noise = self.model.kernel_.k2.noise_level * np.var(y)
         return self
 
-    def predict(self, X):
-        return np.column_stack([model.predict(X) for model in self.models])
+    def predict(self, X, return_std=False):
+        return self.model.predict(X, return_std=return_std)
 
     def bands(self, X):
-        measured = np.column_stack([model.predict(X, return_std=True)[1] for model in self.models])
-        noise = np.array([model.kernel_.k2.noise_level for model in self.models])
-        return np.sqrt(np.maximum(measured**2 - noise, 0)), measured
+        _, measured = self.model.predict(X, return_std=True)
+        return np.sqrt(np.maximum(measured**2 - self.noise, 0.0)), measured
 
 
 def trees():
     """Return scikit-learn's gradient-boosted trees, once for each target."""
     return MultiOutputRegressor(HistGradientBoostingRegressor(random_state=0))
-
-
-def sparse_lcm():
-    """Return GPyTorch's sparse linear model of coregionalisation."""
-    from _gpytorch import SparseLCM
-
-    return SparseLCM()

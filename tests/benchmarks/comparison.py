@@ -10,10 +10,11 @@ every tenth sample: bands of the function against the truth, bands of measuremen
 coefficients. AP2: ten blocks in time, odd ones learned from, even ones predicted.
 """
 
+from functools import partial
+
 import _peers as peers
 import numpy as np
-import pandas as pd
-from _common import Kept, finish, parser_of, winners
+from _common import Kept, contest, finish, parser_of
 from _inputs import task_of
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -76,13 +77,14 @@ def peer(make, all_samples=True):
 
 PIPELINE = "skdgp pipeline"
 METHODS = {
-    "least squares": peer(peers.EquationError),
-    "stepwise, second order": peer(lambda: peers.EquationError(2, stepwise=True)),
+    "least squares": peer(lambda: peers.EachOutput(peers.EquationError)),
+    "stepwise, second order": peer(
+        lambda: peers.EachOutput(partial(peers.EquationError, 2, stepwise=True))
+    ),
     "boosted trees after a trend": peer(lambda: peers.OnTrend(peers.trees())),
     "scikit-learn processes after a trend": peer(
-        lambda: peers.OnTrend(peers.IndependentProcesses()), all_samples=False
+        lambda: peers.OnTrend(peers.EachOutput(peers.Process)), all_samples=False
     ),
-    "GPyTorch sparse LCM after a trend": peer(lambda: peers.OnTrend(peers.sparse_lcm())),
     PIPELINE: pipeline,
 }
 
@@ -95,19 +97,17 @@ def scored(task, method):
     error = normalized_rmse(asked, mean, multioutput="raw_values").tolist()
     result = {"outputs": list(task.targets), "NRMSE": error}
     kinds = {"truth": task.truth, "measured": measured}
-    for (kind, y), std in zip(kinds.items(), bands or (), strict=False):
+    for (kind, y), std in zip(kinds.items(), bands, strict=False):
         if y is not None:
             held = interval_coverage(y[::BANDS_EVERY], mean[::BANDS_EVERY], std)
             result[f"{kind}, %"] = 100 * float(held)
     return result
 
 
-def errors(table):
+def errors(runs):
     """Return a row for each method: its errors on the flights, and medians over these."""
-    of_flights = table.set_index(["flight", "method"])["NRMSE"].map(np.mean)
-    cells = {flight: winners(of_flights[flight]) for flight in FLIGHTS}
-    cells = pd.DataFrame(cells, index=[*METHODS])
-    medians = table.groupby("method")[["truth, %", "seconds"]].median()
+    cells = contest(runs.assign(error=runs["NRMSE"].map(np.mean)), "flight")
+    medians = runs.groupby("method")[["truth, %", "seconds"]].median()
     cells[["in band of truth, %", "CPU s"]] = medians
     return cells.reset_index(names="method").to_dict("records")
 

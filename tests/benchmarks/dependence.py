@@ -11,14 +11,17 @@ observed in different places, as in GPy's tutorial of coregionalisation; only th
 bands refer to places where the output was not observed.
 """
 
+from functools import partial
+
 import numpy as np
 from _common import Kept, finish, parser_of
+from _peers import EachOutput, Process
 from made_outputs import little_overlap, noisy_copies, translated
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
 from skdgp.kernels import ConvolvedGaussian
+from skdgp.metrics import interval_coverage, normalized_rmse
 
 SEEDS = range(100, 105)
 
@@ -69,21 +72,10 @@ PROBLEMS = {
 
 def separately(X, Y, points):
     """Return mean and standard deviation of a process of scikit-learn for each output."""
-    means = []
-    stds = []
-    for y in Y.T:
-        seen = np.isfinite(y)
-        kernel = ConstantKernel() * RBF(X.std(axis=0)) + WhiteKernel()
-        gp = GaussianProcessRegressor(
-            kernel, normalize_y=True, n_restarts_optimizer=3, random_state=0
-        )
-        gp.fit(X[seen], y[seen])
-        mean, std = gp.predict(points, return_std=True)
-        # the kernel's noise is part of std
-        noise = gp.kernel_.k2.noise_level * y[seen].var()
-        means.append(mean)
-        stds.append(np.sqrt(np.maximum(std**2 - noise, 0.0)))
-    return np.column_stack(means), np.column_stack(stds)
+    scaler = StandardScaler()
+    model = EachOutput(partial(Process, searches=4)).fit(scaler.fit_transform(X), Y)
+    asked = scaler.transform(points)
+    return model.predict(asked), model.bands(asked)[0]
 
 
 def one_structure(X, Y, points):
@@ -103,10 +95,8 @@ def scored(problem, method, seed):
     """Return the error over the spread of the truth, and the fraction of points inside the band."""
     X, Y, points, truth = PROBLEMS[problem](np.random.default_rng(seed))
     mean, std = METHODS[method](X, Y, points)
-    error = np.sqrt(np.nanmean((mean - truth) ** 2, axis=0)) / np.nanstd(truth, axis=0)
-    known = np.isfinite(truth)
-    inside = np.abs(mean - truth)[known] < 1.96 * std[known]
-    return {"error": float(error.mean()), "inside": float(inside.mean())}
+    error = float(normalized_rmse(truth, mean))
+    return {"error": error, "inside": float(interval_coverage(truth, mean, std))}
 
 
 def table(runs):

@@ -20,7 +20,7 @@ from _common import Kept, finish, parser_of
 from log_errors import EULER, FORCES, GRAVITY, RATES, VELOCITY, elsewhere, late, without_gravity
 from numpy.random import default_rng
 from scipy import signal
-from uav_flight import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, Fleet, logged
+from uav_flight import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, fly, logged
 
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import FlightTable
@@ -38,16 +38,13 @@ SURFACES = ["elevator", "aileron", "rudder"]
 COMMANDS = [*SURFACES, "throttle"]
 
 
-def with_vanes(rows, rng, kind):
+def with_vanes(flown, rng, kind):
     """Return a table of one flight with vanes, position and altitude."""
-    table = logged(rows.copy(), rng, kind).drop(columns=["thrust_x", "alpha_true"])
-    angles = rows[:, 7:9]
-    table[["alpha", "beta"]] = angles + VANE_NOISE * rng.standard_normal(angles.shape)
-    position = STEP * EVERY * np.cumsum(rows[:, 11:14], axis=0)
-    position += POSITION_NOISE * rng.standard_normal(position.shape)
-    table[["north", "east"]] = position[:, :2]
-    table["altitude"] = 200 - position[:, 2]
-    table["psi"] = np.angle(np.exp(1j * table["psi"]))
+    table = logged(flown, rng, kind).drop(columns=["thrust_x", "alpha_true"])
+    vanes = flown[["alpha", "beta"]]
+    table[["alpha", "beta"]] = vanes + VANE_NOISE * rng.standard_normal(vanes.shape)
+    place = flown[["north", "east", "altitude"]]
+    table[[*place]] = place + POSITION_NOISE * rng.standard_normal(place.shape)
     return table
 
 
@@ -166,17 +163,20 @@ def score(table, wrong):
     return {"found": is_found, "accused": accused}
 
 
-def fly(n):
-    """Return key, table and span of n flights."""
-    cases = list(itertools.islice(itertools.product((91, 92), AIRCRAFT, AIRS), n))
-    rngs = [default_rng([*map(ord, name + air), seed]) for seed, name, air in cases]
-    planes = [AIRCRAFT[name] for _, name, _ in cases]
-    airs = [AIRS[air] for _, _, air in cases]
-    rows = Fleet(planes, airs, rngs, SECONDS, [0.05] * n).fly()
-    for k, (seed, name, air) in enumerate(cases):
+def flights(numbers):
+    """Yield key, table and span of the flights of these numbers."""
+    cases = [*itertools.product((91, 92), AIRCRAFT, AIRS)]
+    for k in numbers:
+        seed, name, air = cases[k]
+        rng = default_rng([*map(ord, name + air), seed])
+        plane = AIRCRAFT[name]
         kind = list(SENSORS)[k % len(SENSORS)]
         key = {"aircraft": name, "air": air, "seed": seed, "sensors": kind}
-        yield key, with_vanes(rows[:, k], rngs[k], kind), planes[k]["span"]
+        yield (
+            key,
+            with_vanes(fly(plane, AIRS[air], rng, SECONDS, 0.05), rng, kind),
+            plane["span"],
+        )
 
 
 def main(words=None):
@@ -186,7 +186,7 @@ def main(words=None):
     options = parser.parse_args(words)
     warnings.simplefilter("ignore")
     kept = Kept(options, "faults")
-    for key, table, span in itertools.islice(fly(N_FLIGHTS), options.first, None, options.every):
+    for key, table, span in flights(range(options.first, N_FLIGHTS, options.every)):
         recorded = ways(table, span)
         for way, sound in recorded.items():
             kept.run(key | {"case": way, "kind": "sound"}, score, sound, [])

@@ -63,7 +63,7 @@ def of_pairs(runs):
     table.loc[means, "least squares"] = 1.0
     return [
         {"pair": pair, "least squares": table.loc[pair, "least squares"]}
-        | winners(row, missing="-")
+        | winners(row)
         | {"in the band, %": 100 * table.loc[pair, "coverage"]}
         for pair, row in ratios.iterrows()
     ]

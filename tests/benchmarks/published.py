@@ -27,12 +27,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from _common import Kept, finish, parser_of, ranges, winners
+from _common import Kept, contest, finish, parser_of
+from _peers import Process
 from numpy.random import default_rng
 from scipy.io import loadmat
 from sklearn.experimental import enable_iterative_imputer  # noqa: F401 - makes it importable
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.impute import IterativeImputer, SimpleImputer
 from sklearn.linear_model import BayesianRidge
 from sklearn.pipeline import make_pipeline
@@ -153,10 +152,6 @@ def predicted(case):
     return model.predict(case.X, return_std=True, include_noise=True)
 
 
-def regressor_of(n_inputs):
-    return DependentGPRegressor(random_state=0)
-
-
 def iterated(case):
     """Complete the scaled table of regressors and outputs in two rounds of regressions, without deviations."""
     scaler = StandardScaler()
@@ -165,16 +160,6 @@ def iterated(case):
     filled = IterativeImputer(model, max_iter=2, random_state=0).fit_transform(table)
     mean = scaler.inverse_transform(filled)[:, case.X.shape[1] :]
     return mean, np.full_like(mean, np.nan)
-
-
-def process_of(n_inputs, one_width=False):
-    """Return scikit-learn's process with a width for each input or one, and noise; its best of three searches."""
-    widths = 3.0 if one_width else np.full(n_inputs, 3.0)
-    bounds = (0.1 if n_inputs > 2 else 0.01, 1e4)  # with more inputs shorter widths fit noise
-    kernel = ConstantKernel() * RBF(widths, bounds) + WhiteKernel(0.1, (1e-6, 1e2))
-    return GaussianProcessRegressor(
-        kernel, n_restarts_optimizer=2, normalize_y=True, random_state=0
-    )
 
 
 def by_output(case, make, regressors=True, others=True, **switches):
@@ -189,7 +174,7 @@ def by_output(case, make, regressors=True, others=True, **switches):
         parts = [case.X] * regressors + [case.Y[:, known]] * others
         inputs = make_pipeline(SimpleImputer(), StandardScaler()).fit_transform(np.hstack(parts))
         rows = np.flatnonzero(observed)[:SINGLE_LIMIT]
-        model = make(inputs.shape[1]).fit(inputs[rows], case.Y[rows, k])
+        model = make().fit(inputs[rows], case.Y[rows, k])
         mean[:, k], std[:, k] = model.predict(inputs, return_std=True, **switches)
     return mean, std
 
@@ -239,20 +224,19 @@ def lcm(case):
 
 PREDICT = "skdgp, `predict`"
 ALONE = "scikit-learn's process, each output alone"
+PROCESS = partial(Process, searches=3)
 METHODS = {
     PREDICT: predicted,
     "skdgp on regressors and other outputs": partial(
-        by_output, make=regressor_of, include_noise=True
+        by_output, make=partial(DependentGPRegressor, random_state=0), include_noise=True
     ),
     "skdgp in `IterativeImputer`": iterated,
     "GPAR": gpar,
     "GPyTorch's LCM, four processes": lcm,
-    "Bayesian ridge on the other outputs": partial(
-        by_output, make=lambda *_: BayesianRidge(), regressors=False
-    ),
-    "scikit-learn's process on regressors and other outputs": partial(by_output, make=process_of),
-    "the same, one width": partial(by_output, make=partial(process_of, one_width=True)),
-    ALONE: partial(by_output, make=process_of, others=False),
+    "Bayesian ridge on the other outputs": partial(by_output, make=BayesianRidge, regressors=False),
+    "scikit-learn's process on regressors and other outputs": partial(by_output, make=PROCESS),
+    "the same, one width": partial(by_output, make=partial(PROCESS, one_width=True)),
+    ALONE: partial(by_output, make=PROCESS, others=False),
 }
 
 
@@ -280,24 +264,15 @@ def scored(case, method):
 
 def tables(runs):
     """Return a row for each method, error and percentage in the band of each case; and complete outputs."""
-    means = runs.groupby(["case", "method"], sort=False)
-    means = means[["error", "held", "seconds"]].mean()
-    cells = {}
-    complete = []
-    for case, scores in means.groupby("case", sort=False):
-        scores = scores.droplevel("case")
-        if case.startswith("Friedman"):
-            texts = [f"{row.error:.2g}, {row.seconds:.3g} s" for row in scores.itertuples()]
-            complete.append({"n": case.split()[-1], **dict(zip(scores.index, texts, strict=True))})
-        else:
-            cells[case] = winners(
-                scores["error"], scores["held"].dropna().map("{:.0f} %".format).to_dict()
-            )
-    cells = pd.DataFrame(cells)
-    seconds = means.loc[[*cells], "seconds"].where(means["error"].notna())
-    cells["CPU s"] = pd.Series(ranges(seconds))
+    is_complete = runs["case"].str.startswith("Friedman")
+    cells = contest(runs[~is_complete], "case")
     cells.loc["published figures"] = pd.Series(PUBLISHED)
-    return {"errors": cells.reset_index(names="method").to_dict("records"), "complete": complete}
+    complete = {}
+    for run in runs[is_complete].itertuples():
+        row = complete.setdefault(run.case, {"n": run.case.split()[-1]})
+        row[run.method] = f"{run.error:.2g}, {run.seconds:.3g} s"
+    errors = cells.reset_index(names="method").to_dict("records")
+    return {"errors": errors, "complete": [*complete.values()]}
 
 
 def main(words=None):

@@ -23,8 +23,8 @@ from uav_flight import (
     DENSITY,
     SECONDS,
     SENSORS,
-    Fleet,
     aircraft_of,
+    fly,
     logged,
     truth_of,
 )
@@ -82,20 +82,18 @@ def main(words=None):
     parser.add_argument("--every", type=int, default=1, help="3: a third, even over all kinds")
     options = parser.parse_args(words)
     warnings.simplefilter("ignore")
-    axes = [*SENSORS], [*AIRCRAFT], [*AIRS]
-    cases = []
-    for place in np.ndindex(*map(len, axes)):
-        if sum(place) % options.every == 0:
-            cases.append([axis[k] for axis, k in zip(axes, place, strict=True)])
-    rngs = [default_rng([*map(ord, "".join(case)), SEED]) for case in cases]
-    lags = [rng.uniform(0.02, 0.08) for rng in rngs]
-    planes = [AIRCRAFT[name] for _, name, _ in cases]
-    flown = Fleet(planes, [AIRS[air] for *_, air in cases], rngs, SECONDS, lags).fly()
     kept = Kept(options, "small_uav")
-    for k, (kind, name, air) in enumerate(cases):
-        table = logged(flown[:, k], rngs[k], kind)
+    axes = [*SENSORS], [*AIRCRAFT], [*AIRS]
+    for place in np.ndindex(*map(len, axes)):
+        if sum(place) % options.every:
+            continue
+        kind, name, air = case = [axis[k] for axis, k in zip(axes, place, strict=True)]
+        rng = default_rng([*map(ord, "".join(case)), SEED])
+        lag = rng.uniform(0.02, 0.08)
+        plane = AIRCRAFT[name]
+        table = logged(fly(plane, AIRS[air], rng, SECONDS, lag), rng, kind)
         key = {"sensors": kind, "aircraft": name, "air": air}
-        kept.run(key, score, table, planes[k], lags[k] if kind == "real" else 0.0)
+        kept.run(key, score, table, plane, lag if kind == "real" else 0.0)
     runs = kept.table
     columns = {SENSORS[kind]: column(some) for kind, some in runs.groupby("sensors", sort=False)}
     rows = pd.DataFrame(columns).reset_index(names="air").to_dict("records")

@@ -13,8 +13,8 @@ log densities are of outputs over their deviation in training.
 
 import numpy as np
 import pandas as pd
-from _common import Kept, finish, parser_of, ranges, winners
-from _peers import IndependentProcesses, trees
+from _common import Kept, contest, finish, parser_of
+from _peers import EachOutput, Process, trees
 from scipy.io import arff
 from sklearn.impute import SimpleImputer
 from sklearn.linear_model import BayesianRidge
@@ -27,7 +27,6 @@ from skdgp.metrics import interval_coverage, negative_log_predictive_density
 
 MULAN = {"andro": 6, "slump": 3, "edm": 2, "jura": 3, "enb": 2, "scpf": 3, "atp1d": 6}  # outputs
 UCI = ("yacht", "bostonHousing", "concrete", "energy", "wine-quality-red", "kin8nm", "power-plant")
-TITLE = "set: rows, regressors, outputs"
 LIMIT = 400  # s of a run
 LARGE = ("scpf", "atp1d", "wine-quality-red", "kin8nm", "power-plant")
 
@@ -61,7 +60,7 @@ def skdgp(X, Y, asked):
 
 
 def process(X, Y, asked):
-    model = IndependentProcesses().fit(X[:2000], Y[:2000])
+    model = EachOutput(Process).fit(X[:2000], Y[:2000])
     return model.predict(asked), model.bands(asked)[1]
 
 
@@ -102,18 +101,10 @@ def scored(data, method):
 
 def errors(runs):
     """Return errors, fractions in bands and negative log densities of the sets, means over splits; then seconds."""
-    rows = []
-    means = runs.groupby(["set", "method"], sort=False)
-    means = means[["error", "held", "density", "seconds"]].mean()
-    for name, some in means.groupby("set", sort=False):
-        some = some.droplevel("set")
-        size = runs.loc[runs["set"] == name, "size"].dropna().iloc[0]
-        probable = some.dropna().itertuples()
-        notes = {row.Index: f"{row.held:.0f} %, {row.density:.2f}" for row in probable}
-        rows.append(
-            {TITLE: f"{name}: {size}"} | winners(some["error"], notes, f"none in {LIMIT} s")
-        )
-    return [*rows, {TITLE: "CPU s"} | ranges(means["seconds"])]
+    table = contest(runs, "set", LIMIT).T
+    sizes = runs.groupby("set")["size"].first()
+    table.index = [f"{name}: {sizes[name]}" if name in sizes else name for name in table.index]
+    return table.reset_index(names="set: rows, regressors, outputs").to_dict("records")
 
 
 def main(words=None):

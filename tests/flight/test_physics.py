@@ -8,6 +8,7 @@ import log_errors
 import numpy as np
 import pandas as pd
 import pytest
+import uav_flight
 from numpy.random import default_rng
 from scipy import signal
 
@@ -21,7 +22,7 @@ from skdgp._flight.physics import (
 )
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
-from skdgp.dynamics import Aircraft, ScaleFactor, air_velocity, euler_to_matrix
+from skdgp.dynamics import Aircraft, ScaleFactor, air_velocity, euler_to_matrix, simulate, trim
 from skdgp.io import inspect_log, read_flight
 
 ELEVONS = ["elevon_left", "elevon_right"]
@@ -303,38 +304,28 @@ def test_the_error_of_a_slope_counts_dependent_samples():
     assert np.mean(sizes) == pytest.approx(2000 * 0.19 / 1.81, rel=0.25)
 
 
-def held_in_pitch(hold):
-    """Return a minute in gusts without vanes, in which an autopilot answers theta and q by the elevator.
-
-    ``hold`` rows at a time have one sample of the elevator's command.
-    """
-    rng = default_rng(1)
-    step = 0.02
-    n = 3000
-    servo = 0.06
-    feedback = np.array([0.0, 0.12, 0.3])  # of alpha, q, theta
-    time = step * np.arange(n)
-    gust = 0.05 * signal.lfilter([0.2], [1, -0.98], rng.normal(size=n))  # [rad]
-    doublets = 0.05 * np.sign(np.sin(0.8 * np.pi * time))
-    pilot = doublets * rng.choice([-1, 0, 1], size=n // 125).repeat(125)
-    # rates of alpha, q, theta and the deflection by these states, and by gust and pilot
-    by_air = np.array([-7.0, -125.0, 0.0, 0.0])
-    A = [[-7, 1, 0, 0], [-125, -8, 0, -160], [0, 1, 0, 0], [*feedback / servo, -1 / servo]]
-    B = np.column_stack([by_air, [0, 0, 0, 1 / servo]])
-    plant = (A, B, np.eye(4), np.zeros((4, 2)))
-    _, states, _ = signal.lsim(plant, np.column_stack([gust, pilot]), time)
-    command = states[:, :3] @ feedback + pilot
-    q = states[:, 1] + 0.004 * rng.normal(size=n)
-    elevator = command[np.arange(n) // hold * hold]
-    return pd.DataFrame({"time": time, "airspeed": 15.5, "q": q, "elevator": elevator})
+@pytest.fixture(scope="module")
+def held_in_pitch():
+    """Return 40 s in gusts without vanes, in which an autopilot answers theta and q by the elevator."""
+    plane = uav_flight.AIRCRAFT["trainer"]
+    flown = uav_flight.fly(plane, uav_flight.AIRS["1 m/s, 1 s"], default_rng(1), 40.0, 0.06)
+    q = flown["q"] + 0.004 * default_rng(0).normal(size=len(flown))
+    log = flown.assign(q=q, elevator=flown["elevator_command"])
+    return log[["time", "airspeed", "q", "elevator"]]
 
 
 @pytest.mark.parametrize(("sign", "accused"), [(1.0, []), (-1.0, ["elevator or q"])])
 @pytest.mark.parametrize("hold", [1, 5])
-def test_an_autopilot_that_answers_gusts_is_no_wrong_sign(hold, sign, accused, tmp_path):
-    """The elevator has the sign of the autopilot after the response, and its own before."""
+def test_an_autopilot_that_answers_gusts_is_no_wrong_sign(
+    hold, sign, accused, held_in_pitch, tmp_path
+):
+    """The elevator has the sign of the autopilot after the response, and its own before.
+
+    ``hold`` rows at a time have one sample of the elevator's command.
+    """
     path = tmp_path / "flight.csv"
-    scaled(held_in_pitch(hold), {"elevator": sign}).to_csv(path, index=False)
+    log = scaled(held_in_pitch, {"elevator": sign})
+    log_errors.held(log, ["elevator"], hold).to_csv(path, index=False)
     remarks = re.findall("(.*) is probably wrong", "\n".join(inspect_log(path).remarks))
     assert remarks == accused
 
@@ -766,52 +757,31 @@ def test_a_noisy_sensor_accuses_no_size(first_minute, train, name, factor):
     assert first_minute().aircraft.question_of_sizes(FlightTable.of(noisy)) is None
 
 
-def doublets(order):
-    """Return a flight of a linear aircraft at 30 m/s, whose surfaces fly doublets of 2 s in this order."""
-    step, speed = 0.02, 30.0
-    time = np.arange(0.0, 7.0 * len(order) + 3.0, step)
-    size = {"elevator": 0.05, "aileron": 0.06, "rudder": 0.1}
-    surfaces = {name: np.zeros(len(time)) for name in size}
-    for k, name in enumerate(order):
-        since = time - 7.0 * k - 3.0
-        sign = (-1.0) ** k * np.where(since < 1.0, 1.0, -1.0)
-        surfaces[name] += size[name] * sign * ((since >= 0.0) & (since < 2.0))
-    state = np.zeros((len(time), 8))  # beta, p, r, phi, alpha, q, theta, psi
-    force = np.zeros((len(time), 2))
-    for k in range(len(time)):
-        beta, p, r, phi, alpha, q, _, _ = state[k]
-        elevator, aileron, rudder = (values[k] for values in surfaces.values())
-        force[k] = -15 * beta + 3 * rudder, -GRAVITY - 100 * alpha - 8 * elevator
-        slope = [
-            force[k, 0] / speed + GRAVITY / speed * np.sin(phi) - r,
-            -25 * beta - 8 * p + 2 * r + 60 * aileron + 2 * rudder,
-            18 * beta - 0.3 * p - 1.5 * r - 12 * rudder - 4 * aileron,
-            p,
-            q + (force[k, 1] + GRAVITY) / speed,
-            -30 * alpha - 4 * q - 40 * elevator,
-            q * np.cos(phi) - r * np.sin(phi),
-            r * np.cos(phi) + q * np.sin(phi),
-        ]
-        state[k + 1 : k + 2] = state[k] + step * np.array(slope)
-    columns = dict(
-        zip(("beta", "p", "r", "phi", "alpha", "q", "theta", "psi"), state.T, strict=True)
-    )
-    table = pd.DataFrame({"time": time, "airspeed": speed, "ax": 0.0, **columns, **surfaces})
-    table["ay"], table["az"] = force.T
-    noise = {
-        "ax": 0.05,
-        "ay": 0.05,
-        "az": 0.05,
-        "p": 0.005,
-        "q": 0.005,
-        "r": 0.005,
-        "airspeed": 0.3,
-    }
-    noise |= dict.fromkeys(("alpha", "beta", "phi", "theta", "psi"), 0.002)
-    rng = default_rng(1)
-    for name, std in noise.items():
-        table[name] += std * rng.standard_normal(len(table))
-    return table
+@pytest.fixture
+def doublets(glider):
+    """Return a function to a glider's flight from trim, whose surfaces fly doublets of 2 s in an order."""
+    start = trim(glider.model(), glider.aircraft, 20.0, climb=None, thrust=None)
+
+    def doublets(order):
+        time = np.arange(0.0, 7.0 * len(order) + 3.0, 0.02)
+        controls = pd.DataFrame({"time": time}).assign(**start.controls)
+        for k, name in enumerate(order):
+            since = time - 7.0 * k - 3.0
+            sign = (-1.0) ** k * np.where(since < 1.0, 1.0, -1.0)
+            controls[name] += 0.06 * sign * ((since >= 0.0) & (since < 2.0))
+        flown = simulate(glider.model(), glider.aircraft, start, controls, thrust=None)
+        log = flown[["time", *SURFACES]].copy()
+        rng = default_rng(1)
+        for names, std in NOISE.items():
+            for name in names.split():
+                log[name] = flown[name] + std * rng.standard_normal(len(flown))
+        return log
+
+    return doublets
+
+
+# Standard deviations
+NOISE = {"ax ay az": 0.05, "p q r": 0.005, "airspeed": 0.3, "alpha beta phi theta psi": 0.002}
 
 
 @pytest.mark.parametrize(
@@ -821,6 +791,6 @@ def doublets(order):
         ["aileron", "aileron", "aileron", "aileron", "rudder"],
     ],
 )
-def test_surfaces_that_move_one_after_another_are_not_stuck(order):
+def test_surfaces_that_move_one_after_another_are_not_stuck(order, doublets):
     """What the other surfaces do is not known from rows where one moves alone."""
     assert contradictions(doublets(order)) == []

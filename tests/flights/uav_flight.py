@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 from log_errors import EULER, FORCES, RATES, VELOCITY, elsewhere, held, late
 
-from skdgp.dynamics import Aircraft, air_data, euler_to_matrix
+from skdgp.dynamics import Aerodynamics, Air, Aircraft, Servos, simulate
 
 DENSITY = 1.2
-GRAVITY = 9.80665
-STEP, EVERY = 0.005, 4  # s of the simulation, steps between logged samples
+STEP, EVERY = 0.01, 2  # s of the simulation, steps between logged samples
 COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 TERMS = ("level", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "abs_beta")
+REGRESSORS = ["airspeed", "alpha", "beta", "p_hat", "q_hat", "r_hat"]
 # [rad], at which the softened lift and moment of some aircraft have lost half their slope
 STALL = 0.3
 
@@ -53,19 +53,18 @@ AIRS = {  # intensity [m/s], correlation time [s], spectrum
 }
 VIBRATION = (1.5, 0.03)  # m/s^2, rad/s
 STEADY_WIND = np.array([3.0, -2.0, 0.0])
-SCALARS = ("mass", "wing_area", "airspeed", "thrust")
 SPIN = ["p_dot", "q_dot", "r_dot"]
 SURFACES = ["elevator", "aileron", "rudder"]
 COMMANDS = ["elevator_command", "aileron_command", "rudder_command"]
-# Of what the fleet flies
-CHANNELS = [*FORCES, *SPIN, "airspeed", "alpha_true", "beta", "thrust_x", "throttle", *VELOCITY]
-CHANNELS += ["u", "v", "w", *RATES, *EULER, *SURFACES, *COMMANDS]
 # White noise of channels that are logged, standard deviation
 NOISE = [(["airspeed"], 0.3), (FORCES, 0.1), (RATES, 0.005), (EULER, 0.005), (VELOCITY, 0.1)]
 NOISE += [(SURFACES, 0.0), (["throttle"], 0.0), (["thrust_x"], 0.0), (["alpha_true"], 0.0)]
 # Of the attitude of real sensors: standard deviation [rad], correlation time [s]
 ATTITUDE_ERRORS = ((0.01, 5.0), (0.01, 5.0), (0.03, 20.0))
 THERMAL = (1.5, 4.0, 25.0)  # speed [m/s], width [s], and distance [s] of thermals
+LEG = 15.0  # s between changes of bank and airspeed
+BANKS = (-0.5, 0.0, 0.5)  # rad
+SPEEDS = (0.85, 1.2)  # over the airspeed of the aircraft
 
 
 def spectrum(kind, x, axis):
@@ -107,90 +106,62 @@ def pulses(rng, n, axes):
     return out
 
 
-class Fleet:
-    """Flights of aircraft in airs, side by side: arrays have an axis of flights."""
-
-    def __init__(self, planes, airs, rngs, seconds, lags):
-        n = round(seconds / STEP)
-
-        def stacked(name):
-            return np.array([plane[name] for plane in planes])
-
-        self.mass, self.wing_area, self.airspeed, self.thrust = map(stacked, SCALARS)
-        self.inertia = stacked("inertia")
-        self.inverse = np.linalg.inv(self.inertia)
-        self.W = stacked("derivatives")
-        self.stalls = stacked("stalls")
-        self.thrust_arm = stacked("thrust_arm")
-        self.slipstream = stacked("slipstream")
-        self.lengths = np.stack([stacked(name) for name in ("span", "chord", "span")], axis=1)
-        self.lags = np.array(lags)[:, None]
-        has_rudder = self.W[:, :, TERMS.index("rudder")].any(axis=1)
-        winds = []
-        inputs = []
-        self.legs = []
-        for rng, air, axes in zip(rngs, airs, 2 + has_rudder, strict=True):
-            winds.append(gusts(rng, n, *air) + STEADY_WIND * bool(air[0]))
-            inputs.append(pulses(rng, n, axes))
-            self.legs.append((rng.choice([-0.5, 0.0, 0.5], n), rng.uniform(0.85, 1.2, n)))
-        self.gusts = np.stack(winds, axis=1)
-        self.pulses = np.stack(inputs, axis=1)
-
-    def fly(self):
-        """Return what may be logged, `CHANNELS`, (rows, flights, 29)."""
-        V0 = self.airspeed
-        state = np.outer(V0, [1.0, 0.0, 0.05, *[0.0] * 6])
-        state[:, 7] = 0.05
-        actuator = np.zeros((len(V0), 3))
-        rows = []
-        for i, (wind, pulse) in enumerate(zip(self.gusts, self.pulses, strict=True)):
-            if i % round(15 / STEP) == 0:
-                bank, speed = np.transpose([[banks[i], speeds[i]] for banks, speeds in self.legs])
-                speed *= V0
-            k1, log = self.rates(state, actuator, wind, speed)
-            command = pulse.copy()
-            command[:, 0] += 0.5 * (state[:, 7] - 0.1) + 0.08 * state[:, 4]
-            command[:, 1] += 0.25 * (bank - state[:, 6]) - 0.05 * state[:, 3]
-            command = np.clip(command, -0.4, 0.4)
-            if i % EVERY == 0:
-                rows.append(np.hstack([log, state, actuator, command]))
-            state = state + STEP * self.rates(state + STEP / 2 * k1, actuator, wind, speed)[0]
-            actuator = actuator + STEP / self.lags * (command - actuator)
-        return np.array(rows)
-
-    def rates(self, state, surfaces, wind, speed):
-        """Return d state / dt (velocity, rates, angles), and loads with air data and ground velocity."""
-        velocity, rates, angles = np.split(state, 3, axis=1)
-        R = euler_to_matrix(*angles.T)
-        V, alpha, beta = air_data(velocity - np.einsum("nji,nj->ni", R, wind))
-        soft = np.where(self.stalls, STALL * np.tanh(alpha / STALL), alpha)
-        throttle = np.clip(0.4 + 0.08 * (speed - V), 0.05, 1)
-        thrust = throttle * self.thrust * (1 - V / (2.3 * self.airspeed))
-        qS = 0.5 * DENSITY * V**2 * self.wing_area
-        reduced = rates * self.lengths / (2 * V[:, None])
-        washed = surfaces * (1 + np.outer(self.slipstream * thrust / qS, [1, 0, 1]))
-        X = np.column_stack([np.ones(len(V)), soft, beta, reduced, washed, abs(beta)])
-        loads = np.einsum("nij,nj->ni", self.W, X) * qS[:, None]
-        loads[:, 0] += thrust
-        loads[:, 3:5] += self.thrust_arm * thrust[:, None]
-        force = loads[:, :3] / self.mass[:, None]
-        turning = cross(rates, np.einsum("nij,nj->ni", self.inertia, rates))
-        moment = loads[:, 3:] * self.lengths - turning
-        spin = np.einsum("nij,nj->ni", self.inverse, moment)
-        acceleration = force + GRAVITY * R[:, 2] - cross(rates, velocity)
-        sin_phi, sin_theta = np.sin(angles[:, :2]).T
-        cos_phi, cos_theta = np.cos(angles[:, :2]).T
-        p, q, r = rates.T
-        psi_dot = (sin_phi * q + cos_phi * r) / cos_theta
-        euler = np.stack([p + sin_theta * psi_dot, cos_phi * q - sin_phi * r, psi_dot], axis=1)
-        over_ground = np.einsum("nij,nj->ni", R, velocity)
-        log = np.column_stack([force, spin, V, alpha, beta, thrust, throttle, over_ground])
-        return np.hstack([acceleration, spin, euler]), log
+def thrust_of(plane, throttle, airspeed):
+    return throttle * plane["thrust"] * (1 - airspeed / (2.3 * plane["airspeed"]))
 
 
-def cross(a, b):
-    """Return a x b (n, 3)."""
-    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+def aerodynamics(plane, lag):
+    """Return the coefficients of an aircraft and its thrust, whose servos have a lag [s]."""
+
+    def coefficients(X):
+        V, alpha, beta, p, q, r, elevator, aileron, rudder, throttle = X.T
+        load = 0.5 * DENSITY * V**2 * plane["wing_area"]
+        thrust = thrust_of(plane, throttle, V) / load
+        if plane["stalls"]:
+            alpha = STALL * np.tanh(alpha / STALL)
+        washed = 1 + plane["slipstream"] * thrust
+        terms = [np.ones(len(V)), alpha, beta, p, q, r]
+        terms += [elevator * washed, aileron, rudder * washed, abs(beta)]
+        of_thrust = np.outer(thrust, [1.0, 0.0, 0.0, *plane["thrust_arm"], 0.0])
+        return np.column_stack(terms) @ plane["derivatives"].T + of_thrust
+
+    return Aerodynamics(coefficients, [*REGRESSORS, *SURFACES, "throttle"], servos=Servos(lag=lag))
+
+
+def fly(plane, air, rng, seconds, lag, inputs=None, banks=BANKS, speeds=SPEEDS):
+    """Return the true flight of an aircraft, at the rate of its log, with ``inputs`` (n, 3) of the surfaces."""
+    n = round(seconds / STEP)
+    time = STEP * np.arange(n + 1)
+    wind = gusts(rng, n + 1, *air) + STEADY_WIND * bool(air[0])
+    if inputs is None:
+        has_rudder = plane["derivatives"][:, TERMS.index("rudder")].any()
+        inputs = pulses(rng, n, 2 + has_rudder)
+    legs = round(seconds / LEG) + 1
+    bank = rng.choice(banks, legs)
+    speed = plane["airspeed"] * rng.uniform(*speeds, legs)
+    commanded = np.zeros((n + 1, 3))
+
+    def law(t, state):
+        leg = int(t / LEG)
+        held_level = [
+            0.5 * (state["theta"] - 0.1) + 0.08 * state["q"],
+            0.25 * (bank[leg] - state["phi"]) - 0.05 * state["p"],
+            0.0,
+        ]
+        k = round(t / STEP)
+        commanded[k] = np.clip(inputs[min(k, n - 1)] + held_level, -0.4, 0.4)
+        throttle = np.clip(0.4 + 0.08 * (speed[leg] - state["airspeed"]), 0.05, 1.0)
+        return dict(zip(SURFACES, commanded[k], strict=True)) | {"throttle": throttle}
+
+    start = {"airspeed": plane["airspeed"], "alpha": 0.05, "theta": 0.05, "altitude": 200.0}
+    wind = pd.DataFrame(wind, columns=["wind_north", "wind_east", "wind_down"]).assign(time=time)
+    flown = simulate(
+        aerodynamics(plane, lag), aircraft_of(plane), start, law, STEP, duration=seconds,
+        air=Air(wind, gusts=None, density=DENSITY), thrust=None,
+    )  # fmt: skip
+    flown[COMMANDS] = commanded
+    flown["thrust_x"] = thrust_of(plane, flown["throttle"], flown["airspeed"])
+    return flown.iloc[:n:EVERY].reset_index(drop=True)
 
 
 def vibration(rng, throttle, dt):
@@ -200,11 +171,10 @@ def vibration(rng, throttle, dt):
     return np.sqrt(2) * wave * np.repeat(VIBRATION, 3)
 
 
-def logged(rows, rng, kind):
+def logged(flown, rng, kind):
     """Return the table of one flight, with the noise of sensors, and other errors of its kind."""
-    n = len(rows)
-    table = pd.DataFrame(rows, columns=CHANNELS)
-    table = table.assign(time=STEP * EVERY * np.arange(n), density=DENSITY)
+    n = len(flown)
+    table = flown.rename(columns={"alpha": "alpha_true"})
     slow = 1
     slower = 1
     if kind == "vibration":

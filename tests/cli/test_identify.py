@@ -160,14 +160,6 @@ class TestIdentify:
         )
         assert load_model(tmp_path / "out" / "model.joblib").aircraft == expected
 
-    def test_a_log_without_attitude_is_scored_but_not_replayed(self, metrics_of, write, capsys):
-        bare = write("bare.csv", lambda table: table.drop(columns="phi"), of="test")
-        short = write("short.csv", lambda table: table[:160])
-        (flight,) = metrics_of("--test", bare, train=[short])["test"].values()
-        words = "Got flights without ['phi'], which those of the fit had: they are smoothed channel by channel"
-        assert words in capsys.readouterr().err
-        assert flight["coefficients"]["measured"]["CZ"]["normalized_rmse"] > 0
-
     def test_what_makes_a_model_poor_is_remarked_on(self, metrics_of, write, capsys):
         """Rows without alpha, or between gaps, a surface that never moves, a test on what was learned."""
 

@@ -17,7 +17,7 @@ from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification import FlightPipeline, flight_regressors, identify
+from skdgp.identification import flight_regressors, identify
 from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
 
@@ -118,15 +118,6 @@ class TestPredict:
         slopes = model[-1].predict_gradient(X)
         carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
         assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
-
-    def test_the_air_is_known_however_steps_are_named(self, model, test_flight):
-        steps = [(f"step_{name}", step) for name, step in model.steps]
-        for found, expected in zip(
-            flight_regressors(FlightPipeline(steps), test_flight),
-            flight_regressors(model, test_flight),
-            strict=True,
-        ):
-            assert_array_equal(found, expected)
 
     def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
         noise = default_rng(0).normal(0.0, 0.3, 200)

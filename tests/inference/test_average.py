@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import softmax
 from sklearn.linear_model import LinearRegression
 
-from skdgp import DependentGPRegressor, listening
+from skdgp import DependentGPRegressor
 from skdgp.inference import (
     AveragePosterior,
     Data,
@@ -246,20 +246,3 @@ class TestRegressor:
         members = np.array([member.noise for member in model.posterior_.members])
         weights = model.posterior_.mixture
         assert_allclose(model.noise_variance_ / model.scale_**2, np.sum(weights * members, axis=0))
-
-    def test_an_interrupt_while_members_are_fitted_keeps_the_whole(self, data):
-        """The search has ended: what it found is kept, alone."""
-        options = {"n_latent": 0, "max_iter": 5, "random_state": 0}
-        joint = DependentGPRegressor(structure="joint", **options).fit(*data)
-
-        def press(stage, *news):
-            if stage == "members":
-                raise KeyboardInterrupt
-
-        with (
-            listening(press, keep_best=True),
-            pytest.warns(UserWarning, match=r"interrupted.*kept"),
-        ):
-            model = DependentGPRegressor(**options).fit(*data)
-        assert list(model.weights_) == ["joint"]
-        assert_allclose(model.predict(AT), joint.predict(AT), rtol=1e-6, atol=1e-9)

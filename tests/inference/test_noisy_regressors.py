@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 
 from skdgp.inference import (
-    Data,
     ExactPosterior,
     log_likelihood,
 )
@@ -68,13 +67,3 @@ def test_likelihood_of_learned_variances_and_its_derivatives(
     assert_allclose(
         found.information, 0.5 * products.T @ np.linalg.solve(K, products), rtol=1e-6, atol=1e-7
     )
-
-
-def test_outputs_of_the_same_rows_share_their_inputs():
-    X, Y = np.arange(8.0).reshape(4, 2), np.ones((4, 4))
-    Y[1, 2:] = np.nan
-    data = Data.from_table(X, Y)
-    assert data.X[0] is data.X[1] is X
-    assert data.X[2] is data.X[3]
-    assert_array_equal(data.X[2], X[[0, 2, 3]])
-    assert_array_equal(data.sample[2], [0, 2, 3])

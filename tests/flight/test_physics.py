@@ -306,9 +306,9 @@ def test_the_error_of_a_slope_counts_dependent_samples():
 
 @pytest.fixture(scope="module")
 def held_in_pitch():
-    """Return 40 s in gusts without vanes, in which an autopilot answers theta and q by the elevator."""
+    """Return a minute in gusts without vanes, in which an autopilot answers theta and q by the elevator."""
     plane = uav_flight.AIRCRAFT["trainer"]
-    flown = uav_flight.fly(plane, uav_flight.AIRS["1 m/s, 1 s"], default_rng(1), 40.0, 0.06)
+    flown = uav_flight.fly(plane, uav_flight.AIRS["1 m/s, 1 s"], default_rng(1), 60.0, 0.06)
     q = flown["q"] + 0.004 * default_rng(0).normal(size=len(flown))
     log = flown.assign(q=q, elevator=flown["elevator_command"])
     return log[["time", "airspeed", "q", "elevator"]]

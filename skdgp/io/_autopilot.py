@@ -13,46 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.typing import Mask, Matrix, Vector
-from skdgp._flight.channels import (
-    CHANNELS,
-    EARTH_VELOCITY,
-    EULER,
-    SENSOR_POSITION,
-    SPECIFIC_FORCE,
-)
-from skdgp._flight.faults import POSSIBLE, RARE, attitude_jumps
-from skdgp._flight.frames import (
-    HIGHEST,
-    LOWEST,
-    STANDARD_GRAVITY,
-    euler_to_matrix,
-    quaternion_to_euler,
-    standard_density,
-    without_sign_changes,
-)
-from skdgp._flight.smoothing import differentiate
-from skdgp._flight.tables import FlightTable, by_name
-from skdgp.io._clock import clock_parts, resample, uniform_clock
+from skdgp._compute.typing import Mask, Vector
+from skdgp._flight.faults import attitude_jumps
+from skdgp._flight.tables import FlightTable
+from skdgp.io._clock import clock_parts
 from skdgp.io._dataflash import read_dataflash
-from skdgp.io._instances import Origin, Source, choose, seconds
-from skdgp.io._log import (
-    DENSITY,
-    EQUIVALENT,
-    NOTHING,
-    QUATERNION,
-    Control,
-    Log,
-    Rule,
-    States,
-    full_throws,
-    no_wings,
-    read_servos,
-    reversed_of,
-    rows_in,
-    scaled,
-    with_throws,
-)
+from skdgp.io._log import NOTHING, Control, Log, States, controls_of, no_wings, rows_in
+from skdgp.io._sources import find_sources, to_table
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
@@ -76,22 +43,12 @@ ARMED: States = (
     ("STAT", "Armed", 1, 1),
     ("HEARTBEAT", "base_mode", 128, 255),
 )
-# the clock of a table follows the first of these
-LEADERS = ("p", "ax", "qw")
 
 
 @dataclass(frozen=True)
 class LogSettings:
-    """Settings of the sources and the clock of a table, and of the search for flights in a log."""
+    """Settings of the search for flights in a log."""
 
-    # a source slower than this [Hz] gives way to one further down that is not, or so many times as
-    # fast (guess)
-    least_rate: float = 5.0
-    least_ratio: float = 1.5
-    # of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
-    highest_rate: float = 50.0
-    # corner of the smoothing of accelerations by velocities, in parts of the sampling rate
-    velocity_cutoff: float = 0.2
     # airborne above this fraction of the slowest airspeed that is set, or above this speed [m/s]
     airborne_fraction: float = 0.7
     airborne_speed: float = 8.0
@@ -118,8 +75,8 @@ class FlightLog(NamedTuple):
     # of the longest part
     table: pd.DataFrame
     flights: list[pd.DataFrame]
-    # of each column
-    origin: dict[str, Origin]
+    # description and rate [Hz] of the source of each column
+    origin: dict[str, tuple[str, float]]
     remarks: list[str]
     # why it holds no flight
     reasons: str
@@ -142,12 +99,9 @@ def read_log(path: Path) -> Log:
 def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> FlightLog:
     """Return a log on one clock; raise FlightReadError if an option makes no sense or the log has no column."""
     speed = _least_speed(log, airborne)
-    turned = reversed_of(servos)
-    entries = read_servos(servos) if turned is None else {}
     # damaged messages may hold any number
     with np.errstate(all="ignore"):
-        controls = with_throws(entries, log) if turned is None else full_throws(log, turned)
-        controls = {**log.commands, **controls}
+        controls = controls_of(servos, log)
         _check_channels(log, controls)
         topics_of_parts, remarks = clock_parts(log.topics)
         parts = []
@@ -161,7 +115,7 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
             "log these topics."
         )
     flights = []
-    origin: dict[str, Origin] = {}
+    origin: dict[str, tuple[str, float]] = {}
     remarks = [*log.remarks, *remarks]
     for part in parts:
         flights += part.flights
@@ -172,7 +126,7 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
 
 
 def _part(
-    log: Log, controls: Mapping[str, Control], speed: float, airborne: Any
+    log: Log, controls: Mapping[str, tuple[str, Control]], speed: float, airborne: Any
 ) -> FlightLog | None:
     """Return a part of a log on one clock, None if it has no source of a column."""
     sources, useless = find_sources(log, controls)
@@ -185,9 +139,12 @@ def _part(
     lifted = log.lifts(time)
     remarks = []
     jumps = attitude_jumps(FlightTable.of(table))
-    if len(jumps):
-        remarks.append(f"the attitude jumps, so a new flight begins, at {seconds(jumps.tolist())}")
-    cuts = np.unique([*jumps, *(cut for source in sources for cut in source.cuts)])
+    cuts = np.unique(np.concatenate([jumps, *(source.cuts for source in sources)]))
+    if len(cuts):
+        remarks.append(
+            "a jump of the attitude, a reset of the estimator, or another instance, so a new flight begins, "
+            f"at {_seconds(cuts)}"
+        )
     if airborne is False:
         flights = _cut(table, cuts)
     else:
@@ -209,85 +166,22 @@ def _part(
     return FlightLog(log, table, flights, origin, remarks + useless, reasons)
 
 
+def _seconds(times: Vector) -> str:
+    """Return the first times as text."""
+    more = f" and {len(times) - 5} more" if len(times) > 5 else ""
+    return ", ".join(f"{time:.1f} s" for time in times[:5]) + more
+
+
 def _was_armed(log: Log, time: Vector) -> bool:
     """Return whether the autopilot was armed at some time, True where the log does not say."""
     is_told = any(field in log.topics.get(name, NOTHING) for name, field, _, _ in ARMED)
     return not is_told or bool(rows_in(ARMED, log.topics, time).any())
 
 
-def find_sources(log: Log, controls: Mapping[str, Control]) -> tuple[list[Source], list[str]]:
-    """Return the source of each group of columns, and remarks on sources that are of no use."""
-    chosen: dict[tuple[str, ...], Source] = {}
-    useless = []
-    for rule in log.rules:
-        source = choose(log, rule)
-        if source is None:
-            continue
-        problem = _problem(source, rule)
-        if problem:
-            useless.append(problem)
-        elif rule.columns not in chosen or _is_clearly_faster(source, chosen[rule.columns]):
-            chosen[rule.columns] = source
-    sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
-    useless += [source.remark for source in sources if source.remark]
-    for name, control in controls.items():
-        surface = _surface(log, name, control)
-        if len(surface.time) > 1:
-            sources.append(surface)
-        else:
-            useless.append(f"{surface.name} sends no pulse, so there is no {name}")
-    return sources, useless
-
-
-def _is_clearly_faster(source: Source, first: Source) -> bool:
-    """Return whether a source is preferred to one further up that is slow."""
-    least = min(SETTINGS.least_rate, SETTINGS.least_ratio * first.rate)
-    return first.rate < SETTINGS.least_rate and source.rate >= least
-
-
-def _problem(source: Source, rule: Rule) -> str:
-    """Return why a source is of no use, or nothing."""
-    if len(source.time) < 2:
-        return source.remark or f"{source.name} has fewer than two values"
-    limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
-    low, high = np.transpose(limits)
-    is_impossible = (source.values < low) | (source.values > high)
-    impossible = is_impossible.any(axis=1).mean()
-    # fewer are faults of a sensor
-    if impossible > RARE:
-        return f"{source.name} cannot be {rule.words}: {100 * impossible:.0f} % is impossible"
-    return ""
-
-
-def _surface(log: Log, name: str, control: Control) -> Source:
-    """Return a control by the channels of its servos, which are fields of one topic.
-
-    It is empty where a part of the log lacks the topic.
-    """
-    is_command = name in log.commands
-    servos = [servo for _, servo in control]
-    topic = log.topics.get(servos[0].topic, NOTHING)
-    values = np.zeros(len(topic))
-    for weight, servo in control if len(topic) else ():
-        deflection = servo.deflection(topic[servo.field])
-        if is_command:  # an engine that is switched off gets no number
-            deflection = np.nan_to_num(deflection)
-        values = values + weight * deflection
-    named = log.controls.get(name, ())
-    note = "by the servo file"
-    if is_command:
-        note = "as commanded"
-    elif control in (named, scaled(named, -1.0)):
-        note = "in parts of the full throw"
-    channels = " ".join(servo.channel for servo in servos)
-    valid = np.isfinite(values)
-    return Source((name,), channels, topic.time[valid], values[valid][:, None], note)
-
-
-def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
+def _check_channels(log: Log, controls: Mapping[str, tuple[str, Control]]) -> None:
     """Raise FlightReadError if the log lacks the channel of a servo."""
-    for name, control in controls.items():
-        for _, servo in control:
+    for name, (_, control) in controls.items():
+        for servo in control:
             if servo.field in log.topics.get(servo.topic, NOTHING):
                 continue
             logged = {}
@@ -297,110 +191,6 @@ def _check_channels(log: Log, controls: Mapping[str, Control]) -> None:
                 f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected "
                 f"one of {logged or [*log.outputs]}."
             )
-
-
-def to_table(sources: list[Source], log: Log) -> tuple[pd.DataFrame, dict[str, Origin]]:
-    """Return all columns on one clock, in the order of the vocabulary, and where each is from."""
-    columns, origin = _on_clock(sources)
-    if "density" not in columns and "altitude" in columns:
-        columns["density"] = standard_density(np.clip(columns["altitude"], LOWEST, HIGHEST))
-        origin["density"] = Origin("altitude (standard atmosphere)", origin["altitude"].rate)
-    if EQUIVALENT in columns:
-        words, rate = origin.pop(EQUIVALENT)
-        columns["airspeed"], note = _true_airspeed(columns.pop(EQUIVALENT), columns.get("density"))
-        origin["airspeed"] = Origin(f"{words} ({note})", rate)
-    table = pd.DataFrame(columns)
-    table = table.where(np.isfinite(table))
-    for source in sources:
-        if source.columns == SPECIFIC_FORCE:
-            table, origin = _with_stated_position(table, origin, source, log)
-    if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
-        table, origin = with_specific_force(table, origin)
-    table = table[[name for name in CHANNELS if name in table]]
-    return table, {name: origin[name] for name in table if name in origin}
-
-
-def _on_clock(
-    sources: list[Source],
-) -> tuple[dict[str, Vector], dict[str, Origin]]:
-    """Return the columns of the sources on the clock of one of them, and where each is from."""
-    leader = _leader(sources)
-    rate = float(f"{min(SETTINGS.highest_rate, leader.rate):.3g}")
-    clock = uniform_clock(leader.time, rate)
-    columns: dict[str, Vector] = {"time": clock}
-    origin: dict[str, Origin] = {}
-    for source in sources:
-        names = source.columns
-        if names == QUATERNION:
-            names = EULER
-            values = _attitude(source, clock, rate)
-        else:
-            values = resample(source.time, source.values, clock, rate)
-        columns |= by_name(names, values)
-        origin |= dict.fromkeys(names, source.origin)
-    return columns, origin
-
-
-def _with_stated_position(
-    table: pd.DataFrame, origin: dict[str, Origin], source: Source, log: Log
-) -> tuple[pd.DataFrame, dict[str, Origin]]:
-    """Return the table with the position of its accelerometers, if the log states it, and an unknown tilt."""
-    words, position = log.sensor_positions.get(source.instance, ("", ()))
-    constants = dict(zip(SENSOR_POSITION, position, strict=False))
-    origin = origin | dict.fromkeys(constants, Origin(words, np.nan))
-    if log.sensor_tilt:
-        constants["sensor_tilt"] = log.sensor_tilt
-        origin["sensor_tilt"] = Origin("not stated by the log", np.nan)
-    return table.assign(**constants), origin
-
-
-def _true_airspeed(equivalent: Vector, density: Vector | None) -> tuple[Vector, str]:
-    """Return the true airspeed of an equivalent one, and what it rests on."""
-    if density is None:
-        return equivalent, "equivalent, taken for true: density unknown"
-    return equivalent * np.sqrt(DENSITY / density), "equivalent; true by density"
-
-
-def _leader(sources: list[Source]) -> Source:
-    """Return the source whose clock the table follows: gyros, accelerometers, attitude, or the fastest."""
-    for leader in LEADERS:
-        for source in sources:
-            if leader in source.columns:
-                return source
-    return max(sources, key=lambda source: source.rate)
-
-
-def _attitude(source: Source, clock: Vector, rate: float) -> Matrix:
-    """Return phi, theta, psi of quaternions on a clock."""
-    quaternions = resample(source.time, without_sign_changes(source.values), clock, rate)
-    # a quaternion of zeros is none
-    is_attitude = quaternions.any(axis=1, keepdims=True)
-    return quaternion_to_euler(np.where(is_attitude, quaternions, np.nan))
-
-
-def with_specific_force(
-    table: pd.DataFrame, origin: dict[str, Origin]
-) -> tuple[pd.DataFrame, dict[str, Origin]]:
-    """Return the table with the specific force that changes its velocity, f = R^T (v_dot - g).
-
-    It is for logs without an accelerometer, and has the bandwidth of the velocity: little above
-    a fifth of its rate.
-    """
-    rate = min(origin[name].rate for name in EARTH_VELOCITY)
-    velocity = table[list(EARTH_VELOCITY)]
-    try:
-        cutoff = SETTINGS.velocity_cutoff * rate
-        change = differentiate(velocity, table["time"], cutoff=cutoff)
-    # the clock of the log is not sound, which coefficients refuse themselves
-    except ValueError:
-        return table, origin
-    change[:, 2] -= STANDARD_GRAVITY
-    attitude = euler_to_matrix(*table[list(EULER)].to_numpy().T)
-    force = np.einsum("nji,nj->ni", attitude, change)
-    # the sensors are at the body's origin
-    added = by_name(SPECIFIC_FORCE, force) | dict.fromkeys(SENSOR_POSITION, 0.0)
-    source = Origin("velocity and attitude, as no accelerometer is of use", rate)
-    return table.assign(**added), origin | dict.fromkeys(added, source)
 
 
 # -- flights in a log

@@ -43,7 +43,6 @@ from skdgp.io._log import (
     instance_name,
     last_before,
     numeric_fields,
-    stated_positions,
     turned,
     whole,
 )
@@ -143,8 +142,8 @@ RULES = (
     Rule(("throttle",), "CTUN", ("ThO",), centi),
     Rule(("throttle",), "CTUN", ("ThrOut",), centi),
     Rule(("throttle",), "AETR", ("Thr",), centi),
-    Rule(("propeller_speed",), "RPM", ("RPM", "rpm1", "rpm2"), from_rpm, valid=("H",)),
-    Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm),
+    Rule(("propeller_speed",), "RPM", ("RPM", "rpm1", "rpm2"), from_rpm, valid=("H",), engines=1),
+    Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm, engines=1),
 )
 
 # surfaces by the function of their servo
@@ -178,7 +177,7 @@ LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
 TRIM = ("AHRS_TRIM_X", "AHRS_TRIM_Y", "AHRS_TRIM_Z")
 # Weights of mixed servos, left and right (ArduPlane/servos.cpp). Flaperons: aileron + flap, aileron - flap. V-tails:
 # elevator + rudder, elevator - rudder of commands that go up and right
-MIXES = {
+MIXES: dict[str, dict[int, float]] = {
     "aileron": {ServoFunction.FLAPERON_LEFT: 0.5, ServoFunction.FLAPERON_RIGHT: 0.5},
     "flap": {ServoFunction.FLAPERON_LEFT: 0.5, ServoFunction.FLAPERON_RIGHT: -0.5},
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
@@ -438,14 +437,14 @@ def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> 
     servos = _servos_of(log.topics.get(name, NOTHING), parameters, channel)
     controls: dict[str, Control] = {}
     for function in sorted(servos.keys() & SURFACES):
-        controls[SURFACES[function]] = ((1.0, servos[function]),)
+        controls[SURFACES[function]] = (servos[function],)
     for control, weights in MIXES.items():
         if weights.keys() <= servos.keys():
-            controls[control] = tuple((weight, servos[key]) for key, weight in weights.items())
+            controls[control] = tuple(servos[key].times(weight) for key, weight in weights.items())
     commands = {}
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)
-        commands["differential_throttle"] = ((1.0, left), (-1.0, right))
+        commands["differential_throttle"] = (left, right.times(-1.0))
     lifts = _lifting(servos, parameters)
     remarks = [*log.remarks]
     unread = _unread(controls, servos, parameters) if servos else []
@@ -463,7 +462,7 @@ def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> 
         controls=controls,
         commands=commands,
         lifting=(*hover, *(lifts or modes)) if log.vehicle == "VTOL" else (),
-        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
+        sensor_positions=IMU_POSITIONS,
     )
 
 
@@ -471,11 +470,13 @@ def _unread(
     controls: Mapping[str, Control], servos: Mapping[int, Servo], parameters: Mapping[str, float]
 ) -> list[str]:
     """Return the outputs by their parameters that move surfaces with a function of which no servo is read."""
-    read = {servo for control in controls.values() for _, servo in control}
+    read = {servo.channel for control in controls.values() for servo in control}
     unread = []
     for n in range(1, MOST_OUTPUTS + 1):
         function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-        if function in (*SURFACES, *MIXED, *SPOILERS) and servos.get(function) not in read:
+        if function in (*SURFACES, *MIXED, *SPOILERS) and not (
+            function in servos and servos[function].channel in read
+        ):
             unread.append(f"SERVO{n}_FUNCTION {function}")
     return unread
 

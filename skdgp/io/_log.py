@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -165,6 +165,9 @@ class Rule(NamedTuple):
         confidence from 0 to 1.
     resets : tuple of str
         Counters of an estimator's resets.
+    engines : int
+        Least number of engines that run, of fields which are engines; ``convert`` takes one. The column is the
+        root mean square of speeds, with which thrust goes, and the mean of commands.
     uses : tuple of str
         Parameters by which the autopilot uses an instance, by its number: always (1), or under
         conditions (2), which the ``preferred`` flag then tells.
@@ -181,6 +184,7 @@ class Rule(NamedTuple):
     preferred: str = ""
     resets: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
+    engines: int = 0
 
     @property
     def words(self) -> str:
@@ -216,6 +220,10 @@ class Servo(NamedTuple):
             values = np.where(values < NO_PULSE, np.nan, values)
         return make_interp_spline(self.inputs, self.angles, k=1)(values)
 
+    def times(self, factor: float) -> Servo:
+        """Return the servo with angles times a factor."""
+        return self._replace(angles=tuple(factor * angle for angle in self.angles))
+
 
 # full throws of a servo, and of one that is turned
 UP = (-1.0, 0.0, 1.0)
@@ -224,8 +232,8 @@ DOWN = UP[::-1]
 OPENING = (0.0, 1.0)
 # Topic, field and its limits while a vehicle is in some state
 States: TypeAlias = tuple[tuple[str, str, float, float], ...]
-# Weights of servos of one topic, whose deflections add up to a control, as of a V-tail
-Control: TypeAlias = tuple[tuple[float, Servo], ...]
+# Servos of one topic, whose weighted deflections add up to a control, as of a V-tail
+Control: TypeAlias = tuple[Servo, ...]
 
 
 @dataclass(frozen=True)
@@ -254,17 +262,17 @@ class Log:
     naming : str
         What names the surfaces that the outputs move.
     controls : dict of str to Control
-        Servos of each surface by the parameters, -1 to 1 from end to end and 0 at trim, with
-        weights of servos that make a control together, as of a V-tail.
+        Servos of each surface by the parameters, -1 to 1 from end to end and 0 at trim. Angles of several that make
+        a control together, as of a V-tail, add up.
     aliases : dict of str to tuple of str
         Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
     lifting : tuple of (str, str, float, float)
         Topic, field and its limits while rotors carry a VTOL, or in transition; none of other vehicles.
     commands : dict of str to Control
         Outputs that need no angles: the throttle of the left less the right engine.
-    sensor_positions : dict of int to (str, tuple of float)
-        Names of the parameters and position of the inertial sensors, forward, right, down of the origin of the
-        body axes, the centre of gravity [m], by the number of their instance, where the parameters state it.
+    sensor_positions : tuple of str
+        Parameters _X, _Y, _Z of the position of each instance of the inertial sensors, forward, right, down of the
+        origin of the body axes, the centre of gravity [m].
     sensor_tilt : float
         Standard deviation of their roll and pitch against the attitude [rad]; zero where it is known.
     """
@@ -283,7 +291,7 @@ class Log:
     aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     lifting: States = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
-    sensor_positions: Mapping[int, tuple[str, tuple[float, ...]]] = field(default_factory=dict)
+    sensor_positions: tuple[str, ...] = ()
     sensor_tilt: float = 0.0
 
     @property
@@ -345,21 +353,6 @@ def turned(
 def _turned(convert: Callable[[Matrix], Matrix], rotation: Matrix, fields: Matrix) -> Matrix:
     """Return converted fields (n, 3) in other axes."""
     return convert(fields) @ rotation.T
-
-
-def stated_positions(
-    parameters: Mapping[str, float], names: Sequence[str]
-) -> dict[int, tuple[str, tuple[float, ...]]]:
-    """Return the position of each instance of the inertial sensors that the parameters ``names`` _X, _Y, _Z state.
-
-    Zeros, the default of autopilots, state nothing, and so do two of three.
-    """
-    positions: dict[int, tuple[str, tuple[float, ...]]] = {}
-    for number, name in enumerate(names):
-        place = tuple(parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ")
-        if np.isfinite(place).all() and any(place):
-            positions[number] = (f"{name}_X _Y _Z", place)
-    return positions
 
 
 def fastest(speeds: Mapping[str, Vector]) -> tuple[str, ...]:
@@ -431,6 +424,9 @@ def in_force(
 
 # -- servo files (TOML): pulse widths to surface angles; mixing by the parameters of the autopilot
 
+COMMANDED = "as commanded"
+IN_THROWS = "in parts of the full throw"
+BY_FILE = "by the servo file"
 MOVED = (*ALL_SURFACES, *HIGH_LIFT, "throttle")
 KEYS = {"channel", "points"}
 # What stands for a servo file where none is at hand: surfaces in parts of their full throw, -1 to
@@ -500,16 +496,15 @@ def full_throws(log: Log, turned: Collection[str] = ()) -> dict[str, Control]:
     """
     if not log.controls:
         raise FlightReadError(lacking_servos(log))
-    throws = {}
     for name, control in log.controls.items():
-        throws[name] = scaled(control, -1.0) if name in turned else control
-        for _, servo in control:
+        for servo in control:
             if not _increases(servo.inputs):
                 raise FlightReadError(
                     f"Got min, trim, max of {name} on {servo.channel} {servo.inputs}, but expected them in "
                     "this order: write the servo file by hand."
                 )
-    return throws
+    of_turned = {name: scaled(log.controls[name], -1.0) for name in turned if name in log.controls}
+    return {**log.controls, **of_turned}
 
 
 def no_wings(log: Log) -> str:
@@ -537,30 +532,33 @@ def _increases(inputs: ArrayLike) -> bool:
     return bool((np.diff(inputs) > 0).all())
 
 
-def with_throws(servos: Mapping[str, Servo | float], log: Log) -> dict[str, Control]:
-    """Return the servos, throws by the parameters of the autopilot; FlightReadError if these lack a servo."""
-    controls: dict[str, Control] = {}
-    throws = {}
-    for name, entry in servos.items():
-        if isinstance(entry, Servo):
-            controls[name] = ((1.0, entry),)
-        else:
-            throws[name] = entry
-    named = full_throws(log) if throws else {}
-    lacking = sorted(throws.keys() - named.keys())
-    if lacking:
-        raise FlightReadError(
-            f"Got the full throw of {lacking}, but expected surfaces that the parameters of "
-            f"the log name, {sorted(named)}: give the channel of the others."
-        )
-    for name, angle in throws.items():
-        controls[name] = scaled(named[name], angle)
+def controls_of(servos: Any, log: Log) -> dict[str, tuple[str, Control]]:
+    """Return a note on each control and its servos: commands, and those of a servo file or by the parameters.
+
+    Raises FlightReadError if the parameters lack a servo of which the file has a throw.
+    """
+    controls = {name: (COMMANDED, control) for name, control in log.commands.items()}
+    turned = reversed_of(servos)
+    if turned is not None:
+        throws = full_throws(log, turned)
+        return controls | {name: (IN_THROWS, control) for name, control in throws.items()}
+    entries = read_servos(servos)
+    has_throws = any(isinstance(entry, float) for entry in entries.values())
+    named = full_throws(log) if has_throws else {}
+    for name, entry in entries.items():
+        control = (entry,) if isinstance(entry, Servo) else scaled(named.get(name, ()), entry)
+        if not control:
+            raise FlightReadError(
+                f"Got the full throw of {name!r}, but expected surfaces that the parameters of "
+                f"the log name, {sorted(named)}: give the channel of the others."
+            )
+        controls[name] = BY_FILE, control
     return controls
 
 
 def scaled(control: Control, factor: float) -> Control:
-    """Return a control with weights times a factor."""
-    return tuple((factor * weight, servo) for weight, servo in control)
+    """Return a control with angles times a factor."""
+    return tuple(servo.times(factor) for servo in control)
 
 
 def _servo(name: str, entry: Any) -> Servo | float:

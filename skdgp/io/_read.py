@@ -146,7 +146,7 @@ def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) 
         table[IN_FULL_THROWS] = 1.0
     table = _as_flight(table)
     table.attrs["sources"] = {
-        column: origin.words for column, origin in flown.origin.items() if column in table
+        column: words for column, (words, _) in flown.origin.items() if column in table
     }
     if flown.remarks:
         warn(f"{path.name}: {'; '.join(flown.remarks)}.", FlightDataWarning)

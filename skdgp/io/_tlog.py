@@ -8,14 +8,13 @@ file. Messages of other systems, such as the ground station, are left out.
 
 from __future__ import annotations
 
-import struct
+import io
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
@@ -51,14 +50,8 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 from skdgp.io._ulog import MAV_TYPES, TAILSITTERS
 
-# bytes of the arrival, and of a signature
+# bytes of the time of arrival before each message
 STAMP = 8
-SIGNATURE = 13
-# first byte of a message of version 1, and 2
-MAVLINK_1 = 0xFE
-MAVLINK_2 = 0xFD
-# bytes of a message beside its payload
-OVERHEAD = {MAVLINK_1: 8, MAVLINK_2: 12}
 # MAV_AUTOPILOT
 PX4 = 12
 # bit of FLIGHT_OPTIONS by which the telemetry of ArduPlane has the pitch of the vehicle
@@ -132,8 +125,8 @@ RULES = (
     Rule(("wind_north", "wind_east"), "WIND", ("direction", "speed"), _wind_from),
     Rule(("wind_north", "wind_east"), "WIND_COV", ("wind_x", "wind_y")),
     Rule(("throttle",), "VFR_HUD", ("throttle",), centi),
-    Rule(("propeller_speed",), "RPM", ("rpm1", "rpm2"), from_rpm),
-    Rule(("propeller_speed",), ESC, tuple(f"rpm[{k}]" for k in range(4)), from_rpm),
+    Rule(("propeller_speed",), "RPM", ("rpm1", "rpm2"), from_rpm, engines=1),
+    Rule(("propeller_speed",), ESC, tuple(f"rpm[{k}]" for k in range(4)), from_rpm, engines=1),
 )
 # further instances of sensors, which have messages of their own
 ALIASES = {
@@ -206,7 +199,8 @@ def _system(messages: list[Any]) -> tuple[int, list[str]]:
 
 def _topics(by_name: Mapping[str, dict[int, Any]]) -> dict[str, Topic]:
     """Return the topics, with a field on whether a sensor measured the airspeed."""
-    attitude = _clock(by_name["ATTITUDE"])
+    attitudes = by_name["ATTITUDE"]
+    attitude = [*attitudes], [1e-3 * message.time_boot_ms for message in attitudes.values()]
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
     if {"VFR_HUD", "SYS_STATUS"} <= topics.keys():
         topics["VFR_HUD"] = _with_pitot(topics["VFR_HUD"], topics["SYS_STATUS"])
@@ -235,79 +229,53 @@ def _with_pitot(hud: Topic, status: Topic) -> Topic:
     """Return the messages with a field that says whether a sensor measured the airspeed, else it is estimated."""
     order = np.argsort(status.time)
     rows = order[last_before(status.time[order], hud.time)]
-    has_sensor = np.ones(len(hud), dtype=bool)
-    for name in SENSOR_SETS:
-        has_sensor &= (status.fields[name][rows].astype(int) & PRESSURE_SENSOR) > 0
-    return hud.with_fields(**{PITOT: has_sensor})
+    present, healthy = (status.fields[name][rows].astype(int) for name in SENSOR_SETS)
+    return hud.with_fields(**{PITOT: present & healthy & PRESSURE_SENSOR})
 
 
 def _messages(data: bytes, mavlink: Any) -> tuple[list[Any], int]:
     """Return the messages to read, and the number of bytes that belong to none."""
     decoder = mavlink.MAVLink(None)
-    messages: list[Any] = []
-    position = 0
+    decoder.robust_parsing = True
+    file = io.BytesIO(data)
+    file.seek(STAMP)
+    messages = []
     skipped = 0
-    while position + STAMP + min(OVERHEAD.values()) <= len(data):
-        start = position + STAMP
-        size, number = _size_and_number(data, start)
-        frame = data[start : start + size]
-        kind = mavlink.mavlink_map.get(number)
-        try:
-            if kind is None or kind.msgname in READ or len(frame) < size:
-                messages.append(decoder.decode(bytearray(frame)))
-            position = start + size
-        except (mavlink.MAVError, struct.error, UnicodeDecodeError):
-            position += 1
-            skipped += 1
-    return [message for message in messages if message.get_type() in READ], skipped
-
-
-def _size_and_number(data: bytes, start: int) -> tuple[int, int]:
-    """Return how many bytes a message has, and the number of its type; the whole file where none begins."""
-    first = data[start]
-    size = data[start + 1] + OVERHEAD.get(first, len(data))
-    if first == MAVLINK_1:
-        return size, data[start + 5]
-    is_signed = data[start + 2] & 1
-    if first == MAVLINK_2 and is_signed:
-        size += SIGNATURE
-    return size, int.from_bytes(data[start + 7 : start + 10], "little")
+    while content := file.read(decoder.bytes_needed()):
+        message = decoder.parse_char(content)
+        if message is None:
+            continue
+        if message.get_type() == "BAD_DATA":
+            skipped += len(message.data)
+            continue
+        file.seek(STAMP, io.SEEK_CUR)
+        if message.get_type() in READ:
+            messages.append(message)
+    return messages, skipped
 
 
 def _by_name(messages: list[Any], system: int) -> dict[str, dict[int, Any]]:
-    """Return the messages of a system by the name of their topic and their place in the file."""
+    """Return the messages of a system by the name of their topic, with its instance, and their place in the file."""
     by_name: defaultdict[str, dict[int, Any]] = defaultdict(dict)
     for place, message in enumerate(messages):
         if message.get_srcSystem() == system:
-            by_name[_name(message)][place] = message
+            kind = message.get_type()
+            instance = getattr(message, NUMBERED.get(kind, ""), 0)
+            by_name[instance_name(kind, int(instance))][place] = message
     return by_name
 
 
-def _name(message: Any) -> str:
-    """Return the name of the topic of a message, with its instance."""
-    kind = message.get_type()
-    instance = getattr(message, NUMBERED.get(kind, ""), 0)
-    return instance_name(kind, int(instance))
-
-
-def _clock(messages: dict[int, Any]) -> pd.Series:
-    """Return the vehicle's clock [s] by place in the file, NaN of messages without one."""
-    times = {}
-    for place, message in messages.items():
-        times[place] = np.nan
-        for field, factor in CLOCKS.items():
-            if field in message.fieldnames:
-                times[place] = factor * getattr(message, field)
-    return pd.Series(times)
-
-
-def _topic(messages: dict[int, Any], attitude: pd.Series) -> Topic:
-    """Return a topic; a message off the clock of the attitude was sent between its neighbours."""
-    clock = _clock(messages)
-    places = clock.index.to_numpy(float)
-    by_place = np.interp(places, attitude.index, attitude)
-    time = np.where(np.abs(clock - by_place) < LARGEST_DIFFERENCE, clock, by_place)
+def _topic(messages: dict[int, Any], attitude: tuple[list[int], list[float]]) -> Topic:
+    """Return a topic; a message without a time near the attitude's, by places and times, was sent between these."""
+    sent = messages.values()
     fields = {}
-    for name in next(iter(messages.values())).fieldnames:
-        fields[name] = [getattr(message, name) for message in messages.values()]
-    return Topic(time, places, numeric_fields(fields))
+    for name in next(iter(sent)).fieldnames:
+        fields[name] = [getattr(message, name) for message in sent]
+    numbers = numeric_fields(fields)
+    places = np.array([*messages], dtype=float)
+    time = np.interp(places, *attitude)
+    for name, factor in CLOCKS.items():
+        if name in numbers:
+            clock = factor * numbers[name]
+            time = np.where(np.abs(clock - time) < LARGEST_DIFFERENCE, clock, time)
+    return Topic(time, places, numbers)

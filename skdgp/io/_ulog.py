@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from skdgp._compute.messages import extra
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Vector
 from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_matrix
 from skdgp.io._log import (
@@ -28,17 +28,14 @@ from skdgp.io._log import (
     Log,
     Rule,
     Servo,
-    States,
     Topic,
     Use,
-    fastest,
     from_rpm,
     in_force,
     instance_name,
     milli,
     numeric_fields,
-    rows_in,
-    stated_positions,
+    scaled,
     turned,
     whole,
 )
@@ -102,7 +99,11 @@ def _wind(topic: str, used: tuple[Use, ...] = ()) -> Rule:
 MOST_ENGINES = 12
 MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
 ESC_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
+# an engine that is switched off has no number
+MOTORS = Rule(("throttle",), "actuator_motors", MOTOR_FIELDS, np.nan_to_num, engines=1)
 RULES = (
+    # other sources are one number for several engines, also where one is switched off
+    MOTORS._replace(engines=2),
     Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
     Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
     Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
@@ -150,9 +151,10 @@ RULES = (
     Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
     Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
     Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
-    Rule(("propeller_speed",), "esc_status", ESC_FIELDS, from_rpm),
-    Rule(("propeller_speed",), "rpm", ("rpm_estimate",), from_rpm),
-    Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), from_rpm),
+    MOTORS,
+    Rule(("propeller_speed",), "esc_status", ESC_FIELDS, from_rpm, engines=1),
+    Rule(("propeller_speed",), "rpm", ("rpm_estimate",), from_rpm, engines=1),
+    Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), from_rpm, engines=1),
 )
 
 # topics of single sensors, in axes of the board; others are in body axes
@@ -181,6 +183,7 @@ LIFTING = (
 TAILSITTER = 0
 TILTROTOR = 1
 TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
+TILTROTOR_RULES = (RULES[0], TILTED, *RULES[1:])
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL
 OUTPUTS = ("actuator_servos", "actuator_outputs", "actuator_outputs#1", *FIXED_MIXERS)
@@ -238,7 +241,7 @@ def read_ulog(path: Path) -> Log:
     return Log(
         kind="PX4 ULog",
         topics=topics,
-        rules=_in_body_axes(_rules(topics, lifting, tilts), parameters),
+        rules=_in_body_axes(TILTROTOR_RULES if tilts else RULES, parameters),
         parameters=parameters,
         firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {log.get_version_info_str() or 'development'}",
         vehicle=vehicle,
@@ -250,7 +253,7 @@ def read_ulog(path: Path) -> Log:
         controls=(_mixed_controls(surfaces) or _fixed_controls(topics)) | _flaps(surfaces),
         lifting=lifting,
         commands={} if is_vtol else _commands(topics, parameters),
-        sensor_positions=stated_positions(parameters, IMU_POSITIONS),
+        sensor_positions=IMU_POSITIONS,
     )
 
 
@@ -299,27 +302,6 @@ def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> t
     board = euler_to_matrix(*np.deg2rad(BOARD_ROTATIONS[place]))
     rotation = euler_to_matrix(*np.deg2rad(offsets)) @ board
     return turned(rules, rotation, BY_BOARD, OF_BOARD)
-
-
-def _rules(topics: Mapping[str, Topic], lifting: States, tilts: bool) -> tuple[Rule, ...]:
-    """Return the rules, with that of the motors that drive forward.
-
-    Several motors come first: other sources are one number for all, also where one is switched off.
-    """
-    rules = (TILTED, *RULES) if tilts else RULES
-    outputs = topics.get("actuator_motors", NOTHING)
-    driving = outputs.select(~rows_in(lifting, topics, outputs.time))
-    motors = fastest({name: driving[name] for name in MOTOR_FIELDS if name in driving})
-    if not motors:
-        return rules
-    note = f"mean of {len(motors)} motors" if len(motors) > 1 else ""
-    rule = Rule(("throttle",), "actuator_motors", motors, _mean_motor, note=note)
-    return (rule, *rules) if len(motors) > 1 else (*rules, rule)
-
-
-def _mean_motor(commands: Matrix) -> Matrix:
-    """Return the mean command of motors, zero of one that is off (NaN)."""
-    return np.nan_to_num(commands).mean(axis=1)[:, None]
 
 
 def _topic(data_set: Any, places: list[int]) -> Topic:
@@ -403,7 +385,7 @@ def _mixed_controls(surfaces: Surfaces) -> dict[str, Control]:
         total = np.abs([*torques.values()]).sum()
         if 0 < total < np.inf:
             controls[control] = tuple(
-                (torque / total, _servo(number, UP, UP)) for number, torque in torques.items()
+                _servo(number, UP, UP).times(torque / total) for number, torque in torques.items()
             )
     return controls
 
@@ -419,7 +401,7 @@ def _flaps(surfaces: Surfaces) -> dict[str, Control]:
         if whole(surface.get("TYPE", 0.0)) in FLAPS and scale:
             throws = OPENING if scale > 0 else OPENING[::-1]
             servos.append(_servo(number, (-abs(scale), abs(scale)), throws))
-    return {"flap": tuple((1 / len(servos), servo) for servo in servos)} if servos else {}
+    return {"flap": scaled(tuple(servos), 1 / len(servos))} if servos else {}
 
 
 def _unread(surfaces: Surfaces) -> list[str]:
@@ -444,7 +426,7 @@ def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
         topic = topics.get(name, NOTHING)
         for field, (control, inputs, throws) in CONTROLS.items() if "control[2]" in topic else ():
             if inputs == UP or (field in topic and np.ptp(topic[field]) > 0):
-                controls[control] = ((1.0, Servo(f"{name}.{field}", inputs, throws)),)
+                controls[control] = (Servo(f"{name}.{field}", inputs, throws),)
         if controls:
             break
     return controls
@@ -462,6 +444,5 @@ def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> d
             side.append(Servo(f"actuator_motors.{channel}", OPENING, OPENING))
     if not (left and right):
         return {}
-    more_left = [(1 / len(left), servo) for servo in left]
-    less_right = [(-1 / len(right), servo) for servo in right]
-    return {"differential_throttle": (*more_left, *less_right)}
+    more_left = scaled(tuple(left), 1 / len(left))
+    return {"differential_throttle": more_left + scaled(tuple(right), -1 / len(right))}

@@ -294,7 +294,7 @@ class TestRules:
         for rule in parse(content, f"log{suffix}").rules:
             assert set(rule.columns) <= known | {"qw", "qx", "qy", "qz", "equivalent_airspeed"}
             # each engine has a field
-            n_fields = 1 if rule.columns == ("propeller_speed",) else len(rule.fields)
+            n_fields = 1 if rule.engines else len(rule.fields)
             converted = rule.convert(np.ones((3, n_fields)))
             assert np.shape(converted) == (3, len(rule.columns)), rule.topic
 

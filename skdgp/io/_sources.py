@@ -1,0 +1,428 @@
+"""Sources of the columns of a flight table: topics by rules, instances of a sensor, servos; on one clock.
+
+Of several instances those count that the autopilot used at each time, else the healthiest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from skdgp._compute.typing import Mask, Matrix, Vector
+from skdgp._flight.channels import CHANNELS, EARTH_VELOCITY, EULER, SENSOR_POSITION, SPECIFIC_FORCE
+from skdgp._flight.faults import POSSIBLE, RARE
+from skdgp._flight.frames import (
+    HIGHEST,
+    LOWEST,
+    STANDARD_GRAVITY,
+    euler_to_matrix,
+    quaternion_to_euler,
+    standard_density,
+    without_sign_changes,
+)
+from skdgp._flight.smoothing import differentiate
+from skdgp._flight.tables import by_name
+from skdgp.io._clock import resample, uniform_clock, usual_step
+from skdgp.io._log import (
+    COMMANDED,
+    DENSITY,
+    EQUIVALENT,
+    NOTHING,
+    QUATERNION,
+    Control,
+    Instance,
+    Log,
+    Rule,
+    Topic,
+    Use,
+    fastest,
+    last_before,
+    whole,
+)
+
+# a source slower than this [Hz] gives way to one further down that is not, or so many times as fast (guess)
+LEAST_RATE = 5.0
+LEAST_RATIO = 1.5
+# of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
+HIGHEST_RATE = 50.0
+# corner of the smoothing of accelerations by velocities, in parts of the sampling rate
+VELOCITY_CUTOFF = 0.2
+# a reset of an estimator is a step beyond so many times what 95 % of the steps are; a guess
+JUMP = 4.0
+# between the counters of two instances
+COUNTERS = 1e6
+# columns whose instances are allocators in place of redundant sensors
+COMMANDS = ("throttle",)
+# the clock of a table follows the first of these
+LEADERS = ("p", "ax", "qw")
+
+
+NONE = np.empty(0)
+
+
+class Source(NamedTuple):
+    """The source of columns, and its valid samples."""
+
+    columns: tuple[str, ...]
+    # topics, fields, and how they were chosen
+    words: str
+    time: Vector
+    values: Matrix
+    remark: str = ""
+    # times [s] of resets
+    cuts: Vector = NONE
+    # number of the instance
+    instance: int = 0
+
+    @property
+    def rate(self) -> float:
+        """The usual rate [Hz] of two samples or more."""
+        return 1.0 / usual_step(np.diff(self.time))
+
+
+class Readings(NamedTuple):
+    """The messages of one instance."""
+
+    instance: Instance
+    # time [s], number of the instance and of resets, and columns
+    rows: Matrix
+    valid: Mask
+    # which of the valid ones the autopilot used
+    used: Mask
+    # mean of a flag, or of a confidence from 0 to 1
+    confidence: float
+
+    def health(self, duration: float) -> tuple[float, bool, float]:
+        """Order of instances in a log of some duration [s]: valid readings, that move, the autopilot's flag."""
+        fraction = self.valid.mean() * np.ptp(self.rows[:, 0]) / duration
+        moves = self.valid.any() and np.ptp(self.rows[self.valid, 2:]) > 0
+        return round(fraction, 2), bool(moves), self.confidence
+
+
+class Column(NamedTuple):
+    """A column on the clock of a table, the description of its source and its rate [Hz]."""
+
+    values: Vector
+    words: str
+    rate: float
+
+
+# -- topics by rules
+
+
+def choose(log: Log, rule: Rule) -> Source | None:
+    """Return the source of a rule's columns, or None if the log has none of its fields."""
+    instances = log.instances(rule.topic)
+    if rule.engines:
+        return _engines(log, rule, instances)
+    instances = [instance for instance in instances if {*rule.fields} <= {*instance.topic.fields}]
+    if rule.columns == COMMANDS:
+        instances = instances[:1]
+    if not instances:
+        return None
+    use = _use(log, rule, instances)
+    return _source_of(rule, [_readings(log, instance, rule, use) for instance in instances], use)
+
+
+def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
+    """Return the source by the instances that were used, or if that is not known by the healthiest."""
+    duration = np.ptp([reading.rows[[0, -1], 0] for reading in readings])
+    best = max(readings, key=lambda reading: reading.health(duration))
+    used = {reading.instance.name: reading.rows[reading.used] for reading in readings}
+    chosen = {name: rows for name, rows in used.items() if len(rows)}
+    by = f"used by the autopilot: {use.words}" if use and chosen else "the healthiest"
+    chosen = chosen or {best.instance.name: best.rows[best.valid]}
+    rows = np.vstack([*chosen.values()])
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    time, counter = rows[:, :2].T
+    values = rows[:, 2:]
+    if rule.columns == QUATERNION:
+        values = without_sign_changes(values)
+    cuts = _resets(time, values, counter)
+    notes = [rule.note, f"of {len(readings)}, {by}" if len(readings) > 1 else ""]
+    words = f"{' and '.join([*chosen][:3])}.{' '.join(rule.fields)}"
+    if any(notes):
+        words += f" ({', '.join(filter(None, notes))})"
+    is_first = [*chosen] == [readings[0].instance.name]
+    remarks = ["" if is_first else f"{rule.words} of {words}", _unmeasured(rule, best)]
+    remark = "; ".join(filter(None, remarks))
+    return Source(rule.columns, words, time, values, remark, cuts, best.instance.number)
+
+
+def _resets(time: Vector, values: Matrix, counter: Vector) -> Vector:
+    """Return the times at which a counter (n,) changes and the values (n, k) jump."""
+    sizes = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    is_jump = sizes > JUMP * np.quantile(sizes, 0.95) if len(sizes) else sizes > 0
+    return time[1:][is_jump & (np.diff(counter) != 0)]
+
+
+def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
+    """Return the mean of the engines that drive, fields of the instances; None if too few are logged.
+
+    It is at the times of the first of these, and left out where one of them tells nothing, before its
+    first message or after its last. Of speeds it is the root of the mean square, and empty where none
+    of several engines runs, or no speed is valid.
+    """
+    engines = {}
+    for _, name, topic in instances:
+        for field in rule.fields:
+            if field in topic:
+                values = rule.convert(topic[field])
+                rows = is_valid(topic, rule) & np.isfinite(values)
+                engines[f"{name}.{field}"] = topic.time[rows], values[rows]
+    driving = {name: values[~log.lifts(time)] for name, (time, values) in engines.items()}
+    # the only one stands in a glide
+    names = fastest(driving) if len(engines) > 1 else tuple(engines)
+    are_commands = rule.columns == COMMANDS
+    if not engines or (are_commands and len(names) < rule.engines):
+        return None
+    time, values = engines[names[0]] if names else (NONE, NONE)
+    if not len(values):
+        remark = f"{rule.topic}: no engine has valid speeds above zero"
+        return Source(rule.columns, rule.topic, time, values[:, None], remark)
+    columns = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
+    mean = (
+        np.mean(columns, axis=0) if are_commands else np.sqrt(np.mean(np.square(columns), axis=0))
+    )
+    is_finite = np.isfinite(mean)
+    words = " and ".join(names[:3])
+    if len(names) > 1:
+        words += f" ({'mean' if are_commands else 'root mean square'} of {len(names)} engines)"
+    return Source(rule.columns, words, time[is_finite], mean[is_finite, None])
+
+
+def is_valid(topic: Topic, rule: Rule) -> Mask:
+    """Return which messages the log calls valid measurements, by the fields that it has."""
+    valid = np.ones(len(topic), bool)
+    positive = tuple((field, np.nextafter(0, 1), np.inf) for field in rule.valid)
+    for field, low, high in positive + rule.within:
+        if field in topic:
+            valid &= (topic[field] >= low) & (topic[field] <= high)
+    return valid
+
+
+def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:
+    number, _, topic = instance
+    values = rule.convert(topic.columns(rule.fields))
+    valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
+    valid &= _is_used(log, rule, instance)
+    used = np.zeros(len(topic), dtype=bool)
+    if use is not None:
+        used = valid & (_numbers(log, use, topic.time) == number + use.first)
+        if use.is_measurement:
+            valid = used
+    confidence = 0.0
+    if rule.preferred in topic:
+        confidence = float(np.clip(np.nan_to_num(topic[rule.preferred]), 0.0, 1.0).mean())
+    resets = [topic[field] for field in rule.resets if field in topic]
+    counter = np.full(len(topic), COUNTERS * number) + sum(resets)
+    return Readings(
+        instance, np.column_stack([topic.time, counter, values]), valid, used, confidence
+    )
+
+
+def _is_used(log: Log, rule: Rule, instance: Instance) -> bool:
+    """Return whether the autopilot uses an instance, by its parameter if it has one."""
+    parameter = dict(enumerate(rule.uses)).get(instance.number, "")
+    use = whole(log.parameters.get(parameter, 1.0))
+    return use == 1 or (use > 1 and rule.preferred in instance.topic)
+
+
+def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
+    """Return where the log says which of the instances the autopilot used, None if it does not."""
+    for use in rule.used:
+        numbers = _numbers(log, use, instances[0].topic.time)
+        is_told = np.isin(numbers, [instance.number + use.first for instance in instances]).any()
+        if is_told or (use.is_measurement and len(numbers)):
+            return use
+    return None
+
+
+def _numbers(log: Log, use: Use, times: Vector) -> Vector:
+    """Return the number of the instance that was used at each time, none if the log does not say."""
+    if use.field in log.parameters and not use.topic:
+        return np.full(len(times), log.parameters[use.field])
+    for instance in log.instances(use.topic, least=1):
+        if use.field in instance.topic:
+            return instance.topic[use.field][last_before(instance.topic.time, times)]
+    return NONE
+
+
+def _unmeasured(rule: Rule, reading: Readings) -> str:
+    """Return a remark on messages of a source that the log does not call measurements, with the fields that say so."""
+    number, name, topic = reading.instance
+    missing = 100 * (1 - reading.valid.mean())
+    if missing == 0 or (missing < 100 and not rule.within):
+        return ""
+    fields = [field for field in rule.valid if field in topic]
+    fields += rule.uses[number : number + 1]
+    for field, _, _ in rule.within:
+        if field in topic:
+            fields.append(f"{field} {np.unique(topic[field]).astype(int).tolist()}")
+    why = " ".join(fields) or "no number"
+    return f"{rule.words} of {name}: {missing:.0f} % of the messages are no measurement and are left out ({why})"
+
+
+# -- all sources of a log
+
+
+def find_sources(
+    log: Log, controls: Mapping[str, tuple[str, Control]]
+) -> tuple[list[Source], list[str]]:
+    """Return the source of each group of columns, and remarks on these and on sources that are of no use.
+
+    ``controls`` are notes on servos, and servos.
+    """
+    chosen: dict[tuple[str, ...], Source] = {}
+    remarks = []
+    for rule in log.rules:
+        source = choose(log, rule)
+        if source is None:
+            continue
+        problem = _problem(source, rule)
+        if problem:
+            remarks.append(problem)
+        elif rule.columns not in chosen or _is_clearly_faster(source, chosen[rule.columns]):
+            chosen[rule.columns] = source
+    sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
+    remarks += [source.remark for source in sources if source.remark]
+    for name, (note, control) in controls.items():
+        surface = _surface(log, name, note, control)
+        if len(surface.time) > 1:
+            sources.append(surface)
+        else:
+            remarks.append(f"{surface.words} sends no pulse, so there is no {name}")
+    return sources, remarks
+
+
+def _is_clearly_faster(source: Source, first: Source) -> bool:
+    """Return whether a source is preferred to one further up that is slow."""
+    return first.rate < LEAST_RATE and source.rate >= min(LEAST_RATE, LEAST_RATIO * first.rate)
+
+
+def _problem(source: Source, rule: Rule) -> str:
+    """Return why a source is of no use, or nothing."""
+    if len(source.time) < 2:
+        return source.remark or f"{source.words} has fewer than two values"
+    limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
+    low, high = np.transpose(limits)
+    is_impossible = (source.values < low) | (source.values > high)
+    impossible = is_impossible.any(axis=1).mean()
+    # fewer are faults of a sensor
+    if impossible > RARE:
+        return f"{source.words} cannot be {rule.words}: {100 * impossible:.0f} % is impossible"
+    return ""
+
+
+def _surface(log: Log, name: str, note: str, control: Control) -> Source:
+    """Return a control by the channels of its servos, which are fields of one topic.
+
+    It is empty where a part of the log lacks the topic.
+    """
+    topic = log.topics.get(control[0].topic, NOTHING)
+    values = np.zeros(len(topic))
+    for servo in control if len(topic) else ():
+        deflection = servo.deflection(topic[servo.field])
+        # an engine that is switched off gets no number
+        values = values + (np.nan_to_num(deflection) if note == COMMANDED else deflection)
+    words = f"{' '.join(servo.channel for servo in control)} ({note})"
+    valid = np.isfinite(values)
+    return Source((name,), words, topic.time[valid], values[valid, None])
+
+
+# -- columns on one clock
+
+
+def to_table(sources: list[Source], log: Log) -> tuple[pd.DataFrame, dict[str, tuple[str, float]]]:
+    """Return all columns on one clock, in the order of the vocabulary, and words and rates [Hz] of their sources."""
+    columns = _on_clock(sources, log)
+    if "density" not in columns and "altitude" in columns:
+        altitude, _, rate = columns["altitude"]
+        density = standard_density(np.clip(altitude, LOWEST, HIGHEST))
+        columns["density"] = Column(density, "altitude (standard atmosphere)", rate)
+    if EQUIVALENT in columns:
+        airspeed, words, rate = columns.pop(EQUIVALENT)
+        note = "equivalent, taken for true: density unknown"
+        if "density" in columns:
+            note = "equivalent; true by density"
+            airspeed = airspeed * np.sqrt(DENSITY / columns["density"].values)
+        columns["airspeed"] = Column(airspeed, f"{words} ({note})", rate)
+    if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
+        columns |= _specific_force(columns)
+    names = [name for name in CHANNELS if name in columns]
+    table = pd.DataFrame({name: columns[name].values for name in names})
+    origin = {name: columns[name][1:] for name in names if name != "time"}
+    return table.where(np.isfinite(table)), origin
+
+
+def _on_clock(sources: list[Source], log: Log) -> dict[str, Column]:
+    """Return the columns of the sources on the clock of one of them."""
+    leader = _leader(sources)
+    rate = float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
+    clock = uniform_clock(leader.time, rate)
+    columns = {"time": Column(clock, "", rate)}
+    for source in sources:
+        names = source.columns
+        values = resample(source.time, source.values, clock, rate)
+        if names == QUATERNION:
+            names = EULER
+            # a quaternion of zeros is none
+            is_attitude = values.any(axis=1, keepdims=True)
+            values = quaternion_to_euler(np.where(is_attitude, values, np.nan))
+        for name, column in by_name(names, values).items():
+            columns[name] = Column(column, source.words, source.rate)
+        if names == SPECIFIC_FORCE:
+            columns |= _stated(log, source.instance, clock)
+    return columns
+
+
+def _leader(sources: list[Source]) -> Source:
+    """Return the source whose clock the table follows: gyros, accelerometers, attitude, or the fastest."""
+    for leader in LEADERS:
+        for source in sources:
+            if leader in source.columns:
+                return source
+    return max(sources, key=lambda source: source.rate)
+
+
+def _stated(log: Log, instance: int, clock: Vector) -> dict[str, Column]:
+    """Return the position of the accelerometers, if the parameters state it, and an unknown tilt.
+
+    Zeros, the default of autopilots, state nothing, and so do two of three.
+    """
+    constants: dict[str, tuple[float, str]] = {}
+    for name in log.sensor_positions[instance : instance + 1]:
+        place = [log.parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ"]
+        if np.isfinite(place).all() and any(place):
+            for column, value in zip(SENSOR_POSITION, place, strict=True):
+                constants[column] = value, f"{name}_X _Y _Z"
+    if log.sensor_tilt:
+        constants["sensor_tilt"] = log.sensor_tilt, "not stated by the log"
+    columns = {}
+    for column, (value, words) in constants.items():
+        columns[column] = Column(np.full(len(clock), value), words, np.nan)
+    return columns
+
+
+def _specific_force(columns: Mapping[str, Column]) -> dict[str, Column]:
+    """Return the specific force that changes the velocity, f = R^T (v_dot - g), at the body's origin.
+
+    It is for logs without an accelerometer, and has the bandwidth of the velocity: little above
+    a fifth of its rate.
+    """
+    rate = min(columns[name].rate for name in EARTH_VELOCITY)
+    velocity = np.column_stack([columns[name].values for name in EARTH_VELOCITY])
+    try:
+        change = differentiate(velocity, columns["time"].values, cutoff=VELOCITY_CUTOFF * rate)
+    # the clock of the log is not sound, which coefficients refuse themselves
+    except ValueError:
+        return {}
+    attitude = euler_to_matrix(*(columns[name].values for name in EULER))
+    force = np.einsum("nji,nj->ni", attitude, change - [0.0, 0.0, STANDARD_GRAVITY])
+    place = np.zeros_like(force)
+    added = by_name(SPECIFIC_FORCE, force) | by_name(SENSOR_POSITION, place)
+    words = "velocity and attitude, as no accelerometer is of use"
+    return {name: Column(values, words, rate) for name, values in added.items()}

@@ -294,7 +294,7 @@ def find_sources(
         if len(surface.time) > 1:
             sources.append(surface)
         else:
-            remarks.append(f"{surface.words} sends no pulse, so there is no {name}")
+            remarks.append(surface.remark)
     return sources, remarks
 
 
@@ -328,9 +328,10 @@ def _surface(log: Log, name: str, note: str, control: Control) -> Source:
         deflection = servo.deflection(topic[servo.field])
         # an engine that is switched off gets no number
         values = values + (np.nan_to_num(deflection) if note == COMMANDED else deflection)
-    words = f"{' '.join(servo.channel for servo in control)} ({note})"
+    channels = " ".join(servo.channel for servo in control)
+    remark = f"{channels} sends no pulse, so there is no {name}"
     valid = np.isfinite(values)
-    return Source((name,), words, topic.time[valid], values[valid, None])
+    return Source((name,), f"{channels} ({note})", topic.time[valid], values[valid, None], remark)
 
 
 # -- columns on one clock

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import matmul_toeplitz
+from scipy.linalg import block_diag, matmul_toeplitz
 from scipy.signal import correlate
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
@@ -16,8 +16,8 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, VANES
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, SPECIFIC_FORCE, VANES
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._log_errors import dynamic_load
@@ -45,6 +45,10 @@ ACCELEROMETER_OFFSET = 0.05  # [m/s^2]
 UNLEARNED_SLOPE = 10.0
 # Variance of a correlation between -1 and 1 of which nothing is known
 CORRELATION_VARIANCE = 1 / 3
+FORCES = "forces"
+# Relative standard deviation of mass over dynamic pressure and wing area, from flight to flight: fuel, and a
+# temperature of the air that is wrong by 6 degrees (guess)
+LOADING_STD = 0.02
 
 
 @dataclass(frozen=True)
@@ -78,11 +82,11 @@ class Changes:
     Attributes
     ----------
     p_values : DataFrame
-        By flight: of CX CY CZ Cl Cm Cn and of the whole. Probability of weights at least as far
-        from zero if the aircraft has not changed; NaN where the flight is too short.
+        By flight: of CX CY CZ Cl Cm Cn, of one factor of the forces, and of the whole. Probability of
+        weights at least as far from zero if the aircraft has not changed; NaN where the flight is too short.
     derivatives : DataFrame
         By flight and derivative such as Cm_alpha, or coefficient such as CX, at the mean regressors of
-        the flight: the likely ``change`` and its ``std``.
+        the flight: the likely ``change`` and its ``std``; "forces": c and its std.
     """
 
     p_values: pd.DataFrame
@@ -97,6 +101,11 @@ class Changes:
                 text = "too short to tell whether the aircraft has changed"
             elif p[WHOLE] < LEVEL:
                 text = f"the aircraft has changed (p = {p[WHOLE]:.2g}): likely "
+                if p[FORCES] < LEVEL:
+                    change, std = self.derivatives.loc[(flight, FORCES)]
+                    text += (
+                        f"all forces {change:+.0%} +- {std:.0%} (mass, wing area or airspeed?), "
+                    )
                 text += self._likely(flight, p.index[p < LEVEL])
             lines.append(f"flight {flight}: {text}")
         return lines
@@ -149,16 +158,25 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, V
     for flight, (X, residuals, by_acceleration) in flights.items():
         is_known = np.isfinite(residuals).all(axis=1)
         X = X[is_known]
+        rows = np.linspace(0, len(X) - 1, min(MOST_ROWS, len(X))).astype(int)
+        of_model = _covariance(pipeline, X, rows, by_acceleration[is_known])
         Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
-        of_model = _covariance(pipeline, X, Q, by_acceleration[is_known])
+        fitting = np.linalg.pinv(Q[rows])  # G Q^T
         p = {}
         for i, coefficient in enumerate(COEFFICIENTS):
             weights, covariance, freedom = residual_weights(Q, residuals[is_known, i])
-            covariance = covariance + of_model[i]
+            covariance = covariance + fitting @ of_model[i, :, i] @ fitting.T
             p[coefficient] = _p_value(weights, covariance, freedom)
             values = {"change": weights, "std": np.sqrt(np.diag(covariance))}
             table = pd.DataFrame(values, [coefficient + name for name in names])
             tables[flight, coefficient] = table.div(units, axis=0)
+        predicted = pipeline[-1].predict(X)
+        change, variance, freedom = _factor_of_forces(
+            predicted, residuals[is_known], of_model, rows
+        )
+        p[FORCES] = _p_value(np.array([change]), np.array([[variance]]), freedom)
+        of_forces = {"change": [change], "std": [variance**0.5]}
+        tables[flight, FORCES] = pd.DataFrame(of_forces, [FORCES])
         p_values[flight] = p | {WHOLE: combined([*p.values()])}
     table = pd.concat(tables, names=["flight", "", "derivative"]).droplevel(1)
     return Changes(pd.DataFrame(p_values).T, table)
@@ -198,9 +216,39 @@ def combined(p_values: Sequence[float]) -> float:
     return float(false_discovery_control(known).min()) if known else float("nan")
 
 
-def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vector) -> Array:
-    """Return the covariance of weights by the model and by constant errors in a flight X (n, d), (P, k, k)."""
-    rows = np.linspace(0, len(X) - 1, min(MOST_ROWS, len(X))).astype(int)
+def _factor_of_forces(
+    predicted: Matrix, residuals: Matrix, of_model: Array, rows: Indices
+) -> tuple[float, float, float]:
+    """Return the relative change of all forces by one factor, its variance, and its degrees of freedom.
+
+    Residuals are of ``predicted`` coefficients (n, 6), whose covariance ``of_model`` (6, k, 6, k) is of some ``rows``.
+    """
+    weights, expected, fits, covariances, freedoms, forces = [], [], [], [], [], []
+    for i in range(len(SPECIFIC_FORCE)):
+        mean = predicted[:, i].mean()
+        Q = np.column_stack([np.ones(len(predicted)), predicted[:, i] - mean])
+        w, covariance, freedom = residual_weights(Q, residuals[:, i])
+        if freedom:
+            weights += [*w]
+            expected += [mean, 1.0]
+            fits.append(np.linalg.pinv(Q[rows]))
+            covariances.append(covariance)
+            freedoms.append(freedom)
+            forces.append(i)
+    if not forces:
+        return np.nan, np.nan, 0.0
+    K = of_model[np.ix_(forces, range(len(rows)), forces, range(len(rows)))]
+    by_model = np.einsum("iak,ikjl,jbl->iajb", fits, K, fits)
+    covariance = by_model.reshape(len(weights), -1) + block_diag(*covariances)
+    precision = np.linalg.pinv(covariance, hermitian=True)
+    v = np.array(expected)
+    information = v @ precision @ v
+    change = v @ precision @ weights / information
+    return float(change), float(1 / information + LOADING_STD**2), min(freedoms)
+
+
+def _covariance(pipeline: Pipeline, X: Matrix, rows: Indices, by_acceleration: Vector) -> Array:
+    """Return the covariance of the residuals (P, n, P, n) by the model and by constant errors, in rows of X (., d)."""
     at = X[rows]
     regressor = pipeline[-1]
     mean, function = regressor.predict(at, return_cov=True, include_input_noise=False)
@@ -217,9 +265,7 @@ def _covariance(pipeline: Pipeline, X: Matrix, Q: Matrix, by_acceleration: Vecto
         ]
     )
     K = function.reshape(*mean.T.shape, *mean.T.shape)
-    of_outputs = np.einsum("inim->inm", K) + np.einsum("jni,jmi->inm", effects, effects)
-    fitting = np.linalg.pinv(Q[rows])  # G Q^T
-    return fitting @ of_outputs @ fitting.T
+    return K + np.einsum("jni,jml->inlm", effects, effects)
 
 
 def _constant_errors(pipeline: Pipeline, at: Matrix, by_acceleration: Vector) -> Array:
@@ -241,7 +287,7 @@ def _flattening(pipeline: Pipeline, X: Matrix, trained: Matrix, at: Matrix) -> A
     # within lateral regressors
     correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
     np.fill_diagonal(correlations, 1.0)
-    errors = np.sqrt((slopes * std) ** 2 @ correlations) * std
+    errors = np.copysign(np.sqrt((slopes * std) ** 2 @ correlations) * std, slopes)
     moved = (at - X.mean(axis=0)) @ (_precision(X) - _precision(trained))
     return moved.T[:, :, None] * errors.T[:, None]
 

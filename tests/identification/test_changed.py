@@ -269,6 +269,30 @@ def test_more_drag_alone_is_found(model):
     assert "CX -0.02" in result.summary()[0]
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_one_factor_of_all_forces_is_found_with_its_size(model, factor):
+    """A wrong mass, wing area or airspeed; noise would hide it in the weights of each coefficient."""
+    flights = {}
+    for name, (X, Y) in several(flight, 0.04).items():
+        unexplained = residuals(model, X, Y)
+        unexplained[1][:, :3] += (factor - 1) * model.predict(X)[:, :3]
+        flights[name] = unexplained
+    result = changes_of(model, flights)
+    assert alarms(result, "forces") > 0.8
+    row = result.derivatives.xs("forces", level="derivative")
+    assert row["change"].mean() == pytest.approx(factor - 1, abs=0.02)
+    text = next(line for line in result.summary() if "has changed" in line)
+    assert f"all forces {row.loc['1', 'change']:+.0%}"[:13] in text
+
+
+def test_no_factor_of_the_forces_is_found_where_there_is_none(model):
+    flights = {str(seed): flight(seed, 0.04) for seed in range(1, 25)}
+    result = changes(model, flights)
+    assert alarms(result, "forces") < 0.1
+    row = result.derivatives.xs("forces", level="derivative")
+    assert (row["change"].abs() < 3 * row["std"]).all()
+
+
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):
     """The fit leaves no residual where a single block determines a weight, so blocks show no error."""
     assert most_alarms(changes(model, several(flight_with_one_pulse))) < 0.2

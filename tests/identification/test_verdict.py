@@ -10,7 +10,6 @@ from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
 from sklearn.utils import Bunch
 
-from skdgp._compute.files import plain
 from skdgp._flight.findings import Code, Finding
 from skdgp._regressor import FitCode, search_ended
 from skdgp.dynamics import (
@@ -448,23 +447,6 @@ class TestMechanics:
         assert found.derivatives.empty
         assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
         assert len(found.notes) == 2
-
-    def test_is_plain_for_json(self, flight):
-        found = plain(mechanics_of(flight))
-        assert found["derivatives"]["Cm_elevator"]["value"] == pytest.approx(-1.0)
-        assert found["modes"]["short period"]["frequency"] > 1
-        assert set(found["simulation"]) == {
-            "airspeed",
-            "alpha",
-            "beta",
-            "phi",
-            "theta",
-            "p",
-            "q",
-            "r",
-        }
-        assert found["trim"]["beyond"] == {}
-        assert found["trim"]["climb"] < 0
 
 
 def test_of_little_flown_a_large_error_says_nothing():

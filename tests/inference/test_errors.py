@@ -70,17 +70,6 @@ def test_further_errors_add_to_the_covariance_and_the_paths_in_units_of_the_outp
         assert_allclose(drawn, np.sqrt(np.diag(after)[::3]), rtol=WITHIN)
 
 
-def test_noise_of_a_regressor_flattens_by_its_part_of_the_variance():
-    """Slope 2 by the truth, 40 % of the variance is noise: least squares finds 1.2 (Fuller 1987)."""
-    rng = default_rng(6)
-    truth, error = rng.normal(size=(2, 20000, 1)) * np.sqrt([[[0.6]], [[0.4]]])
-    x, y = truth + error, 2 * truth
-    model = DependentGPRegressor(structure="trend", optimizer=None, noise_variance=0.1)
-    slope = model.fit(x, y).predict_gradient(x[:1])[0, 0]
-    assert slope[0] == pytest.approx(1.2, rel=0.05)
-    assert attenuation(x, np.array([[0.4]]), slope)[0] == pytest.approx(0.8, rel=0.05)
-
-
 @pytest.mark.parametrize("truth", [[-0.4, 0.2], [1.0, 0.0], [-0.4, 0.8]])
 @pytest.mark.parametrize("common", [0.0, 0.3])
 def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes(truth, common):

@@ -26,7 +26,6 @@ from skdgp.inference import (
     PosteriorWithErrors,
     check_spread,
     errors_by_input_noise,
-    misfit_variance,
     residual_drift,
 )
 from skdgp.kernels import as_multi_output, has_prior_paths
@@ -127,21 +126,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     ----------
     kernel_ : MultiOutputKernel
         Fitted covariance of the outputs, in their units. A fit with ``kernel=model.kernel_`` and
-        ``structure="joint"`` continues there; with ``noise_variance=model.noise_variance_ +
-        model.misfit_variance_``, ``input_noise=np.sqrt(np.diag(model.input_covariance_))`` after a
-        fit with ``time``, and ``optimizer=None`` it is the same joint model, if no value was an
-        outlier.
+        ``structure="joint"`` continues there; with ``noise_variance=model.noise_variance_``,
+        ``input_noise=np.sqrt(np.diag(model.input_covariance_))`` after a fit with ``time``, and
+        ``optimizer=None`` it is the same joint model, if no value was an outlier.
     noise_variance_ : ndarray (P,)
-        Variance of the measurement noise, without model discrepancy, in squared units of the
-        outputs; the mean over the samples where it was given for each, or where some are outliers.
+        Variance of the measurement noise, in squared units of the outputs; the mean over the
+        samples where it was given for each, or where some are outliers.
     drift_variance_, drift_memory_ : ndarray (P,)
         Variance tau^2 of the drift, and its correlation time T [s], estimated from the residuals;
         zero without ``time``. The drift holds the effect of errors of the regressors, too.
         Simulated flights have one each.
-    misfit_variance_ : ndarray (P,)
-        Variance of the error of the function where flights come back to the same regressors, in
-        squared units of the outputs: part of the function's band. Zero without ``time``. See
-        :func:`skdgp.inference.misfit_variance`.
     input_covariance_ : ndarray (d, d)
         Covariance of the regressors' noise; zero for exact regressors. Of a regressor that no
         output depends on nothing is learned, and its noise stays where the search began.
@@ -268,7 +262,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
             With it, noise of the regressors is learned (``input_noise``), and blocks of the average
             are contiguous (``structure``); without it they are random. The residuals show
-            the misfit, and the drift of each output, a part of its noise with the covariance
+            the drift of each output, a part of its noise with the covariance
             ``tau^2 exp(-|t - t'| / T)`` within a flight.
 
             In a pipeline, pass it as ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by
@@ -370,7 +364,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
         self._warn_of_fit(fit, X, Z, known_noise, rows)
-        self._set_noise(fit, X, Z, clock, known_noise)
+        self._set_noise(fit, X, Z, clock)
         self.posterior_ = self._with_errors(fit, errors, recipe.time_series)
 
     def _normalised(self, X, Y, slopes, weights):
@@ -411,27 +405,18 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             errors = Z - likeliest_mean(fit.posterior, X)
             _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
 
-    def _set_noise(self, fit, X, Z, clock, known):
-        """Set noise, drift and model discrepancy of the outputs."""
-        noise = fit.learned.noise
-        misfit = np.zeros(len(noise))
-        variance = np.zeros(len(noise))
-        self.drift_memory_ = np.zeros(len(noise))
-        if clock is not None:
-            variance, self.drift_memory_ = residual_drift(fit.posterior, X, Z, clock)
-            misfit = misfit_variance(fit.posterior, X, Z, clock)
-        # The search took the discrepancy for noise, of outputs or of regressors: subtract it, and keep
-        # at least a lower bound.
-        least = self.settings.least_white * noise
-        if known.bounds is not None:
-            least = np.maximum(least, known.bounds[:, 0])
-        white = np.where(known.is_learned, np.maximum(noise - misfit, least), noise)
+    def _set_noise(self, fit, X, Z, clock):
+        """Set noise and drift of the outputs."""
+        white = fit.learned.noise
         loading = fit.learned.loading
         if loading is not None:  # a new measurement is an outlier as often as those of the fit
             white = white + np.mean(np.einsum("npp->np", loading) ** 2, axis=0)
-        self.misfit_variance_ = misfit * self.scale_**2
+        variance, memory = np.zeros((2, len(white)))
+        if clock is not None:
+            variance, memory = residual_drift(fit.posterior, X, Z, clock)
         self.noise_variance_ = white * self.scale_**2
         self.drift_variance_ = variance * self.scale_**2
+        self.drift_memory_ = memory
 
     def _with_errors(self, fit, further, time_series):
         """Return the posterior with errors of the function: by noise, of known slopes, and further ones."""
@@ -444,7 +429,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if further is not None:
             unscaled = np.zeros(self.n_features_in_), np.ones(self.n_features_in_)
             errors = errors.joined(further.in_units(*unscaled, 1 / self.scale_))
-        return PosteriorWithErrors(posterior, errors, self.misfit_variance_ / self.scale_**2)
+        return PosteriorWithErrors(posterior, errors)
 
     # -- predictions: y = center_ + scale_ z for the normalised outputs z
     # ------------------------------------

@@ -49,8 +49,6 @@ class RegressorSettings:
     most_neglected: float = 0.3
     #: Numbers of inducing inputs that inference="auto" tries before that, over ``n_inducing``
     times_inducing: tuple[int, ...] = (1, 2, 4)
-    #: Least variance of the white noise, over the noise that the search found
-    least_white: float = 0.01
     #: Of the search
     search: SearchSettings = field(default_factory=SearchSettings)
 

@@ -154,7 +154,7 @@ def plan(
     one for the largest reduction per second of its mean logarithm over the goal.
 
     The standard deviation expected of a model that learns from both flights is the present one times the
-    root of the ratio of these variances: model discrepancy and errors by gusts do not fall as they do.
+    root of the ratio of these variances: errors by gusts and of the log do not fall as they do.
     :func:`skdgp.listening` shows the progress.
 
     Raises ValueError if the trim has not an axis or is outside the envelope, the model has not a

@@ -240,7 +240,6 @@ class PosteriorRegressor(Protocol):
 
     output_names_: list[str]
     posterior_: Any
-    misfit_variance_: Array
     drift_variance_: Array
     drift_memory_: Array
 
@@ -448,9 +447,7 @@ class Coefficients:
         if not np.any(variance > 0):
             return None
         memory = np.where(variance > 0, self.regressor.drift_memory_, 1.0)
-        # the discrepancy is an error of the function, which its paths have
-        reduced = np.maximum(variance - self.regressor.misfit_variance_, 0.0)
-        return Drift(reduced[self.order], memory[self.order])
+        return Drift(variance[self.order], memory[self.order])
 
 
 def flown_perturbation(rows: Array, seconds: float | None, window: float = 20.0) -> Array:

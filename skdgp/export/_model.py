@@ -115,7 +115,7 @@ class Part:
     trend_prior : ndarray (d + 1, s)
         R, a root of the prior covariance R R^T of intercept and slopes; any number s of columns.
     prior_variance : float
-        a, of the Gaussian functions, with the variance of the model discrepancy.
+        a, of the Gaussian functions.
     """
 
     terms: tuple[Term, ...]

@@ -25,6 +25,7 @@ from skdgp.dynamics import (
 from skdgp.export._model import Part, PortableModel, Readout, Reference, Regressor, Term
 from skdgp.inference import (
     ExactPosterior,
+    FunctionErrors,
     Posterior,
     PosteriorWithErrors,
     SinglePosterior,
@@ -187,7 +188,7 @@ def _moved_trend(center: Vector) -> Matrix:
 
 def _all_parts(posterior: Posterior) -> tuple[Part, ...]:
     """Return the parts of all components, one for each output."""
-    errors = posterior if isinstance(posterior, PosteriorWithErrors) else None
+    errors = posterior.errors if isinstance(posterior, PosteriorWithErrors) else None
     parts: list[Part] = []
     for member, weights in zip(posterior.members, posterior.mixture, strict=True):
         for part, weight in zip(_parts(member, errors), weights, strict=True):
@@ -195,12 +196,12 @@ def _all_parts(posterior: Posterior) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def _parts(posterior: SinglePosterior, errors: PosteriorWithErrors | None) -> list[Part]:
+def _parts(posterior: SinglePosterior, errors: FunctionErrors | None) -> list[Part]:
     """Return the parts of a single posterior, one for each output.
 
     A trend about a centre has the functions M p, p = (1, z). So its weights are
     M^T v, and the roots of its prior and explained covariance M^T R and M^T T. Errors of the
-    function add to the prior: linear ones further columns, the discrepancy a variance.
+    function are further columns of the prior.
     """
     kernels = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in kernels if not isinstance(term, ConvolvedGaussian)]
@@ -216,8 +217,7 @@ def _parts(posterior: SinglePosterior, errors: PosteriorWithErrors | None) -> li
     for kernel in kernels:
         variance += (kernel.value("amplitude") ** 2).sum(axis=0)
     if errors is not None:
-        variance += errors.discrepancy
-        linear = _moved_trend(errors.errors.centre).T @ errors.errors.weights.T
+        linear = _moved_trend(errors.centre).T @ errors.weights.T
         priors = [_square_root(np.hstack(pair)) for pair in zip(priors, linear, strict=True)]
     if isinstance(posterior, ExactPosterior):
         parts = _exact(posterior, kernels, trend, tau, roots)

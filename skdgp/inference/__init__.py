@@ -9,8 +9,6 @@ loading   matrix that multiplies independent variables: G of the noise G G^T tha
           sample; A, b of a posterior mean A b
 clock     time and flight number of each value, (n, 2)
 drift     the part of the noise that is correlated in time
-misfit    the model discrepancy: the error of the function that residuals show where flights come back to the same
-          regressors
 errors    of the function beyond the posterior: linear functions, by noise of the regressors and errors of the log
 ========  =============================================================================================================
 
@@ -31,7 +29,6 @@ from skdgp.inference._errors import (
     FunctionErrors,
     KnownSlopes,
     PosteriorWithErrors,
-    misfit_variance,
 )
 from skdgp.inference._errors import attenuation as attenuation
 from skdgp.inference._errors import errors_by_input_noise as errors_by_input_noise
@@ -76,5 +73,4 @@ __all__ = [
     "fit_exact",
     "fit_sparse",
     "log_likelihood",
-    "misfit_variance",
 ]

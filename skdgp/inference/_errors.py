@@ -7,8 +7,7 @@ times an independent number z,
 
 .. math:: e_i(x) = \sum_k z_k\, (w_{k0i} + \sum_j w_{kji} (x_j - c_j)), \quad z_k \sim N(0, 1).
 
-Their sum is added to the posterior, and the discrepancy, a process of each output with the variance
-:func:`misfit_variance` and the width of one standard deviation of the regressors.
+Their sum is added to the posterior.
 """
 
 from __future__ import annotations
@@ -17,30 +16,18 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 from sklearn.utils import check_random_state
 
-from skdgp._compute.linalg import column_scale, least_squares
-from skdgp._compute.typing import Array, Indices, Matrix, Predictor, Seed, Vector
-from skdgp.inference._posterior import Posterior, PosteriorSettings, SinglePosterior
+from skdgp._compute.linalg import least_squares
+from skdgp._compute.typing import Array, Matrix, Seed, Vector
+from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.kernels import (
     LinearPaths,
-    MultiOutputKernel,
     PathBundle,
-    independent_processes,
-    prior_paths,
 )
 
 LARGEST_ATTENUATION = 0.5
 """Largest fraction of a regressor's variance that counts as noise: the error is then the slope."""
-MISFIT_ROWS = 15000
-"""Most samples that show the discrepancy."""
-CANDIDATES = 40
-"""Nearest samples among which one with independent noise is looked for."""
-LARGEST_LAG = 10.0
-"""Time apart [s] beyond which samples of a flight have independent noise; guess."""
-PARTS = 16
-"""Parts of the time series whose means show the standard error of the whole."""
 
 
 class FunctionErrors(NamedTuple):
@@ -207,80 +194,6 @@ def linear_weights(X: Matrix, Y: Any) -> Matrix:
     return np.column_stack(weights)
 
 
-def misfit_variance(posterior: Predictor, X: Matrix, Y: Matrix, clock: Matrix) -> Vector:
-    r"""Return the variance (P,) of the model discrepancy at the training samples of a posterior.
-
-    Residuals e of two samples with near regressors share the error of the function, but no noise if
-    they are from different flights or 10 s apart. So their products have the mean square of this
-    error as their mean. With the mean m of n products and its standard error s, the least that they
-    show is
-
-    .. math:: v_i = \max(0, m_i - s_i), \quad m_i = \frac{1}{n} \sum_a e_{ia} e_{ib}.
-
-    b is the nearest of the 40 samples nearest to a, by regressors over their standard deviations; a
-    sample without one does not count. s is the scatter over 16 parts of
-    the time series; it is multiplied by :math:`\sqrt 2`, since two parts share the products of their
-    samples. For the right model the mean product is the negative posterior covariance, so v is zero
-    but by chance. It is positive where the function has kinks or jumps that the kernel's widths
-    smooth away. Errors that change their sign within the distance of neighbours do not show.
-
-    Parameters
-    ----------
-    posterior : ExactPosterior, SparsePosterior or regressor
-    X : ndarray (n, d)
-    Y : ndarray (n, P)
-        NaN where an output was not observed.
-    clock : ndarray (n, 2)
-        Time [s] and flight number of each sample.
-
-    Returns
-    -------
-    ndarray (P,)
-        In squared units of Y.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn.linear_model import LinearRegression
-    >>> from skdgp.inference import misfit_variance
-    >>> rng = np.random.default_rng(0)
-    >>> x, time = rng.uniform(-1, 1, (4000, 1)), np.arange(4000.0)
-    >>> y = np.abs(x) + rng.normal(0, 0.3, x.shape)
-    >>> line = LinearRegression().fit(x, y)
-    >>> misfit = misfit_variance(line, x, y, np.column_stack([time, 0 * time]))
-    >>> float(np.sqrt(misfit[0]).round(1)), float(np.std(np.abs(x) - line.predict(x)).round(1))
-    (0.3, 0.3)
-    """
-    rows = np.flatnonzero(np.isfinite(Y).any(axis=1))
-    rows = rows[:: -(-len(rows) // MISFIT_ROWS)]
-    X = X[rows]
-    error = Y[rows] - posterior.predict(X)
-    first, second = _pairs(X, clock[rows])
-    variance = np.zeros(Y.shape[1])
-    for i, products in enumerate((error[first] * error[second]).T):
-        products = products[np.isfinite(products)]
-        if len(products) >= PARTS:
-            variance[i] = max(0.0, products.mean() - _standard_error(products, PARTS))
-    return variance
-
-
-def _pairs(X: Matrix, clock: Matrix) -> tuple[Indices, Indices]:
-    """Return samples, and the nearest one of each that has independent noise, among its nearest ones."""
-    time, flight = clock.T
-    scaled = X / column_scale(X)
-    near: Any = KDTree(scaled).query(scaled, k=min(CANDIDATES, len(X)))[1]
-    later = np.abs(time[near] - time[:, None]) > LARGEST_LAG
-    apart = later | (flight[near] != flight[:, None])
-    first = np.flatnonzero(apart.any(axis=1))
-    return first, near[first, apart[first].argmax(axis=1)]
-
-
-def _standard_error(products: Vector, n_parts: int) -> float:
-    """Return the standard error of the mean of products; two parts share products of samples."""
-    means = [part.mean() for part in np.array_split(products, n_parts)]
-    return np.sqrt(2 / n_parts) * np.std(means, ddof=1)
-
-
 class PosteriorWithErrors(Posterior):
     """A posterior plus independent errors of its function.
 
@@ -290,14 +203,11 @@ class PosteriorWithErrors(Posterior):
     ----------
     posterior : Posterior
     errors : FunctionErrors
-    discrepancy : ndarray (P,)
-        Variance of the discrepancy.
     """
 
-    def __init__(self, posterior: Posterior, errors: FunctionErrors, discrepancy: Vector) -> None:
+    def __init__(self, posterior: Posterior, errors: FunctionErrors) -> None:
         self.posterior = posterior
         self.errors = errors
-        self.discrepancy = discrepancy
         self.kernel = posterior.kernel
         self.noise = posterior.noise
         self.log_marginal_likelihood = posterior.log_marginal_likelihood
@@ -323,7 +233,7 @@ class PosteriorWithErrors(Posterior):
         if not return_variance:
             return self.posterior.predict(Xs)
         mean, variance = self.posterior.predict(Xs, return_variance=True)
-        return mean, variance + self.errors.variance(Xs) + self.discrepancy
+        return mean, variance + self.errors.variance(Xs)
 
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
         """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
@@ -331,24 +241,9 @@ class PosteriorWithErrors(Posterior):
 
     def covariance(self, Xs: Matrix) -> Matrix:
         """Return the joint covariance at Xs, (P n, P n), output-major."""
-        return (
-            self.posterior.covariance(Xs)
-            + self.errors.covariance(Xs)
-            + self._discrepancy_kernel(Xs)
-        )
+        return self.posterior.covariance(Xs) + self.errors.covariance(Xs)
 
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples that are functions of the regressors."""
         rng = check_random_state(random_state)
-        paths = self.posterior.paths(n_paths, rng) + self.errors.paths(n_paths, rng)
-        if not self.discrepancy.any():
-            return paths
-        return paths + prior_paths(
-            self._discrepancy_kernel, n_paths, PosteriorSettings.frequencies, rng
-        )
-
-    @property
-    def _discrepancy_kernel(self) -> MultiOutputKernel:
-        """Covariance of the discrepancy."""
-        widths = column_scale(max(self.data.X, key=len))
-        return independent_processes(self.discrepancy, widths)
+        return self.posterior.paths(n_paths, rng) + self.errors.paths(n_paths, rng)

@@ -170,9 +170,7 @@ def with_mixture(model, mixture):
     """Return a model with other weights (K, P) of its components."""
     posterior = model.posterior_
     average = AveragePosterior(posterior.members, mixture)
-    return with_posterior(
-        model, PosteriorWithErrors(average, posterior.errors, posterior.discrepancy)
-    )
+    return with_posterior(model, PosteriorWithErrors(average, posterior.errors))
 
 
 def with_posterior(model, posterior):
@@ -185,7 +183,6 @@ def with_posterior(model, posterior):
 def without_errors(model):
     """Yield the name of each source of error, and the model without it."""
     posterior, errors = model.posterior_.posterior, model.posterior_.errors
-    misfit = model.posterior_.discrepancy
     d = model.n_features_in_
     sources = {
         "attenuation": slice(0, d),
@@ -196,10 +193,8 @@ def without_errors(model):
     for source, place in sources.items():
         weights = errors.weights.copy()
         weights[place] = 0.0
-        others = PosteriorWithErrors(posterior, errors._replace(weights=weights), misfit)
+        others = PosteriorWithErrors(posterior, errors._replace(weights=weights))
         yield f"without {source}", with_posterior(model, others)
-    others = PosteriorWithErrors(posterior, errors, np.zeros_like(misfit))
-    yield "without misfit", with_posterior(model, others)
 
 
 def with_weights(model):

@@ -79,17 +79,11 @@ def pipeline_of(regressor, aircraft=AIRCRAFT, **options):
 IDENTIFIED = "identified"
 
 
-def with_discrepancy(regressor, variance):
-    """Give a regressor that learned from a time series a discrepancy of these variances (6,)."""
-    regressor.posterior_.discrepancy = variance / regressor.scale_**2
-    regressor.misfit_variance_ = variance
-
-
 @pytest.fixture(scope="session")
 def identified(once, first_minute, cut_short):
     """Return the pipeline that `identify` makes, its aircraft and a flight that it has not seen.
 
-    The default model of few rows: sparse, with a discrepancy.
+    The default model of few rows, sparse.
     """
 
     def write(folder):
@@ -101,9 +95,6 @@ def identified(once, first_minute, cut_short):
         options = {"test": test, "samples": 120, "regressor": regressor, "horizon": 1.0}
         with cut_short(), warnings.catch_warnings(action="ignore"):  # of few rows
             found = identify(train, data.aircraft, **options)
-        learned = found.pipeline[-1]
-        # Few rows show none; a longer flight shows some of this size
-        with_discrepancy(learned, np.linspace(0.1, 0.6, 6) * learned.noise_variance_)
         joblib.dump((found.pipeline, found.aircraft, test), folder / "model.joblib")
 
     path = once("identified to export", write) / "model.joblib"

@@ -48,9 +48,18 @@ def fit_exact(
 ) -> Fit:
     """Return the exact posterior of observed values at hyperparameters that a search has found.
 
-    ``data`` are with exact regressors, and known noise; noise of the regressors that was learned is
-    added. Both are larger in the posterior of a time series (``ordered``), whose neighbours have
-    correlated errors.
+    Parameters
+    ----------
+    learned : Hyperparameters
+    data : Data
+        With exact regressors, and known noise; noise of the regressors that was learned is added.
+    ordered : bool
+        Whether the rows are a time series, whose neighbours have correlated errors: noise is larger then.
+    known : KnownNoise
+
+    Returns
+    -------
+    Fit
     """
     return _fit(learned, data, ordered, partial(_posterior, None), known)
 

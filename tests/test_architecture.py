@@ -183,7 +183,7 @@ def test_inference_knows_kernels_by_their_contract_alone():
 
     inference = [path for path in MODULES if part_of(path) == "inference"]
     paths = [path for path in inference if path.stem not in {"_starts", "_structures"}]
-    functions = {"covariance_paths", "independent_processes", "inducing_features", "prior_paths"}
+    functions = {"covariance_paths", "inducing_features", "prior_paths"}
     classes = {"Features", "InputPair", "LinearPaths", "MultiOutputKernel", "PathBundle"}
     contract = classes | functions
     assert not offenders(beyond, paths)

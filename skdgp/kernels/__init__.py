@@ -7,7 +7,6 @@ them.
 from skdgp.kernels._base import FreeParameter, InputPair, MultiOutputKernel, Sum
 from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._convolved import Filters as Filters
-from skdgp.kernels._convolved import independent_processes as independent_processes
 from skdgp.kernels._convolved import tied as tied
 from skdgp.kernels._coregionalized import Coregionalized
 from skdgp.kernels._coregionalized import as_multi_output as as_multi_output

@@ -418,16 +418,6 @@ def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None)
     return matrix
 
 
-def independent_processes(variance: Vector, length_scale: Vector) -> ConvolvedGaussian:
-    """Return the kernel of independent processes of variances (P,) with the widths (d,)."""
-    P, d = len(variance), len(length_scale)
-    return ConvolvedGaussian(
-        0,
-        amplitude=np.diag(np.sqrt(variance)),
-        length_scale=np.broadcast_to(length_scale, (P, P, d)),
-    )
-
-
 # -- starting values from the data
 
 

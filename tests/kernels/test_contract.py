@@ -21,7 +21,6 @@ from skdgp.kernels import (
     MultiOutputKernel,
     Sum,
     covariance_paths,
-    independent_processes,
     inducing_features,
     prior_paths,
 )
@@ -42,7 +41,6 @@ KERNELS = {
     "one output": convolved(1, P=1),
     "one regressor": convolved(1, d=1),
     "four terms": trend() + (convolved(0) + (convolved(0, seed=3) + convolved(1))),
-    "independent outputs of one width": independent_processes([1.0, 4.0, 0.3], [0.7, 1.5]),
     "everything fixed": convolved(parameter_bounds={"amplitude": "fixed", "length_scale": "fixed"}),
     "bounds for each entry": convolved(
         parameter_bounds={

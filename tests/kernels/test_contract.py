@@ -66,7 +66,7 @@ KERNELS = {
 # Every class, kind of width and term once, with sample paths, and those without
 FEW = ["tied, shifted", "diag, shifted", "without private latents", "one output"]
 FEW += ["four terms", "bounds for each entry", "everything fixed"]
-FEW += ["trend + dependent", "independent outputs of one width"]
+FEW += ["trend + dependent"]
 ALSO = ["of scikit-learn", "trend + sum of scikit-learn"]
 
 

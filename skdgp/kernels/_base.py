@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -327,17 +327,19 @@ class MultiOutputKernel(Kernel):
 
     @theta.setter
     def theta(self, theta: Vector | None):
-        theta = np.asarray(theta, dtype=float)
-        free = [f for f in self.free_parameters() if f.n_elements]
-        n_dims = sum(f.n_elements for f in free)
-        if theta.shape != (n_dims,):
-            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({n_dims},).")
+        theta = self._check_theta(theta)
         values = self.values()
-        for f in free:
+        for f in self.free_parameters():
             elements, theta = np.split(theta, [f.n_elements])
-            if f.log:
-                elements = np.exp(elements)
-            setattr(self, f.name, f.with_elements(values[f.name], elements))
+            if f.n_elements:
+                elements = np.exp(elements) if f.log else elements
+                setattr(self, f.name, f.with_elements(values[f.name], elements))
+
+    def _check_theta(self, theta):
+        theta = np.asarray(theta, dtype=float)
+        if theta.shape != (self.n_dims,):
+            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({self.n_dims},).")
+        return theta
 
     def clone_with_theta(self, theta: Vector) -> MultiOutputKernel:
         """Return a copy of the kernel with other free hyperparameters."""
@@ -377,12 +379,13 @@ class MultiOutputKernel(Kernel):
     def __repr__(self):
         parameters = signature(type(self)).parameters
         shown = []
-        for name, value in self.get_params(deep=False).items():
-            if isinstance(value, Mapping):  # bounds; of each entry they are too long
-                value = {key: pair for key, pair in value.items() if np.ndim(pair) < 2} or None
-            if not _equal(value, parameters[name].default):
-                shown.append(f"{name}={_as_text(value)}")
-        return f"{type(self).__name__}({', '.join(shown)})"
+        with np.printoptions(precision=3, threshold=SHOWN_ENTRIES, edgeitems=1):
+            for name, value in self.get_params(deep=False).items():
+                if isinstance(value, Mapping):  # bounds; of each entry they are too long
+                    value = {k: pair for k, pair in value.items() if np.ndim(pair) < 2} or None
+                if not _equal(value, parameters[name].default):
+                    shown.append(f"{name}={value!r}")
+        return " ".join(f"{type(self).__name__}({', '.join(shown)})".split())
 
     def is_stationary(self) -> bool:
         """Return whether the covariance depends only on x - x'."""
@@ -411,6 +414,75 @@ def add_at(total: Matrix, places: Indices, slopes: Array) -> None:
     free = places >= 0
     if free.any():
         total[:, places[free]] += slopes[:, free]
+
+
+class EstimatedKernel(MultiOutputKernel):
+    """A kernel whose values and bounds are estimated from data where they are None.
+
+    ``needed`` are the parameters without which it has no values, ``default_bounds`` the bounds of a
+    kernel with values that was not initialized from data, ``output_axes`` the axis of the outputs,
+    counted from the last one, of each parameter in units of the outputs.
+    """
+
+    needed: tuple[str, ...]
+    default_bounds: Mapping[str, Any]
+    output_axes: Mapping[str, int]
+    parameter_bounds: Mapping[str, Any] | None
+
+    def has_values(self) -> bool:
+        return all(getattr(self, name) is not None for name in self.needed)
+
+    def _check_values(self):
+        if not self.has_values():
+            raise ValueError(
+                f"{type(self).__name__} has no values yet: give {' and '.join(self.needed)}, "
+                "or let DependentGPRegressor.fit estimate from the data."
+            )
+
+    def given_bounds(self) -> dict[str, Any]:
+        """Return the bounds that were given, by the name of the parameter.
+
+        Raises TypeError if they are no mapping, ValueError for a name of no parameter.
+        """
+        given = self.parameter_bounds
+        names = list(self.default_bounds)
+        if not (given is None or isinstance(given, Mapping)):
+            raise TypeError(
+                f"Got parameter_bounds={given!r}, but expected bounds by the name of the parameter, "
+                f"such as {{{names[0]!r}: (0.1, 10.0)}}."
+            )
+        for name in given or {}:
+            if name not in names:
+                near = get_close_matches(str(name), names, n=1) or [" or ".join(names)]
+                raise ValueError(f"Got {name!r} in parameter_bounds: did you mean {near[0]}?")
+        return {name: bounds for name, bounds in (given or {}).items() if bounds is not None}
+
+    def bounds_by_name(self) -> dict[str, Any]:
+        """Return the bounds of all parameters, the default ones where none were given."""
+        return {**self.default_bounds, **self.given_bounds()}
+
+    def bounds_from_data(self, name: str) -> bool:
+        return name in self.default_bounds and name not in self.given_bounds()
+
+    def _completed(self, values, bounds):
+        """Return the kernel with these values and bounds where none were given."""
+        params = self.get_params(deep=False)
+        for name, value in values.items():
+            given = value if params[name] is None else params[name]
+            params[name] = as_shape(name, given, value.shape)
+        params["parameter_bounds"] = bounds | self.given_bounds()
+        return type(self)(**params)
+
+    def rescaled(self, factor: Vector) -> MultiOutputKernel:
+        factor = np.asarray(factor, dtype=float)
+        bounds = dict(self.parameter_bounds or {})
+        changed = {}
+        for name, axis in self.output_axes.items():
+            changed[name] = _rescaled_values(name, getattr(self, name), factor, axis)
+            if name in bounds:  # whose last axis is the pair
+                limits = _rescaled_values(f"bounds of {name}", bounds[name], factor, axis - 1)
+                bounds[name] = limits
+        return clone(self).set_params(**changed, parameter_bounds=bounds or None)
 
 
 class Sum(_SklearnSum, MultiOutputKernel):
@@ -567,31 +639,6 @@ def as_shape(name: str, value: Any, shape) -> np.ndarray:
         ) from None
 
 
-def complete_bounds(given: Mapping[str, Any] | None, defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the bounds of all parameters; a parameter that is not given, or None, has its default.
-
-    Raises TypeError if the given bounds are no mapping, ValueError for a name without a default.
-    """
-    if not (given is None or isinstance(given, Mapping)):
-        raise TypeError(
-            f"Got parameter_bounds={given!r}, but expected bounds by the name of the parameter, "
-            f"such as {{{next(iter(defaults))!r}: (0.1, 10.0)}}."
-        )
-    for name in given or {}:
-        if name not in defaults:
-            near = get_close_matches(str(name), defaults, n=1) or [" or ".join(defaults)]
-            raise ValueError(f"Got {name!r} in parameter_bounds: did you mean {near[0]}?")
-    return dict(defaults) | {k: v for k, v in (given or {}).items() if v is not None}
-
-
-def given_bounds(kernel: MultiOutputKernel, names: Iterable[str]) -> dict[str, Any]:
-    """Return the bounds that were given to a kernel, by the name of the parameter, one of ``names``."""
-    given_limits = complete_bounds(
-        kernel.get_params(deep=False)["parameter_bounds"], dict.fromkeys(names)
-    )
-    return {name: bounds for name, bounds in given_limits.items() if bounds is not None}
-
-
 def _equal(mine, theirs):
     """Return whether two parameters are equal: numbers, arrays, kernels or mappings of these."""
     if isinstance(mine, Mapping) and isinstance(theirs, Mapping):
@@ -599,24 +646,7 @@ def _equal(mine, theirs):
     return np.array_equal(mine, theirs)
 
 
-def _as_text(value):
-    """Return a parameter as text in one line, with three digits; of long arrays the ends."""
-    if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key!r}: {_as_text(entry)}' for key, entry in value.items())}}}"
-    if isinstance(value, float):
-        return f"{value:.3g}"
-    if isinstance(value, (np.ndarray, list)):
-        options: Any = {
-            "separator": ", ",
-            "threshold": SHOWN_ENTRIES,
-            "edgeitems": 1,
-            "formatter": {"float_kind": lambda number: f"{number:.3g}"},
-        }
-        return " ".join(np.array2string(np.asarray(value), **options).split())
-    return repr(value)
-
-
-def rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
+def _rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
     """Return a parameter, or bounds, in the unit of the outputs multiplied by factors (P,); None and texts stay.
 
     ``axis`` is the axis of the outputs, counted from the last one.
@@ -624,8 +654,6 @@ def rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
     if value is None or isinstance(value, str):
         return value
     values = np.asarray(value, dtype=float)
-    if (factor == factor[0]).all():
-        return values * factor[0]
     try:
         return values * factor.reshape(-1, *(1,) * (-1 - axis))
     except ValueError:
@@ -633,24 +661,6 @@ def rescaled_values(name: str, value: Any, factor: Vector, axis: int) -> Any:
             f"Got {name} of shape {values.shape}, but expected {len(factor)} entries, "
             f"one for each output, along axis {axis}."
         ) from None
-
-
-def rescaled_parameters(
-    kernel: MultiOutputKernel, factor: Vector, axes: Mapping[str, int], names: Iterable[str]
-) -> MultiOutputKernel:
-    """Return a kernel whose parameters in the units of the outputs, and their bounds, are multiplied by factors (P,).
-
-    ``axes`` has the axis of the outputs of each such parameter, ``names`` are those that may have bounds.
-    """
-    factor = np.asarray(factor, dtype=float)
-    parameters = kernel.get_params(deep=False)
-    bounds = given_bounds(kernel, names)
-    changed = {}
-    for name, axis in axes.items():
-        changed[name] = rescaled_values(name, parameters[name], factor, axis)
-        if name in bounds:  # whose last axis is the pair
-            bounds[name] = rescaled_values(f"bounds of {name}", bounds[name], factor, axis - 1)
-    return clone(kernel).set_params(**changed, parameter_bounds=bounds or None)
 
 
 def numbered(free: Mask) -> Indices:

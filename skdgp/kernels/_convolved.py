@@ -14,23 +14,18 @@ from skdgp._compute.linalg import column_scale, constant_columns, output_scale
 from skdgp._compute.parallel import thread_map
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
 from skdgp.kernels._base import (
+    EstimatedKernel,
     EvaluatedBlock,
     FreeParameter,
     InputPair,
     MultiOutputKernel,
     add_at,
     as_shape,
-    complete_bounds,
-    given_bounds,
     gradient_of,
     numbered,
-    rescaled_parameters,
 )
 from skdgp.kernels._gaussian_filters import EvaluatedPair, FilterPair
 
-PARAMETERS = ("amplitude", "length_scale", "shift")
-# Bounds of a kernel that has values, and was not initialized from data
-DEFAULT_BOUNDS = {"amplitude": (-1e3, 1e3), "length_scale": (1e-3, 1e3), "shift": "fixed"}
 SPACING = "spacing"  # for length scales alone
 COVARIANCE_TYPES = ("diag", "tied")
 ROUNDING = 1e-9  # relative difference of tied length scales that counts as rounding
@@ -99,7 +94,7 @@ class Filters(NamedTuple):
         )
 
 
-class ConvolvedGaussian(MultiOutputKernel):
+class ConvolvedGaussian(EstimatedKernel):
     r"""Covariance of dependent outputs: each output is a sum of latent white-noise processes with Gaussian filters.
 
     The filter from latent process m to output i is
@@ -153,6 +148,10 @@ class ConvolvedGaussian(MultiOutputKernel):
            [-2.,  4.]])
     """
 
+    needed = ("amplitude", "length_scale")
+    default_bounds = {"amplitude": (-1e3, 1e3), "length_scale": (1e-3, 1e3), "shift": "fixed"}
+    output_axes = {"amplitude": -1}
+
     def __init__(
         self,
         n_latent: Any = 1,
@@ -181,11 +180,7 @@ class ConvolvedGaussian(MultiOutputKernel):
             raise ValueError(
                 f"Got covariance_type={self.covariance_type!r}, but expected one of {COVARIANCE_TYPES}."
             )
-        if not self.has_values():
-            raise ValueError(
-                "ConvolvedGaussian has no values yet: give amplitude and length_scale, "
-                "or let DependentGPRegressor.fit estimate them from the data."
-            )
+        self._check_values()
         amplitude = np.asarray(self.amplitude, dtype=float)
         lengths = np.asarray(self.length_scale, dtype=float)
         if not (lengths > 0).all() or not np.isfinite(amplitude).all():
@@ -213,12 +208,11 @@ class ConvolvedGaussian(MultiOutputKernel):
     def values(self) -> dict[str, Array]:
         return self.filters._asdict()
 
-    def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return rescaled_parameters(self, factor, {"amplitude": -1}, PARAMETERS)
-
-    def bounds_from_data(self, name: str) -> bool:
-        bounds = given_bounds(self, PARAMETERS).get(name)
-        return bounds is None or is_spacing(bounds)
+    def given_bounds(self) -> dict[str, Any]:
+        given = super().given_bounds()
+        if is_spacing(given.get("length_scale")):
+            del given["length_scale"]
+        return given
 
     @property
     def n_outputs(self) -> int:
@@ -230,38 +224,19 @@ class ConvolvedGaussian(MultiOutputKernel):
         """Number of regressors d."""
         return self.filters.length_scale.shape[2]
 
-    def _bounds(self, defaults):
-        """Return the bounds of all parameters, the defaults where none were given."""
-        bounds = complete_bounds(self.parameter_bounds, defaults)
-        if is_spacing(bounds["length_scale"]):
-            bounds["length_scale"] = defaults["length_scale"]
-        return bounds
-
-    def has_values(self) -> bool:
-        return self.amplitude is not None and self.length_scale is not None
-
     def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
         feeds = self._feeds(Y.shape[1])
         values, bounds = starting_values(feeds, X, Y, random_state)
-        if is_spacing(given_bounds(self, PARAMETERS).get("length_scale")):
+        if is_spacing(super().given_bounds().get("length_scale")):
             smallest = bounds["length_scale"][..., 0]
             np.maximum(smallest, spacing(X, Y) * column_scale(X), out=smallest)
-        params = self.get_params()
-        params["parameter_bounds"] = self._bounds(bounds)
-        if self.covariance_type == "tied":
-            values["length_scale"] = tied(values["length_scale"])
-        for name, value in values.items():
-            if params[name] is None:
-                params[name] = value
-            else:
-                params[name] = as_shape(name, params[name], value.shape)
-        return type(self)(**params)
+        return self._completed(values, bounds)
 
     def free_parameters(self) -> list[FreeParameter]:
         d = np.atleast_1d(self.length_scale).shape[-1]
         feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
         is_tied = self.covariance_type == "tied"
-        bounds = self._bounds(DEFAULT_BOUNDS)
+        bounds = self.bounds_by_name()
         all_move = np.ndim(bounds["shift"]) > 1
         amplitudes, lengths, shifts = numbers(feeds.tobytes(), feeds.shape[1], d, is_tied, all_move)
         return [
@@ -298,7 +273,7 @@ class ConvolvedGaussian(MultiOutputKernel):
     def couples(self, i: int, j: int) -> bool:
         if self.feeds is None:
             return self.n_latent > 0 or i == j
-        feeds = self._feeds(np.atleast_1d(self.amplitude).shape[-1])
+        feeds = np.asarray(self.feeds, dtype=bool)
         return bool((feeds[:, i] & feeds[:, j]).any())
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
@@ -421,7 +396,7 @@ def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None)
 # -- starting values from the data
 
 
-def spacing(X: Matrix, Y: Matrix, settings: StartSettings = STARTS) -> float:
+def spacing(X: Matrix, Y: Matrix) -> float:
     """Return the smallest width n^(-1/d) for samples X (rows, columns) and targets Y (rows, P), NaN allowed.
 
     n are the samples of the most observed output, at most ``most_counted``, d the regressors that
@@ -429,7 +404,7 @@ def spacing(X: Matrix, Y: Matrix, settings: StartSettings = STARTS) -> float:
     times as far apart, in their standard deviations.
     """
     n_axes = max(1, int(np.sum(~constant_columns(X))))
-    n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, settings.most_counted)
+    n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, STARTS.most_counted)
     return float(n) ** (-1.0 / n_axes)
 
 
@@ -463,7 +438,7 @@ def starting_values(
     bounds = {
         "amplitude": np.stack([smallest, largest], axis=-1),
         "length_scale": np.array(np.broadcast_to(widths, (*feeds.shape, *widths.shape))),
-        "shift": DEFAULT_BOUNDS["shift"],
+        "shift": "fixed",
     }
     return values, bounds
 

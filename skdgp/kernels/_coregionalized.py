@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from sklearn.base import clone
 from sklearn.gaussian_process.kernels import CompoundKernel, Kernel, WhiteKernel
 from sklearn.gaussian_process.kernels import Sum as SklearnSum
 
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._base import (
+    EstimatedKernel,
     EvaluatedBlock,
     FreeParameter,
     InputPair,
@@ -19,22 +19,15 @@ from skdgp.kernels._base import (
     Sum,
     add_at,
     as_shape,
-    complete_bounds,
-    given_bounds,
     gradient_of,
     numbered,
-    rescaled_parameters,
 )
-from skdgp.kernels._convolved import (
-    DEFAULT_BOUNDS,
-    feed_matrix,
-    starting_values,
-)
+from skdgp.kernels._convolved import feed_matrix, starting_values
 
 PREFIX = "kernel__"  # of the parameters of scikit-learn's kernel, as in ``get_params``
 
 
-class Coregionalized(MultiOutputKernel):
+class Coregionalized(EstimatedKernel):
     r"""Covariance of outputs that are combinations of independent processes with a kernel of scikit-learn.
 
     .. math:: K_{ij}(s, s') = B_{ij} \, k(s, s'), \quad B = W^T W
@@ -66,6 +59,10 @@ class Coregionalized(MultiOutputKernel):
     array([[ 1., -2.],
            [-2.,  4.]])
     """
+
+    needed = ("amplitude",)
+    default_bounds = {"amplitude": (-1e3, 1e3)}
+    output_axes = {"amplitude": -1}
 
     def __init__(
         self,
@@ -103,11 +100,7 @@ class Coregionalized(MultiOutputKernel):
     def weights(self) -> Matrix:
         """W, (M, P)."""
         check_kernel(self.kernel)
-        if self.amplitude is None:
-            raise ValueError(
-                "Coregionalized has no values yet: give amplitude, "
-                "or let DependentGPRegressor.fit estimate it from the data."
-            )
+        self._check_values()
         w = np.asarray(self.amplitude, dtype=float)
         feeds = self._feeds(w.shape[-1] if w.ndim else 1)
         return as_shape("amplitude", w, feeds.shape) * feeds
@@ -137,33 +130,20 @@ class Coregionalized(MultiOutputKernel):
         n_scales = max((h.n_elements for h in self.kernel.hyperparameters), default=1)
         return None if n_scales == 1 else n_scales
 
-    def has_values(self) -> bool:
-        return self.amplitude is not None
-
     def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
         self._check_columns("regressors", X, self.n_features)
         feeds = self._feeds(Y.shape[1])
         values, bounds = starting_values(feeds, X, Y, random_state)
-        amplitude = values["amplitude"] if self.amplitude is None else self.amplitude
-        defaults = {"amplitude": bounds["amplitude"]}
-        return clone(self).set_params(
-            amplitude=as_shape("amplitude", amplitude, feeds.shape),
-            parameter_bounds=complete_bounds(self.parameter_bounds, defaults),
+        return self._completed(
+            {"amplitude": values["amplitude"]}, {"amplitude": bounds["amplitude"]}
         )
-
-    def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return rescaled_parameters(self, factor, {"amplitude": -1}, ["amplitude"])
-
-    def bounds_from_data(self, name: str) -> bool:
-        return name == "amplitude" and not given_bounds(self, ["amplitude"])
 
     # -- theta: amplitudes, then the theta of the kernel
     # ----------------------------------------------------------------------
 
     def free_parameters(self) -> list[FreeParameter]:
         feeds = self._feeds(self.n_outputs)
-        defaults = {"amplitude": DEFAULT_BOUNDS["amplitude"]}
-        bounds = complete_bounds(self.parameter_bounds, defaults)
+        bounds = self.bounds_by_name()
         parameters = [FreeParameter("amplitude", numbered(feeds), False, bounds["amplitude"])]
         for h in self.kernel.hyperparameters:
             index = np.arange(h.n_elements)
@@ -172,21 +152,17 @@ class Coregionalized(MultiOutputKernel):
 
     @MultiOutputKernel.theta.setter  # type: ignore[attr-defined]
     def theta(self, theta: Vector | None):
+        theta = self._check_theta(theta)
         amplitude, *_ = self.free_parameters()
-        n = amplitude.n_elements
-        theta = np.asarray(theta, dtype=float)
-        expected = n + self.kernel.n_dims
-        if theta.shape != (expected,):
-            raise ValueError(f"Got theta of shape {theta.shape}, but expected ({expected},).")
-        self.amplitude = amplitude.with_elements(self.weights, theta[:n]) if n else self.weights
-        self.kernel = self.kernel.clone_with_theta(theta[n:])
+        own, inner = np.split(theta, [amplitude.n_elements])
+        self.amplitude = amplitude.with_elements(self.weights, own)
+        self.kernel = self.kernel.clone_with_theta(inner)
 
     # -- the equation
     # --------------------------------------------------------------------------------------
 
     def couples(self, i: int, j: int) -> bool:
-        feeds = self._feeds(self.n_outputs)
-        return bool((feeds[:, i] & feeds[:, j]).any())
+        return self.n_latent > 0 or i == j
 
     def block(self, i: int, j: int, Xi: Matrix, Xj: Matrix) -> Matrix:
         return self.B[i, j] * self.kernel(Xi, Xj)

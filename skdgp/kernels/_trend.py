@@ -12,16 +12,14 @@ from sklearn.linear_model import BayesianRidge
 from skdgp._compute.linalg import column_scale, constant_columns, least_squares
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.kernels._base import (
+    EstimatedKernel,
     EvaluatedBlock,
     FreeParameter,
     InputPair,
     MultiOutputKernel,
     add_at,
     as_shape,
-    complete_bounds,
-    given_bounds,
     gradient_of,
-    rescaled_parameters,
 )
 
 
@@ -51,11 +49,9 @@ class TrendSettings:
 
 
 SETTINGS = TrendSettings()
-DEFAULT_BOUNDS = {"intercept_scale": (1e-5, 1e5), "slope_scale": (1e-5, 1e5)}
-OUTPUT_AXES = {"intercept_scale": -1, "slope_scale": -2}  # axis of the outputs of each parameter
 
 
-class LinearTrend(MultiOutputKernel):
+class LinearTrend(EstimatedKernel):
     r"""Covariance of one linear function for each output, with a Gaussian prior on its weights.
 
     .. math:: K_{ij}(s, s') = \delta_{ij} \left( \tau_{i0}^2
@@ -88,6 +84,10 @@ class LinearTrend(MultiOutputKernel):
            [1., 5.]])
     """
 
+    needed = ("intercept_scale", "slope_scale")
+    default_bounds = {"intercept_scale": (1e-5, 1e5), "slope_scale": (1e-5, 1e5)}
+    output_axes = {"intercept_scale": -1, "slope_scale": -2}
+
     def __init__(
         self,
         intercept_scale: Any = None,
@@ -115,53 +115,27 @@ class LinearTrend(MultiOutputKernel):
     def n_processes(self) -> int:
         return 0
 
-    def rescaled(self, factor: Vector) -> MultiOutputKernel:
-        return rescaled_parameters(self, factor, OUTPUT_AXES, OUTPUT_AXES)
-
-    def bounds_from_data(self, name: str) -> bool:
-        return name not in given_bounds(self, OUTPUT_AXES)
-
     def values(self) -> dict[str, Array]:
-        if not self.has_values():
-            raise ValueError(
-                "LinearTrend has no values yet: give intercept_scale and slope_scale, "
-                "or let DependentGPRegressor.fit estimate them from the data."
-            )
+        self._check_values()
         slope = np.atleast_2d(np.array(self.slope_scale, dtype=float))
         intercept = as_shape("intercept_scale", np.ravel(self.intercept_scale), (len(slope),))
         center = np.zeros(1) if self.center is None else np.array(self.center, dtype=float)
         return {"slope_scale": slope, "intercept_scale": intercept, "center": center}
 
-    def has_values(self) -> bool:
-        return self.intercept_scale is not None and self.slope_scale is not None
-
-    def initialize(
-        self, X: Matrix, Y: Matrix, random_state: Seed, settings: TrendSettings = SETTINGS
-    ) -> MultiOutputKernel:
-        P, d = Y.shape[1], X.shape[1]
+    def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
         y_scale = column_scale(Y)
-        unit = y_scale[:, None] / column_scale(X)
+        x_scale = column_scale(X)
+        unit = y_scale[:, None] / x_scale
         n_rows = np.isfinite(Y).sum(axis=0).max()
-        least = settings.least_slope(n_rows, int(np.sum(~constant_columns(X))))
-        bounds: dict[str, Any] = {
-            "intercept_scale": "fixed",  # learned from centred outputs it would vanish
-            "slope_scale": np.multiply.outer(unit, (least, settings.slope_bounds[1])),
-        }
-        values = {
-            "intercept_scale": y_scale,
-            "slope_scale": np.maximum(unit, least * unit),
-            "center": np.mean(X, axis=0),
-        }
-        if d > len(X):  # too few rows for a scale of each slope: one for all, by ridge regression
-            values["slope_scale"] = ridge_scale(X, Y)[:, None] / column_scale(X)
-            bounds["slope_scale"] = "fixed"
-        params = self.get_params()
-        shapes = {"intercept_scale": (P,), "slope_scale": (P, d), "center": (d,)}
-        for name, shape in shapes.items():
-            value = values[name] if params[name] is None else params[name]
-            params[name] = as_shape(name, value, shape)
-        params["parameter_bounds"] = complete_bounds(self.parameter_bounds, bounds)
-        return LinearTrend(**params)
+        least = SETTINGS.least_slope(n_rows, int(np.sum(~constant_columns(X))))
+        slope = np.maximum(unit, least * unit)
+        bounds: Any = np.multiply.outer(unit, (least, SETTINGS.slope_bounds[1]))
+        if len(x_scale) > len(X):  # too few rows for a scale of each slope: one for all
+            slope = ridge_scale(X, Y)[:, None] / x_scale
+            bounds = "fixed"
+        values = {"intercept_scale": y_scale, "slope_scale": slope, "center": X.mean(axis=0)}
+        # learned from centred outputs the intercept's scale would vanish
+        return self._completed(values, {"intercept_scale": "fixed", "slope_scale": bounds})
 
     def basis(self, i: int, X: Matrix) -> Matrix:
         """Return the basis (n, d + 1) that maps the standardised weights of output i to its trend at X."""
@@ -202,12 +176,11 @@ class LinearTrend(MultiOutputKernel):
         return evaluated
 
     def free_parameters(self) -> list[FreeParameter]:
-        bounds = complete_bounds(self.parameter_bounds, DEFAULT_BOUNDS)
         values = self.values()
         parameters = []
-        for name in DEFAULT_BOUNDS:
+        for name, bounds in self.bounds_by_name().items():
             index = np.arange(values[name].size).reshape(values[name].shape)
-            parameters.append(FreeParameter(name, index, True, bounds[name]))
+            parameters.append(FreeParameter(name, index, True, bounds))
         return parameters
 
 

@@ -232,7 +232,8 @@ def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
     if longest < LEAST_SAMPLES:
         return None
     step = median_step(group.time, group.runs)
-    half = min(_window_rows(step), longest // 4) // 2
+    # windows of 6.4 s, and 64 rows (guesses)
+    half = int(min(max(6.4 / step, 64), longest // 4)) // 2
     runs = [group.columns[run] for run in group.runs]
     frequency, power, n_windows = power_spectra(runs, step, 2 * half)
     largest = np.abs(group.columns[np.r_[tuple(group.runs)]]).max(axis=0)
@@ -243,11 +244,6 @@ def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
         averages=0.375 * n_windows,
         rounding=2 * step * (1e-9 * largest) ** 2,
     )
-
-
-def _window_rows(step: float) -> int:
-    """Return the most rows of a periodogram, of 6.4 s (guess)."""
-    return int(max(6.4 / step, 64))
 
 
 def noise_power(spectrum: Spectrum) -> Vector:

@@ -197,18 +197,14 @@ def _level_terms(flight: Signals, axis: int, force: Matrix) -> tuple[Vector, Vec
     Forward and right are level, by the heading at the middle of the window.
     """
     change = flight.change(flight.vector(EARTH_VELOCITY))
-    impulse = flight.integral(_in_earth_axes(flight, force))
+    in_earth_axes = np.einsum("nij,nj->ni", flight.rotation, force)
+    impulse = flight.integral(in_earth_axes)
     if axis == 2:
         return change[:, 2], impulse[:, 2]
     middle = PHYSICS.kinematic_window / 2
     heading = flight.ahead(flight["psi"], middle) + axis * np.pi / 2
     direction = np.column_stack([np.cos(heading), np.sin(heading)])
     return np.sum(direction * change[:, :2], axis=1), np.sum(direction * impulse[:, :2], axis=1)
-
-
-def _in_earth_axes(flight: Signals, force: Matrix) -> Matrix:
-    """Return R f (n, 3)."""
-    return np.einsum("nij,nj->ni", flight.rotation, force)
 
 
 # -- aerodynamics and thrust

@@ -59,10 +59,10 @@ LATERAL_EFFECTS = ("p", "r", "aileron", "rudder")
 
 def _equality(**options: Any) -> Law:
     """Return a law of kinematics, by which y and x are equal at a lag of no more than usual."""
-    defaults = {"admissible": EQUAL, "least_explained": 0.0, "lags": KINEMATIC_LAGS}
     # LagCorrector corrects 0.3 s, and holds of a slow GPS add to it
-    usual = {"usual_lags": (-0.5, 0.5)}
-    return Law(**(defaults | usual | options))
+    usual = (-0.5, 0.5)
+    defaults: dict[str, Any] = {"admissible": EQUAL, "lags": KINEMATIC_LAGS, "usual_lags": usual}
+    return Law(**(defaults | options), least_explained=0.0)
 
 
 def _integral(

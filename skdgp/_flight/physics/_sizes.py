@@ -169,8 +169,8 @@ def question_of_sizes(
     units += [(0.0, name, 1.0, "") for name in given if name not in named]
     asked = []
     for _, name, factor, unit in units:
-        numbers = {"value": factor * sizes[name], "given": sizes[name]}
-        numbers |= {"si_unit": SI_UNITS[name], "unit": unit}
+        units_of_both = {"si_unit": SI_UNITS[name], "unit": unit}
+        numbers = {"value": factor * sizes[name], "given": sizes[name], **units_of_both}
         asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=numbers))
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
 

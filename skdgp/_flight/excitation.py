@@ -13,7 +13,7 @@ from scipy.fft import irfft
 from scipy.optimize import newton
 
 from skdgp._compute.typing import Array, Vector
-from skdgp._flight.tables import check_names, check_number
+from skdgp._flight.tables import check_names, check_number, check_numbers
 
 # Relative excess over a limit that is rounding
 ROUNDING = 1e-9
@@ -50,15 +50,10 @@ class Steps:
     edge: ClassVar[float] = 1e-5
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "durations", tuple(map(float, self.durations)))
-        object.__setattr__(self, "levels", tuple(map(float, self.levels)))
-        is_complete = 0 < len(self.levels) == len(self.durations)
-        is_finite = np.isfinite([*self.durations, *self.levels]).all()
-        if not (is_complete and is_finite and min(self.durations) > 0):
-            raise ValueError(
-                f"Got durations {self.durations} [s] of levels {self.levels}, but expected one "
-                f"finite level for each duration > 0."
-            )
+        durations = [check_number("duration", duration, unit="s") for duration in self.durations]
+        levels = check_numbers("levels", self.levels, max(len(durations), 1))
+        object.__setattr__(self, "durations", tuple(durations))
+        object.__setattr__(self, "levels", tuple(levels.tolist()))
 
     def __call__(self, time: ArrayLike) -> Array:
         held = np.array([0.0, *self.levels, 0.0])
@@ -150,24 +145,18 @@ class Multisine:
     samples_per_period: ClassVar[int] = 200
 
     def __post_init__(self) -> None:
+        check_number("duration", self.duration, unit="s")
         orders = np.asarray(self.harmonics)
-        numbers = [self.duration, *self.amplitudes, *self.phases]
-        is_sound = (
-            len({*orders.tolist()}) == len(orders) == len(self.amplitudes) == len(self.phases) > 0
-            and orders.dtype.kind in "iu"
-            and 0 < orders.min() <= orders.max() <= self.most_periods
-            and np.isfinite(numbers).all()
-            and self.duration > 0
-        )
-        if not is_sound:
+        n = len(orders)
+        is_whole = orders.dtype.kind in "iu" and len({*orders.tolist()}) == n
+        if not (n and is_whole and 0 < orders.min() <= orders.max() <= self.most_periods):
             raise ValueError(
-                f"Got harmonics {orders.tolist()} of {self.duration} s, amplitudes {self.amplitudes} and phases "
-                f"{self.phases}, but expected distinct integers from 1 to {self.most_periods}, a duration > 0, "
-                f"and a finite amplitude and phase for each."
+                f"Got harmonics {orders.tolist()}, but expected distinct integers from 1 to {self.most_periods}."
             )
         object.__setattr__(self, "harmonics", tuple(map(int, orders)))
-        object.__setattr__(self, "amplitudes", tuple(map(float, self.amplitudes)))
-        object.__setattr__(self, "phases", tuple(map(float, self.phases)))
+        for name in ("amplitudes", "phases"):
+            numbers = check_numbers(name, getattr(self, name), n)
+            object.__setattr__(self, name, tuple(numbers.tolist()))
 
     def __call__(self, time: ArrayLike) -> Array:
         x = np.asarray(time, dtype=float) / self.duration

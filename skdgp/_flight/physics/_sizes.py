@@ -6,7 +6,7 @@ without units show it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from typing import NamedTuple, TypeAlias
 
@@ -169,32 +169,40 @@ def question_of_sizes(
     units += [(0.0, name, 1.0, "") for name in given if name not in named]
     asked = []
     for _, name, factor, unit in units:
-        units_of_both = {"si_unit": SI_UNITS[name], "unit": unit}
-        numbers = {"value": factor * sizes[name], "given": sizes[name], **units_of_both}
+        numbers = {
+            "value": factor * sizes[name],
+            "si_unit": SI_UNITS[name],
+            "given": sizes[name],
+            "unit": unit,
+        }
         asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=numbers))
     return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
+
+
+def _values(sizes: Sizes) -> Iterator[tuple[Law, float]]:
+    """Yield the laws of numbers that the sizes give, with these."""
+    for law in LAWS:
+        with suppress(KeyError):
+            yield law, law.value(sizes)
 
 
 def _distance_from_usual(sizes: Sizes) -> float:
     """Return the mean distance of numbers from the middle of their limits, in logarithms."""
     distances = []
-    for law in LAWS:
-        with suppress(KeyError):
-            value, least = np.maximum([law.value(sizes), law.least], 1e-3)
-            distances.append(abs(np.log(value / np.sqrt(least * law.most))))
+    for law, value in _values(sizes):
+        least, value = np.maximum([law.least, value], 1e-3)
+        distances.append(abs(np.log(value / np.sqrt(least * law.most))))
     return float(np.mean(distances))
 
 
 def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[Law]:
     """Return the laws whose numbers are surely outside of their limits, by relative standard deviations."""
     broken = []
-    for law in LAWS:
-        with suppress(KeyError):
-            value = law.value(sizes)
-            # the numbers are positive, so their logarithms have the error
-            factor = np.exp(min(LEAST_T * relative.get(law.uncertain, 0.0), 100.0))
-            if value > factor * law.most or factor * value < law.least:
-                broken.append(law)
+    for law, value in _values(sizes):
+        # the numbers are positive, so their logarithms have the error
+        factor = np.exp(min(LEAST_T * relative.get(law.uncertain, 0.0), 100.0))
+        if value > factor * law.most or factor * value < law.least:
+            broken.append(law)
     return broken
 
 

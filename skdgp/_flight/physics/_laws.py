@@ -254,7 +254,7 @@ class Mistake:
             channels[name] = -channels[name]
         for name in self.late:
             channels[name] = signals.ahead(channels[name], self.lag)
-        if not {*ELEVONS}.isdisjoint(self.turned):
+        if {*ELEVONS} & {*self.turned} and {*ELEVONS} <= channels.keys():
             channels |= by_elevons(channels)
         if self.from_east and "psi" in channels:
             channels["psi"] = np.pi / 2 + channels["psi"]

@@ -10,14 +10,14 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from skdgp._cli import _control, _learn, _use
+from skdgp._cli import _learn, _use
 from skdgp._cli._shared import Commands, Console, Run, add_command
 
 __all__ = ["main"]
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
-COMMANDS: Commands = {**_learn.COMMANDS, **_use.COMMANDS, **_control.COMMANDS}
+COMMANDS: Commands = {**_learn.COMMANDS, **_use.COMMANDS}
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
@@ -66,7 +66,7 @@ def _folder(options: argparse.Namespace) -> Path | None:
     if output is None:
         return None
     folder = Path(output).parent if options.command == "predict" else Path(output)
-    nearest = next(path for path in (folder, *folder.parents) if path.exists() or path.is_symlink())
+    nearest = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
     if not nearest.is_dir() or not os.access(nearest, os.W_OK):
         raise OSError(
             f"Got {str(folder)!r} as the folder for the outputs, but {str(nearest)!r} is no folder that can be "

@@ -56,7 +56,7 @@ def inspect(run: Run) -> None:
     """
     options = run.options
     given = vars(options)
-    is_named = any(given[name] is not None for name in ("aircraft", *SIZES))
+    is_named = without_nones({name: given[name] for name in ("aircraft", *SIZES)})
     aircraft = _aircraft(run, options.log) if is_named else None
     summary = inspect_log(options.log, aircraft=aircraft, **reading(options))
     run.print([str(summary)], summary.to_dict())
@@ -126,25 +126,18 @@ def _aircraft(run: Run, log: str) -> Aircraft:
             f"got {' '.join(got) or 'no aircraft'}, but expected --aircraft FILE, or --mass and "
             "--span, of which the rest is estimated"
         )
-    motor = given.pop("motor", None)
+    motor = {}
+    if "motor" in given:
+        rpm_per_volt, voltage = given.pop("motor")
+        motor = {"motor_constant": rpm_per_volt * np.pi / 30, "voltage": voltage}
     if "propeller" in given:
-        given["propeller"] = _propeller(given["propeller"], motor)
-    elif motor is not None:
+        diameter, pitch = given["propeller"]  # [in]
+        given["propeller"] = Propeller.from_size(0.0254 * diameter, 0.0254 * pitch, **motor)
+    elif motor:
         options.parser.error(
             "got --motor without --propeller, but expected its size, such as --propeller 10x5"
         )
     return Aircraft.estimate(**given, name=Path(log).stem)
-
-
-def _propeller(
-    inches: tuple[float, float], rpm_per_volt_and_volts: tuple[float, float] | None
-) -> Propeller:
-    """Return the propeller of a diameter and a pitch, on a motor if there is one."""
-    size = 0.0254 * np.array(inches)  # [m]
-    if rpm_per_volt_and_volts is None:
-        return Propeller.from_size(*size)
-    rpm_per_volt, voltage = rpm_per_volt_and_volts
-    return Propeller.from_size(*size, motor_constant=rpm_per_volt * np.pi / 30, voltage=voltage)
 
 
 def demo(run: Run) -> None:

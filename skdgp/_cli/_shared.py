@@ -91,6 +91,7 @@ factors = checked(
     lambda text: _pair(text, "x"),
     lambda pair: min(pair) > 0 and max(pair) < math.inf,
 )
+POSITIVE = number("> 0")
 n_paths = checked(
     "0, or 2 or more: one path has no spread", int, lambda value: value == 0 or value >= 2
 )
@@ -131,7 +132,7 @@ AIRCRAFT = option(
 )
 HORIZON = option(
     "--horizon",
-    type=number("> 0"),
+    type=POSITIVE,
     default=10.0,
     help="seconds after which simulations start again (default: 10)",
 )
@@ -139,7 +140,7 @@ SEED = option(
     "--seed", type=number(">= 0", kind=int), default=0, help="of random numbers (default: 0)"
 )
 OUTPUT = option("-o", "--output", help="folder for the outputs")
-AIRSPEED = option("--airspeed", type=number("> 0"), required=True, help="of the trim [m/s]")
+AIRSPEED = option("--airspeed", type=POSITIVE, required=True, help="of the trim [m/s]")
 ALTITUDE = option("--altitude", type=number(), default=0.0, help="of the trim [m] (default: 0)")
 PATHS = option(
     "--paths",
@@ -203,7 +204,8 @@ class Console:
         self._clear = CLEAR if is_terminal else ""
         self._period = period or (REFRESH if is_terminal else LINE_SECONDS)
         self._done = threading.Event()
-        self._first_step = "", 0.0, 0  # name, time and number
+        self._first_step = Progress("", 0, 0)
+        self._first_time = 0.0
         self.stage("")
 
     def __enter__(self) -> Console:
@@ -256,18 +258,17 @@ class Console:
         if n_evaluations:
             self._stage = "fit"
 
-    def _count_steps(self, progress: Progress) -> None:
+    def _count_steps(self, step: Progress) -> None:
         """Keep the bar of a stage with a number of steps, and the time that is left at the rate of those done."""
-        name = STAGES.get(progress, str(progress))
         now = time.monotonic()
-        done, total = progress.done, progress.total
-        counted, began, first = self._first_step
-        if name != counted or done <= first:
-            self._first_step = name, now, done
-        bar = ("#" * round(BAR * done / total)).ljust(BAR, "-")
-        self._steps = f" · {name} [{bar}] {done} of {total}"
-        if name == counted and done > first:
-            left = (now - began) * (total - done) / (done - first)
+        if step != self._first_step or step.done <= self._first_step.done:
+            self._first_step = step
+            self._first_time = now
+        bar = ("#" * round(BAR * step.done / step.total)).ljust(BAR, "-")
+        self._steps = f" · {STAGES.get(step, step)} [{bar}] {step.done} of {step.total}"
+        counted = step.done - self._first_step.done
+        if counted:
+            left = (now - self._first_time) * (step.total - step.done) / counted
             self._steps += f", about {left:.0f} s left"
 
     def _end_progress(self):

@@ -1,11 +1,10 @@
-"""Commands that use a model: predict, derivatives, plan, export."""
+"""Commands that use a model: predict, derivatives, plan, export, and margins and fly for control."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,11 +23,13 @@ from skdgp._cli._shared import (
     MODEL,
     OUTPUT,
     PATHS,
+    POSITIVE,
     SEED,
     Commands,
     Run,
     axis_value,
     changed,
+    checked,
     number,
     option,
     reading,
@@ -38,12 +39,21 @@ from skdgp._compute.files import Writer, csv_writer, text_writer
 from skdgp._compute.messages import can_draw, listening, report, warn
 from skdgp._flight.excitation import AXES
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import FlightTable
+from skdgp.control import (
+    Loop,
+    autopilot_loops,
+    full_outputs,
+    read_parameters,
+    suggest_gains,
+)
+from skdgp.control import fly as fly_model
+from skdgp.control import margins as margins_of
 from skdgp.design import RATE, Envelope, Plan, ardupilot_script, surface_mixes
 from skdgp.design import plan as plan_flight
 from skdgp.dynamics import (
     Aircraft,
     Trim,
+    Turbulence,
     as_aerodynamics,
     linearize,
     stability_derivatives,
@@ -52,12 +62,19 @@ from skdgp.dynamics import (
 from skdgp.export import FORMATS, export_model
 from skdgp.identification import (
     FlightMechanics,
-    FlightPipeline,
     check_identified,
     load_model,
     named_flights,
     usable_flights_of_model,
 )
+
+PARAMETERS = option(
+    "--params",
+    help="parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
+    "elevator, throttle, rudder, 1100 to 1900 us)",
+)
+# Least height of gusts [m], which vanish at the ground
+LEAST_GUST_HEIGHT = 100.0
 
 
 def read_model(options) -> Bunch:
@@ -78,10 +95,9 @@ def read_model(options) -> Bunch:
 
 
 def read_model_to_fly(options) -> Bunch:
-    """Return the model and its ``thrust`` in motion, "auto" or None; warn of thrust and gusts of its flights."""
+    """Return the model, as of `read_model`; warn of thrust and gusts of its flights."""
     model = read_model(options)
-    model.thrust = model.get("options", {}).get("thrust", "auto")
-    if model.thrust is None:
+    if model.pipeline.thrust is None:
         warn(
             "No thrust was subtracted in this model: where an engine ran, CX holds its thrust, and CD "
             "is drag less thrust."
@@ -116,21 +132,19 @@ def predict(run: Run) -> None:
     model = read_model(options)
     named = named_flights(options.flight, **reading(options, model))
     flights = usable_flights_of_model(model.pipeline, named, model.aircraft)
-    parts = [_predictions(model.pipeline, flight, options) for flight in flights.values()]
+    names = model.pipeline[-1].output_names_
+    columns = [*names, *(f"{name}_std" for name in names)]
+    parts = []
+    for flight in flights.values():
+        predicted = model.pipeline.predict(
+            flight, return_std=True, include_noise=options.include_noise
+        )
+        clock = flight.table[["flight", "time"]].reset_index(drop=True)
+        parts.append(clock.join(pd.DataFrame(np.hstack(predicted), columns=columns)))
     table = pd.concat(parts, ignore_index=True)
-    rows = table.groupby("flight", sort=False).size().to_dict()
+    rows = {name: len(flight.table) for name, flight in flights.items()}
     lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
     run.finish(lines, {"flights": rows}, {output.name: csv_writer(table)})
-
-
-def _predictions(pipeline: FlightPipeline, flight: FlightTable, options: Namespace) -> pd.DataFrame:
-    """Return the coefficients of a flight and their standard deviations, ``CX`` and ``CX_std``, beside its time."""
-    mean, std = pipeline.predict(flight, return_std=True, include_noise=options.include_noise)
-    table = flight.table[["flight", "time"]].reset_index(drop=True)
-    names = pipeline[-1].output_names_
-    table[names] = mean
-    table[[f"{name}_std" for name in names]] = std
-    return table
 
 
 def derivatives(run: Run) -> None:
@@ -150,37 +164,36 @@ def derivatives(run: Run) -> None:
     trims = [trimmed(model, airspeed, options.altitude) for airspeed in airspeeds]
     beyond = sorted({name for point in trims for name in point.beyond})
     if beyond:
-        report(Finding(Code.TRIM_BEYOND, numbers={"names": beyond}))
-    spread = {"n_paths": options.paths, "random_state": options.seed, "thrust": model.thrust}
-    points = []
-    for point in trims:
-        derivatives = stability_derivatives(model.pipeline, model.aircraft, point, **spread)
-        modes = linearize(model.pipeline, model.aircraft, point, **spread).modes()
-        points.append(FlightMechanics(trim=point, derivatives=derivatives, modes=modes))
-    numbers = {"points": points}
-    texts = [_derivatives_text(point) for point in points]
-    run.finish(["\n\n".join(texts), ""], numbers, _derivatives_files(points), "derivatives.json")
-
-
-def _derivatives_files(points: Sequence[FlightMechanics]) -> dict[str, Writer]:
-    """Return the writers of the tables of all trims."""
-    derivatives = {}
-    modes = {}
-    for point in points:
-        at: Any = point.trim
-        derivatives[at.airspeed] = point.derivatives.assign(alpha=at.alpha, beta=at.beta)
-        modes[at.airspeed] = point.modes
-    tables = {
-        "derivatives.csv": pd.concat(derivatives, names=["airspeed", "derivative"]),
-        "modes.csv": pd.concat(modes, names=["airspeed", "mode"]),
+        report(Finding(Code.TRIM_BEYOND, names=beyond))
+    spread = {
+        "n_paths": options.paths,
+        "random_state": options.seed,
+        "thrust": model.pipeline.thrust,
     }
-    return {name: csv_writer(table.reset_index()) for name, table in tables.items()}
+    points, slopes, modes = [], {}, {}
+    for at in trims:
+        table = stability_derivatives(model.pipeline, model.aircraft, at, **spread)
+        slopes[at.airspeed] = table.assign(alpha=at.alpha, beta=at.beta)
+        modes[at.airspeed] = linearize(model.pipeline, model.aircraft, at, **spread).modes()
+        points.append(FlightMechanics(trim=at, derivatives=table, modes=modes[at.airspeed]))
+    files = {
+        "derivatives.csv": csv_writer(_joined(slopes, "derivative")),
+        "modes.csv": csv_writer(_joined(modes, "mode")),
+    }
+    text = "\n\n".join(map(_derivatives_text, points))
+    run.finish([text, ""], {"points": points}, files, "derivatives.json")
+
+
+def _joined(tables: Mapping[float, pd.DataFrame], name: str) -> pd.DataFrame:
+    """Return the tables of all airspeeds in one."""
+    return pd.concat(tables, names=["airspeed", name]).reset_index()
 
 
 def trimmed(model: Bunch, airspeed: float, altitude: float) -> Trim:
     """Return steady level flight; without a thrust the climb follows."""
-    climb = None if model.thrust is None else 0.0
-    given = {"altitude": altitude, "climb": climb, "thrust": model.thrust}
+    thrust = model.pipeline.thrust
+    climb = None if thrust is None else 0.0
+    given = {"altitude": altitude, "climb": climb, "thrust": thrust}
     return trim(model.pipeline, model.aircraft, airspeed, **given)
 
 
@@ -249,7 +262,7 @@ def plan(run: Run) -> None:
             goal=options.goal,
             limits=dict(options.limits),
             envelope=envelope,
-            thrust=model.thrust,
+            thrust=model.pipeline.thrust,
         )
     numbers = {"seconds": planned.seconds, **planned.to_dict()}
     writers = _plan_writers(planned, full)
@@ -283,9 +296,7 @@ def _plan_lines(planned: Plan, full: dict[str, float]) -> list[str]:
     """Return manoeuvres and standard deviations as tables."""
     manoeuvres = planned.manoeuvres[["start", "name", "scale"]]
     limits = planned.limits.rename_axis("limit")
-    lines = []
-    for table in (manoeuvres, planned.errors, limits):
-        lines += [_table(table), ""]
+    lines = [_table(manoeuvres), "", _table(planned.errors), "", _table(limits), ""]
     if np.isinf(planned.limits).all(axis=None):
         lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not full:
@@ -325,13 +336,168 @@ def export(run: Run) -> None:
     writers: dict[str, Writer] = {}
     sizes = {}
     with tempfile.TemporaryDirectory() as temporary:
-        for file in export_model(temporary, model, options.to, full=full):
-            name = str(Path(file).relative_to(temporary))
+        for file in map(Path, export_model(temporary, model, options.to, full=full)):
+            name = str(file.relative_to(temporary))
             writers[name] = partial(shutil.copyfile, file)
-            sizes[name] = Path(file).stat().st_size
-        numbers = {"files": sizes}
+            sizes[name] = file.stat().st_size
         lines = [f"{size / 1024:>9.1f} kB  {name}" for name, size in sizes.items()]
-        run.finish(lines, numbers, writers)
+        run.finish(lines, {"files": sizes}, writers)
+
+
+def margins(run: Run) -> None:
+    """Print the margins of the loops of PX4 or ArduPilot Plane around a model, and gains that have wanted margins.
+
+    The file has the autopilot's parameters, as a ground station saves them. --full gives the deflections
+    [rad] with the servos at their ends, as of fly (PX4: at an output of 1); loops of controls that it does not
+    name are open. With -o writes margins.csv, suggested.csv and margins.json.
+
+    For example:
+      skdgp margins results/model.joblib --params plane.params --airspeed 20 --full aileron=0.42 elevator=0.42
+    """
+    options = run.options
+    loops = autopilot_loops(options.params, dict(options.full))
+    model = read_model_to_fly(options)
+    warn_unfit(model, "design a controller", "Do not set gains by these margins.")
+    steady = trimmed(model, options.airspeed, options.altitude)
+    linear = linearize(
+        model.pipeline,
+        model.aircraft,
+        steady,
+        n_paths=options.paths,
+        random_state=options.seed,
+        thrust=model.pipeline.thrust,
+        delay=options.delay,
+        perturbation=None if options.slopes == "local" else "flown",
+    )
+    now = margins_of(linear, loops)
+    servos = linear.servos
+    late = f"servos behind the logged commands {servos.words}; {1e3 * options.delay:.0f} ms more before (--delay)"
+    texts = [f"margins now, at {options.airspeed:g} m/s: {late}", _margin_text(now)]
+    for name, part in now.attrs["unstable"].items():
+        texts.append(f"the closed loops are unstable in {part:.0%} of the aircraft: {name}")
+    files = {"margins.csv": csv_writer(now.reset_index())}
+    numbers: dict[str, Any] = {
+        "parameters": options.params,
+        "servos": servos,
+        "delay": options.delay,
+        "margins": _with_infinities(now),
+        "unstable": now.attrs["unstable"],
+    }
+    try:
+        suggested = suggest_gains(
+            linear,
+            loops,
+            gain_margin=options.gain_margin,
+            phase_margin=options.phase_margin,
+            probability=options.probability,
+        )
+    except ValueError as error:
+        texts += ["", f"no gains are suggested: {error}"]
+    else:
+        gains = _gains_of(loops, suggested)
+        then = margins_of(linear, suggested)
+        texts += ["", "largest gains with the margins asked for", gains.to_string(index=False)]
+        texts += ["", "margins with these gains", _margin_text(then)]
+        files["suggested.csv"] = csv_writer(gains)
+        numbers["gains"] = gains.to_dict("records")
+        numbers["margins_suggested"] = _with_infinities(then)
+    run.finish(texts, numbers, files, "margins.json")
+
+
+def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
+    """Return the parameters with their values now and suggested."""
+    rows = []
+    for before, after in zip(loops, suggested, strict=True):
+        for name, value in (before.parameters or {}).items():
+            new = float(f"{(after.parameters or {})[name]:.4g}")
+            rows.append({"parameter": name, "now": value, "suggested": new})
+    return pd.DataFrame(rows)
+
+
+def _with_infinities(table: pd.DataFrame) -> pd.DataFrame:
+    """Return margins for JSON, which has no infinity: that of an unstable loop is "-inf", an unlimited one "inf"."""
+    return table.astype(object).replace({np.inf: "inf", -np.inf: "-inf"})
+
+
+def _margin_text(table: pd.DataFrame) -> str:
+    """Return margins as text."""
+    shown = table.rename_axis(index=["", ""])
+    as_percent = {"probability": "{:.0%}".format}
+    return shown.to_string(float_format="{:.3g}".format, formatters=as_percent, na_rep="")
+
+
+def fly(run: Run) -> None:
+    """Fly a model in ArduPilot's simulator, as its physics: JSON interface, UDP.
+
+    Start the simulator beside it: sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1. The aircraft begins at its
+    trim, 100 m or --height above the ground, where the flight is over. --full gives deflections [rad] at full output,
+    and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv; each start of
+    the simulator is a flight in it.
+
+    For example:
+      skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35
+      skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35 --path 3 --gusts 5
+    """
+    options = run.options
+    parameters = read_parameters(options.params) if options.params else None
+    model = read_model_to_fly(options)
+    warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
+    given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
+    full = full_outputs(model.pipeline, model.aircraft, given, model.pipeline.thrust)
+    gusts = _gusts_of(options, model)
+    steady = trimmed(model, options.airspeed, options.altitude + options.height)
+
+    def ready() -> None:
+        run.console.stage("")
+        run.console.print_error(f"waiting for ArduPilot at port {options.port}; Ctrl-C ends")
+
+    flown = fly_model(
+        model.pipeline,
+        model.aircraft,
+        steady,
+        full,
+        parameters=parameters,
+        height=options.height,
+        path=options.path,
+        wind=options.wind,
+        gusts=gusts,
+        thrust=model.pipeline.thrust,
+        port=options.port,
+        wait=options.wait,
+        seconds=options.seconds or np.inf,
+        ready=ready,
+    )
+    rate = flown.steps / max(flown.computing, 1e-9)
+    duration, outside = 0.0, 0.0
+    if len(flown.table):
+        duration = flown.table.groupby("flight")["time"].max().sum()
+        outside = (flown.table["beyond"] != "").mean()
+    lines = [f"{flown.reason}: {duration:.1f} s of flight, {rate:.0f} steps a second were possible"]
+    if outside:
+        lines.append(f"{outside:.0%} of the flight is outside of what the model was learned from")
+    numbers = {
+        "seconds": duration,
+        "steps": flown.steps,
+        "steps_per_second": rate,
+        "outside": outside,
+        "reason": flown.reason,
+    }
+    run.finish(lines, numbers, {"flight.csv": csv_writer(flown.table)})
+
+
+def _gusts_of(options: Any, model: Any) -> Turbulence | None:
+    """Return the gusts of the training flights or of a wind; raise ValueError if those are not known."""
+    if options.gusts in (None, 0.0):
+        return None
+    if options.gusts != "flown":
+        return Turbulence.low_altitude(max(options.height, LEAST_GUST_HEIGHT), options.gusts)
+    flown = model.pipeline.turbulence_
+    if flown is None:
+        raise ValueError(
+            "Got --gusts flown, but the model does not know the gusts of its flights: expected the wind speed "
+            "6 m above the ground, such as --gusts 5."
+        )
+    return flown
 
 
 COMMANDS: Commands = {
@@ -367,7 +533,7 @@ COMMANDS: Commands = {
             AIRSPEED,
             option(
                 "--seconds",
-                type=number("> 0"),
+                type=POSITIVE,
                 required=True,
                 help="of all flights together",
             ),
@@ -391,7 +557,7 @@ COMMANDS: Commands = {
                 default=[],
                 help="largest deviations from trim [rad] (default: as flown)",
             ),
-            option("--max-bank", type=number("> 0"), help="to either side"),
+            option("--max-bank", type=POSITIVE, help="to either side"),
             option(
                 "--floor",
                 type=number(),
@@ -416,6 +582,110 @@ COMMANDS: Commands = {
                 FULL,
                 help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
                 "file, else the largest that were flown), thrust [N] without a propeller",
+            ),
+        ],
+    },
+    margins: {
+        "": [
+            MODEL,
+            AIRCRAFT,
+            AIRSPEED,
+            ALTITUDE,
+            PATHS,
+            SEED,
+            OUTPUT,
+            changed(
+                PARAMETERS,
+                required=True,
+                help="parameters of PX4 or ArduPilot Plane, as a ground station saves them",
+            ),
+            changed(
+                FULL,
+                required=True,
+                help="deflections [rad] with the servos at their ends (PX4: at an output of 1)",
+            ),
+            option(
+                "--delay",
+                type=number(">= 0"),
+                default=0.02,
+                help="of the commands before they are logged [s], from sampling and computing; the delay of the "
+                "servos and the hold of the commands, which the flights show, come on top (default: 0.02)",
+            ),
+            option(
+                "--slopes",
+                choices=["flown", "local"],
+                default="flown",
+                help="over the motion flown, or of small oscillations (default: flown)",
+            ),
+            option(
+                "--gain-margin",
+                type=POSITIVE,
+                default=6.0,
+                help="wanted (default: 6)",
+            ),
+            option(
+                "--phase-margin",
+                type=POSITIVE,
+                default=45.0,
+                help="wanted (default: 45)",
+            ),
+            option(
+                "--probability",
+                type=checked("a probability between 0 and 1", float, lambda p: 0 < p < 1),
+                default=0.95,
+                help="of the wanted margins (default: 0.95)",
+            ),
+        ],
+    },
+    fly: {
+        "": [
+            MODEL,
+            AIRCRAFT,
+            AIRSPEED,
+            FULL,
+            OUTPUT,
+            PARAMETERS,
+            option(
+                "--path",
+                type=number(">= 0", kind=int),
+                help="seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
+            ),
+            option(
+                "--height",
+                type=POSITIVE,
+                default=100.0,
+                help="of the start above the ground [m] (default: 100)",
+            ),
+            changed(ALTITUDE, help="of the ground [m] (default: 0)"),
+            option(
+                "--wind",
+                metavar=("NORTH", "EAST", "DOWN"),
+                type=number(),
+                nargs=3,
+                help="velocity of the air [m/s] (default: 0 0 0)",
+            ),
+            option(
+                "--gusts",
+                metavar="W|flown",
+                type=number(">= 0", "flown"),
+                help="gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
+            ),
+            option(
+                "--seconds",
+                type=POSITIVE,
+                help="of flight (default: until the autopilot is silent)",
+            ),
+            option(
+                "--wait",
+                type=POSITIVE,
+                default=60.0,
+                help="longest silence of the autopilot [s] (default: 60)",
+            ),
+            option(
+                "--port",
+                type=number(">= 1", kind=int),
+                default=9002,
+                help="UDP port (default: 9002)",
             ),
         ],
     },

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from string import Formatter
 from typing import Any
@@ -65,7 +65,7 @@ class PlainText(Kind):
     MESSAGE = "{text}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Finding:
     """A finding of a check, a reconstruction, a fit or an evaluation.
 
@@ -75,14 +75,17 @@ class Finding:
         Kind of the finding; rules decide by it.
     flight, channel : str, optional
         Flight and channel that it is about.
-    numbers : mapping of str to object
+    **numbers
         Numbers, names, and further findings that the text shows.
     """
 
     code: Kind
-    flight: Any = None
-    channel: str | None = None
-    numbers: Mapping[str, Any] = field(default_factory=dict)
+    flight: Any
+    channel: str | None
+    numbers: Mapping[str, Any]
+
+    def __init__(self, code: Kind, flight: Any = None, channel: Any = None, **numbers: Any) -> None:
+        vars(self).update(code=code, flight=flight, channel=channel, numbers=numbers)
 
     @property
     def severity(self) -> Severity:
@@ -106,6 +109,10 @@ class Finding:
         if self.code.statement[0].islower():
             clause = clause[0].upper() + clause[1:]
         return f"{clause}. {self.advice}".strip()
+
+    def of_flight(self, flight: Any) -> Finding:
+        """Return the finding about a flight."""
+        return Finding(self.code, flight, self.channel, **self.numbers)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as values for `plain`."""
@@ -134,7 +141,7 @@ def texts_of(findings: Iterable[Finding]) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> texts_of(Finding(PlainText.MESSAGE, numbers={"text": "late"}) for _ in range(2))
+    >>> texts_of(Finding(PlainText.MESSAGE, text="late") for _ in range(2))
     ('late. (1 more of this kind)',)
     """
     groups = _groups(findings, lambda finding: (finding.channel, finding.numbers.get("text")))

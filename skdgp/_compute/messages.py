@@ -41,7 +41,7 @@ def report(finding: Finding, category: type[FindingWarning] = FindingWarning) ->
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
     """Warn by a text, which is recorded as a finding of the code ``MESSAGE``."""
-    _keep(Finding(PlainText.MESSAGE, numbers={"text": " ".join(message.split())}))
+    _keep(Finding(PlainText.MESSAGE, text=" ".join(message.split())))
     warnings.warn(message, category, stacklevel=_level_of_user())
 
 

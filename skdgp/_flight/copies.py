@@ -41,13 +41,13 @@ def without_copies(
         if other is None:
             kept[name] = train[name]
         else:
-            report(Finding(Code.FLIGHT_TWICE, flight=name, numbers={"other": other}))
+            report(Finding(Code.FLIGHT_TWICE, flight=name, other=other))
     originals = {name: _original(flight, kept, motions) for name, flight in tests.items()}
     others = {name: flight for name, flight in tests.items() if originals[name] is None}
     for name, other in originals.items():
         if other is not None:
             kind = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
-            report(Finding(kind, flight=name, numbers={"other": other}))
+            report(Finding(kind, flight=name, other=other))
     return {name: train[name] for name in train if name in kept}, others or tests
 
 

@@ -100,7 +100,7 @@ class Fault(NamedTuple):
     @property
     def finding(self) -> Finding:
         """The finding of the fault."""
-        return Finding(self.code, self.flight, self.channel, self.numbers)
+        return Finding(self.code, self.flight, self.channel, **self.numbers)
 
 
 def find_faults(flights: FlightTable, ignore: Iterable[str] = ()) -> list[Fault]:
@@ -424,7 +424,7 @@ def without_ground(table: pd.DataFrame, name: str) -> pd.DataFrame:
     ground = on_ground(FlightTable.of(table))
     if not ground.any():
         return table
-    report(Finding(Code.ON_GROUND, flight=name, numbers={"percent": 100 * ground.mean()}))
+    report(Finding(Code.ON_GROUND, flight=name, percent=100 * ground.mean()))
     flown = table[~ground].reset_index(drop=True)
     flown.attrs = table.attrs
     return flown

@@ -186,6 +186,20 @@ class Code(Kind):
         "Its errors say nothing about other flights: test on another one.",
     )
 
+    # changes since the training flights
+    CHANGED = (
+        "flight {flight}: the aircraft has changed (p = {p:.2g}): likely [all forces {forces:.0%} (mass, wing area "
+        "or airspeed?), ]{likely:.2g} (± one standard deviation)",
+        "",
+        NOTE,
+    )
+    CHANGE_UNKNOWN = (
+        "flight {flight}: too short to tell whether the aircraft has changed",
+        "",
+        NOTE,
+    )
+    NO_CHANGE = "flight {flight}: no change found (p = {p:.2g})", "", NOTE
+
     # transformers
     AIRSPEED_CORRECTED = (
         "the airspeed has an error of {percent:+.2g} ± {std_percent:.2g} %, by the velocity over the ground "

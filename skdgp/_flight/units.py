@@ -251,7 +251,7 @@ def _warn_of_commands(flights: FlightTable) -> None:
         if top > 0.7 or (angles == 1).sum() > 1:
             large[name] = float(np.nanmax(angles))
     if large:
-        report(Finding(Code.LARGE_SURFACES, numbers={"largest": large}))
+        report(Finding(Code.LARGE_SURFACES, largest=large))
 
 
 def check_airspeed(airspeed: Vector) -> None:

@@ -290,8 +290,9 @@ def warn_of_approximation(neglected: float, n_inducing: int, n_exact: int | None
 
     ``n_exact``: the number of values that the model is learned from instead, if any.
     """
-    numbers = {"inducing": n_inducing, "neglected": neglected, "exact": n_exact}
-    report(Finding(FitCode.APPROXIMATION_POOR, numbers=numbers))
+    report(
+        Finding(FitCode.APPROXIMATION_POOR, inducing=n_inducing, neglected=neglected, exact=n_exact)
+    )
 
 
 def warn_of_indices(index: Any, y: Any) -> None:
@@ -308,13 +309,13 @@ def warn_of_samples(
     """Warn of constant regressors and outputs, and of repeated samples."""
     constant = _marked(regressors, constant_columns(X))
     if constant:
-        report(Finding(FitCode.CONSTANT_INPUTS, numbers={"names": constant}))
+        report(Finding(FitCode.CONSTANT_INPUTS, names=constant))
     constant = _marked(outputs, constant_columns(Y))
     if constant:
-        report(Finding(FitCode.CONSTANT_OUTPUTS, numbers={"names": constant}))
+        report(Finding(FitCode.CONSTANT_OUTPUTS, names=constant))
     repeated = int(pd.DataFrame(np.column_stack([X, Y])).duplicated().sum())
     if repeated:
-        report(Finding(FitCode.SAMPLES_REPEATED, numbers={"repeated": repeated, "samples": len(X)}))
+        report(Finding(FitCode.SAMPLES_REPEATED, repeated=repeated, samples=len(X)))
 
 
 def _marked(names, mask):
@@ -345,15 +346,18 @@ def warn_of_few_rows(
     is_trend = members == ["trend"] and lasting == 1.0 and rows > n_regressors
     if rows >= SETTINGS.least_rows * n_regressors or is_trend:
         return
-    numbers = {
-        "rows": len(errors),
-        "independent": rows,
-        "lasting": lasting if lasting > 1 else None,
-        "regressors": n_regressors,
-        "each": rows / n_regressors,
-        "least": SETTINGS.least_rows,
-    }
-    report(Finding(FitCode.FEW_ROWS, numbers=numbers), FewRowsWarning)
+    report(
+        Finding(
+            FitCode.FEW_ROWS,
+            rows=len(errors),
+            independent=rows,
+            lasting=lasting if lasting > 1 else None,
+            regressors=n_regressors,
+            each=rows / n_regressors,
+            least=SETTINGS.least_rows,
+        ),
+        FewRowsWarning,
+    )
 
 
 def search_ended(
@@ -374,7 +378,7 @@ def search_ended(
         std = X.std(axis=0)
         is_unscaled = (std > SETTINGS.scaled) | ((std > 0) & (std < 1 / SETTINGS.scaled))
         numbers["unscaled"] = _marked(names, is_unscaled)
-    return Finding(FitCode.SEARCH_STOPPED, numbers=numbers)
+    return Finding(FitCode.SEARCH_STOPPED, **numbers)
 
 
 def warn_of_outliers(
@@ -388,8 +392,7 @@ def warn_of_outliers(
     for name, of_output, white in zip(names, added.T, noise, strict=True):
         outliers += [f"{name} of row {row}" for row in rows[of_output > white]]
     if outliers:
-        numbers = {"count": len(outliers), "outliers": outliers}
-        report(Finding(FitCode.OUTLIERS_FOUND, numbers=numbers))
+        report(Finding(FitCode.OUTLIERS_FOUND, count=len(outliers), outliers=outliers))
 
 
 def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
@@ -406,7 +409,7 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
             if name not in before and not term.bounds_from_data(name[0]):
                 reached.append(text)
     if reached:
-        finding = Finding(FitCode.BOUNDS_REACHED, numbers={"reached": reached})
+        finding = Finding(FitCode.BOUNDS_REACHED, reached=reached)
         report(finding, SearchWarning)
 
 

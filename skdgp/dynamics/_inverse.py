@@ -137,8 +137,10 @@ def _measured(
     ignored = {*ignore, *(name for name in POSSIBLE if name not in NEEDED)}
     faults = [fault for fault in find_faults(flights, ignored) if not fault.is_measured]
     if faults:
-        numbers = {"faults": [fault.finding for fault in faults]}
-        report(Finding(Code.FAULTS_EXCLUDED, numbers=numbers), FlightDataWarning)
+        report(
+            Finding(Code.FAULTS_EXCLUDED, faults=[fault.finding for fault in faults]),
+            FlightDataWarning,
+        )
     return without_faults(flight, faults)
 
 

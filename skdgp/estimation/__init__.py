@@ -17,7 +17,6 @@ from skdgp.estimation._path import PathEstimate, SensorContradiction, estimate_p
 from skdgp.estimation._path import air_columns as air_columns
 from skdgp.estimation._path import contradictions as contradictions
 from skdgp.estimation._path import ground_paths as ground_paths
-from skdgp.estimation._path import overlapping_parts as overlapping_parts
 from skdgp.estimation._path import path_columns as path_columns
 from skdgp.estimation._path_equations import FlightPath
 from skdgp.estimation._sensors import AIR_SENSOR_ERRORS as AIR_SENSOR_ERRORS

@@ -17,7 +17,6 @@ section 8.3). The traces are estimated from draws of the posterior.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -329,24 +328,6 @@ def _variance_component(name: str, std: float, sums: Vector, pace: float) -> flo
     slope = squares / (total + np.finfo(float).tiny) - redundancy / weight / 2
     stride = pace / (1 - min(slope, 0.5) * (1 - redundancy / n_samples))
     return max(std * (total / weight) ** (stride / 2), least)
-
-
-def overlapping_parts(n: int, most: int) -> list[tuple[slice, slice]]:
-    """Return overlapping slices of n rows, and in each slice the rows between the overlaps.
-
-    Slices are equally long, at most ``most`` rows and one part in `PathSettings.overlap` more on
-    either side.
-    """
-    margin = most // SETTINGS.overlap
-    n_parts = -(-n // most)
-    edges = np.linspace(0, n, n_parts + 1).round().astype(int).tolist()
-    parts = []
-    for first, last in pairwise(edges):
-        start = max(first - margin, 0)
-        part = slice(start, min(last + margin, n))
-        inner = slice(first - start, last - start)
-        parts.append((part, inner))
-    return parts
 
 
 class SensorContradiction(NamedTuple):

@@ -102,11 +102,6 @@ class FlightPath(NamedTuple):
         gust = np.zeros_like(velocity)
         return cls(velocity, sensors.attitude, gust, np.zeros(len(PATH_CONSTANTS)))
 
-    def part(self, first: int, last: int) -> FlightPath:
-        """Return the states of samples ``first`` to ``last`` - 1."""
-        states = [values[first:last] for values in self[:-1]]
-        return FlightPath._make([*states, self.constants])
-
     def moved(self, states: Matrix, constants: Any) -> FlightPath:
         """Return the path with changes of states (n, 9) and constants (c,) added."""
         return FlightPath(

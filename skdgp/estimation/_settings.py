@@ -37,8 +37,6 @@ class PathSettings:
     tolerance: float = 0.02
     # draws from the posterior that estimate traces, an even number; trials
     n_draws: int = 32
-    # one row in so many of a part of a long flight overlaps on either side; trials
-    overlap: int = 32
     # weight of the gusts of the training flights [s of flight]: 2 and 5 have the best median scores
     gust_prior_seconds: float = 2.0
 

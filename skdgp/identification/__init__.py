@@ -6,7 +6,9 @@ from skdgp.identification._evaluate import THRESHOLDS
 from skdgp.identification._evaluate import Evaluation as Evaluation
 from skdgp.identification._evaluate import score_table as score_table
 from skdgp.identification._evaluate import scores as scores
+from skdgp.identification._flights import check_identified as check_identified
 from skdgp.identification._flights import named_flights as named_flights
+from skdgp.identification._flights import usable_flights_of_model as usable_flights_of_model
 from skdgp.identification._identification import Identification
 from skdgp.identification._identify import identify, validate
 from skdgp.identification._mechanics import FlightMechanics as FlightMechanics
@@ -16,8 +18,6 @@ from skdgp.identification._pipeline import (
     make_identification_pipeline,
 )
 from skdgp.identification._pipeline import flight_regressors as flight_regressors
-from skdgp.identification._prepare import check_identified as check_identified
-from skdgp.identification._prepare import usable_flights_of_model as usable_flights_of_model
 from skdgp.identification._verdict import Use as Use
 from skdgp.identification._verdict import Verdict
 

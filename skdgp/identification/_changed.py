@@ -18,6 +18,7 @@ from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, SPECIFIC_FORCE, VANES
+from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._log_errors import dynamic_load
@@ -92,51 +93,37 @@ class Changes:
     p_values: pd.DataFrame
     derivatives: pd.DataFrame
 
-    def summary(self) -> list[str]:
-        """Return a line for each flight."""
-        lines = []
-        for flight, p in self.p_values.iterrows():
-            text = f"no change found (p = {p[WHOLE]:.2g})"
-            if np.isnan(p[WHOLE]):
-                text = "too short to tell whether the aircraft has changed"
-            elif p[WHOLE] < LEVEL:
-                text = f"the aircraft has changed (p = {p[WHOLE]:.2g}): likely "
-                if p[FORCES] < LEVEL:
-                    change, std = self.derivatives.loc[(flight, FORCES)]
-                    text += (
-                        f"all forces {change:+.0%} +- {std:.0%} (mass, wing area or airspeed?), "
-                    )
-                text += self._likely(flight, p.index[p < LEVEL])
-            lines.append(f"flight {flight}: {text}")
-        return lines
+    @property
+    def findings(self) -> list[Finding]:
+        """Whether the aircraft has changed, a finding for each flight."""
+        return [self._finding(flight, p) for flight, p in self.p_values.iterrows()]
 
-    def _likely(self, flight: Any, coefficients: Any) -> str:
-        """Return the most certain changes of coefficients in a flight."""
+    def _finding(self, flight: Any, p: pd.Series) -> Finding:
+        """Return what a flight shows, with the most certain changes of the coefficients that have changed."""
+        if np.isnan(p[WHOLE]):
+            return Finding(Code.CHANGE_UNKNOWN, flight=flight)
+        if p[WHOLE] >= LEVEL:
+            return Finding(Code.NO_CHANGE, flight=flight, p=p[WHOLE])
         table: Any = self.derivatives.loc[flight]
-        table = table[table.index.str[:2].isin(coefficients)]
+        forces = tuple(table.loc[FORCES]) if p[FORCES] < LEVEL else None
+        table = table[table.index.str[:2].isin(p.index[p < LEVEL])]
         certain = (table["change"] / table["std"]).abs().nlargest(MOST_NAMED).index
-        parts = [
-            f"{row.Index} {row.change:+.2g} +- {row.std:.1g}"
-            for row in table.loc[certain].itertuples()
-        ]
-        return ", ".join(parts) + " (+- one standard deviation)"
+        likely = {row.Index: (row.change, row.std) for row in table.loc[certain].itertuples()}
+        return Finding(Code.CHANGED, flight=flight, p=p[WHOLE], forces=forces, likely=likely)
 
 
 def changes_in_flights(
-    pipeline: FlightPipeline,
-    flights: Sequence[Evaluation],
-    aircraft: Aircraft,
-    options: Mapping[str, Any],
+    pipeline: FlightPipeline, flights: Sequence[Evaluation], aircraft: Aircraft
 ) -> Changes:
-    """Return the changes that evaluated flights show; ``options`` are those of the model."""
+    """Return the changes of an aircraft that evaluated flights show."""
     compared = {}
     for flight in flights:
         # a smoother that depends on the flight takes more signal from a gentle one
         measured = aerodynamic_coefficients(
-            flight.table, aircraft, cutoff=None, thrust=options["thrust"]
+            flight.table, aircraft, cutoff=None, thrust=pipeline.thrust
         )
-        residuals = measured.to_numpy() - flight.mean
         by_acceleration = aircraft.mass / dynamic_load(flight.table, aircraft)
+        residuals = measured.to_numpy() - flight.mean
         compared[flight.name] = flight.regressors, residuals, by_acceleration
     return changes_of(pipeline, compared)
 
@@ -255,41 +242,38 @@ def _covariance(pipeline: Pipeline, X: Matrix, rows: Indices, by_acceleration: V
     log_errors = getattr(pipeline, "log_errors_", None)
     if log_errors is not None:
         function = function - log_errors.covariance(at)
-    trained = training_inputs(regressor.posterior_)
-    unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
-    effects = np.concatenate(
-        [
-            _constant_errors(pipeline, at, by_acceleration[rows]),
-            np.repeat(unlearned.T[:, :, None], len(COEFFICIENTS), axis=2),
-            _flattening(pipeline, X, trained, at),
-        ]
-    )
+    effects = _effects(pipeline, X, at, by_acceleration[rows])
     K = function.reshape(*mean.T.shape, *mean.T.shape)
-    return K + np.einsum("jni,jml->inlm", effects, effects)
+    return K + np.einsum("nij,mlj->inlm", effects, effects)
 
 
-def _constant_errors(pipeline: Pipeline, at: Matrix, by_acceleration: Vector) -> Array:
-    """Return the effects (d + 3, n, 6) of constant errors of vanes and accelerometers at regressors (n, d)."""
-    scale = pipeline["standardscaler"].scale_
-    vanes = np.isin(regressor_names(pipeline), VANES) * VANE_OFFSET / scale
-    by_vanes = np.moveaxis(pipeline[-1].predict_gradient(at) * vanes, -1, 0)
-    along_axes = np.eye(3, len(COEFFICIENTS))[:, None]
-    return np.concatenate([by_vanes, ACCELEROMETER_OFFSET * by_acceleration[:, None] * along_axes])
+def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector) -> Array:
+    """Return the effects (n, 6, J) of J errors of sensors, regressors and slopes in a flight X at rows (n, d)."""
+    regressor = pipeline[-1]
+    trained = training_inputs(regressor.posterior_)
+    is_vane = np.isin(regressor_names(pipeline), VANES)
+    offsets = VANE_OFFSET * is_vane / pipeline["standardscaler"].scale_
+    by_vanes = regressor.predict_gradient(at) * offsets
+    by_accelerometers = ACCELEROMETER_OFFSET * by_acceleration[:, None, None] * np.eye(6, 3)
+    unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
+    by_slopes = np.broadcast_to(unlearned[:, None], by_vanes.shape)
+    moved = (at - X.mean(axis=0)) @ (_precision(X) - _precision(trained))
+    slopes = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
+    by_noise = moved[:, None] * _noise_effects(pipeline, slopes)
+    return np.concatenate([by_vanes, by_accelerometers, by_slopes, by_noise], axis=-1)
 
 
-def _flattening(pipeline: Pipeline, X: Matrix, trained: Matrix, at: Matrix) -> Array:
-    """Return the effects (d, n, 6) of noise of the regressors, by which a flight X flattens slopes otherwise."""
-    slopes = pipeline[-1].predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    std = _noise_stds(pipeline)
+def _noise_effects(pipeline: Pipeline, slopes: Matrix) -> Matrix:
+    """Return the standard deviations (6, d) of E J for slopes J (6, d), with the sign of these.
+
+    Correlations of errors are unknown within symmetric and within lateral regressors.
+    """
     names = [name.removesuffix(HAT) for name in regressor_names(pipeline)]
     is_lateral = np.isin(names, [*MIRRORED])
-    # standard deviations (6, d) of the columns of E J; correlations are unknown within symmetric and
-    # within lateral regressors
     correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
     np.fill_diagonal(correlations, 1.0)
-    errors = np.copysign(np.sqrt((slopes * std) ** 2 @ correlations) * std, slopes)
-    moved = (at - X.mean(axis=0)) @ (_precision(X) - _precision(trained))
-    return moved.T[:, :, None] * errors.T[:, None]
+    std = _noise_stds(pipeline)
+    return np.copysign(np.sqrt((slopes * std) ** 2 @ correlations) * std, slopes)
 
 
 def _precision(X: Matrix) -> Matrix:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -77,8 +77,8 @@ class Evaluation:
 
     Parameters
     ----------
-    name, time : str, (n,)
-        What to call it, and the time of the samples [s].
+    name : str
+        What to call it.
     table : DataFrame
         The flight table, for the inputs and the path.
     states : DataFrame
@@ -99,7 +99,6 @@ class Evaluation:
     """
 
     name: str
-    time: Vector
     table: pd.DataFrame
     states: pd.DataFrame
     measured: Matrix
@@ -158,11 +157,10 @@ def evaluate(
     flight: FlightTable,
     pipeline: FlightPipeline,
     aircraft: Aircraft,
-    options: Mapping[str, Any],
 ) -> Evaluation:
-    """Predict a checked flight and replay it; ``options`` are those of the model."""
+    """Predict a checked flight and replay it."""
     notify(f"evaluating {name}")
-    thrust = options["thrust"]
+    thrust = pipeline.thrust
     corrected = pipeline[:1].transform(flight)
     X, ratio, path = flight_regressors(pipeline[1:], corrected)
     checked = replace(flight, table=corrected)
@@ -183,7 +181,6 @@ def evaluate(
         replayed = replay(checked, aircraft, mean, horizon=REPLAY_HORIZON, thrust=thrust)
     return Evaluation(
         name=name,
-        time=corrected["time"].to_numpy(float),
         table=corrected,
         states=states,
         measured=measured.to_numpy(),

@@ -1,26 +1,55 @@
-"""Flights by name, of tables, files and logs."""
+"""Flights of an identification: by name, of tables, files and logs, and checked, once.
+
+Behind `usable_flights` flights are without faults and have their usable rows.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from sklearn.pipeline import Pipeline
 
 from skdgp._compute.messages import report
 from skdgp._flight.channels import (
     ALL_SURFACES,
+    ELEVONS,
+    HAT,
+    HIGH_LIFT,
+    MIXED,
+    SURFACES,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
+from skdgp._flight.clock import n_rows
 from skdgp._flight.copies import without_copies
-from skdgp._flight.faults import without_ground
+from skdgp._flight.faults import FlightDataWarning, without_ground
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import FlightTable, check_table
+from skdgp._flight.physics import find_contradictions
+from skdgp._flight.tables import (
+    FlightTable,
+    check_spelling,
+    check_table,
+    numeric,
+    sensor_position,
+)
+from skdgp._flight.units import check_flight
+from skdgp._regressor import DependentGPRegressor
+from skdgp.dynamics import Aircraft, with_sensor_position
+from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
+from skdgp.preprocessing import clean
 
 Flights = dict[str, FlightTable]
 SLOWEST = 8.0  # rows a second that show the fast modes; a guess
+# elevons may stand for elevator and aileron, and the other way round
+INTERCHANGEABLE = (*MIXED, *ELEVONS)
+# steps that an evaluation of a model reads
+STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
+POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
 
 
 def train_and_test(
@@ -39,7 +68,7 @@ def train_and_test(
         servos = FULL_THROW
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
     if max(steps, default=0.0) > 1 / SLOWEST:
-        report(Finding(Code.SLOW_LOG, numbers={"rate": float(1 / max(steps))}))
+        report(Finding(Code.SLOW_LOG, rate=float(1 / max(steps))))
     tested: Flights = {}
     if test is not None:
         tested = named_flights(test, default="test flight", needed=needed, **reading)
@@ -57,13 +86,13 @@ def _without_last(flights: Flights) -> tuple[Flights, Flights]:
         report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
         return {name: flights[name] for name in earlier}, {last: flight}
     report(Finding(Code.HELD_OUT_QUARTER, flight=last))
-    names = f"{last}, first three quarters", f"{last}, last quarter"
+    learned, tested = f"{last}, first three quarters", f"{last}, last quarter"
     rows = np.arange(len(flight.time))
-    parts = np.split(rows, [round(0.75 * len(rows))])
-    learned, tested = (
-        flight.part(part).named(name) for part, name in zip(parts, names, strict=True)
+    begin = round(0.75 * len(rows))
+    return (
+        {learned: flight.part(rows[:begin]).named(learned)},
+        {tested: flight.part(rows[begin:]).named(tested)},
     )
-    return {names[0]: learned}, {names[1]: tested}
 
 
 def _servos_for(servos: Any, flights: Sequence[Any], regressors: Sequence[str]) -> Any:
@@ -142,3 +171,136 @@ def items_of(flights: Any) -> list:
     if isinstance(flights, Mapping):
         return list(flights.values())
     return list(flights) if isinstance(flights, list | tuple) else [flights]
+
+
+def regressor_columns(tables: Iterable[pd.DataFrame], regressors: Sequence[str]) -> list[str]:
+    """Return the measured columns of the tables that regressors are made from."""
+    needed = {"airspeed"}
+    if not {*MIXED}.isdisjoint(regressors):
+        needed |= {*ELEVONS}
+    for name in regressors:
+        bare = str(name).removesuffix(HAT)
+        needed |= {bare, bare.removesuffix("_dot")}
+    return list(dict.fromkeys(name for table in tables for name in table if name in needed))
+
+
+def usable_flights(
+    flights: Flights,
+    aircraft: Aircraft,
+    regressors: Sequence[str],
+    columns: Sequence[str],
+    *,
+    in_radians: bool,
+) -> Flights:
+    """Return flights without faults, and only rows that a model can learn from or predict.
+
+    They have the position of the inertial sensors, where flights or aircraft state it.
+
+    Warns of faults, of contradictions of physics, and of the rows that are left out. Raises
+    ValueError if a flight lacks one of the columns, which the model's flights have, or none of
+    its rows is left.
+    """
+    needed = [name for name in columns if name not in INTERCHANGEABLE]
+    surfaces = [name for name in SURFACES if name in regressors]
+    checked = {}
+    for name, flight in flights.items():
+        cleaned = clean(flight)
+        _check_surfaces(name, cleaned.table, in_radians)
+        _warn_of_positions(name, cleaned.table, aircraft)
+        check_flight(cleaned.table, needed)
+        check_spelling(cleaned.table, surfaces)
+        for finding in cleaned.findings or ():
+            report(finding, FlightDataWarning)
+        checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
+    _warn_of_contradictions(checked, aircraft)
+    return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
+
+
+def _check_surfaces(name: str, table: pd.DataFrame, in_radians: bool) -> None:
+    """Raise ValueError if surfaces of a flight are in radians, and others in parts of their full throw."""
+    has_surfaces = not {*ALL_SURFACES, *HIGH_LIFT}.isdisjoint(table)
+    if has_surfaces and in_radians == (IN_FULL_THROWS in table):
+        unit = "parts of their full throw" if in_radians else "rad"
+        raise ValueError(
+            f"Got flight {name!r} with surfaces in {unit}, and others that are not: expected one unit. "
+            f"Give logs with a servo file, or all in parts of the full throw with a column {IN_FULL_THROWS} of 1."
+        )
+
+
+def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft) -> None:
+    """Warn if a flight states another position of the inertial sensors than the aircraft.
+
+    An aircraft without one was learned with
+    the sensors at the centre of gravity, to which also the forces of a simulation refer.
+    """
+    stated = np.nan_to_num(sensor_position(table)).mean(axis=0)
+    distance = float(np.linalg.norm(stated - np.array(aircraft.sensor_position or np.zeros(3))))
+    if stated.any() and distance > POSITION_TOLERANCE:
+        report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, distance=distance))
+
+
+def _warn_of_contradictions(flights: Flights, aircraft: Aircraft) -> None:
+    """Warn of channels, and of sizes of the aircraft, that contradict others by physics, in all flights together."""
+    together = FlightTable.together(flights.values())
+    only = next(iter(flights)) if len(flights) == 1 else None
+    for contradiction in find_contradictions(together):
+        report(contradiction.of_flight(contradiction.flight or only), FlightDataWarning)
+    question = aircraft.question_of_sizes(together)
+    if question is not None:
+        report(question)
+
+
+def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str]) -> FlightTable:
+    """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
+    table = flights.table
+    columns = regressor_columns([table], regressors)
+    missing = ~np.isfinite(numeric(table, columns))
+    complete = np.flatnonzero(~missing.any(axis=1))
+    counts = {name: int(n) for name, n in zip(columns, missing.sum(axis=0), strict=True) if n}
+    runs = flights.part(complete).segments if complete.size else []
+    rows = [complete[run] for run in runs if n_rows(run) > 1]
+    if not rows:
+        raise ValueError(
+            f"Flight {flight!r} has {len(complete)} rows in which all of {columns} were sampled (missing, by "
+            f"rows: {counts}), none beside another, but expected thousands: bring slow sensors to the "
+            "clock of the others, drop columns that are empty, or name other regressors. Is the log "
+            "whole, and time in seconds?"
+        )
+    continuous = np.concatenate(rows)
+    if len(continuous) < len(table):
+        report(
+            Finding(
+                Code.ROWS_LEFT_OUT,
+                flight=flight,
+                left_out=len(table) - len(continuous),
+                rows=len(table),
+                missing=counts,
+                alone=len(complete) - len(continuous) or None,
+            )
+        )
+    return flights.part(continuous).named(flight)
+
+
+def usable_flights_of_model(pipeline: Pipeline, flights: Flights, aircraft: Aircraft) -> Flights:
+    """Return of each flight the rows that a fitted pipeline can predict; warn of the others, and of faults once.
+
+    Flights that do not state the position of their inertial sensors get the aircraft's. Raises
+    ValueError if the pipeline is not of `identify`, or a flight lacks a column that its training
+    flights had.
+    """
+    check_identified(pipeline)
+    regressors = regressor_names(pipeline)
+    of_fit = pd.DataFrame(columns=pipeline[0].feature_names_in_)
+    columns = regressor_columns([of_fit], regressors)
+    in_radians = not pipeline.control_units
+    return usable_flights(flights, aircraft, regressors, columns, in_radians=in_radians)
+
+
+def check_identified(pipeline: Pipeline) -> None:
+    """Raise ValueError if the pipeline is not one of `make_identification_pipeline` with a DependentGPRegressor."""
+    is_whole = isinstance(pipeline, FlightPipeline) and pipeline.named_steps.keys() >= STEPS
+    if not is_whole or not isinstance(pipeline[-1], DependentGPRegressor):
+        raise ValueError(
+            f"Got a model {type(pipeline).__name__}, but expected what make_identification_pipeline "
+            "makes, with a DependentGPRegressor: learn it with identify."
+        )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property, partial
 from pathlib import Path
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -138,7 +139,7 @@ class Identification:
         if self.fit.reconstruction is not None:
             lines.append(self.fit.reconstruction.clause)
         if self.changes is not None:
-            lines += self.changes.summary()
+            lines += [finding.clause for finding in self.changes.findings]
         lines += ["", self.verdict.compared()]
         for use in self.verdict.uses:
             lines.append(f"{use.purpose + ':':<22}{use.judgement}, {use.reason}")
@@ -175,18 +176,20 @@ class Identification:
         """What was done, as text."""
         paths = self.fit.reconstruction
         lags = {name: f"{lag:.3g} s" for name, lag in self.fit.lags_corrected.items()}
-        named = {"lags": lags, "options": self.options, "versions": software_versions()}
-        listed = {
-            what: ", ".join(f"{name} {value}" for name, value in values.items())
-            for what, values in named.items()
-        }
         return {
             "aircraft": repr(self.aircraft),
             "regressors": ", ".join(self.fit.regressors),
             "flight paths": "" if paths is None else paths.clause,
             "fit": self.fit.summary,
-            **listed,
+            "lags": _listed(lags),
+            "options": _listed(self.options),
+            "versions": _listed(software_versions()),
         }
+
+
+def _listed(values: Mapping[str, Any]) -> str:
+    """Return values with their names."""
+    return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def _sampling_of(table: pd.DataFrame) -> dict[str, float]:

@@ -10,19 +10,43 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+import pandas as pd
 from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_findings, report
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS, HIGH_LIFT
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    COEFFICIENTS,
+    HIGH_LIFT,
+    RATES,
+    REGRESSOR_SETS,
+    SPECIFIC_FORCE,
+    THRUST_COLUMNS,
+)
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.tables import FlightTable, sensor_position
 from skdgp._regressor import DependentGPRegressor, FitCode, search_ended
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients
+from skdgp.dynamics import (
+    QUANTITIES,
+    Aircraft,
+    ScaleFactor,
+    aerodynamic_coefficients,
+    check_aircraft,
+    propeller_speed_of,
+)
 from skdgp.identification._changed import changes_in_flights
 from skdgp.identification._evaluate import evaluate
-from skdgp.identification._flights import named_flights, train_and_test
+from skdgp.identification._flights import (
+    Flights,
+    named_flights,
+    regressor_columns,
+    train_and_test,
+    usable_flights,
+    usable_flights_of_model,
+)
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     FlightPipeline,
@@ -30,20 +54,12 @@ from skdgp.identification._pipeline import (
     regressor_names,
     step_of,
 )
-from skdgp.identification._prepare import (
-    MEASURED,
-    as_aircraft,
-    assumed_sizes,
-    names_of,
-    regressor_columns,
-    thrust_of,
-    usable_flights,
-    usable_flights_of_model,
-    with_position_of,
-)
 from skdgp.io import FULL_THROW, reversed_of
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
+# columns that the coefficients follow from
+MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
+ENGINE_COLUMNS = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 #: Units of the controls of a log without their scale
 FULL_THROW_UNITS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
 
@@ -134,7 +150,7 @@ def identify(
     (400, 6)
     """
     regressor = checked_regressor(regressor)
-    names = names_of(regressors)
+    names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
     with recorded_findings() as findings:
         notify("reading")
         train, tests, servos = train_and_test(flights, test, names, MEASURED, **reading or {})
@@ -143,8 +159,8 @@ def identify(
         columns = regressor_columns([flight.table for flight in train.values()], names)
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
         tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
-        thrust = thrust_of(train, aircraft, names, thrust)
         learned_from = FlightTable.together(train.values())
+        thrust = thrust_of(learned_from.table, aircraft, names, thrust)
         if units is not None:
             report(Finding(Code.FULL_THROWS))
         model = make_identification_pipeline(
@@ -166,14 +182,11 @@ def identify(
         if fit.lags_corrected:
             lags = fit.lags_corrected
             is_late = "servos" in lags or lags.get("surfaces", 0.0) < 0
-            numbers = {"lags": lags, "commands": is_late}
-            report(Finding(Code.LAGS_CORRECTED, numbers=numbers))
+            report(Finding(Code.LAGS_CORRECTED, lags=lags, commands=is_late))
         chosen = _options(model) | {"thrust": thrust, "horizon": horizon}
         if units is not None:
             chosen["servos"] = servos
-        evaluations = [
-            evaluate(name, flight, model, aircraft, chosen) for name, flight in tests.items()
-        ]
+        evaluations = [evaluate(name, flight, model, aircraft) for name, flight in tests.items()]
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
@@ -184,6 +197,73 @@ def identify(
         evaluations=evaluations,
         findings=(*assumed_sizes(aircraft, model.errors_), *_named_once(findings)),
     )
+
+
+def as_aircraft(aircraft: Any) -> Aircraft:
+    """Return the aircraft, read from a file where a path is given."""
+    is_path = isinstance(aircraft, str | os.PathLike)
+    return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
+
+
+def with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
+    """Return the aircraft with the one position of the inertial sensors that all flights state, if it has none.
+
+    A model then has it for flights that state none.
+    """
+    stated = np.unique(
+        np.concatenate([sensor_position(flight.table) for flight in flights.values()]), axis=0
+    )
+    if aircraft.sensor_position is not None or len(stated) != 1 or not np.isfinite(stated).all():
+        return aircraft
+    return replace(aircraft, sensor_position=stated[0].tolist())
+
+
+def thrust_of(
+    flights: pd.DataFrame,
+    aircraft: Aircraft,
+    regressors: Sequence[str],
+    thrust: str | None = "auto",
+) -> str | None:
+    """Return the thrust as an option, None where it is a part of the coefficients; warn of that.
+
+    It is where the flights have a throttle, and nothing gives the thrust that this sets. Warn, too, if
+    then an engine changes it, and no regressor tells how.
+    """
+    has_thrust = not {*THRUST_COLUMNS}.isdisjoint(flights)
+    has_propeller = propeller_speed_of(aircraft.propeller, flights) is not None
+    if thrust == "auto" and "throttle" in flights and not (has_thrust or has_propeller):
+        thrust = None
+        if (flights["throttle"] > 0).any():
+            report(Finding(Code.THRUST_IN_COEFFICIENTS))
+    varied = [name for name in ENGINE_COLUMNS if name in flights and flights[name].nunique() > 1]
+    if thrust is None and varied and {*varied}.isdisjoint(regressors):
+        report(Finding(Code.ENGINE_UNEXPLAINED, names=varied))
+    return thrust
+
+
+def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list[Finding]:
+    """Return the findings of sizes that are uncertain, by errors of all causes together, and of their sources.
+
+    ``errors`` are those of the aircraft's model.
+    """
+    findings = []
+    sizes = {}
+    for name, value in aircraft.sizes.items():
+        std = aircraft.relative_std(name)
+        if std:
+            label = f"{name.replace('_', ' ')} [{QUANTITIES.get(name, 'kg m^2')}]"
+            sizes[label] = value, std * value
+    if sizes:
+        findings.append(Finding(Code.SIZES_ESTIMATED, sizes=sizes))
+    factors = {**(aircraft.deviations or {}), **errors}
+    sources = {
+        name: factor.source
+        for name, factor in factors.items()
+        if factor.source not in ("", "given")
+    }
+    if sources:
+        findings.append(Finding(Code.SIZES_SOURCES, sources=sources))
+    return findings
 
 
 def checked_regressor(regressor: DependentGPRegressor | None) -> DependentGPRegressor:
@@ -253,10 +333,9 @@ def validate(
             if name in model.get("flights", []):
                 report(Finding(Code.ALREADY_LEARNED, flight=name))
         evaluations = [
-            evaluate(name, flight, model.pipeline, aircraft, options)
-            for name, flight in usable.items()
+            evaluate(name, flight, model.pipeline, aircraft) for name, flight in usable.items()
         ]
-        changes = changes_in_flights(model.pipeline, evaluations, aircraft, options)
+        changes = changes_in_flights(model.pipeline, evaluations, aircraft)
     return Identification(
         title=f"{aircraft.name}: a model on other flights",
         aircraft=aircraft,

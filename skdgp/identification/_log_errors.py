@@ -1,8 +1,9 @@
-"""Errors of a flight log that its flights leave, and the linear models of the rows of the fit that they change."""
+"""Errors of a learned function that its flights do not show: by the log, by the thrust, and by rates of the air."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -22,22 +23,31 @@ from skdgp._flight.clock import Clock, median_step
 from skdgp._flight.sensor_position import acceleration_by_rotation, rotation
 from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import has_values, numeric, sensor_position
-from skdgp.dynamics import Aircraft, ScaleFactor, dynamic_pressure, propulsive_loads
+from skdgp.dynamics import (
+    Aircraft,
+    ScaleFactor,
+    Turbulence,
+    dynamic_pressure,
+    gust_rate_lags,
+    propulsive_loads,
+)
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
-from skdgp.inference import FunctionErrors, linear_weights
+from skdgp.inference import FunctionErrors, attenuation, errors_of_slopes, linear_weights
 
 # Standard deviation of the time of a channel against the inertial sensors, by its motion between
 # samples [steps of the log], and prior of this time [s] (guess)
 CLOCK_STEPS = 0.1
 CLOCK = 0.01
+MOMENTS = COEFFICIENTS[3:]
 CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
 
-def fit_least_squares(regressors: pd.DataFrame, Y: pd.DataFrame) -> pd.DataFrame:
-    """Return intercept and slopes (1 + d, 6) of coefficients (n, 6) by regressors (n, d), where they are observed."""
+def fit_least_squares(regressors: pd.DataFrame, Y: Any) -> pd.DataFrame:
+    """Return intercept and slopes (1 + d, P) of targets (n, P) by regressors (n, d), where they are observed."""
+    targets = pd.DataFrame(Y)
     names = ["intercept", *regressors]
-    return pd.DataFrame(linear_weights(regressors.to_numpy(), Y), names, [*COEFFICIENTS])
+    return pd.DataFrame(linear_weights(regressors.to_numpy(), targets), names, [*targets])
 
 
 def by_least_squares(regressors: pd.DataFrame, linear: pd.DataFrame) -> Matrix:
@@ -106,6 +116,71 @@ def thrust_errors(
     table = pd.DataFrame(weights, endings, [*COEFFICIENTS])
     added = {C + ending: table[C][ending] for C in COEFFICIENTS for ending in endings}
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
+
+
+def errors_by_air(
+    regressors: pd.DataFrame,
+    linear: pd.DataFrame,
+    turbulence: Turbulence,
+    aircraft: Aircraft,
+    density: float,
+) -> FunctionErrors:
+    r"""Return the errors by rates of the air, noise of regressors (n, d) whose size follows from the gusts.
+
+    Gyros show it as far as the aircraft follows the air, and the angles of the flow by the gusts w that
+    cause it: a rate q_g of variance :math:`\sigma_q^2` that lags behind the slope of w by T has, at the
+    airspeed V,
+
+    .. math:: \mathrm{cov}(w / V, q_g) = T \sigma_q^2.
+
+    The horizontal axes of gusts are those of the mean wind in MIL-F-8785C, at low altitude, and those
+    of the flight in a frozen field. With every angle between them equally likely, rolling and pitching
+    both have the mean of their variances, and half of the squared covariance with w. The covariance
+    of sideslip and yaw rate is not halved: in simulations with the gusts' axes along the flight it was
+    1.3 to 1.7 times :math:`T \sigma_r^2`.
+    """
+    airspeed: Any = turbulence.airspeed  # of flights it is known
+    roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
+    horizontal = (roll + pitch) / 2
+    lags = gust_rate_lags(airspeed, aircraft.span)
+    unit = aircraft.moment_lengths / (2 * airspeed)
+    rates = [f"{name}{HAT}" for name in RATES]
+    followed = rates_followed(linear, aircraft, airspeed, density, lags)
+    variances = followed * [horizontal, horizontal, yaw] * unit**2
+    by_pitch = np.sqrt(0.5) * pitch
+    flow = lags * unit * [[by_pitch, by_pitch, 0.0], [0.0, 0.0, yaw]]
+    X = regressors.to_numpy()
+    slopes = linear.loc[regressors.columns].to_numpy().T
+    errors = []
+    for covariance in (
+        pd.DataFrame(np.diag(variances), rates, rates),
+        pd.DataFrame(flow, VANES, rates),
+    ):
+        of_noise = covariance.reindex(regressors.columns, fill_value=0.0)
+        noise = of_noise.reindex(columns=regressors.columns, fill_value=0.0).to_numpy()
+        errors.append([attenuation(X, noise, of_output) for of_output in slopes])
+    return errors_of_slopes(np.concatenate(errors, axis=-1), X.mean(axis=0))
+
+
+def rates_followed(
+    linear: pd.DataFrame, aircraft: Aircraft, airspeed: float, density: float, gust_time: Any
+) -> Vector:
+    r"""Return the fraction (3,) of the variance of the rates of the air by which the aircraft's vary with them.
+
+    By the damping d of an axis, :math:`\dot p = -d (p - p_g)`, and gusts of the correlation time T,
+
+    .. math:: \frac{\mathrm{cov}(p, p_g)}{\mathrm{var}\, p_g} = \frac{d\, T}{1 + d\, T}.
+
+    It is 1 where the estimated damping is not positive, or the moment is no target.
+    In pitch static stability lets the aircraft follow less: there the fraction is an upper bound (0.68
+    instead of 0.07 for the Camel).
+    """
+    load = dynamic_pressure(airspeed, density) * aircraft.wing_area
+    rates = [f"{name}{HAT}" for name in RATES]
+    slopes = linear.reindex(rates, fill_value=0.0).reindex(columns=MOMENTS, fill_value=0.0)
+    by_rate = load * aircraft.moment_lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)
+    followed = np.maximum(-by_rate * np.diag(slopes), 0.0) * gust_time
+    return np.where(followed > 0, followed / (1 + followed), 1.0)
 
 
 def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionErrors:

@@ -17,7 +17,7 @@ from skdgp._flight.clock import n_rows
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
 from skdgp._flight.smoothing import noise_level
-from skdgp._flight.tables import FlightTable, interpolated, numeric, unwrapped
+from skdgp._flight.tables import FlightTable, by_name, interpolated, numeric, unwrapped
 from skdgp.dynamics import (
     ATTITUDE,
     VELOCITY,
@@ -84,20 +84,18 @@ def flight_mechanics(
 
     Without a thrust the flight is a glide. Where there is no trim, derivatives are at the conditions.
     """
-    flown = pd.Series(conditions, dtype=float)
-    airspeed = float(flown["airspeed"])
-    thrust = options["thrust"]
-    given: dict[str, Any] = {"thrust": thrust, "air": Air(density=float(flown["density"]))}
-    at: tuple[Array, Any] = _median_state(flown)
+    airspeed, thrust = conditions["airspeed"], options["thrust"]
+    given: dict[str, Any] = {"thrust": thrust, "air": Air(density=conditions["density"])}
     notes = []
     steady: Any = None
     try:
         climb = None if thrust is None else 0.0
-        altitude = float(np.nan_to_num(flown.get("altitude", 0.0)))
+        altitude = float(np.nan_to_num(conditions.get("altitude", 0.0)))
         steady = trim(pipeline, aircraft, airspeed, altitude=altitude, climb=climb, **given)
-        at = steady.state, steady.controls
+        at: tuple[Array, Any] = steady.state, steady.controls
     except ValueError:
-        notes.append(Finding(Code.NO_TRIM, numbers={"airspeed": airspeed}))
+        notes.append(Finding(Code.NO_TRIM, airspeed=airspeed))
+        at = _median_state(conditions), conditions
     computed: dict[str, Any] = {}
     try:
         derivatives = stability_derivatives(pipeline, aircraft, *at, **given)
@@ -107,20 +105,20 @@ def flight_mechanics(
             modes = linearize(pipeline, aircraft, *at, n_paths=n_paths, **given).modes()
         computed = {"derivatives": derivatives, "modes": modes}
     except ValueError as error:
-        notes.append(Finding(Code.NO_DERIVATIVES, numbers={"error": str(error)}))
+        notes.append(Finding(Code.NO_DERIVATIVES, error=str(error)))
     try:
         computed["simulation"] = simulation_errors(pipeline, aircraft, flights, options)
     except ValueError as error:
-        notes.append(Finding(Code.NOT_SIMULATED, numbers={"error": str(error)}))
+        notes.append(Finding(Code.NOT_SIMULATED, error=str(error)))
     return FlightMechanics(trim=steady, notes=tuple(notes), **computed)
 
 
-def _median_state(flown: pd.Series) -> tuple[Array, dict[str, float]]:
-    """Return the median state with level wings, and the median inputs."""
+def _median_state(conditions: Mapping[str, float]) -> Array:
+    """Return the median state with level wings."""
     state = np.zeros(13)
-    state[VELOCITY] = air_velocity(flown["airspeed"], float(flown.get("alpha", 0.0)), 0.0)
+    state[VELOCITY] = air_velocity(conditions["airspeed"], conditions.get("alpha", 0.0), 0.0)
     state[ATTITUDE] = euler_to_quaternion(0.0, 0.0, 0.0)
-    return state, {str(name): float(value) for name, value in flown.items()}
+    return state
 
 
 def simulation_errors(
@@ -155,13 +153,14 @@ def simulation_errors(
     )
     # an infinite error where a simulation ended
     squares = (np.nan_to_num(simulated - measured, nan=np.inf) ** 2).mean(axis=0)
-    intervals = np.array_split(np.arange(len(elapsed)), min(TIMES, len(elapsed)))
-    means = np.array([squares[rows].mean(axis=0) for rows in intervals])
+    n = min(TIMES, len(elapsed))
+    means = np.array([rows.mean(axis=0) for rows in np.array_split(squares, n)])
+    begins = [times[0] for times in np.array_split(elapsed, n)]
 
     spread, limit = _limits(tables)
-    # of an error that is late in no interval the end
+    # an error that is small in every interval lasts to the end
     late = np.vstack([means > limit**2, np.ones(len(STATES), bool)])
-    ends = np.array([*(elapsed[rows[0]] for rows in intervals), elapsed[-1]])
+    ends = np.append(begins, elapsed[-1])
     columns = {
         "spread": spread,
         "limit": limit,
@@ -219,12 +218,10 @@ def _parts(tables: Sequence[pd.DataFrame], horizon: float) -> list[pd.DataFrame]
     """
     segments = [segment for table in tables for segment in _segments(table)]
     if segments:
-        lengths = [np.ptp(segment["time"]) for segment in segments]
-        horizon = min(horizon, float(np.median(lengths)))
+        horizon = min(horizon, float(np.median([np.ptp(part["time"]) for part in segments])))
     parts: list[pd.DataFrame] = []
     if horizon > 2 * STEP:
-        for segment in segments:
-            parts += _parts_of(segment, horizon)
+        parts = [part for segment in segments for part in _parts_of(segment, horizon)]
     if not parts:
         raise ValueError(
             f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known"
@@ -236,16 +233,15 @@ def _parts(tables: Sequence[pd.DataFrame], horizon: float) -> list[pd.DataFrame]
 def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
     """Return the segments of a flight without gaps, whose angles do not jump."""
     names = [name for name in (*STATES, "psi") if name in table]
-    smooth = table.copy()
-    smooth[names] = unwrapped(table, names)
+    smooth = table.assign(**by_name(names, unwrapped(table, names)))
     runs = FlightTable.of(smooth).segments
     return [smooth.iloc[run] for run in runs if n_rows(run) > 2]
 
 
 def _parts_of(segment: pd.DataFrame, horizon: float) -> Iterator[pd.DataFrame]:
     """Yield the parts of a segment whose states are known."""
-    time = segment["time"].to_numpy(float)
-    for begin in np.arange(time[0], time[-1] - LEAST_PART * horizon, horizon):
-        flown = segment[(time >= begin) & (time <= begin + horizon)]
+    time = segment["time"]
+    for begin in np.arange(time.iloc[0], time.iloc[-1] - LEAST_PART * horizon, horizon):
+        flown = segment[time.between(begin, begin + horizon)]
         if len(flown) > 2 and np.isfinite(numeric(flown, STATES)).all():
             yield flown.assign(time=flown["time"] - flown["time"].iloc[0]).reset_index(drop=True)

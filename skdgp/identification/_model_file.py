@@ -106,8 +106,13 @@ def load_model(path: str | os.PathLike) -> Bunch:
             f"{FORMAT}: fit it again, or install that version."
         )
     if made_by != installed:
-        numbers = {"path": str(path), "differences": f"{made_by} (installed: {installed})"}
-        report(Finding(Code.OTHER_VERSIONS, numbers=numbers))
+        report(
+            Finding(
+                Code.OTHER_VERSIONS,
+                path=str(path),
+                differences=f"{made_by} (installed: {installed})",
+            )
+        )
     try:
         with warnings.catch_warnings():
             # the versions are told above

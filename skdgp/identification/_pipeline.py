@@ -13,11 +13,11 @@ import pandas as pd
 from sklearn.base import clone
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.utils.validation import check_consistent_length, check_is_fitted
+from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SENSOR_GUST, VANES
+from skdgp._flight.channels import COEFFICIENTS, RATES, SENSOR_GUST
 from skdgp._flight.findings import Code, with_codes
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._regressor import DependentGPRegressor
@@ -26,12 +26,11 @@ from skdgp.dynamics import (
     ScaleFactor,
     Turbulence,
     check_aircraft,
-    dynamic_pressure,
-    gust_rate_lags,
     with_sensor_position,
 )
 from skdgp.estimation import prior_deviations
 from skdgp.identification._log_errors import (
+    errors_by_air,
     fit_least_squares,
     learned_errors,
     regression_calibration,
@@ -40,8 +39,6 @@ from skdgp.identification._log_errors import (
 from skdgp.inference import (
     FunctionErrors,
     KnownSlopes,
-    attenuation,
-    errors_of_slopes,
     linear_weights,
 )
 from skdgp.metrics import check_scored
@@ -201,15 +198,8 @@ def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
 
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    mean, scale = scaling_of(pipeline)
-    return pd.DataFrame(regressors * scale + mean, columns=regressor_names(pipeline))
-
-
-def scaling_of(pipeline: Pipeline) -> tuple[Vector, Vector]:
-    """Return the means and scales (d,) by which regressors are standardised, 0 and 1 without a scaler."""
-    scaler = step_of(pipeline, StandardScaler)
-    d = len(regressor_names(pipeline))
-    return (np.zeros(d), np.ones(d)) if scaler is None else (scaler.mean_, scaler.scale_)
+    values = pipeline["standardscaler"].inverse_transform(regressors)
+    return pd.DataFrame(values, columns=regressor_names(pipeline))
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
@@ -241,7 +231,7 @@ class FlightPipeline(Pipeline):
     Parameters
     ----------
     steps : list of (str, estimator)
-        The first is a :class:`skdgp.preprocessing.FlightCheck`.
+        Of :func:`make_identification_pipeline`; each may be replaced.
     aircraft : Aircraft, optional
         For errors of the log and turbulence.
     samples : int, "all" or None
@@ -268,9 +258,8 @@ class FlightPipeline(Pipeline):
         Duration of the fit [s].
     turbulence_ : Turbulence or None
         Of the flights of the fit, where they show it.
-    least_squares_ : DataFrame (1 + d, 6)
-        Intercept and slopes of the six coefficients by least squares of the same rows, in units; empty
-        of other targets.
+    least_squares_ : DataFrame (1 + d, P)
+        Intercept and slopes of the targets by least squares of the same rows, in units.
     errors_ : dict of str to ScaleFactor
         Error of the propeller's thrust, which flights do not show, and its effect on the coefficients.
     log_errors_ : FunctionErrors or None
@@ -324,14 +313,17 @@ class FlightPipeline(Pipeline):
         # with a ``memory``, clones of the steps were fitted
         self.steps = [*first.steps, *others.steps, self.steps[-1]]
         self._learn_flights(flights)
-        self._learn_coefficients(flights, regressors, y)
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
-        if isinstance(last, DependentGPRegressor):
-            parameters = self._facts(flights, regressors, y) | parameters
+        is_dependent = isinstance(last, DependentGPRegressor)
+        slopes = self._slopes_of_air(regressors, y) if is_dependent else None
+        errors = self._learn_errors(flights, regressors, y, has_air=slopes is not None)
+        if is_dependent:
+            clock = {"time": flights.get("time"), "flight": flights.get("flight")}
+            parameters = {**clock, "slopes": slopes, "errors": errors, **parameters}
         last.fit(regressors, y, **parameters)
         self.calibration_ = None
-        if "slopes" in parameters:
+        if slopes is not None:
             residuals = np.asarray(y, dtype=float) - last.predict(regressors)
             self.calibration_ = linear_weights(regressors, residuals)
         self.fit_time_ = round(time.monotonic() - began, 3)
@@ -347,26 +339,6 @@ class FlightPipeline(Pipeline):
             samples = MOST_EXACT if is_exact else MOST_SPARSE
         return thin_targets(y, cast("int", samples))
 
-    def _facts(self, flights: pd.DataFrame, X: Matrix, y: Any) -> dict[str, Any]:
-        """Return clock of flights, known slopes, and errors that samples do not show, as parameters of the last step.
-
-        Errors are by the log, and, of flights with vanes, by the rates of the air.
-        """
-        facts: dict[str, Any] = {}
-        if "time" in flights:
-            facts["time"] = flights["time"].to_numpy(float)
-            if "flight" in flights:
-                facts["flight"] = np.asarray(flights["flight"])
-        errors = [] if self.log_errors_ is None else [self.log_errors_]
-        known = self._slopes_of_air(X, y)
-        if known is not None:
-            facts["slopes"] = known
-        elif self.turbulence_ is not None:
-            errors.insert(0, self._errors_by_air(self.turbulence_, X, y))
-        if errors:
-            facts["errors"] = reduce(FunctionErrors.joined, errors)
-        return facts
-
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
         """Return the slopes that the motion of the air shows, None with vanes.
 
@@ -377,110 +349,55 @@ class FlightPipeline(Pipeline):
             return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
         names = outputs, regressor_names(self)
-        _, scale = scaling_of(self)
+        scale = self["standardscaler"].scale_
         if reconstruction.air_motion_ is not None:
             return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
         if with_codes(reconstruction.doubts_, Code.GUSTS_UNKNOWN):
             return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
         return None
 
-    def _errors_by_air(self, turbulence: Turbulence, X: Matrix, y: Any) -> FunctionErrors:
-        r"""Return the errors by rates of the air, noise of the regressors whose size follows from the gusts.
+    def _learn_errors(
+        self, flights: pd.DataFrame, X: Matrix, y: Any, *, has_air: bool
+    ) -> FunctionErrors | None:
+        """Learn least squares of the targets, and return the errors of the function that samples do not show.
 
-        Gyros show it as far as the aircraft follows the air, and the angles of the flow by the gusts w that
-        cause it: a rate q_g of variance :math:`\sigma_q^2` that lags behind the slope of w by T has, at the
-        airspeed V,
-
-        .. math:: \mathrm{cov}(w / V, q_g) = T \sigma_q^2.
-
-        The horizontal axes of gusts are those of the mean wind in MIL-F-8785C, at low altitude, and those
-        of the flight in a frozen field. With every angle between them equally likely, rolling and pitching
-        both have the mean of their variances, and half of the squared covariance with w. The covariance
-        of sideslip and yaw rate is not halved: in simulations with the gusts' axes along the flight it was
-        1.3 to 1.7 times :math:`T \sigma_r^2`.
+        They are by the log, and, of flights without slopes by the motion of the air, by its rates.
         """
-        aircraft: Any = self.aircraft  # flights of a known one show turbulence
-        airspeed: Any = turbulence.airspeed  # of flights it is known
-        roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
-        variance = np.array([(roll + pitch) / 2, (roll + pitch) / 2, yaw])
-        lag = gust_rate_lags(airspeed, aircraft.span)
-        unit = aircraft.moment_lengths / (2 * airspeed)
-        rates = [f"{name}{HAT}" for name in RATES]
-        followed = self._followed(airspeed, lag) * variance
-        own = pd.DataFrame(np.diag(followed * unit**2), rates, rates)
-        by_pitch = np.sqrt(0.5) * pitch
-        flow = lag * unit * [[by_pitch, by_pitch, 0.0], [0.0, 0.0, yaw]]
-        of_flow = pd.DataFrame(flow, VANES, rates)
-        names = regressor_names(self)
-        scale = scaling_of(self)[1]
-        complete = X[np.isfinite(X).all(axis=1)]
-        linear = linear_weights(X, y)[1:].T
-        errors = []
-        for covariance in (own, of_flow):
-            of_regressors = covariance.reindex(index=names, columns=names, fill_value=0.0)
-            scaled = of_regressors.to_numpy() / np.outer(scale, scale)
-            errors.append([attenuation(complete, scaled, slopes) for slopes in linear])
-        return errors_of_slopes(np.concatenate(errors, axis=-1), complete.mean(axis=0))
-
-    def _followed(self, airspeed: float, gust_time: Any) -> Vector:
-        r"""Return the fraction (3,) of the variance of the rates of the air by which the aircraft's vary with them.
-
-        By the damping d of an axis, :math:`\dot p = -d (p - p_g)`, and gusts of the correlation time T,
-
-        .. math:: \frac{\mathrm{cov}(p, p_g)}{\mathrm{var}\, p_g} = \frac{d\, T}{1 + d\, T}.
-
-        It is 1 where the estimated damping is not positive, or where not all six coefficients are targets.
-        In pitch static stability lets the aircraft follow less: there the fraction is an upper bound (0.68
-        instead of 0.07 for the Camel).
-        """
-        aircraft: Any = self.aircraft
-        density = self.conditions_.get("density", 0.0)
-        load = dynamic_pressure(airspeed, density) * aircraft.wing_area
-        lengths = aircraft.moment_lengths
-        slopes = self.least_squares_.reindex(
-            index=[f"{name}{HAT}" for name in RATES], columns=COEFFICIENTS[3:], fill_value=0.0
-        )
-        by_rate = load * lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)
-        damping = -by_rate * np.diag(slopes)
-        followed = np.maximum(damping, 0.0) * gust_time
-        return np.where(damping > 0, followed / (1 + followed), 1.0)
-
-    def _learn_coefficients(self, flights: pd.DataFrame, X: Matrix, y: Any) -> None:
-        """Learn least squares of the six coefficients, and errors of the log that its flights do not show."""
-        self.least_squares_ = pd.DataFrame()
         self.errors_ = {}
         self.log_errors_: FunctionErrors | None = None
-        if not isinstance(y, pd.DataFrame) or list(y) != list(COEFFICIENTS):
-            return
         named = named_regressors(self, X)
-        self.least_squares_ = fit_least_squares(named, y)
-        if self.aircraft is None or not has_values(flights, "time", "airspeed", "density", *RATES):
-            return
-        if self.thrust is not None:
-            self.errors_ = thrust_errors(flights, self.aircraft, named)
-        corrector = step_of(self, LagCorrector)
-        check = step_of(self, FlightCheck)
-        errors = learned_errors(
-            with_sensor_position(flights, self.aircraft),
-            self.aircraft,
-            named,
-            self.least_squares_,
-            None if corrector is None else corrector.lags_,
-            0.0 if check is None else check.airspeed_scale_.left(),
-        )
-        mean, scale = scaling_of(self)  # X = (x - mean) / scale
-        units = -mean / scale, 1 / scale, np.ones(len(COEFFICIENTS))
-        self.log_errors_ = errors.in_units(*units)
+        self.least_squares_ = linear = fit_least_squares(named, y)
+        scaler = self["standardscaler"]  # X = (x - mean) / scale
+        units = -scaler.mean_ / scaler.scale_, 1 / scaler.scale_, np.ones(linear.shape[1])
+        errors = []
+        if self.turbulence_ is not None and not has_air:
+            density = self.conditions_.get("density", 0.0)
+            aircraft: Any = self.aircraft  # flights of a known one show turbulence
+            by_air = errors_by_air(named, linear, self.turbulence_, aircraft, density)
+            errors.append(by_air.in_units(*units))
+        is_logged = has_values(flights, "time", "airspeed", "density", *RATES)
+        if self.aircraft is not None and is_logged and [*linear] == [*COEFFICIENTS]:
+            if self.thrust is not None:
+                self.errors_ = thrust_errors(flights, self.aircraft, named)
+            corrector = step_of(self, LagCorrector)
+            check = step_of(self, FlightCheck)
+            by_log = learned_errors(
+                with_sensor_position(flights, self.aircraft),
+                self.aircraft,
+                named,
+                linear,
+                None if corrector is None else corrector.lags_,
+                0.0 if check is None else check.airspeed_scale_.left(),
+            )
+            self.log_errors_ = by_log.in_units(*units)
+            errors.append(self.log_errors_)
+        return reduce(FunctionErrors.joined, errors) if errors else None
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
         """Learn duration, conditions and turbulence of checked flights."""
-        self.seconds_ = 0.0
-        self.flights_: dict[str, int] = {}
         clock = FlightTable.of(flights).clock
-        for name, rows in clock.rows.items():
-            self.flights_[str(name)] = len(rows)
-            if len(rows) > 1:  # each at its own rate
-                self.seconds_ += len(rows) * float(np.median(np.diff(clock.time[rows])))
+        self.seconds_ = float(sum(np.ptp(clock.time[segment]) for segment in clock.segments))
+        self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
         self.conditions_ = flights.median(numeric_only=True).astype(float).to_dict()
         self.turbulence_ = None
         if self.aircraft is not None:
@@ -519,16 +436,12 @@ class FlightPipeline(Pipeline):
             return predicted[0] + added, predicted[1]
         return predicted + added
 
-    def score(
-        self, X: pd.DataFrame, y: Any = None, sample_weight: Any = None, **params: Any
-    ) -> float:
+    def score(self, X: pd.DataFrame, y: Any = None) -> float:
         """Return the coefficient of determination R^2 of ``predict`` for observed coefficients, averaged.
 
         Coefficients y (n, 6) are NaN where they were not observed.
         """
-        measured, mean = check_scored(y, self.predict(X, **params))
-        check_consistent_length(measured, sample_weight)
-        return r2_of_observed(measured, mean, sample_weight)
+        return r2_of_observed(*check_scored(y, self.predict(X)))
 
 
 def _n_observed(y: Any) -> int:

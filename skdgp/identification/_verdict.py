@@ -190,7 +190,7 @@ def _if_any(code: Code, **numbers: Any) -> list[Finding]:
         return []
     for name, values in numbers.items():
         numbers[name] = values.to_dict() if isinstance(values, pd.Series) else list(values)
-    return [Finding(code, numbers=numbers)]
+    return [Finding(code, **numbers)]
 
 
 def _doubts(fit: Bunch, findings: Sequence[Finding]) -> list[Finding]:
@@ -210,13 +210,15 @@ def _training_findings(fit: Bunch) -> list[Finding]:
     findings = _if_any(Code.ACCELERATIONS_AS_REGRESSORS, names=accelerations)
     rows_by_regressor = fit.samples / len(fit.regressors)
     if fit.flown < THRESHOLDS.flown or rows_by_regressor < THRESHOLDS.rows:
-        numbers = {
-            "seconds": fit.flown,
-            "each": rows_by_regressor,
-            "least_seconds": THRESHOLDS.flown,
-            "least_rows": THRESHOLDS.rows,
-        }
-        findings.append(Finding(Code.TOO_LITTLE_FLOWN, numbers=numbers))
+        findings.append(
+            Finding(
+                Code.TOO_LITTLE_FLOWN,
+                seconds=fit.flown,
+                each=rows_by_regressor,
+                least_seconds=THRESHOLDS.flown,
+                least_rows=THRESHOLDS.rows,
+            )
+        )
     return findings
 
 
@@ -246,7 +248,7 @@ def _error_findings(varying: pd.DataFrame, vanes: dict[str, str]) -> list[Findin
     findings = []
     mean_error = varying[NRMSE].mean()
     if mean_error > 1:
-        findings.append(Finding(Code.DIVERGING, numbers={"error": mean_error}))
+        findings.append(Finding(Code.DIVERGING, error=mean_error))
     unjudged = [name for name in vanes if name in varying.index]
     lacking = [vanes[name] for name in unjudged]
     findings += _if_any(Code.BY_CONSTRUCTION, names=unjudged, vanes=lacking)
@@ -259,8 +261,7 @@ def _error_findings(varying: pd.DataFrame, vanes: dict[str, str]) -> list[Findin
     is_narrow = ~(judged[COVERAGE] >= THRESHOLDS.coverage)
     is_poor = is_large | is_narrow
     if not is_poor.any():
-        numbers = {"smallest": errors.min(), "largest": errors.max()}
-        return [*findings, Finding(Code.ERRORS_SMALL, numbers=numbers)]
+        return [*findings, Finding(Code.ERRORS_SMALL, smallest=errors.min(), largest=errors.max())]
     return findings + _if_any(
         Code.ALL_ERRORS_TOO_LARGE if is_poor.all() else Code.ERRORS_TOO_LARGE,
         poor=judged.index[is_poor],
@@ -290,7 +291,7 @@ def _simulation_findings(mechanics: FlightMechanics) -> list[Finding]:
         code = Code.FOLLOWS_SHORTLY
     elif not table["wind_known"].all():
         code = Code.GUSTS_HIDE_ERRORS
-    return [Finding(code, numbers=numbers)]
+    return [Finding(code, **numbers)]
 
 
 def _control_findings(mechanics: FlightMechanics, varying: pd.DataFrame) -> list[Finding]:
@@ -303,8 +304,7 @@ def _control_findings(mechanics: FlightMechanics, varying: pd.DataFrame) -> list
     findings += _if_any(Code.CONTROLS_TOO_UNCERTAIN, widths=widths[~(widths <= THRESHOLDS.band)])
     findings += _if_any(Code.TRIM_BEYOND, names=mechanics.trim.beyond)
     findings += _if_any(Code.MOMENTS_UNEXPLAINED, errors=errors[errors > THRESHOLDS.error])
-    known = {"width": widths.max(), "widest": widths.idxmax()}
-    return [*findings, Finding(Code.CONTROLS_KNOWN, numbers=known)]
+    return [*findings, Finding(Code.CONTROLS_KNOWN, width=widths.max(), widest=widths.idxmax())]
 
 
 def _half_widths(mechanics: FlightMechanics) -> pd.Series:
@@ -342,8 +342,11 @@ def _against_least_squares(varying: pd.DataFrame) -> list[Finding]:
     worse = list(varying.index[varying[NRMSE] > limits])
     is_worse_in_half = bool(worse) and len(worse) >= len(varying) / 2
     if is_worse_in_half or varying[NRMSE].mean() > limits.mean():
-        numbers = {"names": worse, "worse": len(worse), "coefficients": len(varying)}
-        return [Finding(Code.LEAST_SQUARES_BETTER, numbers=numbers)]
+        return [
+            Finding(
+                Code.LEAST_SQUARES_BETTER, names=worse, worse=len(worse), coefficients=len(varying)
+            )
+        ]
     return []
 
 

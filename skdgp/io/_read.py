@@ -182,8 +182,7 @@ def _unrounded(table: pd.DataFrame) -> pd.DataFrame:
             times[rows[run]], resolution = unrounded(time[run])
             resolutions.append(resolution)
         if any(resolutions):
-            numbers = {"resolution": max(resolutions)}
-            report(Finding(Code.TIMES_RESTORED, flight=flight, numbers=numbers))
+            report(Finding(Code.TIMES_RESTORED, flight=flight, resolution=max(resolutions)))
     restored = table.assign(time=times)
     restored.attrs = table.attrs
     return restored

@@ -135,29 +135,30 @@ class FlightCheck(TableTransformer):
     def __init__(self, *, ignore: Sequence[str] = ()) -> None:
         self.ignore = ignore
 
-    def _checked(self, X):
-        table = super()._checked(X)
-        self._check_any(table, BRIDGED)
-        return self._clean(X, table)
-
-    def _as_table(self, X):
-        flights = self._clean(X, super()._as_table(X))
+    def transform(self, X: Any) -> Any:
+        """Return the flight table X without faults and error of the airspeed, with its index."""
+        flights = self._read(X)
         if flights is not X:  # of clean flights the findings are known
             for finding in flights.findings or ():
                 report(finding, FlightDataWarning)
-        return flights
+        return super().transform(flights)
 
-    def _clean(self, X: Any, table: pd.DataFrame) -> FlightTable:
-        """Return the flights X without faults, which those that are clean have lost before."""
+    def _read(self, X):
         is_clean = isinstance(X, FlightTable) and X.findings is not None
-        return X if is_clean else clean(FlightTable.of(table), self.ignore)
+        return X if is_clean else clean(FlightTable.of(super()._read(X)), self.ignore)
 
     def _fit_table(self, flights):
+        self._check_any(flights.table, BRIDGED)
         self.airspeed_scale_ = airspeed_scale(flights.table)
         removed = self.airspeed_scale_.removable()
         if removed:
-            numbers = {"percent": 100 * removed, "std_percent": 100 * self.airspeed_scale_.std}
-            report(Finding(Code.AIRSPEED_CORRECTED, numbers=numbers))
+            report(
+                Finding(
+                    Code.AIRSPEED_CORRECTED,
+                    percent=100 * removed,
+                    std_percent=100 * self.airspeed_scale_.std,
+                )
+            )
 
     def _transform_table(self, flights):
         check_airspeed(flights.column("airspeed"))
@@ -174,11 +175,10 @@ def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
     holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
     findings = []
     if faulty:
-        numbers = {"faults": faulty, "longest_bridge": LONGEST_BRIDGE}
-        findings.append(Finding(Code.FAULTS_BRIDGED, numbers=numbers))
+        findings.append(Finding(Code.FAULTS_BRIDGED, faults=faulty, longest_bridge=LONGEST_BRIDGE))
     if holds:
         rates = {", ".join(hold.names): hold.rate for hold in holds}
-        findings.append(Finding(Code.SLOW_CHANNELS, numbers={"rates": rates}))
+        findings.append(Finding(Code.SLOW_CHANNELS, rates=rates))
     new = _bridged(measured, ignore) | between_samples(measured, controls)
     table = measured.table.assign(**new)
     return replace(flights, table=table, findings=tuple(findings))
@@ -298,7 +298,7 @@ class FlightSmoother(TableTransformer):
         self.derivatives_ = [name for name in rates if f"{name}_dot" not in table]
         self.band_ = vibration_band(table) if is_auto and self.cutoff == "auto" else np.inf
         if np.isfinite(self.band_):
-            report(Finding(Code.VIBRATION, numbers={"band": self.band_}))
+            report(Finding(Code.VIBRATION, band=self.band_))
 
     def _check_columns(self, table):
         check_columns(table, ["time", *self.columns_])

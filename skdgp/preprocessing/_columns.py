@@ -95,12 +95,9 @@ class ElevonSplitter(TableTransformer):
 
     def _fit_table(self, table):
         mixing: Any = ELEVON_MIXING if self.mixing is None else self.mixing
-        rows = list(mixing.values()) if isinstance(mixing, Mapping) else []
+        rows = list(mixing.values())
         is_named = bool(rows) and all(isinstance(row, Mapping) and row for row in rows)
-        if (
-            not is_named
-            or not np.isfinite([factor for row in rows for factor in row.values()]).all()
-        ):
+        if not is_named or not all(np.isfinite([*row.values()]).all() for row in rows):
             raise ValueError(
                 f"Got mixing={self.mixing!r}, but expected for each control the surfaces that move it, with finite "
                 "factors, such as {'elevator': {'elevon_left': 0.5, 'elevon_right': 0.5}}."
@@ -288,10 +285,9 @@ class RegressorSelector(TableTransformer):
         self.ranges_ = {name: tuple(limits[name].astype(float)) for name in limits}
         # by less than a billionth of themselves
         is_still = limits.loc["max"] - limits.loc["min"] <= 1e-9 * limits.abs().max()
-        names = [name for name in is_still.index[is_still] if name in self.regressors_]
+        names = [name for name in self.regressors_ if is_still.get(name)]
         if is_targeted and names:
-            finding = Finding(Code.CONSTANT_REGRESSORS, numbers={"names": names})
-            report(finding, FlightDataWarning)
+            report(Finding(Code.CONSTANT_REGRESSORS, names=names), FlightDataWarning)
         return self
 
     def _fit_table(self, table):
@@ -304,7 +300,7 @@ class RegressorSelector(TableTransformer):
         numeric(table, chosen)
         truth = [name for name in chosen if str(name).endswith(TRUTH_SUFFIX)]
         if truth:
-            report(Finding(Code.TRUTH_AS_REGRESSORS, numbers={"names": truth}))
+            report(Finding(Code.TRUTH_AS_REGRESSORS, names=truth))
         self.regressors_ = chosen
 
     def _transform_table(self, table):

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import Progress, notify, report
 from skdgp._compute.sklearn_compat import Interval, fit_context
-from skdgp._compute.typing import Indices
 from skdgp._flight.channels import (
     AIR_DATA,
     EULER,
@@ -36,7 +35,7 @@ from skdgp.estimation import (
     RECONSTRUCTED,
     AirMotion,
     AirSettings,
-    FlightSensors,
+    NamedFlight,
     PathEstimate,
     SensorContradiction,
     air_columns,
@@ -46,7 +45,6 @@ from skdgp.estimation import (
     flights_of,
     ground_paths,
     missing_channels,
-    overlapping_parts,
     path_columns,
 )
 from skdgp.preprocessing._cleaning import FlightSmoother
@@ -57,19 +55,7 @@ from skdgp.preprocessing._table import (
     wrap_near,
 )
 
-
-class FlightPart(NamedTuple):
-    """A flight, or a part of a long one, with its path."""
-
-    name: object
-    rows: Indices  # of the table
-    sensors: FlightSensors
-    estimate: PathEstimate
-
-    @property
-    def gust_std(self) -> float:
-        """Change of the air's velocity in one second [m/s], root mean square of the two directions."""
-        return _mean_std([self.estimate.noise[name] for name in GUSTS])
+EstimatedFlight: TypeAlias = tuple[NamedFlight, PathEstimate]
 
 
 class FlightPathReconstruction(TableTransformer):
@@ -99,7 +85,7 @@ class FlightPathReconstruction(TableTransformer):
     ----------
     max_rows : int, default=65536
         Rows of a flight that are estimated at a time, of 20 kB each: a longer flight is estimated
-        in parts of equal length that overlap, each with its own biases, wind and gusts.
+        in parts of equal length, each with its own biases, wind and gusts.
     aircraft : Aircraft, optional
         For flights without alpha or beta. None: angles from attitude, velocity and steady wind, so
         without the gusts. Else by `estimate_air_motion`, whose derivatives, lag of the servos and
@@ -199,21 +185,21 @@ class FlightPathReconstruction(TableTransformer):
         """Whether ``transform`` reconstructs flights, and why."""
         code = Code.PATHS_RECONSTRUCTED if self.used_ else Code.PATHS_SMOOTHED
         contradictions = [
-            Finding(Code.SENSOR_CONTRADICTS, channel=sensor.sensor, numbers=sensor._asdict())
+            Finding(Code.SENSOR_CONTRADICTS, channel=sensor.sensor, **sensor._asdict())
             for sensor in self.contradictions_
         ]
-        numbers = {
-            "missing": self.missing_,
-            "contradictions": contradictions,
-            "air": self.air_motion_ and self.air_motion_.summary,
-        }
-        return Finding(code, numbers=numbers)
+        return Finding(
+            code,
+            missing=self.missing_,
+            contradictions=contradictions,
+            air=self.air_motion_ and self.air_motion_.summary,
+        )
 
     @fit_context(prefer_skip_nested_validation=True)
     def fit_transform(self, X: Any, y: Any = None) -> Any:
         """Return ``fit(X).transform(X)``; y is ignored."""
-        paths = self._learn(self._checked(X))
-        return self._reconstructed(self._as_table(X), paths)
+        table = self._checked(X)
+        return self._reconstructed(table, self._learn(table))
 
     def _fit_table(self, table):
         self._learn(table)
@@ -244,12 +230,12 @@ class FlightPathReconstruction(TableTransformer):
     def _fit_path(self, table: pd.DataFrame, has_vanes: bool) -> None:
         """Set the fitted attributes by the paths of the flights."""
         parts = self._estimated_paths(table, PATH_NOISE, learn=PATH_NOISE | GUSTS)
-        samples = [len(part.rows) for part in parts]
-        noise = pd.DataFrame([part.estimate.noise for part in parts])
+        samples = [len(flight.rows) for flight, _ in parts]
+        noise = pd.DataFrame([estimate.noise for _, estimate in parts])
         self.noise_std_ = {name: _mean_std(noise[name], samples) for name in PATH_NOISE}
-        self.gust_std_ = _mean_std([part.gust_std for part in parts], samples)
-        self.calibration_ = pd.concat(map(_calibration, parts), ignore_index=True)
-        found = contradictions([part.sensors for part in parts], self.noise_std_)
+        self.gust_std_ = _mean_std([_gust_std(estimate) for _, estimate in parts], samples)
+        self.calibration_ = pd.concat([_calibration(*part) for part in parts], ignore_index=True)
+        found = contradictions([flight.sensors for flight, _ in parts], self.noise_std_)
         self.contradictions_ = found
         # one sensor of air data alone is probably filtered by the autopilot
         is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
@@ -261,7 +247,7 @@ class FlightPathReconstruction(TableTransformer):
         """Set the fitted attributes by the motion of the air, if it can be estimated; return paths over the ground."""
         if self.aircraft is None:
             cause = Finding(Code.NO_AIRCRAFT)
-            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})]
+            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, cause=cause)]
             return None
         paths = ground_paths(table)
         motion, self.doubts_ = self._estimated_motion(table, paths)
@@ -269,8 +255,7 @@ class FlightPathReconstruction(TableTransformer):
             return None
         error = motion.position_error()
         if not self.doubts_ and error is not None:
-            numbers = {"distance": float(np.linalg.norm(error))}
-            report(Finding(Code.SENSORS_ELSEWHERE, numbers=numbers))
+            report(Finding(Code.SENSORS_ELSEWHERE, distance=float(np.linalg.norm(error))))
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
         changes = [motion.gust_change(number) for number in range(len(flights_of(table)))]
@@ -298,15 +283,15 @@ class FlightPathReconstruction(TableTransformer):
             )
             if motion.converged:
                 return motion, []
-            cause = Finding(Code.AIR_NOT_CONVERGED, numbers=_agreement(table))
+            cause = Finding(Code.AIR_NOT_CONVERGED, **_agreement(table))
         except ValueError as error:
-            cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": str(error)})
-        numbers = {
-            "cause": cause,
-            "angles_lack_gusts": motion is None,
-            "general_bands": known is None,
-        }
-        doubt = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
+            cause = Finding(Code.AIR_NOT_ESTIMATED, error=str(error))
+        doubt = Finding(
+            Code.GUSTS_UNKNOWN,
+            cause=cause,
+            angles_lack_gusts=motion is None,
+            general_bands=known is None,
+        )
         report(doubt)
         return motion, [doubt]
 
@@ -318,8 +303,7 @@ class FlightPathReconstruction(TableTransformer):
         if not self.used_:
             return at_centre_of_gravity(table)
         if missing := missing_channels(table):
-            finding = Finding(Code.SENSORS_MISSING, numbers={"names": missing})
-            report(finding, FlightDataWarning)
+            report(Finding(Code.SENSORS_MISSING, names=missing), FlightDataWarning)
             return FlightSmoother().fit_transform(at_centre_of_gravity(table))
         self._check(table)
         motion = None
@@ -341,19 +325,19 @@ class FlightPathReconstruction(TableTransformer):
 
     def _columns_by_path(self, table: pd.DataFrame) -> list[pd.DataFrame]:
         """Return the columns of flights, at their rows, by their most likely paths."""
-        flights = []
+        tables = []
         parts = self._estimated_paths(table, self.noise_std_, learn=GUSTS)
         _diverged(parts, table)
-        for part in parts:
-            columns: dict[str, Any] = path_columns(part.estimate.path, part.sensors)
+        for flight, estimate in parts:
+            columns: dict[str, Any] = path_columns(estimate.path, flight.sensors)
             columns["gust"] = self.gust_std_
-            if part.estimate.converged:
+            if estimate.converged:
                 # gusts of the training flights count as some seconds of this flight
-                stds = [part.gust_std, self.gust_std_]
-                seconds = [np.ptp(part.sensors.time), PATH_SETTINGS.gust_prior_seconds]
+                stds = [_gust_std(estimate), self.gust_std_]
+                seconds = [np.ptp(flight.sensors.time), PATH_SETTINGS.gust_prior_seconds]
                 columns["gust"] = _mean_std(stds, seconds)
-            flights.append(pd.DataFrame(columns, index=part.rows))
-        return flights
+            tables.append(pd.DataFrame(columns, index=flight.rows))
+        return tables
 
     def _columns_by_air(self, table: pd.DataFrame, motion: AirMotion) -> list[pd.DataFrame]:
         """Return the columns of flights, at their rows, by the motion of their air."""
@@ -377,29 +361,28 @@ class FlightPathReconstruction(TableTransformer):
 
     def _estimated_paths(
         self, table: pd.DataFrame, noise: dict[str, float], learn: Mapping[str, float]
-    ) -> list[FlightPart]:
-        """Return the path of every flight, of each part of a long one."""
-        places = []
-        for name, rows, sensors in flights_of(table):
-            for part, inner in overlapping_parts(len(rows), self.max_rows):
-                places.append((name, rows[part], sensors.part(part.start, part.stop), inner))
+    ) -> list[EstimatedFlight]:
+        """Return every flight, each part of a long one, with its path."""
         parts = []
-        for number, (name, rows, sensors, inner) in enumerate(places):
-            notify(Progress("reconstructing paths", number, len(places)))
-            estimate = estimate_path(sensors, noise | GUSTS, learn=learn)
-            within = inner.start, inner.stop
-            estimate = estimate._replace(path=estimate.path.part(*within))
-            parts.append(FlightPart(name, rows[inner], sensors.part(*within), estimate))
-        return parts
+        for flight in flights_of(table):
+            n = len(flight.rows)
+            for rows in np.array_split(np.arange(n), -(-n // self.max_rows)):
+                sensors = flight.sensors.part(rows[0], rows[-1] + 1)
+                parts.append(flight._replace(rows=flight.rows[rows], sensors=sensors))
+        estimated = []
+        for number, part in enumerate(parts):
+            notify(Progress("reconstructing paths", number, len(parts)))
+            estimate = estimate_path(part.sensors, noise | GUSTS, learn=learn)
+            estimated.append((part, estimate))
+        return estimated
 
 
-def _diverged(parts: Sequence[FlightPart], table: pd.DataFrame) -> list[Finding]:
+def _diverged(parts: Sequence[EstimatedFlight], table: pd.DataFrame) -> list[Finding]:
     """Return the doubt of flights whose paths are used and did not converge, and warn of it."""
-    flights = dict.fromkeys(str(part.name) for part in parts if not part.estimate.converged)
+    flights = dict.fromkeys(str(part.name) for part, path in parts if not path.converged)
     if not flights:
         return []
-    numbers = {"flights": list(flights), **_agreement(table)}
-    doubt = Finding(Code.PATHS_NOT_CONVERGED, numbers=numbers)
+    doubt = Finding(Code.PATHS_NOT_CONVERGED, flights=list(flights), **_agreement(table))
     report(doubt)
     return [doubt]
 
@@ -415,12 +398,17 @@ def _mean_std(stds: Any, weights: Any = None) -> float:
     return float(np.sqrt(np.average(np.square(stds), weights=weights)))
 
 
-def _calibration(part: FlightPart) -> pd.DataFrame:
+def _gust_std(estimate: PathEstimate) -> float:
+    """Return the change of the air's velocity in one second [m/s], root mean square of the two directions."""
+    return _mean_std([estimate.noise[name] for name in GUSTS])
+
+
+def _calibration(flight: NamedFlight, estimate: PathEstimate) -> pd.DataFrame:
     """Return the estimated constants of a flight."""
     columns = {
-        "flight": part.name,
+        "flight": flight.name,
         "constant": CALIBRATED,
-        "estimate": part.estimate.path.constant(*CALIBRATED),
-        "std": np.sqrt(np.diag(part.estimate.covariance)),
+        "estimate": estimate.path.constant(*CALIBRATED),
+        "std": np.sqrt(np.diag(estimate.covariance)),
     }
     return pd.DataFrame(columns)

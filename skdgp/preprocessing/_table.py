@@ -23,8 +23,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
 
     Only the columns that the transformer reads must be present, in any order; others pass through,
     and may differ between ``fit`` and ``transform``. ``fit`` raises TypeError at an array, and
-    ValueError at a table without any of the columns that the transformer works on. ``transform``
-    reads an array by the order of the columns of ``fit``.
+    ValueError at a table without any of the columns that the transformer works on.
     """
 
     @fit_context(prefer_skip_nested_validation=True)
@@ -33,16 +32,20 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
         self._fit_table(self._checked(X))
         return self
 
-    def _checked(self, X: Any) -> pd.DataFrame:
+    def _checked(self, X: Any) -> Any:
         """Return the table of ``fit``, and store the names of its columns."""
-        table = check_table(as_table(X))
-        validate_data(self, table, skip_check_array=True)
+        table = self._read(X)
+        validate_data(self, as_table(table), skip_check_array=True)
         return table
 
     def transform(self, X: Any) -> Any:
         """Return the transformed flight table X, with its index."""
         check_is_fitted(self)
-        return self._transform_table(self._as_table(X))
+        return self._transform_table(self._read(X))
+
+    def _read(self, X: Any) -> Any:
+        """Return the table of flights X; raise TypeError if it is none."""
+        return check_table(as_table(X))
 
     def get_feature_names_out(self, input_features: Any = None) -> np.ndarray:
         """Return the column names of the transformed table; ``input_features`` must equal ``feature_names_in_``."""
@@ -65,13 +68,6 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
     def _columns_out(self, names: list[str]) -> list[str]:
         """Return the columns of the transformed table for given ones; by default the same."""
         return names
-
-    def _as_table(self, X: Any) -> pd.DataFrame:
-        X = as_table(X)
-        if isinstance(X, pd.DataFrame):
-            return check_table(X)
-        array = validate_data(self, X, reset=False, ensure_all_finite=False)
-        return pd.DataFrame(array, columns=self.feature_names_in_)
 
     def _check_any(self, table: pd.DataFrame, names: Iterable[str]) -> None:
         """Raise ValueError if the table has none of the columns that the transformer works on."""

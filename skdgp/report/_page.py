@@ -235,8 +235,9 @@ def _changes(changes: Changes | None) -> str:
     """Return whether the aircraft has changed since its model was learned."""
     if changes is None:
         return ""
+    shown = paragraphs(finding.text for finding in changes.findings)
     p_values = table(changes.p_values, "p-values of no change.")
-    return section("Has the aircraft changed?", paragraphs(changes.summary()), p_values)
+    return section("Has the aircraft changed?", shown, p_values)
 
 
 def _mechanics(mechanics: FlightMechanics) -> str:
@@ -321,9 +322,10 @@ def _coverage(held: float) -> str:
 
 def _figures(result: Evaluation) -> str:
     """Return coefficients with residuals, and replayed states, of a long flight where the estimates move most."""
-    rows = liveliest_rows(result.time, result.mean)
+    time = result.table["time"].to_numpy(float)
+    rows = liveliest_rows(time, result.mean)
     display = TimeHistoryDisplay.from_predictions(
-        result.time[rows],
+        time[rows],
         result.measured[rows],
         result.mean[rows],
         result.prediction_std[rows],

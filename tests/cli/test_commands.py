@@ -17,7 +17,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
-from skdgp._cli._control import _with_infinities
+from skdgp._cli._use import _with_infinities
 from skdgp._compute.files import json_text
 from skdgp.control import autopilot_loops, margins
 from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
@@ -274,11 +274,10 @@ class TestDerivatives:
         assert files(tmp_path / "out") == {"derivatives.csv", "modes.csv", "derivatives.json"}
 
     def test_thrust_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):
-        options = model.options | {"thrust": None}
-        pipeline = copy(model.pipeline)
+        pipeline = copy(model.pipeline).set_params(thrust=None)
         pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)
         kite = str(tmp_path / "kite.joblib")
-        save_model(kite, pipeline, model.aircraft, options=options)
+        save_model(kite, pipeline, model.aircraft)
         assert command(["derivatives", kite, "--airspeed", "35", "--paths", "0", "--json"]) == 0
         said = capsys.readouterr()
         assert "CD is drag less thrust" in said.err

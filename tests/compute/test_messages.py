@@ -44,23 +44,24 @@ def test_parts_of_a_text_whose_values_are_unknown_are_left_out():
     lag = "y is 0.3 ± 0.1 s late against x"
     end = " (t = 6.0, correlation 0.90, 20 effective samples)"
     begin = "q or r is probably wrong: "
-    assert Finding(Code.CONTRADICTION, numbers=of_slope).clause == begin + slope + end
+    assert Finding(Code.CONTRADICTION, **of_slope).clause == begin + slope + end
     of_lag = numbers | {"lag": 0.3, "causes": ["a magnetic heading"]}
-    text = Finding(Code.CONTRADICTION, "a", numbers=of_lag).text
+    text = Finding(Code.CONTRADICTION, "a", **of_lag).text
     assert text == f"flight a: {begin}{lag}: a magnetic heading?{end}."
 
 
 def test_findings_of_one_kind_are_one_clause_with_the_channels_of_the_others():
-    numbers = {"start": 0.0, "end": 1.0, "samples": 2}
-    found = [Finding(Code.NEVER_MEASURED, channel=name, numbers=numbers) for name in ("q", "beta")]
+    found = [
+        Finding(Code.NEVER_MEASURED, channel=name, start=0.0, end=1.0, samples=2)
+        for name in ("q", "beta")
+    ]
     told = "q has no value (0.00 to 1.00 s, 2 samples) (1 more of this kind: beta)"
     assert clauses_of(found) == told
 
 
 def test_the_advice_of_a_cause_follows_the_statement():
-    cause = Finding(Code.AIR_NOT_CONVERGED, numbers={"contradictions": [], "agrees": True})
-    numbers = {"cause": cause, "angles_lack_gusts": True}
-    finding = Finding(Code.GUSTS_UNKNOWN, numbers=numbers)
+    cause = Finding(Code.AIR_NOT_CONVERGED, contradictions=[], agrees=True)
+    finding = Finding(Code.GUSTS_UNKNOWN, cause=cause, angles_lack_gusts=True)
     begin, end = "Gusts without vanes are not known: ", " alpha and beta lack them."
     assert Code.AIR_NOT_CONVERGED.statement in finding.clause
     advice = " The channels agree by physics. Give "

@@ -10,6 +10,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
+from skdgp._flight.findings import Code
 from skdgp.identification import changes_of
 from skdgp.preprocessing import FlightPathReconstruction, RegressorSelector
 
@@ -104,11 +105,12 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     assert p_values["whole"] < 0.05
     row = result.derivatives.loc[("iced", "Cm_alpha")]
     assert abs(row["change"] - 0.2) < 3 * row["std"]
-    assert "has changed" in result.summary()[0]
-    assert "Cm_alpha" in result.summary()[0]
-    assert result.summary()[0].endswith("(+- one standard deviation)")
+    (finding,) = result.findings
+    assert (finding.code, finding.flight) == (Code.CHANGED, "iced")
+    assert finding.numbers["p"] == p_values["whole"]
+    assert finding.numbers["likely"]["Cm_alpha"] == (row["change"], row["std"])
     unchanged = changes(model, {"same": flight(100, 0.02)})
-    assert unchanged.summary()[0].startswith("flight same: no change found")
+    assert [found.code for found in unchanged.findings] == [Code.NO_CHANGE]
 
 
 def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
@@ -229,7 +231,7 @@ def test_a_short_flight_tells_nothing(model):
     X, Y = flight(7, 0.02)
     result = changes(model, {"short": (X[:25], Y[:25])}, change=1.0)
     assert result.p_values.isna().all(axis=None)
-    assert "too short" in result.summary()[0]
+    assert [found.code for found in result.findings] == [Code.CHANGE_UNKNOWN]
 
 
 def flight_with_one_pulse(seed, change=0.0):
@@ -266,7 +268,8 @@ def test_more_drag_alone_is_found(model):
     assert result.p_values.loc["pod", "whole"] < 0.01
     row = result.derivatives.loc[("pod", "CX")]
     assert row["change"] == pytest.approx(-0.02, abs=3 * row["std"])
-    assert "CX -0.02" in result.summary()[0]
+    (finding,) = result.findings
+    assert finding.numbers["likely"]["CX"] == (row["change"], row["std"])
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -281,8 +284,8 @@ def test_one_factor_of_all_forces_is_found_with_its_size(model, factor):
     assert alarms(result, "forces") > 0.8
     row = result.derivatives.xs("forces", level="derivative")
     assert row["change"].mean() == pytest.approx(factor - 1, abs=0.02)
-    text = next(line for line in result.summary() if "has changed" in line)
-    assert f"all forces {row.loc['1', 'change']:+.0%}"[:13] in text
+    found = next(finding for finding in result.findings if finding.code is Code.CHANGED)
+    assert found.numbers["forces"] == tuple(row.loc[found.flight])
 
 
 def test_no_factor_of_the_forces_is_found_where_there_is_none(model):

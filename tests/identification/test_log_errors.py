@@ -25,17 +25,14 @@ from skdgp.identification._log_errors import (
     CLOCK,
     CLOCK_STEPS,
     clock_std,
+    errors_by_air,
     learned_errors,
+    rates_followed,
     regression_calibration,
 )
 from skdgp.identification._pipeline import named_regressors
 from skdgp.inference import linear_weights
-from skdgp.preprocessing import (
-    FlightCheck,
-    FlightPathReconstruction,
-    LagCorrector,
-    RegressorSelector,
-)
+from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
 COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
@@ -208,10 +205,8 @@ def test_an_aircraft_follows_the_rolling_air_by_its_damping():
     All of it where the damping is unknown.
     """
     airspeed, density = 20.0, 1.2
-    pipeline = FlightPipeline([], aircraft=AIRCRAFT)
-    pipeline.conditions_ = {"density": density}
     slopes = np.diag([-0.4, 0.0, 0.1])
-    pipeline.least_squares_ = pd.DataFrame(slopes, ["p_hat", "q_hat", "r_hat"], COEFFICIENTS[3:])
+    linear = pd.DataFrame(slopes, ["p_hat", "q_hat", "r_hat"], COEFFICIENTS[3:])
     load = 0.5 * density * airspeed**2 * AIRCRAFT.wing_area
     d = 0.4 * load * AIRCRAFT.span**2 / (2 * airspeed * AIRCRAFT.inertia[0, 0])
     step = 0.002
@@ -221,7 +216,8 @@ def test_an_aircraft_follows_the_rolling_air_by_its_damping():
     rate = lfilter([1.0 - left], [1.0, -left], gust)
     simulated = np.cov(rate, gust)[0, 1] / np.var(gust)
     gust_time = 4 * AIRCRAFT.span / (np.pi * airspeed)
-    assert_allclose(pipeline._followed(airspeed, gust_time), [simulated, 1.0, 1.0], rtol=0.03)
+    followed = rates_followed(linear, AIRCRAFT, airspeed, density, gust_time)
+    assert_allclose(followed, [simulated, 1.0, 1.0], rtol=0.03)
 
 
 def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
@@ -244,12 +240,8 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
         felt[:, 2:] -= turned * AIRCRAFT.moment_lengths / (2 * airspeed)
         found = LinearRegression().fit(X, felt @ slopes).coef_
         squares.append((found - slopes.T)[:, :2] ** 2)
-    pipeline = FlightPipeline(
-        [("regressorselector", RegressorSelector(REGRESSORS[:5])), ("model", LinearRegression())],
-        aircraft=AIRCRAFT,
-    )
-    pipeline["regressorselector"].fit(pd.DataFrame(X, columns=REGRESSORS[:5]))
-    pipeline.least_squares_, pipeline.conditions_ = pd.DataFrame(), {}
-    errors = pipeline._errors_by_air(turbulence, X, felt @ slopes)
+    regressors = pd.DataFrame(X, columns=REGRESSORS[:5])
+    linear = least_squares_of(regressors, felt @ slopes)
+    errors = errors_by_air(regressors, linear, turbulence, AIRCRAFT, density=0.0)
     stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
     assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)

@@ -81,7 +81,6 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
     prediction_std = error * np.broadcast_to(np.where(inside, 1.0, 0.5), (n, 6))
     return Evaluation(
         name=name,
-        time=time,
         measured=measured,
         mean=measured + error * noise,
         baseline=measured + linear * noise,
@@ -104,11 +103,12 @@ def mechanics(**changes):
     return FlightMechanics(**found | changes)
 
 
-NO_ALPHA = Finding(Code.NOT_SIMULATED, numbers={"error": "no alpha"})
-NO_DERIVATIVES = Finding(Code.NO_DERIVATIVES, numbers={"error": "left out"})
-NO_TRIM = Finding(Code.NO_TRIM, numbers={"airspeed": 20.0})
-LEFT_OUT = {"left_out": 2, "rows": 9, "alone": 2}
-ALONE = {name: Finding(Code.ROWS_LEFT_OUT, flight=name, numbers=LEFT_OUT) for name in "ab"}
+NO_ALPHA = Finding(Code.NOT_SIMULATED, error="no alpha")
+NO_DERIVATIVES = Finding(Code.NO_DERIVATIVES, error="left out")
+NO_TRIM = Finding(Code.NO_TRIM, airspeed=20.0)
+ALONE = {
+    name: Finding(Code.ROWS_LEFT_OUT, flight=name, left_out=2, rows=9, alone=2) for name in "ab"
+}
 WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 PREDICT = "predict coefficients"
@@ -264,7 +264,7 @@ def test_what_no_aircraft_has_is_the_first_warning():
     assert found.findings[0].numbers["values"] == {"Cm_q": 7.5}
 
 
-DIVERGED = Finding(Code.PATHS_NOT_CONVERGED, numbers={"flights": ["a"]})
+DIVERGED = Finding(Code.PATHS_NOT_CONVERGED, flights=["a"])
 
 
 @pytest.mark.parametrize("fit", [{}, {"doubts": [DIVERGED]}])
@@ -312,7 +312,7 @@ class TestCoefficientsThatDoNotVary:
 
 def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
     cause = Finding(Code.AIR_NOT_CONVERGED)
-    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
+    doubt = Finding(Code.GUSTS_UNKNOWN, cause=cause)
     found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])], findings=[doubt])
     assert {use.judgement for use in found.uses} == {"no"}
 
@@ -327,8 +327,8 @@ def test_bands_that_hold_everything_are_too_wide():
 
 @pytest.mark.parametrize("where", ["fit", "test"])
 def test_with_gusts_that_are_not_known_nothing_is_yes(where):
-    cause = Finding(Code.AIR_NOT_ESTIMATED, numbers={"error": "too short."})
-    doubt = Finding(Code.GUSTS_UNKNOWN, numbers={"cause": cause})
+    cause = Finding(Code.AIR_NOT_ESTIMATED, error="too short.")
+    doubt = Finding(Code.GUSTS_UNKNOWN, cause=cause)
     found = verdict(fit={"doubts": [doubt]}) if where == "fit" else verdict(findings=[doubt])
     assert found.findings == (doubt,)
     assert found.warnings == ("Gusts without vanes are not known: too short.",)
@@ -462,7 +462,7 @@ def test_a_search_that_rounding_ends_is_not_to_go_on():
 
 
 def test_warnings_are_ranked():
-    stopped = Finding(FitCode.SEARCH_STOPPED, numbers={"max_iter": 300})
+    stopped = Finding(FitCode.SEARCH_STOPPED, max_iter=300)
     findings = [ALONE["a"], Finding(Code.NO_ELEVATOR), ALONE["b"], stopped]
     bad = [
         evaluation(error=1.2, linear=0.5, inside=False),

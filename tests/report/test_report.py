@@ -87,7 +87,6 @@ def result(n=800, **changes):
     window = (flight["time"] // 2).astype(int)
     given = {
         "name": "test",
-        "time": flight["time"].to_numpy(),
         "measured": mean + 0.02 * rng.normal(size=(n, 6)),
         "mean": mean,
         "std": std,

@@ -40,7 +40,7 @@ def find_contradictions(flights: FlightTable) -> list[Finding]:
         return findings
     for name, flight in flights.flights.items():
         if np.ptp(flight.time) >= LONG_FLIGHT:
-            findings += [replace(finding, flight=name) for finding in _findings_of(flight)]
+            findings += [finding.of_flight(name) for finding in _findings_of(flight)]
     return findings
 
 
@@ -78,9 +78,8 @@ def _candidates(
     if not of_scaled.isdisjoint(RATES) and not of_scaled.isdisjoint(EARTH_VELOCITY):
         clearest = min(scaled, key=lambda each: each.slope.std)
         factor = clearest.slope.value
-        rates = {"rate": signals.rate, "true_rate": signals.rate / factor}
         yield (
-            Finding(Code.WRONG_CLOCK, numbers=rates),
+            Finding(Code.WRONG_CLOCK, rate=signals.rate, true_rate=signals.rate / factor),
             replace(signals, step=factor * signals.step),
         )
     lags = [abs(each.lag[0]) for each in contradictions if each.lag is not None]

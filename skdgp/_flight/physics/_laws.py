@@ -199,20 +199,20 @@ class Contradiction:
         least, most, expected = self.law.admissible
         unit = self.law.unit
         is_opposite = np.sign(least + most) * value < 0
-        numbers = {
-            "channels": list(self.channels),
-            "y": self.law.y,
-            "x": self.law.x,
-            "expected": f"{expected} [{unit}]" if unit else expected,
-            quantity: value,
-            "std": std,
-            "t": self.t,
-            "correlation": self.slope.correlation,
-            "effective_samples": self.slope.n_effective,
-            "causes": list(self.law.causes),
-            "is_turned": bool(self.lag is None and is_opposite and self.slope.explained > 1),
-        }
-        return Finding(Code.CONTRADICTION, numbers=numbers)
+        return Finding(
+            Code.CONTRADICTION,
+            channels=list(self.channels),
+            y=self.law.y,
+            x=self.law.x,
+            expected=f"{expected} [{unit}]" if unit else expected,
+            **{quantity: value},
+            std=std,
+            t=self.t,
+            correlation=self.slope.correlation,
+            effective_samples=self.slope.n_effective,
+            causes=list(self.law.causes),
+            is_turned=bool(self.lag is None and is_opposite and self.slope.explained > 1),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,18 +270,18 @@ class Mistake:
     @property
     def finding(self) -> Finding:
         """The finding of the channels."""
-        numbers = {
-            "channels": list(self.channels),
-            "turned": list(self.turned) or None,
-            "exchanged": [" and ".join(pair) for pair in self.exchanged] or None,
-            "late": list(self.late) or None,
-            "lag": self.lag,
-            "is_late": bool(self.late),
-            "is_frame": not {*self.turned} <= {*ELEVONS},
-            "axes": self.axes,
-            "from_east": self.from_east,
-        }
-        return Finding(Code.CHANNELS_TOGETHER, numbers=numbers)
+        return Finding(
+            Code.CHANNELS_TOGETHER,
+            channels=list(self.channels),
+            turned=list(self.turned) or None,
+            exchanged=[" and ".join(pair) for pair in self.exchanged] or None,
+            late=list(self.late) or None,
+            lag=self.lag,
+            is_late=bool(self.late),
+            is_frame=not {*self.turned} <= {*ELEVONS},
+            axes=self.axes,
+            from_east=self.from_east,
+        )
 
 
 def _is_clearer(slopes: dict[float, Slope], others: dict[float, Slope]) -> bool:
@@ -323,5 +323,4 @@ def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:
     if ratio < 2:
         return None
     percent = 100 * float(is_still[is_whole].mean())
-    numbers = {"channels": [name], "y": law.y, "percent": percent, "ratio": ratio}
-    return Finding(Code.STUCK_SURFACE, numbers=numbers)
+    return Finding(Code.STUCK_SURFACE, channels=[name], y=law.y, percent=percent, ratio=ratio)

@@ -156,7 +156,7 @@ def question_of_sizes(
     laws = []
     for law in broken:
         numbers = {"value": law.value(sizes), "least": law.least, "most": law.most}
-        laws.append(Finding(Code.BROKEN_LAW, channel=law.text, numbers=numbers))
+        laws.append(Finding(Code.BROKEN_LAW, channel=law.text, **numbers))
     given = [name for name in UNITS if name in sizes and name not in estimated]
     plausible = []
     for name in given:
@@ -169,14 +169,17 @@ def question_of_sizes(
     units += [(0.0, name, 1.0, "") for name in given if name not in named]
     asked = []
     for _, name, factor, unit in units:
-        numbers = {
-            "value": factor * sizes[name],
-            "si_unit": SI_UNITS[name],
-            "given": sizes[name],
-            "unit": unit,
-        }
-        asked.append(Finding(Code.ASKED_SIZE, channel=name, numbers=numbers))
-    return Finding(Code.SIZES_QUESTIONED, numbers={"laws": laws, "asked": asked})
+        asked.append(
+            Finding(
+                Code.ASKED_SIZE,
+                channel=name,
+                value=factor * sizes[name],
+                si_unit=SI_UNITS[name],
+                given=sizes[name],
+                unit=unit,
+            )
+        )
+    return Finding(Code.SIZES_QUESTIONED, laws=laws, asked=asked)
 
 
 def _values(sizes: Sizes) -> Iterator[tuple[Law, float]]:

@@ -49,6 +49,8 @@ class Law:
     unit: str = ""
     #: Error of x [unit of x]: a signal of no larger root mean square decides nothing
     noise: float = 0.0
+    #: Whether this error attenuates the slope of a law that states its size
+    is_attenuated: bool = False
     #: Whether x is of accelerometers, whose noise has no bound: engines shake them
     vibrates: bool = False
     #: Lags that are tried, and the first and last that are no contradiction [s]
@@ -97,16 +99,16 @@ class Law:
         is_equal = distance_inside > PHYSICS.least_t * best.std
         if is_equal and abs(best.t(least, most)) < PHYSICS.least_t:
             return None, True
-        # the error of x attenuates the slope (Fuller 1987, section 1.1)
-        least *= 1 - (self.noise / best.size) ** 2
+        if self.is_attenuated:  # Fuller 1987, section 1.1
+            least *= 1 - (self.noise / best.size) ** 2
         slope = slopes.get(0.0, best)
         if self.is_cause:
             slope = self._nearest_slope(slopes, best, signals)
         t = slope.t(least, most)
         if abs(t) < self.least_t or slope.explained < self.least_explained:
             return None, False
-        is_attenuated = self.vibrates and 0 < slope.value < least
-        if is_attenuated and self._is_reverse_equal(signals):
+        is_smaller = 0 < slope.value < least
+        if self.vibrates and is_smaller and self._is_reverse_equal(signals):
             return None, False
         if self.witness is not None and self.witness.judge(signals)[0] is None:
             return None, False

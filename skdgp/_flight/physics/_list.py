@@ -62,7 +62,7 @@ def _equality(**options: Any) -> Law:
     # LagCorrector corrects 0.3 s, and holds of a slow GPS add to it
     usual = (-0.5, 0.5)
     defaults: dict[str, Any] = {"admissible": EQUAL, "lags": KINEMATIC_LAGS, "usual_lags": usual}
-    return Law(**(defaults | options), least_explained=0.0)
+    return Law(**(defaults | options), least_explained=0.0, is_attenuated=True)
 
 
 def _integral(
@@ -329,6 +329,7 @@ def _scale_of_vane(law: Law) -> Law:
         lags=(0.0,),
         causes=("the flow about the vane", "another unit"),
         admissible=SMOOTH,
+        is_attenuated=False,
         # a correlation of 0.9 (guess)
         least_explained=4.3,
         least_t=4.0,
@@ -363,7 +364,7 @@ OFFSETS = (
         lags=(0.0,),
         causes=("indicated in place of true airspeed", "the calibration of the pitot tube"),
         admissible=CALIBRATED,
-        noise=0.0,
+        is_attenuated=False,
         least_explained=PHYSICS.least_explained,
     ),
     _scale_of_vane(ALPHA),

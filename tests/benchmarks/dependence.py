@@ -14,7 +14,7 @@ bands refer to places where the output was not observed.
 from functools import partial
 
 import numpy as np
-from _common import Kept, finish, parser_of
+from _common import Kept, contest, finish, parser_of
 from _peers import EachOutput, Process
 from made_outputs import little_overlap, noisy_copies, translated
 from sklearn.preprocessing import StandardScaler
@@ -92,21 +92,11 @@ METHODS = {"skdgp": defaults, "one structure": one_structure, "scikit-learn": se
 
 
 def scored(problem, method, seed):
-    """Return the error over the spread of the truth, and the fraction of points inside the band."""
+    """Return the error over the spread of the truth, and the percentage of points inside the band."""
     X, Y, points, truth = PROBLEMS[problem](np.random.default_rng(seed))
     mean, std = METHODS[method](X, Y, points)
-    error = float(normalized_rmse(truth, mean))
-    return {"error": error, "inside": float(interval_coverage(truth, mean, std))}
-
-
-def table(runs):
-    """Return a row for each problem: error, and percentage inside, of each method, over the seeds."""
-    means = runs.groupby(["problem", "method"], sort=False)[["error", "inside", "seconds"]].mean()
-    rows = {}
-    for (problem, method), (error, inside, seconds) in means.iterrows():
-        row = rows.setdefault(problem, {"problem": problem})
-        row[method] = f"{error:.3f}, {100 * inside:.0f} %, {seconds:.1f} s"
-    return [*rows.values()]
+    held = 100 * float(interval_coverage(truth, mean, std))
+    return {"error": float(normalized_rmse(truth, mean)), "held": held}
 
 
 def main(words=None):
@@ -117,7 +107,8 @@ def main(words=None):
             for seed in list(SEEDS)[: 1 if options.smoke else None]:
                 key = {"problem": problem, "method": method, "seed": seed}
                 kept.run(key, scored, problem, method, seed)
-    finish(options, "dependence", problems=table(kept.table))
+    problems = contest(kept.table, "problem").T.reset_index(names="problem")
+    finish(options, "dependence", problems=problems.to_dict("records"))
 
 
 if __name__ == "__main__":

@@ -393,11 +393,11 @@ class MultiOutputKernel(Kernel):
 
     def theta_gradient(self, gradients: dict[str, np.ndarray]) -> np.ndarray:
         """Return d/dtheta from derivatives by the parameter entries (by their logarithms where ``log``)."""
-        theta: list[Vector] = [np.empty(0)]
-        for f in self.free_parameters():
-            sums: Any = np.bincount(f.index[f.free], gradients[f.name][f.free], f.n_elements)
-            theta.append(sums)
-        return np.concatenate(theta)
+        total = np.zeros(self.n_dims)
+        for name, places in self.theta_places().items():
+            free = places >= 0
+            np.add.at(total, places[free], gradients[name][free])
+        return total
 
     def theta_places(self) -> dict[str, Indices]:
         """Return the place in theta of each entry of each parameter, -1 where it is fixed."""
@@ -463,6 +463,11 @@ class EstimatedKernel(MultiOutputKernel):
 
     def bounds_from_data(self, name: str) -> bool:
         return name in self.default_bounds and name not in self.given_bounds()
+
+    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
+        total = np.zeros(self.n_dims)
+        self.evaluate([InputPair(i, j, Xi, Xj)])[0].add_gradient(total, W)
+        return total
 
     def _completed(self, values, bounds):
         """Return the kernel with these values and bounds where none were given."""
@@ -558,13 +563,6 @@ class Sum(_SklearnSum, MultiOutputKernel):
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))
 
 
-def gradient_of(kernel: MultiOutputKernel, pair: InputPair, W: Matrix) -> Vector:
-    """Return ``block_gradient`` of a kernel by its `evaluate`."""
-    total = np.zeros(kernel.n_dims)
-    kernel.evaluate([pair])[0].add_gradient(total, W)
-    return total
-
-
 class _EvaluatedPair:
     """`EvaluatedBlock` of any kernel."""
 
@@ -580,13 +578,10 @@ class _EvaluatedPair:
 
     def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
         i, j, Xi, Xj = self.pair
-        slopes = self.kernel.block_gradient
         if transposed:
-            for row, x in zip(total, Xj, strict=True):
-                row += slopes(i, j, Xi, x[None], beta[:, None])
-        else:
-            for row, x in zip(total, Xi, strict=True):
-                row += slopes(i, j, x[None], Xj, beta[None])
+            i, j, Xi, Xj = j, i, Xj, Xi
+        for row, x in zip(total, Xi, strict=True):
+            row += self.kernel.block_gradient(i, j, x[None], Xj, beta[None])
 
 
 class _EvaluatedSum(NamedTuple):

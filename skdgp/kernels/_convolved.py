@@ -19,9 +19,7 @@ from skdgp.kernels._base import (
     FreeParameter,
     InputPair,
     MultiOutputKernel,
-    add_at,
     as_shape,
-    gradient_of,
     numbered,
 )
 from skdgp.kernels._gaussian_filters import EvaluatedPair, FilterPair
@@ -39,8 +37,6 @@ class StartSettings:
     regressor.
     """
 
-    #: Fraction of the variance that starts in the shared latents (guess; 0.1 ends alike)
-    shared_variance: float = 0.5
     #: Largest amplitude
     largest_amplitude: float = 30.0
     #: Smallest amplitude of a private latent beside shared ones where targets are missing: without
@@ -52,21 +48,14 @@ class StartSettings:
     shared_widths: tuple[float, float] = (2.0, 0.8)
     #: Starting width of the private latents, for one regressor
     private_width: float = 1.2
-    #: Standard deviation of the logarithm of the widths of shared latents, to part them (guess)
-    width_scatter: float = 0.1
-    #: Added to correlations, so that rounding does not choose the principal directions
-    tie_break: float = 1e-9
-    #: Smallest variance of a direction, which parts from zero, where the gradient is zero (guess)
-    least_direction: float = 0.05
-    #: Standard deviation of the perturbation of each direction (guess)
-    direction_scatter: float = 0.05
-    #: Size of directions beyond the principal ones (guess)
-    random_direction: float = 0.5
     #: Samples that count for "spacing": searches learn from a few hundred of any time series
     most_counted: int = 400
 
 
 STARTS = StartSettings()
+# Smallest variance of a starting direction, and its perturbation: away from zero, where the gradient
+# is zero (guess)
+SCATTER = 0.05
 
 
 class Filters(NamedTuple):
@@ -84,13 +73,10 @@ class Filters(NamedTuple):
     def pair(self, i: int, j: int) -> FilterPair:
         """Return equation 16 of outputs i and j."""
         latents = self.latents(i, j)
-        amplitude = self.amplitude[latents]
-        width = self.length_scale[latents]
-        shift = self.shift[latents]
+        outputs = np.array([[i], [j]])
+        shift = self.shift[latents, i] - self.shift[latents, j]
         return FilterPair(
-            np.stack([amplitude[:, i], amplitude[:, j]]),
-            np.stack([width[:, i], width[:, j]]),
-            shift[:, i] - shift[:, j],
+            self.amplitude[latents, outputs], self.length_scale[latents, outputs], shift
         )
 
 
@@ -282,9 +268,6 @@ class ConvolvedGaussian(EstimatedKernel):
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return np.full(len(Xi), np.sum(self.filters.amplitude[:, i] ** 2))
 
-    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        return gradient_of(self, InputPair(i, j, Xi, Xj), W)
-
     def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
         filters = self.filters
         places = self.theta_places().values()
@@ -294,39 +277,14 @@ class ConvolvedGaussian(EstimatedKernel):
             of_outputs[i, j] = [(of_all[latents, i], of_all[latents, j]) for of_all in places]
 
         def evaluated(pair):
-            of_pair = EvaluatedPair(filters.pair(pair.i, pair.j), pair.Xi, pair.Xj)
-            return _EvaluatedFilters(of_pair, of_outputs[pair.i, pair.j])
+            filter_pair = filters.pair(pair.i, pair.j)
+            return EvaluatedPair(filter_pair, pair.Xi, pair.Xj, of_outputs[pair.i, pair.j])
 
         return thread_map(evaluated, pairs)
 
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""
         return True
-
-
-class _EvaluatedFilters(NamedTuple):
-    """`EvaluatedBlock` of a `ConvolvedGaussian`, with the places in theta of each parameter of both outputs."""
-
-    pair: EvaluatedPair
-    places: Sequence[tuple[Indices, Indices]]
-
-    def covariance(self) -> Matrix:
-        return self.pair.covariance()
-
-    def add_gradient(self, total: Vector, W: Matrix) -> None:
-        self._add(total[None], self.pair.gradient(W))
-
-    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
-        self._add(total, self.pair.products(beta, transposed))
-
-    def _add(self, total, slopes):
-        """Add derivatives of n rows to ``total`` (n, n_theta)."""
-        of_shifts = (slopes.by_shift, -slopes.by_shift)
-        of_parameters = (slopes.by_amplitude, slopes.by_width, of_shifts)
-        for places, of_outputs in zip(self.places, of_parameters, strict=True):
-            for of_output, part in zip(places, of_outputs, strict=True):
-                # places differ: those of tied length scales are of different latents
-                add_at(total, of_output, part)
 
 
 def is_spacing(bounds: Any) -> bool:
@@ -460,8 +418,7 @@ def _starting_amplitude(feeds, shared, Y, rng):
     """Return the signed amplitudes (M, P), over the scales of the outputs."""
     directions = np.ones(feeds.shape)
     directions[shared] = _directions(Y, int(shared.sum()), rng)
-    fraction = np.where(shared, STARTS.shared_variance, 1.0 - STARTS.shared_variance)
-    variance = fraction[:, None] * feeds * directions**2
+    variance = feeds * directions**2  # half of it is shared
     return np.sign(directions) * np.sqrt(variance / variance.sum(axis=0))
 
 
@@ -478,7 +435,7 @@ def _starting_lengths(shared, X, rng):
     scatter[:, varies] = drawn[:, places(X[:, varies])]
     scatter[~shared] = 0.0
     lengths = np.sqrt(max(1, n_varying)) * width[:, None] * column_scale(X)
-    return lengths * np.exp(STARTS.width_scatter * scatter)
+    return lengths * np.exp(0.1 * scatter)  # guess, to part shared latents
 
 
 def _directions(Y, n_latent, rng):
@@ -491,19 +448,19 @@ def _directions(Y, n_latent, rng):
     Z = np.where(observed, Y - mean, 0.0) / column_scale(Y)
     counts = np.maximum(observed.T.astype(float) @ observed, 1.0)
     place = places(Y)
-    order = np.diag(STARTS.tie_break * (P - place))
+    order = np.diag(1e-9 * (P - place))  # so that rounding does not choose the directions
     values, vectors = np.linalg.eigh(Z.T @ Z / counts + order)
     # The sign of an eigenvector depends on LAPACK: choose one.
     side = np.sqrt(place + 2) @ vectors
     vectors = vectors * np.where(side < 0, -1.0, 1.0)
-    sizes = np.sqrt(np.maximum(values, STARTS.least_direction))
+    sizes = np.sqrt(np.maximum(values, SCATTER))
     principal = (vectors * sizes).T[::-1]
     rows = principal[:n_latent]
     if n_latent > P:
-        further = STARTS.random_direction * rng.normal(size=(n_latent - P, P))
+        further = 0.5 * rng.normal(size=(n_latent - P, P))  # guess
         rows = np.concatenate([rows, further[:, place]])
     # A small perturbation, since an amplitude of exactly zero has no gradient. It takes the sign of
     # the amplitude, so that outputs of the other sign start, and end, as the same model.
-    perturbation = STARTS.direction_scatter * rng.normal(size=rows.shape)[:, place]
+    perturbation = SCATTER * rng.normal(size=rows.shape)[:, place]
     rows = rows + perturbation * np.where(rows < 0, -1.0, 1.0)
     return rows / np.sqrt(np.sum(rows**2, axis=0))

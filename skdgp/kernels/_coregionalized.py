@@ -19,7 +19,6 @@ from skdgp.kernels._base import (
     Sum,
     add_at,
     as_shape,
-    gradient_of,
     numbered,
 )
 from skdgp.kernels._convolved import feed_matrix, starting_values
@@ -169,9 +168,6 @@ class Coregionalized(EstimatedKernel):
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return self.B[i, i] * self.kernel.diag(Xi)
-
-    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        return gradient_of(self, InputPair(i, j, Xi, Xj), W)
 
     def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
         weights = self.weights

@@ -27,7 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp.kernels._base import add_at
 
 FAR = 1e9  # exponent above which cancellation, relatively about 1e-16, becomes visible
 
@@ -174,7 +175,7 @@ class FilterPair:
 
     def covariance(self, Xi: Matrix, Xj: Matrix) -> Matrix:
         """Return equation 16 at all pairs of rows, (n_i, n_j)."""
-        return EvaluatedPair(self, Xi, Xj).covariance()
+        return EvaluatedPair(self, Xi, Xj, ()).covariance()
 
     def slopes(self, moments: Moments) -> PairSlopes:
         """Return the derivatives by the parameters of both outputs from moments of the exponentials."""
@@ -191,10 +192,20 @@ class FilterPair:
 
 
 class EvaluatedPair:
-    """Equation 16 at pairs of rows Xi (n_i, d) and Xj (n_j, d), with the exponential of each latent."""
+    """Equation 16 at pairs of rows Xi (n_i, d) and Xj (n_j, d), with the exponential of each latent.
 
-    def __init__(self, pair: FilterPair, Xi: Matrix, Xj: Matrix) -> None:
+    ``places`` are those in theta of the amplitudes, widths and shifts of both outputs.
+    """
+
+    def __init__(
+        self,
+        pair: FilterPair,
+        Xi: Matrix,
+        Xj: Matrix,
+        places: Sequence[tuple[Indices, Indices]],
+    ) -> None:
         self.pair = pair
+        self.places = places
         self.Xi = Xi
         self.Xj = Xj
         self.basis = pair.basis(Xj)
@@ -204,14 +215,24 @@ class EvaluatedPair:
         """Return equation 16, (n_i, n_j)."""
         return np.einsum("m,nmk->nk", self.pair.gain, self.exponentials)
 
-    def gradient(self, W: Matrix) -> PairSlopes:
-        """Return the derivatives of sum(W * cov_ij), as one row."""
-        moments = self._moments(self.exponentials * W[:, None], np.ones(len(self.Xj)), False)
-        return self.pair.slopes(Moments(*(part.sum(axis=0, keepdims=True) for part in moments)))
+    def add_gradient(self, total: Vector, W: Matrix) -> None:
+        """Add the derivatives of sum(W * cov_ij) by theta."""
+        rows = self._moments(self.exponentials * W[:, None], np.ones(len(self.Xj)), False)
+        moments = Moments(*(part.sum(axis=0, keepdims=True) for part in rows))
+        self._add(total[None], self.pair.slopes(moments))
 
-    def products(self, beta: Vector, transposed: bool) -> PairSlopes:
-        """Return the derivatives of cov_ij beta, beta (n_j,), or of cov_ij^T beta, beta (n_i,)."""
-        return self.pair.slopes(self._moments(self.exponentials, beta, transposed))
+    def add_products(self, total: Matrix, beta: Vector, transposed: bool = False) -> None:
+        """Add the derivatives of cov_ij beta, beta (n_j,), or of cov_ij^T beta, beta (n_i,)."""
+        self._add(total, self.pair.slopes(self._moments(self.exponentials, beta, transposed)))
+
+    def _add(self, total, slopes):
+        """Add derivatives of n rows to ``total`` (n, n_theta)."""
+        of_shifts = (slopes.by_shift, -slopes.by_shift)
+        of_parameters = (slopes.by_amplitude, slopes.by_width, of_shifts)
+        for places, of_outputs in zip(self.places, of_parameters, strict=True):
+            for of_output, part in zip(places, of_outputs, strict=True):
+                # places differ: those of tied length scales are of different latents
+                add_at(total, of_output, part)
 
     def _moments(self, exponentials, beta, transposed):
         """Return the moments of exponentials (n_i, m, n_j) times ``beta`` of the columns, or of the rows."""

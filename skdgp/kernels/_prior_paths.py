@@ -3,20 +3,50 @@
 from __future__ import annotations
 
 from functools import singledispatch
-from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
 
 from skdgp._compute.typing import Array, Indices, Matrix, Seed
 from skdgp.kernels._base import MultiOutputKernel, Sum
-from skdgp.kernels._convolved import ConvolvedGaussian, Filters
+from skdgp.kernels._convolved import ConvolvedGaussian
 from skdgp.kernels._paths import PathBundle, Waves
 
 
-def draw_waves(
-    kernel: ConvolvedGaussian, n_paths: int, n_frequencies: int, random_state: Any
-) -> Waves:
+@singledispatch
+def prior_paths(
+    kernel: MultiOutputKernel, n_paths: int, n_frequencies: int, random_state: Seed
+) -> PathBundle:
+    """Return sample paths of the prior.
+
+    ``prior_paths.register`` adds a class of kernels. Raises NotImplementedError for others.
+
+    Parameters
+    ----------
+    kernel : MultiOutputKernel
+    n_paths : int
+    n_frequencies : int
+        Number of waves for each latent process.
+    random_state : RandomState
+
+    Returns
+    -------
+    PathBundle
+    """
+    raise NotImplementedError(
+        f"Got a {type(kernel).__name__}, but expected a kernel with sample paths. "
+        "Use sample_y, or register paths of this class with skdgp.kernels.prior_paths."
+    )
+
+
+def has_prior_paths(kernel: MultiOutputKernel) -> bool:
+    """Return whether sample paths are registered for the class of every term of a kernel."""
+    missing = prior_paths.dispatch(object)
+    return all(prior_paths.dispatch(type(term)) is not missing for term in kernel.summands())
+
+
+@prior_paths.register
+def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
     r"""Return sample paths of a ConvolvedGaussian.
 
     There are F waves for each of S paths of every latent. With the amplitude w_i, the width L_i and
@@ -75,79 +105,6 @@ def _importance_gains(omega: Array, lengths: Matrix, counts: Indices) -> Array:
     log_density = np.log(lengths).sum(axis=1) - 0.5 * omega**2 @ (lengths**2).T
     log_mixture = logsumexp(log_density, axis=2, b=counts, keepdims=True)  # log(F q)
     return np.exp(0.5 * (log_density - log_mixture))
-
-
-def draw_waves_of_one_width(
-    kernel: ConvolvedGaussian, n_paths: int, n_frequencies: int, random_state: Any
-) -> Waves:
-    """Return sample paths of independent outputs whose filters have one width, with the frequencies of `draw_waves`.
-
-    Outputs share F frequencies, and each has cosines and sines of its own normal weights. So each is
-    distributed as with frequencies of its own, no two correlate, and P outputs need 2 F waves, not P F.
-    """
-    filters = kernel.filters
-    amplitude = np.sum(filters.amplitude, axis=0, where=filters.feeds)
-    width = filters.length_scale[filters.feeds][0]
-    shape = (n_paths, n_frequencies)
-    omega = random_state.standard_normal((*shape, len(width))) / width
-    phase = random_state.uniform(0.0, 2 * np.pi, shape)
-    normal = random_state.standard_normal((n_paths, len(amplitude), 2 * n_frequencies))
-    return Waves(
-        np.concatenate([omega, omega], axis=1).swapaxes(1, 2).copy(),
-        np.concatenate([phase, phase - 0.5 * np.pi], axis=1)[:, None],
-        amplitude[:, None] / np.sqrt(n_frequencies) * normal,
-    )
-
-
-def _has_one_width(filters: Filters) -> bool:
-    """Return whether each latent feeds one output, each output is fed by one, and all widths are equal."""
-    feeds = filters.feeds
-    is_private = (feeds.sum(axis=0) == 1).all() and (feeds.sum(axis=1) == 1).all()
-    widths = filters.length_scale[feeds]
-    return bool(is_private and (widths == widths[0]).all())
-
-
-# -- paths of a kernel
-# ---------------------------------------------------------------------------------------------------
-
-
-@singledispatch
-def prior_paths(
-    kernel: MultiOutputKernel, n_paths: int, n_frequencies: int, random_state: Seed
-) -> PathBundle:
-    """Return sample paths of the prior.
-
-    ``prior_paths.register`` adds a class of kernels. Raises NotImplementedError for others.
-
-    Parameters
-    ----------
-    kernel : MultiOutputKernel
-    n_paths : int
-    n_frequencies : int
-        Number of waves for each latent process.
-    random_state : RandomState
-
-    Returns
-    -------
-    PathBundle
-    """
-    raise NotImplementedError(
-        f"Got a {type(kernel).__name__}, but expected a kernel with sample paths. "
-        "Use sample_y, or register paths of this class with skdgp.kernels.prior_paths."
-    )
-
-
-def has_prior_paths(kernel: MultiOutputKernel) -> bool:
-    """Return whether sample paths are registered for the class of every term of a kernel."""
-    missing = prior_paths.dispatch(object)
-    return all(prior_paths.dispatch(type(term)) is not missing for term in kernel.summands())
-
-
-@prior_paths.register
-def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
-    if _has_one_width(kernel.filters):
-        return draw_waves_of_one_width(kernel, n_paths, n_frequencies, random_state)
-    return draw_waves(kernel, n_paths, n_frequencies, random_state)
 
 
 @prior_paths.register

@@ -19,7 +19,6 @@ from skdgp.kernels._base import (
     MultiOutputKernel,
     add_at,
     as_shape,
-    gradient_of,
 )
 
 
@@ -161,9 +160,6 @@ class LinearTrend(EstimatedKernel):
 
     def block_diag(self, i: int, Xi: Matrix) -> Vector:
         return (self.basis(i, Xi) ** 2).sum(axis=1)
-
-    def block_gradient(self, i: int, j: int, Xi: Matrix, Xj: Matrix, W: Matrix) -> Vector:
-        return gradient_of(self, InputPair(i, j, Xi, Xj), W)
 
     def evaluate(self, pairs: Sequence[InputPair]) -> Sequence[EvaluatedBlock]:
         values = self.values()

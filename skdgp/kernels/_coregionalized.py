@@ -198,7 +198,7 @@ class _EvaluatedPair(NamedTuple):
 
     @property
     def B(self) -> float:
-        return self.weights[:, 0] @ self.weights[:, 1]
+        return float(self.weights[:, 0] @ self.weights[:, 1])
 
     def covariance(self) -> Matrix:
         return self.B * self.k

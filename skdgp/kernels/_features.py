@@ -162,6 +162,7 @@ class LatentFeatures(ValueFeatures):
     def prior_paths(
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
+        waves: Any
         waves, u = super().prior_paths(n_paths, n_frequencies, random_state)
         return waves.of_outputs(self.kernel.n_outputs), u
 

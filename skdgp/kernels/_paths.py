@@ -136,7 +136,7 @@ def summed(parts: Sequence[PathBundle]) -> PathBundle:
 class GaussianPaths(PathBundle):
     """Gaussian functions times weights (S, C), for each output those in its ``columns``."""
 
-    def __init__(self, basis: GaussianBasis, weights: Matrix, columns: Sequence[slice]) -> None:
+    def __init__(self, basis: GaussianBasis, weights: Matrix, columns: list[slice]) -> None:
         self.basis = basis
         self.weights = weights
         self.columns = columns

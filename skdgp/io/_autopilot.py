@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Mask, Vector
+from skdgp._flight.clock import runs_between
 from skdgp._flight.faults import attitude_jumps
 from skdgp._flight.tables import FlightTable
 from skdgp.io._clock import clock_parts
@@ -45,26 +45,19 @@ ARMED: States = (
 )
 
 
-@dataclass(frozen=True)
-class LogSettings:
-    """Settings of the search for flights in a log."""
-
-    # airborne above this fraction of the slowest airspeed that is set, or above this speed [m/s]
-    airborne_fraction: float = 0.7
-    airborne_speed: float = 8.0
-    # height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
-    clear_height: float = 0.5
-    # rows this near to a reset of an estimator [s] are left out: filters smear the jump; a guess
-    reset_margin: float = 0.25
-    # slower for less than this is still flight [s]
-    longest_dip: float = 2.0
-    # faster for less than this is none [s]
-    shortest: float = 5.0
-    # channels begin and end within this of each other [s]
-    longest_edge: float = 1.0
-
-
-SETTINGS = LogSettings()
+# airborne above this fraction of the slowest airspeed that is set, or above this speed [m/s]
+AIRBORNE_FRACTION = 0.7
+AIRBORNE_SPEED = 8.0
+# height above the ground of the take-off [m] below which wheels may carry the aircraft; a guess
+CLEAR_HEIGHT = 0.5
+# rows this near to a reset of an estimator [s] are left out: filters smear the jump; a guess
+RESET_MARGIN = 0.25
+# slower for no more than this is still flight [s]
+LONGEST_DIP = 2.0
+# faster for less than this is none [s]
+SHORTEST_FLIGHT = 5.0
+# channels begin and end within this of each other [s]
+LONGEST_EDGE = 1.0
 
 
 class FlightLog(NamedTuple):
@@ -156,7 +149,8 @@ def _part(
         # a speed that is given counts whatever the autopilot reports
         on_ground = landed & (airborne is True)
         segments = _segments(table, (speeds > speed) & ~on_ground & ~lifted, on_ground)
-        flights = [_trimmed(piece) for rows in segments for piece in _cut(table.iloc[rows], cuts)]
+        pieces = [piece for rows in segments for piece in _cut(table.iloc[rows], cuts)]
+        flights = [_trimmed(piece) for piece in pieces if len(piece)]
         if flights and not _was_armed(log, time):
             remarks.append(
                 "the autopilot was never armed, but the speed is a flight's: if something else moved the "
@@ -180,17 +174,17 @@ def _was_armed(log: Log, time: Vector) -> bool:
 
 def _check_channels(log: Log, controls: Mapping[str, tuple[str, Control]]) -> None:
     """Raise FlightReadError if the log lacks the channel of a servo."""
+    logged = {}
+    for output in log.outputs:
+        if output in log.topics:
+            logged[output] = sorted(log.topics[output].fields.keys() - TIMES)
     for name, (_, control) in controls.items():
         for servo in control:
-            if servo.field in log.topics.get(servo.topic, NOTHING):
-                continue
-            logged = {}
-            for output in {*log.outputs} & log.topics.keys():
-                logged[output] = sorted(log.topics[output].fields.keys() - TIMES)
-            raise FlightReadError(
-                f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected "
-                f"one of {logged or [*log.outputs]}."
-            )
+            if servo.field not in log.topics.get(servo.topic, NOTHING):
+                raise FlightReadError(
+                    f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected "
+                    f"one of {logged or [*log.outputs]}."
+                )
 
 
 # -- flights in a log
@@ -198,47 +192,41 @@ def _check_channels(log: Log, controls: Mapping[str, tuple[str, Control]]) -> No
 
 def flight_table(flown: FlightLog, name: str) -> pd.DataFrame:
     """Return the flights of a log one after another: name, name#2, ...; raise FlightReadError if there is none."""
-    flights: list[pd.DataFrame] = []
-    for piece in flown.flights:
-        if len(piece):
-            flight = f"{name}#{len(flights) + 1}" if flights else name
-            flights.append(piece.assign(flight=flight))
     if not flown.log.has_wings:
         raise FlightReadError(no_wings(flown.log))
+    flights = [piece for piece in flown.flights if len(piece)]
     if not flights:
         raise FlightReadError(
             f"Got a log of {flown.log.firmware} in which no flight was found "
             f"({flown.reasons}), but expected a fixed wing in the air: airborne=False "
             "(--airborne all) reads all of it, a speed [m/s] in its place all above it."
         )
-    return pd.concat(flights, ignore_index=True)
+    names = [name, *(f"{name}#{n}" for n in range(2, len(flights) + 1))]
+    named = [flight.assign(flight=each) for each, flight in zip(names, flights, strict=True)]
+    return pd.concat(named, ignore_index=True)
 
 
 def _cut(table: pd.DataFrame, cuts: Vector) -> list[pd.DataFrame]:
     """Return the pieces of a table between resets, whose neighbouring rows are left out."""
-    time = table["time"].to_numpy()
-    pieces = []
-    edges = [-np.inf, *cuts.tolist(), np.inf]
-    for begin, end in pairwise(edges):
-        rows = (time >= begin + SETTINGS.reset_margin) & (time < end - SETTINGS.reset_margin)
-        if rows.any():
-            pieces.append(table[rows])
-    return pieces
+    begins = [-np.inf, *(cuts + RESET_MARGIN)]
+    ends = [*(cuts - RESET_MARGIN), np.inf]
+    time = table["time"]
+    return [
+        table[time.between(*edges, inclusive="left")] for edges in zip(begins, ends, strict=True)
+    ]
 
 
 def _least_speed(log: Log, airborne: Any) -> float:
     """Return the airspeed [m/s] above which an aircraft flies: as given, or by the autopilot's parameters."""
-    if not isinstance(airborne, bool):
-        if isinstance(airborne, Real) and float(airborne) > 0:
-            return float(airborne)
-        raise FlightReadError(
-            f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s."
-        )
-    for name in SLOWEST_AIRSPEED:
-        speed = log.parameters.get(name, np.nan)
-        if 0 < speed < 200:
-            return SETTINGS.airborne_fraction * speed
-    return SETTINGS.airborne_speed
+    if isinstance(airborne, bool):
+        stated = [log.parameters.get(name, np.nan) for name in SLOWEST_AIRSPEED]
+        sound = [AIRBORNE_FRACTION * speed for speed in stated if 0 < speed < 200]
+        return [*sound, AIRBORNE_SPEED][0]
+    if isinstance(airborne, Real) and float(airborne) > 0:
+        return float(airborne)
+    raise FlightReadError(
+        f"Got airborne={airborne!r}, but expected True, False, or an airspeed in m/s."
+    )
 
 
 def _segments(table: pd.DataFrame, is_flight: Mask, on_ground: Mask) -> list[slice]:
@@ -248,13 +236,12 @@ def _segments(table: pd.DataFrame, is_flight: Mask, on_ground: Mask) -> list[sli
     """
     time = table["time"].to_numpy()
     rows = np.flatnonzero(is_flight)
-    pauses = np.flatnonzero(np.diff(time[rows]) >= SETTINGS.longest_dip) + 1
     segments = []
-    for part in np.split(rows, pauses):
-        if len(part):
-            first = _lift_off(table, on_ground, part[0], part[-1])
-            if time[part[-1]] - time[first] >= SETTINGS.shortest:
-                segments.append(slice(first, int(part[-1]) + 1))
+    for run in runs_between(time[rows], LONGEST_DIP):
+        last = rows[run][-1]
+        first = _lift_off(table, on_ground, rows[run][0], last)
+        if time[last] - time[first] >= SHORTEST_FLIGHT:
+            segments.append(slice(first, last + 1))
     return segments
 
 
@@ -262,21 +249,21 @@ def _lift_off(table: pd.DataFrame, on_ground: Mask, first: int, last: int) -> in
     """Return the first row of a flight that is clear of the ground on which it was reported as landed before."""
     before = np.flatnonzero(on_ground[:first])
     if not len(before) or "down" not in table:
-        return int(first)
+        return first
     down = table["down"].to_numpy()
     height = down[before[-1]] - down[first : last + 1]
     # the first row where it is never clear: the height is not to be believed
-    return int(first + (height > SETTINGS.clear_height).argmax())
+    return first + int((height > CLEAR_HEIGHT).argmax())
 
 
 def _trimmed(flight: pd.DataFrame) -> pd.DataFrame:
     """Return a flight without rows at its ends, at most a second, where slow channels have no value."""
     time = flight["time"]
-    channels = flight.dropna(axis=1, how="all")
-    begins = channels.apply(lambda column: time[column.first_valid_index()])
-    ends = channels.apply(lambda column: time[column.last_valid_index()])
-    begin = begins[begins <= begins.min() + SETTINGS.longest_edge].max()
-    end = ends[ends >= ends.max() - SETTINGS.longest_edge].min()
+    logged = flight.dropna(axis=1, how="all").notna()
+    begins = time[logged.idxmax()]
+    ends = time[logged[::-1].idxmax()]
+    begin = begins[begins <= begins.min() + LONGEST_EDGE].max()
+    end = ends[ends >= ends.max() - LONGEST_EDGE].min()
     return flight[time.between(begin, end)]
 
 
@@ -288,10 +275,9 @@ def _no_flight_because(
     if np.isfinite(speeds).any():
         channel = "airspeed" if "airspeed" in table else "no valid airspeed, ground speed"
         facts = f"{channel} up to {np.nanmax(speeds):.3g} m/s, where a flight stays above {least:.3g} m/s"
-    if landed.any():
-        facts += f", reports to be landed in {100 * landed.mean():.0f} % of the rows"
-    if lifted.any():
-        facts += f", is lifted by rotors in {100 * lifted.mean():.0f} % of the rows"
+    for state, rows in (("reports to be landed", landed), ("is lifted by rotors", lifted)):
+        if rows.any():
+            facts += f", {state} in {100 * rows.mean():.0f} % of the rows"
     return facts
 
 
@@ -300,11 +286,8 @@ def _speed(table: pd.DataFrame, log: Log) -> Vector:
 
     A sensor with one value throughout measures nothing, where a speed over ground is logged.
     """
-    airspeed = np.full(len(table), np.nan)
-    if "airspeed" in table:
-        airspeed = table["airspeed"].to_numpy()
-    if not {"v_north", "v_east"} <= {*table} or not log.has_wings:
-        return airspeed
-    ground_speed = np.hypot(table["v_north"].to_numpy(), table["v_east"].to_numpy())
-    is_dead = np.nanmax(airspeed, initial=-np.inf) == np.nanmin(airspeed, initial=np.inf)
-    return np.where(np.isnan(airspeed) | is_dead, ground_speed, airspeed)
+    airspeed = table.get("airspeed", pd.Series(np.nan, index=table.index))
+    if {"v_north", "v_east"} <= {*table} and log.has_wings:
+        ground_speed = np.hypot(table["v_north"], table["v_east"])
+        airspeed = airspeed.fillna(ground_speed) if airspeed.nunique() > 1 else ground_speed
+    return airspeed.to_numpy()

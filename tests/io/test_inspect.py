@@ -53,6 +53,13 @@ class TestSummary:
             ):
                 read_flight(quad, airborne=airborne)
 
+    def test_one_elevon_alone(self, write):
+        """A sign that it might have does not need the other one."""
+        time = 0.02 * np.arange(50)
+        columns = {"alpha": 0.05 * np.sin(time), "q": 0.1 * np.cos(time), "airspeed": 30 + time}
+        table = pd.DataFrame({"time": time, **columns, "elevon_left": 0.2 * np.sin(time)})
+        assert "elevon_left" in inspect_log(write(table)).columns.index
+
     def test_columns_of_unknown_names_are_one_line(self, write):
         path = write(named("ias", "de", "gx_dps", *(f"sensor_{k}" for k in range(66))))
         words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'gx_dps' \(.* 'p'"

@@ -6,7 +6,6 @@ Single time stamps may be wrong; the median of neighbouring messages in the file
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -17,39 +16,23 @@ from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
 
-
-@dataclass(frozen=True)
-class StampSettings:
-    """Settings of the search for restarts of a clock and wrong time stamps."""
-
-    # messages of a block, whose median time is compared with the next block's
-    block_size: int = 25
-    # a clock that goes back by more than this was restarted [s]; messages out of order are less late
-    restart_step: float = 5.0
-    # distance of valid stamps from the medians of a part [s]
-    margin: float = 5.0
-    # longest step between medians that widens this margin [s]
-    largest_step: float = 60.0
-
-
-@dataclass(frozen=True)
-class ResamplingSettings:
-    """Settings of the resampling of channels to one clock."""
-
-    filter_order: int = 4
-    # corner of the low-pass in parts of the new rate: gain 1/2 there
-    cutoff: float = 0.4
-    # least ratio of rates of a channel that is low-passed
-    least_ratio: float = 1.2
-    # in pauses longer than both, [s] and [usual steps], the clock has no rows
-    pause_seconds: float = 5.0
-    pause_steps: float = 50.0
-    # larger fractions of gaps are the pauses between bursts; a guess
-    most_gaps: float = 0.05
-
-
-STAMPS = StampSettings()
-RESAMPLING = ResamplingSettings()
+# messages of a block, whose median time is compared with the next block's
+BLOCK_SIZE = 25
+# a clock that goes back by more than this was restarted [s]; messages out of order are less late
+RESTART_STEP = 5.0
+# distance of valid stamps from the medians of a part [s], and the longest step between medians that widens it [s]
+MARGIN = 5.0
+LARGEST_STEP = 60.0
+# corner of the low-pass in parts of the new rate: gain 1/2 there; and its order
+CUTOFF = 0.4
+FILTER_ORDER = 4
+# least ratio of rates of a channel that is low-passed
+LEAST_RATIO = 1.2
+# in pauses longer than both, [s] and [usual steps], the clock has no rows
+PAUSE_SECONDS = 5.0
+PAUSE_STEPS = 50.0
+# larger fractions of gaps are the pauses between bursts; a guess
+MOST_GAPS = 0.05
 
 
 def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
@@ -105,10 +88,10 @@ def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
 
 def _restarts(time: Vector) -> list[int]:
     """Return the first messages of clocks that were set back."""
-    size = STAMPS.block_size
+    size = BLOCK_SIZE
     steady = _steady(time)
     restarts = set()
-    falls = np.flatnonzero(np.diff(steady) < -STAMPS.restart_step)
+    falls = np.flatnonzero(np.diff(steady) < -RESTART_STEP)
     for block in falls.tolist():
         start = max(block - 3, 0) * size
         window = time[start : (block + 5) * size]
@@ -123,13 +106,13 @@ def _valid_times(time: Vector) -> tuple[float, float]:
     """Return the earliest and the latest time that messages of a part may have."""
     steady = _steady(time)
     step = np.abs(np.diff(steady)).max(initial=0.0)
-    margin = STAMPS.margin + min(step, STAMPS.largest_step)
+    margin = MARGIN + min(step, LARGEST_STEP)
     return steady.min() - margin, steady.max() + margin
 
 
 def _steady(time: Vector) -> Vector:
     """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
-    size = min(STAMPS.block_size, len(time))
+    size = min(BLOCK_SIZE, len(time))
     n_blocks = len(time) // size
     blocks = time[: n_blocks * size].reshape(n_blocks, size)
     medians = np.pad(np.median(blocks, axis=1), 2, mode="edge")
@@ -145,14 +128,14 @@ def usual_step(step: Vector) -> float:
     """
     median = np.median(step)
     gap = step > LONGEST_STEP * median
-    are_bursts = gap.mean() > RESAMPLING.most_gaps and step[gap].sum() > 0.5 * step.sum()
+    are_bursts = gap.mean() > MOST_GAPS and step[gap].sum() > 0.5 * step.sum()
     return float(np.mean(step) if are_bursts else median)
 
 
 def uniform_clock(time: Vector, rate: float) -> Vector:
     """Return the multiples of 1 / rate [s] within the runs of a channel."""
     step = np.diff(time)
-    pause = max(RESAMPLING.pause_seconds, RESAMPLING.pause_steps * np.median(step))
+    pause = max(PAUSE_SECONDS, PAUSE_STEPS * np.median(step))
     ticks = []
     for run in runs_between(time, pause):
         first = np.ceil(time[run][0] * rate - 1e-6)
@@ -186,9 +169,9 @@ def _low_passed(time: Vector, values: Matrix, rate: float) -> Matrix:
     """Return a run without the frequencies that the new rate cannot carry."""
     n = len(time)
     old_rate = (n - 1) / (time[-1] - time[0])
-    if old_rate < RESAMPLING.least_ratio * rate:
+    if old_rate < LEAST_RATIO * rate:
         return values
     even = np.linspace(time[0], time[-1], n)
     evenly = interpolated(even, time, values)
-    passed = low_pass(evenly, old_rate, RESAMPLING.cutoff * rate, order=RESAMPLING.filter_order)
+    passed = low_pass(evenly, old_rate, CUTOFF * rate, order=FILTER_ORDER)
     return interpolated(time, even, passed)

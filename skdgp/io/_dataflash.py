@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -186,6 +187,7 @@ MIXES: dict[str, dict[int, float]] = {
 MIXED = {function for weights in MIXES.values() for function in weights}
 # differential spoilers
 SPOILERS = (16, 17, 86, 87)
+MOVING = {*SURFACES, *MIXED, *SPOILERS}
 # numbers of the modes QSTABILIZE to QACRO and LOITER_ALT_QLAND, in which rotors lift a VTOL (ArduPlane/mode.h)
 LIFTING_MODES = (*range(17, 24), 25)
 # fraction of the range of pulses above which a motor runs; a guess
@@ -240,9 +242,9 @@ class Messages:
         field = self._instance_field(units)
         if field is None:
             return {self.name: topic}
-        numbers = topic[field]
+        numbers = topic.fields[field]
         topics = {}
-        for k in np.unique(numbers[np.isfinite(numbers)]).astype(int).tolist():
+        for k in np.unique(numbers).tolist():
             topics[instance_name(self.name, k)] = topic.select(numbers == k)
         return topics
 
@@ -251,13 +253,14 @@ class Messages:
 
         By name it is a small whole number, to tell it from others of the name.
         """
-        for place, (column, code) in enumerate(self.codes.items()):
-            is_instance = units[place : place + 1] == "#" and code in INTEGERS
-            if not units:
-                is_instance = column in INSTANCES and code in "BM"
-            if is_instance:
-                return column
-        return None
+        if units:
+            marked = zip(self.codes.items(), units, strict=False)
+            columns = [name for (name, code), unit in marked if unit == "#" and code in INTEGERS]
+        else:
+            columns = [
+                name for name, code in self.codes.items() if name in INSTANCES and code in "BM"
+            ]
+        return columns[0] if columns else None
 
 
 def _topics(file: _File) -> dict[str, Topic]:
@@ -315,17 +318,18 @@ def _with_last_ratio(
     A ratio that was calibrated in flight is right for the time before, too: V^2 goes with it.
     """
     remarks = []
-    for name in RATIOS.keys() & topics.keys():
-        topic = topics[name]
-        of_sensor = [change for change in changes if change[1] == RATIOS[name]]
-        ratios = {time: value for time, _, value in sorted(of_sensor) if 0 < value < np.inf}
-        values = np.array([*ratios.values()])
+    for name, parameter in RATIOS.items():
+        topic = topics.get(name, NOTHING)
+        ratios = [
+            (t, value) for t, key, value in changes if key == parameter and 0 < value < np.inf
+        ]
+        times, values = np.array(sorted(ratios, key=itemgetter(0))).reshape(-1, 2).T
         if "Airspeed" in topic and len({*values}) > 1:
-            at = values[last_before(np.array([*ratios]), topic.time)]
+            at = values[last_before(times, topic.time)]
             scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)
             topics = topics | {name: topic.with_fields(Airspeed=scaled)}
             remarks.append(
-                f"{RATIOS[name]} changed from {values[0]:.3g} to {values[-1]:.3g}: airspeeds before are "
+                f"{parameter} changed from {values[0]:.3g} to {values[-1]:.3g}: airspeeds before are "
                 "scaled to the last"
             )
     return topics, remarks
@@ -474,9 +478,8 @@ def _unread(
     unread = []
     for n in range(1, MOST_OUTPUTS + 1):
         function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-        if function in (*SURFACES, *MIXED, *SPOILERS) and not (
-            function in servos and servos[function].channel in read
-        ):
+        is_read = function in servos and servos[function].channel in read
+        if function in MOVING and not is_read:
             unread.append(f"SERVO{n}_FUNCTION {function}")
     return unread
 

@@ -197,8 +197,10 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
 def is_valid(topic: Topic, rule: Rule) -> Mask:
     """Return which messages the log calls valid measurements, by the fields that it has."""
     valid = np.ones(len(topic), bool)
-    positive = tuple((field, np.nextafter(0, 1), np.inf) for field in rule.valid)
-    for field, low, high in positive + rule.within:
+    for field in rule.valid:
+        if field in topic:
+            valid &= topic[field] > 0
+    for field, low, high in rule.within:
         if field in topic:
             valid &= (topic[field] >= low) & (topic[field] <= high)
     return valid

@@ -21,23 +21,28 @@ from skdgp._flight.faults import FlightDataWarning
 
 # columns, above those of any flight; a guess
 MOST_COLUMNS = 10_000
+# factors of units by the unit of SI
 TO_SI = {
-    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
-    "rad": ("rad", 1.0), "deg": ("rad", np.pi / 180),
-    "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", np.pi / 180), "rpm": ("rad/s", np.pi / 30),
-    "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", np.pi / 180),
-    "m": ("m", 1.0), "ft": ("m", 0.3048),
-    "m/s": ("m/s", 1.0), "kt": ("m/s", 1852 / 3600), "km/h": ("m/s", 1 / 3.6), "ft/s": ("m/s", 0.3048),
-    "ft/min": ("m/s", 0.3048 / 60), "mph": ("m/s", 0.44704),
-    "m/s^2": ("m/s^2", 1.0), "g": ("m/s^2", 9.80665), "ft/s^2": ("m/s^2", 0.3048),
-    "kg": ("kg", 1.0), "lb": ("kg", 0.45359237), "slug": ("kg", 14.593903),
-    "kg/m^3": ("kg/m^3", 1.0), "lb/ft^3": ("kg/m^3", 16.018463), "slug/ft^3": ("kg/m^3", 515.378818),
-    "lbf": ("N", 4.4482216), "N": ("N", 1.0), "N m": ("N m", 1.0), "": ("", 1.0), "%": ("", 0.01),
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
+    "rad": {"rad": 1.0, "deg": np.pi / 180},
+    "rad/s": {"rad/s": 1.0, "deg/s": np.pi / 180, "rpm": np.pi / 30},
+    "rad/s^2": {"rad/s^2": 1.0, "deg/s^2": np.pi / 180},
+    "m": {"m": 1.0, "ft": 0.3048},
+    "m/s": {
+        "m/s": 1.0, "kt": 1852 / 3600, "km/h": 1 / 3.6, "ft/s": 0.3048, "ft/min": 0.3048 / 60, "mph": 0.44704,
+    },
+    "m/s^2": {"m/s^2": 1.0, "g": 9.80665, "ft/s^2": 0.3048},
+    "kg": {"kg": 1.0, "lb": 0.45359237, "slug": 14.593903},
+    "kg/m^3": {"kg/m^3": 1.0, "lb/ft^3": 16.018463, "slug/ft^3": 515.378818},
+    "N": {"lbf": 4.4482216, "N": 1.0},
+    "N m": {"N m": 1.0},
+    "": {"": 1.0, "%": 0.01},
 }  # fmt: skip
-UNITS = {unit.lower(): meaning for unit, meaning in TO_SI.items()}
+UNITS = {unit for units in TO_SI.values() for unit in units}
 SPELLINGS = {
     "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "°/s^2": "deg/s^2", "dps": "deg/s", "µs": "us",
-    "-": "", "1": "", "kts": "kt", "knots": "kt", "nm": "N m", "n": "N", "fpm": "ft/min", "lbs": "lb", "mi/h": "mph",
+    "-": "", "1": "", "kts": "kt", "knots": "kt", "nm": "N m", "n m": "N m", "n": "N", "fpm": "ft/min",
+    "lbs": "lb", "mi/h": "mph",
 }  # fmt: skip
 # Powers and seconds have several spellings in any unit: m/s2, m/s², m/sec^2
 POWER = re.compile(r"(?<=[a-z])([23])\b")
@@ -117,7 +122,7 @@ def _no_numbers(column: pd.Series, bad: np.ndarray) -> FlightReadError:
     remedy = "leave missing values empty, write no separators of thousands, and one decimal mark"
     if column.name == "time":
         remedy = "write seconds, or dates as 2024-05-03T12:00:00.25 (ISO 8601)"
-    if isinstance(cell, str) and _usual_spelling(cell).lower() in UNITS:
+    if isinstance(cell, str) and _usual_spelling(cell) in UNITS:
         remedy = f"write the unit into the header, '{column.name} [{cell.strip()}]'"
     return FlightReadError(
         f"Got {cell!r} in column {column.name!r} at row {row} ({bad.size} rows are not "
@@ -129,13 +134,11 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
     """Convert columns whose unit the file states; raise FlightReadError for a unit of another quantity."""
     converted = {}
     for name, text in units.items():
-        expected = CHANNELS[base_name(name)]
-        unit = _usual_spelling(text)
-        quantity, factor = UNITS.get(unit.lower(), ("unknown", 1.0))
-        if quantity != expected:
-            fitting = [unit for unit, (si, _) in TO_SI.items() if si == expected]
+        factors = TO_SI[CHANNELS[base_name(name)]]
+        factor = factors.get(_usual_spelling(text))
+        if factor is None:
             raise FlightReadError(
-                f"Got unit {text!r} for column {name!r}, but expected one of {fitting}."
+                f"Got unit {text!r} for column {name!r}, but expected one of {[*factors]}."
             )
         if factor != 1.0:
             converted[name] = to_floats(table[name]) * factor
@@ -143,7 +146,7 @@ def to_si(table: pd.DataFrame, units: dict[str, str]) -> pd.DataFrame:
 
 
 def _usual_spelling(unit: str) -> str:
-    """Return a unit as the table of units spells it, in lower case if it has it."""
+    """Return a unit as the table of units spells it, if it has it."""
     written = unit.strip().lower().replace("²", "2").replace("³", "3").replace("sec", "s")
     written = POWER.sub(r"^\1", written)
     return SPELLINGS.get(written, written)

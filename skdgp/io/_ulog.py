@@ -56,7 +56,13 @@ MAV_TYPES = {
     **dict.fromkeys(range(19, 26), "VTOL"),
     **dict.fromkeys(TAILSITTERS, "tailsitter"),
 }
-VEHICLE_TYPES = {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}
+# kinds of vehicles by fields of vehicle_status, the first that tells one
+KINDS = (
+    ("is_vtol_tailsitter", {1: "tailsitter"}),
+    ("is_vtol", {1: "VTOL"}),
+    ("vehicle_type", {1: "multicopter", 2: "fixed wing", 3: "rover", 4: "airship"}),
+    ("system_type", MAV_TYPES),
+)
 
 
 def _xyz(name):
@@ -335,18 +341,12 @@ def _parameters(log: Any, topics: Mapping[str, Topic]) -> dict[str, float]:
 
 def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> str | None:
     """Return the kind of vehicle by its status, or by a parameter of ground stations."""
-    status = topics.get("vehicle_status", NOTHING).fields
-    is_tailsitter = status.get("is_vtol_tailsitter", np.zeros(1)).any()
-    is_vtol = status.get("is_vtol", np.zeros(1)).any()
-    if is_tailsitter or (is_vtol and parameters.get("VT_TYPE") == TAILSITTER):
-        return "tailsitter"
-    if is_vtol:
-        return "VTOL"
-    for field, names in (("vehicle_type", VEHICLE_TYPES), ("system_type", MAV_TYPES)):
-        vehicle = names.get(whole(np.median(status.get(field, [0.0]))))
-        if vehicle is not None:
-            return vehicle
-    return MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0)))
+    status = topics.get("vehicle_status", NOTHING)
+    told = [names.get(whole(np.median(status[field]))) for field, names in KINDS if field in status]
+    told.append(MAV_TYPES.get(whole(parameters.get("MAV_TYPE", 0.0))))
+    vehicle = next(filter(None, told), None)
+    is_tailsitter = vehicle == "VTOL" and parameters.get("VT_TYPE") == TAILSITTER
+    return "tailsitter" if is_tailsitter else vehicle
 
 
 Surfaces: TypeAlias = dict[int, dict[str, float]]

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import EARTH_VELOCITY, HIGH_LIFT, POSITION, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import HIGH_LIFT
 from skdgp._flight.frames import euler_to_matrix, euler_to_quaternion
 from skdgp._flight.servo_functions import ServoFunction, ServoRange
 from skdgp.io._log import (
@@ -97,54 +97,54 @@ PRIMARY = (Use("ARSP", "Pri"), Use("ARSP", "Primary"), Use("", "ARSPD_PRIMARY"))
 # a position in three dimensions
 FIX = (("Status", 3, 6),)
 # whether the autopilot uses an airspeed sensor (2: without throttle alone), and an IMU
-AIRSPEED_USES = ("ARSPD_USE", "ARSPD2_USE")
-IMU_USES = ("INS_USE", "INS_USE2", "INS_USE3", "INS4_USE", "INS5_USE")
+AIRSPEED_USES = "ARSPD_USE ARSPD2_USE"
+IMU_USES = "INS_USE INS_USE2 INS_USE3 INS4_USE INS5_USE"
 # ratio of V^2 to the pressure difference, by the names of the topic
 RATIOS = {"ARSP": "ARSPD_RATIO", "ARSP#1": "ARSPD2_RATIO", "ASP2": "ARSPD2_RATIO"}
 # parameters of the position of each IMU (AP_InertialSensor)
 IMU_POSITIONS = ("INS_POS1", "INS_POS2", "INS_POS3", "INS4_POS", "INS5_POS")
 # further instances of sensors before the messages had a number
 ALIASES = {
-    "ARSP": ("ASP2",), "IMU": ("IMU2", "IMU3"), "GPS": ("GPS2", "GPSB"), "BARO": ("BAR2", "BAR3"),
-    "NKF1": ("NKF6",), "NKF2": ("NKF7",), "XKF1": ("XKF6",), "XKF2": ("XKF7",),
-    "ESC": tuple(f"ESC{n}" for n in range(1, 9)),
+    "ARSP": "ASP2", "IMU": "IMU2 IMU3", "GPS": "GPS2 GPSB", "BARO": "BAR2 BAR3",
+    "NKF1": "NKF6", "NKF2": "NKF7", "XKF1": "XKF6", "XKF2": "XKF7",
+    "ESC": "ESC1 ESC2 ESC3 ESC4 ESC5 ESC6 ESC7 ESC8",
 }  # fmt: skip
 
 
 def _estimator(name: str, lane: tuple[Use, ...]) -> tuple[Rule, Rule, Rule]:
     """Return the rules for velocity, position and wind of an estimator."""
     return (
-        Rule(EARTH_VELOCITY, f"{name}1", ("VN", "VE", "VD"), used=lane),
-        Rule(POSITION, f"{name}1", ("PN", "PE", "PD"), used=lane),
-        Rule(("wind_north", "wind_east"), f"{name}2", ("VWN", "VWE"), used=lane),
+        Rule("v_north v_east v_down", f"{name}1", "VN VE VD", used=lane),
+        Rule("north east down", f"{name}1", "PN PE PD", used=lane),
+        Rule("wind_north wind_east", f"{name}2", "VWN VWE", used=lane),
     )
 
 
 RULES = (
-    Rule(RATES, "IMU", ("GyrX", "GyrY", "GyrZ"), valid=("GH",), uses=IMU_USES),
-    Rule(SPECIFIC_FORCE, "IMU", ("AccX", "AccY", "AccZ"), valid=("AH",), uses=IMU_USES),
-    Rule(QUATERNION, "ATT", ("Roll", "Pitch", "Yaw"), _attitude),
-    Rule(QUATERNION, "AHR2", ("Roll", "Pitch", "Yaw"), _attitude),
+    Rule("p q r", "IMU", "GyrX GyrY GyrZ", valid="GH", uses=IMU_USES),
+    Rule("ax ay az", "IMU", "AccX AccY AccZ", valid="AH", uses=IMU_USES),
+    Rule(QUATERNION, "ATT", "Roll Pitch Yaw", _attitude),
+    Rule(QUATERNION, "AHR2", "Roll Pitch Yaw", _attitude),
     Rule(
-        (EQUIVALENT,),
+        EQUIVALENT,
         "ARSP",
-        ("Airspeed",),
-        valid=("H", "Health", "U"),
+        "Airspeed",
+        valid="H Health U",
         used=PRIMARY,
         preferred="U",
         uses=AIRSPEED_USES,
     ),
     *_estimator("XKF", LANE_3),
     *_estimator("NKF", LANE_2),
-    Rule(EARTH_VELOCITY, "GPS", ("Spd", "GCrs", "VZ"), _ground_course, within=FIX, preferred="U"),
-    Rule(("altitude",), "POS", ("Alt",)),
-    Rule(("altitude",), "GPS", ("Alt",), within=FIX, preferred="U"),
-    Rule(("density",), "BARO", ("Press",), density_at, ("H", "Health"), STANDARD),
-    Rule(("throttle",), "CTUN", ("ThO",), centi),
-    Rule(("throttle",), "CTUN", ("ThrOut",), centi),
-    Rule(("throttle",), "AETR", ("Thr",), centi),
-    Rule(("propeller_speed",), "RPM", ("RPM", "rpm1", "rpm2"), from_rpm, valid=("H",), engines=1),
-    Rule(("propeller_speed",), "ESC", ("RPM",), from_rpm, engines=1),
+    Rule("v_north v_east v_down", "GPS", "Spd GCrs VZ", _ground_course, within=FIX, preferred="U"),
+    Rule("altitude", "POS", "Alt"),
+    Rule("altitude", "GPS", "Alt", within=FIX, preferred="U"),
+    Rule("density", "BARO", "Press", density_at, "H Health", STANDARD),
+    Rule("throttle", "CTUN", "ThO", centi),
+    Rule("throttle", "CTUN", "ThrOut", centi),
+    Rule("throttle", "AETR", "Thr", centi),
+    Rule("propeller_speed", "RPM", "RPM rpm1 rpm2", from_rpm, valid="H", engines=1),
+    Rule("propeller_speed", "ESC", "RPM", from_rpm, engines=1),
 )
 
 # surfaces by the function of their servo

@@ -14,13 +14,15 @@ from scipy.interpolate import make_interp_spline
 
 from skdgp._compute.files import read_toml
 from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, EULER, HIGH_LIFT, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import ALL_SURFACES, EULER, HIGH_LIFT
 from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
 from skdgp.io._tables import FlightReadError
 
 # of a rule for attitude: body to north-east-down, any length
-QUATERNION = ("qw", "qx", "qy", "qz")
+QUATERNION = "qw qx qy qz"
+# of rules for inertial sensors
+INERTIAL = ("p q r", "ax ay az")
 # of a rule for equivalent airspeed; the table gets the true one
 EQUIVALENT = "equivalent_airspeed"
 # pulses shorter than this [us] move no servo: an output that is switched off
@@ -72,7 +74,7 @@ class Topic:
         """Return a field as floats, (n,)."""
         return self.fields[name].astype(float)
 
-    def columns(self, names: tuple[str, ...]) -> Matrix:
+    def columns(self, names: Iterable[str]) -> Matrix:
         """Return fields side by side, (n, k)."""
         return np.column_stack([self[name] for name in names])
 
@@ -143,16 +145,17 @@ class Rule(NamedTuple):
 
     Attributes
     ----------
-    columns : tuple of str
+    columns : str
         Columns of the flight table, or qw qx qy qz of the attitude, body to north-east-down, or
-        equivalent_airspeed, of which the table gets the true one.
+        equivalent_airspeed, of which the table gets the true one. Several names, here and below, have
+        blanks between them.
     topic : str
         Name of the topic, without the number of an instance.
-    fields : tuple of str
+    fields : str
         Fields of the topic.
     convert : callable
-        Maps fields (n, len(fields)) to columns (n, len(columns)) in SI units; default: as they are.
-    valid : tuple of str
+        Maps fields (n, k) to columns (n, m) in SI units; default: as they are.
+    valid : str
         Fields that, where the log has them, are positive where the others are valid.
     note : str
         Remark on the source, shown with it.
@@ -163,27 +166,27 @@ class Rule(NamedTuple):
     preferred : str
         Field that is larger of an instance that is preferred among healthy ones: a flag, or a
         confidence from 0 to 1.
-    resets : tuple of str
+    resets : str
         Counters of an estimator's resets.
     engines : int
         Least number of engines that run, of fields which are engines; ``convert`` takes one. The column is the
         root mean square of speeds, with which thrust goes, and the mean of commands.
-    uses : tuple of str
+    uses : str
         Parameters by which the autopilot uses an instance, by its number: always (1), or under
         conditions (2), which the ``preferred`` flag then tells.
     """
 
-    columns: tuple[str, ...]
+    columns: str
     topic: str
-    fields: tuple[str, ...]
+    fields: str
     convert: Callable[[Matrix], Matrix] = np.asarray
-    valid: tuple[str, ...] = ()
+    valid: str = ""
     note: str = ""
     within: tuple[tuple[str, float, float], ...] = ()
     used: tuple[Use, ...] = ()
     preferred: str = ""
-    resets: tuple[str, ...] = ()
-    uses: tuple[str, ...] = ()
+    resets: str = ""
+    uses: str = ""
     engines: int = 0
 
     @property
@@ -191,7 +194,7 @@ class Rule(NamedTuple):
         """Names of the columns of the flight table."""
         if self.columns == QUATERNION:
             return " ".join(EULER)
-        return " ".join(self.columns).replace(EQUIVALENT, "airspeed")
+        return self.columns.replace(EQUIVALENT, "airspeed")
 
 
 class Servo(NamedTuple):
@@ -264,7 +267,7 @@ class Log:
     controls : dict of str to Control
         Servos of each surface by the parameters, -1 to 1 from end to end and 0 at trim. Angles of several that make
         a control together, as of a V-tail, add up.
-    aliases : dict of str to tuple of str
+    aliases : dict of str to str
         Names of topics that are further instances of another, as ``ASP2`` of ``ARSP``.
     lifting : tuple of (str, str, float, float)
         Topic, field and its limits while rotors carry a VTOL, or in transition; none of other vehicles.
@@ -288,7 +291,7 @@ class Log:
     outputs: tuple[str, ...] = ()
     naming: str = ""
     controls: Mapping[str, Control] = field(default_factory=dict)
-    aliases: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    aliases: Mapping[str, str] = field(default_factory=dict)
     lifting: States = ()
     commands: Mapping[str, Control] = field(default_factory=dict)
     sensor_positions: tuple[str, ...] = ()
@@ -301,7 +304,7 @@ class Log:
 
     def instances(self, name: str, least: int = 2) -> list[Instance]:
         """Return the instances of a topic that have so many messages, by number."""
-        further = self.aliases.get(name, ())
+        further = self.aliases.get(name, "").split()
         instances = []
         for key, topic in self.topics.items():
             base, _, number = key.partition("#")
@@ -343,7 +346,7 @@ def turned(
     converted = []
     for rule in rules:
         is_of_board = not topics or rule.topic in topics
-        if rule.columns in (RATES, SPECIFIC_FORCE) and is_of_board:
+        if rule.columns in INERTIAL and is_of_board:
             convert = partial(_turned, rule.convert, rotation)
             rule = rule._replace(convert=convert, note=rule.note or note)
         converted.append(rule)

@@ -55,7 +55,7 @@ JUMP = 4.0
 # between the counters of two instances
 COUNTERS = 1e6
 # columns whose instances are allocators in place of redundant sensors
-COMMANDS = ("throttle",)
+COMMANDS = "throttle"
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
 
@@ -118,7 +118,9 @@ def choose(log: Log, rule: Rule) -> Source | None:
     instances = log.instances(rule.topic)
     if rule.engines:
         return _engines(log, rule, instances)
-    instances = [instance for instance in instances if {*rule.fields} <= {*instance.topic.fields}]
+    instances = [
+        instance for instance in instances if {*rule.fields.split()} <= {*instance.topic.fields}
+    ]
     if rule.columns == COMMANDS:
         instances = instances[:1]
     if not instances:
@@ -143,13 +145,15 @@ def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
         values = without_sign_changes(values)
     cuts = _resets(time, values, counter)
     notes = [rule.note, f"of {len(readings)}, {by}" if len(readings) > 1 else ""]
-    words = f"{' and '.join([*chosen][:3])}.{' '.join(rule.fields)}"
+    words = f"{' and '.join([*chosen][:3])}.{rule.fields}"
     if any(notes):
         words += f" ({', '.join(filter(None, notes))})"
     is_first = [*chosen] == [readings[0].instance.name]
     remarks = ["" if is_first else f"{rule.words} of {words}", _unmeasured(rule, best)]
     remark = "; ".join(filter(None, remarks))
-    return Source(rule.columns, words, time, values, remark, cuts, best.instance.number)
+    return Source(
+        tuple(rule.columns.split()), words, time, values, remark, cuts, best.instance.number
+    )
 
 
 def _resets(time: Vector, values: Matrix, counter: Vector) -> Vector:
@@ -168,7 +172,7 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
     """
     engines = {}
     for _, name, topic in instances:
-        for field in rule.fields:
+        for field in rule.fields.split():
             if field in topic:
                 values = rule.convert(topic[field])
                 rows = is_valid(topic, rule) & np.isfinite(values)
@@ -182,7 +186,7 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
     time, values = engines[names[0]] if names else (NONE, NONE)
     if not len(values):
         remark = f"{rule.topic}: no engine has valid speeds above zero"
-        return Source(rule.columns, rule.topic, time, values[:, None], remark)
+        return Source((rule.columns,), rule.topic, time, values[:, None], remark)
     columns = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
     mean = (
         np.mean(columns, axis=0) if are_commands else np.sqrt(np.mean(np.square(columns), axis=0))
@@ -191,13 +195,13 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
     words = " and ".join(names[:3])
     if len(names) > 1:
         words += f" ({'mean' if are_commands else 'root mean square'} of {len(names)} engines)"
-    return Source(rule.columns, words, time[is_finite], mean[is_finite, None])
+    return Source((rule.columns,), words, time[is_finite], mean[is_finite, None])
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:
     """Return which messages the log calls valid measurements, by the fields that it has."""
     valid = np.ones(len(topic), bool)
-    for field in rule.valid:
+    for field in rule.valid.split():
         if field in topic:
             valid &= topic[field] > 0
     for field, low, high in rule.within:
@@ -208,7 +212,7 @@ def is_valid(topic: Topic, rule: Rule) -> Mask:
 
 def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:
     number, _, topic = instance
-    values = rule.convert(topic.columns(rule.fields))
+    values = rule.convert(topic.columns(rule.fields.split()))
     valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
     valid &= _is_used(log, rule, instance)
     used = np.zeros(len(topic), dtype=bool)
@@ -219,7 +223,7 @@ def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Read
     confidence = 0.0
     if rule.preferred in topic:
         confidence = float(np.clip(np.nan_to_num(topic[rule.preferred]), 0.0, 1.0).mean())
-    resets = [topic[field] for field in rule.resets if field in topic]
+    resets = [topic[field] for field in rule.resets.split() if field in topic]
     counter = np.full(len(topic), COUNTERS * number) + sum(resets)
     return Readings(
         instance, np.column_stack([topic.time, counter, values]), valid, used, confidence
@@ -228,7 +232,7 @@ def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Read
 
 def _is_used(log: Log, rule: Rule, instance: Instance) -> bool:
     """Return whether the autopilot uses an instance, by its parameter if it has one."""
-    parameter = dict(enumerate(rule.uses)).get(instance.number, "")
+    parameter = dict(enumerate(rule.uses.split())).get(instance.number, "")
     use = whole(log.parameters.get(parameter, 1.0))
     return use == 1 or (use > 1 and rule.preferred in instance.topic)
 
@@ -259,8 +263,8 @@ def _unmeasured(rule: Rule, reading: Readings) -> str:
     missing = 100 * (1 - reading.valid.mean())
     if missing == 0 or (missing < 100 and not rule.within):
         return ""
-    fields = [field for field in rule.valid if field in topic]
-    fields += rule.uses[number : number + 1]
+    fields = [field for field in rule.valid.split() if field in topic]
+    fields += rule.uses.split()[number : number + 1]
     for field, _, _ in rule.within:
         if field in topic:
             fields.append(f"{field} {np.unique(topic[field]).astype(int).tolist()}")
@@ -278,7 +282,7 @@ def find_sources(
 
     ``controls`` are notes on servos, and servos.
     """
-    chosen: dict[tuple[str, ...], Source] = {}
+    chosen: dict[str, Source] = {}
     remarks = []
     for rule in log.rules:
         source = choose(log, rule)
@@ -289,7 +293,7 @@ def find_sources(
             remarks.append(problem)
         elif rule.columns not in chosen or _is_clearly_faster(source, chosen[rule.columns]):
             chosen[rule.columns] = source
-    sources = [source for columns, source in chosen.items() if controls.keys().isdisjoint(columns)]
+    sources = [source for columns, source in chosen.items() if columns not in controls]
     remarks += [source.remark for source in sources if source.remark]
     for name, (note, control) in controls.items():
         surface = _surface(log, name, note, control)
@@ -309,7 +313,7 @@ def _problem(source: Source, rule: Rule) -> str:
     """Return why a source is of no use, or nothing."""
     if len(source.time) < 2:
         return source.remark or f"{source.words} has fewer than two values"
-    limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns]
+    limits = [POSSIBLE.get(name, (-np.inf, np.inf)) for name in rule.columns.split()]
     low, high = np.transpose(limits)
     is_impossible = (source.values < low) | (source.values > high)
     impossible = is_impossible.any(axis=1).mean()
@@ -370,7 +374,7 @@ def _on_clock(sources: list[Source], log: Log) -> dict[str, Column]:
     for source in sources:
         names = source.columns
         values = resample(source.time, source.values, clock, rate)
-        if names == QUATERNION:
+        if names == tuple(QUATERNION.split()):
             names = EULER
             # a quaternion of zeros is none
             is_attitude = values.any(axis=1, keepdims=True)

@@ -18,10 +18,8 @@ import numpy as np
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Matrix
-from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import (
-    AIRSPEED_USES,
     NAMING,
     TRIM,
     by_parameters,
@@ -94,46 +92,46 @@ def _density(hectopascals: Matrix) -> Matrix:
     return density_at(100 * hectopascals)
 
 
-GYROS = ("xgyro", "ygyro", "zgyro")
-ACCELEROMETERS = ("xacc", "yacc", "zacc")
+GYROS = "xgyro ygyro zgyro"
+ACCELEROMETERS = "xacc yacc zacc"
 milli_g = scaling(1e-3 * STANDARD_GRAVITY)
 ESC = "ESC_TELEMETRY_1_TO_4"
 AIRSPEED = "of a sensor, or estimated on board"
 RULES = (
-    Rule(RATES, "HIGHRES_IMU", GYROS),
-    Rule(RATES, "RAW_IMU", GYROS, milli),
-    Rule(RATES, "SCALED_IMU", GYROS, milli),
-    Rule(RATES, "ATTITUDE", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(SPECIFIC_FORCE, "HIGHRES_IMU", ACCELEROMETERS),
-    Rule(SPECIFIC_FORCE, "RAW_IMU", ACCELEROMETERS, milli_g),
-    Rule(SPECIFIC_FORCE, "SCALED_IMU", ACCELEROMETERS, milli_g),
-    Rule(QUATERNION, "ATTITUDE", ("roll", "pitch", "yaw"), _attitude),
+    Rule("p q r", "HIGHRES_IMU", GYROS),
+    Rule("p q r", "RAW_IMU", GYROS, milli),
+    Rule("p q r", "SCALED_IMU", GYROS, milli),
+    Rule("p q r", "ATTITUDE", "rollspeed pitchspeed yawspeed"),
+    Rule("ax ay az", "HIGHRES_IMU", ACCELEROMETERS),
+    Rule("ax ay az", "RAW_IMU", ACCELEROMETERS, milli_g),
+    Rule("ax ay az", "SCALED_IMU", ACCELEROMETERS, milli_g),
+    Rule(QUATERNION, "ATTITUDE", "roll pitch yaw", _attitude),
     # estimated on board where the autopilot does not use the sensor
     Rule(
-        (EQUIVALENT,),
+        EQUIVALENT,
         "VFR_HUD",
-        ("airspeed",),
-        valid=("airspeed", PITOT),
+        "airspeed",
+        valid=f"airspeed {PITOT}",
         note=AIRSPEED,
-        uses=AIRSPEED_USES[:1],
+        uses="ARSPD_USE",
     ),
-    Rule(EARTH_VELOCITY, "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
-    Rule(EARTH_VELOCITY, "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), centi),
-    Rule(POSITION, "LOCAL_POSITION_NED", ("x", "y", "z")),
-    Rule(("altitude",), "GLOBAL_POSITION_INT", ("alt",), milli),
-    Rule(("density",), "SCALED_PRESSURE", ("press_abs",), _density),
-    Rule(("wind_north", "wind_east"), "WIND", ("direction", "speed"), _wind_from),
-    Rule(("wind_north", "wind_east"), "WIND_COV", ("wind_x", "wind_y")),
-    Rule(("throttle",), "VFR_HUD", ("throttle",), centi),
-    Rule(("propeller_speed",), "RPM", ("rpm1", "rpm2"), from_rpm, engines=1),
-    Rule(("propeller_speed",), ESC, tuple(f"rpm[{k}]" for k in range(4)), from_rpm, engines=1),
+    Rule("v_north v_east v_down", "LOCAL_POSITION_NED", "vx vy vz"),
+    Rule("v_north v_east v_down", "GLOBAL_POSITION_INT", "vx vy vz", centi),
+    Rule("north east down", "LOCAL_POSITION_NED", "x y z"),
+    Rule("altitude", "GLOBAL_POSITION_INT", "alt", milli),
+    Rule("density", "SCALED_PRESSURE", "press_abs", _density),
+    Rule("wind_north wind_east", "WIND", "direction speed", _wind_from),
+    Rule("wind_north wind_east", "WIND_COV", "wind_x wind_y"),
+    Rule("throttle", "VFR_HUD", "throttle", centi),
+    Rule("propeller_speed", "RPM", "rpm1 rpm2", from_rpm, engines=1),
+    Rule("propeller_speed", ESC, "rpm[0] rpm[1] rpm[2] rpm[3]", from_rpm, engines=1),
 )
 # further instances of sensors, which have messages of their own
 ALIASES = {
-    "SCALED_IMU": ("SCALED_IMU2", "SCALED_IMU3"),
-    "SCALED_PRESSURE": ("SCALED_PRESSURE2", "SCALED_PRESSURE3"),
+    "SCALED_IMU": "SCALED_IMU2 SCALED_IMU3",
+    "SCALED_PRESSURE": "SCALED_PRESSURE2 SCALED_PRESSURE3",
 }
-READ = {rule.topic for rule in RULES}.union(*ALIASES.values()) | {
+READ = {rule.topic for rule in RULES}.union(" ".join(ALIASES.values()).split()) | {
     OUTPUTS,
     "EXTENDED_SYS_STATE",
     "HEARTBEAT",

@@ -16,7 +16,6 @@ import numpy as np
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Vector
-from skdgp._flight.channels import EARTH_VELOCITY, POSITION, RATES, SPECIFIC_FORCE
 from skdgp._flight.frames import euler_to_matrix
 from skdgp.io._log import (
     DOWN,
@@ -65,14 +64,7 @@ KINDS = (
 )
 
 
-def _xyz(name):
-    return tuple(f"{name}[{i}]" for i in range(3))
-
-
-ATTITUDE_RESETS = ("quat_reset_counter",)
-ATTITUDE = tuple(f"q[{i}]" for i in range(4))
-WIND = ("wind_north", "wind_east")
-PITOT_VALID = ("airspeed_sensor_measurement_valid",)
+ATTITUDE = "q[0] q[1] q[2] q[3]"
 # a position in three dimensions (SensorGps.msg)
 FIX = (("fix_type", 3, 8),)
 # -1 and 0 are no sensor: disabled, ground speed less wind; 4 is synthetic (AirspeedValidated.msg)
@@ -83,84 +75,87 @@ PITOT = tuple(
 LANE = (Use("estimator_selector_status", "primary_instance"),)
 
 
-VELOCITY = ("vx", "vy", "vz")
-VELOCITY_VALID = ("v_xy_valid", "v_z_valid")
-VELOCITY_RESETS = ("vxy_reset_counter", "vz_reset_counter")
+VELOCITY_VALID = "v_xy_valid v_z_valid"
+VELOCITY_RESETS = "vxy_reset_counter vz_reset_counter"
 
 
 def _gps(topic: str) -> tuple[Rule, ...]:
     """Return the rules of a GPS; versions before 1.14 have the altitude in millimetres."""
-    velocity = ("vel_n_m_s", "vel_e_m_s", "vel_d_m_s")
+    velocity = "vel_n_m_s vel_e_m_s vel_d_m_s"
     return (
-        Rule(EARTH_VELOCITY, topic, velocity, valid=("vel_ned_valid",), within=FIX),
-        Rule(("altitude",), topic, ("altitude_msl_m",), within=FIX),
-        Rule(("altitude",), topic, ("alt",), milli, within=FIX),
+        Rule("v_north v_east v_down", topic, velocity, valid="vel_ned_valid", within=FIX),
+        Rule("altitude", topic, "altitude_msl_m", within=FIX),
+        Rule("altitude", topic, "alt", milli, within=FIX),
     )
 
 
 def _wind(topic: str, used: tuple[Use, ...] = ()) -> Rule:
-    return Rule(WIND, topic, ("windspeed_north", "windspeed_east"), used=used)
+    return Rule("wind_north wind_east", topic, "windspeed_north windspeed_east", used=used)
 
 
 MOST_ENGINES = 12
-MOTOR_FIELDS = tuple(f"control[{k}]" for k in range(MOST_ENGINES))
-ESC_FIELDS = tuple(f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES))
+MOTOR_FIELDS = [f"control[{k}]" for k in range(MOST_ENGINES)]
+ESC_FIELDS = [f"esc[{k}].esc_rpm" for k in range(MOST_ENGINES)]
 # an engine that is switched off has no number
-MOTORS = Rule(("throttle",), "actuator_motors", MOTOR_FIELDS, np.nan_to_num, engines=1)
+MOTORS = Rule("throttle", "actuator_motors", " ".join(MOTOR_FIELDS), np.nan_to_num, engines=1)
 RULES = (
     # other sources are one number for several engines, also where one is switched off
     MOTORS._replace(engines=2),
-    Rule(RATES, "vehicle_angular_velocity", _xyz("xyz")),
-    Rule(RATES, "sensor_combined", _xyz("gyro_rad")),
-    Rule(RATES, "vehicle_attitude", ("rollspeed", "pitchspeed", "yawspeed")),
-    Rule(RATES, "sensor_gyro", ("x", "y", "z")),
-    Rule(SPECIFIC_FORCE, "vehicle_acceleration", _xyz("xyz")),
-    Rule(SPECIFIC_FORCE, "sensor_combined", _xyz("accelerometer_m_s2")),
-    Rule(SPECIFIC_FORCE, "sensor_accel", ("x", "y", "z")),
-    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets=ATTITUDE_RESETS),
-    Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets=ATTITUDE_RESETS),
+    Rule("p q r", "vehicle_angular_velocity", "xyz[0] xyz[1] xyz[2]"),
+    Rule("p q r", "sensor_combined", "gyro_rad[0] gyro_rad[1] gyro_rad[2]"),
+    Rule("p q r", "vehicle_attitude", "rollspeed pitchspeed yawspeed"),
+    Rule("p q r", "sensor_gyro", "x y z"),
+    Rule("ax ay az", "vehicle_acceleration", "xyz[0] xyz[1] xyz[2]"),
     Rule(
-        ("airspeed",),
+        "ax ay az",
+        "sensor_combined",
+        "accelerometer_m_s2[0] accelerometer_m_s2[1] accelerometer_m_s2[2]",
+    ),
+    Rule("ax ay az", "sensor_accel", "x y z"),
+    Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets="quat_reset_counter"),
+    Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets="quat_reset_counter"),
+    Rule(
+        "airspeed",
         "airspeed_validated",
-        ("true_airspeed_m_s",),
-        valid=PITOT_VALID,
+        "true_airspeed_m_s",
+        valid="airspeed_sensor_measurement_valid",
         within=MEASURED,
     ),
-    Rule(("airspeed",), "airspeed", ("true_airspeed_m_s",), used=PITOT, preferred="confidence"),
-    Rule(("alpha",), "airflow_aoa", ("aoa_rad",)),
-    Rule(("beta",), "airflow_slip", ("slip_rad",)),
+    Rule("airspeed", "airspeed", "true_airspeed_m_s", used=PITOT, preferred="confidence"),
+    Rule("alpha", "airflow_aoa", "aoa_rad"),
+    Rule("beta", "airflow_slip", "slip_rad"),
     Rule(
-        EARTH_VELOCITY,
+        "v_north v_east v_down",
         "vehicle_local_position",
-        VELOCITY,
+        "vx vy vz",
         valid=VELOCITY_VALID,
         resets=VELOCITY_RESETS,
     ),
     Rule(
-        EARTH_VELOCITY,
+        "v_north v_east v_down",
         "estimator_local_position",
-        VELOCITY,
+        "vx vy vz",
         valid=VELOCITY_VALID,
         used=LANE,
         resets=VELOCITY_RESETS,
     ),
-    Rule(EARTH_VELOCITY, "vehicle_global_position", ("vel_n", "vel_e", "vel_d")),
-    Rule(POSITION, "vehicle_local_position", ("x", "y", "z"), valid=("xy_valid", "z_valid")),
-    Rule(("altitude",), "vehicle_global_position", ("alt",)),
-    Rule(("altitude",), "vehicle_air_data", ("baro_alt_meter",), note="of the barometer"),
+    Rule("v_north v_east v_down", "vehicle_global_position", "vel_n vel_e vel_d"),
+    Rule("north east down", "vehicle_local_position", "x y z", valid="xy_valid z_valid"),
+    Rule("altitude", "vehicle_global_position", "alt"),
+    Rule("altitude", "vehicle_air_data", "baro_alt_meter", note="of the barometer"),
     *_gps("vehicle_gps_position"),
     *_gps("sensor_gps"),
-    Rule(("density",), "vehicle_air_data", ("rho",)),
+    Rule("density", "vehicle_air_data", "rho"),
     _wind("wind"),
     _wind("wind_estimate"),
     _wind("estimator_wind", LANE),
-    Rule(("throttle",), "actuator_controls_1", ("control[3]",), note="of a VTOL in forward flight"),
-    Rule(("throttle",), "actuator_controls_0", ("control[3]",)),
-    Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[0]",)),
+    Rule("throttle", "actuator_controls_1", "control[3]", note="of a VTOL in forward flight"),
+    Rule("throttle", "actuator_controls_0", "control[3]"),
+    Rule("throttle", "vehicle_thrust_setpoint", "xyz[0]"),
     MOTORS,
-    Rule(("propeller_speed",), "esc_status", ESC_FIELDS, from_rpm, engines=1),
-    Rule(("propeller_speed",), "rpm", ("rpm_estimate",), from_rpm, engines=1),
-    Rule(("propeller_speed",), "rpm", ("indicated_frequency_rpm",), from_rpm, engines=1),
+    Rule("propeller_speed", "esc_status", " ".join(ESC_FIELDS), from_rpm, engines=1),
+    Rule("propeller_speed", "rpm", "rpm_estimate", from_rpm, engines=1),
+    Rule("propeller_speed", "rpm", "indicated_frequency_rpm", from_rpm, engines=1),
 )
 
 # topics of single sensors, in axes of the board; others are in body axes
@@ -188,7 +183,7 @@ LIFTING = (
 # VT_TYPE of tailsitters, whose body axes are those of hover, and of tiltrotors, whose thrust is along -z
 TAILSITTER = 0
 TILTROTOR = 1
-TILTED = Rule(("throttle",), "vehicle_thrust_setpoint", ("xyz[2]",), np.negative)
+TILTED = Rule("throttle", "vehicle_thrust_setpoint", "xyz[2]", np.negative)
 TILTROTOR_RULES = (RULES[0], TILTED, *RULES[1:])
 
 FIXED_MIXERS = ("actuator_controls_1", "actuator_controls_0")  # 1: the wings of a VTOL

@@ -263,7 +263,7 @@ def fly_plans(
     motion = Motion(BRUMBY_AERODYNAMICS, BRUMBY, lagged=True)
     controls = FlightControls(plans, time, STEP)
     states = _initial_states(controls, wind)
-    stages = 0.5 * STEP * np.arange(2 * n_times - 1)
+    stages = 0.5 * STEP * np.arange(2 * n_times - 1, dtype=float)
     flown = fly_record(motion, controls, air, stages, states)
     states = flown.states[n_settling:]
     controls_set = {name: values[n_settling:] for name, values in flown.controls.items()}
@@ -344,7 +344,7 @@ class FlightControls:
         airspeeds = [scheduled(plan.airspeeds, time) for plan in plans]
         self.airspeed = np.hstack(airspeeds)
         manoeuvres = [[plan.manoeuvres(axis, time) for axis in COMMANDS] for plan in plans]
-        self.manoeuvres = np.moveaxis(manoeuvres, -1, 0)
+        self.manoeuvres = np.moveaxis(np.array(manoeuvres), -1, 0)
         self.integrals: dict[str, Array] = {}
         self.step = step
         self.now = -1

@@ -286,8 +286,11 @@ def _speed(table: pd.DataFrame, log: Log) -> Vector:
 
     A sensor with one value throughout measures nothing, where a speed over ground is logged.
     """
-    airspeed = table.get("airspeed", pd.Series(np.nan, index=table.index))
-    if {"v_north", "v_east"} <= {*table} and log.has_wings:
-        ground_speed = np.hypot(table["v_north"], table["v_east"])
-        airspeed = airspeed.fillna(ground_speed) if airspeed.nunique() > 1 else ground_speed
-    return airspeed.to_numpy()
+    airspeed = np.full(len(table), np.nan)
+    if "airspeed" in table:
+        airspeed = table["airspeed"].to_numpy()
+    if not {"v_north", "v_east"} <= {*table} or not log.has_wings:
+        return airspeed
+    ground_speed = np.hypot(*table[["v_north", "v_east"]].to_numpy().T)
+    is_dead = pd.Series(airspeed).nunique() < 2
+    return np.where(np.isnan(airspeed) | is_dead, ground_speed, airspeed)

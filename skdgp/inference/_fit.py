@@ -155,8 +155,10 @@ def _fit(
 
 def _residuals(posterior: SinglePosterior, data: Data) -> list[Vector]:
     """Return the residuals of the values of each output."""
-    of_outputs = zip(data.X, data.y, strict=True)
-    return [y - posterior.predict(X)[:, i] for i, (X, y) in enumerate(of_outputs)]
+    samples, X = sample_table(data.X, data.sample)
+    mean = posterior.predict(X)
+    of_outputs = enumerate(zip(data.sample, data.y, strict=True))
+    return [y - mean[samples.searchsorted(rows), i] for i, (rows, y) in of_outputs]
 
 
 def _propagated(function: PathBundle, data: Data, std: Vector) -> Vector:

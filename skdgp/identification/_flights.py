@@ -22,6 +22,7 @@ from skdgp._flight.channels import (
     HIGH_LIFT,
     MIXED,
     SURFACES,
+    THRUST_COLUMNS,
 )
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.clock import n_rows
@@ -38,7 +39,7 @@ from skdgp._flight.tables import (
 )
 from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, with_sensor_position
+from skdgp.dynamics import Aircraft, propeller_speed_of, with_sensor_position
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 from skdgp.preprocessing import clean
@@ -49,6 +50,7 @@ SLOWEST = 8.0  # rows a second that show the fast modes; a guess
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
 # steps that an evaluation of a model reads
 STEPS = {"flightpathreconstruction", "regressorselector", "standardscaler"}
+ENGINE_COLUMNS = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
 
 
@@ -304,3 +306,39 @@ def check_identified(pipeline: Pipeline) -> None:
             f"Got a model {type(pipeline).__name__}, but expected what make_identification_pipeline "
             "makes, with a DependentGPRegressor: learn it with identify."
         )
+
+
+def with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
+    """Return the aircraft with the one position of the inertial sensors that all flights state, if it has none.
+
+    A model then has it for flights that state none.
+    """
+    stated = np.unique(
+        np.concatenate([sensor_position(flight.table) for flight in flights.values()]), axis=0
+    )
+    if aircraft.sensor_position is not None or len(stated) != 1 or not np.isfinite(stated).all():
+        return aircraft
+    return replace(aircraft, sensor_position=stated[0].tolist())
+
+
+def thrust_of(
+    flights: pd.DataFrame,
+    aircraft: Aircraft,
+    regressors: Sequence[str],
+    thrust: str | None = "auto",
+) -> str | None:
+    """Return the thrust as an option, None where it is a part of the coefficients; warn of that.
+
+    It is where the flights have a throttle, and nothing gives the thrust that this sets. Warn, too, if
+    then an engine changes it, and no regressor tells how.
+    """
+    has_thrust = not {*THRUST_COLUMNS}.isdisjoint(flights)
+    has_propeller = propeller_speed_of(aircraft.propeller, flights) is not None
+    if thrust == "auto" and "throttle" in flights and not (has_thrust or has_propeller):
+        thrust = None
+        if (flights["throttle"] > 0).any():
+            report(Finding(Code.THRUST_IN_COEFFICIENTS))
+    varied = [name for name in ENGINE_COLUMNS if name in flights and flights[name].nunique() > 1]
+    if thrust is None and varied and {*varied}.isdisjoint(regressors):
+        report(Finding(Code.ENGINE_UNEXPLAINED, names=varied))
+    return thrust

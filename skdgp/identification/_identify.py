@@ -10,8 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-import pandas as pd
 from sklearn.base import clone
 from sklearn.utils import Bunch
 
@@ -24,10 +22,9 @@ from skdgp._flight.channels import (
     RATES,
     REGRESSOR_SETS,
     SPECIFIC_FORCE,
-    THRUST_COLUMNS,
 )
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.tables import FlightTable, sensor_position
+from skdgp._flight.tables import FlightTable
 from skdgp._regressor import DependentGPRegressor, FitCode, search_ended
 from skdgp.dynamics import (
     QUANTITIES,
@@ -35,17 +32,17 @@ from skdgp.dynamics import (
     ScaleFactor,
     aerodynamic_coefficients,
     check_aircraft,
-    propeller_speed_of,
 )
 from skdgp.identification._changed import changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import (
-    Flights,
     named_flights,
     regressor_columns,
+    thrust_of,
     train_and_test,
     usable_flights,
     usable_flights_of_model,
+    with_position_of,
 )
 from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
@@ -59,7 +56,6 @@ from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
 # columns that the coefficients follow from
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
-ENGINE_COLUMNS = ("throttle", "propeller_speed")  # columns that an unknown thrust depends on
 #: Units of the controls of a log without their scale
 FULL_THROW_UNITS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
 
@@ -203,42 +199,6 @@ def as_aircraft(aircraft: Any) -> Aircraft:
     """Return the aircraft, read from a file where a path is given."""
     is_path = isinstance(aircraft, str | os.PathLike)
     return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
-
-
-def with_position_of(aircraft: Aircraft, flights: Flights) -> Aircraft:
-    """Return the aircraft with the one position of the inertial sensors that all flights state, if it has none.
-
-    A model then has it for flights that state none.
-    """
-    stated = np.unique(
-        np.concatenate([sensor_position(flight.table) for flight in flights.values()]), axis=0
-    )
-    if aircraft.sensor_position is not None or len(stated) != 1 or not np.isfinite(stated).all():
-        return aircraft
-    return replace(aircraft, sensor_position=stated[0].tolist())
-
-
-def thrust_of(
-    flights: pd.DataFrame,
-    aircraft: Aircraft,
-    regressors: Sequence[str],
-    thrust: str | None = "auto",
-) -> str | None:
-    """Return the thrust as an option, None where it is a part of the coefficients; warn of that.
-
-    It is where the flights have a throttle, and nothing gives the thrust that this sets. Warn, too, if
-    then an engine changes it, and no regressor tells how.
-    """
-    has_thrust = not {*THRUST_COLUMNS}.isdisjoint(flights)
-    has_propeller = propeller_speed_of(aircraft.propeller, flights) is not None
-    if thrust == "auto" and "throttle" in flights and not (has_thrust or has_propeller):
-        thrust = None
-        if (flights["throttle"] > 0).any():
-            report(Finding(Code.THRUST_IN_COEFFICIENTS))
-    varied = [name for name in ENGINE_COLUMNS if name in flights and flights[name].nunique() > 1]
-    if thrust is None and varied and {*varied}.isdisjoint(regressors):
-        report(Finding(Code.ENGINE_UNEXPLAINED, names=varied))
-    return thrust
 
 
 def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list[Finding]:

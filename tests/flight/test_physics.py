@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import uav_flight
+from made_flights import lasting
 from numpy.random import default_rng
 from scipy import signal
 
@@ -526,6 +527,22 @@ def test_the_scale_of_the_airspeed_without_gps(ordinary):
     """alpha follows q + az / V."""
     wrong = scaled(ordinary.drop(columns=GPS), {"airspeed": 3.6})
     assert channels_of_each(wrong) == [{"airspeed"}]
+
+
+def test_gusts_on_an_aircraft_that_hardly_pitches_are_no_wrong_airspeed():
+    """Its lift follows the gusts of alpha, which rises where the aircraft falls: a slope of -1.9."""
+    step, speed, lift = 0.05, 30.0, 60.0
+    rng = default_rng(0)
+    gust = 0.02 * lasting(rng, (2400, 1), 14)[:, 0]
+    alpha, q = 0.0 * gust, 0.0 * gust
+    for k in range(2399):
+        flow = alpha[k] + gust[k]
+        alpha[k + 1] = alpha[k] + step * (q[k] - lift / speed * flow)
+        q[k + 1] = q[k] - step * (10.0 * flow + 4.0 * q[k])
+    noise = rng.normal(size=(4, 2400)) * [[0.002], [0.002], [0.002], [0.3]]
+    angles = {"alpha": alpha + gust, "q": q + noise[0], "phi": noise[1], "theta": noise[2]}
+    log = {"airspeed": speed + noise[3], "az": -9.80665 - lift * (alpha + gust)} | angles
+    assert contradictions(pd.DataFrame(log).assign(time=step * np.arange(2400))) == []
 
 
 def test_a_late_servo_is_no_wrong_sign():

@@ -25,6 +25,11 @@ class Interval(NamedTuple):
     most: float
     text: str
 
+    @property
+    def sign(self) -> float:
+        """Sign of the admissible slopes, 0 where both are."""
+        return float(np.sign(np.clip(self[:2], -1.0, 1.0).sum()))
+
 
 EQUAL = Interval(1 / 1.5, 1.5, "1")
 
@@ -118,8 +123,7 @@ class Law:
         """Return the contradiction of a best lag outside of the usual ones, if it is one."""
         first, last = self.usual_lags
         best_lag = next(lag for lag, slope in slopes.items() if slope is best)
-        expected_sign = np.sign(self.admissible.least + self.admissible.most)
-        is_clear = expected_sign * best.correlation > PHYSICS.clear_correlation
+        is_clear = self.admissible.sign * best.correlation > PHYSICS.clear_correlation
         if first <= best_lag <= last or not is_clear:
             return None
         of_usual = [slope.explained for lag, slope in slopes.items() if first <= lag <= last]
@@ -198,9 +202,9 @@ class Contradiction:
         quantity, (value, std) = "slope", self.slope[:2]
         if self.lag is not None:
             quantity, (value, std) = "lag", self.lag
-        least, most, expected = self.law.admissible
+        expected = self.law.admissible.text
         unit = self.law.unit
-        is_opposite = np.sign(least + most) * value < 0
+        is_opposite = self.law.admissible.sign * value < 0
         return Finding(
             Code.CONTRADICTION,
             channels=list(self.channels),

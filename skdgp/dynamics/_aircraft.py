@@ -26,6 +26,7 @@ from skdgp._flight.tables import (
     FlightTable,
     as_floats,
     check_full_deflections,
+    check_numbers,
     sensor_position,
     with_sensors_at,
 )
@@ -294,12 +295,9 @@ def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:
     """Return the checked position of the inertial sensors [m], None if it is not given."""
     if value is None:
         return None
-    position = as_floats(value)
-    if position.shape != (3,) or not np.isfinite(position).all():
-        raise ValueError(
-            f"Got sensor_position {value!r}, but expected three finite numbers (x, y, z): the place "
-            "of the inertial sensors from the centre of gravity, forward, right, down [m]."
-        )
+    position = check_numbers(
+        "sensor_position", value, 3, unit="m forward, right, down of the centre of gravity"
+    )
     _check_distance(position[None], span)
     return tuple(position.tolist())
 

@@ -296,13 +296,10 @@ def warn_of_clocks(starts: pd.DataFrame | Array, tables: Sequence[pd.DataFrame],
     """Warn of a start that carries another time than the first row of the controls, which is the start."""
     if not (tables and isinstance(starts, pd.DataFrame) and "time" in starts):
         return
-    times = starts["time"].to_numpy(float)
-    begins = np.broadcast_to([table["time"].iloc[0] for table in tables], times.shape)
-    off = np.abs(times - begins)
-    k = int(np.argmax(off))
-    if off[k] > dt:
+    begins = np.array([float(table["time"].iloc[0]) for table in tables])
+    late = begins - starts["time"].to_numpy(float)
+    if (np.abs(late) > dt).any():
         warn(
-            f"Got controls that begin at time {begins[k]:g} s, but start {k} is of time {times[k]:g} s: "
-            "the first row of each table counts as the start. Cut the controls, "
-            "table[table['time'] >= start]."
+            f"Got controls that begin {late} s after their starts, by the clock of their tables: the first row of each "
+            "table counts as the start. Cut the controls, table[table['time'] >= start]."
         )

@@ -156,6 +156,7 @@ class Integrator:
         self.dt = dt
         self.now: Any = None
         self.servos = motion.aerodynamics.servos
+        self._surfaces = motion.surfaces
         self._servo_state: Any = None
         self._implicit: Array | None = None  # guess of the implicit regressors
         self._tangent: Tangent | None = None
@@ -209,7 +210,7 @@ class Integrator:
         return self.motion.at(state, controls, air, self._implicit, drift, self._tangent)
 
     def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
-        return {name: commands[name] for name in self.motion.surfaces & commands.keys()}
+        return {name: commands[name] for name in self._surfaces & commands.keys()}
 
     def _correct(self, tangent: Tangent, middle: Array) -> None:
         """Correct the states by the error of the tangent in its steps, if they are over, and begin the next one."""

@@ -149,8 +149,9 @@ def _mass(flight: pd.DataFrame, aircraft: Aircraft) -> Vector:
     if "mass" not in flight:
         return np.full(len(flight), aircraft.mass)
     mass = numeric(flight, ["mass"])[:, 0]
-    if (mass <= 0).any() or np.isinf(mass).any():
-        row = int(np.flatnonzero((mass <= 0) | np.isinf(mass))[0])
+    invalid = np.flatnonzero((mass <= 0) | np.isinf(mass))
+    if invalid.size:
+        row = int(invalid[0])
         raise ValueError(
             f"Got a mass of {mass[row]:g} kg at row {row}, but expected finite numbers > 0: leave the column out, "
             "and the aircraft's mass counts."

@@ -13,7 +13,7 @@ import numpy as np
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import ACCELERATION_LENGTHS, COEFFICIENTS, RATE_LENGTHS
-from skdgp._flight.tables import as_floats, check_choice, check_number
+from skdgp._flight.tables import check_choice, check_number
 
 MOMENTS = ("Ixx", "Iyy", "Izz")
 PRODUCT = "Ixz"
@@ -247,14 +247,9 @@ def _sizes(values: Mapping[str, Any], is_length_given: bool) -> dict[str, Any]:
 
 def value_and_std(name: str, value: Any) -> tuple[float, float]:
     """Return a positive number and its relative standard deviation, of a number or a pair (value, deviation)."""
-    number = as_floats(value)
-    std: Any = 0.0
-    if number.shape == (2,):
-        number, std = number
-    if not (np.shape(number) == () and 0 < number < np.inf and 0 <= std < np.inf):
-        unit = f" [{QUANTITIES[name]}]" if name in QUANTITIES else ""
-        raise ValueError(
-            f"Got {name}={value!r}, but expected a number > 0, finite{unit}, or a pair of it and "
-            f"its standard deviation."
-        )
-    return float(number), float(std / number)
+    std = 0.0
+    if np.shape(value) == (2,):
+        value, std = value
+    number = check_number(name, value, unit=QUANTITIES.get(name, "m"))
+    std = check_number(f"standard deviation of {name}", std, is_open=False)
+    return number, std / number

@@ -150,7 +150,7 @@ class TestFiles:
             ),
             (
                 {"kind": "twin", "mass": [1.0, -0.1], "span": 1.0},
-                "a pair of it and its standard deviation",
+                "standard deviation of mass=-0.1",
             ),
             ({"mass": 1.0, "span": 1.0}, "kind = one of .* to estimate them"),
         ],

@@ -284,6 +284,12 @@ class TestStarts:
             fly(x0=start, duration=0.1)
         fly(x0=start, duration=0.1, air=[8.0, 0.0, 0.0])  # of 22 m/s through the air
 
+    def test_controls_of_another_time_than_the_start_are_noticed(self, fly):
+        table = pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(("elevator", "aileron"), 0.0)})
+        table = table.assign(rudder=0.0, thrust=12.0)
+        with pytest.warns(UserWarning, match=r"begin \[-5.\] s after .* first row"):
+            fly(x0=START | {"time": 5.0}, controls=table, duration=0.1)
+
     @pytest.mark.parametrize(("start", "match"), [
         ({"phi": 0.1}, "lack 'airspeed'"),
         ({"airspeed": 20.0, "u": 19.0, "v": 1.0, "w": 3.0}, "lack 'alpha', 'beta'"),

@@ -10,7 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm
 from sklearn.metrics import r2_score
 
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 
 WINDOW = 5.0  # autocorrelation times over which correlations are summed
 
@@ -87,15 +87,6 @@ def half_width(level: float) -> float:
             f"Got level={level!r}, but expected a probability inside (0, 1), such as 0.95."
         )
     return float(norm.ppf(0.5 + float(level) / 2))
-
-
-def path_quantiles(values: Array, level: float) -> Array:
-    """Return the lower edge, the median and the upper edge over the paths that still fly, (3, n_times)."""
-    quantiles = np.full((3, values.shape[1]), np.nan)
-    flying = np.isfinite(values).any(axis=0)
-    levels = [0.5 - 0.5 * level, 0.5, 0.5 + 0.5 * level]
-    quantiles[:, flying] = np.nanquantile(values[:, flying], levels, axis=0)
-    return quantiles
 
 
 def remaining_error(value: float, std: float, prior_std: float, is_removed: bool) -> float:

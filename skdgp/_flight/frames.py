@@ -246,12 +246,6 @@ def wrapped_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return angle - 2 * np.pi * np.nan_to_num(turns, posinf=0.0, neginf=0.0)
 
 
-def unwrapped_paths(angles: np.ndarray) -> np.ndarray:
-    """Return the angles (n_paths, n_times) of paths without jumps, near the first angle of the first path."""
-    first = angles[:1, :1]
-    return first + np.unwrap(wrapped(angles - first), axis=1)
-
-
 def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:
     """Return the same attitudes with signs such that neighbours are near each other; NaN rows stay."""
     sampled = np.isfinite(quaternions).all(axis=1)

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import warn
-from skdgp._compute.statistics import path_quantiles
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
     AIR_DATA,
@@ -23,7 +22,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     WIND,
 )
-from skdgp._flight.frames import unwrapped_paths
+from skdgp._flight.frames import wrapped
 from skdgp._flight.tables import by_name, check_columns
 from skdgp.dynamics import _rigid_body as rigid_body
 from skdgp.dynamics._integrate import FLYING, REASONS, Trajectories, channels
@@ -163,17 +162,21 @@ def trajectory_bands(
     what = "ensemble (simulate with n_paths=...)"
     check_columns(trajectories, ["start", "path", "time", "ended"], what=what)
     names = [name for name in columns or BAND_COLUMNS if name in trajectories]
-    bands = []
-    for start, part in trajectories.groupby("start", sort=False):
-        n_paths = part["path"].nunique()
-        is_flying = (part["ended"] == "").to_numpy().reshape(n_paths, -1)
-        time = part["time"].to_numpy()[: is_flying.shape[1]]
-        band = {"start": start, "time": time, "flying": is_flying.mean(axis=0)}
-        for name in names:
-            values = part[name].to_numpy(float).reshape(n_paths, -1)
-            if name in EULER:
-                values = unwrapped_paths(values)
-            low, middle, high = path_quantiles(values, level)
-            band |= {name: middle, f"{name}_low": low, f"{name}_high": high}
-        bands.append(pd.DataFrame(band))
-    return pd.concat(bands, ignore_index=True)
+    paths = trajectories[["start", "path", "time", *names]].assign(
+        flying=(trajectories["ended"] == "").astype(float)
+    )
+    for name in {*EULER} & {*names}:
+        # without jumps, and near the first angle of the first path
+        first = paths.groupby("start")[name].transform("first")
+        paths[name] = wrapped(paths[name] - first)
+        turns = paths.groupby(["start", "path"])[name].transform(np.unwrap)
+        paths[name] = first + turns
+    at_times = paths.groupby(["start", "time"], sort=False)
+    edges = at_times[names]
+    bands = [
+        at_times[["flying"]].mean(),
+        edges.median(),
+        edges.quantile(0.5 - 0.5 * level).add_suffix("_low"),
+        edges.quantile(0.5 + 0.5 * level).add_suffix("_high"),
+    ]
+    return pd.concat(bands, axis=1).reset_index()

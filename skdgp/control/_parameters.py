@@ -15,7 +15,7 @@ import numpy as np
 
 from skdgp._compute.messages import warn
 from skdgp._flight.servo_functions import ServoFunction
-from skdgp._flight.tables import as_floats, check_full_deflections, check_number
+from skdgp._flight.tables import as_floats, check_full_deflections
 from skdgp.control._loops import GAINS, LOOP_AXES, Loop, LowPass, Notch
 
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
@@ -308,8 +308,12 @@ def _warn_of_open(loops: list[Loop], full: Mapping[str, float]) -> None:
 def _check_parameters(given: Mapping[str, float]) -> None:
     """Raise ValueError of parameters of control laws that are no finite numbers, or divide and are not above zero."""
     for name, value in given.items():
-        if str(name).startswith(OF_LAWS):
-            check_number(str(name), value, 0.0 if name in POSITIVE else -np.inf)
+        is_number = isinstance(value, int | float | np.number) and np.isfinite(value)
+        if str(name).startswith(OF_LAWS) and not is_number:
+            raise ValueError(f"Got {name}={value!r}, but expected a finite number.")
+    for name in POSITIVE & {*given}:
+        if not given[name] > 0:
+            raise ValueError(f"Got {name}={given[name]:g}, but expected a number above zero.")
 
 
 def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop], dict[str, float]]:

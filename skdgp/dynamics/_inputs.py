@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.messages import warn
-from skdgp._compute.typing import Array, Vector
+from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
     AIR_DATA,
     BODY_VELOCITY,
@@ -153,7 +153,7 @@ def _warn_of_wind(stated: Array, velocity: Array) -> None:
         )
 
 
-def stages_of(dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> Vector:
+def stages_of(dt: float, duration: float | None, tables: Iterable[pd.DataFrame]) -> Array:
     """Return the times since the start [s] of the stages, two for each step of ``dt`` [s] and the end.
 
     The ``duration`` [s] is by default as long as all of the ``tables`` last.
@@ -176,7 +176,8 @@ def stages_of(dt: float, duration: float | None, tables: Iterable[pd.DataFrame])
             f"Got a table that ends after {shortest:g} s, but the simulation lasts "
             f"{n_steps * dt:g} s: give a shorter duration, or controls and wind for all of it."
         )
-    return 0.5 * dt * np.arange(2 * n_steps + 1)
+    stages: Any = 0.5 * dt * np.arange(2 * n_steps + 1)
+    return stages
 
 
 def tables_of(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
@@ -202,9 +203,7 @@ def tables_of(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
     return tables
 
 
-def wind_schedule(
-    wind: Any, tables: Sequence[pd.DataFrame], stages: Vector, n_starts: int
-) -> AirAt:
+def wind_schedule(wind: Any, tables: Sequence[pd.DataFrame], stages: Array, n_starts: int) -> AirAt:
     """Return a function (stage, state) to the air by tables of a wind, or a constant."""
     if wind is None:
         return lambda stage, state: LocalAir()
@@ -224,7 +223,7 @@ def wind_schedule(
 def control_schedule(
     controls: Any,
     tables: Sequence[pd.DataFrame],
-    stages: Vector,
+    stages: Array,
     names: Collection[str],
     n_starts: int,
 ) -> Callable:
@@ -258,7 +257,7 @@ def control_schedule(
     return lambda step, stage, observe: constants
 
 
-def _held(law: Callable, stages: Vector) -> Callable:
+def _held(law: Callable, stages: Array) -> Callable:
     """Return a feedback law as controls: it is asked once a step, as in a flight computer, and held to its end."""
     held: dict[int, Mapping] = {}
 
@@ -272,7 +271,7 @@ def _held(law: Callable, stages: Vector) -> Callable:
 
 
 def _at_stages(
-    tables: Sequence[pd.DataFrame], names: Sequence[str], stages: Vector, what: str
+    tables: Sequence[pd.DataFrame], names: Sequence[str], stages: Array, what: str
 ) -> Array:
     """Return columns at every stage, linear between rows: (columns, n_stages), of several tables (..., n_starts)."""
     parts = []

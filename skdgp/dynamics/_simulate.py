@@ -213,7 +213,7 @@ def _turbulence_met(
 
 def _drawn_gusts(
     turbulence: Turbulence,
-    stages: Vector,
+    stages: Array,
     shape: tuple[int, ...],
     speeds: Vector,
     span: float,

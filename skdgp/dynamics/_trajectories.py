@@ -168,7 +168,7 @@ def trajectory_bands(
     for name in {*EULER} & {*names}:
         # without jumps, and near the first angle of the first path
         first = paths.groupby("start")[name].transform("first")
-        paths[name] = wrapped(paths[name] - first)
+        paths[name] = wrapped((paths[name] - first).to_numpy())
         turns = paths.groupby(["start", "path"])[name].transform(np.unwrap)
         paths[name] = first + turns
     at_times = paths.groupby(["start", "time"], sort=False)

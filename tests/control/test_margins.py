@@ -385,7 +385,7 @@ def test_files_of_ground_stations_are_read(name, tmp_path):
         ({"FW_RR_P": np.nan}, "FW_RR_P=nan"),
         ({"FW_RR_P": "0.2"}, "FW_RR_P='0.2'"),
         ({"FW_RR_P": [0.2, 0.3]}, "FW_RR_P=.0.2, 0.3.,"),
-        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, "FW_AIRSPD_TRIM=0.0.*> 0"),
+        ({"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 0.0}, "above zero"),
         (
             {"FW_RR_P": 0.1, "FW_AIRSPD_TRIM": 25.0, "FW_AIRSPD_MAX": 20.0},
             "airspeeds that increase",

@@ -145,3 +145,10 @@ class Process:
 def trees():
     """Return scikit-learn's gradient-boosted trees, once for each target."""
     return MultiOutputRegressor(HistGradientBoostingRegressor(random_state=0))
+
+
+def sparse_lcm():
+    """Return GPyTorch's sparse linear model of coregionalisation."""
+    from _gpytorch import SparseLCM
+
+    return SparseLCM()

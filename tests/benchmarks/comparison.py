@@ -85,6 +85,7 @@ METHODS = {
     "scikit-learn processes after a trend": peer(
         lambda: peers.OnTrend(peers.EachOutput(peers.Process)), all_samples=False
     ),
+    "GPyTorch sparse LCM after a trend": peer(lambda: peers.OnTrend(peers.sparse_lcm())),
     PIPELINE: pipeline,
 }
 

@@ -10,7 +10,7 @@ with the response G of the linear model, the laws K of all loops and the delay t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +45,8 @@ LARGEST_FACTOR = 26.0
 STEPS = (2.0, 0.25)
 # Most rounds over the loops, since each changes the others
 ROUNDS = 10
+# Most steps of Newton's method in the search for growing modes
+NEWTON_STEPS = 60
 
 
 def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
@@ -70,8 +72,9 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
         Rows (loop, quantity) with the quantities ``gain`` [dB], ``phase`` [deg], ``sensitivity`` and
         ``crossover`` [rad/s]; columns ``value``, of the mean, ``lower`` and ``upper``, which hold 90 % of the
         paths, ``probability`` that the gain margin is at least 6 dB, the phase margin 45 deg, and the
-        sensitivity at most 2. ``attrs["unstable"]`` has the modes by
-        which the closed loops are unstable, with the fractions of the paths, or of the mean.
+        sensitivity at most 2. ``attrs["unstable"]`` has the growing modes of the closed loops, with the
+        fractions of the paths, or of the mean: a mode of the aircraft by its name where the loops do not
+        stabilise it, others by their frequency and growth.
 
     Raises
     ------
@@ -102,7 +105,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     """
     _check(linear, loops)
     s: Any = 1j * _frequencies(N_FREQUENCIES)
-    transfer = _of_loops(_responses(linear, loops, s), linear, loops, s)
+    transfer = _of_loops(_responses(linear, _models(linear), loops, s), linear, loops, s)
     stability = _Stability.of(linear, loops, N_FREQUENCIES)
     unstable = stability.unstable(loops)
     rows = []
@@ -113,7 +116,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
                 values[unstable[:, k]] = OF_UNSTABLE[quantity]
             rows.append({"loop": loop.name, "quantity": quantity} | _spread(quantity, values))
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
-    table.attrs["unstable"] = stability.causes(loops, unstable)
+    table.attrs["unstable"] = stability.growing_modes(loops)
     return table
 
 
@@ -161,7 +164,7 @@ def suggest_gains(
     s: Any = 1j * _frequencies(N_SEARCHED)
     search = _GainSearch(
         s=s,
-        responses=_responses(linear, loops, s)[1:],
+        responses=_responses(linear, _models(linear)[1:], loops, s),
         stability=_Stability.of(linear, loops, N_SEARCHED),
         gain_margin=gain_margin,
         phase_margin=phase_margin,
@@ -210,10 +213,10 @@ class _GainSearch(NamedTuple):
         return best
 
     def none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
-        causes = self.stability.causes(loops, self.stability.unstable(loops))
+        modes = self.stability.growing_modes(loops)
         unstable = ""
-        if causes:
-            parts = [f"by the {name} in {part:.0%} of the paths" for name, part in causes.items()]
+        if modes:
+            parts = [f"by the {name} in {part:.0%} of the paths" for name, part in modes.items()]
             unstable = f" With the gains given, the closed loops are unstable {', '.join(parts)}."
         return ValueError(
             f"Got no gains of the {loops[k].name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
@@ -292,15 +295,20 @@ def _sign(linear, control, rate):
     return -1.0 if effect_of(linear, control, rate) < 0 else 1.0
 
 
-def _responses(linear, loops, s, unused=UNUSED) -> Array:
-    """Return the responses (1 + n_paths, n, n_outputs, n_loops) to commands with their delay and signs, mean first.
+def _models(linear) -> list[tuple]:
+    """Return A, B, C, D and the delay of the servos of the mean and of each path."""
+    models = [(linear.A, linear.B, linear.C, linear.D, linear.servos.delay)]
+    if linear.paths is not None:
+        models += zip(*linear.paths, strict=True)
+    return models
+
+
+def _responses(linear, models, loops, s, unused=UNUSED) -> Array:
+    """Return the responses (n_models, n, n_outputs, n_loops) of `_models` to commands with their delay and signs.
 
     They are without the motion of ``unused`` states.
     """
     inputs = _inputs(linear, loops)
-    models = [(linear.A, linear.B, linear.C, linear.D, linear.servos.delay)]
-    if linear.paths is not None:
-        models += zip(*linear.paths, strict=True)
     responses = []
     # one by one: the resolvents of all would fill the memory
     for A, B, C, D, delay in models:
@@ -339,25 +347,53 @@ class _Axis(NamedTuple):
     """Motion along or across the plane of symmetry, or both, of the mean and of each path, and its loops."""
 
     loops: list[int]  #: Their numbers
+    unused: set[str]  #: States of other motions
     roots: Array  #: Of the aircraft without loops, (1 + n_paths, m)
     aircraft: Array  #: det(s I - A) / (s + 1)^m on the curve, (1 + n_paths, n)
     responses: Array  #: To the commands of the loops, (1 + n_paths, n, n_outputs, n_loops)
 
     @classmethod
-    def of(cls, linear, loops, s, unused, numbers):
+    def of(cls, linear, models, loops, s, unused, numbers):
         kept = [k for k, name in enumerate(linear.A.index) if name not in unused]
-        A = np.asarray(linear.A)[None]
-        if linear.paths is not None:
-            A = np.concatenate([A, linear.paths.A])
+        A = np.array([model[0] for model in models])
         roots = np.linalg.eigvals(A[:, kept, :][..., kept])
         aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
-        responses = _responses(linear, loops, s, unused)[..., numbers]
-        return cls(numbers, roots, aircraft, responses)
+        responses = _responses(linear, models, loops, s, unused)[..., numbers]
+        return cls(numbers, unused, roots, aircraft, responses)
 
     def characteristic(self, K) -> Array:
         """Return what is zero at modes of the loops closed by the laws K (n, n_loops, n_outputs), (1 + n_paths, n)."""
         M = -K[:, self.loops] @ self.responses
         return self.aircraft * np.linalg.det(np.eye(len(self.loops)) + M)
+
+    def growing_roots(self, linear, loops, path: int, starts: Array) -> Array:
+        """Return the growing modes of a path with closed loops to which Newton's method leads from ``starts``.
+
+        Of each pair the one with the positive frequency.
+        """
+        models = _models(linear)[path : path + 1]
+
+        def characteristic(s):
+            """Return det(s I - A) det(I + M)."""
+            axis = _Axis.of(linear, models, loops, s, self.unused, self.loops)
+            return axis.characteristic(_gains(linear, loops, s))[0] * (s + 1.0) ** axis.roots.size
+
+        s = np.asarray(starts, dtype=complex)
+        is_root = np.zeros(len(s), dtype=bool)
+        for _ in range(NEWTON_STEPS):
+            h = 1e-6 * (1.0 + abs(s))
+            value, beside = np.split(characteristic(np.append(s, s + h)), 2)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                step = value * h / (beside - value)
+            # the delay grows without limit to the left of the imaginary axis
+            is_inside = (s - step).real > 0.0
+            s, step = (s - step)[is_inside], step[is_inside]
+            is_root = abs(step) < 1e-6 * (1.0 + abs(s))
+            if is_root.all():
+                break
+        s = s.real + 1j * abs(s.imag)
+        s = s[is_root & (s.real > _bound(s.imag))]
+        return s[np.unique(s.round(4), return_index=True)[1]]
 
 
 class _Stability(NamedTuple):
@@ -366,63 +402,107 @@ class _Stability(NamedTuple):
     :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
     the right of the curve :math:`s = g / (1 + (w / w_0)^2) + j w`, as it is one at infinity: g is the
     growth that a slow mode may have. Motions along and across the plane of symmetry are judged apart, and then
-    together: a pitch loop does not move the spiral. Names of modes are those of the mean's nearest one.
+    together: a pitch loop does not move the spiral.
     """
 
     linear: LinearModel
     s: Vector
     axes: list[_Axis]
-    modes: pd.Series
 
     @classmethod
     def of(cls, linear, loops, n_frequencies):
         w = np.concatenate([[0.0], _frequencies(n_frequencies)])
         s: Any = _bound(w) + 1j * w
+        models = _models(linear)
         axes = []
         for states, others in ((LONGITUDINAL, LATERAL), (LATERAL, LONGITUDINAL)):
             numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] in states]
             if numbers:
-                axes.append(_Axis.of(linear, loops, s, {*UNUSED, *others}, numbers))
+                axes.append(_Axis.of(linear, models, loops, s, {*UNUSED, *others}, numbers))
         if len(axes) > 1:
-            axes.append(_Axis.of(linear, loops, s, {*UNUSED}, list(range(len(loops)))))
-        return cls(linear, s, axes, linear.modes()["eigenvalue"])
+            axes.append(_Axis.of(linear, models, loops, s, {*UNUSED}, list(range(len(loops)))))
+        return cls(linear, s, axes)
+
+    def growing(self, loops) -> list[Vector]:
+        """Return how many modes of each axis grow, of the mean and each path, (1 + n_paths,).
+
+        Of both axes together where neither alone has one.
+        """
+        K = _gains(self.linear, loops, self.s)
+        numbers: list[Vector] = []
+        for axis in self.axes:
+            angle = np.unwrap(np.angle(axis.characteristic(K)), axis=-1)
+            numbers.append(np.maximum(np.round((angle[:, 0] - angle[:, -1]) / np.pi), 0.0))
+        if len(numbers) == 3:
+            numbers[2][numbers[0] + numbers[1] > 0] = 0.0
+        return numbers
 
     def unstable(self, loops) -> Mask:
         """Return whether the mean and each path are unstable by the axis of each loop, (1 + n_paths, n_loops)."""
-        K = _gains(self.linear, loops, self.s)
         unstable = np.zeros((len(self.axes[0].roots), len(loops)), dtype=bool)
-        for axis in self.axes:
-            angle = np.unwrap(np.angle(axis.characteristic(K)), axis=-1)
-            is_unstable = np.round((angle[:, 0] - angle[:, -1]) / np.pi) > 0
-            # of both axes together only what neither has alone
-            is_new = ~unstable[:, axis.loops].any(axis=1)
-            unstable[:, axis.loops] |= (is_unstable & is_new)[:, None]
+        for axis, number in zip(self.axes, self.growing(loops), strict=True):
+            unstable[:, axis.loops] |= (number > 0)[:, None]
         return unstable
 
-    def causes(self, loops, unstable: Mask) -> dict[str, float]:
-        """Return the modes by which the closed loops are unstable, and the fractions of the paths, or of the mean.
+    def growing_modes(self, loops) -> dict[str, float]:
+        """Return the growing modes of the closed loops, and the fractions of the paths, or of the mean.
 
-        A mode that the aircraft has without loops is named; another one has the frequency of the least determinant.
+        A mode near a growing one of the aircraft without loops has its name, by the mean's nearest mode; others
+        are named by the medians of their frequency and growth.
         """
-        K = _gains(self.linear, loops, self.s)
-        first = min(1, len(unstable) - 1)  # the mean counts where there are no paths
-        names: list[str] = []
-        for path in range(first, len(unstable)):
-            of_path = set()
-            for axis in self.axes:
-                if unstable[path, axis.loops].all():
-                    roots = axis.roots[path]
-                    own = roots[roots.real > _bound(roots.imag)]
-                    slowest = np.abs(axis.characteristic(K)[path]).argmin()
-                    oscillation = f"oscillation of {self.s.imag[slowest]:.1g} rad/s"
-                    of_path |= {self._name(root) for root in own} or {oscillation}
-            names += of_path
-        return {name: names.count(name) / (len(unstable) - first) for name in {*names}}
+        modes = self.linear.modes()["eigenvalue"]
+        paths: dict[str, set[int]] = {}
+        others: list[dict[int, complex]] = []  # roots by path, each near the first
+        for path, root, own in self._growing_roots(loops):
+            if any(_is_near(root, mode) for mode in own):
+                paths.setdefault(str(abs(modes - root).idxmin()), set()).add(path)
+                continue
+            near = (roots for roots in others if _is_near(root, next(iter(roots.values()))))
+            roots = next(near, None)
+            if roots is None:
+                roots = {}
+                others.append(roots)
+            roots[path] = root
+        for roots in others:
+            paths.setdefault(_in_words([*roots.values()]), set()).update(roots)
+        n_paths = max(1, len(self.axes[0].roots) - 1)
+        return {name: len(numbers) / n_paths for name, numbers in paths.items()}
 
-    def _name(self, root: complex) -> str:
-        """Return the name of the mode of the mean that a root lies nearest to."""
-        distances = np.minimum(abs(self.modes - root), abs(self.modes - np.conj(root)))
-        return str(distances.idxmin())
+    def _growing_roots(self, loops) -> Iterator[tuple[int, complex, Array]]:
+        """Yield each path, or the mean where there are none, with a growing root and those without loops."""
+        for axis, numbers in zip(self.axes, self.growing(loops), strict=True):
+            roots = np.array([])
+            for path in range(min(1, len(numbers) - 1), len(numbers)):
+                if not numbers[path]:
+                    continue
+                own = axis.roots[path]
+                own = own[(own.real > _bound(own.imag)) & (own.imag >= 0.0)]
+                # those of the path before are near
+                roots = axis.growing_roots(self.linear, loops, path, roots)
+                if np.sum(1 + (roots.imag > 0)) < numbers[path]:
+                    # at an open-loop mode itself the response is infinite
+                    starts = np.append(_grid(), 1.01 * own)
+                    roots = axis.growing_roots(self.linear, loops, path, starts)
+                for root in roots:
+                    yield path, root, own
+
+
+def _grid() -> Vector:
+    """Return starts of the search for growing modes."""
+    frequencies = np.geomspace(*FREQUENCIES, 25)
+    return np.concatenate([frequencies * (ratio + 1j) for ratio in (0.01, 0.5)] + [frequencies])
+
+
+def _is_near(root: complex, mode: complex) -> bool:
+    """Return whether a root is within half the frequency of a mode."""
+    return abs(root - mode) < abs(mode) / 2
+
+
+def _in_words(roots: Sequence[complex]) -> str:
+    """Return the median frequency and growth of a mode."""
+    growth, frequency = np.median(np.real(roots)), np.median(np.imag(roots))
+    name = f"oscillation of {frequency:.2g} rad/s" if frequency else "divergence"
+    return f"{name} that grows by {growth:.2g} 1/s"
 
 
 def _bound(w: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from scipy.optimize import brentq
+from scipy.optimize import brentq, newton
 
 from skdgp.control import autopilot_loops, margins, read_parameters, suggest_gains
 from skdgp.dynamics import Servos, linearize, trim
@@ -60,6 +60,18 @@ def test_of_a_roll_mode_are_those_of_the_closed_form(P, delay, glider):
     assert_allclose(found["phase"], np.rad2deg(left), atol=0.2)
     beyond = loops[0].scaled(1.003 * 10 ** (found["gain"] / 20))
     assert margins(linear, [beyond])["value"]["roll"]["gain"] == -np.inf
+
+
+@pytest.mark.parametrize("damping", [-0.4, 0.03])
+def test_a_growing_mode_of_closed_loops_is_their_root(damping, glider):
+    """s - a + g exp(-s T) = 0; a mode that grows without loops, and not with them, is not named."""
+    linear = only_roll(glider, damping)
+    (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 6.0}, {"aileron": 0.4})
+    a, g = linear.A.loc["p", "p"], 0.4 * 6.0 * linear.B.loc["p", "aileron"]
+    assert (a > 0.5) == (damping > 0)
+    root = newton(lambda s: s - a + g * np.exp(-s * DELAY), 10 + 40j)
+    name = f"oscillation of {root.imag:.2g} rad/s that grows by {root.real:.2g} 1/s"
+    assert margins(linear, [loop]).attrs["unstable"] == {name: 1.0}
 
 
 def test_bands_hold_the_errors_of_the_servos(glider):
@@ -418,8 +430,8 @@ def test_too_high_gains_of_pitch_are_not_the_roll_loops(with_spiral):
     table = margins(with_spiral, [roll, pitch.scaled(30.0)])
     assert np.isfinite(table["value"]["roll"]).all()
     assert table["value"]["pitch"]["gain"] == -np.inf
-    (cause,) = table.attrs["unstable"]
-    assert "oscillation of" in cause
+    (mode,) = table.attrs["unstable"]
+    assert "oscillation of" in mode
 
 
 def test_parameters_that_do_not_count_are_no_errors():

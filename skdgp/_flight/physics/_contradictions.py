@@ -75,7 +75,9 @@ def _candidates(
     """
     scaled = [each for each in contradictions if _may_be_of_clock(each)]
     of_scaled = {name for each in scaled for name in each.channels}
-    if not of_scaled.isdisjoint(RATES) and not of_scaled.isdisjoint(EARTH_VELOCITY):
+    rates = of_scaled & {*RATES}
+    # one gyro alone may have another scale
+    if len(rates) > 1 or (rates and not of_scaled.isdisjoint(EARTH_VELOCITY)):
         clearest = min(scaled, key=lambda each: each.slope.std)
         factor = clearest.slope.value
         yield (

@@ -26,6 +26,7 @@ from skdgp.identification._pipeline import (
     FlightPipeline,
     reconstruction_of,
     regressor_names,
+    scaling_of,
 )
 from skdgp.inference import training_inputs
 
@@ -139,7 +140,7 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, V
         coefficients of an acceleration of 1 m/s² (n,).
     """
     names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
-    units = np.append(1.0, pipeline["standardscaler"].scale_)
+    units = np.append(1.0, scaling_of(pipeline)[1])
     p_values = {}
     tables = {}
     for flight, (X, residuals, by_acceleration) in flights.items():
@@ -252,7 +253,7 @@ def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector)
     regressor = pipeline[-1]
     trained = training_inputs(regressor.posterior_)
     is_vane = np.isin(regressor_names(pipeline), VANES)
-    offsets = VANE_OFFSET * is_vane / pipeline["standardscaler"].scale_
+    offsets = VANE_OFFSET * is_vane / scaling_of(pipeline)[1]
     by_vanes = regressor.predict_gradient(at) * offsets
     by_accelerometers = ACCELEROMETER_OFFSET * by_acceleration[:, None, None] * np.eye(6, 3)
     unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
@@ -293,4 +294,4 @@ def _noise_stds(pipeline: Pipeline) -> Vector:
         return stds
     names = [f"{name}_std" for name in regressor_names(pipeline)]
     stated = reconstruction.air_motion_.air.mean().reindex(names, fill_value=0.0).to_numpy()
-    return np.maximum(stds, stated / pipeline["standardscaler"].scale_)
+    return np.maximum(stds, stated / scaling_of(pipeline)[1])

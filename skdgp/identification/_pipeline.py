@@ -198,8 +198,15 @@ def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
 
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    values = pipeline["standardscaler"].inverse_transform(regressors)
-    return pd.DataFrame(values, columns=regressor_names(pipeline))
+    mean, scale = scaling_of(pipeline)
+    return pd.DataFrame(regressors * scale + mean, columns=regressor_names(pipeline))
+
+
+def scaling_of(pipeline: Pipeline) -> tuple[Vector, Vector]:
+    """Return the means and scales (d,) by which regressors are standardised, 0 and 1 without a scaler."""
+    scaler = step_of(pipeline, StandardScaler)
+    d = len(regressor_names(pipeline))
+    return (np.zeros(d), np.ones(d)) if scaler is None else (scaler.mean_, scaler.scale_)
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
@@ -349,7 +356,7 @@ class FlightPipeline(Pipeline):
             return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
         names = outputs, regressor_names(self)
-        scale = self["standardscaler"].scale_
+        _, scale = scaling_of(self)
         if reconstruction.air_motion_ is not None:
             return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
         if with_codes(reconstruction.doubts_, Code.GUSTS_UNKNOWN):
@@ -367,8 +374,8 @@ class FlightPipeline(Pipeline):
         self.log_errors_: FunctionErrors | None = None
         named = named_regressors(self, X)
         self.least_squares_ = linear = fit_least_squares(named, y)
-        scaler = self["standardscaler"]  # X = (x - mean) / scale
-        units = -scaler.mean_ / scaler.scale_, 1 / scaler.scale_, np.ones(linear.shape[1])
+        mean, scale = scaling_of(self)  # X = (x - mean) / scale
+        units = -mean / scale, 1 / scale, np.ones(linear.shape[1])
         errors = []
         if self.turbulence_ is not None and not has_air:
             density = self.conditions_.get("density", 0.0)

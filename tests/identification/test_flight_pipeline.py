@@ -153,6 +153,20 @@ class TestPredict:
             linear.predict(test_flight, return_std=True)
 
 
+def test_the_scaler_may_be_left_out(model, flights, test_flight):
+    """Regressors then keep their units: least squares beside the model are the same."""
+    rows = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    targets = aerodynamic_coefficients(rows, flights.aircraft)
+    learned = []
+    for scaler in ("passthrough", model["standardscaler"]):
+        pipeline = clone(model).set_params(
+            standardscaler=scaler, dependentgpregressor=DependentGPRegressor(structure="trend")
+        )
+        learned.append(pipeline.fit(rows, targets))
+    assert_allclose(*(pipeline.least_squares_ for pipeline in learned), rtol=1e-6, atol=1e-9)
+    assert np.isfinite(learned[0].predict(test_flight, return_std=True)[1]).all()
+
+
 @pytest.mark.usefixtures("no_mechanics")
 def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     """To the bit, also of a clone, of a saved model, and of flights that are held out in turn."""

@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.findings import Finding
-from skdgp._compute.messages import report
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import median_step
@@ -28,27 +27,30 @@ UNSHARED = 0.5
 
 def without_copies(
     train: dict[str, FlightTable], tests: dict[str, FlightTable]
-) -> tuple[dict[str, FlightTable], dict[str, FlightTable]]:
-    """Return training and test flights without those that repeat another training flight; warn of each.
+) -> tuple[dict[str, FlightTable], dict[str, FlightTable], list[Finding]]:
+    """Return training and test flights without those that repeat another training flight, and a finding of each.
 
     They have most of their rows in common, or the attitude at the same times. Of training flights the longer
     one stays; if all test flights are copies, they stay.
     """
-    motions = {id(flight): _motion(flight) for flight in [*train.values(), *tests.values()]}
+    longest_first = sorted(train.items(), key=lambda item: -len(item[1].time))
+    flights = [*longest_first, *tests.items()]
+    motions = {id(flight): _motion(flight) for _, flight in flights}
     kept: dict[str, FlightTable] = {}
-    for name in sorted(train, key=lambda name: -len(train[name].time)):
-        other = _original(train[name], kept, motions)
-        if other is None:
-            kept[name] = train[name]
-        else:
-            report(Finding(Code.FLIGHT_TWICE, flight=name, other=other))
-    originals = {name: _original(flight, kept, motions) for name, flight in tests.items()}
-    others = {name: flight for name, flight in tests.items() if originals[name] is None}
-    for name, other in originals.items():
-        if other is not None:
-            kind = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
-            report(Finding(kind, flight=name, other=other))
-    return {name: train[name] for name in train if name in kept}, others or tests
+    originals: dict[int, str | None] = {}
+    for name, flight in flights:
+        originals[id(flight)] = other = _original(flight, kept, motions)
+        if other is None and train.get(name) is flight:
+            kept[name] = flight
+    others = {name: flight for name, flight in tests.items() if originals[id(flight)] is None}
+    findings = []
+    for name, flight in flights:
+        kind = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
+        if train.get(name) is flight:
+            kind = Code.FLIGHT_TWICE
+        if originals[id(flight)] is not None:
+            findings.append(Finding(kind, flight=name, other=originals[id(flight)]))
+    return {name: train[name] for name in train if name in kept}, others or tests, findings
 
 
 def _original(

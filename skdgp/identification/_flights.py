@@ -69,31 +69,36 @@ def train_and_test(
     if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
         servos = FULL_THROW
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
+    findings = []
     if max(steps, default=0.0) > 1 / SLOWEST:
-        report(Finding(Code.SLOW_LOG, rate=float(1 / max(steps))))
+        findings.append(Finding(Code.SLOW_LOG, rate=float(1 / max(steps))))
     tested: Flights = {}
     if test is not None:
         tested = named_flights(test, default="test flight", needed=needed, **reading)
-    train, tested = without_copies(train, tested)
+    train, tested, copies = without_copies(train, tested)
+    findings += copies
     if test is None:
-        train, tested = _without_last(train)
+        train, tested, held_out = _without_last(train)
+        findings.append(held_out)
+    for finding in findings:
+        report(finding)
     return train, tested, servos
 
 
-def _without_last(flights: Flights) -> tuple[Flights, Flights]:
-    """Return training flights and the one that is held out; report it."""
+def _without_last(flights: Flights) -> tuple[Flights, Flights, Finding]:
+    """Return training flights and the one that is held out, with its finding."""
     *earlier, last = flights
     flight = flights[last]
     if earlier:
-        report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
-        return {name: flights[name] for name in earlier}, {last: flight}
-    report(Finding(Code.HELD_OUT_QUARTER, flight=last))
+        held_out = Finding(Code.HELD_OUT_FLIGHT, flight=last)
+        return {name: flights[name] for name in earlier}, {last: flight}, held_out
     learned, tested = f"{last}, first three quarters", f"{last}, last quarter"
     rows = np.arange(len(flight.time))
     begin = round(0.75 * len(rows))
     return (
         {learned: flight.part(rows[:begin]).named(learned)},
         {tested: flight.part(rows[begin:]).named(tested)},
+        Finding(Code.HELD_OUT_QUARTER, flight=last),
     )
 
 
@@ -215,7 +220,13 @@ def usable_flights(
             report(finding, FlightDataWarning)
         checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
     _warn_of_contradictions(checked, aircraft)
-    return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
+    usable, left_out = {}, []
+    for name, flight in checked.items():
+        usable[name], finding = _complete_rows(name, flight, regressors)
+        left_out += finding
+    for finding in left_out:
+        report(finding)
+    return usable
 
 
 def _check_surfaces(name: str, table: pd.DataFrame, in_radians: bool) -> None:
@@ -252,8 +263,10 @@ def _warn_of_contradictions(flights: Flights, aircraft: Aircraft) -> None:
         report(question)
 
 
-def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str]) -> FlightTable:
-    """Return the rows whose regressors are all sampled and have a neighbour, so that they have a rate of change."""
+def _complete_rows(
+    flight: str, flights: FlightTable, regressors: Sequence[str]
+) -> tuple[FlightTable, list[Finding]]:
+    """Return the rows with all regressors and a neighbour, so that they have a rate of change; and what is left out."""
     table = flights.table
     columns = regressor_columns([table], regressors)
     missing = ~np.isfinite(numeric(table, columns))
@@ -269,18 +282,16 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
             "whole, and time in seconds?"
         )
     continuous = np.concatenate(rows)
-    if len(continuous) < len(table):
-        report(
-            Finding(
-                Code.ROWS_LEFT_OUT,
-                flight=flight,
-                left_out=len(table) - len(continuous),
-                rows=len(table),
-                missing=counts,
-                alone=len(complete) - len(continuous) or None,
-            )
-        )
-    return flights.part(continuous).named(flight)
+    left_out = Finding(
+        Code.ROWS_LEFT_OUT,
+        flight=flight,
+        left_out=len(table) - len(continuous),
+        rows=len(table),
+        missing=counts,
+        alone=len(complete) - len(continuous) or None,
+    )
+    some = [left_out] if len(continuous) < len(table) else []
+    return flights.part(continuous).named(flight), some
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights, aircraft: Aircraft) -> Flights:

@@ -192,7 +192,7 @@ def doublets():
 
 def test_doublets_of_different_surfaces_at_one_trim_are_no_copies(doublets):
     flights = {name: FlightTable.of(table) for name, table in doublets.items()}
-    kept, _ = without_copies(flights, {})
+    kept, *_ = without_copies(flights, {})
     assert {*kept} == {*flights}
 
 
@@ -204,7 +204,7 @@ def test_another_flight_on_the_same_course_is_no_copy(doublets):
         table = table.assign(phi=phi, psi=0.1 * table["time"])
         table[SENSORS] += default_rng(len(name)).normal(0.0, 0.001, (len(table), len(SENSORS)))
         flights[name] = FlightTable.of(table)
-    kept, _ = without_copies(flights, {})
+    kept, *_ = without_copies(flights, {})
     assert {*kept} == {*flights}
 
 
@@ -214,7 +214,7 @@ def test_telemetry_of_a_doublet_is_a_copy(doublets, name):
     sent[SENSORS] += default_rng(3).normal(0.0, 0.001, (len(sent), len(SENSORS)))
     flights = {surface: FlightTable.of(flight) for surface, flight in doublets.items()}
     with pytest.warns(FindingWarning, match=f"'sent' repeats flight '{name}'"):
-        kept, _ = without_copies(flights | {"sent": FlightTable.of(sent)}, {})
+        kept, *_ = without_copies(flights | {"sent": FlightTable.of(sent)}, {})
     assert {*kept} == {*flights}
 
 
@@ -238,7 +238,7 @@ def test_flights_too_short_or_without_attitude_are_judged_by_their_rows_alone(
 ):
     table = doublets["elevator"][:n].copy()
     table.loc[1:, "phi"] = attitude
-    kept, _ = without_copies(with_another_recorder(table), {})
+    kept, *_ = without_copies(with_another_recorder(table), {})
     assert [*kept] == ["log", "again"]
 
 
@@ -261,5 +261,5 @@ def test_of_a_chain_of_copies_the_longest_is_kept(ranges, kept, doublets):
     for name, (begin, end) in enumerate(ranges):
         flights[str(name)] = FlightTable.of(table.iloc[begin:end].reset_index(drop=True))
     with pytest.warns(FindingWarning, match="repeats flight"):
-        found, _ = without_copies(flights, {})
+        found, *_ = without_copies(flights, {})
     assert [*found] == kept

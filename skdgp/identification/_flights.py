@@ -220,10 +220,11 @@ def usable_flights(
             report(finding, FlightDataWarning)
         checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
     _warn_of_contradictions(checked, aircraft)
-    usable, left_out = {}, []
+    usable: Flights = {}
+    left_out: list[Finding] = []
     for name, flight in checked.items():
-        usable[name], finding = _complete_rows(name, flight, regressors)
-        left_out += finding
+        usable[name], of_flight = _complete_rows(name, flight, regressors)
+        left_out += of_flight
     for finding in left_out:
         report(finding)
     return usable

@@ -11,9 +11,9 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 
-from skdgp._compute.messages import FindingWarning
 from skdgp._flight.clock import uniform_grid, unrounded
 from skdgp._flight.copies import without_copies
+from skdgp._flight.findings import Code
 from skdgp._flight.holds import (
     error_between_samples,
     find_holds,
@@ -213,9 +213,9 @@ def test_telemetry_of_a_doublet_is_a_copy(doublets, name):
     sent = doublets[name].iloc[3::10].reset_index(drop=True)
     sent[SENSORS] += default_rng(3).normal(0.0, 0.001, (len(sent), len(SENSORS)))
     flights = {surface: FlightTable.of(flight) for surface, flight in doublets.items()}
-    with pytest.warns(FindingWarning, match=f"'sent' repeats flight '{name}'"):
-        kept, *_ = without_copies(flights | {"sent": FlightTable.of(sent)}, {})
+    kept, _, (copy,) = without_copies(flights | {"sent": FlightTable.of(sent)}, {})
     assert {*kept} == {*flights}
+    assert (copy.code, copy.flight, copy.numbers) == (Code.FLIGHT_TWICE, "sent", {"other": name})
 
 
 def with_another_recorder(table):
@@ -228,8 +228,9 @@ def with_another_recorder(table):
 def test_a_copy_with_steps_of_two_seconds_is_found(doublets):
     table = doublets["elevator"]
     table["theta"] += 0.1 * np.sin(table.index)
-    with pytest.warns(FindingWarning, match="'again' repeats"):
-        without_copies(with_another_recorder(table.assign(time=2.0 * table.index)), {})
+    flights = with_another_recorder(table.assign(time=2.0 * table.index))
+    _, _, (copy,) = without_copies(flights, {})
+    assert copy.flight == "again"
 
 
 @pytest.mark.parametrize(("n", "attitude"), [(12, 0.1), (1000, np.nan)])
@@ -260,6 +261,6 @@ def test_of_a_chain_of_copies_the_longest_is_kept(ranges, kept, doublets):
     flights = {}
     for name, (begin, end) in enumerate(ranges):
         flights[str(name)] = FlightTable.of(table.iloc[begin:end].reset_index(drop=True))
-    with pytest.warns(FindingWarning, match="repeats flight"):
-        found, *_ = without_copies(flights, {})
+    found, _, copies = without_copies(flights, {})
     assert [*found] == kept
+    assert {copy.flight for copy in copies} == {*flights} - {*kept}

@@ -298,7 +298,9 @@ def warn_of_clocks(starts: pd.DataFrame | Array, tables: Sequence[pd.DataFrame],
     begins = np.array([float(table["time"].iloc[0]) for table in tables])
     late = begins - starts["time"].to_numpy(float)
     if (np.abs(late) > dt).any():
+        k = int(np.nanargmax(np.abs(late)))
+        start = starts["time"].iloc[k % len(starts)]
         warn(
-            f"Got controls that begin {late} s after their starts, by the clock of their tables: the first row of each "
-            "table counts as the start. Cut the controls, table[table['time'] >= start]."
+            f"Got controls that begin {late[k]:+g} s from the time of start {k}: the first row of each table counts "
+            f"as the start. Cut the controls, table[table['time'] >= {start:g}]."
         )

@@ -137,7 +137,7 @@ class Integrator:
     dt : float
         Time step [s].
     n_steps : int
-        Of the flight; slopes that are kept for one step save nothing.
+        Of the flight; with one, paths are evaluated at every stage.
 
     Attributes
     ----------
@@ -243,7 +243,7 @@ class Trajectories(NamedTuple):
 
     time: np.ndarray  #: Since the start, (n_steps + 1,)
     states: Array
-    now: Instant
+    instants: Instant  #: At each time
     wind: Array | None
     controls: dict[str, Array]
     ended: np.ndarray  #: Why each trajectory ended, (...), `FLYING` where it did not

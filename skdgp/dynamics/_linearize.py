@@ -59,7 +59,7 @@ RELATIVE_STEP = 1e-3
 UNUSED = ("north", "east", "down", "psi")
 
 
-# Rate of each air angle, and the rate of rotation whose slopes have a similar effect
+# Rates of the air angles, and the rotations with similar slopes, in the same order
 ANGLE_RATES = ("alpha_dot", "beta_dot")
 ROTATIONS = ("q", "r")
 # Standard deviation of the slopes by alpha_dot and beta_dot over those by q and r; a guess, for a
@@ -420,7 +420,7 @@ def transfer(
 
 
 def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms:
-    r"""Return K (..., 6, 2), S (..., 2, d), M (2, 1), effects of alpha_dot, beta_dot that a model merges with others.
+    r"""Return gain K (..., 6, 2), relation S (..., 2, d), mask M (2, 1) of the merged effects of alpha_dot, beta_dot.
 
     They change C by K (M rates - S regressors). Most flights do not tell alpha_dot from q
     and beta_dot from r (Klein & Morelli 2006, section 5.1). A model without them gives their effect to the
@@ -429,8 +429,8 @@ def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms
     :math:`C_{\dot\alpha} = C_q\, d\epsilon/d\alpha` (Etkin & Reid 1996, section 5.5). The downwash is not known
     here, so :math:`C_{\dot\alpha}` is zero with a standard deviation, K, of `RELATIVE_STD` of :math:`C_q`, and of
     :math:`C_r` for beta_dot, by the slopes (..., 6, d) of each function drawn from the posterior: where gusts make
-    :math:`C_q` of the mean vanish, :math:`C_{\dot\alpha}` need not vanish. M says whether they are no regressors; S
-    is less their slopes as regressors.
+    :math:`C_q` of the mean vanish, :math:`C_{\dot\alpha}` need not vanish. M says whether they are no regressors;
+    where they are, S has their own slopes subtracted.
 
     .. math:: \dot V = F_A(x) / m - \omega(x) \times V
     """

@@ -182,7 +182,7 @@ def simulate(
             gusts = gusts._replace(velocity=velocity, acceleration=velocity)
         air_schedule = gusty_air(air_schedule, gusts)
     record = fly_record(motion, commands, air_schedule, stages, states, drifts)
-    farthest = farthest_beyond(motion, record.now.regressors)
+    farthest = farthest_beyond(motion, record.instants.regressors)
     warn_of(record, motion, farthest)
     table_times = [float(table["time"].iloc[0]) for table in tables]
     first_times = np.broadcast_to(table_times or 0.0, n_starts)
@@ -403,7 +403,7 @@ class Simulator:
         return self._flight.state
 
     def _meet_gust(self, dt: float) -> None:
-        """Put the air to the one of the next step of ``dt`` [s]."""
+        """Draw the gusts of the next step of ``dt`` [s]."""
         if self._turbulence is None:
             return
         turbulence = self._turbulence

@@ -159,6 +159,14 @@ KINDS: dict[str, dict[str, tuple[float, float]]] = {
         "yaw inertia": (0.44, 0.35),
     },
 }
+RATIOS = {
+    "aspect ratio": "b^2 / S",
+    "length": "length over span",
+    "mean aerodynamic chord": "chord over S / b",
+    "roll inertia": "radius of gyration over half the span",
+    "pitch inertia": "radius of gyration over half the length",
+    "yaw inertia": "radius of gyration over half the mean of span and length",
+}
 # Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde 0.100, Ultra Stick
 # 25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
 # (tests/dynamics/test_estimate.py).
@@ -194,16 +202,16 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     deviations = {}
     for name, (value, std) in factors.items():
         powers = _powers(values, name, "length" in given)
-        if name in given and std > 0:
+        if name in given and std > 0 and powers:
             deviations[name] = ScaleFactor(std, powers, "given")
         elif name in usual:
-            text = f"ratio {value:g}, {source}"
+            text = f"{RATIOS[name]} {value:g}, {source}"
             deviations[name] = ScaleFactor(std, powers, text, is_estimate=True)
     derived = _sizes(values, "length" in given)
     if inertia is None:
         inertia = np.diag([derived.pop(moment) for moment in MOMENTS])
         deviations["product of inertia"] = ScaleFactor(
-            PRODUCT_STD, {PRODUCT: 1.0}, source, is_estimate=True
+            PRODUCT_STD, {PRODUCT: 1.0}, f"none, {source}", is_estimate=True
         )
     return derived | {"inertia": inertia, "deviations": deviations}
 
@@ -250,6 +258,10 @@ def value_and_std(name: str, value: Any) -> tuple[float, float]:
     std = 0.0
     if np.shape(value) == (2,):
         value, std = value
+    if np.ndim(value):
+        raise ValueError(
+            f"Got {name}={value!r}, but expected a number, or a pair of it and its standard deviation."
+        )
     number = check_number(name, value, unit=QUANTITIES.get(name, "m"))
     std = check_number(f"standard deviation of {name}", std, is_open=False)
     return number, std / number

@@ -70,10 +70,10 @@ def trajectory_table(
 def _columns(record: Trajectories, mass: float) -> dict[str, Array]:
     """Return the channels of a record by name, (n_times, ...) each."""
     columns = channels(record.states, record.wind)
-    columns["density"] = record.now.density
-    columns |= by_name(RATE_DERIVATIVES, record.now.derivative[..., rigid_body.RATES])
-    columns |= by_name(SPECIFIC_FORCE, record.now.force / mass)
-    columns |= by_name(COEFFICIENTS, record.now.coefficients)
+    columns["density"] = record.instants.density
+    columns |= by_name(RATE_DERIVATIVES, record.instants.derivative[..., rigid_body.RATES])
+    columns |= by_name(SPECIFIC_FORCE, record.instants.force / mass)
+    columns |= by_name(COEFFICIENTS, record.instants.coefficients)
     if record.wind is not None:
         columns |= by_name(WIND, record.wind)
     return columns | record.controls
@@ -146,8 +146,8 @@ def trajectory_bands(
 
     ``level`` is the fraction of the flying paths inside: quantiles (1 - level) / 2
     and (1 + level) / 2. ``columns`` are by default velocities, angles (heading unwrapped), rates,
-    airspeed, alpha, beta, altitude. The table has ``<column>`` (the median), ``<column>_low``,
-    ``<column>_high``, and ``flying``, the share that has not ended.
+    airspeed, alpha, beta, altitude. The table has ``flying``, the share that has not ended, then
+    the medians, ``<column>``, all ``<column>_low`` and all ``<column>_high``.
 
     Examples
     --------
@@ -161,10 +161,10 @@ def trajectory_bands(
         raise ValueError(f"Got level={level!r}, but expected a fraction above 0, at most 1.")
     what = "ensemble (simulate with n_paths=...)"
     check_columns(trajectories, ["start", "path", "time", "ended"], what=what)
-    names = [name for name in columns or BAND_COLUMNS if name in trajectories]
-    paths = trajectories[["start", "path", "time", *names]].assign(
-        flying=(trajectories["ended"] == "").astype(float)
-    )
+    keys = ["start", "path", "time"]
+    asked = dict.fromkeys(columns or BAND_COLUMNS)
+    names = [name for name in asked if name in trajectories and name not in (*keys, "ended")]
+    paths = trajectories[[*keys, *names]].assign(flying=(trajectories["ended"] == "").astype(float))
     for name in {*EULER} & {*names}:
         # without jumps, and near the first angle of the first path
         first = paths.groupby("start")[name].transform("first")

@@ -18,7 +18,7 @@ from skdgp.plotting._style import ROLES, axis_label, display_unit
 
 LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
-# Samples above which lines are drawn as a picture
+# Samples above which lines are drawn as a picture: 20,000 of six outputs take 194 kB of SVG, and 900 as lines 568 kB
 LONG = 1000
 TRAJECTORY = ("airspeed", "altitude", "phi", "theta", "p", "q")
 

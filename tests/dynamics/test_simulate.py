@@ -287,7 +287,9 @@ class TestStarts:
     def test_controls_of_another_time_than_the_start_are_noticed(self, fly):
         table = pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(("elevator", "aileron"), 0.0)})
         table = table.assign(rudder=0.0, thrust=12.0)
-        with pytest.warns(UserWarning, match=r"begin \[-5.\] s after .* first row"):
+        with pytest.warns(
+            UserWarning, match=r"begin -5 s from the time of start 0: the first row .* >= 5\]"
+        ):
             fly(x0=START | {"time": 5.0}, controls=table, duration=0.1)
 
     @pytest.mark.parametrize(("start", "match"), [

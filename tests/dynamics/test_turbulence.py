@@ -153,6 +153,13 @@ class TestSimulate:
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
+    def test_a_wind_may_have_missing_values(self):
+        wind = pd.DataFrame(gusts_of(TRUE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
+        wind["time"] = STEP * np.arange(400)
+        whole = flown(learned(), air=wind)
+        wind.loc[100, "wind_east"] = np.nan
+        assert_allclose(flown(learned(), air=wind)["p"].std(), whole["p"].std(), rtol=0.05)
+
     def test_what_is_not_said_is_as_in_the_training_flights(self):
         known = learned(turbulence=TRUE)
         for wind in (None, [0.0, 0.0, 0.0], WIND_OF_A_SECOND):

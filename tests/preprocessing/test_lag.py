@@ -80,6 +80,11 @@ def tells_nothing(table):
 
 
 class TestEstimate:
+    def test_clean_flights_have_no_lags_to_remove(self, latlon):
+        lags = found_in(latlon)
+        assert (lags.lag[["air", "surfaces"]].abs() < 0.01).all()
+        assert (lags.applied == 0).all()
+
     @pytest.mark.parametrize(("air", "surfaces"), [(0.08, 0.05), (0.08, -0.05), (-0.08, 0.0)])
     def test_lags_put_in_together_are_found(self, latlon, air, surfaces):
         lags = found_in(late(latlon, air=air, surfaces=surfaces))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -21,6 +22,7 @@ from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
 from skdgp._flight.findings import Finding
+from skdgp._flight.frames import SEA_LEVEL_DENSITY
 from skdgp._flight.physics import question_of_sizes, sizes_in_flight
 from skdgp._flight.tables import (
     FlightTable,
@@ -31,6 +33,7 @@ from skdgp._flight.tables import (
     with_sensors_at,
 )
 from skdgp.dynamics._propeller import Propeller, ThrustLine
+from skdgp.dynamics._rigid_body import propeller_speed_of, propulsive_loads
 from skdgp.dynamics._sizes import (
     INERTIAS,
     KINDS,
@@ -42,8 +45,8 @@ from skdgp.dynamics._sizes import (
 )
 
 CENTRED = ThrustLine()
-# farthest inertial sensors from the centre of gravity [spans]; farther ones are given in mm; a guess
-FARTHEST_SENSORS = 2.0
+# farthest inertial sensors and engine from the centre of gravity [spans]; farther ones are given in mm; a guess
+FARTHEST = 2.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,7 +126,7 @@ class Aircraft:
             "inertia": _inertia(inertia),
             "deviations": deviations or None,
             "propeller": _propeller(self.propeller),
-            "thrust_line": _built(ThrustLine, self.thrust_line, "thrust_line"),
+            "thrust_line": _thrust_line(self.thrust_line, checked["span"]),
             "full_deflections": full or None,
             "sensor_position": _sensor_position(self.sensor_position, checked["span"]),
         }
@@ -153,8 +156,11 @@ class Aircraft:
         """
         sizes = self.sizes | {"Ixz": -float(self.inertia[0, 2])}
         stds: dict[str, float] = {}
+        sizes["thrust_line.direction"] = float(self.engine_line.direction[0])
+        if self.propeller is not None:
+            sizes["propeller.diameter"] = self.propeller.diameter
         if flights is not None:
-            flown, stds = sizes_in_flight(flights, self.mass, self.wing_area)
+            flown, stds = self._sizes_in_flight(flights)
             sizes |= flown
             for name in flown.keys() & {"CL", "CZ_alpha"}:
                 of_area = abs(flown[name]) * self.relative_std("wing_area")
@@ -166,6 +172,20 @@ class Aircraft:
         estimates = [each for each in (self.deviations or {}).values() if each.is_estimate]
         estimated = {name for each in estimates for name in each.powers}
         return question_of_sizes(sizes, stds, estimated)
+
+    def _sizes_in_flight(self, flights: FlightTable) -> tuple[dict[str, float], dict[str, float]]:
+        """Return numbers of flights with this aircraft's thrust, where it is known, and their deviations."""
+        table = flights.table.assign(density=flights.table.get("density", SEA_LEVEL_DENSITY))
+        speed = propeller_speed_of(self.propeller, table)
+        thrust = None
+        with suppress(ValueError, KeyError):  # unknown, or without airspeed
+            thrust, _ = propulsive_loads(table, self)
+        std = self.propeller.load_std if self.propeller else 0.0
+        flown, stds = sizes_in_flight(flights, self.mass, self.wing_area, thrust, std)
+        if speed is not None:
+            # an engine may be off for a part of the flights
+            flown["propeller_speed"] = float(np.nanquantile(speed, 0.95))
+        return flown, stds
 
     def relative_std(self, size: str) -> float:
         """Return the relative standard deviation of a size by errors of all causes."""
@@ -298,18 +318,26 @@ def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:
     position = check_numbers(
         "sensor_position", value, 3, unit="m forward, right, down of the centre of gravity"
     )
-    _check_distance(position[None], span)
+    _check_distance("sensor_position", position[None], span)
     return tuple(position.tolist())
 
 
-def _check_distance(positions: Array, span: float) -> None:
-    """Raise ValueError if a position (n, 3) of the inertial sensors is too far from the centre of gravity."""
+def _thrust_line(value: Any, span: float) -> ThrustLine | None:
+    """Return the checked thrust line, None if it is not given."""
+    line = _built(ThrustLine, value, "thrust_line")
+    if line is not None:
+        _check_distance("thrust_line.position", line.position[None], span)
+    return line
+
+
+def _check_distance(name: str, positions: Array, span: float) -> None:
+    """Raise ValueError if a position (n, 3) is too far from the centre of gravity."""
     distance = np.nan_to_num(np.linalg.norm(positions, axis=1))
-    if distance.max(initial=0.0) > FARTHEST_SENSORS * span:
+    if distance.max(initial=0.0) > FARTHEST * span:
         farthest = positions[distance.argmax()].tolist()
         raise ValueError(
-            f"Got sensor_position {farthest}, but expected metres: the sensors are farther "
-            f"from the centre of gravity than {FARTHEST_SENSORS:g} spans of {span:g} m."
+            f"Got {name} {farthest}, but expected metres: it is farther from the centre of gravity than "
+            f"{FARTHEST:g} spans of {span:g} m."
         )
 
 
@@ -400,7 +428,7 @@ def with_sensor_position(table: pd.DataFrame, aircraft: Aircraft | None) -> pd.D
     if aircraft is None:
         return table
     stated = sensor_position(table)
-    _check_distance(stated, aircraft.span)
+    _check_distance("sensor_position", stated, aircraft.span)
     if aircraft.sensor_position is None:
         return table
     position = np.where(np.isfinite(stated), stated, aircraft.sensor_position)

@@ -23,7 +23,15 @@ from skdgp._flight.physics import (
 )
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
-from skdgp.dynamics import Aircraft, ScaleFactor, air_velocity, euler_to_matrix, simulate, trim
+from skdgp.dynamics import (
+    Aircraft,
+    ScaleFactor,
+    ThrustLine,
+    air_velocity,
+    euler_to_matrix,
+    simulate,
+    trim,
+)
 from skdgp.io import inspect_log, read_flight
 
 ELEVONS = ["elevon_left", "elevon_right"]
@@ -718,6 +726,31 @@ def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
         flight = flight.assign(thrust_x=factor * flight["thrust_x"])
     question = aircraft.question_of_sizes(FlightTable.of(flight))
     assert size.removesuffix("_x") in {found.channel for found in question.numbers["asked"]}
+
+
+@pytest.mark.parametrize(
+    ("diameter", "scale", "direction", "asked"),
+    [
+        (1.0, 1.0, 1.0, None),
+        (1.0, 1.0, -1.0, "thrust_line.direction"),
+        (1 / 0.0254, 1.0, 1.0, "propeller.diameter"),
+        (100.0, 1.0, 1.0, "propeller.diameter"),
+        (1.0, 30 / np.pi, 1.0, "propeller_speed"),
+    ],
+)
+def test_flights_ask_for_the_propeller_and_the_thrust_line(
+    first_minute, flight, diameter, scale, direction, asked
+):
+    aircraft = first_minute().aircraft
+    propeller = replace(aircraft.propeller, diameter=diameter * aircraft.propeller.diameter)
+    line = ThrustLine(direction=direction * aircraft.engine_line.direction)
+    changed = replace(aircraft, propeller=propeller, thrust_line=line)
+    speed = scale * flight["propeller_speed"]
+    by_propeller = flight.drop(columns=flight.filter(like="thrust").columns)
+    question = changed.question_of_sizes(FlightTable.of(by_propeller.assign(propeller_speed=speed)))
+    names = [] if question is None else [each.channel for each in question.numbers["asked"]]
+    assert (asked in names) == (asked is not None)
+    assert "mass" not in names
 
 
 def test_noise_of_the_thrust_questions_no_mass(first_minute, flight):

@@ -8,21 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from skdgp._compute.typing import Matrix
+from skdgp._flight.channels import THRUST_FORCES
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
 from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT
 from skdgp._flight.physics._regression import Slope
-from skdgp._flight.physics._signals import PHYSICS, signals_of
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
+from skdgp._flight.tables import FlightTable, by_name
 
 #: Sizes of an aircraft and medians of its flights [SI], and coefficients and derivatives, by name
 Sizes: TypeAlias = Mapping[str, float]
 #: Standard deviations outside of its limits by which a derivative contradicts a law
 LEAST_T = 2.0
+# Columns of the force of the engine in body axes [N]
+ENGINE = tuple(f"engine_{name}" for name in THRUST_FORCES)
 
 
 class Law(NamedTuple):
@@ -57,6 +62,8 @@ FOLLOWING: dict[str, Callable[[Sizes], float]] = {
     "usual lift slope": usual_lift_slope,
     "Ixx + Iyy": lambda sizes: sizes["Ixx"] + sizes["Iyy"],
     "air": lambda sizes: sizes.get("density", SEA_LEVEL_DENSITY),
+    "tip speed": lambda sizes: sizes["propeller_speed"] * sizes["propeller.diameter"] / 2,
+    "speed of sound": lambda sizes: 340.0,
 }
 
 
@@ -80,6 +87,13 @@ LAWS = (
         "X-15 0.018, Cessna 310 0.60"),
     Law("Izz over Ixx + Iyy", {"Izz": 1, "Ixx + Iyy": -1}, 0.5, 1.1, "A-4 0.63, flat bodies 1"),
     Law("Ixz over the root of Ixx Izz", {"Ixz": 1, "Ixx": -0.5, "Izz": -0.5}, 0.0, 0.4, "gliders 0.04, T-6 0.15"),
+    Law("diameter of the propeller over the span", {"propeller.diameter": 1, "span": -1}, 0.02, 1.2,
+        "sustainers of gliders 0.05, V-22 0.83"),
+    Law("Mach number of the propeller's tips", {"tip speed": 1, "speed of sound": -1}, 0.03, 1.2,
+        "Gossamer Albatross 0.06, XF-84H 1.0"),
+    Law("airspeed over the tip speed of the propeller", {"airspeed": 1, "tip speed": -1}, 0.01, 1.5,
+        "propfans at Mach 0.8 1.1"),
+    Law("upper bound of the drag coefficient by the thrust", {"CD": 1}, 0.002, 5.0, "gliders 0.006, parachutes 1.5"),
     Law("mass times the slope of ax over the thrust", {"mass_by_thrust": 1}, 0.5, 1.8,
         "Newton's second law 1, records of ATTAS 0.80 to 0.90", "mass_by_thrust"),
     Law("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
@@ -103,6 +117,13 @@ POWERS = {
     "CL": OF_LOAD,
     "CZ_alpha": OF_LOAD,
     "mass_by_thrust": {"mass": 1.0, "thrust": -1.0},
+    # of a drag that is the thrust
+    "CD": {
+        "thrust": 1.0,
+        "thrust_line.direction": 1.0,
+        "propeller.diameter": 4.0,
+        "propeller_speed": 2.0,
+    },
     "Cl_p": {"Ixx": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
     "Cm_q": {"Iyy": 1.0, "wing_area": -1.0, "chord": -2.0, "airspeed": -1.0},
     "Cn_r": {"Izz": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
@@ -120,6 +141,9 @@ SI_UNITS = {
     "airspeed": "m/s",
     "Ixx": "kg m^2",
     "thrust": "N",
+    "propeller.diameter": "m",
+    "propeller_speed": "rad/s",
+    "thrust_line.direction": "forward",
 }
 # Other units of sizes, in the SI unit
 UNITS = {
@@ -136,6 +160,9 @@ UNITS = {
     },
     "thrust": {"lbf": POUND * STANDARD_GRAVITY},
     "airspeed": {"kt": 1852 / 3600, "ft/s": FOOT, "km/h": 1 / 3.6},
+    "propeller.diameter": {**OF_LENGTHS, "m of the radius": 2.0},
+    "propeller_speed": {"rpm": np.pi / 30, "1/s": 2 * np.pi},
+    "thrust_line.direction": {},
 }
 
 
@@ -144,8 +171,8 @@ def question_of_sizes(
 ) -> Finding | None:
     """Return the finding of numbers that break a law, None if all hold.
 
-    It asks for the three sizes that would keep all laws in the most usual other units, then for the others as they
-    are.
+    It asks for sizes in these laws: the three that would keep all laws in the most usual other units, then the
+    others as they are.
     Sizes that were ``estimated`` follow mass and span.
     """
     # the same in all units
@@ -158,6 +185,8 @@ def question_of_sizes(
         numbers = {"value": law.value(sizes), "least": law.least, "most": law.most}
         laws.append(Finding(Code.BROKEN_LAW, channel=law.text, **numbers))
     given = [name for name in UNITS if name in sizes and name not in estimated]
+    in_laws = {size for law in broken for size in _sizes_of(law, sizes)}
+    given = [name for name in given if in_laws & _following(name, estimated).keys()]
     plausible = []
     for name in given:
         for unit, factor in UNITS[name].items():
@@ -209,31 +238,48 @@ def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[Law]:
     return broken
 
 
-def _in_other_unit(
-    sizes: Sizes, name: str, factor: float, estimated: Collection[str]
-) -> dict[str, float]:
-    """Return the sizes with one in another unit, and the numbers that follow from it."""
+def _sizes_of(law: Law, sizes: Sizes) -> set[str]:
+    """Return the sizes that change the number of a law."""
+    ones = dict.fromkeys(sizes, 1.0)
+    return {name for name in sizes if law.value({**ones, name: 2.0}) != law.value(ones)}
+
+
+def _following(name: str, estimated: Collection[str]) -> dict[str, float]:
+    """Return the powers of a size in itself and in the numbers that follow from it."""
     powers = dict.fromkeys((name, *TOGETHER.get(name, ())), 1.0)
     for follower, power in ESTIMATES.get(name, {}).items():
         if follower in estimated:
             powers[follower] = power
-    changed = {}
-    for quantity, value in sizes.items():
-        power = powers.get(quantity, 0.0)
-        for size, of_size in POWERS.get(quantity, {}).items():
-            power += of_size * powers.get(size, 0.0)
-        changed[quantity] = value * factor**power
-    return changed
+    for quantity, factors in POWERS.items():
+        power = sum(of_size * powers.get(size, 0.0) for size, of_size in factors.items())
+        if power:
+            powers[quantity] = power
+    return powers
+
+
+def _in_other_unit(
+    sizes: Sizes, name: str, factor: float, estimated: Collection[str]
+) -> dict[str, float]:
+    """Return the sizes with one in another unit, and the numbers that follow from it."""
+    powers = _following(name, estimated)
+    return {size: value * factor ** powers.get(size, 0.0) for size, value in sizes.items()}
 
 
 def sizes_in_flight(
-    flights: FlightTable, mass: float, wing_area: float
+    flights: FlightTable,
+    mass: float,
+    wing_area: float,
+    thrust: Matrix | None = None,
+    thrust_std: float = 0.0,
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return numbers of flights and their standard deviations, by the channels that they have.
 
-    Median airspeed, density and CL, CZ_alpha by the vane, and the mass times the slope of ax over the thrust.
+    Median airspeed, density and CL, CZ_alpha by the vane, the mass times the slope of ax over the thrust, and
+    the upper bound of the median drag coefficient by the ``thrust`` (n, 3) [N] of each row, of a relative deviation.
     """
-    signals = signals_of(flights, CHANNELS)
+    if thrust is not None:
+        flights = replace(flights, table=flights.table.assign(**by_name(ENGINE, thrust)))
+    signals = signals_of(flights, (*CHANNELS, *ENGINE))
     numbers: dict[str, float] = {}
     stds: dict[str, float] = {}
     if "airspeed" not in signals:
@@ -245,6 +291,8 @@ def sizes_in_flight(
     load = 2 * mass / (density * wing_area)
     if "az" in signals:
         numbers["CL"] = -load * float(np.nanmedian(signals["az"] / signals["airspeed"] ** 2))
+    if thrust is not None and {"ax", "az", "alpha"} <= signals.channels.keys():
+        numbers["CD"] = _largest_drag(signals, mass, thrust_std) * load
     laws = [(drive, "mass_by_thrust", mass) for drive in DRIVES.values()]
     for law, name, scale in [*laws, (LIFT, "CZ_alpha", load)]:
         slope = law.slopes(signals).get(0.0)
@@ -255,6 +303,19 @@ def sizes_in_flight(
             if law is not LIFT:
                 numbers["thrust"] = float(np.nanmedian(signals[law.x]))
     return numbers, stds
+
+
+def _largest_drag(signals: Signals, mass: float, thrust_std: float) -> float:
+    """Return the upper bound of the median drag over mass and squared airspeed, zero if it is negative.
+
+    Doubtful are the angle of attack by 0.03 rad, ax by 0.3 m/s^2 (guesses), and the thrust.
+    """
+    forward, down = np.cos(signals["alpha"]), np.sin(signals["alpha"])
+    thrust = (forward * signals[ENGINE[0]] + down * signals[ENGINE[2]]) / mass
+    drag = thrust - forward * signals["ax"] - down * signals["az"]
+    doubts = np.array([thrust_std * thrust, 0.03 * signals["az"], np.full(len(drag), 0.3)])
+    middle, *stds = np.nanmedian(np.vstack([drag, doubts]) / signals["airspeed"] ** 2, axis=1)
+    return max(float(middle + LEAST_T * np.linalg.norm(stds)), 0.0)
 
 
 def _in_bounds(slope: Slope) -> tuple[float, float]:

@@ -27,12 +27,11 @@ from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, standard_density
 from skdgp._flight.servo_functions import ServoRange
-from skdgp._flight.tables import by_name, check_full_deflections, check_number
+from skdgp._flight.tables import check_full_deflections, check_number
 from skdgp.control._margins import effect_of
 from skdgp.control._parameters import WEIGHTS, servo_functions
 from skdgp.dynamics import (
     ATTITUDE,
-    RATES,
     REASONS,
     Aerodynamics,
     Air,
@@ -333,10 +332,6 @@ class _Flights:
         self.simulator = simulator
         self.servos = servos
         self.steady = steady
-        # By name, so that the airspeed is that of the trim in any wind
-        names = ("airspeed", "alpha", "beta", "phi", "theta", "altitude")
-        self.at_trim = {name: vars(steady)[name] for name in names}
-        self.at_trim |= by_name(RATE_NAMES, steady.state[RATES])
         self.ground = ground
         self.path = path
         self.rows: list[dict[str, Any]] = []
@@ -347,7 +342,7 @@ class _Flights:
 
     def _start(self) -> None:
         """Put the aircraft at its trim, heading north."""
-        self.channels = self.simulator.reset(self.at_trim, random_state=self.path)
+        self.channels = self.simulator.reset(self.steady, random_state=self.path)
         self._row_time = -np.inf  # of the last row of this flight [s]
         # Regressor that was warned of last since all were in their ranges, and when [s]
         self._told = ""

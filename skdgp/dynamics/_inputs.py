@@ -50,7 +50,7 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     """Return one start or several as a table of names or an array of states, with a row for each.
 
     ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list
-    of trims.
+    of trims, which hold relative to the air.
     """
     if isinstance(x0, Mapping):
         _check_start_names([str(name) for name in x0])
@@ -59,8 +59,8 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     if isinstance(x0, pd.DataFrame) and len(x0):
         return x0
     points = [x0] if isinstance(x0, Trim) else x0
-    if isinstance(points, list | tuple) and any(isinstance(point, Trim) for point in points):
-        points = [point.state for point in points]
+    if isinstance(points, list | tuple) and all(isinstance(point, Trim) for point in points):
+        return pd.DataFrame([point.start for point in points])
     states = np.atleast_2d(np.array(points, dtype=float))
     if states.ndim != 2 or states.shape[1] != len(STATE_NAMES) or not len(states):
         raise ValueError(

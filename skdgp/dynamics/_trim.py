@@ -12,12 +12,14 @@ from sklearn.base import BaseEstimator
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import (
+    AIR_DATA,
     ALL_SURFACES,
     AUXILIARY,
     CHANNELS,
     THRUST_FORCES,
     THRUST_MOMENTS,
 )
+from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, ned_to_body
 from skdgp._flight.tables import by_name, check_names, check_number
 from skdgp._flight.units import degrees_error
@@ -30,6 +32,7 @@ from skdgp.dynamics._motion import (
     check_settled,
 )
 from skdgp.dynamics._rigid_body import (
+    RATES,
     aerodynamic_loads,
     thrust_control,
 )
@@ -94,6 +97,12 @@ class Trim:
     thrust: float  #: Thrust of the engine along its line [N]
     residual: float  #: The largest acceleration that remains [m/s^2 or rad/s^2]
     beyond: dict  #: Regressors outside their training ranges: name to (value, smallest, largest)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """The start of this flight by name, with the same airspeed in any wind."""
+        values = {name: vars(self)[name] for name in (*AIR_DATA, "phi", "theta", "altitude")}
+        return values | by_name(RATE_NAMES, self.state[RATES])
 
     def __repr__(self) -> str:
         values = {name: vars(self)[name] for name in FLIGHT[1:]} | self.controls

@@ -182,3 +182,13 @@ def test_what_cannot_be_asked(asked, match):
 def test_no_such_flight(model, match, glider):
     with pytest.raises(ValueError, match=match):
         trim(model(glider.names), BRUMBY, 12.0)
+
+
+def test_a_trim_as_start_holds_relative_to_the_air(glider):
+    steady = trim(glider.model(), glider.aircraft, 20.0, **AIR)
+    air = Air(wind=[5.0, -3.0, 0.0], gusts=None)
+    flown = simulate(
+        glider.model(), glider.aircraft, steady, steady.controls, duration=1.0, air=air
+    )
+    for name in ("airspeed", "alpha", "beta", "altitude"):
+        assert_allclose(flown[name], vars(steady)[name], atol=1e-3)

@@ -93,7 +93,7 @@ LAWS = (
         "Gossamer Albatross 0.06, XF-84H 1.0"),
     Law("airspeed over the tip speed of the propeller", {"airspeed": 1, "tip speed": -1}, 0.01, 1.5,
         "propfans at Mach 0.8 1.1"),
-    Law("upper bound of the drag coefficient by the thrust", {"CD": 1}, 0.002, 5.0, "gliders 0.006, parachutes 1.5"),
+    Law("upper bound of the drag by the thrust over the weight", {"drag": 1}, 0.01, 10.0, "eta 0.014"),
     Law("mass times the slope of ax over the thrust", {"mass_by_thrust": 1}, 0.5, 1.8,
         "Newton's second law 1, records of ATTAS 0.80 to 0.90", "mass_by_thrust"),
     Law("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
@@ -118,7 +118,7 @@ POWERS = {
     "CZ_alpha": OF_LOAD,
     "mass_by_thrust": {"mass": 1.0, "thrust": -1.0},
     # of a drag that is the thrust
-    "CD": {
+    "drag": {
         "thrust": 1.0,
         "thrust_line.direction": 1.0,
         "propeller.diameter": 4.0,
@@ -275,7 +275,7 @@ def sizes_in_flight(
     """Return numbers of flights and their standard deviations, by the channels that they have.
 
     Median airspeed, density and CL, CZ_alpha by the vane, the mass times the slope of ax over the thrust, and
-    the upper bound of the median drag coefficient by the ``thrust`` (n, 3) [N] of each row, of a relative deviation.
+    the upper bound of the median drag over the weight by the ``thrust`` (n, 3) [N], of a relative deviation.
     """
     if thrust is not None:
         flights = replace(flights, table=flights.table.assign(**by_name(ENGINE, thrust)))
@@ -292,7 +292,7 @@ def sizes_in_flight(
     if "az" in signals:
         numbers["CL"] = -load * float(np.nanmedian(signals["az"] / signals["airspeed"] ** 2))
     if thrust is not None and {"ax", "az", "alpha"} <= signals.channels.keys():
-        numbers["CD"] = _largest_drag(signals, mass, thrust_std) * load
+        numbers["drag"] = _largest_drag(signals, mass, thrust_std)
     laws = [(drive, "mass_by_thrust", mass) for drive in DRIVES.values()]
     for law, name, scale in [*laws, (LIFT, "CZ_alpha", load)]:
         slope = law.slopes(signals).get(0.0)
@@ -306,16 +306,16 @@ def sizes_in_flight(
 
 
 def _largest_drag(signals: Signals, mass: float, thrust_std: float) -> float:
-    """Return the upper bound of the median drag over mass and squared airspeed, zero if it is negative.
+    """Return the upper bound of the median drag over the weight, zero if it is negative.
 
     Doubtful are the angle of attack by 0.03 rad, ax by 0.3 m/s^2 (guesses), and the thrust.
     """
     forward, down = np.cos(signals["alpha"]), np.sin(signals["alpha"])
     thrust = (forward * signals[ENGINE[0]] + down * signals[ENGINE[2]]) / mass
     drag = thrust - forward * signals["ax"] - down * signals["az"]
-    doubts = np.array([thrust_std * thrust, 0.03 * signals["az"], np.full(len(drag), 0.3)])
-    middle, *stds = np.nanmedian(np.vstack([drag, doubts]) / signals["airspeed"] ** 2, axis=1)
-    return max(float(middle + LEAST_T * np.linalg.norm(stds)), 0.0)
+    stds = [thrust_std * np.nanmedian(thrust), 0.03 * np.nanmedian(signals["az"]), 0.3]
+    largest = np.nanmedian(drag) + LEAST_T * np.linalg.norm(stds)
+    return max(float(largest) / STANDARD_GRAVITY, 0.0)
 
 
 def _in_bounds(slope: Slope) -> tuple[float, float]:

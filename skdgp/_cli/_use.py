@@ -581,7 +581,7 @@ COMMANDS: Commands = {
             changed(
                 FULL,
                 help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
-                "file, else the largest that were flown), thrust [N] without a propeller",
+                "file), thrust [N] without a propeller",
             ),
         ],
     },

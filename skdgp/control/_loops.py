@@ -88,8 +88,9 @@ class Loop:
     of_derivative: Filters = ()
     #: D acts on the error; FF is divided by the ratio of true to equivalent airspeed
     has_ardupilot_rate_law: bool = False
-    #: Part of the rate of a coordinated turn, g phi / V, that is commanded
+    #: Part of the rate of a coordinated turn, g phi over the equivalent airspeed, that is commanded
     coordination: float = 0.0
+    turn_airspeeds: tuple[float, float] = (0.0, np.inf)  #: Limits of this airspeed [m/s]
     washout: float = 0.0  #: Corner of a high-pass filter of the rate error [rad/s]
     rudder: float = 0.0  #: Deflection of the rudder that is mixed in at an output of 1 [rad]
     #: Parameters of the gains P, I, D, FF, D_FF by name, with their values
@@ -102,7 +103,8 @@ class Loop:
         """
         rate, angle, _ = LOOP_AXES[self.name]
         to_true = np.sqrt(SEA_LEVEL_DENSITY / density)
-        k = self._scaling(airspeed / to_true)
+        equivalent = airspeed / to_true
+        k = self._scaling(equivalent)
         gyro = _filtered(s, self.of_gyro)
         error = _filtered(s, self.of_error)
         if self.washout:
@@ -120,7 +122,8 @@ class Loop:
         if np.isfinite(self.time_constant) and angle:
             laws[angle] = -forward * target / self.time_constant
         if self.coordination:
-            laws["phi"] = forward * self.coordination * STANDARD_GRAVITY / airspeed
+            turn_rate = STANDARD_GRAVITY / np.clip(equivalent, *self.turn_airspeeds)
+            laws["phi"] = forward * self.coordination * turn_rate
         return {name: self.full * law for name, law in laws.items()}
 
     def scaled(self, factor: float) -> Loop:

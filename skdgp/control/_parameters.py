@@ -20,8 +20,8 @@ from skdgp.control._loops import GAINS, LOOP_AXES, Loop, LowPass, Notch
 
 #: ArduPilot's outputs are notional degrees of deflection; at this one the servo is at its end
 ARDUPILOT_FULL = 45.0
-#: Corner of the high-pass filter of ArduPilot's yaw damper [rad/s]
-WASHOUT = 0.2
+#: Decay of the high-pass filter of ArduPilot's yaw damper at each turn of the main loop
+WASHOUT = 1 - 0.9960080
 # Defaults other than zero
 # fmt: off
 PX4_DEFAULTS = {
@@ -38,7 +38,7 @@ ARDUPILOT_DEFAULTS = {
     "RLL_RATE_FLTT": 3.0, "RLL_RATE_FLTD": 12.0, "PTCH_RATE_FLTT": 3.0, "PTCH_RATE_FLTD": 12.0,
     "RLL2SRV_TCONST": 0.5, "PTCH2SRV_TCONST": 0.5, "YAW2SRV_RLL": 1.0, "KFF_RDDRMIX": 0.5,
     "SCALING_SPEED": 15.0, "AIRSPEED_MIN": 9.0, "AIRSPEED_MAX": 22.0, "MIXING_GAIN": 0.5,
-    "INS_GYRO_FILTER": 20.0,
+    "INS_GYRO_FILTER": 20.0, "SCHED_LOOP_RATE": 50.0,
 }
 # fmt: on
 # Harmonic notch filters of ArduPilot's gyros
@@ -49,6 +49,7 @@ FIXED, BY_THROTTLE = 0, 1
 POSITIVE = {
     *("FW_AIRSPD_TRIM", "FW_AIRSPD_STALL", "FW_AIRSPD_MAX", "FW_R_TC", "FW_P_TC"),
     *("SCALING_SPEED", "AIRSPEED_MIN", "AIRSPEED_MAX", "ARSPD_FBW_MIN", "ARSPD_FBW_MAX"),
+    "SCHED_LOOP_RATE",
     *("RLL2SRV_TCONST", "PTCH2SRV_TCONST"),
 }
 # Name and value: one with a decimal comma as a whole, or nothing where the line is cut off
@@ -60,7 +61,15 @@ VEHICLE = re.compile(r"(\d+)\s+\d+\s+[A-Z]")
 # Beginnings of the names that control laws use
 OF_LAWS = (
     *("FW_", "IMU_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "AIRSPEED_M", "ARSPD_FBW_M"),
-    *("KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH", "FILT"),
+    *(
+        "SCHED_LOOP_RATE",
+        "KFF_RDDRMIX",
+        "MIXING_",
+        "INS_GYRO_FILTER",
+        "INS_HNTC",
+        "INS_NOTCH",
+        "FILT",
+    ),
 )
 OF_PX4 = ("FW_RR_", "FW_PR_", "FW_YR_")
 OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
@@ -215,6 +224,7 @@ def autopilot_loops(
         gains and time constants ``FW_RR_*``, ``FW_PR_*``, ``FW_YR_*``, ``FW_R_TC``, ``FW_P_TC``, the rudder's
         ``FW_RLL_TO_YAW_FF``, filters ``IMU_GYRO_*``, airspeeds ``FW_AIRSPD_*``. ArduPilot Plane 4.1 and newer:
         ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``,
+        the rate of its filter ``SCHED_LOOP_RATE``,
         filters ``FILTn_*``, ``INS_GYRO_FILTER``, ``INS_HNTCH_*`` and ``INS_HNTC2_*``, airspeeds
         ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION``,
         ``MIXING_GAIN`` and ``MIXING_OFFSET``.
@@ -337,8 +347,10 @@ def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop]
         if LOOP_AXES[name][2] not in full:
             continue
         prefixes.append(f"FW_{short}R_")
-        settings: dict[str, Any] = {"coordination": 1.0}
-        if name != "yaw":
+        settings: dict[str, Any]
+        if name == "yaw":
+            settings = {"coordination": 1.0, "turn_airspeeds": _px4_airspeeds(value)}
+        else:
             settings = {"time_constant": value(f"FW_{short}_TC")}
         if name == "roll" and "rudder" in full:
             settings["rudder"] = value("FW_RLL_TO_YAW_FF") * full["rudder"]
@@ -346,11 +358,21 @@ def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop]
     return loops, value.unread(tuple(prefixes))
 
 
+def _measures_airspeed(value: Parameters) -> bool:
+    """Return whether PX4 uses the airspeed; without it, it takes the one of the trim."""
+    return bool(value.given.get("FW_USE_AIRSPD", 1) and not value.given.get("FW_ARSP_MODE", 0))
+
+
+def _px4_airspeeds(value: Parameters) -> tuple[float, float]:
+    """Return the limits of the airspeed of PX4's ``get_airspeed_constrained``, both the trim's if it is not used."""
+    if _measures_airspeed(value):
+        return value("FW_AIRSPD_STALL"), value("FW_AIRSPD_MAX")
+    return value("FW_AIRSPD_TRIM"), value("FW_AIRSPD_TRIM")
+
+
 def _px4_scaling(value: Parameters) -> dict[str, float]:
     """Return the speed of the gains and the limits of the scaling by airspeed."""
-    # without airspeed the firmware takes that of the trim
-    is_measured = value.given.get("FW_USE_AIRSPD", 1) and not value.given.get("FW_ARSP_MODE", 0)
-    if not (value.given.get("FW_ARSP_SCALE_EN", 1) and is_measured):
+    if not (value.given.get("FW_ARSP_SCALE_EN", 1) and _measures_airspeed(value)):
         return {}
     trim = value("FW_AIRSPD_TRIM")
     slowest = value("FW_AIRSPD_STALL")
@@ -522,8 +544,9 @@ def _ardupilot_yaw_damper(
             full=full["rudder"],
             P=unit * damping,
             I=unit * damping * integral,
-            washout=WASHOUT,
+            washout=WASHOUT * value("SCHED_LOOP_RATE"),
             coordination=turn,
+            turn_airspeeds=(value("AIRSPEED_MIN", "ARSPD_FBW_MIN"), np.inf),
             parameters={"YAW2SRV_DAMP": damping},
             **common,
         )

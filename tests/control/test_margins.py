@@ -287,6 +287,35 @@ def test_the_yaw_damper_of_ardupilot_washes_out_a_steady_rate():
     assert_allclose(abs(fast), 0.3 * 0.5 * np.rad2deg(1.0) / 45, rtol=0.01)
 
 
+def test_the_washout_has_the_rate_of_the_main_loop():
+    """Its filter decays by 0.003992 at each turn."""
+    parameters = {"RLL_RATE_P": 0.2, "YAW2SRV_DAMP": 0.5, "SCHED_LOOP_RATE": 300.0}
+    _, yaw = autopilot_loops(parameters, {"aileron": 0.4, "rudder": 0.3})
+    corner, fast = yaw.feedback(np.array([1j * 300 * 0.003992, 1e4j]), 20.0, 1.225)["r"]
+    gyro = yaw.of_gyro[0](np.array([1j * 300 * 0.003992, 1e4j]))
+    assert_allclose(abs(corner / gyro[0]), abs(fast / gyro[1]) / np.sqrt(2), rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "limits"),
+    [
+        (PX4 | {"FW_AIRSPD_STALL": 14.0, "FW_AIRSPD_MAX": 18.0}, (14.0, 18.0)),
+        (PX4 | {"FW_AIRSPD_STALL": 14.0, "FW_ARSP_MODE": 1.0}, (16.0, 16.0)),
+        ({"RLL_RATE_P": 0.2, "YAW2SRV_DAMP": 0.5, "AIRSPEED_MIN": 14.0}, (14.0, np.inf)),
+    ],
+)
+def test_the_turn_rate_of_the_yaw_loop_has_the_equivalent_airspeed(parameters, limits):
+    """In firmware g phi over the calibrated airspeed within limits, at any density."""
+    *_, yaw = autopilot_loops(parameters, {"aileron": 0.4, "rudder": 0.3})
+    density, s = 0.9, np.array([2j])
+    for equivalent in (10.0, 16.0, 22.0):
+        laws = yaw.feedback(s, equivalent * np.sqrt(1.225 / density), density)
+        turn_rate = (
+            laws["phi"] / laws["r"] * yaw.of_gyro[0](s) if yaw.of_gyro else laws["phi"] / laws["r"]
+        )
+        assert_allclose(-turn_rate, 9.80665 / np.clip(equivalent, *limits), rtol=1e-4)
+
+
 def response(loop, frequency, of):
     """Return the command for a channel at a frequency [Hz]."""
     return loop.feedback(np.array([2j * np.pi * frequency]), 20.0, 1.225)[of][0]

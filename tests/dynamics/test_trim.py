@@ -9,6 +9,7 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Motion,
+    simulate,
     trim,
 )
 
@@ -185,8 +186,8 @@ def test_no_such_flight(model, match, glider):
 
 
 def test_a_trim_as_start_holds_relative_to_the_air(glider):
-    steady = trim(glider.model(), glider.aircraft, 20.0, **AIR)
-    air = Air(wind=[5.0, -3.0, 0.0], gusts=None)
+    steady = trim(glider.model(), glider.aircraft, 20.0, altitude=100.0)
+    air = Air(wind=[5.0, -3.0, 0.0])
     flown = simulate(
         glider.model(), glider.aircraft, steady, steady.controls, duration=1.0, air=air
     )

@@ -82,10 +82,16 @@ class Clock:
         """Rows of one flight without gaps, in order, every row once.
 
         A segment ends where the flight changes, and where time steps by more than 2.5 times the
-        median step of the flight. Raises ValueError if time has no usual step.
+        median step of the flight. Raises ValueError if time has no usual step, or rows of flights alternate.
         """
         step = np.diff(self.time)
         is_same = np.diff(self.flight) == 0
+        n_returns = np.sum(~is_same) + 1 - len(self.names)
+        if n_returns > 0.1 * max(len(self.time), 10):
+            raise ValueError(
+                f"Got rows of {len(self.names)} flights that alternate, but expected those of each flight one after "
+                "another: sort by flight, then by time."
+            )
         steps = pd.Series(step).where(is_same)
         usual = steps.groupby(self.flight[1:]).transform("median").to_numpy()
         is_gap = is_same & (step > LONGEST_STEP * usual)

@@ -7,7 +7,7 @@ ArduPilot's ``AP_FW_Controller::_get_rate_out``, ``AC_PID::update_all`` and
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -25,6 +25,7 @@ LOOP_AXES = {
 
 # Gains of a loop, by the names that parameters end with
 GAINS = ("P", "I", "D", "FF", "D_FF")
+FEEDBACK = ("P", "I", "D")
 
 
 class Notch(NamedTuple):
@@ -126,11 +127,14 @@ class Loop:
             laws["phi"] = forward * self.coordination * turn_rate
         return {name: self.full * law for name, law in laws.items()}
 
-    def scaled(self, factor: float) -> Loop:
-        """Return the loop with its gains times a factor."""
-        parameters = {name: factor * value for name, value in (self.parameters or {}).items()}
-        gains = {name: factor * vars(self)[name] for name in GAINS}
-        return replace(self, **gains, parameters=parameters)
+    def scaled(self, factor: float, gains: Sequence[str] = GAINS) -> Loop:
+        """Return the loop with gains times a factor."""
+        held = tuple(f"_{name}" for name in GAINS if name not in gains)
+        parameters = {}
+        for name, value in (self.parameters or {}).items():
+            parameters[name] = value if name.endswith(held) else factor * value
+        changed = {name: factor * vars(self)[name] for name in gains}
+        return replace(self, **changed, parameters=parameters)
 
     def _scaling(self, equivalent_airspeed):
         if np.isnan(self.scaling_speed):

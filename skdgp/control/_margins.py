@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Mask, Matrix, Vector
-from skdgp.control._loops import LOOP_AXES, Loop
+from skdgp.control._loops import FEEDBACK, LOOP_AXES, Loop
 from skdgp.dynamics import (
     LATERAL,
     LONGITUDINAL,
@@ -43,6 +44,9 @@ OF_UNSTABLE = {"gain": -np.inf, "phase": -np.inf, "sensitivity": np.inf}
 # Largest factor of suggested gains [dB], up or down, and the two steps of the search
 LARGEST_FACTOR = 26.0
 STEPS = (2.0, 0.25)
+# Ends of the ranges of parameters in ArduPilot Plane 4.5, and in PX4 1.14
+LARGEST = {"_RATE_P": 0.35, "_RATE_I": 0.6, "_RATE_D": 0.03, "YAW2SRV_DAMP": 2.0}
+LARGEST |= dict.fromkeys(("R_P", "R_I", "R_D"), 10.0)
 # Most rounds over the loops, since each changes the others
 ROUNDS = 10
 # Most steps of Newton's method in the search for growing modes
@@ -130,7 +134,8 @@ def suggest_gains(
 ) -> list[Loop]:
     """Return the loops with the largest gains that have both margins with a probability.
 
-    P, I, D and FF of a loop keep their ratios. The loops are taken in turn, each with the others closed
+    P, I and D of a loop keep their ratios, and FF, which follows from the rate that a deflection turns the
+    aircraft with, stays as it is. The loops are taken in turn, each with the others closed
     at their new gains, until none changes.
 
     Parameters
@@ -146,6 +151,11 @@ def suggest_gains(
     -------
     list of Loop
         `Loop.parameters` has the values to set, by name.
+
+    Warns
+    -----
+    UserWarning
+        Of values above the ranges that the firmware documents.
 
     Raises
     ------
@@ -176,12 +186,29 @@ def suggest_gains(
         for k in range(len(loops)):
             rises[k] = search.largest(loops, rises, k)
         if np.array_equal(rises, before):
-            return _risen(loops, rises)
+            suggested = _risen(loops, rises)
+            _warn_of_ranges(suggested)
+            return suggested
     changing = [loops[k].name for k in np.flatnonzero(rises != before).tolist()]
     raise ValueError(
         f"Got gains of {changing} that still change after {ROUNDS} rounds over the loops, but expected that they "
         "settle: lower the wanted margins, or suggest gains of fewer loops."
     )
+
+
+def _warn_of_ranges(loops: Sequence[Loop]) -> None:
+    """Warn of parameters above the ranges that the firmware documents."""
+    above = []
+    for loop in loops:
+        for name, value in (loop.parameters or {}).items():
+            most = next((most for ending, most in LARGEST.items() if name.endswith(ending)), np.inf)
+            if value > most:
+                above.append(f"{name} {value:.3g} (up to {most:g})")
+    if above:
+        warn(
+            f"The firmware's documentation has smaller values of {', '.join(above)}: a linear model has no limits of "
+            "rates and deflections. Raise these parameters in steps, or ask for larger margins."
+        )
 
 
 class _GainSearch(NamedTuple):
@@ -201,14 +228,13 @@ class _GainSearch(NamedTuple):
         """
         others = np.where(np.arange(len(loops)) == k, 0.0, rises)
         risen = _risen(loops, others)
-        transfer = _of_loops(self.responses, self.stability.linear, risen, self.s)[..., k]
         coarse, fine = STEPS
         best = LARGEST_FACTOR
-        while not self.is_enough(best, risen, k, transfer):
+        while not self.is_enough(best, risen, k):
             best -= coarse
             if best < -LARGEST_FACTOR:
                 raise self.none_found(loops, k)
-        while best < LARGEST_FACTOR and self.is_enough(best + fine, risen, k, transfer):
+        while best < LARGEST_FACTOR and self.is_enough(best + fine, risen, k):
             best += fine
         return best
 
@@ -224,25 +250,23 @@ class _GainSearch(NamedTuple):
             "from gains that are stable, or fly manoeuvres that tell the derivatives."
         )
 
-    def is_enough(self, decibels: float, loops: list[Loop], k: int, transfer: Matrix) -> bool:
-        """Return whether enough paths have both margins, and are stable, with a rise of the gains of loop k.
-
-        Its loop transfer function (n_paths, n) is proportional to its gains.
-        """
-        loop_margins = _margins_of(_factor(decibels) * transfer, self.s.imag)
+    def is_enough(self, decibels: float, loops: list[Loop], k: int) -> bool:
+        """Return whether enough paths have both margins, and are stable, with a rise of the gains of loop k."""
+        risen = [*loops]
+        risen[k] = loops[k].scaled(_factor(decibels), FEEDBACK)
+        transfer = _of_loops(self.responses, self.stability.linear, risen, self.s)[..., k]
+        loop_margins = _margins_of(transfer, self.s.imag)
         has_gain = loop_margins["gain"] >= self.gain_margin
         is_good = has_gain & (loop_margins["phase"] >= self.phase_margin)
         if np.mean(is_good) < self.probability:
             return False
-        risen = [*loops]
-        risen[k] = loops[k].scaled(_factor(decibels))
         unstable = self.stability.unstable(risen)[1:, k]
         return bool(np.mean(is_good & ~unstable) >= self.probability)
 
 
 def _risen(loops: Sequence[Loop], rises: Vector) -> list[Loop]:
     """Return the loops with gains that are higher by ``rises`` [dB]."""
-    return [loop.scaled(_factor(rise)) for loop, rise in zip(loops, rises, strict=True)]
+    return [loop.scaled(_factor(rise), FEEDBACK) for loop, rise in zip(loops, rises, strict=True)]
 
 
 def _factor(decibels):

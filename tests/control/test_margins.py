@@ -254,9 +254,11 @@ def test_suggested_gains_are_the_largest_that_have_the_margins(linear):
     chosen = suggest_gains(linear, loops, **wanted)
     for before, after in zip(loops, chosen, strict=True):
         factor = after.P / before.P
-        assert_allclose([after.I, after.FF], [factor * before.I, factor * before.FF])
+        assert_allclose([after.I, after.FF], [factor * before.I, before.FF])
         name = f"FW_{before.name[0].upper()}R_P"
         assert_allclose(after.parameters[name], factor * PX4[name])
+        name = name.removesuffix("P") + "FF"
+        assert after.parameters.get(name, 0.0) == PX4[name]
 
     def shares(loops):
         """Parts of the paths that have both margins of each loop."""
@@ -487,6 +489,14 @@ def test_suggested_gains_are_within_twenty_times_the_present_ones(linear):
     weak = pitch.scaled(1e-3)
     (chosen,) = suggest_gains(linear, [weak])
     assert_allclose(chosen.P / weak.P, 10 ** (26 / 20))
+
+
+def test_suggested_gains_beyond_the_ranges_of_the_firmware_are_warned_of(linear):
+    rates = {"RLL_RATE_P": 0.3, "RLL_RATE_I": 0.1, "RLL_RATE_FF": 0.1, "YAW2SRV_DAMP": 0.1}
+    (roll,) = autopilot_loops(rates, {"aileron": FULL["aileron"]})
+    with pytest.warns(UserWarning, match=r"RLL_RATE_P .* \(up to 0.35\)"):
+        (chosen,) = suggest_gains(linear, [roll])
+    assert chosen.parameters["RLL_RATE_P"] > 0.35
 
 
 HARMONIC = {"RLL_RATE_P": 0.1, "INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0}

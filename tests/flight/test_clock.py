@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.estimation import flights_of
@@ -69,12 +69,15 @@ def test_what_is_no_name(missing, dtype):
         inspect_flight(table(pd.Series(holed(missing)).astype(dtype)))
 
 
-def test_rows_of_flights_that_take_turns():
+def test_rows_of_flights_that_take_turns_are_refused():
+    """They have no rate."""
     flights = table(np.repeat(["b", "a"], N)).sort_values("time", ignore_index=True)
-    rows = {flight.name: flight.rows for flight in flights_of(flights)}
-    assert list(rows) == list(dict.fromkeys(flights["flight"]))
-    for name, expected in rows.items():
-        assert_array_equal(np.flatnonzero(flights["flight"] == name), expected)
+    with pytest.raises(ValueError, match=r"2 flights that alternate, .* sort by flight, then by"):
+        flights_of(flights)
+    assert [flight.name for flight in flights_of(flights.sort_values(["flight", "time"]))] == [
+        "a",
+        "b",
+    ]
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

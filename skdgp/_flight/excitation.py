@@ -51,7 +51,9 @@ class Steps:
 
     def __post_init__(self) -> None:
         durations = [check_number("duration", duration, unit="s") for duration in self.durations]
-        levels = check_numbers("levels", self.levels, max(len(durations), 1))
+        if not durations:
+            raise ValueError("Got no durations of steps, but expected one for each level.")
+        levels = check_numbers("levels", self.levels, len(durations))
         object.__setattr__(self, "durations", tuple(durations))
         object.__setattr__(self, "levels", tuple(levels.tolist()))
 

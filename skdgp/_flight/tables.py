@@ -369,8 +369,11 @@ def check_numbers(name: str, values: object, *sizes: int, unit: str = "") -> Arr
     is_vector = array.ndim == 1 and len(array) in sizes
     if not is_vector or not np.isfinite(array).all():
         count = " to ".join(map(str, sorted({sizes[0], sizes[-1]})))
+        plural = "s" if sizes[-1] > 1 else ""
         suffix = f" [{unit}]" if unit else ""
-        raise ValueError(f"Got {name}={values!r}, but expected {count} finite numbers{suffix}.")
+        raise ValueError(
+            f"Got {name}={values!r}, but expected {count} finite number{plural}{suffix}."
+        )
     return array
 
 
@@ -381,6 +384,9 @@ def _lacking(needed: Iterable[str], names: list[str]) -> str:
     hints = []
     for name in dict.fromkeys(needed):
         if name not in names:
+            hint = repr(name)
             near = [meant[name]] if name in meant else get_close_matches(name, names, 1, 0.75)
-            hints.append(repr(name) + "".join(f" (nearest: {other!r})" for other in near))
+            if near:
+                hint += f" (nearest: {near[0]!r})"
+            hints.append(hint)
     return ", ".join(hints)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
@@ -137,11 +138,12 @@ class FlightCheck(TableTransformer):
 
     def transform(self, X: Any) -> Any:
         """Return the flight table X without faults and error of the airspeed, with its index."""
+        check_is_fitted(self)
         flights = self._read(X)
         if flights is not X:  # of clean flights the findings are known
             for finding in flights.findings or ():
                 report(finding, FlightDataWarning)
-        return super().transform(flights)
+        return self._transform_table(flights)
 
     def _read(self, X):
         is_clean = isinstance(X, FlightTable) and X.findings is not None

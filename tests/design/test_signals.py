@@ -79,7 +79,8 @@ PULSE = {0.0: doublet(1.0, 0.1)}
     ("make", "words"),
     [
         (lambda: orthogonal_multisines({"elevator": 0.0}, 4.0, (0.5, 2.0)), "limit of the elevator=0.0"),
-        (lambda: Steps([1.0], [0.1, 0.2]), "expected 1 finite numbers"),
+        (lambda: Steps([1.0], [0.1, 0.2]), "expected 1 finite number\\."),
+        (lambda: Steps([], []), "no durations of steps"),
         (lambda: orthogonal_multisines({"elevator": 0.1}, 4.0, (0.3, 0.4)), "fly longer"),
         (lambda: Wavetrain({"elevater": PULSE}), "nearest: 'elevator'"),
         (lambda: Wavetrain({"elevator": PULSE}, {"flaps": 0.1}), "flaps"),

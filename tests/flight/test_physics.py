@@ -21,6 +21,9 @@ from skdgp._flight.physics import (
     find_contradictions,
     question_of_sizes,
 )
+from skdgp._flight.physics._laws import EQUAL
+from skdgp._flight.physics._list import ALPHA, OFFSETS
+from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import (
@@ -577,6 +580,57 @@ def test_noise_has_none(flight):
     noise[:] = 0.1 * rng.normal(size=noise.shape)
     noise[["airspeed", "az"]] += [20.0, -9.8]
     assert contradictions(noise.assign(time=flight["time"])) == []
+
+
+@pytest.mark.parametrize(("ratio", "is_accused"), [(1.12, False), (1.17, True)])
+def test_a_scale_of_a_vane_is_accused_by_four_standard_deviations(ratio, is_accused):
+    """Beyond the admissible 1.1, by slopes near enough to 1 that other signals of them would count as equal."""
+    x, noise = default_rng(0).normal(size=(2, 600))
+    signals = Signals({"alpha": ratio * x + 0.57 * noise}, np.zeros(600, int), 0.05)
+    law = replace(
+        OFFSETS[-2],
+        uses=(),
+        regression=lambda signals: Regression.with_intercept(signals["alpha"], x),
+    )
+    contradiction, _ = law.judge(signals)
+    assert (contradiction is not None) == is_accused
+    assert not is_accused or 4 < contradiction.t < 5
+
+
+def test_a_late_vane_in_strong_gusts_is_accused_and_confirms_nothing():
+    """By 0.4 s, where gusts leave a correlation of less than 0.5 and a long flight a sure slope of 1."""
+    motion, gusts = default_rng(0).normal(size=(2, 6000))
+    signals = Signals({"alpha": np.roll(motion, 8) + 1.9 * gusts}, np.zeros(6000, int), 0.05)
+    law = replace(
+        ALPHA,
+        uses=(),
+        admissible=EQUAL,
+        regression=lambda signals: Regression.with_intercept(signals["alpha"], motion),
+    )
+    contradiction, is_equal = law.judge(signals)
+    assert contradiction.lag[0] == 0.4
+    assert contradiction.slope.correlation < 0.5
+    assert not is_equal
+
+
+def test_a_faster_flight_is_averaged_by_its_own_rate():
+    """Its noise is that of means over 10 samples, not that of single ones between."""
+    rng = default_rng(0)
+    tables = [
+        pd.DataFrame({"time": np.arange(0.0, end, 1 / rate), "flight": name, "q": 0.0})
+        for name, end, rate in (("slow", 300.0, 20), ("fast", 25.0, 200))
+    ]
+    table = pd.concat(tables, ignore_index=True).assign(airspeed=20.0)
+    table["q"] = rng.normal(size=len(table))
+    signals = signals_of(FlightTable.of(table), ["q"])
+    assert signals["q"][signals.segment == 0].std() == pytest.approx(1.0, rel=0.05)
+    assert signals["q"][signals.segment == 1].std() == pytest.approx(0.1**0.5, rel=0.1)
+
+
+def test_flights_shorter_than_a_block_are_judged_by_nothing(flight):
+    """Of 8 rows at 200 Hz."""
+    short = flight.head(8).assign(time=np.arange(8) / 200)
+    assert contradictions(short) == []
 
 
 def test_missing_samples_change_nothing(flight):

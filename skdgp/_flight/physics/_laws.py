@@ -1,7 +1,7 @@
-"""Laws of flight, how signals are judged by them, and what flights that break them are told.
+"""Laws of flight, their judgement, and the findings.
 
 By a law the slope of a signal y over another, x, lies within an interval. Signals contradict it if
-the slope is outside by 5 standard deviations.
+the slope is outside by 5 standard deviations (4 for the scale of vanes).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Interval(NamedTuple):
 
     @property
     def sign(self) -> float:
-        """Sign of the admissible slopes, 0 where both are."""
+        """Sign of the admissible slopes, 0 where slopes of both signs are admissible."""
         return float(np.sign(np.clip(self[:2], -1.0, 1.0).sum()))
 
 
@@ -54,8 +54,8 @@ class Law:
     unit: str = ""
     #: Error of x [unit of x]: a signal of no larger root mean square decides nothing
     noise: float = 0.0
-    #: Whether this error attenuates the slope of a law that states its size
-    is_attenuated: bool = False
+    #: Whether y and x are equal but for this error, which attenuates the slope
+    is_equality: bool = False
     #: Whether x is of accelerometers, whose noise has no bound: engines shake them
     vibrates: bool = False
     #: Lags that are tried, and the first and last that are no contradiction [s]
@@ -96,15 +96,15 @@ class Law:
         best = most_explained(slopes)
         if best is None or best.size <= self.noise or best.n_effective < PHYSICS.least_samples:
             return None, False
-        late = self._unusual_lag(slopes, best)
+        distance_inside = min(best.value - EQUAL.least, EQUAL.most - best.value)
+        is_equal = self.is_equality and distance_inside > self.least_t * best.std
+        late = self._unusual_lag(slopes, best, is_equal)
         if late is not None:
             return late, False
         least, most, _ = self.admissible
-        distance_inside = min(best.value - EQUAL.least, EQUAL.most - best.value)
-        is_equal = distance_inside > PHYSICS.least_t * best.std
-        if is_equal and abs(best.t(least, most)) < PHYSICS.least_t:
+        if is_equal and abs(best.t(least, most)) < self.least_t:
             return None, True
-        if self.is_attenuated:  # Fuller 1987, section 1.1
+        if self.is_equality:  # Fuller 1987, section 1.1
             least *= 1 - (self.noise / best.size) ** 2
         slope = slopes.get(0.0, best)
         if self.is_cause:
@@ -119,11 +119,14 @@ class Law:
             return None, False
         return Contradiction(law=self, channels=self.channels, slope=slope, t=t), False
 
-    def _unusual_lag(self, slopes: dict[float, Slope], best: Slope) -> Contradiction | None:
+    def _unusual_lag(
+        self, slopes: dict[float, Slope], best: Slope, is_equal: bool
+    ) -> Contradiction | None:
         """Return the contradiction of a best lag outside of the usual ones, if it is one."""
         first, last = self.usual_lags
         best_lag = next(lag for lag, slope in slopes.items() if slope is best)
         is_clear = self.admissible.sign * best.correlation > PHYSICS.clear_correlation
+        is_clear |= is_equal
         if first <= best_lag <= last or not is_clear:
             return None
         of_usual = [slope.explained for lag, slope in slopes.items() if first <= lag <= last]
@@ -165,7 +168,7 @@ class Law:
 
 
 def most_explained(slopes: dict[float, Slope]) -> Slope | None:
-    """Return the slope at the lag that explains y best, None of none."""
+    """Return the slope at the lag that explains y best, None if there are none."""
     return max(slopes.values(), key=lambda slope: slope.explained, default=None)
 
 

@@ -64,7 +64,7 @@ def _equality(**options: Any) -> Law:
     # LagCorrector corrects 0.3 s, and holds of a slow GPS add to it
     usual = (-0.5, 0.5)
     defaults: dict[str, Any] = {"admissible": EQUAL, "lags": KINEMATIC_LAGS, "usual_lags": usual}
-    return Law(**(defaults | options), least_explained=0.0, is_attenuated=True)
+    return Law(**(defaults | options), least_explained=0.0, is_equality=True)
 
 
 def _integral(
@@ -257,7 +257,6 @@ def _accelerometer(name: str, axis: int) -> Law:
         y="the change of velocity less the other forces",
         x=f"the integral of {name}",
         regression=partial(equations.force_of_one_sensor, axis=axis),
-        lags=KINEMATIC_LAGS,
         admissible=POSITIVE,
         noise=0.05,
     )
@@ -331,7 +330,7 @@ def _scale_of_vane(law: Law) -> Law:
         lags=(0.0,),
         causes=("the flow about the vane", "another unit"),
         admissible=SMOOTH,
-        is_attenuated=False,
+        is_equality=False,
         # a correlation of 0.9 (guess)
         least_explained=4.3,
         least_t=4.0,
@@ -366,7 +365,7 @@ OFFSETS = (
         lags=(0.0,),
         causes=("indicated in place of true airspeed", "the calibration of the pitot tube"),
         admissible=CALIBRATED,
-        is_attenuated=False,
+        is_equality=False,
         least_explained=PHYSICS.least_explained,
     ),
     _scale_of_vane(ALPHA),

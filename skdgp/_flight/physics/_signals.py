@@ -116,8 +116,8 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
     columns = measured.numeric_channels(names)
     columns["ground"] = on_ground(flights).astype(float)
     usual_step = median_step(flights.time, segments)
-    n_averaged = max(1, int(1 / usual_step // PHYSICS.rate))
-    clocks = [_block_clock(flights.time[rows], usual_step, n_averaged) for rows in segments]
+    step = usual_step * max(1, int(1 / usual_step // PHYSICS.rate))
+    clocks = [_block_clock(flights.time[rows], step) for rows in segments]
     channels = {}
     for name, values in columns.items():
         parts = []
@@ -130,19 +130,21 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
             channels[name] = channel
     if {*ELEVONS} <= channels.keys():
         channels |= by_elevons(channels)
-    flies = channels.pop("ground") == 0
+    flies = channels.pop("ground", np.empty(0)) == 0
     channels = {name: np.where(flies, values, np.nan) for name, values in channels.items()}
     segment = np.repeat(np.arange(len(segments)), [len(clock) for clock in clocks])
-    return Signals(channels, segment, usual_step * n_averaged, 1 / usual_step)
+    return Signals(channels, segment, step, 1 / usual_step)
 
 
-def _block_clock(time: Vector, step: float, n_averaged: int) -> Matrix:
-    """Return the times of whole blocks (n, k) of k samples at even steps [s]."""
+def _block_clock(time: Vector, step: float) -> Matrix:
+    """Return the times of whole blocks (n, k) of ``step`` [s], with the k samples of the segment's own rate."""
+    size = max(1, round(step / np.median(np.diff(time))))
+    spacing = step / size
     # the tolerance is of rounded clocks
-    n_samples = 1 + int(np.ptp(time) / step + 1e-3)
-    n_whole = n_samples // n_averaged * n_averaged
-    points = time[0] + step * np.arange(n_whole)
-    return np.minimum(points, time[-1]).reshape(-1, n_averaged)
+    n_samples = 1 + int(np.ptp(time) / spacing + 1e-3)
+    n_whole = n_samples // size * size
+    points = time[0] + spacing * np.arange(n_whole)
+    return np.minimum(points, time[-1]).reshape(-1, size)
 
 
 def _averaged(name: str, time: Vector, values: Vector, clock: Matrix) -> Vector:

@@ -199,6 +199,8 @@ class TestInterrupted:
             model.fit(*data)
         assert caught[0].filename == __file__  # where fit was called
         assert np.isfinite(model.predict(new, return_std=True)).all()
+        pressed = [k for k, (at, *_) in enumerate(heard) if at == stage][n - 1]
+        assert len(heard) <= pressed + 5  # what still had to start did so once
         assert list(model.weights_) == ["joint"]
         if (inference, stage) == ("exact", "fit"):
             best = max(value for at, _, value in heard if at == "fit")

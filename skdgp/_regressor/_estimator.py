@@ -128,7 +128,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Fitted covariance of the outputs, in their units. A fit with ``kernel=model.kernel_`` and
         ``structure="joint"`` continues there; with ``noise_variance=model.noise_variance_``,
         ``input_noise=np.sqrt(np.diag(model.input_covariance_))`` after a fit with ``time``, and
-        ``optimizer=None`` it is the same joint model, if no value was an outlier.
+        ``optimizer=None`` it is the same joint model, if no value was an outlier (with noise of the
+        regressors up to about a hundredth of the band).
     noise_variance_ : ndarray (P,)
         Variance of the measurement noise, in squared units of the outputs; the mean over the
         samples where it was given for each, or where some are outliers.

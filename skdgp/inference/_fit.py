@@ -24,8 +24,8 @@ from skdgp.kernels import Features, MultiOutputKernel, PathBundle, inducing_feat
 
 SAMPLES_OF_CENTRE = 50
 """Samples for each inducing input, from which k-means finds the centres."""
-ROWS_OF_SLOPES = 1000
-"""Samples whose slopes show the noise that regressors propagate."""
+ROWS_SEEN = 1000
+"""Samples whose variances and slopes show the noise, to save time."""
 
 
 class Fit(NamedTuple):
@@ -129,23 +129,24 @@ def _fit(
     """Return the fit, whose noise follows from posteriors before it.
 
     Regressors propagate their noise by the slopes of the posterior before, or of the ``function``
-    where it is known. The residuals of a time series show more noise than the few rows of a search.
-    Where they are correlated a value carries less information: its noise is multiplied by their
-    correlation time.
+    where it is known. Of a time series the noise is at least what the residuals show, and where they
+    are correlated a value carries less information: its noise is multiplied by their correlation time.
     """
     noise, std = learned.noise, learned.input_std
     inflation = np.ones(len(noise))
-    noisy = data if std is None or function is None else data.with_slopes(function, std)
+    noisy, passes = data, int(ordered)
+    if std is not None and function is None:
+        passes = 2  # slopes of exact regressors, then of noisy ones
+    elif std is not None:
+        noisy = data.with_slopes(function, std)
     posterior = posterior_of(learned.kernel, noise, noisy)
-    for _ in range(2 if std is not None and function is None else int(ordered)):
+    for _ in range(passes):
         slopes_of = posterior.mean_function if function is None else function
         if ordered:
             residuals = _residuals(posterior, data)
             inflation = np.array([autocorrelation_time(e) for e in residuals])
-            squares = np.array([np.mean(e**2) for e in residuals])
-            if std is not None:
-                squares -= _propagated(slopes_of, data, std)
-            noise = known.within(np.maximum(learned.noise, squares))
+            seen = _noise_seen(posterior, residuals, data, slopes_of, std)
+            noise = known.within(np.maximum(learned.noise, seen))
         noisy = data.inflated(inflation)
         if std is not None:
             noisy = data.with_slopes(slopes_of, np.sqrt(inflation)[:, None] * std)
@@ -157,18 +158,31 @@ def _residuals(posterior: SinglePosterior, data: Data) -> list[Vector]:
     """Return the residuals of the values of each output."""
     samples, X = sample_table(data.X, data.sample)
     mean = posterior.predict(X)
-    of_outputs = enumerate(zip(data.sample, data.y, strict=True))
-    return [y - mean[samples.searchsorted(rows), i] for i, (rows, y) in of_outputs]
+    residuals = []
+    for i, (rows, y) in enumerate(zip(data.sample, data.y, strict=True)):
+        residuals.append(y - mean[samples.searchsorted(rows), i])
+    return residuals
 
 
-def _propagated(function: PathBundle, data: Data, std: Vector) -> Vector:
-    """Return the mean noise variance (P,) that the slopes of a function propagate from the regressors."""
-    means = []
-    for i, X in enumerate(data.X):
-        rows = X[:: -(-len(X) // ROWS_OF_SLOPES)]
-        slopes = function.slopes(rows[None])[0, :, i]
-        means.append(np.mean(np.sum((slopes * std) ** 2, axis=1)))
-    return np.array(means)
+def _noise_seen(
+    posterior: SinglePosterior,
+    residuals: Sequence[Vector],
+    data: Data,
+    function: PathBundle,
+    std: Vector | None,
+) -> Vector:
+    """Return the mean squared residual (P,), expected over the posterior, less what regressors propagate.
+
+    It is the noise of expectation maximisation. Noise of the regressors of standard deviations ``std``
+    (d,) propagates by the slopes of the function.
+    """
+    _, X = sample_table(data.X, data.sample)
+    some = X[:: -(-len(X) // ROWS_SEEN)]
+    _, variance = posterior.predict(some, return_variance=True)
+    seen = np.array([np.mean(e**2) for e in residuals]) + variance.mean(axis=0)
+    if std is not None:
+        seen -= np.mean(np.sum((function.slopes(some[None])[0] * std) ** 2, axis=2), axis=0)
+    return seen
 
 
 def check_inducing(kernel: MultiOutputKernel, X: Matrix, n_inducing: int) -> None:

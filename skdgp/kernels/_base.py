@@ -384,7 +384,9 @@ class MultiOutputKernel(Kernel):
                 if isinstance(value, Mapping):  # bounds; of each entry they are too long
                     value = {k: pair for k, pair in value.items() if np.ndim(pair) < 2} or None
                 if not _equal(value, parameters[name].default):
-                    shown.append(f"{name}={value!r}")
+                    number = isinstance(value, float)
+                    text = f"{value:.3g}" if number else repr(value)
+                    shown.append(f"{name}={text}")
         return " ".join(f"{type(self).__name__}({', '.join(shown)})".split())
 
     def is_stationary(self) -> bool:

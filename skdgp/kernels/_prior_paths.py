@@ -86,7 +86,7 @@ def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
         phase -= delay[..., i[0]]
         delay -= delay[..., i[:1]].copy()
         for turn, part in ((0.0, np.cos(delay)), (0.5 * np.pi, np.sin(delay))):
-            if (gains * part).any():  # no sines without shifts
+            if turn == 0.0 or delay.any():  # no sines without shifts
                 omegas.append(omega)
                 phases.append(phase - turn)
                 all_gains.append(gains * part)

@@ -6,6 +6,7 @@ from made_flights import lasting
 from numpy.random import default_rng
 from scipy.signal import lfilter
 
+from skdgp import DependentGPRegressor
 from skdgp.inference import Data, SearchOptions, autocorrelation_time, fit_sparse, search
 from skdgp.kernels import ConvolvedGaussian
 
@@ -44,6 +45,22 @@ class TestSparseFit:
         z = (mean - TRUTH) / np.sqrt(variance)
         assert 0.6 < np.sqrt(np.mean(z**2)) < 1.5
         assert fit.learned.noise.mean() == pytest.approx(0.09, rel=0.25)  # of a measurement
+
+    def test_noise_is_at_least_what_residuals_show(self):
+        """Few inducing inputs cannot follow the function: what they miss is no certainty."""
+        truth = np.sin(9 * X)
+        model = DependentGPRegressor(
+            structure="joint", inference="sparse", n_inducing=4, input_noise=None, max_iter=30
+        ).fit(X, truth + 0.01 * NOISE[:, :1], time=X[:, 0])
+        squares = np.mean((truth - model.predict(X)) ** 2)
+        assert squares > 0.01
+        assert model.noise_variance_ >= 0.9 * squares
+
+    def test_bounds_of_the_noise_hold(self):
+        model = DependentGPRegressor(
+            structure="trend", noise_variance=0.02, noise_variance_bounds=(0.01, 0.03)
+        ).fit(X, TRUTH + NOISE[:, :1], time=X[:, 0])
+        assert model.noise_variance_ == pytest.approx(0.03)
 
     def test_shuffled_rows_are_independent_evidence(self):
         order = default_rng(4).permutation(len(X))

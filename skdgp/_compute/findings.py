@@ -203,7 +203,9 @@ class _Words(Formatter):
             parts = [f"{name} {self.format_field(value[name], format_spec)}" for name in value]
             return shortened(parts, MOST_FINDINGS)
         if isinstance(value, tuple):
-            return " ± ".join(self.format_field(number, format_spec) for number in value)
+            number, std = value
+            unsigned = format_spec.removeprefix("+")
+            return f"{self.format_field(number, format_spec)} ± {self.format_field(std, unsigned)}"
         if isinstance(value, list):
             return _listed(value, format_spec)
         text = format(value, format_spec)

@@ -188,8 +188,8 @@ class Code(Kind):
 
     # changes since the training flights
     CHANGED = (
-        "flight {flight}: the aircraft has changed (p = {p:.2g}): likely [all forces {forces:.0%} (mass, wing area "
-        "or airspeed?), ]{likely:.2g} (± one standard deviation)",
+        "flight {flight}: the aircraft has changed (p = {p:.2g}; ± one standard deviation)[, likely all forces "
+        "{forces:+.0%} (mass, wing area or airspeed?)][, likely {likely:+.2g}]",
         "",
         NOTE,
     )

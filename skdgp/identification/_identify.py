@@ -277,7 +277,7 @@ def validate(
     Identification
         Without training flights; with the changes of the aircraft.
     """
-    options = {"thrust": "auto", **model.get("options", {}), "horizon": horizon}
+    options = {**model.get("options", {}), "thrust": model.pipeline.thrust, "horizon": horizon}
     reading = dict(reading or {})
     reading["servos"] = reading.get("servos") or options.get("servos")
     with recorded_findings() as findings:

@@ -285,6 +285,9 @@ class TestDerivatives:
         assert (
             json.loads(said.out)["points"][0]["trim"]["climb"] < 0
         )  # without thrust it glides down
+        judged = validate(load_model(kite), "test.csv", horizon=1.0)
+        assert judged.options["thrust"] is None
+        assert judged.mechanics.trim.climb < 0
 
     def test_of_several_airspeeds(self, run, command, tmp_path, path, capsys):
         said = run("derivatives", "--airspeed", "36", "33", "--paths", "0")

@@ -323,7 +323,9 @@ def _with_last_ratio(
         ratios = [
             (t, value) for t, key, value in changes if key == parameter and 0 < value < np.inf
         ]
-        times, values = np.array(sorted(ratios, key=itemgetter(0))).reshape(-1, 2).T
+        ratios.sort(key=itemgetter(0))
+        times = np.array([t for t, _ in ratios])
+        values = np.array([value for _, value in ratios])
         if "Airspeed" in topic and len({*values}) > 1:
             at = values[last_before(times, topic.time)]
             scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)

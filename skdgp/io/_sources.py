@@ -188,13 +188,15 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
         remark = f"{rule.topic}: no engine has valid speeds above zero"
         return Source((rule.columns,), rule.topic, time, values[:, None], remark)
     columns = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
-    mean = (
-        np.mean(columns, axis=0) if are_commands else np.sqrt(np.mean(np.square(columns), axis=0))
-    )
+    kind = "mean"
+    mean = np.mean(columns, axis=0)
+    if not are_commands:
+        kind = "root mean square"
+        mean = np.sqrt(np.mean(np.square(columns), axis=0))
     is_finite = np.isfinite(mean)
     words = " and ".join(names[:3])
     if len(names) > 1:
-        words += f" ({'mean' if are_commands else 'root mean square'} of {len(names)} engines)"
+        words += f" ({kind} of {len(names)} engines)"
     return Source((rule.columns,), words, time[is_finite], mean[is_finite, None])
 
 
@@ -223,8 +225,10 @@ def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Read
     confidence = 0.0
     if rule.preferred in topic:
         confidence = float(np.clip(np.nan_to_num(topic[rule.preferred]), 0.0, 1.0).mean())
-    resets = [topic[field] for field in rule.resets.split() if field in topic]
-    counter = np.full(len(topic), COUNTERS * number) + sum(resets)
+    counter = np.full(len(topic), COUNTERS * number)
+    for field in rule.resets.split():
+        if field in topic:
+            counter += topic[field]
     return Readings(
         instance, np.column_stack([topic.time, counter, values]), valid, used, confidence
     )

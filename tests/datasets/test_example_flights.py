@@ -179,6 +179,13 @@ class TestSensors:
         assert_allclose(std, [*self.NOISE.values()], rtol=0.04)  # of 4800 samples: 1 %
         assert (abs(errors.mean(axis=0)) < 5 * std / np.sqrt(len(errors))).all()
 
+    def test_noise_is_white_and_independent(self, errors):
+        scaled = errors / errors.std(axis=0)
+        bound = 5 / np.sqrt(len(errors))
+        for lag in (1, 2, 17):
+            assert abs((scaled[lag:] * scaled[:-lag]).mean(axis=0)).max() < bound
+        assert abs(np.corrcoef(scaled.T) - np.eye(len(self.NOISE))).max() < bound
+
     def test_perfect_sensors_tell_the_truth(self):
         test = load_example_flights(sensor_noise=0.0, duration=1.0).test
         assert_array_equal(test[list(self.NOISE)], true(test, *self.NOISE))

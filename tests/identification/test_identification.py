@@ -193,6 +193,15 @@ class TestIdentify:
             "evaluating latlon",
         ]
 
+    @pytest.mark.filterwarnings("ignore")
+    def test_holds_out_the_last_quarter_of_a_single_flight(self, example):
+        aircraft, train, _ = example
+        single = train[train["flight"] == "latlon"]
+        found = identify(single, aircraft, samples=40, regressor=QUICK, horizon=1.0)
+        (held_out,) = of_code(found, "HELD_OUT_QUARTER")
+        assert held_out.flight == "latlon"
+        assert found.fit.flights == {"latlon, first three quarters": 300}
+
     @pytest.mark.parametrize(
         ("change", "error", "message"),
         [

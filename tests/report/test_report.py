@@ -183,6 +183,10 @@ class TestPage:
         assert plt.get_fignums() == before
         assert plt.rcParams["svg.fonttype"] == setting
 
+    def test_every_colour_variable_is_defined(self, html):
+        defined = re.findall(r"--([a-z]+):", html)
+        assert set(re.findall(r"var\(--([a-z]+)\)", html)) <= set(defined)
+
 
 class TestPictures:
     """SVG files of their own, small and true."""
@@ -304,6 +308,9 @@ class TestWords:
         moments = flight.measured, flight.mean, flight.prediction_std
         held, *_ = interval_coverage(*moments, multioutput="raw_values")
         assert f" {mark} {held:.3g} CY " in words_of(evaluations=[flight])
+
+    def test_says_when_nothing_went_wrong(self, no_pictures):
+        assert "No warning arose" in words_of(verdict=verdict(findings=()))
 
     def test_says_what_was_done(self, html):
         words = Page(html).words

@@ -23,7 +23,7 @@ def check_deviations(name: str, values: Any, n: int, expected: str) -> Vector:
     return std
 
 
-def r2_of_observed(y_true: Matrix, y_pred: Matrix) -> float:
+def r2_of_observed(y_true: Matrix, y_pred: Matrix, sample_weight: Vector | None = None) -> float:
     """Return the coefficient of determination, averaged over the outputs that have targets.
 
     Targets (n, P) are NaN where an output was not observed.
@@ -32,7 +32,8 @@ def r2_of_observed(y_true: Matrix, y_pred: Matrix) -> float:
     for target, predicted in zip(y_true.T, y_pred.T, strict=True):
         rows = np.isfinite(target)
         if rows.any():
-            scores.append(r2_score(target[rows], predicted[rows]))
+            weights = None if sample_weight is None else np.asarray(sample_weight)[rows]
+            scores.append(r2_score(target[rows], predicted[rows], sample_weight=weights))
     return float(np.mean(scores)) if scores else float("nan")
 
 

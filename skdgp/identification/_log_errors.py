@@ -150,14 +150,14 @@ def errors_by_air(
     by_pitch = np.sqrt(0.5) * pitch
     flow = lags * unit * [[by_pitch, by_pitch, 0.0], [0.0, 0.0, yaw]]
     X = regressors.to_numpy()
-    slopes = linear.loc[regressors.columns].to_numpy().T
+    names = regressors.columns
+    slopes = linear.loc[names].to_numpy().T
     errors = []
     for covariance in (
         pd.DataFrame(np.diag(variances), rates, rates),
         pd.DataFrame(flow, VANES, rates),
     ):
-        of_noise = covariance.reindex(regressors.columns, fill_value=0.0)
-        noise = of_noise.reindex(columns=regressors.columns, fill_value=0.0).to_numpy()
+        noise = covariance.reindex(index=names, columns=names, fill_value=0.0).to_numpy()
         errors.append([attenuation(X, noise, of_output) for of_output in slopes])
     return errors_of_slopes(np.concatenate(errors, axis=-1), X.mean(axis=0))
 
@@ -177,7 +177,7 @@ def rates_followed(
     """
     load = dynamic_pressure(airspeed, density) * aircraft.wing_area
     rates = [f"{name}{HAT}" for name in RATES]
-    slopes = linear.reindex(rates, fill_value=0.0).reindex(columns=MOMENTS, fill_value=0.0)
+    slopes = linear.reindex(index=rates, columns=MOMENTS, fill_value=0.0)
     by_rate = load * aircraft.moment_lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)
     followed = np.maximum(-by_rate * np.diag(slopes), 0.0) * gust_time
     return np.where(followed > 0, followed / (1 + followed), 1.0)

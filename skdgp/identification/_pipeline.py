@@ -198,15 +198,15 @@ def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
 
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
-    mean, scale = scaling_of(pipeline)
-    return pd.DataFrame(regressors * scale + mean, columns=regressor_names(pipeline))
+    zero, scale = scaling_of(pipeline)
+    return pd.DataFrame(regressors * scale + zero, columns=regressor_names(pipeline))
 
 
 def scaling_of(pipeline: Pipeline) -> tuple[Vector, Vector]:
-    """Return the means and scales (d,) by which regressors are standardised, 0 and 1 without a scaler."""
-    scaler = step_of(pipeline, StandardScaler)
+    """Return the regressors (d,) that are scaled to zero, and what their scaler divides them by."""
     d = len(regressor_names(pipeline))
-    return (np.zeros(d), np.ones(d)) if scaler is None else (scaler.mean_, scaler.scale_)
+    zero, one = pipeline[-2:-1].inverse_transform(np.array([np.zeros(d), np.ones(d)]))
+    return zero, one - zero
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
@@ -308,6 +308,11 @@ class FlightPipeline(Pipeline):
         Six targets without names are CX CY CZ Cl Cm Cn.
         ``params`` are as of scikit-learn's ``Pipeline``.
         """
+        if y is None:
+            raise ValueError(
+                "Got no coefficients y, but expected (n, P): compute them by "
+                "skdgp.dynamics.aerodynamic_coefficients."
+            )
         began = time.monotonic()
         if np.shape(y)[1:] == (len(COEFFICIENTS),) and not isinstance(y, pd.DataFrame):
             y = pd.DataFrame(y, columns=[*COEFFICIENTS])
@@ -322,12 +327,22 @@ class FlightPipeline(Pipeline):
         self._learn_flights(flights)
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
-        is_dependent = isinstance(last, DependentGPRegressor)
-        slopes = self._slopes_of_air(regressors, y) if is_dependent else None
-        errors = self._learn_errors(flights, regressors, y, has_air=slopes is not None)
-        if is_dependent:
-            clock = {"time": flights.get("time"), "flight": flights.get("flight")}
-            parameters = {**clock, "slopes": slopes, "errors": errors, **parameters}
+        named = named_regressors(self, regressors)
+        self.least_squares_ = fit_least_squares(named, y)
+        self._learn_errors_by_log(flights, named)
+        slopes = None
+        if isinstance(last, DependentGPRegressor):
+            slopes = self._slopes_of_air(regressors, y)
+            errors = self._errors_by_air(named) if slopes is None else []
+            if self.log_errors_ is not None:
+                errors.append(self.log_errors_)
+            facts = {
+                "time": flights.get("time"),
+                "flight": flights.get("flight"),
+                "slopes": slopes,
+                "errors": reduce(FunctionErrors.joined, errors) if errors else None,
+            }
+            parameters = facts | parameters
         last.fit(regressors, y, **parameters)
         self.calibration_ = None
         if slopes is not None:
@@ -339,7 +354,7 @@ class FlightPipeline(Pipeline):
     def _thinned(self, y: Any) -> Any:
         """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""
         samples = self.samples
-        if y is None or samples == "all":
+        if samples == "all":
             return y
         if samples is None:
             is_exact = getattr(self.steps[-1][1], "inference", None) == "exact"
@@ -363,42 +378,41 @@ class FlightPipeline(Pipeline):
             return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
         return None
 
-    def _learn_errors(
-        self, flights: pd.DataFrame, X: Matrix, y: Any, *, has_air: bool
-    ) -> FunctionErrors | None:
-        """Learn least squares of the targets, and return the errors of the function that samples do not show.
-
-        They are by the log, and, of flights without slopes by the motion of the air, by its rates.
-        """
+    def _learn_errors_by_log(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> None:
+        """Learn errors of the function by the log and by the thrust, of six coefficients and a known aircraft."""
         self.errors_ = {}
         self.log_errors_: FunctionErrors | None = None
-        named = named_regressors(self, X)
-        self.least_squares_ = linear = fit_least_squares(named, y)
-        mean, scale = scaling_of(self)  # X = (x - mean) / scale
-        units = -mean / scale, 1 / scale, np.ones(linear.shape[1])
-        errors = []
-        if self.turbulence_ is not None and not has_air:
-            density = self.conditions_.get("density", 0.0)
-            aircraft: Any = self.aircraft  # flights of a known one show turbulence
-            by_air = errors_by_air(named, linear, self.turbulence_, aircraft, density)
-            errors.append(by_air.in_units(*units))
         is_logged = has_values(flights, "time", "airspeed", "density", *RATES)
-        if self.aircraft is not None and is_logged and [*linear] == [*COEFFICIENTS]:
-            if self.thrust is not None:
-                self.errors_ = thrust_errors(flights, self.aircraft, named)
-            corrector = step_of(self, LagCorrector)
-            check = step_of(self, FlightCheck)
-            by_log = learned_errors(
-                with_sensor_position(flights, self.aircraft),
-                self.aircraft,
-                named,
-                linear,
-                None if corrector is None else corrector.lags_,
-                0.0 if check is None else check.airspeed_scale_.left(),
-            )
-            self.log_errors_ = by_log.in_units(*units)
-            errors.append(self.log_errors_)
-        return reduce(FunctionErrors.joined, errors) if errors else None
+        is_complete = [*self.least_squares_] == [*COEFFICIENTS]
+        if self.aircraft is None or not is_logged or not is_complete:
+            return
+        if self.thrust is not None:
+            self.errors_ = thrust_errors(flights, self.aircraft, regressors)
+        corrector = step_of(self, LagCorrector)
+        check = step_of(self, FlightCheck)
+        errors = learned_errors(
+            with_sensor_position(flights, self.aircraft),
+            self.aircraft,
+            regressors,
+            self.least_squares_,
+            None if corrector is None else corrector.lags_,
+            0.0 if check is None else check.airspeed_scale_.left(),
+        )
+        self.log_errors_ = self._of_last_step(errors)
+
+    def _errors_by_air(self, regressors: pd.DataFrame) -> list[FunctionErrors]:
+        """Return the errors of the function by the rates of the air, none where flights do not show turbulence."""
+        if self.turbulence_ is None:
+            return []
+        density = self.conditions_.get("density", 0.0)
+        aircraft: Any = self.aircraft  # flights of a known one show turbulence
+        errors = errors_by_air(regressors, self.least_squares_, self.turbulence_, aircraft, density)
+        return [self._of_last_step(errors)]
+
+    def _of_last_step(self, errors: FunctionErrors) -> FunctionErrors:
+        """Return errors over regressors in units as those over the regressors of the last step."""
+        zero, scale = scaling_of(self)  # X = (x - zero) / scale
+        return errors.in_units(-zero / scale, 1 / scale, np.ones(self.least_squares_.shape[1]))
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
         """Learn duration, conditions and turbulence of checked flights."""
@@ -443,17 +457,16 @@ class FlightPipeline(Pipeline):
             return predicted[0] + added, predicted[1]
         return predicted + added
 
-    def score(self, X: pd.DataFrame, y: Any = None) -> float:
+    def score(self, X: pd.DataFrame, y: Any = None, sample_weight: Any = None) -> float:
         """Return the coefficient of determination R^2 of ``predict`` for observed coefficients, averaged.
 
         Coefficients y (n, 6) are NaN where they were not observed.
         """
-        return r2_of_observed(*check_scored(y, self.predict(X)))
+        measured, mean = check_scored(y, self.predict(X))
+        return r2_of_observed(measured, mean, sample_weight)
 
 
 def _n_observed(y: Any) -> int:
     """Return the number of rows with any target."""
-    if y is None:
-        return 0
     targets = pd.DataFrame(np.asarray(y, dtype=float))
     return int(np.isfinite(targets).any(axis=1).sum())

@@ -14,6 +14,7 @@ from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.metrics import r2_score
 from sklearn.model_selection import LeaveOneGroupOut, cross_validate
+from sklearn.preprocessing import RobustScaler, StandardScaler
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -153,18 +154,24 @@ class TestPredict:
             linear.predict(test_flight, return_std=True)
 
 
-def test_the_scaler_may_be_left_out(model, flights, test_flight):
-    """Regressors then keep their units: least squares beside the model are the same."""
+def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
+    """Least squares beside the model are in units, and the same."""
     rows = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
     targets = aerodynamic_coefficients(rows, flights.aircraft)
     learned = []
-    for scaler in ("passthrough", model["standardscaler"]):
+    for scaler in (StandardScaler(), "passthrough", RobustScaler()):
         pipeline = clone(model).set_params(
             standardscaler=scaler, dependentgpregressor=DependentGPRegressor(structure="trend")
         )
         learned.append(pipeline.fit(rows, targets))
-    assert_allclose(*(pipeline.least_squares_ for pipeline in learned), rtol=1e-6, atol=1e-9)
-    assert np.isfinite(learned[0].predict(test_flight, return_std=True)[1]).all()
+    for pipeline in learned[1:]:
+        assert_allclose(pipeline.least_squares_, learned[0].least_squares_, rtol=1e-6, atol=1e-9)
+        assert np.isfinite(pipeline.predict(test_flight, return_std=True)[1]).all()
+
+
+def test_coefficients_are_asked_for(model, test_flight):
+    with pytest.raises(ValueError, match="Got no coefficients y, but expected"):
+        clone(model).fit(test_flight)
 
 
 @pytest.mark.usefixtures("no_mechanics")
@@ -301,3 +308,8 @@ def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
     is_measured = Y.notna().all(axis=1)
     expected = r2_score(Y[is_measured], np.asarray(found)[is_measured])
     assert pipeline.score(too_much, Y) == pytest.approx(expected)
+    weights = np.linspace(0.0, 1.0, len(Y))
+    expected = r2_score(
+        Y[is_measured], np.asarray(found)[is_measured], sample_weight=weights[is_measured]
+    )
+    assert pipeline.score(too_much, Y, sample_weight=weights) == pytest.approx(expected)

@@ -257,7 +257,7 @@ def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector)
     by_vanes = regressor.predict_gradient(at) * offsets
     by_accelerometers = ACCELEROMETER_OFFSET * by_acceleration[:, None, None] * np.eye(6, 3)
     unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
-    by_slopes = np.broadcast_to(unlearned[:, None], by_vanes.shape)
+    by_slopes = np.kron(unlearned[:, None], np.eye(6))  # each of one output
     moved = (at - X.mean(axis=0)) @ (_precision(X) - _precision(trained))
     slopes = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
     by_noise = moved[:, None] * _noise_effects(pipeline, slopes)

@@ -227,6 +227,22 @@ def test_a_control_that_first_moves_in_the_later_flight_is_no_change():
     assert p_value(pipeline, flight(1, 0.02), change=0.2) < 0.01
 
 
+@pytest.mark.filterwarnings("ignore:.*(never change|are constant)")
+def test_an_unknown_effect_of_a_control_on_one_force_is_no_factor_of_all():
+    """A gentle flight in which the elevator, held in the fit, is elsewhere and changes the lift by 12 %."""
+
+    def held(seed, elevator, size):
+        X, Y = flight(seed, 0.02)
+        changed = (size * X).assign(elevator=elevator)
+        Y += (changed.assign(elevator=0.0) - X).to_numpy() @ SLOPES
+        Y[:, 2] -= 0.8 + elevator
+        return changed, Y
+
+    result = changes(learned(*held(0, 0.0, 1.0)), {"trimmed": held(1, 0.1, 0.02)})
+    assert result.p_values.loc["trimmed", "forces"] > 0.2
+    assert result.derivatives.loc[("trimmed", "forces"), "std"] > 0.1
+
+
 def test_a_short_flight_tells_nothing(model):
     X, Y = flight(7, 0.02)
     result = changes(model, {"short": (X[:25], Y[:25])}, change=1.0)

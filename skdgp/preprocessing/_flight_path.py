@@ -249,8 +249,7 @@ class FlightPathReconstruction(TableTransformer):
             cause = Finding(Code.NO_AIRCRAFT)
             self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, cause=cause)]
             return None
-        paths = ground_paths(table)
-        motion, self.doubts_ = self._estimated_motion(table, paths)
+        motion, self.doubts_, paths = self._estimated_motion(table)
         if motion is None:
             return None
         error = motion.position_error()
@@ -266,13 +265,15 @@ class FlightPathReconstruction(TableTransformer):
     def _estimated_motion(
         self,
         table: pd.DataFrame,
-        paths: list[PathEstimate] | None,
+        paths: list[PathEstimate] | None = None,
         known: AirMotion | None = None,
-    ) -> tuple[AirMotion | None, list[Finding]]:
-        """Return the motion of the air, None where it cannot be estimated, and its doubts."""
+    ) -> tuple[AirMotion | None, list[Finding], list[PathEstimate] | None]:
+        """Return the motion of the air, None where it cannot be estimated, its doubts and the paths over the ground."""
         aircraft: Any = self.aircraft
         motion = None
         try:
+            if paths is None:
+                paths = ground_paths(table)
             motion = estimate_air_motion(
                 table,
                 aircraft,
@@ -282,7 +283,7 @@ class FlightPathReconstruction(TableTransformer):
                 paths=paths,
             )
             if motion.converged:
-                return motion, []
+                return motion, [], paths
             cause = Finding(Code.AIR_NOT_CONVERGED, **_agreement(table))
         except ValueError as error:
             cause = Finding(Code.AIR_NOT_ESTIMATED, error=str(error))
@@ -293,7 +294,7 @@ class FlightPathReconstruction(TableTransformer):
             general_bands=known is None,
         )
         report(doubt)
-        return motion, [doubt]
+        return motion, [doubt], paths
 
     def _reconstructed(
         self, table: pd.DataFrame, paths: list[PathEstimate] | None = None
@@ -308,7 +309,7 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         motion = None
         if self.air_motion_ is not None:
-            motion, _ = self._estimated_motion(table, paths, self.air_motion_)
+            motion, *_ = self._estimated_motion(table, paths, self.air_motion_)
         if motion is None:
             flights = self._columns_by_path(table)
         else:

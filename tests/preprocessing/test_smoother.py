@@ -198,6 +198,17 @@ def test_heading_passes_through_pi():
     assert np.abs(out.psi - table.psi).max() < 0.1
 
 
+def test_a_flight_of_jsbsim(jsbsim_flight):
+    table = jsbsim_flight("c172p", "light")
+    channels = ["alpha", "beta", "airspeed", "q", "r"]
+    measured = table[channels].to_numpy(float)
+    truth = table[[f"{channel}_true" for channel in channels]].to_numpy(float)
+    left = rms(smooth(measured, table.time) - truth)
+    assert (left < [0.65, 0.5, 0.5, 0.9, 0.75] * rms(measured - truth)).all()
+    change = smooth(truth, table.time) - truth
+    assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
+
+
 def test_degrees_are_refused_in_fit_and_transform():
     table = flight().assign(alpha=np.linspace(-1.0, 1.0, 1200))  # rad
     wrong = table.assign(alpha=np.rad2deg(table["alpha"]))

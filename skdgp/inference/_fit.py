@@ -135,10 +135,10 @@ def _fit(
     noise, std = learned.noise, learned.input_std
     inflation = np.ones(len(noise))
     noisy, passes = data, int(ordered)
-    if std is not None and function is None:
-        passes = 2  # slopes of exact regressors, then of noisy ones
-    elif std is not None:
+    if std is not None and function is not None:
         noisy = data.with_slopes(function, std)
+    elif std is not None:
+        passes = 2  # slopes of exact regressors, then of noisy ones
     posterior = posterior_of(learned.kernel, noise, noisy)
     for _ in range(passes):
         slopes_of = posterior.mean_function if function is None else function

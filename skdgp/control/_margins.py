@@ -152,17 +152,17 @@ def suggest_gains(
     list of Loop
         `Loop.parameters` has the values to set, by name.
 
-    Warns
-    -----
-    UserWarning
-        Of values above the ranges that the firmware documents.
-
     Raises
     ------
     ValueError
         If `margins` refuses the loops, the linear model has no paths, the probability is not between 0 and 1,
         no gains between a twentieth and twenty times the present ones have the margins, or gains still
         change after ten rounds.
+
+    Warns
+    -----
+    UserWarning
+        Of values above the ranges that the firmware documents.
     """
     _check(linear, loops)
     if linear.paths is None:

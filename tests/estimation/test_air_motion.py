@@ -89,7 +89,7 @@ def flown(
 
 @cache
 def in_gusts():
-    return flown(GUSTY, 12.0)
+    return flown(GUSTY, 10.0)
 
 
 def pipeline_of(flight, n_targets, **steps):

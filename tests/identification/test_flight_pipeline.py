@@ -161,7 +161,9 @@ def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
     learned = []
     for scaler in (StandardScaler(), "passthrough", RobustScaler()):
         pipeline = clone(model).set_params(
-            standardscaler=scaler, dependentgpregressor=DependentGPRegressor(structure="trend")
+            standardscaler=scaler,
+            flightpathreconstruction="passthrough",
+            dependentgpregressor=DependentGPRegressor(structure="trend", max_iter=2),
         )
         learned.append(pipeline.fit(rows, targets))
     for pipeline in learned[1:]:

@@ -262,9 +262,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             of neighbouring samples are correlated, as in a flight: without it bands are too narrow.
 
             With it, noise of the regressors is learned (``input_noise``), and blocks of the average
-            are contiguous (``structure``); without it they are random. The residuals show
-            the drift of each output, a part of its noise with the covariance
-            ``tau^2 exp(-|t - t'| / T)`` within a flight.
+            are contiguous (``structure``); without it they are random. The residuals show the drift
+            of each output, a part of its noise with the covariance ``tau^2 exp(-|t - t'| / T)``
+            within a flight.
 
             In a pipeline, pass it as ``pipeline.fit(X, y, dependentgpregressor__time=time)`` or by
             metadata routing; ``skdgp.identification.FlightPipeline`` does it itself.

@@ -21,10 +21,7 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
 from skdgp.inference._posterior import Posterior, SinglePosterior
-from skdgp.kernels import (
-    LinearPaths,
-    PathBundle,
-)
+from skdgp.kernels import LinearPaths, PathBundle
 
 LARGEST_ATTENUATION = 0.5
 """Largest fraction of a regressor's variance that counts as noise: the error is then the slope."""

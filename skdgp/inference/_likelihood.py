@@ -213,10 +213,6 @@ class Data(NamedTuple):
         loading = [r * G for r, G in zip(root, noise.loading, strict=True)]
         return self._replace(sample_noise=noise._replace(loading=loading))
 
-    def of_samples(self, samples: Indices) -> Data:
-        """Return the values of some rows of the table, in ascending order."""
-        return self._of_rows([np.isin(rows, samples) for rows in self.sample])
-
     def of_outputs(self, outputs: Sequence[int]) -> Data:
         """Return the values of some outputs; the others have none."""
         if len(outputs) == len(self.y):

@@ -220,9 +220,7 @@ class _Search:
         self.blocks = [self._data(of_block) for of_block in rows]
 
     def _data(self, rows, columns=slice(None)):
-        loading = self.known.loading
-        of_rows = None if loading is None else loading[rows, columns]
-        return Data.from_table(self.X[rows], self.Y[rows, columns], of_rows)
+        return _data_of(self.X, self.Y, self.known, rows, columns)
 
     def _noise(self, kernel):
         """Return the starting noise (P,) and its bounds (P, 2) of a kernel with values."""
@@ -415,6 +413,12 @@ class _Search:
         return noisy._replace(noise=noisy.noise[:P], input_std=input_std, n_iter=n_iter)
 
 
+def _data_of(X, Y, known, rows, columns=slice(None)):
+    """Return the values of some rows of X (n, d) and columns of Y (n, P), with their known noise."""
+    loading = None if known.loading is None else known.loading[rows, columns]
+    return Data.from_table(X[rows], Y[rows, columns], loading)
+
+
 def with_best_noise(
     learned: Hyperparameters,
     X: Matrix,
@@ -434,9 +438,7 @@ def with_best_noise(
         return learned
     blocks = []
     for of_block in rows:
-        loading = None if known.loading is None else known.loading[of_block]
-        data = Data.from_table(X[of_block], Y[of_block], loading)
-        blocks.append(learned.noisy(data).with_loadings())
+        blocks.append(learned.noisy(_data_of(X, Y, known, of_block)).with_loadings())
     stop = Event()
     point = climb(
         learned.kernel, noise, bounds, blocks, max_iter, stop, noise_alone=True, stage="members"

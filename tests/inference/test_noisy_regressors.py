@@ -2,25 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal
 
 from skdgp.inference import (
     ExactPosterior,
     log_likelihood,
 )
-
-
-def test_some_samples_keep_their_own_noise(noisy_problem):
-    data = noisy_problem.data
-    samples, loading = data.sample_noise
-    chosen = [2, 5, 9]
-    some = data.of_samples(chosen)
-    for i, x in enumerate(data.X):
-        rows = np.isin(samples[i], chosen)
-        assert_array_equal(some.X[i], x[rows])
-        assert_array_equal(some.sample_noise.sample[i], samples[i][rows])
-        assert_array_equal(some.sample_noise.loading[i], loading[i][rows])
 
 
 def test_loadings_are_slopes_times_deviations(one_problem, central_difference):

@@ -30,7 +30,7 @@ LEAST_T = 2.0
 ENGINE = tuple(f"engine_{name}" for name in THRUST_FORCES)
 
 
-class Law(NamedTuple):
+class SizeLaw(NamedTuple):
     """A number without unit, a product of powers of sizes and derivatives, and its limits."""
 
     text: str
@@ -75,35 +75,35 @@ def _radius(axis: str) -> dict[str, float]:
 # Of ten jets (Heffley & Jewell 1972, NASA CR-2144), two small UAVs (Beard & McLain 2012), light
 # aircraft and gliders (Raymer, Aircraft Design), with a third of room or more
 LAWS = (
-    Law("aspect ratio", {"span": 2, "wing_area": -1}, 0.7, 55.0, "X-24B 1.1, eta 51"),
-    Law("span times chord over wing area", {"span": 1, "chord": 1, "wing_area": -1}, 0.6, 2.2,
+    SizeLaw("aspect ratio", {"span": 2, "wing_area": -1}, 0.7, 55.0, "X-24B 1.1, eta 51"),
+    SizeLaw("span times chord over wing area", {"span": 1, "chord": 1, "wing_area": -1}, 0.6, 2.2,
         "rectangle 1, triangle 1.33"),
-    Law("relative density m / (rho S c)", {"mass": 1, "air": -1, "wing_area": -1, "chord": -1}, 0.5, 1500.0,
+    SizeLaw("relative density m / (rho S c)", {"mass": 1, "air": -1, "wing_area": -1, "chord": -1}, 0.5, 1500.0,
         "Gossamer Albatross 1.2, X-15 at altitude 1000"),
-    Law("radius of gyration in roll over span", _radius("x"), 0.05, 0.35, "F-104 0.12, flying wings 0.19"),
-    Law("radius of gyration in pitch over span", _radius("y"), 0.03, 0.85, "eta 0.05, X-15 0.58"),
-    Law("radius of gyration in yaw over span", _radius("z"), 0.08, 0.9, "gliders 0.13, X-15 0.58"),
-    Law("Ixx / Iyy over the aspect ratio", {"Ixx": 1, "Iyy": -1, "span": -2, "wing_area": 1}, 0.012, 1.0,
+    SizeLaw("radius of gyration in roll over span", _radius("x"), 0.05, 0.35, "F-104 0.12, flying wings 0.19"),
+    SizeLaw("radius of gyration in pitch over span", _radius("y"), 0.03, 0.85, "eta 0.05, X-15 0.58"),
+    SizeLaw("radius of gyration in yaw over span", _radius("z"), 0.08, 0.9, "gliders 0.13, X-15 0.58"),
+    SizeLaw("Ixx / Iyy over the aspect ratio", {"Ixx": 1, "Iyy": -1, "span": -2, "wing_area": 1}, 0.012, 1.0,
         "X-15 0.018, Cessna 310 0.60"),
-    Law("Izz over Ixx + Iyy", {"Izz": 1, "Ixx + Iyy": -1}, 0.5, 1.1, "A-4 0.63, flat bodies 1"),
-    Law("Ixz over the root of Ixx Izz", {"Ixz": 1, "Ixx": -0.5, "Izz": -0.5}, 0.0, 0.4, "gliders 0.04, T-6 0.15"),
-    Law("diameter of the propeller over the span", {"propeller.diameter": 1, "span": -1}, 0.02, 1.2,
+    SizeLaw("Izz over Ixx + Iyy", {"Izz": 1, "Ixx + Iyy": -1}, 0.5, 1.1, "A-4 0.63, flat bodies 1"),
+    SizeLaw("Ixz over the root of Ixx Izz", {"Ixz": 1, "Ixx": -0.5, "Izz": -0.5}, 0.0, 0.4, "gliders 0.04, T-6 0.15"),
+    SizeLaw("diameter of the propeller over the span", {"propeller.diameter": 1, "span": -1}, 0.02, 1.2,
         "sustainers of gliders 0.05, V-22 0.83"),
-    Law("Mach number of the propeller's tips", {"tip speed": 1, "speed of sound": -1}, 0.03, 1.2,
+    SizeLaw("Mach number of the propeller's tips", {"tip speed": 1, "speed of sound": -1}, 0.03, 1.2,
         "Gossamer Albatross 0.06, XF-84H 1.0"),
-    Law("airspeed over the tip speed of the propeller", {"airspeed": 1, "tip speed": -1}, 0.01, 1.5,
+    SizeLaw("airspeed over the tip speed of the propeller", {"airspeed": 1, "tip speed": -1}, 0.01, 1.5,
         "propfans at Mach 0.8 1.1"),
-    Law("upper bound of the drag by the thrust over the weight", {"drag": 1}, 0.01, 10.0, "eta 0.014"),
-    Law("mass times the slope of ax over the thrust", {"mass_by_thrust": 1}, 0.5, 1.8,
+    SizeLaw("upper bound of the drag by the thrust over the weight", {"drag": 1}, 0.01, 10.0, "eta 0.014"),
+    SizeLaw("mass times the slope of ax over the thrust", {"mass_by_thrust": 1}, 0.5, 1.8,
         "Newton's second law 1, records of ATTAS 0.80 to 0.90", "mass_by_thrust"),
-    Law("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
+    SizeLaw("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
         "F-104 at sea level 0.07, flaps 2.2", "CL"),
-    Law("CL_alpha over that of a wing of this aspect ratio", {"CZ_alpha": 1, "usual lift slope": -1}, 0.4, 2.0,
+    SizeLaw("CL_alpha over that of a wing of this aspect ratio", {"CZ_alpha": 1, "usual lift slope": -1}, 0.4, 2.0,
         "Aerosonde 0.63, JetStar at Mach 0.75 1.5", "CZ_alpha"),
-    Law("Cl_p over CL_alpha of a wing of this aspect ratio", {"Cl_p": 1, "usual lift slope": -1}, 0.02, 0.3,
+    SizeLaw("Cl_p over CL_alpha of a wing of this aspect ratio", {"Cl_p": 1, "usual lift slope": -1}, 0.02, 0.3,
         "0.06 to 0.11", "Cl_p"),
-    Law("Cm_q", {"Cm_q": 1}, 0.1, 150.0, "Skywalker X8 1.3, Aerosonde 38", "Cm_q"),
-    Law("Cn_r", {"Cn_r": 1}, 0.0, 3.0, "Zagi 0.004, X-15 1.0", "Cn_r"),
+    SizeLaw("Cm_q", {"Cm_q": 1}, 0.1, 150.0, "Skywalker X8 1.3, Aerosonde 38", "Cm_q"),
+    SizeLaw("Cn_r", {"Cn_r": 1}, 0.0, 3.0, "Zagi 0.004, X-15 1.0", "Cn_r"),
 )  # fmt: skip
 
 # Powers of mass and span in the sizes that are estimated by them
@@ -211,7 +211,7 @@ def question_of_sizes(
     return Finding(Code.SIZES_QUESTIONED, laws=laws, asked=asked)
 
 
-def _values(sizes: Sizes) -> Iterator[tuple[Law, float]]:
+def _values(sizes: Sizes) -> Iterator[tuple[SizeLaw, float]]:
     """Yield the laws of numbers that the sizes give, with these."""
     for law in LAWS:
         with suppress(KeyError):
@@ -227,7 +227,7 @@ def _distance_from_usual(sizes: Sizes) -> float:
     return float(np.mean(distances))
 
 
-def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[Law]:
+def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[SizeLaw]:
     """Return the laws whose numbers are surely outside of their limits, by relative standard deviations."""
     broken = []
     for law, value in _values(sizes):
@@ -238,7 +238,7 @@ def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[Law]:
     return broken
 
 
-def _sizes_of(law: Law, sizes: Sizes) -> set[str]:
+def _sizes_of(law: SizeLaw, sizes: Sizes) -> set[str]:
     """Return the sizes that change the number of a law."""
     ones = dict.fromkeys(sizes, 1.0)
     return {name for name in sizes if law.value({**ones, name: 2.0}) != law.value(ones)}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 from functools import cached_property
@@ -22,10 +21,8 @@ from skdgp._compute.messages import report, warn
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
 from skdgp._flight.findings import Finding
-from skdgp._flight.frames import SEA_LEVEL_DENSITY
-from skdgp._flight.physics import question_of_sizes, sizes_in_flight
+from skdgp._flight.physics import question_of_sizes
 from skdgp._flight.tables import (
-    FlightTable,
     as_floats,
     check_full_deflections,
     check_numbers,
@@ -33,7 +30,6 @@ from skdgp._flight.tables import (
     with_sensors_at,
 )
 from skdgp.dynamics._propeller import Propeller, ThrustLine
-from skdgp.dynamics._rigid_body import propeller_speed_of, propulsive_loads
 from skdgp.dynamics._sizes import (
     INERTIAS,
     KINDS,
@@ -145,47 +141,20 @@ class Aircraft:
         return sizes | dict(zip(MOMENTS, self.inertia.diagonal().tolist(), strict=True))
 
     def question_of_sizes(
-        self,
-        flights: FlightTable | None = None,
-        derivatives: pd.DataFrame | None = None,
+        self, numbers: Mapping[str, float] | None = None, stds: Mapping[str, float] | None = None
     ) -> Finding | None:
         """Return the question for sizes that no aeroplane has, None if all are plausible.
 
-        Flights tell the lift that carries it, and ``derivatives`` of a model (``value``, ``std``)
-        its lift slope and damping.
+        ``numbers`` of flights (`numbers_in_flight`) or derivatives of a model, by name, tell the lift that
+        carries it, its lift slope and damping, with the standard deviations ``stds``.
         """
         sizes = self.sizes | {"Ixz": -float(self.inertia[0, 2])}
-        stds: dict[str, float] = {}
         sizes["thrust_line.direction"] = float(self.engine_line.direction[0])
         if self.propeller is not None:
             sizes["propeller.diameter"] = self.propeller.diameter
-        if flights is not None:
-            flown, stds = self._sizes_in_flight(flights)
-            sizes |= flown
-            for name in flown.keys() & {"CL", "CZ_alpha"}:
-                of_area = abs(flown[name]) * self.relative_std("wing_area")
-                stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
-        if derivatives is not None and len(derivatives):
-            names = [str(name) for name in derivatives.index]
-            sizes |= dict(zip(names, derivatives["value"].tolist(), strict=True))
-            stds |= dict(zip(names, derivatives["std"].tolist(), strict=True))
         estimates = [each for each in (self.deviations or {}).values() if each.is_estimate]
         estimated = {name for each in estimates for name in each.powers}
-        return question_of_sizes(sizes, stds, estimated)
-
-    def _sizes_in_flight(self, flights: FlightTable) -> tuple[dict[str, float], dict[str, float]]:
-        """Return numbers of flights with this aircraft's thrust, where it is known, and their deviations."""
-        table = flights.table.assign(density=flights.table.get("density", SEA_LEVEL_DENSITY))
-        speed = propeller_speed_of(self.propeller, table)
-        thrust = None
-        with suppress(ValueError, KeyError):  # unknown, or without airspeed
-            thrust, _ = propulsive_loads(table, self)
-        std = self.propeller.load_std if self.propeller else 0.0
-        flown, stds = sizes_in_flight(flights, self.mass, self.wing_area, thrust, std)
-        if speed is not None:
-            # an engine may be off for a part of the flights
-            flown["propeller_speed"] = float(np.nanquantile(speed, 0.95))
-        return flown, stds
+        return question_of_sizes(sizes | dict(numbers or {}), stds or {}, estimated)
 
     def relative_std(self, size: str) -> float:
         """Return the relative standard deviation of a size by errors of all causes."""

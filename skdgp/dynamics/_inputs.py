@@ -59,7 +59,7 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     if isinstance(x0, pd.DataFrame) and len(x0):
         return x0
     points = [x0] if isinstance(x0, Trim) else x0
-    if isinstance(points, list | tuple) and all(isinstance(point, Trim) for point in points):
+    if isinstance(points, list | tuple) and points and all(isinstance(at, Trim) for at in points):
         return pd.DataFrame([point.start for point in points])
     states = np.atleast_2d(np.array(points, dtype=float))
     if states.ndim != 2 or states.shape[1] != len(STATE_NAMES) or not len(states):
@@ -299,7 +299,7 @@ def warn_of_clocks(starts: pd.DataFrame | Array, tables: Sequence[pd.DataFrame],
     late = begins - starts["time"].to_numpy(float)
     if (np.abs(late) > dt).any():
         k = int(np.nanargmax(np.abs(late)))
-        start = starts["time"].iloc[k % len(starts)]
+        start = starts["time"].iloc[k]
         warn(
             f"Got controls that begin {late[k]:+g} s from the time of start {k}: the first row of each table counts "
             f"as the start. Cut the controls, table[table['time'] >= {start:g}]."

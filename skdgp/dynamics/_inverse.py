@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from skdgp._flight.faults import (
     without_faults,
 )
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.frames import SEA_LEVEL_DENSITY
+from skdgp._flight.physics import sizes_in_flight
 from skdgp._flight.sensor_position import acceleration_by_rotation
 from skdgp._flight.smoothing import (
     LowPass,
@@ -37,6 +40,7 @@ from skdgp.dynamics._aircraft import Aircraft, with_sensor_position
 from skdgp.dynamics._rigid_body import (
     dynamic_pressure,
     gyroscopic_moment,
+    propeller_speed_of,
     propulsive_loads,
 )
 
@@ -125,6 +129,30 @@ def aerodynamic_coefficients(
     values = np.hstack([F_A / scale, M_A / (scale * aircraft.moment_lengths)])
     values[~np.isfinite(values).all(axis=1)] = np.nan
     return pd.DataFrame(values, columns=list(COEFFICIENTS), index=flight.index)
+
+
+def numbers_in_flight(
+    flights: FlightTable, aircraft: Aircraft
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return what flights tell of the sizes of their aircraft, by name, and the standard deviations.
+
+    See `skdgp._flight.physics.sizes_in_flight`. An engine may be off for a part of the flights: the
+    propeller's speed is the 95th percentile of the rows in which it turns.
+    """
+    table = flights.table.assign(density=flights.table.get("density", SEA_LEVEL_DENSITY))
+    thrust = None
+    with suppress(ValueError, KeyError):  # unknown, or without airspeed
+        thrust, _ = propulsive_loads(table, aircraft)
+    std = aircraft.propeller.load_std if aircraft.propeller else 0.0
+    numbers, stds = sizes_in_flight(flights, aircraft.mass, aircraft.wing_area, thrust, std)
+    for name in numbers.keys() & {"CL", "CZ_alpha"}:
+        of_area = abs(numbers[name]) * aircraft.relative_std("wing_area")
+        stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
+    speed = propeller_speed_of(aircraft.propeller, table)
+    turning = np.empty(0) if speed is None else speed[speed > 0]
+    if turning.size:
+        numbers["propeller_speed"] = float(np.quantile(turning, 0.95))
+    return numbers, stds
 
 
 def _measured(

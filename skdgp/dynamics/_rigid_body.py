@@ -8,7 +8,7 @@ length 13, named in `STATE_NAMES`: position NED [m], velocity relative to the gr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,10 +17,8 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, components, cross, empty_vectors, rotation_rows
+from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
-
-#: Of `skdgp.dynamics`; its module asks this one for the thrust
-Aircraft: TypeAlias = Any
 
 STATE_NAMES = ("north", "east", "down", "u", "v", "w", "q0", "q1", "q2", "q3", "p", "q", "r")
 POSITION = slice(0, 3)

@@ -39,7 +39,7 @@ from skdgp._flight.tables import (
 )
 from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, propeller_speed_of, with_sensor_position
+from skdgp.dynamics import Aircraft, numbers_in_flight, propeller_speed_of, with_sensor_position
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
 from skdgp.preprocessing import clean
@@ -259,7 +259,7 @@ def _warn_of_contradictions(flights: Flights, aircraft: Aircraft) -> None:
     only = next(iter(flights)) if len(flights) == 1 else None
     for contradiction in find_contradictions(together):
         report(contradiction.of_flight(contradiction.flight or only), FlightDataWarning)
-    question = aircraft.question_of_sizes(together)
+    question = aircraft.question_of_sizes(*numbers_in_flight(together, aircraft))
     if question is not None:
         report(question)
 

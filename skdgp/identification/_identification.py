@@ -98,7 +98,11 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Scores, and uses that the model is good enough for."""
-        question = self.aircraft.question_of_sizes(derivatives=self.mechanics.derivatives)
+        slopes = self.mechanics.derivatives
+        columns: list[Any] = (
+            [] if slopes.empty else [slopes["value"].to_dict(), slopes["std"].to_dict()]
+        )
+        question = self.aircraft.question_of_sizes(*columns)
         findings = self.findings if question is None else (*self.findings, question)
         return judge(self.evaluations, self.fit, self.mechanics, findings)
 

@@ -29,7 +29,7 @@ from skdgp._flight.tables import (
     unknown_columns_message,
 )
 from skdgp._flight.units import check_units
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, numbers_in_flight
 from skdgp.io._autopilot import AUTOPILOTS, flight_table, is_log, on_one_clock, read_log
 from skdgp.io._log import FULL_THROW, Topic, full_throws, reversed_of
 from skdgp.io._tables import (
@@ -456,7 +456,9 @@ def _faults(table: pd.DataFrame, aircraft: Aircraft | None) -> list[str]:
     measured = FlightTable.of(without_faults(table, found))
     try:
         contradictions = find_contradictions(measured)
-        question = None if aircraft is None else aircraft.question_of_sizes(measured)
+        question = None
+        if aircraft is not None:
+            question = aircraft.question_of_sizes(*numbers_in_flight(measured, aircraft))
     except ValueError:
         return faults
     faults += [contradiction.text for contradiction in contradictions]

@@ -299,6 +299,7 @@ class TestStarts:
         ({"airspeed": 20.0, "aplha": 0.1}, "did you mean 'alpha'"),
         ({"airspeed": 20.0, "phi": 30.0}, "expected radians"),
         (np.zeros(12), r"shape \(12,\)"),
+        ([], "expected"),
     ])  # fmt: skip
     def test_impossible_ones_are_told(self, start, match, fly):
         with pytest.raises(ValueError, match=match):

@@ -32,6 +32,7 @@ from skdgp.dynamics import (
     ThrustLine,
     air_velocity,
     euler_to_matrix,
+    numbers_in_flight,
     simulate,
     trim,
 )
@@ -769,16 +770,21 @@ def test_q_and_theta_turned_together_in_shallow_turns(seconds):
     assert found.numbers["turned"] == ["q", "theta"]
 
 
+def asked_of(aircraft, flights):
+    """Return the question for the sizes of an aircraft that flights ask."""
+    return aircraft.question_of_sizes(*numbers_in_flight(flights, aircraft))
+
+
 @pytest.mark.parametrize(("size", "factor"), [("mass", 1 / 0.45359237), ("thrust_x", 1 / 4.44822)])
 def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
     """Newton's second law: the slope of ax over the thrust is 1 / mass."""
     aircraft = first_minute().aircraft
-    assert aircraft.question_of_sizes(FlightTable.of(flight)) is None
+    assert asked_of(aircraft, FlightTable.of(flight)) is None
     if size == "mass":
         aircraft = replace(aircraft, mass=factor * aircraft.mass)
     else:
         flight = flight.assign(thrust_x=factor * flight["thrust_x"])
-    question = aircraft.question_of_sizes(FlightTable.of(flight))
+    question = asked_of(aircraft, FlightTable.of(flight))
     assert size.removesuffix("_x") in {found.channel for found in question.numbers["asked"]}
 
 
@@ -801,10 +807,18 @@ def test_flights_ask_for_the_propeller_and_the_thrust_line(
     changed = replace(aircraft, propeller=propeller, thrust_line=line)
     speed = scale * flight["propeller_speed"]
     by_propeller = flight.drop(columns=flight.filter(like="thrust").columns)
-    question = changed.question_of_sizes(FlightTable.of(by_propeller.assign(propeller_speed=speed)))
+    question = asked_of(changed, FlightTable.of(by_propeller.assign(propeller_speed=speed)))
     names = [] if question is None else [each.channel for each in question.numbers["asked"]]
     assert (asked in names) == (asked is not None)
     assert "mass" not in names
+
+
+def test_an_engine_that_is_off_or_unknown_asks_nothing(first_minute, flight):
+    aircraft = first_minute().aircraft
+    gliding = flight.drop(columns=flight.filter(like="thrust").columns)
+    assert asked_of(aircraft, FlightTable.of(gliding.assign(propeller_speed=0.0))) is None
+    assert asked_of(aircraft, FlightTable.of(gliding.assign(propeller_speed=np.nan))) is None
+    assert asked_of(aircraft, FlightTable.of(flight.assign(thrust_z=np.nan))) is None
 
 
 def test_noise_of_the_thrust_questions_no_mass(first_minute, flight):
@@ -812,7 +826,7 @@ def test_noise_of_the_thrust_questions_no_mass(first_minute, flight):
     thrust = flight["thrust_x"]
     noise = default_rng(0).normal(0.0, 3 * thrust.std(), len(thrust) // 10)
     noisy = FlightTable.of(flight.assign(thrust_x=thrust + np.repeat(noise, 10)))
-    assert first_minute().aircraft.question_of_sizes(noisy) is None
+    assert asked_of(first_minute().aircraft, noisy) is None
 
 
 def test_the_aircraft_is_judged_when_it_is_read():
@@ -826,7 +840,7 @@ def test_the_aircraft_is_judged_when_it_is_read():
 
 def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):
     for aircraft in (first_minute().aircraft, Aircraft.estimate(45.0, 2.8, kind="delta")):
-        assert aircraft.question_of_sizes(FlightTable.of(train)) is None
+        assert asked_of(aircraft, FlightTable.of(train)) is None
 
 
 @pytest.mark.parametrize(
@@ -846,12 +860,12 @@ def test_flights_ask_for_the_wrong_size(mass, span, factor, asked, train):
         warnings.simplefilter("ignore", FindingWarning)
         aircraft = Aircraft.estimate(mass, span, kind="delta")
     flights = FlightTable.of(train.assign(airspeed=factor * train["airspeed"]))
-    assert re.search(asked, aircraft.question_of_sizes(flights).text)
+    assert re.search(asked, asked_of(aircraft, flights).text)
 
 
 def test_half_a_span_is_asked_for_and_no_mass_in_grams(train):
     """A mass of 45 g has a small slope of the lift, whose error is as small."""
-    question = Aircraft.estimate(45.0, 1.4).question_of_sizes(FlightTable.of(train)).text
+    question = asked_of(Aircraft.estimate(45.0, 1.4), FlightTable.of(train)).text
     assert "span 2.8 m (1.4 m of half the span)" in question
     assert "45 g" not in question
 
@@ -862,7 +876,7 @@ def test_a_noisy_sensor_accuses_no_size(first_minute, train, name, factor):
     rng = np.random.default_rng(0)
     noise = factor * train[name].std() * rng.standard_normal(len(train))
     noisy = train.assign(**{name: train[name] + noise})
-    assert first_minute().aircraft.question_of_sizes(FlightTable.of(noisy)) is None
+    assert asked_of(first_minute().aircraft, FlightTable.of(noisy)) is None
 
 
 @pytest.fixture

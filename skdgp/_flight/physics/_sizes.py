@@ -117,7 +117,7 @@ POWERS = {
     "CL": OF_LOAD,
     "CZ_alpha": OF_LOAD,
     "mass_by_thrust": {"mass": 1.0, "thrust": -1.0},
-    # of a drag that is the thrust
+    # where the thrust dominates the drag
     "drag": {
         "thrust": 1.0,
         "thrust_line.direction": 1.0,
@@ -275,7 +275,8 @@ def sizes_in_flight(
     """Return numbers of flights and their standard deviations, by the channels that they have.
 
     Median airspeed, density and CL, CZ_alpha by the vane, the mass times the slope of ax over the thrust, and
-    the upper bound of the median drag over the weight by the ``thrust`` (n, 3) [N], of a relative deviation.
+    the upper bound of the median drag over the weight by the ``thrust`` (n, 3) [N], with the relative
+    standard deviation ``thrust_std``.
     """
     if thrust is not None:
         flights = replace(flights, table=flights.table.assign(**by_name(ENGINE, thrust)))
@@ -291,7 +292,7 @@ def sizes_in_flight(
     load = 2 * mass / (density * wing_area)
     if "az" in signals:
         numbers["CL"] = -load * float(np.nanmedian(signals["az"] / signals["airspeed"] ** 2))
-    if thrust is not None and {"ax", "az", "alpha"} <= signals.channels.keys():
+    if {"ax", "az", "alpha", ENGINE[0], ENGINE[2]} <= signals.channels.keys():
         numbers["drag"] = _largest_drag(signals, mass, thrust_std)
     laws = [(drive, "mass_by_thrust", mass) for drive in DRIVES.values()]
     for law, name, scale in [*laws, (LIFT, "CZ_alpha", load)]:
@@ -308,7 +309,7 @@ def sizes_in_flight(
 def _largest_drag(signals: Signals, mass: float, thrust_std: float) -> float:
     """Return the upper bound of the median drag over the weight, zero if it is negative.
 
-    Doubtful are the angle of attack by 0.03 rad, ax by 0.3 m/s^2 (guesses), and the thrust.
+    Standard deviations are that of the thrust, 0.03 rad of alpha and 0.3 m/s^2 of ax (guesses).
     """
     forward, down = np.cos(signals["alpha"]), np.sin(signals["alpha"])
     thrust = (forward * signals[ENGINE[0]] + down * signals[ENGINE[2]]) / mass

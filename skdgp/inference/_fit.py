@@ -134,7 +134,8 @@ def _fit(
     """
     noise, std = learned.noise, learned.input_std
     inflation = np.ones(len(noise))
-    noisy, passes = data, int(ordered)
+    noisy = data
+    passes = int(ordered)
     if std is not None and function is not None:
         noisy = data.with_slopes(function, std)
     elif std is not None:
@@ -171,18 +172,21 @@ def _noise_seen(
     function: PathBundle,
     std: Vector | None,
 ) -> Vector:
-    """Return the mean squared residual (P,), expected over the posterior, less what regressors propagate.
+    """Return the expected squared residual (P,) under the posterior, less the variance that regressors propagate.
 
     It is the noise of expectation maximisation. Noise of the regressors of standard deviations ``std``
     (d,) propagates by the slopes of the function.
     """
-    _, X = sample_table(data.X, data.sample)
-    some = X[:: -(-len(X) // ROWS_SEEN)]
-    _, variance = posterior.predict(some, return_variance=True)
-    seen = np.array([np.mean(e**2) for e in residuals]) + variance.mean(axis=0)
-    if std is not None:
-        seen -= np.mean(np.sum((function.slopes(some[None])[0] * std) ** 2, axis=2), axis=0)
-    return seen
+    seen = []
+    for i, (X, e) in enumerate(zip(data.X, residuals, strict=True)):
+        some = X[:: -(-len(X) // ROWS_SEEN)]
+        _, variance = posterior.predict(some, return_variance=True)
+        squares = np.mean(e**2) + np.mean(variance[:, i])
+        if std is not None:
+            slopes = function.slopes(some[None])[0, :, i]
+            squares -= np.mean(np.sum((slopes * std) ** 2, axis=1))
+        seen.append(squares)
+    return np.array(seen)
 
 
 def check_inducing(kernel: MultiOutputKernel, X: Matrix, n_inducing: int) -> None:

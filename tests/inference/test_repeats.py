@@ -57,6 +57,28 @@ class TestSparseFit:
         assert squares > 0.01
         assert model.noise_variance_ >= 0.9 * squares
 
+    def test_noise_of_an_output_with_gaps_is_of_its_own_rows(self):
+        """Where an output was not observed its function is unknown, not noisy."""
+        x = X[::5]
+        y = np.hstack([np.sin(9 * x), np.cos(9 * x)])
+        y += default_rng(0).normal(0.0, 0.05, y.shape)
+        y[60:, 1] = np.nan
+        model = DependentGPRegressor(structure="joint", input_noise=None, max_iter=60)
+        model.fit(x, y, time=x[:, 0])
+        assert model.noise_variance_ == pytest.approx([0.0025, 0.0025], rel=0.5)
+
+    def test_noise_expects_what_the_posterior_does_not_know(self):
+        """Sixty rows of noise, which a narrow process follows: their residuals alone are too small."""
+        x = np.linspace(0.0, 8.0, 60)[:, None]
+        noise = 0.3 * default_rng(1).standard_normal((60, 1))
+        model = DependentGPRegressor(
+            ConvolvedGaussian(0, amplitude=[[1.0]], length_scale=[[[0.1]]]),
+            structure="joint", trend="constant", noise_variance=0.01,
+            noise_variance_bounds=(0.009, 1.0), optimizer=None,
+        ).fit(x, noise, time=x[:, 0])  # fmt: skip
+        squares = np.mean((noise[:, 0] - model.predict(x)[:, 0]) ** 2)
+        assert model.noise_variance_[0] > 1.2 * squares
+
     def test_bounds_of_the_noise_hold(self):
         model = DependentGPRegressor(
             structure="trend", noise_variance=0.02, noise_variance_bounds=(0.01, 0.03)

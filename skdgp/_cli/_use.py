@@ -581,7 +581,7 @@ COMMANDS: Commands = {
             changed(
                 FULL,
                 help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
-                "file), thrust [N] without a propeller",
+                "file, and 1 of controls in parts of their full throw), thrust [N] without a propeller",
             ),
         ],
     },

@@ -26,7 +26,7 @@ def check_deviations(name: str, values: Any, n: int, expected: str) -> Vector:
 def r2_of_observed(y_true: Matrix, y_pred: Matrix, sample_weight: Vector | None = None) -> float:
     """Return the coefficient of determination, averaged over the outputs that have targets.
 
-    Targets (n, P) are NaN where an output was not observed.
+    Targets (n, P) are NaN where an output was not observed; ``sample_weight`` (n,) are weights of the rows.
     """
     scores = []
     for target, predicted in zip(y_true.T, y_pred.T, strict=True):

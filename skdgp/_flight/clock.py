@@ -86,6 +86,7 @@ class Clock:
         """
         step = np.diff(self.time)
         is_same = np.diff(self.flight) == 0
+        # a tenth of returns to an earlier flight (guess): rows that alternate have no rate
         n_returns = np.sum(~is_same) + 1 - len(self.names)
         if n_returns > 0.1 * max(len(self.time), 10):
             raise ValueError(

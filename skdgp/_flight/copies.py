@@ -33,23 +33,21 @@ def without_copies(
     They have most of their rows in common, or the attitude at the same times. Of training flights the longer
     one stays; if all test flights are copies, they stay.
     """
-    longest_first = sorted(train.items(), key=lambda item: -len(item[1].time))
-    flights = [*longest_first, *tests.items()]
-    motions = {id(flight): _motion(flight) for _, flight in flights}
+    motions = {id(flight): _motion(flight) for flight in [*train.values(), *tests.values()]}
     kept: dict[str, FlightTable] = {}
-    originals: dict[int, str | None] = {}
-    for name, flight in flights:
-        originals[id(flight)] = other = _original(flight, kept, motions)
-        if other is None and train.get(name) is flight:
-            kept[name] = flight
-    others = {name: flight for name, flight in tests.items() if originals[id(flight)] is None}
     findings = []
-    for name, flight in flights:
-        kind = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
-        if train.get(name) is flight:
-            kind = Code.FLIGHT_TWICE
-        if originals[id(flight)] is not None:
-            findings.append(Finding(kind, flight=name, other=originals[id(flight)]))
+    for name, flight in sorted(train.items(), key=lambda item: -len(item[1].time)):
+        other = _original(flight, kept, motions)
+        if other is None:
+            kept[name] = flight
+        else:
+            findings.append(Finding(Code.FLIGHT_TWICE, flight=name, other=other))
+    originals = {name: _original(flight, kept, motions) for name, flight in tests.items()}
+    others = {name: flight for name, flight in tests.items() if originals[name] is None}
+    kind = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
+    for name, other in originals.items():
+        if other is not None:
+            findings.append(Finding(kind, flight=name, other=other))
     return {name: train[name] for name in train if name in kept}, others or tests, findings
 
 

@@ -631,15 +631,16 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             getattr(self, "feature_names_in_", None),
         )
 
-    def score(self, X: Matrix, y: Any) -> float:
+    def score(self, X: Matrix, y: Any, sample_weight: Any = None) -> float:
         """Return the coefficient of determination R^2 of the observed targets, averaged over the outputs.
 
         It is 1 for a perfect prediction, 0 for predicting the mean. Targets y (n,) or (n, P) at X
         (n, d) are NaN where an output was not observed; outputs without targets are ignored.
+        ``sample_weight`` (n,) are weights of the rows, by default equal ones.
         """
         mean = self.predict(X).reshape(len(X), -1)
         Y = self._check_targets(y, mean.shape)
-        return r2_of_observed(Y, mean)
+        return r2_of_observed(Y, mean, sample_weight)
 
     def _loading(self, X, factor):
         """Return J R times the root of ``factor``, (n, P, d), with S = R^2; (n, P, 0) for exact regressors."""

@@ -134,8 +134,8 @@ def suggest_gains(
 ) -> list[Loop]:
     """Return the loops with the largest gains that have both margins with a probability.
 
-    P, I and D of a loop keep their ratios, and FF, which follows from the rate that a deflection turns the
-    aircraft with, stays as it is. The loops are taken in turn, each with the others closed
+    P, I and D of a loop keep their ratios. FF and D_FF stay as they are: FF follows from the rate of turn that
+    a deflection causes. The loops are taken in turn, each with the others closed
     at their new gains, until none changes.
 
     Parameters

@@ -60,16 +60,8 @@ COMMENT = re.compile(r"#.*|//.*|\[[^\]]*\]")
 VEHICLE = re.compile(r"(\d+)\s+\d+\s+[A-Z]")
 # Beginnings of the names that control laws use
 OF_LAWS = (
-    *("FW_", "IMU_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "AIRSPEED_M", "ARSPD_FBW_M"),
-    *(
-        "SCHED_LOOP_RATE",
-        "KFF_RDDRMIX",
-        "MIXING_",
-        "INS_GYRO_FILTER",
-        "INS_HNTC",
-        "INS_NOTCH",
-        "FILT",
-    ),
+    *("FW_", "IMU_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "SCHED_LOOP_RATE", "AIRSPEED_M"),
+    *("ARSPD_FBW_M", "KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH", "FILT"),
 )
 OF_PX4 = ("FW_RR_", "FW_PR_", "FW_YR_")
 OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
@@ -372,7 +364,7 @@ def _px4_airspeeds(value: Parameters) -> tuple[float, float]:
 
 def _px4_scaling(value: Parameters) -> dict[str, float]:
     """Return the speed of the gains and the limits of the scaling by airspeed."""
-    if not (value.given.get("FW_ARSP_SCALE_EN", 1) and _measures_airspeed(value)):
+    if not _measures_airspeed(value):
         return {}
     trim = value("FW_AIRSPD_TRIM")
     slowest = value("FW_AIRSPD_STALL")
@@ -382,6 +374,8 @@ def _px4_scaling(value: Parameters) -> dict[str, float]:
             f"Got FW_AIRSPD_STALL {slowest:g}, TRIM {trim:g} and MAX {fastest:g}, given or by default, but "
             "expected airspeeds that increase: give all three."
         )
+    if not value.given.get("FW_ARSP_SCALE_EN", 1):
+        return {}
     return {
         "scaling_speed": trim,
         "least_scaling": trim / fastest,

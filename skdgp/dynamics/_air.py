@@ -63,9 +63,9 @@ NO_NOISE = np.zeros(1)
 class Turbulence(NamedTuple):
     r"""Gusts by Dryden's spectra: standard deviations and scale lengths of the velocities u, v, w of the air.
 
-    An aircraft of span b meets their mean over the span: u, v, w, not their rates alone as in MIL-F-8785C, pass
-    a lag of :math:`4 b / (\pi V)`, v of :math:`3 b / (\pi V)`. Their standard deviations are below the intensities,
-    for a span of 1.6 m at a height of 30 m 0.95 of them, for w with 60 m at 100 m 0.67.
+    An aircraft of span b meets their mean over the span: u and w pass a lag of :math:`4 b / (\pi V)`, v one of
+    :math:`3 b / (\pi V)`. MIL-F-8785C has these lags in the rates alone. The standard deviation of w is 0.95 of its
+    intensity for a span of 1.6 m at a height of 30 m, and 0.67 for 60 m at 100 m.
 
     Examples
     --------

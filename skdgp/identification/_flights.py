@@ -283,16 +283,19 @@ def _complete_rows(
             "whole, and time in seconds?"
         )
     continuous = np.concatenate(rows)
-    left_out = Finding(
-        Code.ROWS_LEFT_OUT,
-        flight=flight,
-        left_out=len(table) - len(continuous),
-        rows=len(table),
-        missing=counts,
-        alone=len(complete) - len(continuous) or None,
-    )
-    some = [left_out] if len(continuous) < len(table) else []
-    return flights.part(continuous).named(flight), some
+    findings = []
+    if len(continuous) < len(table):
+        findings.append(
+            Finding(
+                Code.ROWS_LEFT_OUT,
+                flight=flight,
+                left_out=len(table) - len(continuous),
+                rows=len(table),
+                missing=counts,
+                alone=len(complete) - len(continuous) or None,
+            )
+        )
+    return flights.part(continuous).named(flight), findings
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights, aircraft: Aircraft) -> Flights:

@@ -203,9 +203,10 @@ def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
 
 
 def scaling_of(pipeline: Pipeline) -> tuple[Vector, Vector]:
-    """Return the regressors (d,) that are scaled to zero, and what their scaler divides them by."""
+    """Return offset and scale (d,) of the steps behind the selector: regressors are offset + scale X."""
     d = len(regressor_names(pipeline))
-    zero, one = pipeline[-2:-1].inverse_transform(np.array([np.zeros(d), np.ones(d)]))
+    first = 1 + [name for name, _ in pipeline.steps].index("regressorselector")
+    zero, one = pipeline[first:-1].inverse_transform(np.array([np.zeros(d), np.ones(d)]))
     return zero, one - zero
 
 

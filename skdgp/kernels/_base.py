@@ -384,8 +384,7 @@ class MultiOutputKernel(Kernel):
                 if isinstance(value, Mapping):  # bounds; of each entry they are too long
                     value = {k: pair for k, pair in value.items() if np.ndim(pair) < 2} or None
                 if not _equal(value, parameters[name].default):
-                    number = isinstance(value, float)
-                    text = f"{value:.3g}" if number else repr(value)
+                    text = f"{value:.3g}" if isinstance(value, float) else repr(value)
                     shown.append(f"{name}={text}")
         return " ".join(f"{type(self).__name__}({', '.join(shown)})".split())
 

@@ -312,9 +312,8 @@ def test_the_turn_rate_of_the_yaw_loop_has_the_equivalent_airspeed(parameters, l
     density, s = 0.9, np.array([2j])
     for equivalent in (10.0, 16.0, 22.0):
         laws = yaw.feedback(s, equivalent * np.sqrt(1.225 / density), density)
-        turn_rate = (
-            laws["phi"] / laws["r"] * yaw.of_gyro[0](s) if yaw.of_gyro else laws["phi"] / laws["r"]
-        )
+        gyro = np.prod([each(s) for each in yaw.of_gyro], axis=0)
+        turn_rate = laws["phi"] / laws["r"] * gyro
         assert_allclose(-turn_rate, 9.80665 / np.clip(equivalent, *limits), rtol=1e-4)
 
 

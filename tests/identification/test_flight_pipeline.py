@@ -166,6 +166,9 @@ def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
             dependentgpregressor=DependentGPRegressor(structure="trend", max_iter=2),
         )
         learned.append(pipeline.fit(rows, targets))
+    without = clone(learned[0])
+    without.steps = [step for step in without.steps if step[0] != "standardscaler"]
+    learned.append(without.fit(rows, targets))
     for pipeline in learned[1:]:
         assert_allclose(pipeline.least_squares_, learned[0].least_squares_, rtol=1e-6, atol=1e-9)
         assert np.isfinite(pipeline.predict(test_flight, return_std=True)[1]).all()

@@ -1,4 +1,4 @@
-"""Laws of flight, their judgement, and the findings.
+"""Laws of flight, and how measured signals are judged by them.
 
 By a law the slope of a signal y over another, x, lies within an interval. Signals contradict it if
 the slope is outside by 5 standard deviations (4 for the scale of vanes).

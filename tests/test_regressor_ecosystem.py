@@ -43,7 +43,7 @@ class TestScikitLearn:
         mean = model.predict(X)
         scores = [r2_score(Y["CZ"], mean[:, 0]), r2_score(Y["Cm"][seen], mean[seen, 1])]
         assert model.score(X, Y) == pytest.approx(np.mean(scores))
-        twice = model.score(np.vstack([X, X[:5]]), np.concatenate([Y, Y[:5]]))
+        twice = model.score(pd.concat([X, X[:5]]), pd.concat([Y, Y[:5]]))
         weights = 1.0 + (np.arange(len(X)) < 5)
         assert model.score(X, Y, sample_weight=weights) == pytest.approx(twice)
 

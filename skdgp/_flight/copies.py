@@ -33,19 +33,21 @@ def without_copies(
     They have most of their rows in common, or the attitude at the same times. Of training flights the longer
     one stays; if all test flights are copies, they stay.
     """
-    motions = {id(flight): _motion(flight) for flight in [*train.values(), *tests.values()]}
+    longest_first = sorted(train.items(), key=lambda item: -len(item[1].time))
+    flights = [*longest_first, *tests.items()]
+    motions = {id(flight): _motion(flight) for _, flight in flights}
     kept: dict[str, FlightTable] = {}
-    findings = []
-    for name, flight in sorted(train.items(), key=lambda item: -len(item[1].time)):
-        other = _original(flight, kept, motions)
-        if other is None:
+    originals = []
+    for name, flight in flights:
+        originals.append(_original(flight, kept, motions))
+        if originals[-1] is None and len(originals) <= len(train):
             kept[name] = flight
-        else:
-            findings.append(Finding(Code.FLIGHT_TWICE, flight=name, other=other))
-    originals = {name: _original(flight, kept, motions) for name, flight in tests.items()}
-    others = {name: flight for name, flight in tests.items() if originals[name] is None}
-    kind = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
-    for name, other in originals.items():
+    of_tests = zip(tests.items(), originals[len(train) :], strict=True)
+    others = {name: flight for (name, flight), other in of_tests if other is None}
+    kinds = [Code.FLIGHT_TWICE] * len(train)
+    kinds += [Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY] * len(tests)
+    findings = []
+    for kind, (name, _), other in zip(kinds, flights, originals, strict=True):
         if other is not None:
             findings.append(Finding(kind, flight=name, other=other))
     return {name: train[name] for name in train if name in kept}, others or tests, findings

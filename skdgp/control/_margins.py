@@ -102,6 +102,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     >>> aircraft = Aircraft(mass=12, inertia=np.diag([1.1, 2.3, 3.1]), wing_area=1.3, span=2.6, chord=0.55)
     >>> linear = linearize(model, aircraft, trim(model, aircraft, 20.0), delay=0.02)
     >>> px4 = {"FW_RR_P": 0.5, "FW_RR_I": 0.2, "FW_RR_FF": 0.0, "FW_R_TC": 0.5, "FW_ARSP_SCALE_EN": 0}
+    >>> px4 |= {"FW_AIRSPD_TRIM": 15.0, "FW_AIRSPD_STALL": 7.0, "FW_AIRSPD_MAX": 20.0}
     >>> px4 |= {"IMU_GYRO_CUTOFF": 40.0, "IMU_DGYRO_CUTOFF": 30.0}
     >>> loops = autopilot_loops(px4, full={"aileron": 0.42})
     >>> margins(linear, loops).loc["roll", "value"].round(1).to_dict()

@@ -23,7 +23,6 @@ from skdgp.inference import (
     FunctionErrors,
     KnownSlopes,
     Paths,
-    PosteriorWithErrors,
     check_spread,
     errors_by_input_noise,
     residual_drift,
@@ -424,13 +423,14 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         posterior, learned = fit
         if not time_series and self._slopes is None and further is None:
             return posterior
-        errors = errors_by_input_noise(posterior, learned.input_std if time_series else None)
+        std = learned.input_std if time_series else None
+        errors = errors_by_input_noise(posterior.data.X, posterior.mean_function, std)
         if self._slopes is not None:
             errors = self._slopes.replaced(errors)
         if further is not None:
             unscaled = np.zeros(self.n_features_in_), np.ones(self.n_features_in_)
             errors = errors.joined(further.in_units(*unscaled, 1 / self.scale_))
-        return PosteriorWithErrors(posterior, errors)
+        return posterior.with_errors(errors)
 
     # -- predictions: y = center_ + scale_ z for the normalised outputs z
     # ------------------------------------
@@ -548,9 +548,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         (5, 1)
         """
         check_is_fitted(self)
-        if not isinstance(self.posterior_, PosteriorWithErrors):
+        errors = self.posterior_.errors
+        if errors is None:
             return None
-        return self._errors_in_output_units(self.posterior_.errors)
+        d = self.n_features_in_
+        return errors.in_units(np.zeros(d), np.ones(d), self.scale_)
 
     def sample_y(
         self,
@@ -696,11 +698,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _in_output_units(self, mean):
         """Return the mean (n, P) of the normalised outputs in the units of the outputs."""
         return self._squeeze(mean * self.scale_ + self.center_)
-
-    def _errors_in_output_units(self, errors):
-        """Return the errors of the normalised outputs in the units of the outputs."""
-        d = self.n_features_in_
-        return errors.in_units(np.zeros(d), np.ones(d), self.scale_)
 
     def _squeeze(self, values):
         """Return values (n, P, ...), without the axis of outputs for one-dimensional targets."""

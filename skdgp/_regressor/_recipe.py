@@ -221,7 +221,7 @@ class Recipe:
                 ordered=self.time_series,
                 known=samples.known,
             )
-            posterior: Any = fit.posterior
+            posterior: Any = fit.posterior.members[0]
             if not self._can_neglect(fit.learned):
                 return fit, samples
             neglected = posterior.neglected_variance

@@ -27,10 +27,8 @@ from skdgp.inference import (
     ExactPosterior,
     FunctionErrors,
     Posterior,
-    PosteriorWithErrors,
     SinglePosterior,
     SparsePosterior,
-    training_inputs,
 )
 from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiOutputKernel
 
@@ -90,7 +88,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
     shift, scale = learned.shift, learned.scale
     posterior = regressor.posterior_
     parts = _all_parts(posterior)
-    samples = training_inputs(posterior) * scale + shift
+    samples = posterior.inputs * scale + shift
     points = samples
     if simulated.limits is not None:
         points = np.vstack([samples, simulated.limits])
@@ -188,10 +186,9 @@ def _moved_trend(center: Vector) -> Matrix:
 
 def _all_parts(posterior: Posterior) -> tuple[Part, ...]:
     """Return the parts of all components, one for each output."""
-    errors = posterior.errors if isinstance(posterior, PosteriorWithErrors) else None
     parts: list[Part] = []
     for member, weights in zip(posterior.members, posterior.mixture, strict=True):
-        for part, weight in zip(_parts(member, errors), weights, strict=True):
+        for part, weight in zip(_parts(member, posterior.errors), weights, strict=True):
             parts.append(part if weight > 0 else _unused(posterior.kernel.n_features))
     return tuple(parts)
 

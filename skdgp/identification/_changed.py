@@ -28,7 +28,6 @@ from skdgp.identification._pipeline import (
     regressor_names,
     scaling_of,
 )
-from skdgp.inference import training_inputs
 
 WHOLE = "whole"
 MOST_NAMED = 3  # changes in the summary
@@ -251,7 +250,7 @@ def _covariance(pipeline: Pipeline, X: Matrix, rows: Indices, by_acceleration: V
 def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector) -> Array:
     """Return the effects (n, 6, J) of J errors of sensors, regressors and slopes in a flight X at rows (n, d)."""
     regressor = pipeline[-1]
-    trained = training_inputs(regressor.posterior_)
+    trained = regressor.posterior_.inputs
     is_vane = np.isin(regressor_names(pipeline), VANES)
     offsets = VANE_OFFSET * is_vane / scaling_of(pipeline)[1]
     by_vanes = regressor.predict_gradient(at) * offsets

@@ -21,7 +21,7 @@ from skdgp._compute.messages import report
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft
 
-FORMAT = 14  # a pickle, a line of JSON, and the SHA-256 of all bytes before it
+FORMAT = 15  # a pickle, a line of JSON, and the SHA-256 of all bytes before it
 DIGEST = 64  # its length
 # Packages whose versions may change predictions of a model that can be read
 MATTERS = ("skdgp", "scikit-learn", "numpy")

@@ -17,19 +17,14 @@ them.
 """
 
 from skdgp._compute.statistics import autocorrelation_time as autocorrelation_time
-from skdgp.inference._average import AveragePosterior
+from skdgp.inference._average import Posterior
 from skdgp.inference._average import held_out as held_out
 from skdgp.inference._average import stacked as stacked
-from skdgp.inference._average import training_inputs as training_inputs
 from skdgp.inference._blocks import BlockSettings as BlockSettings
 from skdgp.inference._blocks import blocks_of_rows as blocks_of_rows
 from skdgp.inference._blocks import leaves as leaves
 from skdgp.inference._drift import residual_drift as residual_drift
-from skdgp.inference._errors import (
-    FunctionErrors,
-    KnownSlopes,
-    PosteriorWithErrors,
-)
+from skdgp.inference._errors import FunctionErrors, KnownSlopes
 from skdgp.inference._errors import attenuation as attenuation
 from skdgp.inference._errors import errors_by_input_noise as errors_by_input_noise
 from skdgp.inference._errors import errors_of_slopes as errors_of_slopes
@@ -46,7 +41,7 @@ from skdgp.inference._noise import KnownNoise as KnownNoise
 from skdgp.inference._objective import Objective as Objective
 from skdgp.inference._optimizer import Optimum as Optimum
 from skdgp.inference._optimizer import maximize as maximize
-from skdgp.inference._posterior import ExactPosterior, Paths, Posterior
+from skdgp.inference._posterior import ExactPosterior, Paths
 from skdgp.inference._posterior import PosteriorSettings as PosteriorSettings
 from skdgp.inference._posterior import SinglePosterior as SinglePosterior
 from skdgp.inference._posterior import check_spread as check_spread
@@ -61,14 +56,12 @@ from skdgp.inference._starts import starting_kernel as starting_kernel
 from skdgp.inference._structures import structure_weights as structure_weights
 
 __all__ = [
-    "AveragePosterior",
     "Data",
     "ExactPosterior",
     "FunctionErrors",
     "KnownSlopes",
     "Paths",
     "Posterior",
-    "PosteriorWithErrors",
     "SparsePosterior",
     "fit_exact",
     "fit_sparse",

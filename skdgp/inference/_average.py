@@ -1,4 +1,4 @@
-r"""The average of posteriors of parts of one kernel, weighted by their errors of held-out blocks.
+r"""The posterior of a fit: an average of parts of one kernel, weighted by their errors of held-out blocks.
 
 The mixture of the posteriors of all terms and of the trend, at the hyperparameters that one search
 found, has the mean :math:`w m_1 + (1 - w) m_2` of each output. Its weight is the one whose errors of
@@ -22,8 +22,9 @@ from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.inference._blocks import leaves
+from skdgp.inference._errors import FunctionErrors
 from skdgp.inference._likelihood import Data
-from skdgp.inference._posterior import Posterior, SinglePosterior
+from skdgp.inference._posterior import SinglePosterior
 from skdgp.kernels import MultiOutputKernel, PathBundle
 
 
@@ -96,11 +97,12 @@ def of_terms(whole: Any, numbers: Sequence[int]) -> Any:
     return total
 
 
-class AveragePosterior(Posterior):
-    """A mixture of posteriors, its components, with weights for each output (``mixture_moments``).
+class Posterior:
+    """The outputs, given their observed values: a mixture of Gaussian processes, and errors of their function.
 
-    Each posterior of all terms is followed by the posteriors of its parts, with the same
-    hyperparameters. Another posterior of all terms is of another structure.
+    The weights are those of each output (``mixture_moments``). Each component of all terms is followed by
+    the components of its parts, with the same hyperparameters. Another component of all terms is of
+    another structure.
 
     Outputs have the same component as far as their weights agree: one number from 0 to 1 for all
     outputs picks it by the cumulated weights.
@@ -108,19 +110,57 @@ class AveragePosterior(Posterior):
     Parameters
     ----------
     members : list of ExactPosterior or SparsePosterior
-        Components, of the same samples. The first has all terms, and gives the average its
+        Components, of the same samples. The first has all terms, and gives the mixture its
         hyperparameters and likelihood.
     mixture : ndarray (K, P)
         Weights of the components for each output; columns add up to one.
+    errors : FunctionErrors or None
+        Independent errors of the function that the components do not hold.
     """
 
-    def __init__(self, members: list, mixture: Matrix) -> None:
-        self.members = members
+    def __init__(
+        self,
+        members: Sequence[SinglePosterior],
+        mixture: Matrix,
+        errors: FunctionErrors | None = None,
+    ) -> None:
+        self.members = list(members)
         self.mixture = np.asarray(mixture, dtype=float)
-        self.data = members[0].data
-        self.kernel = members[0].kernel
-        self.noise = members[0].noise
-        self.log_marginal_likelihood = members[0].log_marginal_likelihood
+        self.errors = errors
+
+    @classmethod
+    def of_one(cls, member: SinglePosterior) -> Posterior:
+        """Return the posterior of one Gaussian process."""
+        return cls([member], np.ones((1, member.kernel.n_outputs)))
+
+    def with_errors(self, errors: FunctionErrors | None) -> Posterior:
+        """Return the same components with other errors of their function."""
+        return Posterior(self.members, self.mixture, errors)
+
+    @property
+    def kernel(self) -> MultiOutputKernel:
+        """Kernel of all terms."""
+        return self.members[0].kernel
+
+    @property
+    def noise(self) -> Vector:
+        """Noise variance of each output, of all terms."""
+        return self.members[0].noise
+
+    @property
+    def data(self) -> Data:
+        """The observed values."""
+        return self.members[0].data
+
+    @property
+    def inputs(self) -> Matrix:
+        """The distinct inputs of the observed values, (n, d)."""
+        return np.unique(np.concatenate(self.data.X), axis=0)
+
+    @property
+    def log_marginal_likelihood(self) -> float:
+        """Log marginal likelihood of all terms, or a lower bound on it."""
+        return self.members[0].log_marginal_likelihood
 
     @cached_property
     def mean_function(self) -> PathBundle:
@@ -137,8 +177,10 @@ class AveragePosterior(Posterior):
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         predictions = [member.predict(Xs, return_variance) for member in self.members]
-        combined = mixture_moments if return_variance else mixture_mean
-        return combined(self.mixture, predictions)
+        if not return_variance:
+            return mixture_mean(self.mixture, predictions)
+        mean, variance = mixture_moments(self.mixture, predictions)
+        return mean, variance if self.errors is None else variance + self.errors.variance(Xs)
 
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
         """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
@@ -146,7 +188,7 @@ class AveragePosterior(Posterior):
         return mixture_mean(self.mixture, slopes)
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
-        """Return the joint covariance of the mixture at Xs, (P n, P n), output-major."""
+        """Return the joint covariance at Xs, (P n, P n), output-major."""
         means = np.array([member.predict(Xs) for member in self.members])
         off = means - mixture_mean(self.mixture, means)
         ends = np.cumsum(self.mixture, axis=0)
@@ -159,7 +201,7 @@ class AveragePosterior(Posterior):
         joint = np.einsum("klij,kai,lbj->iajb", shared, off, off).reshape(P * n, P * n)
         for k, member in enumerate(self.members):
             joint += member.covariance(Xs) * np.kron(shared[k, k], np.ones((n, n)))
-        return joint
+        return joint if self.errors is None else joint + self.errors.covariance(Xs)
 
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples, functions of the regressors, with one component for each output.
@@ -176,6 +218,8 @@ class AveragePosterior(Posterior):
         for k, (component, seed) in enumerate(zip(self.members, seeds, strict=True)):
             if (member == k).any():
                 parts.append(component.paths(n_paths, int(seed)).times(1.0 * (member == k)))
+        if self.errors is not None:
+            parts.append(self.errors.paths(n_paths, rng))
         return reduce(add, parts)
 
 
@@ -292,8 +336,3 @@ def _folds(Y, block):
     turn = block[:, None] + shift
     for fold in range(SETTINGS.n_folds):
         yield (turn % SETTINGS.n_folds == fold) & observed
-
-
-def training_inputs(posterior: Posterior) -> Matrix:
-    """Return the distinct inputs of the observed values of a posterior, (n, d)."""
-    return np.unique(np.concatenate(posterior.data.X), axis=0)

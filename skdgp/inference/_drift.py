@@ -6,7 +6,7 @@ import numpy as np
 
 from skdgp._compute.linalg import output_scale
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.inference._posterior import Posterior
+from skdgp.inference._average import Posterior
 
 LEAST_VARIANCE = 1e-6
 """Smallest variance, over the variance of the output."""

@@ -1,4 +1,4 @@
-r"""Errors of the function that a posterior does not hold, and the posterior with them.
+r"""Errors of the function that a posterior does not hold.
 
 A posterior takes regressors and targets as they stand. Noise of the regressors flattens slopes, slopes that
 another source knows have its errors, and errors of the log that its samples do not show, such as times of
@@ -20,7 +20,6 @@ from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Array, Matrix, Seed, Vector
-from skdgp.inference._posterior import Posterior, SinglePosterior
 from skdgp.kernels import LinearPaths, PathBundle
 
 LARGEST_ATTENUATION = 0.5
@@ -116,13 +115,17 @@ def attenuation(X: Matrix, covariance: Matrix, slopes: Vector) -> Matrix:
     return error * limit / (1.0 - limit * fraction) * slopes
 
 
-def errors_by_input_noise(posterior: Posterior, std: Vector | None) -> FunctionErrors:
-    """Return the errors of the function of a posterior by noise of its regressors that was learned, if any."""
-    X = posterior.data.X
+def errors_by_input_noise(
+    X: Sequence[Matrix], function: PathBundle, std: Vector | None
+) -> FunctionErrors:
+    """Return the errors of a function by noise ``std`` (d,) of its regressors that was learned, if any.
+
+    X (n_i, d) are the regressors of each output.
+    """
     centre = max(X, key=len).mean(axis=0)
     if std is None:
         return errors_of_slopes(np.zeros((len(X), len(centre), 0)), centre)
-    slopes = posterior.gradient(centre[None])[0]
+    slopes = function.slopes(centre[None, None])[0, 0]
     of_outputs = [attenuation(x, np.diag(std**2), b) for x, b in zip(X, slopes, strict=True)]
     return errors_of_slopes(np.stack(of_outputs), centre)
 
@@ -189,58 +192,3 @@ def linear_weights(X: Matrix, Y: Any) -> Matrix:
         of_output[0] -= centre @ of_output[1:]
         weights.append(of_output)
     return np.column_stack(weights)
-
-
-class PosteriorWithErrors(Posterior):
-    """A posterior plus independent errors of its function.
-
-    Mean, kernel, noise, likelihood, data and components are the posterior's.
-
-    Parameters
-    ----------
-    posterior : Posterior
-    errors : FunctionErrors
-    """
-
-    def __init__(self, posterior: Posterior, errors: FunctionErrors) -> None:
-        self.posterior = posterior
-        self.errors = errors
-        self.kernel = posterior.kernel
-        self.noise = posterior.noise
-        self.log_marginal_likelihood = posterior.log_marginal_likelihood
-        self.data = posterior.data
-
-    @property
-    def members(self) -> Sequence[SinglePosterior]:  # type: ignore[override]
-        """The components of the posterior, without the errors."""
-        return self.posterior.members
-
-    @property
-    def mixture(self) -> Matrix:  # type: ignore[override]
-        """The weights of the components, (K, P)."""
-        return self.posterior.mixture
-
-    @property
-    def mean_function(self) -> PathBundle:
-        """The mean, as a single path."""
-        return self.posterior.mean_function
-
-    def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
-        """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-        if not return_variance:
-            return self.posterior.predict(Xs)
-        mean, variance = self.posterior.predict(Xs, return_variance=True)
-        return mean, variance + self.errors.variance(Xs)
-
-    def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
-        """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
-        return self.posterior.gradient(Xs, spread)
-
-    def covariance(self, Xs: Matrix) -> Matrix:
-        """Return the joint covariance at Xs, (P n, P n), output-major."""
-        return self.posterior.covariance(Xs) + self.errors.covariance(Xs)
-
-    def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
-        """Return samples that are functions of the regressors."""
-        rng = check_random_state(random_state)
-        return self.posterior.paths(n_paths, rng) + self.errors.paths(n_paths, rng)

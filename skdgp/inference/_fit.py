@@ -13,11 +13,11 @@ from skdgp._compute.linalg import check_memory, cluster_centres, column_scale
 from skdgp._compute.messages import keeps_best
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Seed, Vector
-from skdgp.inference._average import AveragePosterior, held_out_weights, of_terms, parts_of
+from skdgp.inference._average import Posterior, held_out_weights, of_terms, parts_of
 from skdgp.inference._blocks import blocks_of_rows
 from skdgp.inference._likelihood import Data, sample_table
 from skdgp.inference._noise import UNKNOWN, KnownNoise
-from skdgp.inference._posterior import ExactPosterior, Posterior, SinglePosterior
+from skdgp.inference._posterior import ExactPosterior, SinglePosterior
 from skdgp.inference._search import Hyperparameters, with_best_noise
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.kernels import Features, MultiOutputKernel, PathBundle, inducing_features
@@ -29,7 +29,7 @@ ROWS_SEEN = 1000
 
 
 class Fit(NamedTuple):
-    """An ExactPosterior, SparsePosterior or AveragePosterior, and its hyperparameters.
+    """A posterior and its hyperparameters.
 
     A posterior uses a larger noise than ``learned`` where the errors of neighbouring samples are
     correlated.
@@ -152,7 +152,7 @@ def _fit(
         if std is not None:
             noisy = data.with_slopes(slopes_of, np.sqrt(inflation)[:, None] * std)
         posterior = posterior_of(learned.kernel, noise * inflation, noisy)
-    return Fit(posterior, learned._replace(noise=noise))
+    return Fit(Posterior.of_one(posterior), learned._replace(noise=noise))
 
 
 def _residuals(posterior: SinglePosterior, data: Data) -> list[Vector]:
@@ -238,7 +238,7 @@ def average(
     Returns
     -------
     Fit
-        With an AveragePosterior; the given fit if its kernel has one member.
+        The given fit if its kernel has one member.
     """
     parts = parts_of(fit.posterior.kernel)
     if len(parts) == 1:
@@ -263,7 +263,7 @@ def _average(fit, X, Y, ordered, known, parts):
     noises = [component.learned.noise for component in fits]
     weights = held_out_weights(members, noises, X, Y, loading, ordered)
     noise = np.sum(weights * noises, axis=0)
-    return Fit(AveragePosterior(members, weights), fit.learned._replace(noise=noise))
+    return Fit(Posterior(members, weights), fit.learned._replace(noise=noise))
 
 
 def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
@@ -291,7 +291,7 @@ def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
         n_iter=max(part.n_iter for part in learned),
         converged=all(part.converged for part in learned),
     )
-    return Fit(AveragePosterior(members, np.concatenate(mixture)), common)
+    return Fit(Posterior(members, np.concatenate(mixture)), common)
 
 
 def _of_part(whole, X, Y, ordered, part, known, loading) -> Fit:
@@ -302,7 +302,7 @@ def _of_part(whole, X, Y, ordered, part, known, loading) -> Fit:
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part), input_std=None)
     rows = blocks_of_rows(X, Y, time_series=ordered)
     learned = with_best_noise(learned, X, Y, rows, known._replace(loading=loading))
-    features = getattr(whole.posterior, "features", None)
+    features = getattr(whole.posterior.members[0], "features", None)
     of_part = None if features is None else of_terms(features, part)
     data = Data.from_table(X, Y, known.loading)
     learned = learned._replace(input_std=whole.learned.input_std)

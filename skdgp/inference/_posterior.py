@@ -1,4 +1,4 @@
-"""Posteriors: their interface, the exact one by one Cholesky factorisation, and sample paths by Matheron's rule.
+"""Posteriors of one kernel: their interface, the exact one by one Cholesky factorisation, and sample paths.
 
 A path is a sample of the prior plus a correction by the data. With f and u drawn jointly from the
 prior, f + Kfu Kuu^-1 (u_post - u) has the mean and covariance of the posterior at all inputs
@@ -43,44 +43,33 @@ class PosteriorSettings:
     frequencies: int = 64
 
 
-class Posterior(ABC):
-    """The outputs, given their observed values: a Gaussian process, or a mixture of several, its components.
+class SinglePosterior(ABC):
+    """A Gaussian process, given observed values.
+
+    The mean of output i at Xs is A b, with the covariances A of its values and the variables that
+    it is learned from, the observed values or the inducing variables.
 
     Attributes
     ----------
     kernel : MultiOutputKernel
-        Of all terms.
     noise : ndarray (P,)
         Noise variance of each output.
     log_marginal_likelihood : float
         Or a lower bound on it.
     data : Data
         The observed values.
-    members : sequence of SinglePosterior
-        The components of the mixture. The first has all terms.
-    mixture : ndarray (K, P)
-        The weight of each component, for each output.
     """
 
+    settings = PosteriorSettings()
     kernel: MultiOutputKernel
     noise: Vector
     log_marginal_likelihood: float
     data: Data
-    members: Sequence[SinglePosterior]
-    mixture: Matrix
 
     @property
     @abstractmethod
     def mean_function(self) -> PathBundle:
         """The mean, as a single path."""
-
-    @abstractmethod
-    def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
-        """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
-
-    @abstractmethod
-    def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
-        """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
 
     @abstractmethod
     def covariance(self, Xs: Matrix) -> Matrix:
@@ -90,30 +79,10 @@ class Posterior(ABC):
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return samples that are functions of the regressors."""
 
-
-class SinglePosterior(Posterior):
-    """A Gaussian process: the only component of its mixture.
-
-    The mean of output i at Xs is A b, with the covariances A of its values and the variables that
-    it is learned from, the observed values or the inducing variables.
-    """
-
-    settings = PosteriorSettings()
-
     @property
     @abstractmethod
     def size(self) -> int:
         """Number of values or of inducing variables: the side of the largest matrix."""
-
-    @property
-    def members(self) -> Sequence[SinglePosterior]:  # type: ignore[override]
-        """The posterior itself."""
-        return [self]
-
-    @property
-    def mixture(self) -> Matrix:  # type: ignore[override]
-        """Ones, (1, P)."""
-        return np.ones((1, self.kernel.n_outputs))
 
     @abstractmethod
     def of(self, data: Data, noise: Vector) -> SinglePosterior:

@@ -42,7 +42,7 @@ from jsbsim_flight import (
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import flight_regressors
-from skdgp.inference import AveragePosterior, PosteriorWithErrors
+from skdgp.inference import Posterior
 from skdgp.metrics import (
     interval_coverage,
     negative_log_predictive_density,
@@ -169,8 +169,7 @@ def fitted(flights, rate, options):
 def with_mixture(model, mixture):
     """Return a model with other weights (K, P) of its components."""
     posterior = model.posterior_
-    average = AveragePosterior(posterior.members, mixture)
-    return with_posterior(model, PosteriorWithErrors(average, posterior.errors))
+    return with_posterior(model, Posterior(posterior.members, mixture, posterior.errors))
 
 
 def with_posterior(model, posterior):
@@ -182,7 +181,7 @@ def with_posterior(model, posterior):
 
 def without_errors(model):
     """Yield the name of each source of error, and the model without it."""
-    posterior, errors = model.posterior_.posterior, model.posterior_.errors
+    posterior = model.posterior_
     d = model.n_features_in_
     sources = {
         "attenuation": slice(0, d),
@@ -191,9 +190,9 @@ def without_errors(model):
         "errors of the function": slice(None),
     }
     for source, place in sources.items():
-        weights = errors.weights.copy()
+        weights = posterior.errors.weights.copy()
         weights[place] = 0.0
-        others = PosteriorWithErrors(posterior, errors._replace(weights=weights))
+        others = posterior.with_errors(posterior.errors._replace(weights=weights))
         yield f"without {source}", with_posterior(model, others)
 
 

@@ -22,7 +22,7 @@ from sklearn.preprocessing import (
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import as_aerodynamics
 from skdgp.export import export_model, portable_model
-from skdgp.inference import AveragePosterior, ExactPosterior, SparsePosterior
+from skdgp.inference import ExactPosterior, Posterior, SparsePosterior
 from skdgp.preprocessing import RegressorSelector
 
 
@@ -60,7 +60,7 @@ def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
 def test_parts_of_weight_zero_have_no_functions(fitted):
     fit = fitted("average")
     pipeline = copy.deepcopy(fit.pipeline)
-    pipeline[-1].posterior_.posterior.mixture = np.repeat([[0.0], [1.0]], 6, axis=1)
+    pipeline[-1].posterior_.mixture = np.repeat([[0.0], [1.0]], 6, axis=1)
     model = portable_model(pipeline, fit.aircraft)
     assert [len(part.terms) for part in model.parts[:6]] == [0] * 6
 
@@ -106,7 +106,7 @@ def test_members_may_have_trends_about_different_points(fitted, read):
     moved = clone(trend).set_params(center=np.asarray(trend.center) + 0.7)
     other = ExactPosterior(moved + process, posterior.noise, posterior.data)
     weights = np.repeat([[0.4], [0.6]], 6, axis=1)
-    learned.posterior_ = AveragePosterior([posterior, other], weights)
+    learned.posterior_ = Posterior([posterior, other], weights)
     pipeline.steps = [*pipeline.steps[:-1], ("regressor", learned)]
     model = portable_model(pipeline, fitted("joint").aircraft)
     X = model.reference.regressors

@@ -9,9 +9,9 @@ from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import (
-    AveragePosterior,
     Data,
     ExactPosterior,
+    Posterior,
     SearchOptions,
     average,
     fit_exact,
@@ -65,7 +65,7 @@ def fit(request, data):
 @pytest.fixture(scope="module")
 def mixture(fit, data):
     """An average with weights that differ between outputs."""
-    return AveragePosterior(average(fit, *data).posterior.members, WEIGHTS)
+    return Posterior(average(fit, *data).posterior.members, WEIGHTS)
 
 
 class TestMixture:
@@ -94,7 +94,7 @@ class TestMixture:
     def test_of_equal_weights_for_all_outputs_is_one_mixture(self, mixture):
         """Then all outputs have the same member: the covariance is the weighted sum of whole ones, and of scatter."""
         w = np.array([0.2, 0.8])
-        same = AveragePosterior(mixture.members, np.repeat(w[:, None], P, axis=1))
+        same = Posterior(mixture.members, np.repeat(w[:, None], P, axis=1))
         means = np.array([member.predict(AT).T.ravel() for member in mixture.members])
         off = means - w @ means
         expected = np.einsum("k,ki,kj->ij", w, off, off)
@@ -165,7 +165,7 @@ class TestStacking:
 
 def predictions(fit, X, Y):
     """Return mean and variance of every value, predicted from other blocks."""
-    return held_out(fit.posterior, fit.learned.noise, X, Y)
+    return held_out(fit.posterior.members[0], fit.learned.noise, X, Y)
 
 
 def changed(Y, row, output):
@@ -191,7 +191,7 @@ class TestHeldOut:
         """Of every second row, where two neighbours had one error in common."""
         X, Y = data[0][:-1], data[1][:-1]
         fit = fit_of("exact", X, Y)
-        posterior, noise = fit.posterior, fit.learned.noise
+        posterior, noise = fit.posterior.members[0], fit.learned.noise
         correlated = ExactPosterior(posterior.kernel, 2 * noise, posterior.data)
         every_second = held_out(correlated, noise, X, Y, step=2)
         assert_allclose(every_second, held_out(posterior, noise, X[::2], Y[::2]), rtol=1e-9)

@@ -49,7 +49,9 @@ def test_residuals_show_the_drift_and_change_nothing_else(log):
             expected, rel=0.4
         )
     assert variance[1] * np.exp(-1.0 / memory[1]) < 0.05 * 0.3**2  # after a second
-    found, expected = (each.posterior_.posterior.predict(X[:9], True) for each in (model, other))
+    found, expected = (
+        each.posterior_.with_errors(None).predict(X[:9], True) for each in (model, other)
+    )
     assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
     assert_allclose(model.noise_variance_, other.noise_variance_, rtol=1e-6)
 

@@ -336,7 +336,7 @@ DAMAGED = [
        r"which holds \w+, but expected a fitted pipeline and its aircraft") for content in OTHERS),
     *((lambda data, content=content: content, f"{len(content)} bytes.*Expected a file that skdgp")
       for content in (b"", b"time,alpha\n0,1\n")),
-    (lambda data: closed(data, format=99), r"format 99.*reads format 14: fit it again"),
+    (lambda data: closed(data, format=99), r"format 99.*reads format 15: fit it again"),
     (lambda data: another_model(data, b"skdgp._regressor", b"skdgp._regresser"),
      r"written with skdgp .*cannot be read by skdgp .*No module"),
 ]  # fmt: skip

@@ -23,14 +23,14 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import interpolate, ndimage, optimize, signal
 from scipy.signal.windows import hann
 
 from skdgp._compute.messages import warn
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
-from skdgp._flight.clock import Clock, median_step, n_rows, uniform_grid
+from skdgp._flight.clock import Clock, uniform_grid
 from skdgp._flight.tables import check_number, has_values, numeric, unwrapped
 
 # Least samples of a segment that shows a spectrum (guess)
@@ -41,8 +41,8 @@ TOO_SHORT = (
     f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to tell "
     "noise from signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
 )
-LowPass: TypeAlias = Callable[[Matrix, float], Matrix]
-"""Filter of equidistant channels (n, k) of a rate [Hz]."""
+LowPass: TypeAlias = Callable[[Vector, float], Vector]
+"""Filter of an equidistant channel (n,) of a rate [Hz]."""
 
 
 def smooth(
@@ -79,12 +79,13 @@ def smooth(
         check_number("cutoff", cutoff, unit="Hz, or 'auto', or None")
     out = np.full(columns.shape, np.nan)
     is_short = False
-    for group in _channel_groups(columns, clock):
-        is_short |= max(group.lengths) < LEAST_SAMPLES
-        filter_of_group = _filter_of(group, cutoff, shrinks[group.channels])
-        for run in group.runs:
-            place = np.ix_(group.rows[run], group.channels)
-            out[place] = _filtered(group.columns[run], group.time[run], filter_of_group, derivative)
+    for number, column in enumerate(columns.T):
+        for runs in _sampled_runs(column, clock):
+            is_short |= max(map(len, runs)) < LEAST_SAMPLES
+            smoother = _filter_of(column, clock.time, runs, cutoff, shrinks[number])
+            for rows in runs:
+                time_of_run = clock.time[rows]
+                out[rows, number] = _filtered(column[rows], time_of_run, smoother, derivative)
     if is_short and cutoff == "auto" and not is_quiet:
         warn(TOO_SHORT)
     return out.reshape(np.shape(values))
@@ -98,21 +99,22 @@ def differentiate(values: ArrayLike, time: ArrayLike, **options: Any) -> np.ndar
     return smooth(values, time, derivative=True, **options)
 
 
-def _spectra(table: pd.DataFrame, names: Sequence[str]) -> Iterator[tuple[Indices, Spectrum]]:
-    """Yield the channels that were sampled at the same rows, and their spectrum, of each flight that shows one."""
+def _spectra(table: pd.DataFrame, names: Sequence[str]) -> Iterator[tuple[int, Spectrum]]:
+    """Yield the number of a channel and its spectrum in each flight that shows one."""
     time = numeric(table, ["time"])[:, 0]
-    values = unwrapped(table, names)
-    for group in _channel_groups(*_checked(values, time, table.get("flight"))):
-        spectrum = _flight_spectrum(group)
-        if spectrum is not None:
-            yield group.channels, spectrum
+    columns, clock = _checked(unwrapped(table, names), time, table.get("flight"))
+    for number, column in enumerate(columns.T):
+        for runs in _sampled_runs(column, clock):
+            spectrum = _spectrum(column, clock.time, runs)
+            if spectrum is not None:
+                yield number, spectrum
 
 
 def noise_level(table: pd.DataFrame, names: Sequence[str]) -> Vector:
     """Return the standard deviation of the white noise of a flight's channels, (k,); NaN if it is too short."""
     std = np.full(len(names), np.nan)
-    for channels, spectrum in _spectra(table, names):
-        std[channels] = np.sqrt(noise_power(spectrum) * spectrum.frequency[-1])
+    for number, spectrum in _spectra(table, names):
+        std[number] = np.sqrt(noise_power(spectrum) * spectrum.frequency[-1])
     return std
 
 
@@ -128,53 +130,29 @@ def _checked(values: Any, time: ArrayLike, flight: ArrayLike | None) -> tuple[Ma
     return columns, Clock.of(time, flight)
 
 
-class ChannelGroup(NamedTuple):
-    """Channels of a flight that were sampled at the same rows, beside those of the other flights."""
-
-    # of the table, of all flights
-    rows: Indices
-    channels: Indices
-    # (n_rows, n_channels) and (n_rows,)
-    columns: Matrix
-    time: Vector
-    # runs without gaps of this flight, among the rows
-    runs: list[slice]
-
-    @property
-    def lengths(self) -> list[int]:
-        """Number of rows of each run."""
-        return [n_rows(run) for run in self.runs]
+def _sampled_runs(column: Vector, clock: Clock) -> Iterator[list[Indices]]:
+    """Yield, for each flight, the rows of the runs without gaps in which a channel was sampled."""
+    rows = np.flatnonzero(np.isfinite(column))
+    for runs in clock.part(rows).segments_by_flight:
+        yield [rows[run] for run in runs]
 
 
-def _channel_groups(columns: Matrix, clock: Clock) -> Iterator[ChannelGroup]:
-    """Yield each flight of each group of channels that were sampled at the same rows."""
-    masks, group = np.unique(np.isfinite(columns), axis=1, return_inverse=True)
-    for number, sampled in enumerate(masks.T):
-        if sampled.any():
-            rows = np.flatnonzero(sampled)
-            channels = np.flatnonzero(group.ravel() == number)
-            together = columns[np.ix_(rows, channels)]
-            its_clock = clock.part(rows)
-            for runs in its_clock.segments_by_flight:
-                yield ChannelGroup(rows, channels, together, its_clock.time, runs)
-
-
-def _filtered(columns: Matrix, time: Vector, smoother: LowPass | None, derivative: bool) -> Matrix:
+def _filtered(values: Vector, time: Vector, smoother: LowPass | None, derivative: bool) -> Vector:
     """Return one run without gaps filtered on a uniform grid: its values, or slopes, at the run's times."""
     if len(time) == 1:
-        return np.full_like(columns, np.nan) if derivative else columns
+        return np.full_like(values, np.nan) if derivative else values
     grid, is_jittered = uniform_grid(time)
     at = time if is_jittered else grid
     knots = at
     if smoother is not None:
         knots = grid
         if is_jittered:
-            columns = interpolate.CubicSpline(time, columns)(grid)
+            values = interpolate.CubicSpline(time, values)(grid)
         rate = (len(grid) - 1) / np.ptp(grid)
-        columns = smoother(columns, rate)
+        values = smoother(values, rate)
     if knots is at and not derivative:
-        return columns
-    return interpolate.CubicSpline(knots, columns)(at, int(derivative))
+        return values
+    return interpolate.CubicSpline(knots, values)(at, int(derivative))
 
 
 def low_pass(columns: Array, rate: float, cutoff: float, *, order: int = 2) -> Array:
@@ -194,85 +172,89 @@ def low_pass(columns: Array, rate: float, cutoff: float, *, order: int = 2) -> A
 
 
 def _filter_of(
-    group: ChannelGroup,
+    column: Vector,
+    time: Vector,
+    runs: list[Indices],
     cutoff: float | str | LowPass | None,
-    shrinks: NDArray[np.bool_],
+    shrinks: bool,
 ) -> LowPass | None:
-    """Return the filter of a flight's channels; None without a cutoff, or where no run is long enough."""
+    """Return the filter of a channel in a flight; None without a cutoff, or where no run is long enough."""
     if cutoff is None or callable(cutoff):
         return cutoff
     if not isinstance(cutoff, str):
         return partial(low_pass, cutoff=cutoff)
-    spectrum = _flight_spectrum(group)
+    spectrum = _spectrum(column, time, runs)
     if spectrum is None:
         return None
-    response = impulse_response(_separate_gain(spectrum, shrinks))
-    return lambda values, rate: convolve(values, response)
+    gain = _wiener_gain(spectrum)
+    if not shrinks:
+        gain = np.where(_is_beyond(gain), gain, 1.0)
+    response = _impulse_response(gain)
+    return lambda values, rate: _convolved(values, response)
 
 
 class Spectrum(NamedTuple):
-    """Welch's estimate over the segments of a flight."""
+    """Welch's estimate of a channel over the runs of a flight."""
 
-    # (m,) [Hz]
-    frequency: np.ndarray
-    # (m, k) of each channel
-    channel_power: Matrix
-    # independent periodograms in it
-    averages: float
-    # (k,) white power that rounding makes
-    rounding: np.ndarray
+    frequency: Vector  # (m,) [Hz]
+    power: Vector  # (m,)
+    averages: float  # independent periodograms in it
+    rounding: float  # white power that rounding makes
 
 
-def _flight_spectrum(group: ChannelGroup) -> Spectrum | None:
-    """Return the spectrum of a flight's channels; None where no run is long enough.
+def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | None:
+    """Return the spectrum of a channel in a flight; None where no run is long enough (Welch 1967).
 
-    Samples are counted, not timed: interpolation between jittered ones would colour white noise.
+    Samples are counted, not timed: interpolation between jittered ones would colour white noise. Windows by Hann
+    overlap by half and lose their trends; they are counted from either end of a run, so that no sample is left over.
     """
-    longest = max(group.lengths)
+    longest = max(map(len, runs))
     if longest < LEAST_SAMPLES:
         return None
-    step = median_step(group.time, group.runs)
+    step = float(np.median(np.concatenate([np.diff(time[rows]) for rows in runs])))
     # windows of 6.4 s, and 64 rows (guesses)
     half = int(min(max(6.4 / step, 64), longest // 4)) // 2
-    runs = [group.columns[run] for run in group.runs]
-    frequency, power, n_windows = power_spectra(runs, step, 2 * half)
-    largest = np.abs(group.columns[np.r_[tuple(group.runs)]]).max(axis=0)
+    total: Any = 0.0
+    n_windows = 0
+    for rows in runs:
+        n = len(rows) // half - 1
+        if n < 1:
+            continue
+        for part in (column[rows], column[rows[len(rows) % half :]]):
+            frequency, power = signal.welch(
+                part, 1.0 / step, hann(2 * half), nperseg=2 * half, detrend="linear"
+            )
+            total = total + n * power
+            n_windows += n
+    largest = np.abs(column[np.concatenate(runs)]).max()
     return Spectrum(
         frequency=frequency,
-        channel_power=power,
+        power=total / n_windows,
         # each sample is in four windows
         averages=0.375 * n_windows,
         rounding=2 * step * (1e-9 * largest) ** 2,
     )
 
 
-def noise_power(spectrum: Spectrum) -> Vector:
-    """Return the white noise power of each channel, (k,)."""
-    floor = np.zeros(len(spectrum.rounding))
-    for channel, power in enumerate(spectrum.channel_power.T):
-        floor[channel] = _noise_floor(spectrum.frequency, power, spectrum.averages)
-    return np.where(floor > spectrum.rounding, floor, 0.0)
-
-
-def _noise_floor(frequency: Vector, power: Vector, averages: float) -> float:
-    """Return the flat part of the upper half of a spectrum, without the falling part.
+def noise_power(spectrum: Spectrum) -> float:
+    """Return the white noise power: the flat part of the upper half of a spectrum, without the falling part.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
     sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative weights; the
     constant stands only if Whittle's log likelihood without it is lower by more than 2.
     """
-    top = slice(len(power) // 2, -1)
-    observed = power[top]
-    if not observed.min() > 1e-24 * power.max():
+    top = slice(len(spectrum.power) // 2, -1)
+    observed = spectrum.power[top]
+    if not observed.min() > 1e-24 * spectrum.power.max():
         return 0.0
-    angle = 0.5 * np.pi * frequency[top] / frequency[-1]
+    angle = 0.5 * np.pi * spectrum.frequency[top] / spectrum.frequency[-1]
     fall = np.sin(angle) ** -2
     shapes = np.column_stack([fall**k for k in (0, 1, 2, 4, 8)])
     shapes /= shapes.max(axis=0)
     weights, misfit = _fit_weights(shapes, observed)
     _, misfit_without = _fit_weights(shapes[:, 1:], observed)
-    gain = averages * (misfit_without - misfit)
-    return weights[0] if gain > 2 else 0.0
+    gain = spectrum.averages * (misfit_without - misfit)
+    return weights[0] if gain > 2 and weights[0] > spectrum.rounding else 0.0
 
 
 def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
@@ -286,74 +268,44 @@ def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:
     return weights, misfit
 
 
-def _separate_gain(spectrum: Spectrum, shrinks: NDArray[np.bool_]) -> Matrix:
-    """Return the smoother of each channel alone, (m, k), for channels that do not shrink as for a target."""
-    gain = _wiener_gain(spectrum, noise_power(spectrum))
-    return np.where(shrinks | _is_beyond(gain), gain, 1.0)
-
-
-def _wiener_gain(spectrum: Spectrum, floor: Vector) -> Matrix:
-    """Return Wiener's smoother of each channel alone, (m, k)."""
-    log_power = np.log(spectrum.channel_power + TINY)
+def _wiener_gain(spectrum: Spectrum) -> Vector:
+    """Return Wiener's smoother of a channel, (m,)."""
+    floor = noise_power(spectrum)
+    if floor == 0:
+        return np.ones_like(spectrum.power)
     # fewer periodograms than 20 are also averaged over neighbouring frequencies (guess)
     width = max(1.0, 20 / spectrum.averages)
-    smoothed = ndimage.gaussian_filter1d(log_power, width, axis=0, mode="nearest")
-    steady = np.exp(smoothed)
+    smoothed = ndimage.gaussian_filter1d(np.log(spectrum.power + TINY), width, mode="nearest")
     # h = max(0, 1 - N / P)
-    gain = np.clip(1 - floor / steady, 0, 1)
-    gain[:, floor == 0] = 1.0
+    gain = np.clip(1 - floor / np.exp(smoothed), 0, 1)
     # the mean of a channel is signal
     gain[0] = 1.0
     # that does not rise beyond the last frequency at which it is 1/2
     is_beyond = _is_beyond(gain)
-    least = np.minimum.accumulate(np.where(is_beyond, gain, 0.5), axis=0)
+    least = np.minimum.accumulate(np.where(is_beyond, gain, 0.5))
     return np.where(is_beyond, least, gain)
 
 
-def _is_beyond(gain: Matrix) -> NDArray[np.bool_]:
-    """Return whether a frequency lies beyond the last at which gains (m, k) are 1/2, signal as strong as noise."""
-    is_strong = gain >= 0.5
-    last = len(gain) - 1 - np.argmax(is_strong[::-1], axis=0)
-    return np.arange(len(gain))[:, None] > last
+def _is_beyond(gain: Vector) -> Mask:
+    """Return whether a frequency lies beyond the last at which the gain (m,) is 1/2, signal as strong as noise."""
+    last = np.flatnonzero(gain >= 0.5)[-1]
+    return np.arange(len(gain)) > last
 
 
-def impulse_response(gain: Array) -> Array:
-    """Return impulse responses of gains, (2 m - 3, ...), Hann-tapered; constants pass unchanged."""
+def _impulse_response(gain: Vector) -> Vector:
+    """Return the impulse response of a gain, (2 m - 3,), Hann-tapered; a constant passes unchanged."""
     size = 2 * (len(gain) - 1)
-    taper = signal.windows.hann(size + 1)[1:-1]
-    taper = taper.reshape(-1, *[1] * (gain.ndim - 1))
-    centred = np.fft.fftshift(np.fft.irfft(gain, size, axis=0), axes=0)
+    taper = hann(size + 1)[1:-1]
+    centred = np.fft.fftshift(np.fft.irfft(gain, size))
     response = centred[1:] * taper
-    lacking = gain[0].real - response.sum(axis=0)
+    lacking = gain[0] - response.sum()
     return response + lacking * taper / taper.sum()
 
 
-def convolve(columns: Matrix, response: Matrix) -> Matrix:
-    """Return columns (n, k), continued oddly beyond their ends, filtered by responses (l, k)."""
-    half = len(response) // 2
-    padded = np.pad(columns, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    return signal.oaconvolve(padded, response, mode="valid", axes=0)
-
-
-def power_spectra(runs: Sequence[Matrix], step: float, size: int) -> tuple[Vector, Matrix, int]:
-    """Return frequencies [Hz] (m,), one-sided powers (m, k) of channels, and the number of their windows (Welch 1967).
-
-    Runs (n, k) at even steps [s] that are shorter than a window are left out. Windows by Hann overlap by half and
-    lose their trends; they are counted from either end of a run, so that no sample is left over.
-    """
-    options: Any = {"fs": 1.0 / step, "window": hann(size), "nperseg": size, "axis": 0}
-    options["detrend"] = "linear"
-    total: Any = 0.0
-    n_windows = 0
-    for run in runs:
-        n_left_over = (len(run) - size) % (size - size // 2)
-        for part in (run, run[n_left_over:]):
-            if len(part) >= size:
-                n = 1 + (len(part) - size) // (size - size // 2)
-                frequency, power = signal.welch(part, **options)
-                total = total + n * power
-                n_windows += n
-    return frequency, total / n_windows, n_windows
+def _convolved(values: Vector, response: Vector) -> Vector:
+    """Return values (n,), continued oddly beyond their ends, filtered by a response (l,)."""
+    padded = np.pad(values, len(response) // 2, mode="reflect", reflect_type="odd")
+    return signal.oaconvolve(padded, response, mode="valid")
 
 
 # Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second
@@ -384,10 +336,9 @@ def motion_band_of(table: pd.DataFrame) -> float:
         names = [name for name in group if name in table]
         of_group = []
         for _, spectrum in _spectra(table, names):
-            is_moving = spectrum.channel_power.sum(axis=0) > spectrum.rounding
-            sums = np.cumsum(spectrum.channel_power[:, is_moving], axis=0)
-            places = np.argmax(sums >= 0.98 * sums[-1], axis=0)
-            of_group += spectrum.frequency[places].tolist()
+            sums = np.cumsum(spectrum.power)
+            if sums[-1] > spectrum.rounding:
+                of_group.append(float(spectrum.frequency[sums >= 0.98 * sums[-1]][0]))
         bands.append(max(of_group, default=np.inf))
     return min(bands)
 
@@ -400,11 +351,11 @@ def vibrates_beyond(table: pd.DataFrame, band: float) -> bool:
     16 flights with vibration.
     """
     beyond, within = np.zeros((2, len(SPECIFIC_FORCE)))
-    for channels, spectrum in _spectra(table, SPECIFIC_FORCE):
-        weighted = spectrum.averages * spectrum.channel_power
+    for number, spectrum in _spectra(table, SPECIFIC_FORCE):
+        weighted = spectrum.averages * spectrum.power
         is_beyond = spectrum.frequency > band
-        beyond[channels] += weighted[is_beyond].sum(axis=0)
-        within[channels] += weighted[~is_beyond].sum(axis=0)
+        beyond[number] += weighted[is_beyond].sum()
+        within[number] += weighted[~is_beyond].sum()
     return bool(np.sum(beyond > within) >= 2)
 
 
@@ -421,8 +372,8 @@ def without_vibration(band: float) -> LowPass | str:
     if np.isinf(band):
         return "auto"
 
-    def filtered(columns: Matrix, rate: float) -> Matrix:
+    def filtered(values: Vector, rate: float) -> Vector:
         is_below = band < 0.49 * rate
-        return low_pass(columns, rate, band, order=8) if is_below else columns
+        return low_pass(values, rate, band, order=8) if is_below else values
 
     return filtered

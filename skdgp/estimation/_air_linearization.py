@@ -97,30 +97,18 @@ class Layout(NamedTuple):
     columns: Indices  # (d,) its term
     names: list[str]  # of the k parameters of a flight
     surfaces: list[str]
-    #: Whether slopes by the instruments follow those by the parameters; not where derivatives are held
-    by_instruments: bool = True
 
     @classmethod
     def of(
-        cls,
-        aircraft: Aircraft,
-        mean_thrust: float,
-        derivatives: list[str],
-        surfaces: list[str],
-        by_instruments: bool = True,
+        cls, aircraft: Aircraft, mean_thrust: float, derivatives: list[str], surfaces: list[str]
     ) -> Layout:
         """Return the layout of derivatives by name, such as CZ_alpha, which come first of a flight's parameters."""
         terms = [*STATE_TERMS, *surfaces]
         pairs = [name.split("_", 1) for name in derivatives]
-        return cls(
-            aircraft=aircraft,
-            mean_thrust=mean_thrust,
-            rows=np.array([COEFFICIENTS.index(coefficient) for coefficient, _ in pairs]),
-            columns=np.array([terms.index(term) for _, term in pairs]),
-            names=[*derivatives, *CONSTANTS],
-            surfaces=surfaces,
-            by_instruments=by_instruments,
-        )
+        rows = np.array([COEFFICIENTS.index(coefficient) for coefficient, _ in pairs])
+        columns = np.array([terms.index(term) for _, term in pairs])
+        names = [*derivatives, *CONSTANTS]
+        return cls(aircraft, mean_thrust, rows, columns, names, surfaces)
 
     def model(self, value: Mapping[str, Any]) -> AirMotionModel:
         """Return the equations of motion at parameters by name."""
@@ -150,15 +138,12 @@ class Layout(NamedTuple):
         return np.isin(self.columns, [STATE_TERMS.index(name) for name in terms])
 
     def by_terms(self, by_coefficients: Array, terms: Matrix) -> Array:
-        """Return d h / d derivatives and instruments (n, m, d or 2 d), from d h / d coefficients (n, m, 6).
+        """Return d h / d derivatives and instruments (n, m, 2 d), from d h / d coefficients (n, m, 6).
 
-        ``terms`` (n, f or 2 f) are of the derivatives and, behind these, of the instruments.
+        ``terms`` (n, 2 f) are of the derivatives and, behind these, of the instruments.
         """
-        rows, columns = self.rows, self.columns
-        if self.by_instruments:
-            rows = np.tile(rows, 2)
-            columns = np.concatenate([columns, columns + terms.shape[1] // 2])
-        return by_coefficients[:, :, rows] * terms[:, None, columns]
+        columns = np.concatenate([self.columns, self.columns + terms.shape[1] // 2])
+        return by_coefficients[:, :, np.tile(self.rows, 2)] * terms[:, None, columns]
 
 
 def air_velocity(record: Record, value: Mapping[str, Any], states: Matrix) -> Matrix:
@@ -359,7 +344,7 @@ class Expansion:
 
     @cached_property
     def terms(self) -> list[Matrix]:
-        """The terms of the coefficients (n - 1, f or 2 f) in each step, after it, and after it along the path.
+        """The terms of the coefficients (n - 1, 2 f) in each step, after it, and after it along the path.
 
         Behind the terms of the derivatives stand those of the instruments.
         """
@@ -367,28 +352,31 @@ class Expansion:
         inputs = (self.inputs.part(slice(-1)), self.end_inputs, self.end_inputs)
         start, end, along = map(self._terms_at, instants, inputs)
         # terms within a step are the mean of the terms at its ends
-        terms = [0.5 * (start + end), end, along]
-        if self.layout.by_instruments:
-            caused = self.instrument_terms(self.record.answers)
-            of_instruments = [means_of_neighbours(caused), caused[1:], caused[1:]]
-            terms = [np.hstack(pair) for pair in zip(terms, of_instruments, strict=True)]
-        return terms
+        caused = self.instrument_terms(self.record.answers)
+        return [
+            np.hstack([0.5 * (start + end), means_of_neighbours(caused)]),
+            np.hstack([end, caused[1:]]),
+            np.hstack([along, caused[1:]]),
+        ]
 
     def _terms_at(self, variables: Matrix, inputs: Inputs) -> Matrix:
         """Return the terms of the coefficients (n - 1, f) at variables (n - 1, 13)."""
         air = air_data(variables[:, AIR_VELOCITY])
         return self.model.terms(air, relative_rates(variables), inputs)
 
-    def instrument_terms(self, answers: Matrix | None) -> Matrix:
+    def instrument_terms(self, answers: Matrix) -> Matrix:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
         It contains no gusts, nor an autopilot's ``answers`` (n, k + 1) to these. The motion is damped to a
         correlation time of the `response_time`, as the motion of an unstable aircraft would grow.
         """
-        commanded = self._commanded(answers)
-        surfaces = commanded.surfaces
-        delay = SETTINGS.response_delay
-        late = np.concatenate([surfaces[:1]] * delay + [surfaces[: len(surfaces) - delay]])
+        # without an autopilot's answers to gusts
+        answered = servo_output(answers[:, :-1], self.value["servo_lag"], self.record.median_step)
+        surfaces = self.inputs.surfaces - answered
+        thrust = self.inputs.thrust.copy()
+        thrust[:, 0] -= answers[:, -1]
+        # a command follows the noise of the same sample
+        late = np.concatenate([surfaces[:1], surfaces[:-1]])
         A = self.by_start[:, :, MOTION]
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
         damping = np.exp(-self.record.median_step / SETTINGS.response_time)
@@ -399,17 +387,8 @@ class Expansion:
         motion = propagated(A, push)[..., 0]
         motion[:, AIR_VELOCITY] += self.start[:, AIR_VELOCITY].mean(axis=0)
         air = air_data(motion[:, AIR_VELOCITY])
-        return self.model.terms(air, motion[:, BODY_RATES], commanded._replace(surfaces=late))
-
-    def _commanded(self, answers: Matrix | None) -> Inputs:
-        """Return surfaces and thrust without an autopilot's answers to gusts."""
-        inputs = self.inputs
-        if answers is None:
-            return inputs
-        late = servo_output(answers[:, :-1], self.value["servo_lag"], self.record.median_step)
-        thrust = inputs.thrust.copy()
-        thrust[:, 0] -= answers[:, -1]
-        return inputs._replace(surfaces=inputs.surfaces - late, thrust=thrust)
+        inputs = self.inputs._replace(surfaces=late, thrust=thrust)
+        return self.model.terms(air, motion[:, BODY_RATES], inputs)
 
     def _added_noise(self) -> Array:
         """Return the covariance (n - 1, m, m) of vibration, and huge variances where a sensor is not sampled."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -285,36 +284,36 @@ def estimate_air_motion(
     check_radians(table, (*EULER, *RATES, *VANES))
     table = with_sensor_position(table, aircraft)
     table = _with_elevator_and_aileron(with_own_clocks(table))
-    priors = _wide_priors(table) if known is None else _held_priors(known)
-    if thrust is None or not priors.has_drag or not _has_thrust(table, aircraft):
-        # the measured axial force takes the place of thrust and CX
+    surfaces, derivatives, constants = _priors(table, known)
+    has_drag = any(coefficient_of(name) == "CX" for name in derivatives)
+    if thrust is None or not has_drag or not _has_thrust(table, aircraft):
+        # the measured axial force takes the place of thrust and CX, and thrust has no error
         thrust = None
-        priors = priors.without_thrust()
+        derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
+        constants |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, ZERO_STD))
     if paths is None:
         paths = ground_paths(table)
-    every = _records(table, priors.surfaces, aircraft, thrust, paths)
-    if known is None:
-        records = _to_learn_from(every, settings)
-        mean_thrust = 0.0 if thrust is None else _mean_thrust(records, aircraft)
-    else:
-        _check_any(every, SETTINGS.fewest_known)
-        records = every
+    fewest = SETTINGS.fewest_samples if known is None else SETTINGS.fewest_known
+    records = _records(table, surfaces, aircraft, thrust, paths)
+    records = [record for record in records if len(record.rows) >= fewest]
+    if not records:
+        raise ValueError(
+            f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
+        )
+    if known is not None:
         mean_thrust = known.mean_thrust
+    else:
+        records = shortened(records, settings.most_samples)
+        mean_thrust = 0.0 if thrust is None else _mean_thrust(records, aircraft)
     n_flights = 1 + max(record.flight for record in records)
-    noises = _noises(records, known, n_flights)
-    layout = Layout.of(
-        aircraft,
-        mean_thrust,
-        list(priors.derivatives),
-        priors.surfaces,
-        by_instruments=known is None,
-    )
+    shared = derivatives | constants
+    n_held = 0 if known is None else len(shared)
     start = partial(
         AirFit,
         records,
-        layout,
-        priors.parameters(n_flights),
-        noises,
+        Layout.of(aircraft, mean_thrust, list(derivatives), surfaces),
+        Parameters.of(shared, FLIGHT_CONSTANTS, n_flights, n_held),
+        _noises(records, known, n_flights),
         settings,
     )
     return _searched(start, len(table))
@@ -342,47 +341,16 @@ def _searched(start: Callable[[], AirFit], n_rows: int) -> AirMotion:
     return motion
 
 
-class _Priors(NamedTuple):
-    """Mean and standard deviation of derivatives and constants of an aircraft, before its flights."""
-
-    surfaces: list[str]
-    derivatives: Prior
-    constants: Prior
-    #: Whether the means are known, from other flights
-    is_held: bool
-
-    @property
-    def has_drag(self) -> bool:
-        """Whether there are derivatives of CX, which an aircraft of unknown thrust lacks."""
-        return "CX" in map(coefficient_of, self.derivatives)
-
-    def without_thrust(self) -> _Priors:
-        """Return the priors without derivatives of the axial force or by thrust, and no error of thrust."""
-        derivatives = {k: v for k, v in self.derivatives.items() if not _needs_thrust(k)}
-        zero = dict.fromkeys(("thrust_scale", "slipstream"), (0.0, ZERO_STD))
-        return self._replace(derivatives=derivatives, constants={**self.constants, **zero})
-
-    def parameters(self, n_flights: int) -> Parameters:
-        """Return the parameters of a number of flights."""
-        shared = {**self.derivatives, **self.constants}
-        n_held = len(shared) if self.is_held else 0
-        return Parameters.of(shared, FLIGHT_CONSTANTS, n_flights, n_held)
-
-
-def _wide_priors(table: pd.DataFrame) -> _Priors:
-    """Return priors of an aircraft of which nothing is known."""
+def _priors(table: pd.DataFrame, known: AirMotion | None) -> tuple[list[str], Prior, Prior]:
+    """Return surfaces, and mean and standard deviation of derivatives and constants before the flights."""
+    if known is not None:
+        constants = _as_prior(known.constants.loc[list(AIRCRAFT_CONSTANTS)])
+        return known.surfaces, _as_prior(known.derivatives), constants
     surfaces = moving(table, SURFACES)
-    derivatives = derivatives_of(ALL_TERMS, surfaces)
     constants = dict(AIRCRAFT_CONSTANTS)
     if np.isfinite(sensor_position(table)).all():
         constants |= KNOWN_ARM
-    return _Priors(surfaces, derivatives, constants, is_held=False)
-
-
-def _held_priors(known: AirMotion) -> _Priors:
-    """Return what is known of an aircraft from other flights."""
-    constants = _as_prior(known.constants.loc[list(AIRCRAFT_CONSTANTS)])
-    return _Priors(known.surfaces, _as_prior(known.derivatives), constants, is_held=True)
+    return surfaces, derivatives_of(ALL_TERMS, surfaces), constants
 
 
 def _records(
@@ -412,21 +380,6 @@ def _mean_thrust(records: list[Record], aircraft: Aircraft) -> float:
     return float(np.sum(thrust) / load) if load > 0 else 0.0
 
 
-def _to_learn_from(records: list[Record], settings: AirSettings) -> list[Record]:
-    """Return the records that are long enough, the first parts of many samples."""
-    long = [record for record in records if len(record.rows) >= SETTINGS.fewest_samples]
-    _check_any(long, SETTINGS.fewest_samples)
-    return shortened(long, settings.most_samples)
-
-
-def _check_any(records: list[Record], fewest: int) -> None:
-    """Raise ValueError without a record of at least so many samples."""
-    if not records:
-        raise ValueError(
-            f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
-        )
-
-
 def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
     """Return the table with elevator and aileron of its elevons, as ``ElevonSplitter`` has them."""
     if not {*ELEVONS} <= {*table}:
@@ -448,8 +401,7 @@ def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:
 
 def _as_prior(estimates: pd.DataFrame) -> Prior:
     """Return value and standard deviation of estimates by name."""
-    pairs = zip(estimates["value"], estimates["std"], strict=True)
-    return dict(zip(estimates.index, pairs, strict=True))
+    return {row.Index: (row.value, row.std) for row in estimates.itertuples()}
 
 
 def _noises(records: list[Record], known: AirMotion | None, n_flights: int) -> Parameters:

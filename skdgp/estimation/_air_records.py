@@ -49,8 +49,7 @@ class Record(NamedTuple):
     inputs: Inputs  # as logged
     periods: Vector  # (k,) of the samples of the surfaces, zero of the record's own clock [s]
     vibration: Matrix  # (6, 6) covariance of what all inertial sensors share and is no motion [SI]
-    # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
-    answers: Matrix | None = None
+    answers: Matrix  # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
@@ -63,7 +62,7 @@ class Record(NamedTuple):
             force=self.force[rows],
             surface_errors=self.surface_errors[rows],
             inputs=self.inputs.part(rows),
-            answers=None,
+            answers=self.answers[rows],
         )
 
     def with_axial_force(self, mass: float) -> Record:
@@ -207,6 +206,7 @@ def _whole_flight(
         inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
         periods=periods,
         vibration=vibration,
+        answers=np.zeros((len(inputs), n_surfaces + 1)),
     )
 
 

@@ -59,7 +59,7 @@ MEAN_WIND = dict.fromkeys(("wind_north", "wind_east"), WIND_STD)
 PATH_CONSTANTS = INERTIAL_BIASES | LAGS | MEAN_WIND
 """Prior standard deviations of all constants of a path; prior means are zero."""
 
-Prior = Mapping[str, tuple[float, float]]
+Prior = dict[str, tuple[float, float]]
 """Mean and standard deviation by name; of noises the median, and that of the logarithm."""
 
 AIR_SENSOR_ERRORS: Prior = {

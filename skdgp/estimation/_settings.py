@@ -164,8 +164,6 @@ class FilterSettings:
 
     # correlation time of the motion that surfaces cause [s]
     response_time: float = 4.0
-    # delay of this motion in samples: a command follows the noise of the same sample
-    response_delay: int = 1
     # longest delay of the surfaces' answers to gusts [s]
     answer_time: float = 8.0
     # bins of these delays, wider the longer

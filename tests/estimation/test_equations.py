@@ -88,6 +88,7 @@ def flight_of_sines(n=30):
         inputs,
         np.zeros(3),
         np.zeros((6, 6)),
+        np.zeros((n, 4)),
     )
     by_thrust = {"Cm": (*TERMS["Cm"], "thrust"), "Cn": (*TERMS["Cn"], "thrust")}
     derivatives = derivatives_of(TERMS | by_thrust, SURFACES)

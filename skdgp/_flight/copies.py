@@ -11,7 +11,7 @@ from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import median_step
 from skdgp._flight.findings import Code
 from skdgp._flight.frames import wrapped
-from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
+from skdgp._flight.tables import FlightTable, has_values, interpolated, numeric, unwrapped
 
 # fraction of equal rows above which a flight is a copy, and decimals to which they are equal
 COPIED = 0.5
@@ -33,37 +33,29 @@ def without_copies(
     They have most of their rows in common, or the attitude at the same times. Of training flights the longer
     one stays; if all test flights are copies, they stay.
     """
-    longest_first = sorted(train.items(), key=lambda item: -len(item[1].time))
-    flights = [*longest_first, *tests.items()]
-    motions = {id(flight): _motion(flight) for _, flight in flights}
     kept: dict[str, FlightTable] = {}
-    originals = []
-    for name, flight in flights:
-        originals.append(_original(flight, kept, motions))
-        if originals[-1] is None and len(originals) <= len(train):
-            kept[name] = flight
-    of_tests = zip(tests.items(), originals[len(train) :], strict=True)
-    others = {name: flight for (name, flight), other in of_tests if other is None}
-    kinds = [Code.FLIGHT_TWICE] * len(train)
-    kinds += [Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY] * len(tests)
     findings = []
-    for kind, (name, _), other in zip(kinds, flights, originals, strict=True):
+    for name, flight in sorted(train.items(), key=lambda item: -len(item[1].time)):
+        other = _original(flight, kept)
+        if other is None:
+            kept[name] = flight
+        else:
+            findings.append(Finding(Code.FLIGHT_TWICE, flight=name, other=other))
+    originals = {name: _original(flight, kept) for name, flight in tests.items()}
+    others = {name: tests[name] for name, other in originals.items() if other is None}
+    code = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
+    for name, other in originals.items():
         if other is not None:
-            findings.append(Finding(kind, flight=name, other=other))
+            findings.append(Finding(code, flight=name, other=other))
     return {name: train[name] for name in train if name in kept}, others or tests, findings
 
 
-def _original(
-    flight: FlightTable, others: dict[str, FlightTable], motions: dict[int, Array]
-) -> str | None:
-    """Return the name of the flight that a flight repeats, None if it repeats none.
-
-    ``motions`` are the rows of each flight, as of `_motion`, by its id.
-    """
-    motion = motions[id(flight)]
+def _original(flight: FlightTable, others: dict[str, FlightTable]) -> str | None:
+    """Return the name of the flight that a flight repeats, None if it repeats none."""
+    motion = _motion(flight)
     for name, other in others.items():
-        has_its_rows = np.isin(motion, motions[id(other)]).sum() > COPIED * len(motion)
-        if has_its_rows or _has_its_attitude(flight, other):
+        n_common = np.isin(motion, _motion(other)).sum()
+        if n_common > COPIED * len(motion) or _has_its_attitude(flight, other):
             return name
     return None
 
@@ -73,23 +65,20 @@ def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
     if not has_values(flight.table, *EULER) or not has_values(other.table, *EULER):
         return False
     is_inside = (flight.time >= other.time[0]) & (flight.time <= other.time[-1])
-    if is_inside.sum() <= COPIED * len(is_inside):
-        return False
-    angles = unwrapped(other.table, EULER)
-    own = unwrapped(flight.table, EULER)
     n_rows = max(1, round(1 / median_step(flight.time, flight.segments)))
-    if len(own) <= n_rows + 1:
+    if is_inside.mean() <= COPIED or len(is_inside) <= n_rows + 1:
         return False
+    own = unwrapped(flight.table, EULER)
+    angles = unwrapped(other.table, EULER)
+    largest = UNSHARED * _total_variance(own[n_rows:] - own[:-n_rows])
     for lag in LAGS:
         there = interpolated(flight.time - lag, other.time, angles, beyond=np.nan)
         apart = wrapped(own - there)
         unshared = apart[n_rows:] - apart[:-n_rows]
-        if not np.isfinite(unshared).all(axis=1).any():
-            continue
-        is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
-        fast = own[n_rows:] - own[:-n_rows]
-        if is_near and _total_variance(unshared) < UNSHARED * _total_variance(fast):
-            return True
+        if np.isfinite(unshared).all(axis=1).any():
+            is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
+            if is_near and _total_variance(unshared) < largest:
+                return True
     return False
 
 
@@ -100,7 +89,8 @@ def _total_variance(angles: Matrix) -> float:
 
 def _motion(flight: FlightTable) -> Array:
     """Return hash values of the different rows of rates and specific force, rounded below their noise."""
-    values = np.column_stack([flight.column(name) for name in (*RATES, *SPECIFIC_FORCE)])
+    names = [*RATES, *SPECIFIC_FORCE]
+    values = numeric(flight.table.reindex(columns=names), names)
     measured = values[np.isfinite(values).all(axis=1)]
     rounded = pd.DataFrame(np.round(measured, ROUNDED) + 0.0)  # no negative zeros
     return np.unique(pd.util.hash_pandas_object(rounded, index=False))

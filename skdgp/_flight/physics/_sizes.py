@@ -184,21 +184,25 @@ def question_of_sizes(
     for law in broken:
         numbers = {"value": law.value(sizes), "least": law.least, "most": law.most}
         laws.append(Finding(Code.BROKEN_LAW, channel=law.text, **numbers))
-    given = [name for name in UNITS if name in sizes and name not in estimated]
-    in_laws = {size for law in broken for size in _sizes_of(law, sizes)}
-    given = [name for name in given if in_laws & _following(name, estimated).keys()]
+    asked = []
     plausible = []
-    for name in given:
+    for name in UNITS:
+        if name not in sizes or name in estimated:
+            continue
+        # a factor of four has exact roots
+        other = _in_other_unit(sizes, name, 4.0, estimated)
+        if all(law.value(other) == law.value(sizes) for law in broken):
+            continue
+        asked.append((name, 1.0, ""))
         for unit, factor in UNITS[name].items():
             changed = _in_other_unit(sizes, name, factor, estimated)
             if not _broken(changed, relative):
                 plausible.append((_distance_from_usual(changed), name, factor, unit))
-    units = sorted(plausible)[:3]
-    named = {name for _, name, *_ in units}
-    units += [(0.0, name, 1.0, "") for name in given if name not in named]
-    asked = []
-    for _, name, factor, unit in units:
-        asked.append(
+    likely = [candidate for _, *candidate in sorted(plausible)[:3]]
+    named = {name for name, *_ in likely}
+    questions = []
+    for name, factor, unit in (*likely, *(item for item in asked if item[0] not in named)):
+        questions.append(
             Finding(
                 Code.ASKED_SIZE,
                 channel=name,
@@ -208,7 +212,7 @@ def question_of_sizes(
                 unit=unit,
             )
         )
-    return Finding(Code.SIZES_QUESTIONED, laws=laws, asked=asked)
+    return Finding(Code.SIZES_QUESTIONED, laws=laws, asked=questions)
 
 
 def _values(sizes: Sizes) -> Iterator[tuple[SizeLaw, float]]:
@@ -238,30 +242,17 @@ def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[SizeLaw]:
     return broken
 
 
-def _sizes_of(law: SizeLaw, sizes: Sizes) -> set[str]:
-    """Return the sizes that change the number of a law."""
-    ones = dict.fromkeys(sizes, 1.0)
-    return {name for name in sizes if law.value({**ones, name: 2.0}) != law.value(ones)}
-
-
-def _following(name: str, estimated: Collection[str]) -> dict[str, float]:
-    """Return the powers of a size in itself and in the numbers that follow from it."""
+def _in_other_unit(
+    sizes: Sizes, name: str, factor: float, estimated: Collection[str]
+) -> dict[str, float]:
+    """Return the sizes with one in another unit, and the numbers that follow from it."""
     powers = dict.fromkeys((name, *TOGETHER.get(name, ())), 1.0)
     for follower, power in ESTIMATES.get(name, {}).items():
         if follower in estimated:
             powers[follower] = power
     for quantity, factors in POWERS.items():
-        power = sum(of_size * powers.get(size, 0.0) for size, of_size in factors.items())
-        if power:
-            powers[quantity] = power
-    return powers
-
-
-def _in_other_unit(
-    sizes: Sizes, name: str, factor: float, estimated: Collection[str]
-) -> dict[str, float]:
-    """Return the sizes with one in another unit, and the numbers that follow from it."""
-    powers = _following(name, estimated)
+        of_sizes = [power * powers.get(size, 0.0) for size, power in factors.items()]
+        powers[quantity] = sum(of_sizes)
     return {size: value * factor ** powers.get(size, 0.0) for size, value in sizes.items()}
 
 

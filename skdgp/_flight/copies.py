@@ -70,14 +70,14 @@ def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
         return False
     own = unwrapped(flight.table, EULER)
     angles = unwrapped(other.table, EULER)
-    largest = UNSHARED * _total_variance(own[n_rows:] - own[:-n_rows])
+    fast = own[n_rows:] - own[:-n_rows]
     for lag in LAGS:
         there = interpolated(flight.time - lag, other.time, angles, beyond=np.nan)
         apart = wrapped(own - there)
         unshared = apart[n_rows:] - apart[:-n_rows]
         if np.isfinite(unshared).all(axis=1).any():
             is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
-            if is_near and _total_variance(unshared) < largest:
+            if is_near and _total_variance(unshared) < UNSHARED * _total_variance(fast):
                 return True
     return False
 

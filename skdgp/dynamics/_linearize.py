@@ -1,8 +1,7 @@
 """Linear models of the motion about a flight condition, with standard deviations.
 
-In the order of the computation: `jacobian` combines the slopes of mechanics and aerodynamic model;
-`_mechanics` are the equations of motion as one function of state, inputs and coefficients, whose
-slopes are differences; `_with_servos` puts the servos before the controls, and cuts A, B, C and D.
+In the order of the computation: `jacobian` has the slopes of the motion, on the tangent of the aerodynamic
+model; `_with_servos` puts the servos before the controls, and cuts A, B, C and D.
 
 A ``state`` (..., 13) is as of `STATE_NAMES`, with a quaternion; x (..., 12) are `LINEAR_STATES`, with Euler
 angles; u (..., k) the inputs, z = (x, u), and C (..., 6) the coefficients.
@@ -12,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import compress
 from typing import Any, NamedTuple, TypeAlias
 
@@ -260,53 +258,42 @@ def jacobian(
     The states are (..., 13), as of `Motion.at`, the inputs k of the controls, which are numbers.
     Where the aerodynamics are paths, these are the first axis of ``state``.
 
-    With :math:`z = (x, u)`, the motion is mechanics :math:`\dot x = F(z, C), y = H(z, C)` around a
-    model :math:`C = c(X)` of regressors :math:`X = G(z, C)`. These depend on C where they follow
-    from the loads (alpha_dot, ax, ...). So
+    The coefficients are on the tangent of the model, of slopes :math:`c_X`,
 
-    .. math:: C_z = (I - c_X G_C)^{-1} c_X G_z, \quad \dot x_z = F_z + F_C C_z, \quad
-        y_z = H_z + H_C C_z
+    .. math:: C = C_0 + c_X (X - X_0) + \delta.
 
-    with the slopes of the model :math:`c_X`. The slopes of F, G and H are differences, exact to
-    some 1e-10. Unsteady terms add coefficients by alpha_dot and beta_dot, to first order.
+    Regressors X that follow from the loads (alpha_dot, ax, ...) are the fixed point of the motion.
+    Slopes by :math:`z = (x, u)` and :math:`\delta` are differences. Unsteady terms are
+    :math:`\delta = K (M \text{rates} - S X)`, of the motion without them, to first order.
     """
     state = np.asarray(state, dtype=float)
     now = motion.at(state, controls)
-    (F_z, G_z, H_z), (F_C, G_C, H_C) = _slopes(motion, controls, inputs, state, now)
-    # Coefficients by z, with the regressors that follow from them
-    c_X = motion.aerodynamics.gradient(now.regressors)
-    loop = np.linalg.inv(np.eye(6) - c_X @ G_C)
-    C_z = loop @ c_X @ G_z
-    if unsteady is not None:
-        angle_rates = H_z[..., AIR_ANGLES, : len(LINEAR_STATES)] @ (F_z + F_C @ C_z)
-        K, S, M = unsteady
-        C_z = C_z + loop @ K @ (M * angle_rates - S @ G_z)
-    x_dot_z = F_z + F_C @ C_z
-    y_z = H_z + H_C @ C_z
-    return x_dot_z, y_z, now
+    slopes = np.swapaxes(motion.aerodynamics.gradient(now.regressors), -1, -2)
+    n_states, n = len(LINEAR_STATES), len(LINEAR_STATES) + len(inputs)
 
+    def tangent(X: Array) -> Array:
+        change = X - now.regressors[..., None, :]
+        return now.coefficients[..., None, :] + change @ slopes
 
-def _mechanics(motion: Motion, controls: Mapping, inputs: Sequence[str], zC: Array) -> Array:
-    """Return x_dot = F(z, C), X = G(z, C) and y = H(z, C) as one vector, of (x, u, C) (..., 12 + k + 6)."""
-    x, u, C = np.split(zC, [len(LINEAR_STATES), len(LINEAR_STATES) + len(inputs)], axis=-1)
-    now = motion.at(_with_quaternion(x), {**controls, **by_name(inputs, u)}, model=lambda X: C)
-    F = _x_dot(x, now)
-    air = np.stack([now.airspeed, now.alpha, now.beta], axis=-1)
-    specific_force = now.force / motion.aircraft.mass
-    return np.concatenate([F, now.regressors, air, specific_force], axis=-1)
+    def moved(z: Array) -> Array:
+        """Return x_dot, outputs and regressors as one vector (..., 12 + 6 + d) of (x, u, delta)."""
+        x, u, delta = np.split(z, [n_states, n], axis=-1)
+        at = {**controls, **by_name(inputs, u)}
+        then = motion.at(_with_quaternion(x), at, drift=delta, model=tangent)
+        air = np.stack([then.airspeed, then.alpha, then.beta], axis=-1)
+        specific_force = then.force / motion.aircraft.mass
+        return np.concatenate([_x_dot(x, then), air, specific_force, then.regressors], axis=-1)
 
-
-def _slopes(
-    motion: Motion, controls: Mapping, inputs: Sequence[str], state: Array, now: Instant
-) -> tuple[list[Array], list[Array]]:
-    """Return the slopes (F_z, G_z, H_z), (..., m, 12 + k), and (F_C, G_C, H_C), (..., m, 6), by differences."""
     u = np.broadcast_to([controls[name] for name in inputs], (*state.shape[:-1], len(inputs)))
-    zC = np.concatenate([_with_euler_angles(state), u, now.coefficients], axis=-1)
-    mechanics = partial(_mechanics, motion, controls, inputs)
-    slopes = central_difference(mechanics, zC, _steps(zC, now.airspeed))
-    by_z, by_C = np.split(slopes, [len(LINEAR_STATES) + len(inputs)], axis=-1)
-    ends = [len(LINEAR_STATES), len(LINEAR_STATES) + len(motion.regressors)]
-    return np.split(by_z, ends, axis=-2), np.split(by_C, ends, axis=-2)
+    z = np.concatenate([_with_euler_angles(state), u, np.zeros((*state.shape[:-1], 6))], axis=-1)
+    by_all = central_difference(moved, z, _steps(z, now.airspeed))
+    by_z, by_delta = np.split(by_all, [n], axis=-1)
+    x_dot_z, y_z, X_z = np.split(by_z, [n_states, n_states + len(OUTPUTS)], axis=-2)
+    if unsteady is not None:
+        K, S, M = unsteady
+        rates = y_z[..., AIR_ANGLES, :n_states] @ x_dot_z
+        by_z = by_z + by_delta @ K @ (M * rates - S @ X_z)
+    return by_z[..., :n_states, :], by_z[..., n_states : n_states + len(OUTPUTS), :], now
 
 
 def _with_euler_angles(state: Array) -> Array:

@@ -13,9 +13,9 @@ ax : Figure, SubFigure or False, optional
 """
 
 from skdgp.plotting._display import Display as Display
+from skdgp.plotting._display import display_unit as display_unit
+from skdgp.plotting._display import units_shown as units_shown
 from skdgp.plotting._effects import EffectsDisplay
-from skdgp.plotting._style import display_unit as display_unit
-from skdgp.plotting._style import units_shown as units_shown
 from skdgp.plotting._time_histories import TimeHistoryDisplay
 
 __all__ = [

@@ -13,8 +13,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.typing import Array
 from skdgp._flight.tables import check_names
-from skdgp.plotting._display import BAND, Display
-from skdgp.plotting._style import ROLES, axis_label, display_unit, symbol
+from skdgp.plotting._display import BAND, ROLES, Display, axis_label, display_unit, symbol
 
 # Points of a slice, and the quantiles of the regressor between which it lies
 POINTS = 30

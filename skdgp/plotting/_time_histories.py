@@ -13,8 +13,7 @@ from skdgp._compute.typing import ArrayLike, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, ELEVONS, EULER, SURFACES
 from skdgp._flight.tables import check_columns, interpolated, unwrapped
 from skdgp.dynamics import trajectory_bands
-from skdgp.plotting._display import BAND, Display, segments
-from skdgp.plotting._style import ROLES, axis_label, display_unit
+from skdgp.plotting._display import BAND, ROLES, Display, axis_label, display_unit, segments
 
 LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
 INPUTS = ("throttle", *SURFACES, *ELEVONS)

@@ -33,7 +33,6 @@ from jsbsim_flight import (
     evaluated_derivatives,
     exact_regressors,
     flight_of,
-    known_derivatives,
     learned_derivatives,
     sensed,
     true_values,
@@ -120,7 +119,7 @@ def prepared(name, air, data, _commit):
     asked = {}
     for where, flight in flown.items():
         asked[where] = rows_of(pipeline, flight, aircraft, loads, is_known=name not in REAL)
-    derivatives = None if name in REAL else derivatives_of(name, aircraft, flown)
+    derivatives = None if name in RECORDED else derivatives_of(name, aircraft, flown)
     X = np.asarray(pipeline[:-1].transform(log))
     errors = pipeline._facts(pipeline[:1].transform(log), X, Y)["errors"]
     return Prepared(pipeline, X, Y, clock, pipeline.seconds_, asked, derivatives, errors)
@@ -145,11 +144,7 @@ def derivatives_of(name, aircraft, flown):
     """Return the known derivatives at the mean of the first flight."""
     flight = next(iter(flown.values()))
     at = exact_regressors(flight, aircraft).mean(axis=0)
-    known = (
-        known_derivatives([flight], aircraft, at)
-        if name in RECORDED
-        else evaluated_derivatives(name, flight, aircraft, at)
-    )
+    known = evaluated_derivatives(name, flight, aircraft, at)
     airspeed = flight["airspeed_true"].mean()
     return {"aircraft": aircraft, "at": at, "airspeed": airspeed, "known": known}
 

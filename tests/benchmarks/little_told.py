@@ -1,27 +1,23 @@
 """Derivatives of aircraft of which less and less is told: are the true ones inside the bands?
 
-    python tests/benchmarks/little_told.py ../shared/data [--out OUT]
+    python tests/benchmarks/little_told.py [--out OUT]
 
-`identify` learns the flights of five aircraft, and in turn one thing is withheld: inertia and area
-(`Aircraft.estimate` of mass, span and kind) or the thrust. One is of the shared data; four of
-JSBSim, of three kinds, fly as in freeflight_air.py, 200 s in light gusts. Derivatives at the mean
-of the flight, over the perturbations that were flown, are compared with the true ones: those of
-JSBSim's own evaluations, and of viggen_uav the slopes of the polynomial of third order of the
-noise-free columns. Their bands are value +- 1.96 sqrt(std^2 + std_aircraft^2). The table has the
-percentage inside, the median ratio of bands to those with everything told, and wrong signs.
+`identify` learns the flights of four aircraft of JSBSim, of three kinds, and in turn one thing is
+withheld: inertia and area (`Aircraft.estimate` of mass, span and kind) or the thrust. They fly as in
+freeflight_air.py, 200 s in light gusts. Derivatives at the mean of the flight, over the perturbations
+that were flown, are compared with those of JSBSim's own evaluations. Their bands are value +- 1.96
+sqrt(std^2 + std_aircraft^2). The table has the percentage inside, the median ratio of bands to those
+with everything told, and wrong signs.
 """
 
 import numpy as np
 from _common import Kept, finish, parser_of
-from _inputs import task_of
 from jsbsim_flight import (
-    FLOWN,
     STEADY,
     TRAINING,
     evaluated_derivatives,
     exact_regressors,
     flight_of,
-    known_derivatives,
     learned_derivatives,
     true_values,
 )
@@ -29,10 +25,8 @@ from jsbsim_flight import (
 from skdgp.dynamics import Aircraft
 from skdgp.identification import identify
 
-# Inputs and kinds
-FLIGHTS = {"viggen_uav": ("viggen", "delta")}
-# Aircraft of JSBSim and their kinds
-JSBSIM = {"c172p": "conventional", "c182": "conventional", "DHC6": "twin", "A4": "delta"}
+# Aircraft and their kinds
+KINDS = {"c172p": "conventional", "c182": "conventional", "DHC6": "twin", "A4": "delta"}
 WITHHELD = ("nothing", "sizes", "thrust")
 REGRESSORS = STEADY[:-1]
 SIGNS = (
@@ -41,16 +35,6 @@ SIGNS = (
 )
 SAMPLES = 755  # to learn from
 NORMAL_95 = 1.96
-
-
-def subject(name, folder):
-    """Return kind, aircraft, training and test flight."""
-    if name in JSBSIM:
-        train, aircraft = flight_of(name, *TRAINING)
-        return JSBSIM[name], aircraft, train, flight_of(name, *FLOWN["light"])[0]
-    input_name, kind = FLIGHTS[name]
-    task = task_of(input_name, folder)
-    return kind, task.aircraft, task.train, task.test
 
 
 def withhold(thing, aircraft, kind, flight):
@@ -72,13 +56,6 @@ def learned(thing, aircraft, kind, train, at, airspeed):
     return table.assign(std_aircraft=table.get("std_aircraft", 0.0))
 
 
-def true_derivatives(name, flights, aircraft, at):
-    """Return the derivatives to compare with, by coefficient and regressor."""
-    if name in JSBSIM:
-        return evaluated_derivatives(name, flights[0], aircraft, at)
-    return known_derivatives(flights, aircraft, at)
-
-
 def compared(table, known):
     """Return the table with true values, bands, and how far values lie from the truth over deviations."""
     true = true_values(table, known)
@@ -86,11 +63,11 @@ def compared(table, known):
     return table.assign(off=(table["value"] - true) / table["band"])
 
 
-def measured(name, folder):
+def measured(name, kind):
     """Return for each thing withheld: percentage inside bands, width of bands, wrong signs."""
-    kind, aircraft, train, test = subject(name, folder)
+    train, aircraft = flight_of(name, *TRAINING)
     at = exact_regressors(train, aircraft).mean(axis=0)
-    known = true_derivatives(name, [train, test], aircraft, at)
+    known = evaluated_derivatives(name, train, aircraft, at)
     airspeed = float(train["airspeed_true"].mean())
     result = {}
     tables = {
@@ -106,10 +83,10 @@ def measured(name, folder):
 
 
 def main(words=None):
-    options = parser_of(__doc__, data=True).parse_args(words)
+    options = parser_of(__doc__).parse_args(words)
     kept = Kept(options, "little_told")
-    for name in [*FLIGHTS, *JSBSIM]:
-        kept.run({"aircraft": name}, measured, name, options.data)
+    for name, kind in KINDS.items():
+        kept.run({"aircraft": name}, measured, name, kind)
     runs = kept.table.set_index("aircraft")
     rows = runs[[*WITHHELD]].T.reset_index(names="withheld").to_dict("records")
     finish(options, "little_told", bands=rows)

@@ -74,7 +74,7 @@ def main(words=None):
     scripts = {  # those of flights first
         "comparison": [options.data],
         "pairs": [options.repository, options.data],
-        "little_told": [options.data],
+        "little_told": [],
         "freeflight_air": [],
         "ablation": [options.data],
         "small_uav": ["--every", 6],

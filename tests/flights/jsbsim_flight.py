@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pandas as pd
 from numpy.random import default_rng
-from sklearn.preprocessing import PolynomialFeatures
 
 from skdgp.datasets import COMMANDS, FLIGHT_PLANS, measure
 from skdgp.dynamics import (
@@ -209,16 +208,6 @@ def exact_regressors(table, aircraft):
     exact[:, ROTATION] *= lengths
     exact[:, SLOPES] *= lengths[:, 1:]
     return exact
-
-
-def known_derivatives(tables, aircraft, at):
-    """Return the derivatives (6, 11) at regressors (11,): of a polynomial of third order of the truth of all tables."""
-    X = np.concatenate([exact_regressors(table, aircraft) for table in tables])
-    Y = pd.concat(tables)[[f"{name}_true" for name in COEFFICIENTS]].to_numpy()
-    scale = X.std(axis=0)
-    terms = PolynomialFeatures(3).fit_transform((X - at) / scale)
-    slopes = np.linalg.lstsq(terms, Y, rcond=3e-7)[0][1 : len(NAMES) + 1]
-    return pd.DataFrame(slopes.T / scale, COEFFICIENTS, NAMES)
 
 
 # Command and position of each surface of JSBSim

@@ -94,32 +94,6 @@ def test_units_and_zero_points_decide_nothing(seed, inference):
 
 @EXAMPLES
 @given(SEEDS, INFERENCE)
-def test_the_order_of_regressors_outputs_and_rows_decides_nothing(seed, inference):
-    X, Y = problem(seed)
-    rng = default_rng(seed + 2)
-    d, P = X.shape[1], Y.shape[1]
-    spread = np.nanstd(Y, axis=0)
-    amplitude = spread * rng.uniform(0.3, 1.0, (1 + P, P))
-    length_scale = X.std(axis=0) * rng.uniform(0.8, 3.0, (1 + P, P, d))
-
-    def predicted(rows, order, outputs):
-        latents = np.append(0, 1 + outputs)
-        lengths = length_scale[latents][:, outputs][..., order]
-        kernel = ConvolvedGaussian(
-            1, amplitude=amplitude[latents][:, outputs], length_scale=lengths
-        )
-        how = {"inference": inference, "n_inducing": 40, "optimizer": None, "random_state": 0}
-        model = DependentGPRegressor(kernel, noise_variance=0.01 * spread[outputs] ** 2, **how)
-        model.fit(X[rows][:, order], Y[rows][:, outputs])
-        return moments(model, X[:, order])
-
-    rows, order, outputs = (rng.permutation(n) for n in (len(X), d, P))
-    here = predicted(np.arange(len(X)), np.arange(d), np.arange(P))[..., outputs]
-    close(predicted(rows, order, outputs), here, spread[outputs])
-
-
-@EXAMPLES
-@given(SEEDS, INFERENCE)
 def test_uncertainty_is_one(seed, inference):
     """The joint covariance is positive semidefinite, its diagonal the squared deviations, below those of the prior."""
     X, Y = problem(seed)

@@ -60,21 +60,6 @@ def test_more_regressors_than_rows_are_a_ridge_regression():
     assert list(model.weights_) == ["trend"]
 
 
-@pytest.mark.parametrize(("n", "d"), [(20, 1), (40, 3), (400, 9)])
-def test_bands_by_place_are_those_of_bayesian_linear_regression(n, d):
-    """At the centre, at the edge and outside, for the prior and the noise that were learned."""
-    rng = default_rng(n)
-    X = rng.normal(1.0, 2.0, (n, d))
-    y = 5.0 + X @ rng.normal(size=d) + rng.normal(0, 2.0, n)
-    model = DependentGPRegressor(structure="trend", random_state=0).fit(X, y)
-    at = 1.0 + 2.0 * np.array([0.0, 0.5, 1.0, 2.0])[:, None] * np.ones(d)
-    slopes = model.kernel_.value("slope_scale").ravel()
-    mean, std = bayesian_line(X, y, at, model.noise_variance_[0], slopes)
-    found, deviation = model.predict(at, return_std=True)
-    assert_allclose(found, mean, atol=1e-6 * y.std())
-    assert_allclose(deviation, std, rtol=1e-6)
-
-
 def test_bands_hold_where_only_another_output_was_observed():
     X, Y, points, truth = little_overlap(default_rng(22))
     model = DependentGPRegressor(random_state=0).fit(X, Y)

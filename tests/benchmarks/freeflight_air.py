@@ -5,8 +5,8 @@
 Each aircraft learns by the default pipeline from a flight of 200 s in light gusts with noisy
 sensors, and flies along another path: from 20 points of that flight, under the logged controls and
 thrust, from the true state (velocity over the ground, attitude, rates), the nine states v_north ... r,
-by bands of 95 % and of 50 %. "wind" is ``air=`` the true wind, a table over time; "nothing" says nothing of the air, where
-that is as it was in training.
+by bands of 95 % and of 50 %. "wind" is ``air=`` the true wind, a table over time; "nothing" says
+nothing of the air, where that is as it was in training.
 
 The form of the drift was chosen on J3Cub, DHC6, A4, T37 and c182, and that of bands after smoothing
 changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p and t6texan2.

@@ -289,7 +289,7 @@ class TestDerivatives:
         assert judged.options["thrust"] is None
         assert judged.mechanics.trim.climb < 0
 
-    def test_of_several_airspeeds(self, run, command, tmp_path, path, capsys):
+    def test_of_several_airspeeds(self, run, tmp_path):
         said = run("derivatives", "--airspeed", "36", "33", "--paths", "0")
         assert [point["trim"]["airspeed"] for point in said["points"]] == [33.0, 36.0]
         assert "std" not in said["points"][0]["derivatives"]["CL"]
@@ -297,10 +297,6 @@ class TestDerivatives:
         alphas = [point["trim"]["alpha"] for point in said["points"]]
         assert table.groupby("airspeed")["alpha"].first().tolist() == pytest.approx(alphas)
         assert all(slow > fast for slow, fast in pairwise(alphas))
-        assert command(["derivatives", path, "--airspeed", "33", "36"]) == 0
-        printed = capsys.readouterr().out
-        assert printed.count("at trim") == 2
-        assert printed.count("+-") > 100
 
 
 @pytest.mark.usefixtures("few_manoeuvres")

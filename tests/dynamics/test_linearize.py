@@ -145,13 +145,13 @@ class TestServos:
     def test_deflections_act_as_inputs_without_a_lag_do(self, late, linear):
         """The rest is the model without a lag, and so are its modes."""
         body = [*linear.A]
-        assert_frame_equal(late.A.loc[body, body], linear.A)
-        assert_frame_equal(late.C.loc[linear.C.index, body], linear.C)
-        assert_allclose(late.A.loc[body, POSITIONS], linear.B[SURFACES])
-        assert_allclose(late.C.loc[OUTPUTS, POSITIONS], linear.D.loc[OUTPUTS, SURFACES])
-        for matrix, at_once in ((late.B.loc[body], linear.B), (late.D.loc[OUTPUTS], linear.D)):
-            assert not matrix[SURFACES].any(axis=None)
-            assert_allclose(matrix["thrust"], at_once.loc[matrix.index, "thrust"])
+        at_once = {"A": "B", "C": "D"}
+        for states, inputs in at_once.items():
+            found, expected = getattr(late, states), getattr(linear, states)
+            assert_frame_equal(found.loc[expected.index, body], expected)
+            effects = getattr(linear, inputs)[SURFACES]
+            assert_allclose(found.loc[expected.index, POSITIONS], effects)
+            assert not getattr(late, inputs).loc[expected.index, SURFACES].any(axis=None)
         columns = ["eigenvalue", "frequency", "damping", "time_constant"]
         assert_frame_equal(late.modes()[columns], linear.modes()[columns])
 

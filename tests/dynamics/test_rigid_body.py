@@ -8,9 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from skdgp.dynamics import (
     Aircraft,
-    aerodynamic_loads,
     euler_to_quaternion,
-    ned_to_body,
     quaternion_to_matrix,
     rigid_body_derivative,
 )
@@ -51,31 +49,6 @@ def test_one_state_under_many_loads(aircraft):
 
 
 SIZES = {"wing_area": 0.0182, "span": 0.152, "chord": 0.152}
-
-
-def test_a_sphere_falls_to_its_terminal_velocity_in_the_wind_that_carries_it():
-    """v = v_t tanh(g t / v_t) with v_t^2 = 2 m g / (rho S CD), whatever it turns.
-
-    (Jackson et al., NASA/TM-2015-218675, cases 6 and 7, on a flat Earth)
-    """
-    mass, gravity, density, CD = 14.6, 9.80665, 1.1, 0.1
-    sphere = Aircraft(mass=mass, inertia=4.9 * np.eye(3), **SIZES)
-    wind, attitude = np.array([5.0, -3.0, 0.0]), euler_to_quaternion(0.3, -0.2, 1.0)
-
-    def rate(t, state):
-        air = state[3:6] - ned_to_body(state[6:10], wind)
-        speed = np.linalg.norm(air)
-        drag = -CD * air / max(speed, 1e-12)
-        loads = aerodynamic_loads(np.append(drag, np.zeros(3)), speed, density, sphere)
-        return rigid_body_derivative(state, *loads, sphere, gravity)
-
-    start = np.concatenate([np.zeros(3), ned_to_body(attitude, wind), attitude, [0.5, -0.4, 0.3]])
-    times = np.linspace(0, 60, 601)
-    terminal = np.sqrt(2 * mass * gravity / (density * sphere.wing_area * CD))
-    place = np.outer(wind, times)
-    place[2] = terminal**2 / gravity * np.log(np.cosh(gravity * times / terminal))
-    states = solve_ivp(rate, times[[0, -1]], start, "DOP853", times, rtol=1e-12, atol=1e-12).y
-    assert_allclose(states[:3], place, atol=1e-5)
 
 
 def test_a_loop_passes_theta_of_90_degrees_and_comes_back():

@@ -13,7 +13,6 @@ from sklearn.pipeline import Pipeline
 from skdgp.dynamics import (
     Aerodynamics,
     Air,
-    Drift,
     SimulationWarning,
     Turbulence,
     air_data,
@@ -96,17 +95,6 @@ class TestPipeline:
         assert_allclose(found.length, expected.length, rtol=1e-9)
         assert clone(fitted).turbulence_ is None
         assert as_aerodynamics(Pipeline(fitted.steps)).turbulence is None
-
-
-class TestDrift:
-    def test_draws_have_the_stated_covariance(self):
-        drift = Drift(np.array([2.0, 1, 1, 1, 1, 1]), np.array([0.1, 2.0, 0.1, 0.1, 0.1, 0.1]))
-        time = np.array([0.0, 0.05, 1.0])
-        drawn = drift.draw(time, (20000,), 0)
-        lag = np.abs(np.subtract.outer(time, time))
-        for k, found in enumerate(np.moveaxis(drawn, -1, 0)):
-            expected = drift.variance[k] * np.exp(-lag / drift.memory[k])
-            assert_allclose(np.cov(found), expected, atol=0.06)
 
 
 def coefficients(X):

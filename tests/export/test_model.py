@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
-from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import (
@@ -22,7 +21,7 @@ from sklearn.preprocessing import (
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import as_aerodynamics
 from skdgp.export import export_model, portable_model
-from skdgp.inference import ExactPosterior, Posterior, SparsePosterior
+from skdgp.inference import SparsePosterior
 from skdgp.preprocessing import RegressorSelector
 
 
@@ -60,7 +59,7 @@ def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
 def test_parts_of_weight_zero_have_no_functions(fitted):
     fit = fitted("average")
     pipeline = copy.deepcopy(fit.pipeline)
-    pipeline[-1].posterior_.mixture = np.repeat([[0.0], [1.0]], 6, axis=1)
+    pipeline[-1].posterior_.posterior.mixture = np.repeat([[0.0], [1.0]], 6, axis=1)
     model = portable_model(pipeline, fit.aircraft)
     assert [len(part.terms) for part in model.parts[:6]] == [0] * 6
 
@@ -96,32 +95,6 @@ def test_slopes_of_the_reference_are_in_the_order_of_the_outputs(in_another_orde
         moved = table.assign(**{name: table[name] + 0.1})
         difference = (behind.predict(moved) - behind.predict(table)) / 0.1
         assert_allclose(difference, reference.slopes[..., k], rtol=1e-6, atol=1e-9)
-
-
-def test_members_may_have_trends_about_different_points(fitted, read):
-    pipeline = copy.copy(fitted("joint").pipeline)
-    learned = copy.copy(pipeline[-1])
-    posterior = learned.posterior_.members[0]
-    trend, process = posterior.kernel.summands()
-    moved = clone(trend).set_params(center=np.asarray(trend.center) + 0.7)
-    other = ExactPosterior(moved + process, posterior.noise, posterior.data)
-    weights = np.repeat([[0.4], [0.6]], 6, axis=1)
-    learned.posterior_ = Posterior([posterior, other], weights)
-    pipeline.steps = [*pipeline.steps[:-1], ("regressor", learned)]
-    model = portable_model(pipeline, fitted("joint").aircraft)
-    X = model.reference.regressors
-    Z = (X - model.shift) / model.scale
-    mean, std = learned.predict(Z, return_std=True, include_input_noise=False)
-    found, deviation = read(model).predict(X, 0.0)
-    assert_allclose(found, mean, rtol=1e-9)
-    assert_allclose(deviation, std, rtol=1e-6)
-
-
-def test_noise_is_that_of_the_regressor(kind, fitted, portable):
-    regressor = fitted(kind).pipeline[-1]
-    assert_allclose(portable.noise_variance, regressor.noise_variance_)
-    units = np.multiply.outer(portable.scale, portable.scale)
-    assert_allclose(portable.input_covariance, regressor.input_covariance_ * units)
 
 
 START = DependentGPRegressor(optimizer=None)

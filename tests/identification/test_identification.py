@@ -193,15 +193,6 @@ class TestIdentify:
             "evaluating latlon",
         ]
 
-    @pytest.mark.filterwarnings("ignore")
-    def test_holds_out_the_last_quarter_of_a_single_flight(self, example):
-        aircraft, train, _ = example
-        single = train[train["flight"] == "latlon"]
-        found = identify(single, aircraft, samples=40, regressor=QUICK, horizon=1.0)
-        (held_out,) = of_code(found, "HELD_OUT_QUARTER")
-        assert held_out.flight == "latlon"
-        assert found.fit.flights == {"latlon, first three quarters": 300}
-
     @pytest.mark.parametrize(
         ("change", "error", "message"),
         [
@@ -259,13 +250,6 @@ class TestIdentify:
         words = f"not converged after {result.fit.iterations} iterations: raise max_iter"
         assert words in found.summary()
         assert words in (folder / "report.html").read_text(encoding="utf-8")
-
-    @pytest.mark.filterwarnings("ignore")
-    def test_a_model_whose_fit_stopped_says_so_of_other_flights(self, result, example):
-        model = Bunch(pipeline=result.pipeline, aircraft=result.aircraft, options=result.options)
-        assert not model.pipeline[-1].converged_
-        again = validate(model, example[2], horizon=1.0)
-        assert of_code(again, "SEARCH_STOPPED")[0] in again.verdict.findings
 
     def test_bands_of_the_truth_have_the_errors_of_the_log(self, result, example):
         (flight,) = result.evaluations

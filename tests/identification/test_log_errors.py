@@ -188,17 +188,6 @@ def test_linear_residuals_are_added_in_proportion_to_the_noise():
     assert_allclose(found, expected, atol=1e-12)
 
 
-def test_an_attenuated_slope_is_restored_in_the_mean():
-    """Of y = 2 z seen at x = z + e with Var e = Var z / 4, E[y | x] = 2 x / 1.25."""
-    rng = default_rng(1)
-    z = rng.normal(size=100_000)
-    x = (z + 0.5 * rng.normal(size=100_000))[:, None]
-    weights = linear_weights(x, 2 * z[:, None] - 2 * x)
-    points = np.array([[-1.0], [2.0]])
-    mean = 2 * points + regression_calibration(weights, points, np.ones(2))
-    assert_allclose(mean, 1.6 * points, rtol=0.02, atol=0.02)
-
-
 def test_an_aircraft_follows_the_rolling_air_by_its_damping():
     """Of p' = d (p_g - p) in gusts of a first-order process, cov(p, p_g) over the variance of p_g.
 

@@ -102,14 +102,6 @@ class TestMixture:
             expected += weight * member.covariance(AT)
         assert_allclose(same.covariance(AT), expected, rtol=1e-9, atol=1e-12)
 
-    def test_slopes_of_paths_are_those_of_their_values(self, mixture, central_difference):
-        paths = mixture.paths(20, 0)
-        slopes = central_difference(lambda step: paths.each((AT + step)[None]), np.zeros(D))
-        assert_allclose(paths.gradient(AT[None]), slopes, atol=1e-6)
-        points = default_rng(0).uniform(-1, 1, (20, 4, D))
-        fifth = paths.each(points[5:6].repeat(20, axis=0))[5]
-        assert_allclose(paths.each(points)[5], fifth, rtol=1e-9, atol=1e-12)
-
 
 def test_a_trend_of_weights_is_the_exact_posterior(data):
     """The trend of an exact average needs no factor of all values."""
@@ -225,19 +217,6 @@ class TestWeights:
             ratios.append(np.linalg.norm(mean - truth) / np.linalg.norm(line - truth))
         assert 0.88 <= np.mean(held) <= 0.99
         assert np.mean(ratios) < 1.5
-
-    def test_what_another_output_says_of_gaps_counts_for_all_terms(self):
-        """A quick function of time that one output has as well: no trend follows it."""
-        rng = default_rng(0)
-        x = np.sort(rng.uniform(0, 40, (240, 1)), axis=0)
-        common = np.sin(4 * x[:, 0]) + np.sin(2.7 * x[:, 0])
-        Y = np.column_stack([common, -2 * common]) + 0.1 * rng.normal(size=(240, 2))
-        Y[np.arange(240) % 12 >= 3, 1] = np.nan
-        model = DependentGPRegressor(n_latent=1, random_state=0, max_iter=40).fit(x, Y)
-        assert model.weights_["joint"][1] > 0.8
-        gaps = np.isnan(Y[:, 1])
-        error = np.sqrt(np.mean((model.predict(x)[gaps, 1] + 2 * common[gaps]) ** 2))
-        assert error < 0.3 * np.std(2 * common)
 
 
 class TestRegressor:

@@ -5,8 +5,6 @@ import pytest
 from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, Objective, log_likelihood
-from skdgp.kernels import ConvolvedGaussian
 
 STD = 0.1, 0.01  # of the errors of two regressors
 
@@ -18,22 +16,6 @@ def time_series():
     x = rng.uniform(-2, 2, (800, 2))
     Y = np.sin(x) + np.cos(x[:, ::-1])
     return x + rng.normal(0, STD, x.shape), Y + rng.normal(0, 0.02, Y.shape)
-
-
-def test_the_objective_keeps_it(time_series):
-    X, Y = (part[:40] for part in time_series)
-    kernel = ConvolvedGaussian(0).initialize(X, Y, 0)
-    loading = default_rng(1).normal(size=(40, 2, 1))
-    noise = np.array([0.1, 0.2, 0.3])
-    theta = np.concatenate([kernel.theta, np.log(noise)])
-    alone = [np.where(output, Y, np.nan) for output in np.eye(2, dtype=bool)]
-    whole, *parts = (
-        log_likelihood(kernel, noise, Data.from_table(X, targets, loading))
-        for targets in (Y, *alone)
-    )
-    data = Data.from_table(X, Y, loading)
-    assert Objective(kernel, [data], 3)(theta).value == pytest.approx(whole)
-    assert sum(parts) != pytest.approx(whole, rel=1e-3)
 
 
 @pytest.mark.parametrize(("inference", "n"), [("exact", 150), ("sparse", 800)])

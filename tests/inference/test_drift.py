@@ -67,15 +67,6 @@ def drift_of(residuals, time, flight):
     return residual_drift(Nothing(), residuals, residuals, np.column_stack([time, flight]))
 
 
-def test_flights_are_independent(log):
-    """Any order of the flights has the same likelihood."""
-    _, Y, time, flight = log
-    rows = np.concatenate([np.flatnonzero(flight == k) for k in (2, 0, 3, 1)])
-    Y = Y - Y.mean(axis=0)
-    first, second = (drift_of(Y[k], time[k], flight[k]) for k in (slice(None), rows))
-    assert_allclose(first, second, rtol=1e-3)  # the optimiser stops there
-
-
 def test_the_end_of_a_flight_tells_nothing_of_the_next():
     """Errors that only change from flight to flight last as long as a flight can show."""
     flight = np.repeat(np.arange(40), 20)

@@ -308,11 +308,6 @@ class TestVehicles:
         whole = read(log, airborne=False)  # without that warning
         assert_allclose(whole.time.min(), T[0])
 
-    def test_a_surface_that_is_reversed_is_in_parts_of_its_throw(self, read, plane):
-        log = plane(SERVO4_FUNCTION=21.0).topic("RCOU", SLOW, C4=pulse(0.3))
-        table = read(log, servos="full throw, reversed rudder", airborne=False)
-        assert "in parts of the full throw" in table.attrs["sources"]["rudder"]
-
     def test_a_v_tail(self, plane, surfaces):
         """left = elevator + rudder, right = elevator - rudder of commands up and right, reversed."""
         log = plane(SERVO5_FUNCTION=79.0, SERVO6_FUNCTION=80.0, SERVO6_REVERSED=1.0)

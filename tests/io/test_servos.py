@@ -174,19 +174,6 @@ def test_the_code_runs(write, monkeypatch, ulog, flight, blocks_of):
         exec(compile(block, "logs.md", "exec"), names)
 
 
-@pytest.mark.parametrize(
-    ("topic", "parameters"),
-    [
-        ("actuator_controls_0", {}),
-        ("actuator_servos", {"CA_SV_CS1_TYPE": 3, "CA_SV_CS1_TRQ_P": 1.0}),
-    ],
-)
-def test_servos_of_px4(parse, ulog, topic, parameters):
-    log = ulog(**parameters).topic(topic, [0.1, 0.2], control=np.zeros((2, 4)))
-    (servo,) = parse(log).controls["elevator"]
-    assert servo.channel == f"{topic}.control[1]"
-
-
 def test_the_servo_file_is_one(tmp_path, blocks_of):
     (text,) = blocks_of("logs.md", "toml")
     (tmp_path / "servo.toml").write_text(text)

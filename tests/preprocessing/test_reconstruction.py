@@ -232,18 +232,6 @@ class TestHonesty:
         assert doubt.code.name == "GUSTS_UNKNOWN"
         assert doubt.numbers["cause"].code.name == "NO_AIRCRAFT"
 
-    def test_a_path_that_cannot_be_solved_is_in_doubt(self, monkeypatch):
-        def failed(table):
-            raise np.linalg.LinAlgError("Singular matrix")
-
-        monkeypatch.setattr("skdgp.preprocessing._flight_path.ground_paths", failed)
-        with pytest.warns(UserWarning, match="Singular matrix"):
-            fitted_without_vanes = fitted(
-                flown(10.0).drop(columns=["alpha", "beta"]), aircraft=GLIDER
-            )
-        (doubt,) = fitted_without_vanes.doubts_
-        assert doubt.numbers["cause"].code.name == "AIR_NOT_ESTIMATED"
-
     def test_flights_are_not_mixed(self):
         one, reconstruction, alone = reconstructed()
         two = flown(6.0, seed=1, gusts=0.3).assign(flight="two")

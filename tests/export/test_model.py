@@ -59,7 +59,7 @@ def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
 def test_parts_of_weight_zero_have_no_functions(fitted):
     fit = fitted("average")
     pipeline = copy.deepcopy(fit.pipeline)
-    pipeline[-1].posterior_.posterior.mixture = np.repeat([[0.0], [1.0]], 6, axis=1)
+    pipeline[-1].posterior_.mixture = np.repeat([[0.0], [1.0]], 6, axis=1)
     model = portable_model(pipeline, fit.aircraft)
     assert [len(part.terms) for part in model.parts[:6]] == [0] * 6
 

@@ -176,18 +176,6 @@ def attitude_jumps(flights: FlightTable) -> Vector:
 def _faults_of_channel(name: str, values: Vector, step: float) -> Iterator[Fault]:
     """Yield the faults of a channel, in whose place its values become NaN: each is found without those before."""
     values[~np.isfinite(values)] = np.nan
-    checks = [_missing, _impossible]
-    if name in SENSORS:
-        checks += [_stuck, _spikes]
-    for check in checks:
-        for fault in check(name, values, step):
-            yield fault
-            if not fault.is_measured:
-                values[fault.rows] = np.nan
-
-
-def _missing(name: str, values: Vector, step: float) -> Iterator[Fault]:
-    """Yield the gaps, together, of a channel that usually has values there, if any."""
     is_missing = np.isnan(values)
     # as many rows are missing between samples of a sensor that is slower than the table
     usual = 1.5 * usual_spacing(values) - 1
@@ -197,28 +185,20 @@ def _missing(name: str, values: Vector, step: float) -> Iterator[Fault]:
     elif gaps:
         numbers = {"times": len(gaps), "longest": max(map(n_rows, gaps)) * step}
         yield Fault(name, Code.MISSING, np.r_[tuple(gaps)], numbers)
-
-
-def _impossible(name: str, values: Vector, _: float) -> Iterator[Fault]:
-    """Yield the values that no aircraft has, together, if there are any and they are rare."""
     low, high = POSSIBLE[name]
     rows = np.flatnonzero((values < low) | (values > high))
-    if 0 < rows.size <= RARE * np.isfinite(values).sum():
+    if 0 < rows.size <= RARE * np.sum(~is_missing):
         yield Fault(name, Code.IMPOSSIBLE, rows, {"value": float(values[rows[0]])})
-
-
-def _stuck(name: str, values: Vector, step: float) -> Iterator[Fault]:
-    """Yield each run in which a sensor is stuck."""
+        values[rows] = np.nan
+    if name not in SENSORS:
+        return
     for rows in stuck_rows(values, step):
         yield Fault(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
-
-
-def _spikes(name: str, values: Vector, _: float) -> Iterator[Fault]:
-    """Yield the marks of missing samples and the spikes, together, if there are any."""
+        values[rows] = np.nan
     marks = mark_rows(values)
-    others = values.copy()
-    others[marks] = np.nan
-    rows = np.union1d(marks, spike_rows(others, angle=name in WRAPPED))
+    values[marks] = np.nan
+    rows = np.union1d(marks, spike_rows(values, angle=name in WRAPPED))
+    values[rows] = np.nan
     if rows.size:
         n_runs = 1 + int(np.sum(np.diff(rows) > 1))
         yield Fault(name, Code.SPIKE, rows, {"times": n_runs})
@@ -282,13 +262,15 @@ def stuck_rows(values: Vector, step: float) -> list[Indices]:
     quantum = max(np.quantile(leap, 0.01), _resolution(runs.value[runs.length > 1]))
     is_stuck[:-1] &= leap > 3 * quantum
 
-    # a channel without noise has long runs: it is stuck only if it jumps after the run. With noise steps change
-    # by 1.7 times themselves.
+    # a channel without noise has long runs: it is stuck only if it jumps after the run, or the last run, of 2 s,
+    # is far longer than all others. With noise steps change by 1.7 times themselves.
     is_jump = leap > largest_usual
     is_coarse = usual_step <= 1.5 * quantum
-    if is_coarse or _bend(runs.value) < 0.5 * usual_step:
+    bends = np.abs(np.diff(runs.value, 2))
+    if is_coarse or (bends.size and np.median(bends) < 0.5 * usual_step):
         is_stuck[:-1] &= is_jump
-        is_stuck[-1] &= _never_recovers(runs.length, step)
+        longest_other = runs.length[:-1].max()
+        is_stuck[-1] &= runs.length[-1] >= max(2.0 / step, 5 * longest_other)
 
     # a value that is held again and again, and left by usual steps, is one of a coarse resolution
     levels, counts = np.unique(runs.value[is_stuck], return_counts=True)
@@ -300,30 +282,15 @@ def stuck_rows(values: Vector, step: float) -> list[Indices]:
     return stuck
 
 
-def _never_recovers(length: Indices, step: float) -> bool:
-    """Return whether the last run has 2 s and is far longer than all others, so that no step after it is needed."""
-    longest_other = length[:-1].max(initial=1)
-    return bool(length[-1] * step >= 2.0 and length[-1] >= 5 * longest_other)
-
-
 def _is_improbable(length: Indices) -> Mask:
     """Return which of the runs are longer than chance makes one of them in 10,000 flights.
 
     Where a fraction p of n runs is longer than usual, chance makes n p^(k - 1) of them k times as long.
     """
     usual = np.median(length)
-    n_long = np.sum(length >= 1.5 * usual)
-    p = (1 + n_long) / (1 + len(length))
+    p = (1 + np.sum(length >= 1.5 * usual)) / (1 + len(length))
     k = np.floor(length / usual)
-    expected = len(length) * p ** (k - 1)
-    return expected < 1e-4
-
-
-def _bend(values: Vector) -> float:
-    """Return the median change between the steps of successive values, infinite for less than three."""
-    if len(values) < 3:
-        return np.inf
-    return float(np.median(np.abs(np.diff(values, 2))))
+    return len(length) * p ** (k - 1) < 1e-4
 
 
 def _resolution(held: Vector) -> float:

@@ -58,7 +58,6 @@ from skdgp.estimation._air_parameters import (
     GUST_AXES,
     GustProcesses,
     Parameters,
-    coefficient_of,
     derivatives_of,
 )
 from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
@@ -283,19 +282,28 @@ def estimate_air_motion(
     FlightTable.of(table, [*PATH_CHANNELS, "density"])
     check_radians(table, (*EULER, *RATES, *VANES))
     table = with_sensor_position(table, aircraft)
-    table = _with_elevator_and_aileron(with_own_clocks(table))
+    table = with_own_clocks(table)
+    if {*ELEVONS} <= {*table}:
+        table = table.assign(**by_elevons(table))
     surfaces, derivatives, constants = _priors(table, known)
-    has_drag = any(coefficient_of(name) == "CX" for name in derivatives)
-    if thrust is None or not has_drag or not _has_thrust(table, aircraft):
+    has_drag = any(name.startswith("CX_") for name in derivatives)
+    has_thrust = any(has_values(table, name) for name in THRUST_COLUMNS)
+    has_thrust |= propeller_speed_of(aircraft.propeller, table) is not None
+    if thrust is None or not (has_drag and has_thrust):
         # the measured axial force takes the place of thrust and CX, and thrust has no error
         thrust = None
-        derivatives = {k: v for k, v in derivatives.items() if not _needs_thrust(k)}
+        for name in [*derivatives]:
+            if name.startswith("CX_") or name.endswith("_thrust"):
+                del derivatives[name]
         constants |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, ZERO_STD))
     if paths is None:
         paths = ground_paths(table)
     fewest = SETTINGS.fewest_samples if known is None else SETTINGS.fewest_known
-    records = _records(table, surfaces, aircraft, thrust, paths)
+    loads = np.hstack(propulsive_loads(table, aircraft, thrust))
+    records = records_of(table, surfaces, loads, paths)
     records = [record for record in records if len(record.rows) >= fewest]
+    if thrust is None:
+        records = [record.with_axial_force(aircraft.mass) for record in records]
     if not records:
         raise ValueError(
             f"Got no record of {fewest} samples without a gap, but expected one: give a longer flight."
@@ -353,21 +361,6 @@ def _priors(table: pd.DataFrame, known: AirMotion | None) -> tuple[list[str], Pr
     return surfaces, derivatives_of(ALL_TERMS, surfaces), constants
 
 
-def _records(
-    table: pd.DataFrame,
-    surfaces: list[str],
-    aircraft: Aircraft,
-    thrust: str | None,
-    paths: Sequence[PathEstimate],
-) -> list[Record]:
-    """Return the records of the flights; without thrust with the measured axial force in its place."""
-    loads = np.hstack(propulsive_loads(table, aircraft, thrust))
-    records = records_of(table, surfaces, loads, paths)
-    if thrust is None:
-        records = [record.with_axial_force(aircraft.mass) for record in records]
-    return records
-
-
 def _mean_thrust(records: list[Record], aircraft: Aircraft) -> float:
     """Return the mean thrust over the mean dynamic pressure and wing area, by the speed over the ground.
 
@@ -378,25 +371,6 @@ def _mean_thrust(records: list[Record], aircraft: Aircraft) -> float:
     speed = np.linalg.norm(np.concatenate([record.velocity for record in records]), axis=1)
     load = np.sum(dynamic_pressure(speed, density)) * aircraft.wing_area
     return float(np.sum(thrust) / load) if load > 0 else 0.0
-
-
-def _with_elevator_and_aileron(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table with elevator and aileron of its elevons, as ``ElevonSplitter`` has them."""
-    if not {*ELEVONS} <= {*table}:
-        return table
-    return table.assign(**by_elevons(table))
-
-
-def _needs_thrust(derivative: str) -> bool:
-    """Return whether a derivative is of the axial force or by thrust."""
-    return coefficient_of(derivative) == "CX" or derivative.endswith("_thrust")
-
-
-def _has_thrust(table: pd.DataFrame, aircraft: Aircraft) -> bool:
-    """Return whether thrust is in the table, or follows from the propeller."""
-    if any(has_values(table, name) for name in THRUST_COLUMNS):
-        return True
-    return propeller_speed_of(aircraft.propeller, table) is not None
 
 
 def _as_prior(estimates: pd.DataFrame) -> Prior:

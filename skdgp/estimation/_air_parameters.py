@@ -186,11 +186,6 @@ def stacked(value: Mapping[str, Any], *names: str) -> Array:
     return np.stack([value[name] for name in names], axis=-1)
 
 
-def coefficient_of(derivative: str) -> str:
-    """Return the coefficient of a derivative, such as CZ of CZ_alpha."""
-    return derivative.split("_", 1)[0]
-
-
 def derivatives_of(terms: Mapping[str, Sequence[str]], surfaces: Sequence[str]) -> Prior:
     """Return the priors of the derivatives of all terms, without missing surfaces."""
     missing = {*SURFACES} - {*surfaces}

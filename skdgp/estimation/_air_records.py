@@ -155,7 +155,7 @@ def _sums_around(innovation: Matrix, step: float, period: float) -> Matrix:
 def records_of(
     table: pd.DataFrame, surfaces: list[str], loads: Matrix, paths: Sequence[PathEstimate]
 ) -> list[Record]:
-    """Return the records of a table with propulsive ``loads`` (n, 6) that are long enough for a known aircraft.
+    """Return the records of a table with propulsive ``loads`` (n, 6).
 
     ``paths`` are those of its flights over the ground.
     """
@@ -166,11 +166,11 @@ def records_of(
         rows = flight.rows
         record = _whole_flight(number, flight, path, logged[rows], air_data[rows], len(surfaces))
         for segment in flight.sensors.segments():
-            if len(segment) < SETTINGS.fewest_known:
-                continue
-            part = record.part(_thinned(record.time, segment, SETTINGS.sample_rate))
-            if len(part.rows) >= SETTINGS.fewest_known:
-                records.append(part)
+            if len(segment) > 1:
+                # at one to two times the sample rate, or at its own
+                rate = (len(segment) - 1) / np.ptp(record.time[segment])
+                stride = max(1, int(rate / SETTINGS.sample_rate + 1e-6))
+                records.append(record.part(slice(segment[0], segment[-1] + 1, stride)))
     return records
 
 
@@ -226,13 +226,6 @@ def _own_clocks(time: Vector, surfaces: Matrix) -> tuple[Vector, Matrix]:
             periods[k] = np.median(np.diff(time[samples]))
             errors[:, k] = error_between_samples(time, surface, samples)
     return periods, errors
-
-
-def _thinned(time: Vector, rows: Indices, sample_rate: float) -> slice:
-    """Return the samples of a segment at one to two times the sample rate, or at its own."""
-    rate = (len(rows) - 1) / np.ptp(time[rows])
-    stride = max(1, int(rate / sample_rate + 1e-6))
-    return slice(rows[0], rows[-1] + 1, stride)
 
 
 def n_samples(records: list[Record]) -> int:

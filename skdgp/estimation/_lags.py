@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -62,6 +61,8 @@ N_SERVO_LAGS = 29
 # standard deviations were then 0.8, 0.8, 0.8 and 1.2, of a flying wing with four pairs of lag and delay
 INFLATION = 3.0
 SURE = 2.0  # standard deviations
+# Lags of surfaces and vanes that are tried [s]
+TRIED = np.arange(-SETTINGS.largest, SETTINGS.latest + SETTINGS.step / 2, SETTINGS.step)
 
 
 class Lag(NamedTuple):
@@ -180,11 +181,14 @@ class _Segment:
     band: Matrix  # second-order sections of the filter of the band
 
     @classmethod
-    def of(cls, time: Vector, table: pd.DataFrame) -> _Segment:
-        """Return the segment of a table at increasing times."""
+    def of(cls, time: Vector, table: pd.DataFrame) -> _Segment | None:
+        """Return the segment of a table at increasing times, None if its samples are too slow for the band."""
         clock, _ = uniform_grid(time)
-        rate_hz = _rate_of(clock)
-        low, high = _band_at(rate_hz)
+        rate_hz = (len(clock) - 1) / np.ptp(clock)
+        low, high = SETTINGS.band
+        high = min(high, SETTINGS.highest * rate_hz)
+        if high <= low:
+            return None
         band = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
 
         def on_clock(names: Sequence[str]) -> Matrix:
@@ -199,7 +203,8 @@ class _Segment:
         speed = np.ones((len(clock), 1))
         groups = {"surfaces": commands, "vanes": on_clock(vanes)}
         if has_values(table, "airspeed"):
-            speed = _steady_speed(on_clock(["airspeed"]), rate_hz)
+            steady = low_pass(on_clock(["airspeed"]), rate_hz, SETTINGS.steady_frequency)
+            speed = np.maximum(steady, SETTINGS.least_speed * np.median(steady))
             alpha = float(np.mean(on_clock(["alpha"])))
             angle_rates = _angle_rates(force, rates, on_clock(ATTITUDE), alpha, speed[:, 0])
             motion = cumulative_trapezoid(angle_rates, clock, axis=0, initial=0)
@@ -267,27 +272,10 @@ def _angle_rates(
     return np.column_stack([alpha_dot, beta_dot])
 
 
-def _steady_speed(airspeed: Matrix, rate_hz: float) -> Matrix:
-    """Return the airspeed below the band, (n, 1) [m/s]."""
-    speed = low_pass(airspeed, rate_hz, SETTINGS.steady_frequency)
-    return np.maximum(speed, SETTINGS.least_speed * np.median(speed))
-
-
 def _moving_surfaces(table: pd.DataFrame) -> list[str]:
     """Return the names of surfaces that move, elevons in place of elevator and aileron."""
     elevons = moving(table, ELEVONS)
     return elevons + moving(table, SURFACES if len(elevons) < len(ELEVONS) else ["rudder"])
-
-
-def _rate_of(clock: Vector) -> float:
-    """Return the rate of a uniform clock [Hz]."""
-    return (len(clock) - 1) / (clock[-1] - clock[0])
-
-
-def _band_at(rate_hz: float) -> tuple[float, float]:
-    """Return the band of frequencies at a rate of samples [Hz]; empty where samples are too slow."""
-    low, high = SETTINGS.band
-    return low, min(high, SETTINGS.highest * rate_hz)
 
 
 def _segments_of(table: pd.DataFrame) -> list[_Segment]:
@@ -299,12 +287,9 @@ def _segments_of(table: pd.DataFrame) -> list[_Segment]:
     for run in flights.segments:
         time = flights.time[run]
         part = table.iloc[run]
-        if np.ptp(time) <= SETTINGS.shortest or not has_values(part, *INERTIAL):
-            continue
-        low, high = _band_at(_rate_of(uniform_grid(time)[0]))
-        if low < high:
+        if np.ptp(time) > SETTINGS.shortest and has_values(part, *INERTIAL):
             segments.append(_Segment.of(time, part))
-    return segments
+    return [segment for segment in segments if segment is not None]
 
 
 Regression: TypeAlias = Callable[[_Segment, float], tuple[Matrix, Matrix]]
@@ -327,23 +312,17 @@ def _most_likely_lag(segments: list[_Segment], group: str, regression: Regressio
     pieces = _pieces(segments)
     if len(pieces) < SETTINGS.least_pieces:
         return UNKNOWN
-    lags = _tried_lags()
 
     def losses(parts: list[_Segment]) -> Matrix:
-        return np.array([[_log_rss(*regression(part, lag)) for part in parts] for lag in lags])
+        return np.array([[_log_rss(*regression(part, lag)) for part in parts] for lag in TRIED])
 
-    lag = _minimum(lags, losses(segments).sum(axis=1))
-    if not lags[0] < lag < lags[-1]:
+    lag = _minimum(TRIED, losses(segments).sum(axis=1))
+    if not TRIED[0] < lag < TRIED[-1]:
         return UNKNOWN
-    of_pieces = [_minimum(lags, of_piece) for of_piece in losses(pieces).T]
+    of_pieces = [_minimum(TRIED, of_piece) for of_piece in losses(pieces).T]
     probability = normal.sf(SETTINGS.significance)
     quantile = student.isf(probability, len(pieces) - 1) / SETTINGS.significance
     return Lag(lag, float(np.hypot(quantile * sem(of_pieces), lag - np.mean(of_pieces))))
-
-
-def _tried_lags() -> Vector:
-    """Return the lags of surfaces and vanes that are tried (k,) [s]."""
-    return np.arange(-SETTINGS.largest, SETTINGS.latest + SETTINGS.step / 2, SETTINGS.step)
 
 
 def _pieces(segments: list[_Segment]) -> list[_Segment]:
@@ -368,13 +347,12 @@ def _lag_behind_motion(segments: list[_Segment]) -> Lag:
     segments = [segment for segment in segments if {"vanes", "motion"} <= segment.splines.keys()]
     if not segments:
         return UNKNOWN
-    lags = _tried_lags()
     losses = []
-    for tried in lags:
+    for tried in TRIED:
         pairs = _vanes_and_motion(segments, tried)
         losses.append(sum(len(y) * np.log1p(-((x @ y) ** 2) / (y @ y)) for y, x, _ in pairs))
-    lag = _minimum(lags, np.array(losses))
-    if not lags[0] < lag < lags[-1]:
+    lag = _minimum(TRIED, np.array(losses))
+    if not TRIED[0] < lag < TRIED[-1]:
         return UNKNOWN
     variance: Any = 0.0
     information: Any = 0.0
@@ -450,23 +428,19 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
     is_significant = removable(Lag(removed, surfaces.std)) or removed_delay
     if not is_significant or removed + SETTINGS.precision >= SETTINGS.largest:
         return None
-    least_limited, shorter, limit = _limited(segments, loss_of, lag, delay)
     rate_limit = np.inf
+    limited = []
+    for fraction in SETTINGS.limited_lags:
+        shorter = fraction * lag
+        fastest = max(segment.largest_rate(shorter) for segment in segments)
+        for limit in fastest * np.array(SETTINGS.limits):
+            limited.append((loss_of(shorter, limit)(delay), shorter, limit))
+    least_limited, shorter, limit = min(limited)
     if least - least_limited >= SETTINGS.delay_evidence:
         removed, removed_delay = shorter, delay
-        lag, rate_limit = shorter, limit
+        lag, rate_limit = shorter, float(limit)
     servos = Lag(lag, lag_std, removed, rate_limit, delay_std)
     return servos, Lag(-delay, surfaces.std, -removed_delay)
-
-
-def _limited(segments, loss_of, lag, delay):
-    """Return the least loss of servos with a limit of their rate and a shorter lag, this lag and the limit."""
-    found = []
-    for fraction, relative in product(SETTINGS.limited_lags, SETTINGS.limits):
-        shorter = fraction * lag
-        limit = relative * max(segment.largest_rate(shorter) for segment in segments)
-        found.append((loss_of(shorter, limit)(delay), shorter, limit))
-    return min(found)
 
 
 def _std_of_profile(errors: Vector, losses: Vector, std: float) -> float:

@@ -100,7 +100,11 @@ class Clock:
         n_irregular = max(is_gap.sum(), is_uneven.sum())
         # a tenth of gaps, or of uneven steps (guess)
         if n_irregular > 0.1 * max(is_same.sum(), 10):
-            raise _irregular(step[is_same])
+            raise ValueError(
+                f"Got time steps from {step[is_same].min():.3g} s to {step[is_same].max():.3g} s, but expected a "
+                "nearly constant rate with few gaps: resample the log to one uniform clock first. If rows are left "
+                "out at random, as by a shuffled KFold: hold out whole flights."
+            )
         starts = np.flatnonzero(~is_same | is_gap) + 1
         return slices(starts, len(self.time))
 
@@ -112,15 +116,6 @@ class Clock:
             number = int(self.flight[segment.start])
             runs.setdefault(number, []).append(segment)
         return list(runs.values())
-
-
-def _irregular(steps: Vector) -> ValueError:
-    """Return the error of a clock without a usual step."""
-    return ValueError(
-        f"Got time steps from {steps.min():.3g} s to {steps.max():.3g} s (median {np.median(steps):.3g} s), but "
-        "expected a nearly constant rate with few gaps: resample the log to one uniform clock first. If rows are "
-        "left out at random, as by a shuffled KFold: hold out whole flights."
-    )
 
 
 def flight_codes(flight: ArrayLike) -> tuple[Indices, list]:

@@ -287,8 +287,7 @@ def orthogonal_multisines(
     most = Multisine.most_periods
     if not (0 < low < high and 0 < high * duration <= most):
         raise ValueError(
-            f"Got {duration:g} s and a band of {low:g} to {high:g} Hz, but expected 0 < lowest < "
-            f"highest and at most {most} periods."
+            f"Got {duration} s and a band {band} Hz, but expected 0 < lowest < highest and at most {most} periods."
         )
     first = int(np.ceil(low * duration - ROUNDING))
     available = np.arange(first, int(high * duration + ROUNDING) + 1)
@@ -296,9 +295,8 @@ def orthogonal_multisines(
     n_each = len(available) // max(n_axes, 1) if n_tones is None else n_tones
     if not 0 < n_each * n_axes <= len(available):
         raise ValueError(
-            f"Got {n_axes} axes with {n_tones or 'at least 1'} tones each, but there are "
-            f"{len(available)} harmonics of {1.0 / duration:.3g} Hz in the band {band} Hz: give an axis, "
-            f"fly longer, widen the band or use fewer tones."
+            f"Got {n_axes} axes with {n_each} tones each, but there are {len(available)} harmonics in the band "
+            f"{band} Hz: give an axis, fly longer, widen the band or use fewer tones."
         )
     inputs = {}
     for axis, harmonics in zip(limits, _dealt(available, n_axes, n_each), strict=True):

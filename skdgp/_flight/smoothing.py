@@ -162,8 +162,8 @@ def low_pass(columns: Array, rate: float, cutoff: float, *, order: int = 2) -> A
     """
     if cutoff > rate / 2 * (1 - 1e-6):
         raise ValueError(
-            f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than half "
-            f"the sampling rate ({rate / 2:.4g} Hz): lower it, or use cutoff=None for no smoothing."
+            f"Got cutoff={cutoff:g} Hz for a log sampled at {rate:.4g} Hz, but expected less than half the "
+            "sampling rate: lower it, or use cutoff=None for no smoothing."
         )
     sections = signal.butter(order, cutoff, fs=rate, output="sos")
     transient = int(np.ceil(5 * rate / cutoff))

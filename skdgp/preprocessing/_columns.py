@@ -311,8 +311,8 @@ class RegressorSelector(TableTransformer):
         if holes.any(axis=None):
             counts = holes.sum()
             raise ValueError(
-                f"Got rows of regressors that are NaN or infinite ({counts[counts > 0].to_dict()}), but expected "
-                "finite ones: drop "
+                f"Got {holes.any(axis=1).sum()} of {len(values)} rows whose regressors are NaN or "
+                f"infinite (by rows: {counts[counts > 0].to_dict()}), but expected finite ones: drop "
                 "these rows of the flight, as FlightCheck gives it, and of its targets, as skdgp "
                 "identify does. Interpolate a slow sensor to the clock of the others, leave out an "
                 "empty column, and isolated rows, which have no rate of change."

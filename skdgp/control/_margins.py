@@ -405,13 +405,11 @@ class _Stability(NamedTuple):
         w = np.concatenate([[0.0], _frequencies(n_frequencies), beyond])
         s: Any = _bound(w) + 1j * w
         models = _models(linear)
-        axes = []
-        for states, others in ((LONGITUDINAL, LATERAL), (LATERAL, LONGITUDINAL)):
-            numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] in states]
-            if numbers:
+        axes: list[_Axis] = []
+        for others in (LATERAL, LONGITUDINAL, ()):
+            numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] not in others]
+            if numbers and all(numbers != axis.loops for axis in axes):
                 axes.append(_Axis.of(linear, models, loops, s, {*UNUSED, *others}, numbers))
-        if len(axes) > 1:
-            axes.append(_Axis.of(linear, models, loops, s, {*UNUSED}, list(range(len(loops)))))
         return cls(linear, s, axes)
 
     def logarithms(self, loops) -> list[Array]:
@@ -434,19 +432,18 @@ class _Stability(NamedTuple):
         """
         modes = self.linear.modes()["eigenvalue"]
         paths: dict[str, set[int]] = {}
-        others: list[dict[int, complex]] = []  # roots by path, each near the first
+        others: list[list[tuple[int, complex]]] = []  # path and root, each near the first
         for path, root, own in self._growing_roots(loops):
             if any(_is_near(root, mode) for mode in own):
                 paths.setdefault(str(abs(modes - root).idxmin()), set()).add(path)
                 continue
-            near = (roots for roots in others if _is_near(root, next(iter(roots.values()))))
-            roots = next(near, None)
-            if roots is None:
-                roots = {}
-                others.append(roots)
-            roots[path] = root
-        for roots in others:
-            paths.setdefault(_in_words([*roots.values()]), set()).update(roots)
+            near = [group for group in others if _is_near(root, group[0][1])]
+            if not near:
+                others.append([])
+            (near or others)[-1].append((path, root))
+        for group in others:
+            numbers, roots = zip(*group, strict=True)
+            paths.setdefault(_in_words(roots), set()).update(numbers)
         n_paths = max(1, len(self.axes[0].roots) - 1)
         return {name: len(numbers) / n_paths for name, numbers in paths.items()}
 
@@ -536,7 +533,8 @@ def _margins_of(transfer: Matrix, w: Vector) -> dict[str, Vector]:
         crossings = _zeros(of_size)
         phases = np.interp(crossings, places, of_angle)
         phases -= 360.0 * np.round(phases / 360.0)
-        phase, crossover = _smallest(phases, crossings)
+        smallest = np.argmin(np.abs([*phases, np.inf]))
+        phase, crossover = [*phases, np.inf][smallest], [*crossings, np.nan][smallest]
         # where the angle rises, a larger gain makes a mode stable
         turns = 360.0 * np.arange(np.floor(of_angle.min() / 360.0), of_angle.max() / 360.0 + 1.0)
         crossings = np.concatenate([_zeros(of_angle - turn, falling=True) for turn in turns])
@@ -549,14 +547,6 @@ def _margins_of(transfer: Matrix, w: Vector) -> dict[str, Vector]:
         "sensitivity": (1 / np.abs(1 + transfer)).max(axis=-1),
         "crossover": np.exp(np.interp(crossings, places, np.log(w))),
     }
-
-
-def _smallest(values, places):
-    """Return the value nearest to zero and its place; infinity and NaN if there is none."""
-    if not len(values):
-        return np.inf, np.nan
-    best = int(np.argmin(np.abs(values)))
-    return values[best], places[best]
 
 
 def _zeros(values, *, falling=False):

@@ -275,7 +275,14 @@ def autopilot_loops(
         raise ValueError(
             f"Got no gains other than zero for {sorted(full)}, but expected at least one loop for these controls."
         )
-    _warn_of_open(loops, full)
+    moved = {loop.control for loop in loops}
+    if any(loop.rudder for loop in loops):
+        moved.add("rudder")
+    if still := sorted({*full} - moved):
+        warn(
+            f"The parameters have no gains other than zero for {' and '.join(still)}: no loop moves "
+            "them. Leave them out of full, or save all parameters of the autopilot."
+        )
     if value.absent:
         firmware = "PX4 1.14" if is_px4 else "ArduPilot Plane 4.5"
         warn(
@@ -292,19 +299,6 @@ def autopilot_loops(
 def _listed(values: Mapping[str, float]) -> str:
     """Return parameters with their values as text."""
     return ", ".join(f"{name} {value:g}" for name, value in values.items())
-
-
-def _warn_of_open(loops: list[Loop], full: Mapping[str, float]) -> None:
-    """Warn of controls that no loop moves."""
-    moved = {loop.control for loop in loops}
-    if any(loop.rudder for loop in loops):
-        moved.add("rudder")
-    open_controls = sorted({*full} - moved)
-    if open_controls:
-        warn(
-            f"The parameters have no gains other than zero for {' and '.join(open_controls)}: no loop moves "
-            "them. Leave them out of full, or save all parameters of the autopilot."
-        )
 
 
 def _check_parameters(given: Mapping[str, float]) -> None:
@@ -328,8 +322,9 @@ def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop]
         frequency = value(f"IMU_GYRO_NF{n}_FRQ")
         if frequency > 0 and (width := value(f"IMU_GYRO_NF{n}_BW")) > 0:
             notches.append(Notch(frequency, frequency / width))
+    scaling, turn_airspeeds = _px4_airspeeds(value)
     common = {
-        **_px4_scaling(value),
+        **scaling,
         "of_gyro": (*value.low_pass("IMU_GYRO_CUTOFF", 2), *notches),
         "of_derivative": value.low_pass("IMU_DGYRO_CUTOFF"),
     }
@@ -341,7 +336,7 @@ def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop]
         prefixes.append(f"FW_{short}R_")
         settings: dict[str, Any]
         if name == "yaw":
-            settings = {"coordination": 1.0, "turn_airspeeds": _px4_airspeeds(value)}
+            settings = {"coordination": 1.0, "turn_airspeeds": turn_airspeeds}
         else:
             settings = {"time_constant": value(f"FW_{short}_TC")}
         if name == "roll" and "rudder" in full:
@@ -350,23 +345,14 @@ def _px4_loops(value: Parameters, full: Mapping[str, float]) -> tuple[list[Loop]
     return loops, value.unread(tuple(prefixes))
 
 
-def _measures_airspeed(value: Parameters) -> bool:
-    """Return whether PX4 uses the airspeed; without it, it takes the one of the trim."""
-    return bool(value.given.get("FW_USE_AIRSPD", 1) and not value.given.get("FW_ARSP_MODE", 0))
+def _px4_airspeeds(value: Parameters) -> tuple[dict[str, float], tuple[float, float]]:
+    """Return speed and limits of the scaling of the gains, and the limits of ``get_airspeed_constrained``.
 
-
-def _px4_airspeeds(value: Parameters) -> tuple[float, float]:
-    """Return the limits of the airspeed of PX4's ``get_airspeed_constrained``, both the trim's if it is not used."""
-    if _measures_airspeed(value):
-        return value("FW_AIRSPD_STALL"), value("FW_AIRSPD_MAX")
-    return value("FW_AIRSPD_TRIM"), value("FW_AIRSPD_TRIM")
-
-
-def _px4_scaling(value: Parameters) -> dict[str, float]:
-    """Return the speed of the gains and the limits of the scaling by airspeed."""
-    if not _measures_airspeed(value):
-        return {}
+    If PX4 does not use the airspeed, it takes the one of the trim and does not scale.
+    """
     trim = value("FW_AIRSPD_TRIM")
+    if not value.given.get("FW_USE_AIRSPD", 1) or value.given.get("FW_ARSP_MODE", 0):
+        return {}, (trim, trim)
     slowest = value("FW_AIRSPD_STALL")
     fastest = value("FW_AIRSPD_MAX")
     if not slowest <= trim <= fastest:
@@ -374,13 +360,12 @@ def _px4_scaling(value: Parameters) -> dict[str, float]:
             f"Got FW_AIRSPD_STALL {slowest:g}, TRIM {trim:g} and MAX {fastest:g}, given or by default, but "
             "expected airspeeds that increase: give all three."
         )
-    if not value.given.get("FW_ARSP_SCALE_EN", 1):
-        return {}
-    return {
-        "scaling_speed": trim,
-        "least_scaling": trim / fastest,
-        "most_scaling": trim / slowest,
-    }
+    scaling = {}
+    if value.given.get("FW_ARSP_SCALE_EN", 1):
+        scaling["scaling_speed"] = trim
+        scaling["least_scaling"] = trim / fastest
+        scaling["most_scaling"] = trim / slowest
+    return scaling, (slowest, fastest)
 
 
 def _ardupilot_loops(

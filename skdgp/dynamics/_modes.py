@@ -19,10 +19,8 @@ LATERAL = ("v", "p", "r", "phi")
 
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
-    states = list(map(str, A))
-    families = [names for names in (LONGITUDINAL, LATERAL) if set(names) <= set(states)]
-    names = list(chain(*families)) or states
-    rows = [states.index(name) for name in names]
+    names = [*LONGITUDINAL, *LATERAL]
+    rows = A.columns.get_indexer(names)
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
     participation = pd.DataFrame(_participation(left, right), names)
     modes = _named(_units(eigenvalues), participation, eigenvalues)
@@ -72,21 +70,28 @@ def _units(eigenvalues: np.ndarray) -> list[list[int]]:
 def _named(
     units: list[list[int]], participation: pd.DataFrame, eigenvalues: Array
 ) -> dict[str, list[int]]:
-    """Return the units by name, of the participation of the states in each eigenvalue."""
-    named: dict[str, list[int]] = {}
-    states = set(participation.index)
-    if states.issuperset(LONGITUDINAL):
-        along, units = _split(units, participation.loc[[*LONGITUDINAL]], 4)
-        short, long = _split(along, participation.loc[["w", "q"]], 2)
-        named |= _numbered("short period", short, eigenvalues)
-        named |= _numbered("phugoid", long, eigenvalues)
-    if states.issuperset(LATERAL):
-        dutch, slow = _split(units, participation.loc[["v", "r"]], 2)
-        roll, spiral = _split(slow, participation.loc[["p"]], 1)
-        named |= _numbered("Dutch roll", dutch, eigenvalues)
-        named |= _numbered("roll", roll, eigenvalues)
-        named |= _numbered("spiral" if roll else "roll-spiral", spiral, eigenvalues)
-    return named or _numbered("mode", units, eigenvalues)
+    """Return the units by name, of the participation of the states in each eigenvalue.
+
+    Several of one name have numbers, the fastest first.
+    """
+    along, across = _split(units, participation.loc[[*LONGITUDINAL]], 4)
+    short, long = _split(along, participation.loc[["w", "q"]], 2)
+    dutch, slow = _split(across, participation.loc[["v", "r"]], 2)
+    roll, spiral = _split(slow, participation.loc[["p"]], 1)
+    last = "spiral" if roll else "roll-spiral"
+    modes = {
+        "short period": short,
+        "phugoid": long,
+        "Dutch roll": dutch,
+        "roll": roll,
+        last: spiral,
+    }
+    named = {}
+    for name, of_name in modes.items():
+        fastest_first = sorted(of_name, key=lambda unit: -abs(eigenvalues[unit[0]]))
+        for k, unit in enumerate(fastest_first, start=1):
+            named[name if len(of_name) == 1 else f"{name} {k}"] = unit
+    return named
 
 
 def _split(
@@ -101,14 +106,6 @@ def _split(
     fitting = [subset for subset in subsets if sum(map(len, subset)) == size]
     best = max(fitting, key=lambda subset: share[[*chain(*subset)]].sum(), default=())
     return list(best), [unit for unit in units if unit not in best]
-
-
-def _numbered(name: str, units: list[list[int]], eigenvalues: np.ndarray) -> dict[str, list[int]]:
-    """Return a single unit by its name; several with numbers, the fastest first."""
-    units = sorted(units, key=lambda unit: -abs(eigenvalues[unit[0]]))
-    if len(units) == 1:
-        return {name: units[0]}
-    return {f"{name} {k}": unit for k, unit in enumerate(units, start=1)}
 
 
 def _values(roots: np.ndarray) -> tuple[float, float, float]:

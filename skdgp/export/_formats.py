@@ -24,7 +24,7 @@ from skdgp.export._pipeline import portable_model
 LARGEST = 2**26
 
 FORMAT = "skdgp portable model"
-VERSION = 10
+VERSION = 11
 HEAD = "model.json"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from itertools import pairwise
+from functools import cache
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -36,9 +36,8 @@ from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiO
 # training data, in standard deviations
 REFERENCE_ROWS = 40
 REFERENCE_STEP = 0.5
-NO_FUNCTIONS = Readout(np.empty(0), np.empty((0, 0)))
-# Terms, readout, weights of the trend and its root in the explained variance, of a part
-Learned: TypeAlias = tuple[tuple[Term, ...], Readout, Vector, Matrix]
+# Terms, C (d + 1, k) of the trend, and readout, of k loadings
+Loadings: TypeAlias = tuple[list[Term], Matrix, Readout]
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
 
@@ -165,16 +164,17 @@ def _factors(name: str, mixing: Any) -> dict[str, float]:
     return {surface: c for surface, c in zip(mixing.surfaces, row, strict=True) if c} or {name: 1.0}
 
 
-def _trend_of(kernel: MultiOutputKernel) -> tuple[Vector, Matrix]:
-    """Return the centre of the linear trend, and the prior deviations of intercept and slopes (P, d + 1)."""
+def _trend_roots(kernel: MultiOutputKernel) -> Array:
+    """Return the roots R (P, d + 1, d + 1) of the prior covariances p^T R R^T p of the linear trend, p = (1, z)."""
     trends = [term for term in kernel.summands() if isinstance(term, LinearTrend)]
     if len(trends) > 1:
         raise ValueError(f"Got several linear trends, but only one has a portable form. {REMEDY}")
     if not trends:
-        return np.zeros(kernel.n_features), np.zeros((kernel.n_outputs, kernel.n_features + 1))
-    center = np.broadcast_to(trends[0].value("center"), kernel.n_features).astype(float)
-    values = [trends[0].value(name) for name in ("intercept_scale", "slope_scale")]
-    return center, np.column_stack(values)
+        return np.zeros((kernel.n_outputs, kernel.n_features + 1, kernel.n_features + 1))
+    (trend,) = trends
+    center = np.broadcast_to(trend.value("center"), kernel.n_features).astype(float)
+    scales = np.column_stack([trend.value("intercept_scale"), trend.value("slope_scale")])
+    return _moved_trend(center).T * scales[:, None]
 
 
 def _moved_trend(center: Vector) -> Matrix:
@@ -196,9 +196,8 @@ def _all_parts(posterior: Posterior) -> tuple[Part, ...]:
 def _parts(posterior: SinglePosterior, errors: FunctionErrors | None) -> list[Part]:
     """Return the parts of a single posterior, one for each output.
 
-    A trend about a centre has the functions M p, p = (1, z). So its weights are
-    M^T v, and the roots of its prior and explained covariance M^T R and M^T T. Errors of the
-    function are further columns of the prior.
+    Each is linear in loadings C^T p + g of the trend and of the Gaussian functions. With the weights w and the root U
+    of these, v = C w and T = C U. Errors of the function are further columns of the prior.
     """
     kernels = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in kernels if not isinstance(term, ConvolvedGaussian)]
@@ -207,8 +206,7 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None) -> list[Pa
             f"Got a model with the kernels {others}, but only ConvolvedGaussian and LinearTrend "
             f"have a portable form. {REMEDY}"
         )
-    trend, tau = _trend_of(posterior.kernel)
-    roots = _moved_trend(trend).T * tau[:, None]
+    roots = _trend_roots(posterior.kernel)
     priors = [root[:, root.any(axis=0)] for root in roots]
     variance = np.zeros(posterior.kernel.n_outputs)
     for kernel in kernels:
@@ -217,17 +215,30 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None) -> list[Pa
         linear = _moved_trend(errors.centre).T @ errors.weights.T
         priors = [_square_root(np.hstack(pair)) for pair in zip(priors, linear, strict=True)]
     if isinstance(posterior, ExactPosterior):
-        parts = _exact(posterior, kernels, trend, tau, roots)
+        loadings = _exact(posterior, kernels, roots)
     else:
-        parts = _sparse(cast(SparsePosterior, posterior), roots)
-    outputs = zip(parts, priors, variance.tolist(), strict=True)
-    return [Part(*part, trend_prior=R, prior_variance=a) for part, R, a in outputs]
+        loadings = _sparse(cast(SparsePosterior, posterior), roots)
+    parts = []
+    for (terms, C, readout), R, a in zip(loadings, priors, variance.tolist(), strict=True):
+        trend_root = C @ readout.root
+        weights = C @ readout.weights
+        if not terms:
+            trend_root = _square_root(trend_root)
+            readout = _no_functions(len(trend_root))
+        parts.append(Part(tuple(terms), readout, weights, trend_root, R, a))
+    return parts
+
+
+@cache
+def _no_functions(k: int) -> Readout:
+    """Return the readout of k functions that are zero."""
+    return Readout(np.zeros(k), np.zeros((k, k)))
 
 
 def _unused(d: int) -> Part:
     """Return a part of weight zero: its values do not matter, so it has no functions."""
     nothing = np.zeros((d + 1, 0))
-    return Part((), NO_FUNCTIONS, np.zeros(d + 1), nothing, nothing, 1.0)
+    return Part((), _no_functions(0), np.zeros(d + 1), nothing, nothing, 1.0)
 
 
 def _square_root(root: Matrix) -> Matrix:
@@ -236,12 +247,10 @@ def _square_root(root: Matrix) -> Matrix:
     return triangle[:, -len(root) :]
 
 
-def _exact(
-    posterior: ExactPosterior, kernels: list[Any], center: Vector, tau: Matrix, roots: Array
-) -> list[Learned]:
-    """Return terms, readout, weights and root of the trend of each output of an exact posterior.
+def _exact(posterior: ExactPosterior, kernels: list[Any], roots: Array) -> Iterator[Loadings]:
+    """Yield the loadings of each output of an exact posterior.
 
-    The samples are the centres. The basis is the covariance with the observed values, the readout C^-1 y and
+    The samples are the centres. The loadings are the covariances with the observed values, the readout C^-1 y and
     L^-T of C = L L^T.
     """
     X = posterior.data.X
@@ -249,60 +258,36 @@ def _exact(
     inverse, info = lapack.dtrtri(posterior.factor.dense(), lower=1)
     if info:
         raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri {info}).")
-    inverse = np.tril(inverse)
-    readout = Readout(posterior.alpha.copy(), inverse.T) if kernels else NO_FUNCTIONS
-    parts = []
-    for i, (a, b) in enumerate(pairwise(places)):
+    readout = Readout(posterior.alpha.copy(), np.tril(inverse).T)
+    for i, root in enumerate(roots):
         terms: list[Term] = []
         for kernel in kernels:
             for j, first in enumerate(places[:-1]):
                 terms += _terms(kernel, i, j, first, X[j])
-        trend = np.column_stack([np.ones(b - a), X[i] - center]) * tau[i] @ roots[i].T
-        root = (inverse[:, a:b] @ trend).T
-        trend_root = root if kernels else _square_root(root)
-        parts.append((tuple(terms), readout, posterior.alpha[a:b] @ trend, trend_root))
-    return parts
+        C = np.zeros((len(root), places[-1]))
+        samples = np.column_stack([np.ones(len(X[i])), X[i]])
+        C[:, places[i] : places[i + 1]] = root @ root.T @ samples.T
+        yield terms, C, readout
 
 
-def _sparse(posterior: SparsePosterior, roots: Array) -> list[Learned]:
-    """Return the same of each output of a sparse posterior; the inducing inputs are the centres."""
-    parts = []
-    for i, of_prior in enumerate(roots):
-        terms, of_trend, of_terms = _sparse_terms(posterior, i, len(roots))
-        n = len(of_trend)
-        order = [*of_trend, *of_terms]
-        w = posterior.weights[posterior.features.columns(i)][order]
-        root = rq(posterior.roots[i][order], mode="r")
-        readout = Readout(w[n:], np.ascontiguousarray(root[n:, n:]))
-        if not n:
-            of_prior = of_prior[:, :0]
-        # weights of the trend are in units of its prior
-        parts.append((tuple(terms), readout, of_prior @ w[:n], of_prior @ root[:n]))
-    return parts
-
-
-def _sparse_terms(
-    posterior: SparsePosterior, i: int, n_outputs: int
-) -> tuple[list[Term], list[int], list[int]]:
-    """Return the terms of an output, and the places of trend and terms among its inducing variables."""
-    of_trend: list[int] = []
-    of_terms: list[int] = []
-    terms: list[Term] = []
-    first = 0
-    for features in posterior.features.summands():
-        last = first + len(features.columns(i))
-        if isinstance(features, LatentFeatures):
-            place = first
-            Z = features.Z
-            for f in features.blocks[i]:
-                latent = n_outputs + f
-                terms += _terms(features.joint, i, latent, len(of_terms), Z)
-                of_terms += range(place, place + len(Z))
-                place += len(Z)
-        else:
-            of_trend = list(range(first, last))
-        first = last
-    return terms, of_trend, of_terms
+def _sparse(posterior: SparsePosterior, roots: Array) -> Iterator[Loadings]:
+    """Yield the same of each output of a sparse posterior; the inducing inputs are the centres."""
+    for i, root in enumerate(roots):
+        columns = posterior.features.columns(i)
+        terms: list[Term] = []
+        C = np.zeros((len(root), len(columns)))
+        first = 0
+        for features in posterior.features.summands():
+            last = first + len(features.columns(i))
+            if isinstance(features, LatentFeatures):
+                places = range(first, last, len(features.Z))
+                for f, place in zip(features.blocks[i], places, strict=True):
+                    terms += _terms(features.joint, i, len(roots) + f, place, features.Z)
+            else:  # weights of the trend are in units of its prior
+                C[:, first:last] = root
+            first = last
+        triangle: Any = rq(posterior.roots[i], mode="r")
+        yield terms, C, Readout(posterior.weights[columns], triangle)
 
 
 def _terms(kernel, i, j, first, X) -> Iterator[Term]:

@@ -28,8 +28,9 @@ LATERAL = np.array(
 )
 
 
-def mode_table(A, states, paths=None):
+def mode_table(A, states=(*ALONG, *ACROSS), paths=None):
     """The modes of x' = A x."""
+    states = list(states)
     square, empty = pd.DataFrame(A, index=states, columns=states), pd.DataFrame(index=states)
     drawn = None if paths is None else LinearModel(paths, None, None, None, 20.0, 1.2)
     return LinearModel(square, empty, square.iloc[:0], empty.iloc[:0], 20.0, 1.2, drawn).modes()
@@ -39,8 +40,8 @@ BOTH = block_diag(LONGITUDINAL, LATERAL)
 
 
 def test_published_longitudinal_modes():
-    table = mode_table(LONGITUDINAL, ALONG)
-    assert list(table.index) == ["short period", "phugoid"]
+    table = mode_table(BOTH)
+    assert list(table.index[:2]) == ["short period", "phugoid"]
     assert_allclose(table.loc["phugoid", "eigenvalue"], -0.003289 + 0.06723j, rtol=1e-3)
     assert_allclose(table.loc["short period", "eigenvalue"], -0.3719 + 0.8875j, rtol=1e-3)
     half = np.log(2.0) * table["time_constant"]
@@ -52,8 +53,8 @@ def test_published_longitudinal_modes():
 
 
 def test_published_lateral_modes():
-    table = mode_table(LATERAL, ACROSS)
-    assert list(table.index) == ["Dutch roll", "roll", "spiral"]
+    table = mode_table(BOTH)
+    assert list(table.index[2:]) == ["Dutch roll", "roll", "spiral"]
     assert_allclose(table.loc["Dutch roll", "eigenvalue"], -0.033011 + 0.94655j, rtol=1e-3)
     assert_allclose(table.loc["roll", "eigenvalue"], -0.56248, rtol=1e-3)
     assert_allclose(table.loc["spiral", "eigenvalue"], -0.0072973, rtol=1e-3)
@@ -67,14 +68,13 @@ def test_names_hold_whatever_the_order_and_units_of_states():
     A = (BOTH * scale[:, None] / scale)[np.ix_(order, order)]
     table = mode_table(A, [(ALONG + ACROSS)[k] for k in order])
     assert list(table.index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
-    apart = pd.concat([mode_table(LONGITUDINAL, ALONG), mode_table(LATERAL, ACROSS)])
-    assert_allclose(table.loc[apart.index, "eigenvalue"], apart["eigenvalue"], rtol=1e-6)
+    assert_allclose(table["eigenvalue"], mode_table(BOTH)["eigenvalue"], rtol=1e-6)
 
 
 def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
-    A = LONGITUDINAL.copy()
+    A = BOTH.copy()
     A[2, 1] *= -0.5
-    table = mode_table(A, ALONG)
+    table = mode_table(A)[:3]
     assert list(table.index) == ["short period 1", "short period 2", "phugoid"]
     assert table.loc["short period 1", "damping"] == 1.0
     growth = np.real(table["eigenvalue"].to_numpy(complex))
@@ -83,15 +83,20 @@ def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():
     assert table["eigenvalue"].abs()["short period 1"] > table["eigenvalue"].abs()["short period 2"]
 
 
+def with_dutch_roll(omega, zeta):
+    """Return A of an aircraft whose Dutch roll is that of v and r alone."""
+    lateral = np.diag([0.0, -20.0, -2 * zeta * omega, -0.01])
+    lateral[0, 2] = 1.0
+    lateral[2, 0] = -(omega**2)
+    return block_diag(LONGITUDINAL, lateral)
+
+
 class TestSpreadOfModes:
     def test_is_that_of_the_frequency_and_the_damping(self):
         rng = default_rng(0)
         omega, zeta = 3 + 0.1 * rng.normal(size=500), 0.4 + 0.02 * rng.normal(size=500)
-        paths = np.zeros((500, 2, 2))
-        paths[:, 0, 1] = 1.0
-        paths[:, 1, 0] = -(omega**2)
-        paths[:, 1, 1] = -2 * zeta * omega
-        row = mode_table(np.array([[0, 1], [-9, -2.4]]), ["x", "v"], paths).loc["mode"]
+        paths = np.array([with_dutch_roll(*pair) for pair in zip(omega, zeta, strict=True)])
+        row = mode_table(with_dutch_roll(3.0, 0.4), paths=paths).loc["Dutch roll"]
         assert_allclose(row["frequency_std"], omega.std(ddof=1))
         assert_allclose(row["damping_std"], zeta.std(ddof=1))
         ends = np.quantile(1 / (zeta * omega), [0.025, 0.975])
@@ -100,7 +105,7 @@ class TestSpreadOfModes:
     def test_paths_in_which_a_pair_splits_stay_with_it(self):
         """s^2 + 2 zeta omega s + omega^2 is one mode on either side of critical damping."""
         zeta = np.array([0.9, 0.95, 1.05, 1.1])
-        paths = np.array([[[0, 1], [-4, -4 * z]] for z in zeta])
-        row = mode_table(np.array([[0, 1], [-4, -3.9]]), ["x", "v"], paths).loc["mode"]
+        paths = np.array([with_dutch_roll(2.0, z) for z in zeta])
+        row = mode_table(with_dutch_roll(2.0, 0.975), paths=paths).loc["Dutch roll"]
         assert_allclose(row["frequency_std"], 0.0, atol=1e-7)
         assert_allclose(row["damping_std"], zeta.std(ddof=1))

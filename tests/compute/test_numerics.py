@@ -11,15 +11,10 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from threadpoolctl import threadpool_limits
 
-from skdgp._compute.differences import central_difference
 from skdgp._compute.linalg import (
     JITTER_LAST,
     JitterWarning,
-    cholesky_inverse,
-    cholesky_solve,
     jittered_cholesky,
-    log_determinant,
-    triangular_solve,
 )
 from skdgp._compute.parallel import n_threads, thread_map
 
@@ -61,28 +56,6 @@ class TestCholesky:
     def test_of_what_has_none_is_refused_with_the_remedy(self, matrix, words):
         with pytest.raises(np.linalg.LinAlgError, match=words):
             cholesky(matrix)
-
-    def test_solve_inverse_and_determinant(self):
-        L = cholesky(K)
-        b = np.arange(7.0)
-        assert_allclose(cholesky_solve(L, b), np.linalg.solve(K, b), rtol=1e-10)
-        assert log_determinant(L) == pytest.approx(np.linalg.slogdet(K)[1])
-        B = default_rng(2).normal(size=(7, 3))
-        expected = np.linalg.solve(np.tril(L), B)
-        assert_allclose(triangular_solve(L, np.array(B, order="F")), expected, rtol=1e-10)
-        inverse = np.tril(cholesky_inverse(L))
-        assert_allclose(inverse, np.tril(np.linalg.inv(K)), rtol=1e-9, atol=1e-12)
-
-
-class TestCentralDifferences:
-    def test_are_exact_for_polynomials_of_fourth_degree(self):
-        def function(z):
-            x, y = np.moveaxis(z, -1, 0)
-            return np.stack([x**4 * y, x - 3.0 * y**3, x * y], axis=-1)
-
-        x, y = z = np.array([1.3, -0.7])
-        exact = [[4 * x**3 * y, x**4], [1.0, -9.0 * y**2], [y, x]]
-        assert_allclose(central_difference(function, z, np.array([0.5, 0.2])), exact, rtol=1e-9)
 
 
 word = ContextVar("word", default="unset")

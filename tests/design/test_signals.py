@@ -14,7 +14,6 @@ from skdgp.design import (
     three_two_one_one,
     wavetrain,
 )
-from skdgp.dynamics import simulate, trim
 
 SIGNALS = {
     "doublet": doublet(0.8, 0.1),
@@ -108,18 +107,6 @@ def test_manoeuvres_follow_one_another_with_pauses_at_trim():
     assert_allclose(begins, [2.0, 5.0, 10.5])
     assert table["time"].iloc[-1] == train.duration + 1.0 == 13.5
     assert (table.drop(columns="time").iloc[-1] == 0).all()
-
-
-def test_a_table_with_its_trim_is_flown_and_returns_to_it(glider):
-    aircraft = glider.model(), glider.aircraft
-    point = trim(*aircraft, 20.0)
-    train = wavetrain([{"elevator": doublet(0.2, 0.02)}, {"rudder": doublet(0.5, 0.05)}], pause=1.0)
-    flight = simulate(*aircraft, point, train.table(50.0, trim=point.controls, pause=10.0))
-    assert np.ptp(flight["alpha"]) > 0.01
-    assert np.ptp(flight["beta"]) > 0.01
-    end = flight.iloc[-1]
-    assert abs(end["beta"]) < 2e-3
-    assert end["alpha"] == pytest.approx(point.alpha, abs=1e-2)
 
 
 def test_overlapping_inputs_add_up_within_limits():

@@ -464,7 +464,8 @@ CLEAN = [
     then(ahead, without(*VANES)),
 ]
 SOUND = [
-    *((name, change) for name in ("lateral", "latlon") for change in CLEAN),
+    *(("latlon", change) for change in CLEAN),
+    *(("lateral", change) for change in CLEAN[-1:0:-3]),
     ("latlon", heading(3.0)),
     ("latlon", slow_gps),
     ("latlon", noisy),

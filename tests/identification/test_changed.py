@@ -172,30 +172,6 @@ def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight():
     assert p_value(pipeline, with_noise_of_alpha(20, 1.0, of_q), change=0.2) < 0.01
 
 
-def test_noise_of_alpha_and_beta_hardly_widens_a_lateral_slope_over_alpha():
-    """Only a covariance of both errors biases Cn_alpha, and a mirrored flight changes its sign.
-
-    With the correlation rho it is rho s_alpha s_beta Cn_beta (1 / S - 1 / S_0), of the variances S
-    of alpha in the flight and in the fit.
-    """
-    size = 0.3
-    noise = np.array([ALPHA_NOISE, 0.02])
-
-    def flown(seed, size):
-        rng = np.random.default_rng(seed)
-        X = size * 0.1 * lasting(rng, (1500, 2), 15)
-        Y = 0.02 * lasting(rng, (1500, 6), 5)
-        Y[:, 5] += X[:, 1]
-        return pd.DataFrame(X + noise * rng.normal(size=X.shape), columns=["alpha", "beta"]), Y
-
-    found = changes(learned(*flown(0, 1.0), noise), several(flown, size))
-    rows = found.derivatives.xs("Cn_alpha", level="derivative")
-    variances = np.array([0.1, size * 0.1]) ** 2 + ALPHA_NOISE**2
-    of_any_correlation = np.prod(noise) * np.diff(1 / variances) / np.sqrt(3)
-    assert rows["std"].mean() < 0.7 * of_any_correlation
-    assert (rows["change"].abs() < 2 * rows["std"]).mean() > 0.8
-
-
 def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight(model):
     """Residuals do not show them, where the filter derived the angles from the same forces."""
     reconstruction = FlightPathReconstruction()
@@ -302,14 +278,6 @@ def test_one_factor_of_all_forces_is_found_with_its_size(model, factor):
     assert row["change"].mean() == pytest.approx(factor - 1, abs=0.02)
     found = next(finding for finding in result.findings if finding.code is Code.CHANGED)
     assert found.numbers["forces"] == tuple(row.loc[found.flight])
-
-
-def test_no_factor_of_the_forces_is_found_where_there_is_none(model):
-    flights = {str(seed): flight(seed, 0.04) for seed in range(1, 25)}
-    result = changes(model, flights)
-    assert alarms(result, "forces") < 0.1
-    row = result.derivatives.xs("forces", level="derivative")
-    assert (row["change"].abs() < 3 * row["std"]).all()
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):

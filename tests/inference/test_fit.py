@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
-from threadpoolctl import threadpool_limits
 
 from skdgp.inference import (
     Data,
@@ -77,13 +76,6 @@ class TestFit:
         K = found.kernel(np.zeros((1, 1)))
         assert K[0, 1] / np.sqrt(K[0, 0] * K[1, 1]) < -0.7
 
-    def test_seed_decides_and_threads_do_not(self, fit):
-        options = {"every": 3, "max_iter": 2}
-        once = fit(ConvolvedGaussian(1), **options).posterior
-        with threadpool_limits(2, user_api="blas"):
-            again = fit(ConvolvedGaussian(1), **options).posterior
-        assert_allclose(once.kernel.theta, again.kernel.theta, rtol=1e-3, atol=1e-3)
-
 
 class TestGivenKernel:
     """What a user says of a kernel holds."""
@@ -100,13 +92,6 @@ class TestGivenKernel:
         assert_array_equal(found.k1.intercept_scale, [1.0, 2.0])
         assert_array_equal(found.k1.slope_scale, [[0.5], [0.6]])
         assert_allclose(found.k2.length_scale, self.lengths, rtol=1e-9, atol=1e-10)
-
-    def test_bounds_are_kept(self, fit):
-        kernel = ConvolvedGaussian(1, parameter_bounds={"length_scale": (0.2, 0.5)})
-        found = fit(kernel, max_iter=10).posterior.kernel
-        lengths = found.length_scale[np.array(found.amplitude) != 0]
-        assert (lengths >= 0.2 - 1e-12).all()
-        assert (lengths <= 0.5 + 1e-12).all()
 
 
 class TestBlocks:

@@ -30,12 +30,6 @@ def ridge(theta):
     return Likelihood(-(100 * (y - x**2) ** 2 + (1 - x) ** 2), -slope, information)
 
 
-def test_finds_the_top():
-    best = maximize(hill, np.array([4.0, 4.0]), BOUNDS, Event(), max_iter=100)
-    assert_allclose(best.theta, [1, -2], atol=5e-4)  # half of the least slope
-    assert best.value == pytest.approx(3.0, abs=1e-6)
-
-
 def test_keeps_to_the_bounds():
     seen = []
 

@@ -79,12 +79,6 @@ class TestSparseFit:
         squares = np.mean((noise[:, 0] - model.predict(x)[:, 0]) ** 2)
         assert model.noise_variance_[0] > 1.2 * squares
 
-    def test_bounds_of_the_noise_hold(self):
-        model = DependentGPRegressor(
-            structure="trend", noise_variance=0.02, noise_variance_bounds=(0.01, 0.03)
-        ).fit(X, TRUTH + NOISE[:, :1], time=X[:, 0])
-        assert model.noise_variance_ == pytest.approx(0.03)
-
     def test_shuffled_rows_are_independent_evidence(self):
         order = default_rng(4).permutation(len(X))
         fit = fitted(X[order], (TRUTH + NOISE)[order, :1])

@@ -12,7 +12,6 @@ from skdgp.inference import (
     PosteriorSettings,
     ShareSettings,
     SparsePosterior,
-    log_likelihood,
 )
 from skdgp.kernels import inducing_features
 
@@ -44,17 +43,6 @@ class TestBound:
         density = multivariate_normal(cov=Qff + problem.S).logpdf(problem.y)
         expected = density - 0.5 * np.trace(missing)
         assert sparse(problem).log_marginal_likelihood == pytest.approx(expected, rel=1e-9)
-
-    def test_is_below_the_likelihood_and_rises_to_it(self, problem):
-        exact = log_likelihood(problem.kernel, problem.noise, problem.data)
-        axis = np.linspace(-3.2, 3.2, 12)
-        grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-        bounds = [
-            sparse(problem, inputs).log_marginal_likelihood
-            for inputs in (grid[::24], grid[::6], grid)
-        ]
-        assert bounds[0] < bounds[1] < bounds[2] < exact
-        assert exact - bounds[2] < 0.02 * (exact - bounds[0])
 
 
 class TestPosterior:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose
-from scipy.stats import norm
 
 from skdgp.plotting import TimeHistoryDisplay
 
@@ -30,15 +29,6 @@ def test_only_holes_wide_enough_to_be_seen_break_the_line(rows, n_gaps):
 def test_nothing_known_is_no_line():
     x, _ = drawn(np.full(3000, np.nan)).lines[0].get_data()
     assert len(x) == 0
-
-
-def test_a_band_covers_every_interval():
-    centre, std = np.sin(TIME), 1 + np.abs(np.sin(TIME))
-    (area,) = drawn(centre, std).collections
-    corners = area.get_paths()[0].vertices
-    half = norm.ppf(0.975) * std
-    edges = np.r_[centre - half, centre + half]
-    assert_allclose(np.unique(corners[:, 1]), np.unique(edges))
 
 
 @pytest.mark.parametrize(("n", "is_picture"), [(3000, True), (900, False)])

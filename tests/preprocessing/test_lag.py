@@ -100,7 +100,7 @@ class TestEstimate:
             errors.append((found["lag"] - 0.06) / found["std"])
         assert 0.3 < np.sqrt(np.mean(np.square(errors))) < 1.7
 
-    @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03), (0.05, 0.02)])
+    @pytest.mark.parametrize(("servos", "delay"), [(0.1, 0.0), (0.04, 0.03)])
     def test_commands_are_told_from_deflections_by_lag_and_delay(self, servos, delay):
         truth = linear_aircraft(2, width=2, seconds=40)
         table = linear_aircraft(2, servos=servos, surfaces=-delay, width=2, seconds=40)
@@ -122,7 +122,7 @@ class TestEstimate:
     @pytest.mark.parametrize(
         ("servos", "delay", "removed", "n_flights"),
         # four flights tell the delay within less than 5 ms
-        [(0.06, 0.0125, 0.0, 1), (0.0, 0.05, 0.04, 1), (0.06, 0.05, 0.043, 4)],
+        [(0.06, 0.0125, 0.0, 1), (0.06, 0.05, 0.043, 4)],
     )
     def test_without_vanes_a_delay_shorter_than_a_step_is_left_to_the_filter(
         self, latlon, servos, delay, removed, n_flights

@@ -113,13 +113,6 @@ class TestSmooth:
         exact = 0.8 * np.pi * np.cos(0.8 * np.pi * jittered)
         assert_allclose(rate[5:-5], exact[5:-5], atol=1e-3)
 
-    def test_rounded_clock_makes_no_noise(self):
-        """Seconds of single precision late in a flight: the rate must not inherit the rounding."""
-        time = clock(4000, start=600.0)
-        rounded = time.astype(np.float32).astype(float)
-        _, rate = filtered(np.sin(2 * np.pi * 0.8 * time), rounded, cutoff=None)
-        assert rms(rate - 1.6 * np.pi * np.cos(2 * np.pi * 0.8 * time)) < 1e-3
-
     @pytest.mark.parametrize("n", [2, 3, 5, 20, 127])
     def test_short_flights(self, n):
         values = np.linspace(1, 2, n)[:, None] * [1.0, 2.0]

@@ -281,9 +281,6 @@ class TestWords:
     def test_effects_and_inputs(self, html):
         assert "For each coefficient the regressors along which it changes most" in html
         assert "Inputs of train (train)" in html
-        html = render(effects=None, evaluations=[result(100, replay=None)], train={})
-        assert "For each coefficient the regressors" not in html
-        assert "figure 7" not in html  # without a replay
 
     def test_escapes_what_comes_from_outside(self):
         """Markup, and dollars, which are no templates and no mathematics."""

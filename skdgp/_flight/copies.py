@@ -13,16 +13,10 @@ from skdgp._flight.findings import Code
 from skdgp._flight.frames import wrapped
 from skdgp._flight.tables import FlightTable, has_values, interpolated, numeric, unwrapped
 
-# fraction of equal rows above which a flight is a copy, and decimals to which they are equal
+# fraction of equal rows above which a flight is a copy
 COPIED = 0.5
-ROUNDED = 4
-# median distance of attitudes [rad] below which they are of one flight; 0.6 or more apart in nine flights
-SAME_ATTITUDE = 0.05
 # delays of telemetry that are tried [s]
 LAGS = np.linspace(-0.4, 0.4, 9)
-# largest total variance of the difference of changes within a second over that of the changes: 0.0 to 0.4 of
-# copies, 0.7 to 9 of flights with the same inputs on one course (38 pairs)
-UNSHARED = 0.5
 
 
 def without_copies(
@@ -76,8 +70,11 @@ def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
         apart = wrapped(own - there)
         unshared = apart[n_rows:] - apart[:-n_rows]
         if np.isfinite(unshared).all(axis=1).any():
-            is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < SAME_ATTITUDE
-            if is_near and _total_variance(unshared) < UNSHARED * _total_variance(fast):
+            # [rad]; 0.6 or more apart in nine flights
+            is_near = np.nanmedian(np.linalg.norm(apart, axis=1)) < 0.05
+            # changes within a second differ by 0.0 to 0.4 of their variance in copies, 0.7 to 9 in flights with the
+            # same inputs on one course (38 pairs)
+            if is_near and _total_variance(unshared) < 0.5 * _total_variance(fast):
                 return True
     return False
 
@@ -92,5 +89,5 @@ def _motion(flight: FlightTable) -> Array:
     names = [*RATES, *SPECIFIC_FORCE]
     values = numeric(flight.table.reindex(columns=names), names)
     measured = values[np.isfinite(values).all(axis=1)]
-    rounded = pd.DataFrame(np.round(measured, ROUNDED) + 0.0)  # no negative zeros
+    rounded = pd.DataFrame(np.round(measured, 4) + 0.0)  # no negative zeros
     return np.unique(pd.util.hash_pandas_object(rounded, index=False))

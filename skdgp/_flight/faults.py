@@ -361,13 +361,6 @@ def usual_spacing(values: Vector) -> float:
     return float(np.quantile(np.diff(sampled), 0.9))
 
 
-# Below this fraction of a fast airspeed, its 95 % quantile, no wing carries: the lift coefficient would be 16
-# times as large. From there the aircraft rolls up to the second fraction.
-STANDING = 0.25
-ROLLING = 0.5
-SHORTEST = 2.0  # [s] on the ground
-
-
 def on_ground(flights: FlightTable) -> Mask:
     """Return which rows (n,) stand or roll on the ground, none without an airspeed."""
     airspeed = flights.column("airspeed")
@@ -379,10 +372,12 @@ def on_ground(flights: FlightTable) -> Mask:
             continue
         fast = float(np.quantile(measured, 0.95))
         time = flights.time[rows]
-        for run in true_runs(speed < ROLLING * fast):
-            standing = true_runs(speed[run] < STANDING * fast)
+        # below a quarter of it no wing carries: the lift coefficient would be 16 times as large. From there the
+        # aircraft rolls up to the half
+        for run in true_runs(speed < 0.5 * fast):
+            standing = true_runs(speed[run] < 0.25 * fast)
             seconds = [np.ptp(time[run][part]) for part in standing]
-            ground[rows[run]] = max(seconds, default=0.0) >= SHORTEST
+            ground[rows[run]] = max(seconds, default=0.0) >= 2.0
     return ground
 
 

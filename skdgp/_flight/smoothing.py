@@ -35,8 +35,6 @@ from skdgp._flight.tables import check_number, has_values, numeric, unwrapped
 
 # Least samples of a segment that shows a spectrum (guess)
 LEAST_SAMPLES = 128
-# avoids the logarithm of zero
-TINY = 1e-300
 TOO_SHORT = (
     f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to tell "
     "noise from signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
@@ -275,7 +273,8 @@ def _wiener_gain(spectrum: Spectrum) -> Vector:
         return np.ones_like(spectrum.power)
     # fewer periodograms than 20 are also averaged over neighbouring frequencies (guess)
     width = max(1.0, 20 / spectrum.averages)
-    smoothed = ndimage.gaussian_filter1d(np.log(spectrum.power + TINY), width, mode="nearest")
+    log_power = np.log(spectrum.power + np.finfo(float).tiny)
+    smoothed = ndimage.gaussian_filter1d(log_power, width, mode="nearest")
     # h = max(0, 1 - N / P)
     gain = np.clip(1 - floor / np.exp(smoothed), 0, 1)
     # the mean of a channel is signal
@@ -308,10 +307,6 @@ def _convolved(values: Vector, response: Vector) -> Vector:
     return signal.oaconvolve(padded, response, mode="valid")
 
 
-# Least band of the motion [Hz]: errors of a narrower one correlate between ten rows a second
-LEAST_BAND = 5.0
-
-
 def vibration_band(table: pd.DataFrame) -> float:
     """Return the frequency [Hz] beyond which flights with vanes vibrate; infinite where they do not.
 
@@ -320,7 +315,8 @@ def vibration_band(table: pd.DataFrame) -> float:
     """
     if not has_values(table, "time", *SPECIFIC_FORCE, *VANES):
         return np.inf
-    band = max(motion_band_of(table), LEAST_BAND)
+    # [Hz]: errors of a narrower one correlate between ten rows a second
+    band = max(motion_band_of(table), 5.0)
     return band if vibrates_beyond(table, band) else np.inf
 
 

@@ -5,6 +5,7 @@ without vanes follow by the filter-error method (`estimate_air_motion`). The tra
 :mod:`skdgp.preprocessing` call both.
 """
 
+from skdgp.estimation._air_fit import AirSettings
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations as prior_deviations
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
@@ -29,8 +30,6 @@ from skdgp.estimation._sensors import NamedFlight as NamedFlight
 from skdgp.estimation._sensors import missing_channels as missing_channels
 from skdgp.estimation._servos import delayed_surfaces as delayed_surfaces
 from skdgp.estimation._servos import without_lag as without_lag
-from skdgp.estimation._settings import PATH_SETTINGS as PATH_SETTINGS
-from skdgp.estimation._settings import AirSettings
 from skdgp.estimation._vibration import vibration_covariance as vibration_covariance
 
 __all__ = [

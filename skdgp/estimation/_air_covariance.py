@@ -18,7 +18,6 @@ from skdgp.estimation._air_parameters import (
     Sums,
 )
 from skdgp.estimation._kalman import surface_covariance
-from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 
 def sandwich(information: Matrix, scatter: Matrix) -> Matrix:
@@ -129,10 +128,12 @@ def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
     search may end at gusts that are too large with slopes that are too small.
     """
     unknown = without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
-    last = fit.history[-SETTINGS.last_passes :]
+    # last passes of a search that did not converge, whose spread is an error
+    last = fit.history[-15:]
     if len(last) == len(fit.history):
         return unknown
-    covariance = inflate(covariance, SETTINGS.unfinished) + spread_of(last)
+    # factor of the standard deviations of such a search; trials on flights with vibration
+    covariance = inflate(covariance, 2.0) + spread_of(last)
     variance = np.minimum(np.diag(covariance), np.diag(unknown))
     by_angles = np.flatnonzero(fit.layout.is_by("alpha", "alpha2", "beta"))
     variance[by_angles] = np.diag(unknown)[by_angles]
@@ -153,7 +154,9 @@ def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:
             by_errors = surface_covariance(item.linear, fit.noise_search.noise(item.record))
             fractions = np.linalg.solve(item.filter_pass.innovation_covariance, by_errors)
             squared_length += np.einsum("nii->", fractions)
-    return np.sqrt(1 + SETTINGS.surface_correlation**2 * squared_length)
+    # correlation of errors of surfaces between samples with the motion by the surfaces; trials on two
+    # aircraft with surfaces at 10 Hz, 0.05 in one
+    return np.sqrt(1 + 0.03**2 * squared_length)
 
 
 def misfit_of_sensors(fit: AirFit) -> float:
@@ -171,8 +174,11 @@ def widened(covariance: Matrix, fit: AirFit, fitted: list[FittedRecord], misfit:
     covariance = inflate(covariance, misfit)
     covariance = inflate(covariance, surface_factor(fit, fitted))
     if fit.vibrates:
-        covariance = inflate(covariance, SETTINGS.vibrating)
-    return add_model_error(covariance, fit.derivatives, SETTINGS.model_error)
+        # factor of the standard deviations where flights vibrate; trials on these flights
+        covariance = inflate(covariance, 1.5)
+    # standard deviation by effects that the model lacks, over a derivative; each of six aircraft left
+    # out in turn, docs/preprocessing.md
+    return add_model_error(covariance, fit.derivatives, 0.04)
 
 
 def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
@@ -199,8 +205,10 @@ def _term_errors(fit: AirFit, fitted: list[FittedRecord], n_terms: int) -> Vecto
     """Return the errors (n_terms,) of the terms of the coefficients by path, rates and surfaces."""
     velocity = np.concatenate([item.record.velocity for item in fitted])
     speed = np.linalg.norm(velocity, axis=1).mean()
-    angle = SETTINGS.velocity_error / speed
-    rates = SETTINGS.rate_error * fit.layout.aircraft.moment_lengths / (2 * speed)
-    error = np.full(n_terms, SETTINGS.surface_error)
-    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates, SETTINGS.thrust_error]
+    # errors of the path [m/s], rates [rad/s] and surfaces [rad] that look like motion; guesses
+    angle = 0.02 / speed
+    rates = 0.002 * fit.layout.aircraft.moment_lengths / (2 * speed)
+    error = np.full(n_terms, 0.001)
+    # the same of thrust over dynamic pressure and wing area; guess
+    error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates, 0.001]
     return error

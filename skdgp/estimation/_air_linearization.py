@@ -69,7 +69,6 @@ from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import Linearization, Slopes, propagated
 from skdgp.estimation._sensors import BIASED, INERTIAL_READINGS, SENSORS, SensorErrors
 from skdgp.estimation._servos import servo_output
-from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 N_STATES = 9
 GUST = slice(0, 3)
@@ -80,8 +79,6 @@ RATE_STATES = slice(6, 9)
 """Places of the states: the gust, errors of the path, rate of roll of the air, rates of the aircraft."""
 CONSTANTS = (*AIRCRAFT_CONSTANTS, *FLIGHT_CONSTANTS)
 """Parameters of a flight behind the derivatives."""
-NOT_SAMPLED = 1e12
-"""Variance of a sensor where it is not sampled [SI]."""
 SENSOR_ERRORS = {"airspeed_scale", *BIASED}
 """Constants of the readings alone, which no motion depends on."""
 CONSTANT_STEP = 1e-5
@@ -368,7 +365,7 @@ class Expansion:
         """Return the terms (n, f) of the coefficients in the motion that surfaces cause about the mean one.
 
         It contains no gusts, nor an autopilot's ``answers`` (n, k + 1) to these. The motion is damped to a
-        correlation time of the `response_time`, as the motion of an unstable aircraft would grow.
+        correlation time of 4 s, as the motion of an unstable aircraft would grow.
         """
         # without an autopilot's answers to gusts
         answered = servo_output(answers[:, :-1], self.value["servo_lag"], self.record.median_step)
@@ -379,7 +376,7 @@ class Expansion:
         late = np.concatenate([surfaces[:1], surfaces[:-1]])
         A = self.by_start[:, :, MOTION]
         growth = np.abs(np.linalg.eigvals(A.mean(axis=0))).max()
-        damping = np.exp(-self.record.median_step / SETTINGS.response_time)
+        damping = np.exp(-self.record.median_step / 4.0)
         A = A * damping / max(growth, 1.0)
         B = self.by_start[:, :, COEFFICIENT_ERRORS] @ self.model.by_surfaces
         moved = (late - late.mean(axis=0)) * self.surface_effect
@@ -395,7 +392,7 @@ class Expansion:
         vibration = np.zeros((len(SENSORS), len(SENSORS)))
         vibration[INERTIAL_READINGS, INERTIAL_READINGS] = self.record.vibration
         sampled = self.record.sampled
-        missing = NOT_SAMPLED * np.isnan(self.measured)
+        missing = 1e12 * np.isnan(self.measured)
         return missing[..., None] * np.eye(missing.shape[1]) + vibration[np.ix_(sampled, sampled)]
 
     def _surface_noise(self) -> Array:

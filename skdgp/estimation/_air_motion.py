@@ -46,7 +46,7 @@ from skdgp.estimation._air_covariance import (
     unfinished_covariance,
     widened,
 )
-from skdgp.estimation._air_fit import AirFit
+from skdgp.estimation._air_fit import AIR_SETTINGS, AirFit, AirSettings
 from skdgp.estimation._air_linearization import Layout
 from skdgp.estimation._air_parameters import (
     AIRCRAFT_CONSTANTS,
@@ -60,7 +60,13 @@ from skdgp.estimation._air_parameters import (
     Parameters,
     derivatives_of,
 )
-from skdgp.estimation._air_records import Record, quietest_noise, records_of, shortened
+from skdgp.estimation._air_records import (
+    FEWEST_SAMPLES,
+    Record,
+    quietest_noise,
+    records_of,
+    shortened,
+)
 from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._path import PathEstimate, ground_paths
 from skdgp.estimation._sensors import (
@@ -71,10 +77,7 @@ from skdgp.estimation._sensors import (
     Prior,
     moving,
 )
-from skdgp.estimation._settings import AIR_SETTINGS, AirSettings
-from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
-ZERO_STD = 1e-6  # prior standard deviation of a parameter that stays zero
 DIVERGED = (
     "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
     "with inputs of every surface, and look at the signs and units of their sensors."
@@ -295,10 +298,11 @@ def estimate_air_motion(
         for name in [*derivatives]:
             if name.startswith("CX_") or name.endswith("_thrust"):
                 del derivatives[name]
-        constants |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, ZERO_STD))
+        constants |= dict.fromkeys(("thrust_scale", "slipstream"), (0.0, 1e-6))
     if paths is None:
         paths = ground_paths(table)
-    fewest = SETTINGS.fewest_samples if known is None else SETTINGS.fewest_known
+    # of a known aircraft a step is enough
+    fewest = FEWEST_SAMPLES if known is None else 2
     loads = np.hstack(propulsive_loads(table, aircraft, thrust))
     records = records_of(table, surfaces, loads, paths)
     records = [record for record in records if len(record.rows) >= fewest]
@@ -333,7 +337,9 @@ def _searched(start: Callable[[], AirFit], n_rows: int) -> AirMotion:
     Raise ValueError if all diverge.
     """
     motion = None
-    for n_before in SETTINGS.attempts:
+    # passes before the instruments are used, whose slopes are small far from the solution; the
+    # second number where the first attempt diverges, or goes back to an earlier pass
+    for n_before in (0, 6):
         fit = start()
         try:
             # a search that diverges leaves the range of numbers
@@ -383,8 +389,8 @@ def _noises(records: list[Record], known: AirMotion | None, n_flights: int) -> P
     if known is not None:
         shared = {name: (known.noise[name], 1.0) for name in AIRCRAFT_NOISES}
         return Parameters.of(shared, FLIGHT_NOISES, n_flights, len(shared))
-    accelerometer = quietest_noise(records, FORCE_READINGS, SETTINGS.least_noise)
-    gyro = quietest_noise(records, RATE_READINGS, SETTINGS.least_noise)
+    accelerometer = quietest_noise(records, FORCE_READINGS)
+    gyro = quietest_noise(records, RATE_READINGS)
     shared = dict(AIRCRAFT_NOISES)
     for name in ("ax", "ay", "az"):
         shared[name] = (accelerometer, shared[name][1])
@@ -406,7 +412,8 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
         misfit = misfit_of_sensors(fit)
         covariance = widened(covariance, fit, fitted, misfit)
         place = names.index("servo_delay")
-        covariance = add_delay_error(covariance, sums.information, place, SETTINGS.delay_error)
+        # standard deviation of the delay of the servos [s]: those of `estimate_lags` are 3 to 5 ms
+        covariance = add_delay_error(covariance, sums.information, place, 0.005)
     # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)
     if not fit.is_known:

@@ -29,8 +29,8 @@ from skdgp.estimation._kalman import (
     filtered,
     noise_slopes,
 )
-from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
+LARGEST_STEP = 0.7  # of the logarithm of a noise; factors of this limit are 0.5 where steps turn back, else 1.3
 NOISE_STEP = 1e-6  # of the logarithms, in slopes of the noises
 
 
@@ -45,7 +45,7 @@ class NoiseSearch:
         self.prior = noises._replace(mean=np.log(noises.mean))
         self.psi = self.prior.mean.copy()
         self.last = np.zeros(len(self.psi))
-        self.limits = np.full(len(self.psi), SETTINGS.largest_noise_step)
+        self.limits = np.full(len(self.psi), LARGEST_STEP)
 
     @property
     def values(self) -> dict[str, float]:
@@ -78,11 +78,14 @@ class NoiseSearch:
             gradient, fisher = _likelihood_slopes(filter_pass, slopes)
             weight = len(record.time_step) / len(linear.time_step)
             sums.add(places, weight * gradient, weight * fisher)
-        information, score = sums.damped(SETTINGS.noise_damping)
+        # damping of steps of the noises, over the information
+        information, score = sums.damped(0.02)
         before = self.psi[sums.free].copy()
         full_step: Any = -np.linalg.solve(information, score)
         step = self._limited(full_step)
-        reach = SETTINGS.noise_reach * self.prior.std
+        # farthest that the logarithm of a noise moves from its prior mean, in standard deviations: noise of
+        # slow sensors resembles fast gusts
+        reach = 2.0 * self.prior.std
         moved = self.psi[sums.free] + step
         low, high = self.prior.mean - reach, self.prior.mean + reach
         self.psi[sums.free] = np.clip(moved, low[sums.free], high[sums.free])
@@ -92,8 +95,8 @@ class NoiseSearch:
         """Return the step within limits, half as large where it turns back: noises near zero overshoot."""
         free = slice(self.prior.n_held, None)
         turns_back = step * self.last[free] < 0
-        factor = np.where(turns_back, SETTINGS.shorter_noise_step, SETTINGS.longer_noise_step)
-        limits = np.minimum(self.limits[free] * factor, SETTINGS.largest_noise_step)
+        factor = np.where(turns_back, 0.5, 1.3)
+        limits = np.minimum(self.limits[free] * factor, LARGEST_STEP)
         step = np.clip(step, -limits, limits)
         self.limits[free] = limits
         self.last[free] = step
@@ -110,11 +113,13 @@ def air_noise(value: Mapping[str, Any], record: Record, roll: tuple[float, float
     gusts = GustProcesses.of(value)
     roll_std, roll_time = (np.full_like(value["time_v"][..., None], number) for number in roll)
     path_std = stacked(value, *PATH_ERRORS)
-    path_time = np.full_like(path_std, SETTINGS.path_time)
+    # correlation time of errors of the path [s]; guess
+    path_time = np.full_like(path_std, 10.0)
     drive = stacked(value, "drive_p", "drive_q", "drive_r")
     std = np.concatenate([gusts.std, path_std, value["rolling"][..., None] * roll_std], axis=-1)
     time = np.concatenate([gusts.time, path_time, roll_time], axis=-1)
-    start_rates = np.full_like(drive, SETTINGS.start_rate_variance)
+    # variance of the rates of the first sample [(rad/s)^2]; wide
+    start_rates = np.full_like(drive, 0.1)
     inertial = stacked(value, "ax", "ay", "az", "gyro", "gyro", "gyro")
     air = stacked(value, "airspeed", "vane", "vane")
     sensors = np.concatenate([inertial, air], axis=-1)

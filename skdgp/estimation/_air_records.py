@@ -30,8 +30,10 @@ from skdgp.estimation._sensors import (
     flights_of,
     third_differences,
 )
-from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 from skdgp.estimation._vibration import vibration_covariance, without_vibration
+
+FEWEST_SAMPLES = 100
+"""Samples of a shortest record of flights to learn from."""
 
 
 class Record(NamedTuple):
@@ -138,10 +140,14 @@ def _sums_around(innovation: Matrix, step: float, period: float) -> Matrix:
     one, too. Periods of less than four rows are not recognised, so four rows are the least.
     """
     n = len(innovation) + 1
-    longest = max(SETTINGS.answer_time / step, 2.0)
-    past = np.geomspace(1, longest, SETTINGS.answer_bins).round()
-    period_ahead = max(period / step, SETTINGS.unseen_period)
-    ahead = np.linspace(-period_ahead, 0, SETTINGS.later_bins + 1).round()
+    # longest delay of the surfaces' answers to gusts [s]
+    longest = max(8.0 / step, 2.0)
+    # bins of these delays, wider the longer
+    past = np.geomspace(1, longest, 16).round()
+    # longest period of the samples of surfaces that their values do not show [rows]
+    period_ahead = max(period / step, 4.0)
+    # two bins of the period after a sample: surfaces between samples of a slow clock look ahead
+    ahead = np.linspace(-period_ahead, 0, 3).round()
     edges = np.unique(np.concatenate([ahead, past]).astype(int))  # of the bins, delays in samples
     # sums over bins are differences of the cumulative sum, with zeros beyond the record
     earlier = np.zeros((edges[-1] + 2, innovation.shape[1]))
@@ -169,7 +175,8 @@ def records_of(
             if len(segment) > 1:
                 # at one to two times the sample rate, or at its own
                 rate = (len(segment) - 1) / np.ptp(record.time[segment])
-                stride = max(1, int(rate / SETTINGS.sample_rate + 1e-6))
+                # rate of samples [Hz]; faster logs are thinned to 50 to 100 Hz
+                stride = max(1, int(rate / 50.0 + 1e-6))
                 records.append(record.part(slice(segment[0], segment[-1] + 1, stride)))
     return records
 
@@ -238,12 +245,12 @@ def shortened(records: list[Record], most_samples: int) -> list[Record]:
     fraction = most_samples / n_samples(records)
     shorter = []
     for record in records:
-        n = max(SETTINGS.fewest_samples, int(fraction * len(record.rows)))
+        n = max(FEWEST_SAMPLES, int(fraction * len(record.rows)))
         shorter.append(record.part(slice(n)))
     return shorter
 
 
-def quietest_noise(records: list[Record], sensors: slice, least: float) -> float:
+def quietest_noise(records: list[Record], sensors: slice) -> float:
     """Return the standard deviation of white noise of the quietest of some sensors.
 
     Gusts shake one axis more than another; all have the same sensor.
@@ -258,4 +265,5 @@ def quietest_noise(records: list[Record], sensors: slice, least: float) -> float
             measured = without_vibration(complete, record.vibration)
         noises.append(third_differences(measured[:, sensors]))
     variances = np.mean(np.concatenate(noises) ** 2, axis=0)
-    return max(np.sqrt(np.nanmin(variances)), least)
+    # at least 1e-4 [SI]
+    return max(np.sqrt(np.nanmin(variances)), 1e-4)

@@ -20,7 +20,6 @@ from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
 from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters, Sums
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, WIND_STD
-from skdgp.estimation._settings import FILTER_SETTINGS as SETTINGS
 
 
 def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
@@ -38,12 +37,14 @@ def steady_wind(records: list[Record]) -> tuple[Vector, float]:
     """Return `PITOT` (3,) of a flight by least squares of its airspeed, and the variance of a sample of it [m^2/s^2].
 
     By Gauss-Newton steps. Gusts correlate over seconds, so the variance of a sample is the variance of means over
-    the `gust_window` times the number of samples in a mean.
+    some seconds times the number of samples in a mean.
     """
     _, scale_std = AIRCRAFT_CONSTANTS["airspeed_scale"]
-    prior = np.diag(SETTINGS.pitot_noise / np.array([scale_std, WIND_STD, WIND_STD]))
+    # mean airspeed of a flight times the root of its samples, standard deviation [m/s]; typical
+    prior = np.diag(10.0 / np.array([scale_std, WIND_STD, WIND_STD]))
     pitot = np.zeros(3)
-    for _ in range(SETTINGS.wind_steps):
+    # Gauss-Newton steps for the steady wind
+    for _ in range(5):
         slopes = [prior]
         residuals = [prior @ pitot]
         for record in records:
@@ -58,11 +59,13 @@ def steady_wind(records: list[Record]) -> tuple[Vector, float]:
 
 def _sample_variance(error: Vector, records: list[Record]) -> float:
     """Return the variance of a sample of the airspeed, by the errors of all."""
-    least = SETTINGS.least_pitot_std**2
+    # least variance of a sample of the airspeed [m^2/s^2]
+    least = 0.01
     if not len(error):
         return least
     seconds = sum(record.seconds for record in records)
-    width = max(1, int(len(error) * min(SETTINGS.gust_window / seconds, 0.25)))
+    # length of a moving mean that is longer than gusts last [s]
+    width = max(1, int(len(error) * min(20.0 / seconds, 0.25)))
     means = uniform_filter1d(error, width, mode="nearest")
     return max(width * means.var(), error.var(), least)
 
@@ -78,7 +81,8 @@ class SteadyRegression:
         """Return terms (n, f) and coefficients (n, 6) at parameters x."""
         value = self.parameters.values(x, record.flight)
         air = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
-        width = 2 * round(SETTINGS.rate_window / record.median_step) + 1
+        # half of the moving mean of the rates before they are differentiated in steady wind [s]
+        width = 2 * round(0.05 / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
         model = self.layout.model(value)
@@ -116,7 +120,8 @@ def add_mean_lift(sums: Sums, record: Record, x: Vector, regression: SteadyRegre
     slopes = X.mean(axis=0)[regression.layout.columns[places]]
     residual = slopes @ x[places] - C[:, 2].mean()
     speed = np.linalg.norm(record.velocity, axis=1).mean()
-    std = SETTINGS.lift_slope * SETTINGS.mean_gust / speed
+    # a typical slope of lift by alpha [1/rad], and the standard deviation of the mean vertical gust of a record [m/s]
+    std = 4.5 * 0.2 / speed
     sums.add_equations(places, slopes[None], np.array([residual]), std**2)
 
 

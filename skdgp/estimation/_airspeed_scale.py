@@ -23,7 +23,7 @@ from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER
 from skdgp._flight.clock import Clock
 from skdgp._flight.frames import air_velocity, euler_to_rotation
 from skdgp._flight.tables import has_values, numeric
-from skdgp.estimation._settings import PATH_SETTINGS as SETTINGS
+from skdgp.estimation._sensors import AIR_SENSOR_ERRORS, GUST_TIME
 
 NEEDED = (*AIR_DATA, *EULER, *EARTH_VELOCITY)
 
@@ -36,7 +36,8 @@ class AirspeedScale(NamedTuple):
 
     def removable(self) -> float:
         """Return the error to remove, zero where it is not significant."""
-        is_significant = abs(self.value) > SETTINGS.significance * self.std
+        # errors of the airspeed below this many standard deviations are not removed; convention
+        is_significant = abs(self.value) > 2.0 * self.std
         return self.value if is_significant else 0.0
 
     def left(self) -> float:
@@ -44,7 +45,7 @@ class AirspeedScale(NamedTuple):
 
         An airspeed that no flight contradicts is trusted.
         """
-        prior = SETTINGS.airspeed_scale
+        _, prior = AIR_SENSOR_ERRORS["airspeed_scale"]
         if self.std > prior:
             return 0.0
         return remaining_error(self.value, self.std, prior, self.removable() != 0)
@@ -65,7 +66,7 @@ def airspeed_scale(table: pd.DataFrame) -> AirspeedScale:
 
     :math:`c = \sum h^* v / \sum h^* u` with the horizontal velocities v over the ground and u
     through the air, and the unit vector forward h, all without mean and trend in each flight, and
-    :math:`s = 1 / |c| - 1`. Gusts of different blocks of ``gust_time`` are independent.
+    :math:`s = 1 / |c| - 1`. Gusts of different blocks of 10 s are independent.
 
     Parameters
     ----------
@@ -104,7 +105,8 @@ def airspeed_scale(table: pd.DataFrame) -> AirspeedScale:
     turning = of_instrument.real.sum() / len(sampled)
     n = len(of_air)
     n_unknowns = 6  # real numbers: c, mean and drift of the wind
-    if n <= n_unknowns or turning < SETTINGS.least_turning:
+    # least variance of the unit vector forward that shows it: gusts turn a straight flight; a circle has 1; guess
+    if n <= n_unknowns or turning < 0.1:
         return UNKNOWN_SCALE
     total = of_air.sum()
     slope = of_ground.sum() / total
@@ -123,6 +125,6 @@ def _moments(flight: pd.DataFrame) -> Array:
     # horizontal ones without mean and trend
     values = np.array([detrend(v[:, 0]) + 1j * detrend(v[:, 1]) for v in vectors])
     time = flight["time"].to_numpy(float)
-    block = ((time - time[0]) // SETTINGS.gust_time).astype(int)
+    block = ((time - time[0]) // GUST_TIME).astype(int)
     _, starts = np.unique(block, return_index=True)
     return np.add.reduceat(np.conj(values[2]) * values, starts, axis=1)

@@ -49,20 +49,26 @@ from skdgp._flight.units import check_radians
 from skdgp.estimation._path import ground_path
 from skdgp.estimation._sensors import LAGS, flights_of, missing_channels, moving
 from skdgp.estimation._servos import servo_output
-from skdgp.estimation._settings import LAG_SETTINGS as SETTINGS
 
 ATTITUDE = ("phi", "theta")
 INERTIAL = (*SPECIFIC_FORCE, *RATES)
-# Largest lag and delay of servos, over the lag without servos, and number of lags that are tried
-LONGEST_LAG = 3.5
-LONGEST_DELAY = 1.5
-N_SERVO_LAGS = 29
 # Factor by which correlated residuals make differences of twice the log likelihood too large: errors over their
 # standard deviations were then 0.8, 0.8, 0.8 and 1.2, of a flying wing with four pairs of lag and delay
 INFLATION = 3.0
-SURE = 2.0  # standard deviations
+# Time within which surfaces explain a response, and length of the ends of a segment that are left out [s]
+MEMORY = 1.5
+# Lags are removed from this many standard deviations on; convention
+SIGNIFICANCE = 3.0
+# Lags below this do not change a model [s]; trials
+LEAST_LAG = 0.01
+# Longest times by which surfaces and vanes are early, and servos late [s]
+LARGEST = 0.3
 # Lags of surfaces and vanes that are tried [s]
-TRIED = np.arange(-SETTINGS.largest, SETTINGS.latest + SETTINGS.step / 2, SETTINGS.step)
+TRIED = np.arange(-LARGEST, 0.61, 0.02)
+# Precision of the lag of servos and their delay [s]; far below the step of a log
+PRECISION = 1e-3
+# Predictors nearer than this to a combination of others are left out, relative
+RANK_TOLERANCE = 1e-6
 
 
 class Lag(NamedTuple):
@@ -75,8 +81,8 @@ class Lag(NamedTuple):
     delay_std: float = 0.0  #: Of the delay beside the lag of servos [s]
 
     def is_significant(self) -> bool:
-        """Return whether the lag exceeds ``significance`` standard deviations."""
-        return abs(self.value) > SETTINGS.significance * self.std
+        """Return whether the lag exceeds some standard deviations."""
+        return abs(self.value) > SIGNIFICANCE * self.std
 
 
 UNKNOWN = Lag(0.0, np.nan)
@@ -86,7 +92,7 @@ def removable(lag: Lag) -> float:
     """Return the lag to remove [s], zero where it is not significant or too small to change a model."""
     if lag.removal is not None:
         return lag.removal
-    is_large = abs(lag.value) >= SETTINGS.least_lag
+    is_large = abs(lag.value) >= LEAST_LAG
     return lag.value if lag.is_significant() and is_large else 0.0
 
 
@@ -144,7 +150,7 @@ def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -
         return UNKNOWN, UNKNOWN
     servos, commands = servos_and_delay
     delay = commands.removal or 0.0
-    margin = min(SURE * servos.delay_std, SETTINGS.least_lag)
+    margin = min(2.0 * servos.delay_std, LEAST_LAG)
     removed = delay + margin if abs(delay) >= log_step else 0.0
     return servos._replace(removal=0.0), commands._replace(removal=removed)
 
@@ -160,8 +166,10 @@ def _lags_of_path(table: pd.DataFrame) -> list[Lag]:
     weighted = np.zeros(n_lags)
     for flight in flights_of(table):
         time = flight.sensors.time
-        end = np.searchsorted(time, time[0] + SETTINGS.path_seconds)
-        first = flight.sensors.part(0, min(int(end), SETTINGS.path_rows))
+        # first seconds of each flight that show lags of attitude and GPS to the millisecond [s]; trials
+        end = np.searchsorted(time, time[0] + 120.0)
+        # first rows of each flight, of 20 kB each, for these lags
+        first = flight.sensors.part(0, min(int(end), 32768))
         solved = ground_path(first)
         of_flight = 1 / np.diag(solved.covariance)[-n_lags:]
         precision += of_flight
@@ -185,8 +193,10 @@ class _Segment:
         """Return the segment of a table at increasing times, None if its samples are too slow for the band."""
         clock, _ = uniform_grid(time)
         rate_hz = (len(clock) - 1) / np.ptp(clock)
-        low, high = SETTINGS.band
-        high = min(high, SETTINGS.highest * rate_hz)
+        # frequencies of the response to surfaces and gusts, between trim and noise [Hz]; trials
+        low, high = 0.3, 4.0
+        # upper end of the band at most, over the rate of the samples
+        high = min(high, 0.2 * rate_hz)
         if high <= low:
             return None
         band = signal.butter(2, (low, high), "bandpass", fs=rate_hz, output="sos")
@@ -203,8 +213,10 @@ class _Segment:
         speed = np.ones((len(clock), 1))
         groups = {"surfaces": commands, "vanes": on_clock(vanes)}
         if has_values(table, "airspeed"):
-            steady = low_pass(on_clock(["airspeed"]), rate_hz, SETTINGS.steady_frequency)
-            speed = np.maximum(steady, SETTINGS.least_speed * np.median(steady))
+            # airspeed below this frequency scales accelerations to coefficients [Hz]; below the band
+            steady = low_pass(on_clock(["airspeed"]), rate_hz, 0.2)
+            # airspeed at least, over its median: none in which rates over V diverge
+            speed = np.maximum(steady, 0.1 * np.median(steady))
             alpha = float(np.mean(on_clock(["alpha"])))
             angle_rates = _angle_rates(force, rates, on_clock(ATTITUDE), alpha, speed[:, 0])
             motion = cumulative_trapezoid(angle_rates, clock, axis=0, initial=0)
@@ -216,8 +228,10 @@ class _Segment:
         for name, values in groups.items():
             if values.shape[1]:
                 splines[name] = CubicSpline(clock, signal.sosfiltfilt(band, values, axis=0))
-        step = 1 / min(rate_hz, SETTINGS.oversampling * high)
-        inner = np.arange(clock[0] + SETTINGS.edge, clock[-1] - SETTINGS.edge, step)
+        # samples in a period of the upper end of the band
+        step = 1 / min(rate_hz, 6.0 * high)
+        # either end of a segment may be distorted by the filter or a lag [s]
+        inner = np.arange(clock[0] + MEMORY, clock[-1] - MEMORY, step)
         return cls(splines, inner, 1 / rate_hz, commands, band)
 
     def deflections(self, lag: float, rate_limit: float = np.inf) -> Matrix:
@@ -238,9 +252,10 @@ class _Segment:
 
     def earlier_surfaces(self) -> Matrix:
         """Return an orthonormal basis (n, k) of the surfaces of the last seconds."""
-        delays = np.arange(0.0, SETTINGS.memory + SETTINGS.memory_step / 2, SETTINGS.memory_step)
+        # by half a period of the upper end of the band [s]
+        delays = np.arange(0.0, MEMORY + 0.0625, 0.125)
         columns = [self.at("surfaces", -delay) for delay in delays]
-        return linalg.orth(np.hstack(columns), SETTINGS.rank_tolerance)
+        return linalg.orth(np.hstack(columns), RANK_TOLERANCE)
 
     @property
     def seconds(self) -> float:
@@ -287,7 +302,7 @@ def _segments_of(table: pd.DataFrame) -> list[_Segment]:
     for run in flights.segments:
         time = flights.time[run]
         part = table.iloc[run]
-        if np.ptp(time) > SETTINGS.shortest and has_values(part, *INERTIAL):
+        if np.ptp(time) > 6.0 and has_values(part, *INERTIAL):
             segments.append(_Segment.of(time, part))
     return [segment for segment in segments if segment is not None]
 
@@ -310,7 +325,8 @@ def _most_likely_lag(segments: list[_Segment], group: str, regression: Regressio
     """
     segments = [segment for segment in segments if group in segment.splines]
     pieces = _pieces(segments)
-    if len(pieces) < SETTINGS.least_pieces:
+    # least number of pieces that show a standard error
+    if len(pieces) < 3:
         return UNKNOWN
 
     def losses(parts: list[_Segment]) -> Matrix:
@@ -320,16 +336,18 @@ def _most_likely_lag(segments: list[_Segment], group: str, regression: Regressio
     if not TRIED[0] < lag < TRIED[-1]:
         return UNKNOWN
     of_pieces = [_minimum(TRIED, of_piece) for of_piece in losses(pieces).T]
-    probability = normal.sf(SETTINGS.significance)
-    quantile = student.isf(probability, len(pieces) - 1) / SETTINGS.significance
+    probability = normal.sf(SIGNIFICANCE)
+    quantile = student.isf(probability, len(pieces) - 1) / SIGNIFICANCE
     return Lag(lag, float(np.hypot(quantile * sem(of_pieces), lag - np.mean(of_pieces))))
 
 
 def _pieces(segments: list[_Segment]) -> list[_Segment]:
     """Return pieces of segments that are long enough for linear models of their own."""
-    long = [segment for segment in segments if segment.seconds > SETTINGS.long]
-    seconds = sum(segment.seconds for segment in long) / SETTINGS.n_pieces
-    seconds = max(SETTINGS.shortest_piece, seconds)
+    long = [segment for segment in segments if segment.seconds > 17.0]
+    # pieces of all flights, each with a lag of its own
+    seconds = sum(segment.seconds for segment in long) / 8
+    # least length of a piece [s]
+    seconds = max(10.0, seconds)
     pieces = []
     for segment in long:
         count = max(1, round(segment.seconds / seconds))
@@ -367,8 +385,10 @@ def _lag_behind_motion(segments: list[_Segment]) -> Lag:
         variance += autocorrelation_time(score) * (score @ score)
         information += (g @ g) / scale
         unexplained += (g @ g) / scale * (e @ e) / (y @ y)
-    of_residuals = SETTINGS.lack_of_motion * np.sqrt(variance) / information
-    of_gusts = SETTINGS.error_by_gusts * unexplained / information
+    # of vanes behind the motion: factor of the standard deviation by the residuals, and error [s] for vanes that
+    # motion does not explain; trials on 54 flights of small aircraft in gusts
+    of_residuals = 3.0 * np.sqrt(variance) / information
+    of_gusts = 0.1 * unexplained / information
     return Lag(lag, float(np.hypot(of_residuals, of_gusts)))
 
 
@@ -411,32 +431,37 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
 
         return loss
 
+    # least gain in twice the log likelihood by a delay of servos that is removed, or a limit of their rate:
+    # delays of 30 to 60 ms gain 260 to 440, limits that are reached 60 to 196, others 3, vibration 18 at most;
+    # trials on four aircraft
+    least_gain = 40.0
     early = abs(surfaces.value)
-    longest_delay = min(LONGEST_DELAY * early, SETTINGS.largest)
+    longest_delay = min(1.5 * early, LARGEST)
     # the loss has several minima: lag and delay replace each other
-    lags = np.linspace(0.0, min(LONGEST_LAG * early, SETTINGS.largest), N_SERVO_LAGS)
+    lags = np.linspace(0.0, min(3.5 * early, LARGEST), 29)
     delays, losses = np.transpose([_least(loss_of(lag), longest_delay) for lag in lags])
     lag = _minimum(lags, losses)
     delay, least = _least(loss_of(lag), longest_delay)
     lag_std = _std_of_profile(lags - lag, losses, surfaces.std)
     delay_std = _std_of_profile(delays - delay, losses, surfaces.std)
 
-    alone, loss_alone = _least(lambda lag: loss_of(lag)(0.0), SETTINGS.largest)
+    alone, loss_alone = _least(lambda lag: loss_of(lag)(0.0), LARGEST)
     removed, removed_delay = lag, removable(Lag(delay, surfaces.std))
-    if not removed_delay or loss_alone - least < SETTINGS.delay_evidence:
+    if not removed_delay or loss_alone - least < least_gain:
         removed, removed_delay = alone, 0.0
     is_significant = removable(Lag(removed, surfaces.std)) or removed_delay
-    if not is_significant or removed + SETTINGS.precision >= SETTINGS.largest:
+    if not is_significant or removed + PRECISION >= LARGEST:
         return None
     rate_limit = np.inf
     limited = []
-    for fraction in SETTINGS.limited_lags:
+    # fractions of the lag and of the largest rate without a limit that are scanned
+    for fraction in (1.0, 0.75, 0.5):
         shorter = fraction * lag
         fastest = max(segment.largest_rate(shorter) for segment in segments)
-        for limit in fastest * np.array(SETTINGS.limits):
+        for limit in fastest * np.array([0.8, 0.62, 0.47, 0.37, 0.28, 0.22, 0.17, 0.13, 0.1]):
             limited.append((loss_of(shorter, limit)(delay), shorter, limit))
     least_limited, shorter, limit = min(limited)
-    if least - least_limited >= SETTINGS.delay_evidence:
+    if least - least_limited >= least_gain:
         removed, removed_delay = shorter, delay
         lag, rate_limit = shorter, float(limit)
     servos = Lag(lag, lag_std, removed, rate_limit, delay_std)
@@ -451,7 +476,7 @@ def _std_of_profile(errors: Vector, losses: Vector, std: float) -> float:
 
 def _least(loss: Callable[[float], float], largest: float) -> tuple[float, float]:
     """Return the time up to the ``largest`` [s] with the least loss, and the loss."""
-    options: Any = {"xatol": SETTINGS.precision}
+    options: Any = {"xatol": PRECISION}
     found = optimize.minimize_scalar(loss, bounds=(0.0, largest), options=options)
     return float(found.x), float(found.fun)
 
@@ -460,7 +485,7 @@ def _log_rss(response: Matrix, predictors: Matrix) -> float:
     """Return n log RSS, summed over responses that move, of least squares; RSS is relative to their sums of squares."""
     squares = np.sum(response**2, axis=0)
     response = response[:, squares > 0]
-    weights = np.linalg.lstsq(predictors, response, rcond=SETTINGS.rank_tolerance)[0]
+    weights = np.linalg.lstsq(predictors, response, rcond=RANK_TOLERANCE)[0]
     rss = np.sum((response - predictors @ weights) ** 2, axis=0) / squares[squares > 0]
     return float(len(response) * np.log(rss).sum())
 

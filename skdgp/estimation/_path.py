@@ -51,6 +51,7 @@ from skdgp.estimation._path_equations import (
 )
 from skdgp.estimation._sensors import (
     AIR_READINGS,
+    GUST_TIME,
     GUSTS,
     INERTIAL_BIASES,
     LAGS,
@@ -62,10 +63,11 @@ from skdgp.estimation._sensors import (
     flights_of,
     noise_by_differences,
 )
-from skdgp.estimation._settings import PATH_SETTINGS as SETTINGS
 
 CALIBRATED = (*INERTIAL_BIASES, *MEAN_WIND)
 """Constants that are estimated where sensors have no lags."""
+LEAST_NOISE = 0.2
+"""Least noise of a sensor, as a fraction of the usual one: recorders smooth, and errors last; guess."""
 ANGLE_RATES = ("alpha_dot", "beta_dot")
 MOTION_COLUMNS = (*RATES, *SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY, *WIND)
 RECONSTRUCTED = (*AIR_DATA, *ANGLE_RATES, *MOTION_COLUMNS)
@@ -125,7 +127,8 @@ def estimate_path(
     """
     search = _Search(sensors, noise, learn, free)
     converged = False
-    for number in range(SETTINGS.max_steps):
+    # Gauss-Newton steps at most; trials
+    for number in range(40):
         converged = search.step(number)
         if converged:
             break
@@ -163,9 +166,10 @@ class _Search:
         self.delays = np.zeros(2, dtype=int)  # lags of GPS and attitude in whole samples
         self.fraction = 1.0  # of a step of the path that is taken
         self.last_step = np.zeros(len(free))
-        self.draws = _mirrored_draws(len(sensors.time), free, SETTINGS.n_draws)
+        # draws from the posterior that estimate traces, an even number; trials
+        self.draws = _mirrored_draws(len(sensors.time), free, 32)
         self.time_step = np.diff(sensors.time)
-        self.correlation = np.exp(-self.time_step / SETTINGS.gust_time)  # of gusts over a step
+        self.correlation = np.exp(-self.time_step / GUST_TIME)  # of gusts over a step
         self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR_READINGS.start + 1]).any())
         self.channels = list(EQUATION_NOISE)
         if not self.has_alpha:
@@ -174,15 +178,18 @@ class _Search:
 
     def step(self, number: int) -> bool:
         """Take a step of the path, then one of the noise; return whether both were small."""
-        if number <= SETTINGS.delay_steps:
+        # Gauss-Newton steps that may change lags by whole samples; trials
+        if number <= 6:
             self.delays = self._delays()
         equations = self._equations()
         posterior = solve(equations, self._prior(), self.places, self.draws)
         self._move_path(posterior)
-        pace = min(1.0, SETTINGS.full_steps / (number + 1))
+        # steps that change the noise in full; later ones ever less, so that the search does not oscillate; trials
+        pace = min(1.0, 10.0 / (number + 1))
         largest_change = self._move_noise(self._residual_sums(equations, posterior), pace)
-        is_steady = largest_change < SETTINGS.tolerance
-        return number > 0 and is_steady and _is_small(posterior, SETTINGS.tolerance)
+        # largest change of the logarithm of a noise, and of a state in standard deviations
+        tolerance = 0.02
+        return number > 0 and largest_change < tolerance and _is_small(posterior, tolerance)
 
     def estimate(self, converged: bool) -> PathEstimate:
         """Return path and noise as they are."""
@@ -204,7 +211,8 @@ class _Search:
         # the full step of the constants, in standard deviations
         step = posterior.constants[self.places] / np.sqrt(np.diag(posterior.covariance))
         last_step = self.last_step
-        if step @ last_step < -SETTINGS.overshoot * last_step @ last_step:
+        # fraction of a step that the next one takes back, above which steps are halved; trials
+        if step @ last_step < -0.5 * last_step @ last_step:
             self.fraction /= 2
         states = self.fraction * posterior.states
         self.path = self.path.moved(states, self.fraction * posterior.constants)
@@ -228,20 +236,14 @@ class _Search:
         equations = self._raw_equations()
         scale = np.tile(self._stds(), (len(self.sensors.time), 1))
         # change of a Gauss-Markov process of correlation time T in a step
-        growth = SETTINGS.gust_time / 2 * (1 - self.correlation**2)
+        growth = GUST_TIME / 2 * (1 - self.correlation**2)
         scale[:-1, GUST_ROWS] *= np.sqrt(growth)[:, None]
         equations.whiten(scale)
         return equations
 
     def _raw_equations(self) -> Equations:
         """Return the equations of the path [SI]."""
-        return path_equations(
-            self.path,
-            self.sensors,
-            self.correlation,
-            self.delays,
-            SETTINGS.least_airspeed,
-        )
+        return path_equations(self.path, self.sensors, self.correlation, self.delays)
 
     def _stds(self) -> Vector:
         """Return the noise of each equation."""
@@ -252,8 +254,9 @@ class _Search:
 
         The mean of the latter is the path so far, by an offset of zero: it dampens steps and pulls to no value.
         """
-        gust_std = self._stds()[GUST_ROWS] * np.sqrt(SETTINGS.gust_time / 2)  # stationary
-        start_std = np.repeat([SETTINGS.start_velocity, SETTINGS.start_attitude], 3)
+        gust_std = self._stds()[GUST_ROWS] * np.sqrt(GUST_TIME / 2)  # stationary
+        # [m/s] and [rad]; wide
+        start_std = np.repeat([100.0, 1.0], 3)
         begins = np.append(True, ~self.sensors.joined)[:, None]
         precision = begins * np.concatenate([start_std, gust_std]) ** -2.0
         offset = np.zeros_like(precision)
@@ -319,9 +322,10 @@ def _variance_component(name: str, std: float, sums: Vector, pace: float) -> flo
     prior_squares = 0.0
     least = LEAST_GUST
     if name in PATH_NOISE:
-        prior_count = SETTINGS.prior_count
+        # residuals that the initial noise of a sensor counts for, where a flight shows nothing; guess
+        prior_count = 10.0
         prior_squares = prior_count * (PATH_NOISE[name] / std) ** 2
-        least = SETTINGS.least_noise * PATH_NOISE[name]
+        least = LEAST_NOISE * PATH_NOISE[name]
     redundancy = max(n_samples - trace, 1.0)
     total = squares + prior_squares
     weight = redundancy + prior_count
@@ -349,16 +353,17 @@ def contradictions(
 ) -> list[SensorContradiction]:
     """Return the sensors whose residuals along the path exceed their white noise by a ratio.
 
-    The ratio is ``air_ratio`` or ``inertial_ratio`` of `PathSettings`. ``residuals`` are the noises
+    ``residuals`` are the noises
     of `PathEstimate.noise` [SI]; white noise is estimated from third differences of the readings.
     A sensor that shows hardly any was smoothed, so its noise is not known.
     """
     contradicted = []
     for sensor, columns in READINGS_OF.items():
-        largest = SETTINGS.inertial_ratio if sensor in INERTIAL else SETTINGS.air_ratio
+        # ratios by trials: 30 s of sound inertial sensors show up to 4.4
+        largest = 6.0 if sensor in INERTIAL else 1.4
         residual = residuals[sensor]
         noise = noise_by_differences(flights, columns)
-        is_smoothed = noise < SETTINGS.least_noise * PATH_NOISE[sensor]
+        is_smoothed = noise < LEAST_NOISE * PATH_NOISE[sensor]
         if residual > largest * noise:
             contradicted.append(SensorContradiction(sensor, residual, noise, is_smoothed))
     return contradicted

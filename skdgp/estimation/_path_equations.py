@@ -135,7 +135,6 @@ def path_equations(
     sensors: FlightSensors,
     correlation: Vector,
     delays: Indices,
-    least_airspeed: float,
 ) -> Equations:
     """Return the equations of a path: residuals, and slopes by errors of the states and by all constants.
 
@@ -147,8 +146,6 @@ def path_equations(
         Of the gusts of a sample and the next.
     delays : ndarray (2,)
         Lags of GPS velocity and attitude in whole samples.
-    least_airspeed : float
-        Below it vanes show no angle [m/s].
     """
     n = len(sensors.time)
     columns = np.zeros((n, len(EQUATION_NOISE), 2 * N_STATES + len(PATH_CONSTANTS) + 1))
@@ -163,7 +160,7 @@ def path_equations(
     _fill_gust(between, path.gust, correlation)
     between.residual[~sensors.joined, PROCESS_ROWS] = np.nan
     # of a sample
-    _fill_air_data(equations, path, sensors.readings[:, AIR_READINGS], least_airspeed)
+    _fill_air_data(equations, path, sensors.readings[:, AIR_READINGS])
     _fill_velocity(equations, path, sensors, force, delays[0])
     _fill_attitude(equations, path, sensors, rate, delays[1])
     # what was not sampled, or lies beyond a gap, is no equation
@@ -208,10 +205,10 @@ def _fill_gust(equations: Equations, gust: Matrix, correlation: Vector) -> None:
     equations.d_next[:, GUST_ROWS, GUST] = np.eye(3)
 
 
-def _fill_air_data(
-    equations: Equations, path: FlightPath, measured: Matrix, least_airspeed: float
-) -> None:
+def _fill_air_data(equations: Equations, path: FlightPath, measured: Matrix) -> None:
     """Set airspeed, alpha and beta of R^T (v - w), less the measured ones."""
+    # below it vanes show no angle [m/s]; guess
+    least_airspeed = 3.0
     velocity = path.air_velocity()
     predicted = np.column_stack(air_data(velocity))
     predicted[predicted[:, 0] < least_airspeed, 1:] = np.nan

@@ -30,7 +30,6 @@ from skdgp._flight.tables import (
     numeric,
     sensor_position,
 )
-from skdgp.estimation._settings import PATH_SETTINGS
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
 FORCE_READINGS = slice(0, 3)
@@ -63,7 +62,7 @@ Prior = dict[str, tuple[float, float]]
 """Mean and standard deviation by name; of noises the median, and that of the logarithm."""
 
 AIR_SENSOR_ERRORS: Prior = {
-    "airspeed_scale": (0.0, PATH_SETTINGS.airspeed_scale),
+    "airspeed_scale": (0.0, 0.03),  # guess
     "arm_x": (0.0, 0.03),  # inertial sensors from their position in the table, or from the CG [m]
     "arm_y": (0.0, 0.01),
     "arm_z": (0.0, 0.03),
@@ -94,6 +93,8 @@ PATH_NOISE = {
     "heading": 0.02,
 }
 """Initial white noise of the sensors, standard deviation of a sample [SI]; data sheets."""
+GUST_TIME = 10.0
+"""Correlation time of gusts [s]; guess, docs/preprocessing.md."""
 GUSTS = {"gust_horizontal": 0.2, "gust_vertical": 0.2}
 """Initial standard deviation of a change of the gusts in 1 s [m/s]."""
 AIR_NOISE: Prior = {

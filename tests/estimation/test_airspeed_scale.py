@@ -7,7 +7,12 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
-from skdgp.estimation import PATH_SETTINGS, AirspeedScale, airspeed_scale, without_airspeed_error
+from skdgp.estimation import (
+    AIR_SENSOR_ERRORS,
+    AirspeedScale,
+    airspeed_scale,
+    without_airspeed_error,
+)
 
 SPEED = 22.0
 
@@ -64,7 +69,7 @@ def test_the_standard_deviation_is_that_of_the_errors():
 
 def test_what_is_left_is_the_posterior_of_prior_and_band():
     """Root mean square, by quadrature of Bayes' rule; nothing, where the flights do not narrow the prior."""
-    prior = PATH_SETTINGS.airspeed_scale
+    _, prior = AIR_SENSOR_ERRORS["airspeed_scale"]
     error, step = np.linspace(-8 * prior, 8 * prior, 20001, retstep=True)
     for value, std in ((0.01, 0.02), (-0.03, 0.025)):
         density = norm.pdf(error, 0.0, prior) * norm.pdf(value, error, std)
@@ -75,7 +80,7 @@ def test_what_is_left_is_the_posterior_of_prior_and_band():
 
 
 def test_what_is_left_of_an_error_is_that_of_its_estimate_where_it_is_removed():
-    prior = PATH_SETTINGS.airspeed_scale
+    _, prior = AIR_SENSOR_ERRORS["airspeed_scale"]
     small, large = AirspeedScale(prior, prior), AirspeedScale(10 * prior, prior)
     assert small.removable() == 0.0
     assert small.left() == pytest.approx(

@@ -449,7 +449,7 @@ def near_path():
 
 def equations(path, sensors):
     correlation = np.full(len(sensors.time) - 1, 0.9)
-    return path_equations(path, sensors, correlation, np.zeros(2, dtype=int), least_airspeed=3.0)
+    return path_equations(path, sensors, correlation, np.zeros(2, dtype=int))
 
 
 def test_slopes_by_states_are_those_of_the_residuals(near_path):
@@ -495,7 +495,7 @@ def test_a_turn_of_late_sensors_in_wind_and_gusts_solves_them(delay):
     constants = constants_of(**biases, **lags, wind_north=WIND[0], wind_east=WIND[1])
     path = FlightPath(velocity(time), attitude(time), gust, constants)
     correlations = np.full(n - 1, correlation)
-    found = path_equations(path, sensors_of(table), correlations, np.full(2, delay), 3.0)
+    found = path_equations(path, sensors_of(table), correlations, np.full(2, delay))
     residual = found.residual[: n - 1 - delay]
     assert np.isfinite(residual).all()
     assert_allclose(residual, 0.0, atol=2e-4)

@@ -76,7 +76,7 @@ POSSIBLE = {
 RARE = 0.05
 # Least number of samples to estimate the usual length of runs, and of leaps
 ENOUGH = 50
-NOT_MEASURED = (Code.STUCK, Code.IMPOSSIBLE, Code.SPIKE)
+NOT_MEASURED = (Code.STUCK, Code.IMPOSSIBLE, Code.SPIKE, Code.CLIPPED)
 
 
 class FlightDataWarning(FindingWarning):
@@ -192,9 +192,6 @@ def _faults_of_channel(name: str, values: Vector, step: float) -> Iterator[Fault
         values[rows] = np.nan
     if name not in SENSORS:
         return
-    for rows in stuck_rows(values, step):
-        yield Fault(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
-        values[rows] = np.nan
     marks = mark_rows(values)
     values[marks] = np.nan
     rows = np.union1d(marks, spike_rows(values, angle=name in WRAPPED))
@@ -202,6 +199,12 @@ def _faults_of_channel(name: str, values: Vector, step: float) -> Iterator[Fault
     if rows.size:
         n_runs = 1 + int(np.sum(np.diff(rows) > 1))
         yield Fault(name, Code.SPIKE, rows, {"times": n_runs})
+    for rows in clipped_rows(values):
+        yield Fault(name, Code.CLIPPED, rows, {"value": float(values[rows[0]])})
+        values[rows] = np.nan
+    for rows in stuck_rows(values, step):
+        yield Fault(name, Code.STUCK, rows, {"value": float(values[rows[0]])})
+        values[rows] = np.nan
 
 
 def dead_channels(flights: FlightTable) -> list[str]:
@@ -330,6 +333,20 @@ def mark_rows(values: Vector) -> Indices:
         usual = max(usual, np.abs(others - mark).min())
     leap = np.median(np.abs(mark - (before + after) / 2))
     return runs.readings_of(is_mark) if leap > 3 * usual else nothing
+
+
+def clipped_rows(values: Vector) -> list[Indices]:
+    """Return the rows of the least and of the largest value, if a sensor reads them far more often than all others.
+
+    Of a coarse resolution the ends are the rarest values; zero stands for rest.
+    """
+    levels, counts = np.unique(values[np.isfinite(values)], return_counts=True)
+    if len(levels) < ENOUGH:
+        return []
+    least = max(ENOUGH, 5 * counts[1:-1].max())
+    ends = [levels[end] for end in (0, -1) if counts[end] >= least and levels[end] != 0]
+    clipped = [np.flatnonzero(values == end) for end in ends]
+    return [rows for rows in clipped if (np.diff(rows) > 1).any()]
 
 
 def spike_rows(values: Vector, *, angle: bool) -> Indices:

@@ -42,6 +42,12 @@ class Code(Kind):
         + PLACE
         + NOT_MEASURED
     )
+    CLIPPED = (
+        "[flight {flight}: ]{channel} is cut off at {value:.4g}"
+        + PLACE
+        + NOT_MEASURED
+        + "; the range of the sensor, or of the recorder, ends there"
+    )
     CONSTANT = (
         "[flight {flight}: ]{channel} never changes, while {moving:short} moved"
         + PLACE

@@ -23,7 +23,7 @@ from skdgp._flight.physics import (
     question_of_sizes,
 )
 from skdgp._flight.physics._laws import EQUAL
-from skdgp._flight.physics._list import ALPHA, OFFSETS
+from skdgp._flight.physics._list import OFFSETS, PITCH
 from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
@@ -256,6 +256,13 @@ FOUND = [
     (scale({"airspeed": 0.95}), {"slope": pytest.approx(1 / 0.95, rel=0.02)}),
     (scale({"airspeed": 1.1}), {"slope": pytest.approx(1 / 1.1, rel=0.02)}),
     (then(without(*VELOCITY), scale({"airspeed": 3.6})), {"channels": ["airspeed"]}),
+    (
+        from_half("airspeed", lambda later: later[0] + default_rng(0).normal(0, 0.3, len(later))),
+        {"channels": ["airspeed"]},
+    ),
+    (late(0.3, "alpha"), {"lag": pytest.approx(0.3), "channels": ["alpha"]}),
+    (late(0.3, "beta"), {"lag": pytest.approx(0.3), "channels": ["beta"]}),
+    (late(0.2, *RATES), {"lag": pytest.approx(0.2), "late": RATES}),
     (late(0.3, *SURFACES), {"lag": pytest.approx(0.3, abs=0.1), "late": SURFACES}),
     (late(1.0, *VELOCITY), {"lag": pytest.approx(1.0, abs=0.1), "late": VELOCITY}),
     (
@@ -342,7 +349,7 @@ def test_impossible_factors_are_no_wrong_clock(flight, factor):
 @pytest.mark.parametrize(
     ("name", "seconds", "explained", "channels"),
     [
-        ("p", 0.8, 0.2, "phi p"),
+        ("p", 0.8, 0.1, "phi p"),
         ("v_down", 0.8, 0.2, "altitude v_down"),
         ("altitude", 0.8, 0.2, "altitude v_down"),
         ("airspeed", 2.0, 0.3, "airspeed psi v_north v_east"),
@@ -580,9 +587,8 @@ def test_a_scale_of_a_vane_is_accused_by_four_standard_deviations(ratio, is_accu
 def test_a_late_vane_in_strong_gusts_is_accused_and_confirms_nothing():
     """By 0.4 s, where gusts leave a correlation of less than 0.5 and a long flight a sure slope of 1."""
     motion, gusts = default_rng(0).normal(size=(2, 6000))
-    contradiction, is_equal = judged(
-        ALPHA, np.roll(motion, 8) + 1.9 * gusts, motion, admissible=EQUAL
-    )
+    late = np.roll(motion, 8) + 1.9 * gusts
+    contradiction, is_equal = judged(PITCH, late, motion, admissible=EQUAL, channels=("alpha",))
     assert contradiction.lag[0] == 0.4
     assert contradiction.slope.correlation < 0.5
     assert not is_equal

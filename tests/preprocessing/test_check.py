@@ -263,6 +263,17 @@ def test_a_dead_band_and_a_limit_are_no_missing_samples(channel):
         assert [channel, "spike"] not in faults(log().assign(**{channel: limited}))
 
 
+@pytest.mark.parametrize("channel", ["az", "alpha"])
+def test_a_sensor_that_is_cut_off_measures_nothing_there(channel):
+    values = log()[channel]
+    low, high = values.quantile([0.1, 0.95])
+    found = inspect_flight(log().assign(**{channel: values.clip(low, high)}))
+    assert found[["channel", "kind", "n_samples"]].values.tolist() == [
+        [channel, "clipped", 240],
+        [channel, "clipped", 120],
+    ]
+
+
 def test_dropouts_to_the_same_value_are_found_each_time():
     table = log()
     for start in (400, 900, 1500):

@@ -69,10 +69,29 @@ def velocity_along(flight: Signals) -> Regression:
 def airspeed_later(flight: Signals) -> Regression:
     """Return V less the component along x, and V in the second half of each segment, beside V and a steady wind."""
     ground, airspeed, wind = velocity_along(flight)
+    return Regression(airspeed - ground, _is_later(flight) * airspeed, [airspeed, *wind])
+
+
+def ground_velocity_later(flight: Signals) -> Regression:
+    """Return V and the component along x in the second half of each segment, beside it and another wind in each half.
+
+    Where V stands still, its slope over the component is that of the first half less.
+    """
+    ground, airspeed, wind = velocity_along(flight)
+    later = _is_later(flight)
+    constant = np.ones_like(airspeed)
+    others = [constant, *wind]
+    return Regression(
+        airspeed, later * ground, [ground, *others, *(later * other for other in others)]
+    )
+
+
+def _is_later(flight: Signals) -> Vector:
+    """Return 1 in the second half of each segment, else 0."""
     first = np.searchsorted(flight.segment, flight.segment)
     number = np.arange(len(first)) - first
-    is_later = number >= np.bincount(flight.segment)[flight.segment] / 2
-    return Regression(airspeed - ground, is_later * airspeed, [airspeed, *wind])
+    size = np.bincount(flight.segment)[flight.segment]
+    return (number >= size / 2).astype(float)
 
 
 def course_through_the_air(flight: Signals) -> Regression:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skdgp._flight.channels import ELEVONS, by_elevons
+from skdgp._flight.channels import ELEVONS, VANES, by_elevons
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics._regression import Regression, Slope, estimated_slope
 from skdgp._flight.physics._signals import PHYSICS, Signals
@@ -139,7 +139,9 @@ class Law:
         # a uniform distribution between the lags that are tried, where they are farthest apart
         std = float(np.diff(sorted(slopes)).max(initial=0.0) / np.sqrt(12))
         lag = (best_lag, std)
-        return Contradiction(law=self, channels=self.channels, slope=best, t=t, lag=lag)
+        # accelerometers are of the inertial unit, whose clock counts
+        vanes = tuple(name for name in self.channels if name in VANES)
+        return Contradiction(law=self, channels=vanes or self.channels, slope=best, t=t, lag=lag)
 
     def _nearest_slope(self, slopes: dict[float, Slope], best: Slope, signals: Signals) -> Slope:
         """Return the slope nearest to the admissible ones, of the lags that explain y about as well as the best.
@@ -203,16 +205,20 @@ class Contradiction:
     def finding(self) -> Finding:
         """The finding of the compared signals, y over x, and the numbers."""
         quantity, (value, std) = "slope", self.slope[:2]
+        later, earlier = self.law.y, self.law.x
         if self.lag is not None:
             quantity, (value, std) = "lag", self.lag
+            if value < 0:
+                value = -value
+                later, earlier = earlier, later
         expected = self.law.admissible.text
         unit = self.law.unit
         is_opposite = self.law.admissible.sign * value < 0
         return Finding(
             Code.CONTRADICTION,
             channels=list(self.channels),
-            y=self.law.y,
-            x=self.law.x,
+            y=later,
+            x=earlier,
             expected=f"{expected} [{unit}]" if unit else expected,
             **{quantity: value},
             std=std,

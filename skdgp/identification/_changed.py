@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import block_diag, matmul_toeplitz
+from scipy.linalg import matmul_toeplitz
 from scipy.signal import correlate
 from scipy.stats import f as f_distribution
 from scipy.stats import false_discovery_control
@@ -16,7 +16,7 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, SPECIFIC_FORCE, VANES
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -28,6 +28,7 @@ from skdgp.identification._pipeline import (
     regressor_names,
     scaling_of,
 )
+from skdgp.inference import FunctionErrors
 
 WHOLE = "whole"
 MOST_NAMED = 3  # changes in the summary
@@ -47,6 +48,7 @@ UNLEARNED_SLOPE = 10.0
 # Variance of a correlation between -1 and 1 of which nothing is known
 CORRELATION_VARIANCE = 1 / 3
 FORCES = "forces"
+N_FORCES = len(SPECIFIC_FORCE)
 # Relative standard deviation of mass over dynamic pressure and wing area, from flight to flight: fuel, and a
 # temperature of the air that is wrong by 6 degrees (guess)
 LOADING_STD = 0.02
@@ -108,7 +110,7 @@ class Changes:
         forces = tuple(table.loc[FORCES]) if p[FORCES] < LEVEL else None
         table = table[table.index.str[:2].isin(p.index[p < LEVEL])]
         certain = (table["change"] / table["std"]).abs().nlargest(MOST_NAMED).index
-        likely = {row.Index: (row.change, row.std) for row in table.loc[certain].itertuples()}
+        likely = {name: tuple(table.loc[name]) for name in certain}
         return Finding(Code.CHANGED, flight=flight, p=p[WHOLE], forces=forces, likely=likely)
 
 
@@ -125,10 +127,14 @@ def changes_in_flights(
         by_acceleration = aircraft.mass / dynamic_load(flight.table, aircraft)
         residuals = measured.to_numpy() - flight.mean
         compared[flight.name] = flight.regressors, residuals, by_acceleration
-    return changes_of(pipeline, compared)
+    return changes_of(pipeline, compared, pipeline.log_errors_)
 
 
-def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, Vector]]) -> Changes:
+def changes_of(
+    pipeline: Pipeline,
+    flights: Mapping[str, tuple[Matrix, Matrix, Vector]],
+    log_errors: FunctionErrors | None = None,
+) -> Changes:
     """Return the changes of the aircraft of a model, by `Changes`.
 
     Parameters
@@ -137,36 +143,37 @@ def changes_of(pipeline: Pipeline, flights: Mapping[str, tuple[Matrix, Matrix, V
     flights : mapping of str to tuple of ndarray
         Regressors (n, d) of the last step; residuals (n, 6), NaN where unknown; and the force
         coefficients of an acceleration of 1 m/s² (n,).
+    log_errors : FunctionErrors, optional
+        Errors of the model's function that the measured coefficients have, too.
     """
-    names = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
+    endings = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
+    names = [coefficient + ending for coefficient in COEFFICIENTS for ending in endings]
     units = np.append(1.0, scaling_of(pipeline)[1])
     p_values = {}
     tables = {}
     for flight, (X, residuals, by_acceleration) in flights.items():
-        is_known = np.isfinite(residuals).all(axis=1)
-        X = X[is_known]
-        rows = np.linspace(0, len(X) - 1, min(MOST_ROWS, len(X))).astype(int)
-        of_model = _covariance(pipeline, X, rows, by_acceleration[is_known])
+        rows = np.isfinite(residuals).all(axis=1)
+        X = X[rows]
         Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
-        fitting = np.linalg.pinv(Q[rows])  # G Q^T
+        fits = [residual_weights(Q, residual) for residual in residuals[rows].T]
+        weights = np.array([fit[0] for fit in fits])
+        covariance = _covariance(pipeline, X, Q, by_acceleration[rows], log_errors)
         p = {}
-        for i, coefficient in enumerate(COEFFICIENTS):
-            weights, covariance, freedom = residual_weights(Q, residuals[is_known, i])
-            covariance = covariance + fitting @ of_model[i, :, i] @ fitting.T
-            p[coefficient] = _p_value(weights, covariance, freedom)
-            values = {"change": weights, "std": np.sqrt(np.diag(covariance))}
-            table = pd.DataFrame(values, [coefficient + name for name in names])
-            tables[flight, coefficient] = table.div(units, axis=0)
-        predicted = pipeline[-1].predict(X)
-        change, variance, freedom = _factor_of_forces(
-            predicted, residuals[is_known], of_model, rows
-        )
-        p[FORCES] = _p_value(np.array([change]), np.array([[variance]]), freedom)
-        of_forces = {"change": [change], "std": [variance**0.5]}
-        tables[flight, FORCES] = pd.DataFrame(of_forces, [FORCES])
+        for i, (coefficient, (_, scatter, freedom)) in enumerate(
+            zip(COEFFICIENTS, fits, strict=True)
+        ):
+            covariance[i, :, i] += scatter
+            p[coefficient] = _p_value(weights[i], covariance[i, :, i], freedom)
+        stds = np.sqrt(np.einsum("ikik->ik", covariance))
+        columns = {"change": (weights / units).ravel(), "std": (stds / units).ravel()}
+        tables[flight] = pd.DataFrame(columns, names)
+        expected = np.linalg.pinv(Q) @ pipeline[-1].predict(X)
+        factor, variance = _factor_of_forces(weights, covariance, expected.T)
+        freedom = min(fit[2] for fit in fits[:N_FORCES])
+        p[FORCES] = _p_value(np.array([factor]), np.array([[variance]]), freedom)
+        tables[flight].loc[FORCES] = factor, variance**0.5
         p_values[flight] = p | {WHOLE: combined([*p.values()])}
-    table = pd.concat(tables, names=["flight", "", "derivative"]).droplevel(1)
-    return Changes(pd.DataFrame(p_values).T, table)
+    return Changes(pd.DataFrame(p_values).T, pd.concat(tables, names=["flight", "derivative"]))
 
 
 def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:
@@ -203,48 +210,40 @@ def combined(p_values: Sequence[float]) -> float:
     return float(false_discovery_control(known).min()) if known else float("nan")
 
 
-def _factor_of_forces(
-    predicted: Matrix, residuals: Matrix, of_model: Array, rows: Indices
-) -> tuple[float, float, float]:
-    """Return the relative change of all forces by one factor, its variance, and its degrees of freedom.
+def _factor_of_forces(weights: Matrix, covariance: Array, expected: Matrix) -> tuple[float, float]:
+    """Return the relative change of all forces by one factor, and its variance.
 
-    Residuals are of ``predicted`` coefficients (n, 6), whose covariance ``of_model`` (6, k, 6, k) is of some ``rows``.
+    By generalized least squares of the weights (6, k) of the residuals, of ``covariance`` (6, k, 6, k), over
+    those of the coefficients themselves, ``expected``.
     """
-    weights, expected, fits, covariances, freedoms, forces = [], [], [], [], [], []
-    for i in range(len(SPECIFIC_FORCE)):
-        mean = predicted[:, i].mean()
-        Q = np.column_stack([np.ones(len(predicted)), predicted[:, i] - mean])
-        w, covariance, freedom = residual_weights(Q, residuals[:, i])
-        if freedom:
-            weights += [*w]
-            expected += [mean, 1.0]
-            fits.append(np.linalg.pinv(Q[rows]))
-            covariances.append(covariance)
-            freedoms.append(freedom)
-            forces.append(i)
-    if not forces:
-        return np.nan, np.nan, 0.0
-    K = of_model[np.ix_(forces, range(len(rows)), forces, range(len(rows)))]
-    by_model = np.einsum("iak,ikjl,jbl->iajb", fits, K, fits)
-    covariance = by_model.reshape(len(weights), -1) + block_diag(*covariances)
-    precision = np.linalg.pinv(covariance, hermitian=True)
-    v = np.array(expected)
+    v = expected[:N_FORCES].ravel()
+    of_forces = covariance[:N_FORCES, :, :N_FORCES].reshape(len(v), len(v))
+    if np.isnan(of_forces).any():
+        return np.nan, np.nan
+    precision = np.linalg.pinv(of_forces, hermitian=True)
     information = v @ precision @ v
-    change = v @ precision @ weights / information
-    return float(change), float(1 / information + LOADING_STD**2), min(freedoms)
+    factor = v @ precision @ weights[:N_FORCES].ravel() / information
+    return float(factor), float(1 / information + LOADING_STD**2)
 
 
-def _covariance(pipeline: Pipeline, X: Matrix, rows: Indices, by_acceleration: Vector) -> Array:
-    """Return the covariance of the residuals (P, n, P, n) by the model and by constant errors, in rows of X (., d)."""
+def _covariance(
+    pipeline: Pipeline,
+    X: Matrix,
+    Q: Matrix,
+    by_acceleration: Vector,
+    log_errors: FunctionErrors | None,
+) -> Array:
+    """Return the covariance (P, k, P, k) of the weights of Q by the model and by constant errors."""
+    rows = np.linspace(0, len(X) - 1, min(MOST_ROWS, len(X))).astype(int)
     at = X[rows]
-    regressor = pipeline[-1]
-    mean, function = regressor.predict(at, return_cov=True, include_input_noise=False)
-    log_errors = getattr(pipeline, "log_errors_", None)
+    mean, function = pipeline[-1].predict(at, return_cov=True, include_input_noise=False)
     if log_errors is not None:
         function = function - log_errors.covariance(at)
     effects = _effects(pipeline, X, at, by_acceleration[rows])
     K = function.reshape(*mean.T.shape, *mean.T.shape)
-    return K + np.einsum("nij,mlj->inlm", effects, effects)
+    K = K + np.einsum("nij,mlj->inlm", effects, effects)
+    fitting = np.linalg.pinv(Q[rows])  # G Q^T
+    return np.einsum("ka,iajb,lb->ikjl", fitting, K, fitting, optimize=True)
 
 
 def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector) -> Array:
@@ -266,31 +265,23 @@ def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector)
 def _noise_effects(pipeline: Pipeline, slopes: Matrix) -> Matrix:
     """Return the standard deviations (6, d) of E J for slopes J (6, d), with the sign of these.
 
-    Correlations of errors are unknown within symmetric and within lateral regressors.
+    Correlations of errors are unknown within symmetric and within lateral regressors. Their sizes are learned
+    from the residuals; angles that a filter derived from the forces agree with these, so there its own
+    count, the larger ones.
     """
     names = [name.removesuffix(HAT) for name in regressor_names(pipeline)]
+    std = np.sqrt(np.diag(pipeline[-1].input_covariance_))
+    reconstruction = reconstruction_of(pipeline)
+    if reconstruction is not None and reconstruction.air_motion_ is not None:
+        of_filter = [f"{name}_std" for name in regressor_names(pipeline)]
+        stated = reconstruction.air_motion_.air.mean().reindex(of_filter).to_numpy()
+        std = np.fmax(std, stated / scaling_of(pipeline)[1])
     is_lateral = np.isin(names, [*MIRRORED])
     correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
     np.fill_diagonal(correlations, 1.0)
-    std = _noise_stds(pipeline)
     return np.copysign(np.sqrt((slopes * std) ** 2 @ correlations) * std, slopes)
 
 
 def _precision(X: Matrix) -> Matrix:
     """Return the inverse of the covariance of regressors X (n, d), zero along directions that do not vary."""
     return np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
-
-
-def _noise_stds(pipeline: Pipeline) -> Vector:
-    """Return the standard deviations (d,) of the errors of the regressors, learned from the residuals.
-
-    Angles that a filter derived from the forces agree with the residuals, so there its own count, the
-    larger ones.
-    """
-    stds = np.sqrt(np.diag(pipeline[-1].input_covariance_))
-    reconstruction = reconstruction_of(pipeline)
-    if reconstruction is None or reconstruction.air_motion_ is None:
-        return stds
-    names = [f"{name}_std" for name in regressor_names(pipeline)]
-    stated = reconstruction.air_motion_.air.mean().reindex(names, fill_value=0.0).to_numpy()
-    return np.maximum(stds, stated / scaling_of(pipeline)[1])

@@ -135,8 +135,8 @@ def _part(
     cuts = np.unique(np.concatenate([jumps, *(source.cuts for source in sources)]))
     if len(cuts):
         remarks.append(
-            "a jump of the attitude, a reset of the estimator, or another instance, so a new flight begins, "
-            f"at {_seconds(cuts)}"
+            "a jump of the attitude or a reset of the estimator, so a new flight begins, at "
+            f"{', '.join(f'{cut:.1f} s' for cut in cuts)}"
         )
     if airborne is False:
         flights = _cut(table, cuts)
@@ -158,12 +158,6 @@ def _part(
             )
     reasons = _no_flight_because(table, speeds, speed, landed, lifted)
     return FlightLog(log, table, flights, origin, remarks + useless, reasons)
-
-
-def _seconds(times: Vector) -> str:
-    """Return the first times as text."""
-    more = f" and {len(times) - 5} more" if len(times) > 5 else ""
-    return ", ".join(f"{time:.1f} s" for time in times[:5]) + more
 
 
 def _was_armed(log: Log, time: Vector) -> bool:

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
-from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -61,11 +60,10 @@ TYPES = {
     "g": "<f2", "n": "S4", "N": "S16", "Z": "S64", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4",
     "M": "u1", "q": "<i8", "Q": "<u8",
 }  # fmt: skip
-INTEGERS = "bBhHiIMqQ"
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 # messages that describe the log, and are no topics
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
-# fields that number instances, in logs that do not say which field does
+# fields that number instances
 INSTANCES = ("I", "Instance", "C")
 # of a program by its parameter FRAME_CLASS (AP_Motors_Class.h, GCS_MAVLINK_Rover)
 FRAMES = {
@@ -232,47 +230,30 @@ class Messages:
             columns[column] = SCALE[code] * values if code in SCALE else values
         return columns
 
-    def topics(self, data: bytes, units: str) -> dict[str, Topic]:
+    def topics(self, data: bytes) -> dict[str, Topic]:
         """Return the topic of each instance by name, none without a time; texts are left out."""
         fields = numeric_fields(self.columns(data))
         if "TimeUS" not in fields:
             return {}
         time = fields["TimeUS"] * 1e-6
         topic = Topic(time, np.array(self.starts), fields).select(np.isfinite(time))
-        field = self._instance_field(units)
-        if field is None:
+        # small whole numbers, to tell them from other fields of the name
+        numbered = [name for name in INSTANCES if self.codes.get(name) in ("B", "M")]
+        if not numbered:
             return {self.name: topic}
-        numbers = topic.fields[field]
+        numbers = topic.fields[numbered[0]]
         topics = {}
         for k in np.unique(numbers).tolist():
             topics[instance_name(self.name, k)] = topic.select(numbers == k)
         return topics
 
-    def _instance_field(self, units: str) -> str | None:
-        """Return the field that numbers instances: by the unit "#", or in logs without units by its name.
-
-        By name it is a small whole number, to tell it from others of the name.
-        """
-        if units:
-            marked = zip(self.codes.items(), units, strict=False)
-            columns = [name for (name, code), unit in marked if unit == "#" and code in INTEGERS]
-        else:
-            columns = [
-                name for name, code in self.codes.items() if name in INSTANCES and code in "BM"
-            ]
-        return columns[0] if columns else None
-
 
 def _topics(file: _File) -> dict[str, Topic]:
     """Return the topics of all messages with a time, by name and instance."""
-    units = {}
-    for number, letters in file.rows("FMTU", "FmtType", "UnitIds"):
-        if number in file.types:
-            units[file.types[number].name] = _text(letters)
     topics: dict[str, Topic] = {}
     for name, messages in file.messages.items():
         if name not in DEFINITIONS:
-            topics |= messages.topics(file.data, units.get(name, ""))
+            topics |= messages.topics(file.data)
     return dict(sorted(topics.items()))
 
 
@@ -319,14 +300,14 @@ def _with_last_ratio(
     """
     remarks = []
     for name, parameter in RATIOS.items():
-        topic = topics.get(name, NOTHING)
-        ratios = [
+        ratios = sorted(
             (t, value) for t, key, value in changes if key == parameter and 0 < value < np.inf
-        ]
-        ratios.sort(key=itemgetter(0))
-        times = np.array([t for t, _ in ratios])
-        values = np.array([value for _, value in ratios])
-        if "Airspeed" in topic and len({*values}) > 1:
+        )
+        topic = topics.get(name, NOTHING)
+        if not ratios or "Airspeed" not in topic:
+            continue
+        times, values = np.transpose(ratios)
+        if np.ptp(values) > 0:
             at = values[last_before(times, topic.time)]
             scaled = topic["Airspeed"] * np.sqrt(values[-1] / at)
             topics = topics | {name: topic.with_fields(Airspeed=scaled)}

@@ -1,6 +1,6 @@
 """Sources of the columns of a flight table: topics by rules, instances of a sensor, servos; on one clock.
 
-Of several instances those count that the autopilot used at each time, else the healthiest.
+Of several instances the one counts that the autopilot used longest, while it did, else the healthiest.
 """
 
 from __future__ import annotations
@@ -52,8 +52,6 @@ HIGHEST_RATE = 50.0
 VELOCITY_CUTOFF = 0.2
 # a reset of an estimator is a step beyond so many times what 95 % of the steps are; a guess
 JUMP = 4.0
-# between the counters of two instances
-COUNTERS = 1e6
 # columns whose instances are allocators in place of redundant sensors
 COMMANDS = "throttle"
 # the clock of a table follows the first of these
@@ -83,23 +81,27 @@ class Source(NamedTuple):
         return 1.0 / usual_step(np.diff(self.time))
 
 
-class Readings(NamedTuple):
-    """The messages of one instance."""
+class Candidate(NamedTuple):
+    """The messages of one instance of a topic, in the columns of a rule."""
 
     instance: Instance
-    # time [s], number of the instance and of resets, and columns
-    rows: Matrix
+    values: Matrix
     valid: Mask
     # which of the valid ones the autopilot used
     used: Mask
     # mean of a flag, or of a confidence from 0 to 1
     confidence: float
 
-    def health(self, duration: float) -> tuple[float, bool, float]:
-        """Order of instances in a log of some duration [s]: valid readings, that move, the autopilot's flag."""
-        fraction = self.valid.mean() * np.ptp(self.rows[:, 0]) / duration
-        moves = self.valid.any() and np.ptp(self.rows[self.valid, 2:]) > 0
-        return round(fraction, 2), bool(moves), self.confidence
+    @property
+    def rows(self) -> Mask:
+        """The messages that count, (n,)."""
+        return self.used if self.used.any() else self.valid
+
+    def merit(self, duration: float) -> tuple[int, float, bool, float]:
+        """Order of instances in a log of some duration [s]: used, valid, moving, preferred by the autopilot."""
+        fraction = self.valid.mean() * np.ptp(self.instance.topic.time) / duration
+        moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
+        return int(self.used.sum()), round(fraction, 2), bool(moves), self.confidence
 
 
 class Column(NamedTuple):
@@ -126,41 +128,38 @@ def choose(log: Log, rule: Rule) -> Source | None:
     if not instances:
         return None
     use = _use(log, rule, instances)
-    return _source_of(rule, [_readings(log, instance, rule, use) for instance in instances], use)
-
-
-def _source_of(rule: Rule, readings: list[Readings], use: Use | None) -> Source:
-    """Return the source by the instances that were used, or if that is not known by the healthiest."""
-    duration = np.ptp([reading.rows[[0, -1], 0] for reading in readings])
-    best = max(readings, key=lambda reading: reading.health(duration))
-    used = {reading.instance.name: reading.rows[reading.used] for reading in readings}
-    chosen = {name: rows for name, rows in used.items() if len(rows)}
-    by = f"used by the autopilot: {use.words}" if use and chosen else "the healthiest"
-    chosen = chosen or {best.instance.name: best.rows[best.valid]}
-    rows = np.vstack([*chosen.values()])
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    time, counter = rows[:, :2].T
-    values = rows[:, 2:]
+    candidates = [_candidate(log, instance, rule, use) for instance in instances]
+    duration = np.ptp([instance.topic.time[[0, -1]] for instance in instances])
+    best = max(candidates, key=lambda candidate: candidate.merit(duration))
+    number, name, topic = best.instance
+    time = topic.time[best.rows]
+    values = best.values[best.rows]
     if rule.columns == QUATERNION:
         values = without_sign_changes(values)
-    cuts = _resets(time, values, counter)
-    notes = [rule.note, f"of {len(readings)}, {by}" if len(readings) > 1 else ""]
-    words = f"{' and '.join([*chosen][:3])}.{rule.fields}"
-    if any(notes):
-        words += f" ({', '.join(filter(None, notes))})"
-    is_first = [*chosen] == [readings[0].instance.name]
-    remarks = ["" if is_first else f"{rule.words} of {words}", _unmeasured(rule, best)]
+    notes = [rule.note] if rule.note else []
+    if len(instances) > 1:
+        by = f"used by the autopilot: {use.words}" if use and best.used.any() else "the healthiest"
+        notes.append(f"of {len(instances)}, {by}")
+    words = f"{name}.{rule.fields}"
+    if notes:
+        words += f" ({', '.join(notes)})"
+    remarks = [_unmeasured(rule, best)]
+    if name != instances[0].name:
+        remarks.insert(0, f"{rule.words} of {words}")
     remark = "; ".join(filter(None, remarks))
-    return Source(
-        tuple(rule.columns.split()), words, time, values, remark, cuts, best.instance.number
-    )
+    cuts = _resets(rule, topic.select(best.rows), values)
+    return Source(tuple(rule.columns.split()), words, time, values, remark, cuts, number)
 
 
-def _resets(time: Vector, values: Matrix, counter: Vector) -> Vector:
-    """Return the times at which a counter (n,) changes and the values (n, k) jump."""
+def _resets(rule: Rule, topic: Topic, values: Matrix) -> Vector:
+    """Return the times at which a counter of resets changes and the values (n, k) jump."""
     sizes = np.linalg.norm(np.diff(values, axis=0), axis=1)
-    is_jump = sizes > JUMP * np.quantile(sizes, 0.95) if len(sizes) else sizes > 0
-    return time[1:][is_jump & (np.diff(counter) != 0)]
+    counters = [topic[field] for field in rule.resets.split() if field in topic]
+    if not counters or not len(sizes):
+        return NONE
+    is_reset = np.diff(np.sum(counters, axis=0)) != 0
+    is_jump = sizes > JUMP * np.quantile(sizes, 0.95)
+    return topic.time[1:][is_jump & is_reset]
 
 
 def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
@@ -212,7 +211,7 @@ def is_valid(topic: Topic, rule: Rule) -> Mask:
     return valid
 
 
-def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Readings:
+def _candidate(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Candidate:
     number, _, topic = instance
     values = rule.convert(topic.columns(rule.fields.split()))
     valid = np.isfinite(values).all(axis=1) & is_valid(topic, rule)
@@ -225,13 +224,7 @@ def _readings(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Read
     confidence = 0.0
     if rule.preferred in topic:
         confidence = float(np.clip(np.nan_to_num(topic[rule.preferred]), 0.0, 1.0).mean())
-    counter = np.full(len(topic), COUNTERS * number)
-    for field in rule.resets.split():
-        if field in topic:
-            counter += topic[field]
-    return Readings(
-        instance, np.column_stack([topic.time, counter, values]), valid, used, confidence
-    )
+    return Candidate(instance, values, valid, used, confidence)
 
 
 def _is_used(log: Log, rule: Rule, instance: Instance) -> bool:
@@ -261,10 +254,10 @@ def _numbers(log: Log, use: Use, times: Vector) -> Vector:
     return NONE
 
 
-def _unmeasured(rule: Rule, reading: Readings) -> str:
+def _unmeasured(rule: Rule, candidate: Candidate) -> str:
     """Return a remark on messages of a source that the log does not call measurements, with the fields that say so."""
-    number, name, topic = reading.instance
-    missing = 100 * (1 - reading.valid.mean())
+    number, name, topic = candidate.instance
+    missing = 100 * (1 - candidate.valid.mean())
     if missing == 0 or (missing < 100 and not rule.within):
         return ""
     fields = [field for field in rule.valid.split() if field in topic]

@@ -95,12 +95,6 @@ class TestWhatTheLogSaysOfItself:
         for code, expected in values.items():
             assert_allclose(read(log).topics["S"][code], expected, rtol=1e-12)
 
-    def test_the_field_that_numbers_instances_may_be_told(self, read, dataflash):
-        log = dataflash().topic("ABC", [0.1, 0.2, 0.3, 0.4], Nr=("B", [0, 1, 0, 1]), V=[1, 2, 3, 4])
-        kind = log.types["ABC"][0]
-        log.rows("FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds", [(0, kind, b"s#-", b"F--")])
-        assert_array_equal(read(log).topics["ABC#1"]["V"], [2, 4])
-
 
 class TestDamage:
     def test_bytes_between_messages(self, read, dataflash):

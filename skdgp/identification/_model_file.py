@@ -11,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from sklearn.exceptions import InconsistentVersionWarning, NotFittedError
+from sklearn.exceptions import InconsistentVersionWarning
 from sklearn.pipeline import Pipeline
 from sklearn.utils import Bunch
 from sklearn.utils.validation import check_is_fitted
@@ -19,7 +19,7 @@ from sklearn.utils.validation import check_is_fitted
 from skdgp._compute.files import software_versions, write_atomically
 from skdgp._compute.messages import report
 from skdgp._flight.findings import Code, Finding
-from skdgp.dynamics import Aircraft
+from skdgp.dynamics import Aircraft, check_aircraft
 
 FORMAT = 15  # a pickle, a line of JSON, and the SHA-256 of all bytes before it
 DIGEST = 64  # its length
@@ -36,7 +36,8 @@ def save_model(
 ) -> Path:
     """Write a fitted pipeline, its aircraft and facts into one file, which appears whole or not at all.
 
-    Raises TypeError if ``pipeline`` is not a fitted estimator or ``aircraft`` no `Aircraft`.
+    Raises NotFittedError if ``pipeline`` is not fitted, TypeError if it is no estimator or ``aircraft`` no
+    `Aircraft`.
 
     Parameters
     ----------
@@ -51,16 +52,13 @@ def save_model(
     -------
     Path
     """
+    check_is_fitted(pipeline)
+    check_aircraft(aircraft)
     made = {
         "created": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": software_versions(),
     }
     model = Bunch(pipeline=pipeline, aircraft=aircraft, **facts | made)
-    if not _is_model(model):
-        raise TypeError(
-            f"Got {type(pipeline).__name__} and {type(aircraft).__name__} to save, but expected a "
-            f"fitted pipeline and its Aircraft: call fit first."
-        )
 
     def write(temporary: Path) -> None:
         closing = json.dumps({"format": FORMAT, **made}).encode()
@@ -117,27 +115,12 @@ def load_model(path: str | os.PathLike) -> Bunch:
         with warnings.catch_warnings():
             # the versions are told above
             warnings.simplefilter("ignore", InconsistentVersionWarning)
-            model = pickle.loads(pickled)
+            return pickle.loads(pickled)
     except Exception as error:  # unpickling may raise anything
         raise ModelFileError(
             f"Got {path}, written with {made_by}, which cannot be read by {installed} here "
             f"({type(error).__name__}: {error}). Fit it again, or install those versions."
         ) from error
-    if not _is_model(model):
-        raise ModelFileError(
-            f"Got {path}, which holds {type(model).__name__}, but expected a fitted pipeline and "
-            f"its aircraft: fit it again, and write it with skdgp.identification.save_model."
-        )
-    return model
-
-
-def _is_model(content: Any) -> bool:
-    """Return whether this is the content of a model file: a fitted estimator and an aircraft."""
-    try:
-        check_is_fitted(content.pipeline)
-    except (AttributeError, TypeError, NotFittedError):
-        return False
-    return isinstance(content, Bunch) and isinstance(content.get("aircraft"), Aircraft)
 
 
 def _in_words(versions: dict) -> str:

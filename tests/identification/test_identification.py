@@ -15,9 +15,10 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
-from sklearn.exceptions import ConvergenceWarning
+from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor, FewRowsWarning, listening, make_identification_pipeline
@@ -310,14 +311,11 @@ def another_model(data, *change):
 
 
 RUBBISH = b"[" * 10000, b'{"format": 2, "versions": 7, "bytes": 1}'
-OTHERS = None, Bunch(pipeline=QUICK, aircraft=GLIDER)
 DAMAGED = [
     *((lambda data, share=share: data[: int(share * len(data))], r"not a whole skdgp model.*cut off")
       for share in (0.5, 0.999)),
     *((lambda data, rubbish=rubbish: data + rubbish, "not a whole skdgp model")
       for rubbish in RUBBISH),
-    *((lambda data, content=content: closed(data, pickle.dumps(content)),
-       r"which holds \w+, but expected a fitted pipeline and its aircraft") for content in OTHERS),
     *((lambda data, content=content: content, f"{len(content)} bytes.*Expected a file that skdgp")
       for content in (b"", b"time,alpha\n0,1\n")),
     (lambda data: closed(data, format=99), r"format 99.*reads format 15: fit it again"),
@@ -390,10 +388,15 @@ class TestModelFile:
             with pytest.raises(ModelFileError, match="not a whole skdgp model"):
                 load_model(model_file)
 
-    @pytest.mark.parametrize(("pipeline", "aircraft"), [(QUICK, GLIDER), (None, None)])
-    def test_what_is_no_model_is_not_saved(self, tmp_path, pipeline, aircraft):
-        with pytest.raises(
-            TypeError, match=r"expected a fitted pipeline and its Aircraft: call fit first"
-        ):
+    @pytest.mark.parametrize(
+        ("pipeline", "aircraft", "error", "match"),
+        [
+            (QUICK, GLIDER, NotFittedError, "not fitted yet"),
+            (None, GLIDER, TypeError, "not an estimator"),
+            (StandardScaler().fit([[0.0]]), None, TypeError, "Got NoneType for aircraft"),
+        ],
+    )
+    def test_what_is_no_model_is_not_saved(self, tmp_path, pipeline, aircraft, error, match):
+        with pytest.raises(error, match=match):
             save_model(tmp_path / "model.joblib", pipeline, aircraft)
         assert list(tmp_path.iterdir()) == []

@@ -213,7 +213,7 @@ LEARNING = [
     option(
         "--samples",
         metavar="N|all",
-        type=number(">= 2", "all", kind=int),
+        type=number(2, "all", kind=int),
         help="rows to learn from (default: all, at most 30,000)",
     ),
     option(
@@ -226,7 +226,7 @@ LEARNING = [
     ),
     option(
         "--max-iter",
-        type=number(">= 1", kind=int),
+        type=number(1, kind=int),
         help="largest number of steps of the fit from each start (default: 300)",
     ),
     SEED,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import operator
 import os
 import shutil
 import sys
@@ -56,15 +55,16 @@ def checked(
     return value
 
 
-def number(bound: str = "", *words: str, kind: type = float) -> Callable[[str], float | str]:
-    """Return the type of finite numbers within a bound such as "> 0", or of some words."""
-    symbol, limit = bound.split() if bound else (">", "-inf")
-    is_within = {">": operator.gt, ">=": operator.ge}[symbol]
-    expected = f"a {'whole number' if kind is int else 'number'} {bound}".strip()
+def number(
+    least: float = -math.inf, *words: str, kind: type = float
+) -> Callable[[str], float | str]:
+    """Return the type of finite numbers that are not below ``least``, or of some words."""
+    bound = "" if least == -math.inf else f" >= {least:g}"
+    expected = f"a {'whole number' if kind is int else 'number'}{bound}"
     return checked(
         ", or ".join([expected, *words]),
         lambda text: text if text in words else kind(text),
-        lambda value: value in words or (is_within(value, float(limit)) and math.isfinite(value)),
+        lambda value: value in words or least <= value < math.inf,
     )
 
 
@@ -91,9 +91,9 @@ factors = checked(
     lambda text: _pair(text, "x"),
     lambda pair: min(pair) > 0 and max(pair) < math.inf,
 )
-POSITIVE = number("> 0")
+POSITIVE = checked("a number > 0", float, lambda value: 0 < value < math.inf)
 n_paths = checked(
-    "0, or 2 or more: one path has no spread", int, lambda value: value == 0 or value >= 2
+    "0, or 2 or more: one path has no spread", int, lambda value: value >= 0 and value != 1
 )
 
 
@@ -119,7 +119,7 @@ LOG = [
     option(
         "--airborne",
         metavar="V|all",
-        type=number("> 0", "all"),
+        type=number(0.0, "all"),
         help="airspeed [m/s] above which logs of autopilots are flights, or all of a log "
         "(default: estimated)",
     ),
@@ -136,9 +136,7 @@ HORIZON = option(
     default=10.0,
     help="seconds after which simulations start again (default: 10)",
 )
-SEED = option(
-    "--seed", type=number(">= 0", kind=int), default=0, help="of random numbers (default: 0)"
-)
+SEED = option("--seed", type=number(0, kind=int), default=0, help="of random numbers (default: 0)")
 OUTPUT = option("-o", "--output", help="folder for the outputs")
 AIRSPEED = option("--airspeed", type=POSITIVE, required=True, help="of the trim [m/s]")
 ALTITUDE = option("--altitude", type=number(), default=0.0, help="of the trim [m] (default: 0)")

@@ -73,6 +73,8 @@ PARAMETERS = option(
     help="parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
     "elevator, throttle, rudder, 1100 to 1900 us)",
 )
+# Gusts [m/s] above which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C
+CALM_GUSTS = 0.5
 # Least height of gusts [m], which vanish at the ground
 LEAST_GUST_HEIGHT = 100.0
 
@@ -104,8 +106,7 @@ def read_model_to_fly(options) -> Bunch:
         )
     turbulence = model.pipeline.turbulence_
     gusts = 0.0 if turbulence is None else max(turbulence.intensity)
-    # two thirds of light turbulence of MIL-F-8785C: derivatives by rates lose notably
-    if gusts > 0.5:
+    if gusts > CALM_GUSTS:
         warn(
             f"The model was learned in gusts of {gusts:.1f} m/s, so its derivatives by rates are too "
             f"small: learn from flights in calmer air."
@@ -170,23 +171,26 @@ def derivatives(run: Run) -> None:
         "random_state": options.seed,
         "thrust": model.pipeline.thrust,
     }
-    points, slopes, modes = [], {}, {}
+    points = []
     for at in trims:
         table = stability_derivatives(model.pipeline, model.aircraft, at, **spread)
-        slopes[at.airspeed] = table.assign(alpha=at.alpha, beta=at.beta)
-        modes[at.airspeed] = linearize(model.pipeline, model.aircraft, at, **spread).modes()
-        points.append(FlightMechanics(trim=at, derivatives=table, modes=modes[at.airspeed]))
+        modes = linearize(model.pipeline, model.aircraft, at, **spread).modes()
+        points.append(FlightMechanics(trim=at, derivatives=table, modes=modes))
+    slopes = [
+        point.derivatives.assign(alpha=at.alpha, beta=at.beta)
+        for at, point in zip(trims, points, strict=True)
+    ]
     files = {
-        "derivatives.csv": csv_writer(_joined(slopes, "derivative")),
-        "modes.csv": csv_writer(_joined(modes, "mode")),
+        "derivatives.csv": csv_writer(_joined(airspeeds, slopes, "derivative")),
+        "modes.csv": csv_writer(_joined(airspeeds, [point.modes for point in points], "mode")),
     }
     text = "\n\n".join(map(_derivatives_text, points))
     run.finish([text, ""], {"points": points}, files, "derivatives.json")
 
 
-def _joined(tables: Mapping[float, pd.DataFrame], name: str) -> pd.DataFrame:
+def _joined(airspeeds: list[float], tables: list[Any], name: str) -> pd.DataFrame:
     """Return the tables of all airspeeds in one."""
-    return pd.concat(tables, names=["airspeed", name]).reset_index()
+    return pd.concat(tables, keys=airspeeds, names=["airspeed", name]).reset_index()
 
 
 def trimmed(model: Bunch, airspeed: float, altitude: float) -> Trim:
@@ -565,7 +569,7 @@ COMMANDS: Commands = {
             ),
             option(
                 "--growth",
-                type=number(">= 0", "inf"),
+                type=number(0.0, "inf"),
                 default=0.2,
                 help="part of its range by which a quantity may leave its range in training; inf: no "
                 "limit (default: 0.2)",
@@ -606,7 +610,7 @@ COMMANDS: Commands = {
             ),
             option(
                 "--delay",
-                type=number(">= 0"),
+                type=number(0.0),
                 default=0.02,
                 help="of the commands before they are logged [s], from sampling and computing; the delay of the "
                 "servos and the hold of the commands, which the flights show, come on top (default: 0.02)",
@@ -647,7 +651,7 @@ COMMANDS: Commands = {
             PARAMETERS,
             option(
                 "--path",
-                type=number(">= 0", kind=int),
+                type=number(0, kind=int),
                 help="seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
             ),
             option(
@@ -667,7 +671,7 @@ COMMANDS: Commands = {
             option(
                 "--gusts",
                 metavar="W|flown",
-                type=number(">= 0", "flown"),
+                type=number(0.0, "flown"),
                 help="gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
             ),
             option(
@@ -683,7 +687,7 @@ COMMANDS: Commands = {
             ),
             option(
                 "--port",
-                type=number(">= 1", kind=int),
+                type=number(1, kind=int),
                 default=9002,
                 help="UDP port (default: 9002)",
             ),

@@ -64,7 +64,7 @@ SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 # messages that describe the log, and are no topics
 DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
 # fields that number instances
-INSTANCES = ("I", "Instance", "C")
+INSTANCES = ("I", "Instance", "C", "chan")
 # of a program by its parameter FRAME_CLASS (AP_Motors_Class.h, GCS_MAVLINK_Rover)
 FRAMES = {
     ("ArduRover", 2): "boat", ("Rover", 2): "boat",

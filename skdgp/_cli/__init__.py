@@ -9,6 +9,7 @@ import shlex
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from skdgp._cli import _learn, _use
 from skdgp._cli._shared import Commands, Console, Run, add_command
@@ -41,7 +42,8 @@ usage, 130 stopped by Ctrl-C.
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code: 0 done, 1 an error, 2 wrong usage, 130 stopped by Ctrl-C."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    _open_streams()
+    sys.stdout = _open(sys.stdout)
+    sys.stderr = _open(sys.stderr)
     console = Console()
     try:
         with console:
@@ -92,14 +94,13 @@ def parse(argv: list[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def _open_streams() -> None:
-    """Let standard output and error take any text in any encoding, and discard it where they are closed."""
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name)
-        if stream is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
-        elif isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+def _open(stream: Any) -> Any:
+    """Let a stream take any text in any encoding; return one that discards it in place of a closed one."""
+    if stream is None:
+        return open(os.devnull, "w", encoding="utf-8")
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(errors="backslashreplace")
+    return stream
 
 
 def _message(error: Exception) -> str:

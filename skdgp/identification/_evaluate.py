@@ -113,29 +113,32 @@ class Evaluation:
 
 def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
     """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it."""
-    against = {"measured": _scores(flights, "measured", "prediction_std")}
+    measured = [flight.measured for flight in flights]
+    bands = [flight.prediction_std for flight in flights]
+    against = {"measured": _scores(flights, measured, bands)}
     if all(flight.truth is not None for flight in flights):
-        against["truth"] = _scores(flights, "truth", "std")
+        true: list[Any] = [flight.truth for flight in flights]
+        against["truth"] = _scores(flights, true, [flight.std for flight in flights])
     return against
 
 
-def _scores(flights: Sequence[Evaluation], against: str, band: str) -> pd.DataFrame:
-    """Return coefficients by metrics: errors against a reference, and how bands hold its values."""
-
-    def joined(name: str) -> Matrix:
-        return np.concatenate([getattr(flight, name) for flight in flights])
-
-    expected, mean = joined(against), joined("mean")
+def _scores(
+    flights: Sequence[Evaluation], expected: Sequence[Matrix], stds: Sequence[Matrix]
+) -> pd.DataFrame:
+    """Return coefficients by metrics: errors against expected values, and how bands hold these."""
+    true = np.concatenate(expected)
+    mean = np.concatenate([flight.mean for flight in flights])
+    linear = np.concatenate([flight.baseline for flight in flights])
+    bands = true, mean, np.concatenate(stds)
     each: dict[str, Any] = {"multioutput": "raw_values"}
-    table = pd.DataFrame(index=list(COEFFICIENTS))
-    table["median_relative_error"] = median_relative_error(expected, mean, **each)
-    table["normalized_rmse"] = normalized_rmse(expected, mean, **each)
-    linear = joined("baseline")
-    table["least_squares_normalized_rmse"] = normalized_rmse(expected, linear, **each)
-    bands = expected, mean, joined(band)
-    table["negative_log_predictive_density"] = negative_log_predictive_density(*bands, **each)
-    table["interval_coverage"] = interval_coverage(*bands, **each)
-    return table
+    columns = {
+        "median_relative_error": median_relative_error(true, mean, **each),
+        "normalized_rmse": normalized_rmse(true, mean, **each),
+        "least_squares_normalized_rmse": normalized_rmse(true, linear, **each),
+        "negative_log_predictive_density": negative_log_predictive_density(*bands, **each),
+        "interval_coverage": interval_coverage(*bands, **each),
+    }
+    return pd.DataFrame(columns, [*COEFFICIENTS])
 
 
 def score_table(flights: Sequence[Evaluation]) -> pd.DataFrame:

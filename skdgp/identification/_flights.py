@@ -69,36 +69,33 @@ def train_and_test(
     if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
         servos = FULL_THROW
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
-    findings = []
     if max(steps, default=0.0) > 1 / SLOWEST:
-        findings.append(Finding(Code.SLOW_LOG, rate=float(1 / max(steps))))
+        report(Finding(Code.SLOW_LOG, rate=float(1 / max(steps))))
     tested: Flights = {}
     if test is not None:
         tested = named_flights(test, default="test flight", needed=needed, **reading)
     train, tested, copies = without_copies(train, tested)
-    findings += copies
-    if test is None:
-        train, tested, held_out = _without_last(train)
-        findings.append(held_out)
-    for finding in findings:
+    for finding in copies:
         report(finding)
+    if test is None:
+        train, tested = _without_last(train)
     return train, tested, servos
 
 
-def _without_last(flights: Flights) -> tuple[Flights, Flights, Finding]:
-    """Return training flights and the one that is held out, with its finding."""
+def _without_last(flights: Flights) -> tuple[Flights, Flights]:
+    """Return training flights and the one that is held out, of a single one its last quarter; a finding says so."""
     *earlier, last = flights
     flight = flights[last]
     if earlier:
-        held_out = Finding(Code.HELD_OUT_FLIGHT, flight=last)
-        return {name: flights[name] for name in earlier}, {last: flight}, held_out
+        report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
+        return {name: flights[name] for name in earlier}, {last: flight}
+    report(Finding(Code.HELD_OUT_QUARTER, flight=last))
     learned, tested = f"{last}, first three quarters", f"{last}, last quarter"
     rows = np.arange(len(flight.time))
     begin = round(0.75 * len(rows))
     return (
         {learned: flight.part(rows[:begin]).named(learned)},
         {tested: flight.part(rows[begin:]).named(tested)},
-        Finding(Code.HELD_OUT_QUARTER, flight=last),
     )
 
 
@@ -136,9 +133,11 @@ def named_flights(
     dict of str to FlightTable
     """
     rename = reading.pop("rename", None)
-    items = [("", item) for item in items_of(flights)]
-    if isinstance(flights, Mapping):
-        items = list(flights.items())
+    items = (
+        list(flights.items())
+        if isinstance(flights, Mapping)
+        else [("", item) for item in items_of(flights)]
+    )
     if not items:
         raise ValueError("Got no flight, but expected at least one.")
     by_name: Flights = {}
@@ -220,14 +219,7 @@ def usable_flights(
             report(finding, FlightDataWarning)
         checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
     _warn_of_contradictions(checked, aircraft)
-    usable: Flights = {}
-    left_out: list[Finding] = []
-    for name, flight in checked.items():
-        usable[name], of_flight = _complete_rows(name, flight, regressors)
-        left_out += of_flight
-    for finding in left_out:
-        report(finding)
-    return usable
+    return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
 
 
 def _check_surfaces(name: str, table: pd.DataFrame, in_radians: bool) -> None:
@@ -264,10 +256,8 @@ def _warn_of_contradictions(flights: Flights, aircraft: Aircraft) -> None:
         report(question)
 
 
-def _complete_rows(
-    flight: str, flights: FlightTable, regressors: Sequence[str]
-) -> tuple[FlightTable, list[Finding]]:
-    """Return the rows with all regressors and a neighbour, so that they have a rate of change; and what is left out."""
+def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str]) -> FlightTable:
+    """Return the rows with all regressors and a neighbour, so that they have a rate of change; tell of the others."""
     table = flights.table
     columns = regressor_columns([table], regressors)
     missing = ~np.isfinite(numeric(table, columns))
@@ -283,9 +273,8 @@ def _complete_rows(
             "whole, and time in seconds?"
         )
     continuous = np.concatenate(rows)
-    findings = []
     if len(continuous) < len(table):
-        findings.append(
+        report(
             Finding(
                 Code.ROWS_LEFT_OUT,
                 flight=flight,
@@ -295,7 +284,7 @@ def _complete_rows(
                 alone=len(complete) - len(continuous) or None,
             )
         )
-    return flights.part(continuous).named(flight), findings
+    return flights.part(continuous).named(flight)
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights, aircraft: Aircraft) -> Flights:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -143,8 +143,10 @@ def simulation_errors(
     lacking = [name for name in STATES if name not in common]
     if lacking:
         raise ValueError(f"the flights lack {', '.join(lacking)}, from which a simulation starts")
-    parts = _parts(tables, options["horizon"])
-    wind_known = all({*WIND, "psi"} <= {*part} for part in parts)
+    angles = [name for name in (*STATES, "psi") if name in common]
+    smooth = [table.assign(**by_name(angles, unwrapped(table, angles))) for table in tables]
+    parts = _parts(smooth, options["horizon"])
+    wind_known = {*WIND, "psi"} <= common
     flown = _simulated(pipeline, aircraft, parts, options["thrust"], wind_known)
     simulated = numeric(flown, STATES).reshape(len(parts), -1, len(STATES))
     elapsed = flown["time"].to_numpy()[: simulated.shape[1]]
@@ -157,7 +159,7 @@ def simulation_errors(
     means = np.array([rows.mean(axis=0) for rows in np.array_split(squares, n)])
     begins = [times[0] for times in np.array_split(elapsed, n)]
 
-    spread, limit = _limits(tables)
+    spread, limit = _limits(smooth)
     # an error that is small in every interval lasts to the end
     late = np.vstack([means > limit**2, np.ones(len(STATES), bool)])
     ends = np.append(begins, elapsed[-1])
@@ -174,7 +176,7 @@ def simulation_errors(
 
 def _limits(tables: Sequence[pd.DataFrame]) -> tuple[Vector, Vector]:
     """Return the spread of each state in flights, and the largest error of a simulation that follows them."""
-    spread = np.median([np.nanstd(unwrapped(table, STATES), axis=0) for table in tables], axis=0)
+    spread = np.median([np.nanstd(numeric(table, STATES), axis=0) for table in tables], axis=0)
     # no noise of flights that are too short to show it
     levels = pd.DataFrame([noise_level(table, STATES) for table in tables])
     return spread, np.maximum(THRESHOLDS.error * spread, 3 * np.nan_to_num(levels.median()))
@@ -212,36 +214,27 @@ def _simulated(
 
 
 def _parts(tables: Sequence[pd.DataFrame], horizon: float) -> list[pd.DataFrame]:
-    """Return parts of flights without gaps, of nearly equal length, spread over the flights.
+    """Return parts of flights without gaps whose states are known, of nearly equal length, spread over the flights.
 
     Their time begins at zero.
     """
-    segments = [segment for table in tables for segment in _segments(table)]
+    segments = []
+    for table in tables:
+        runs = FlightTable.of(table).segments
+        segments += [table.iloc[run] for run in runs if n_rows(run) > 2]
     if segments:
         horizon = min(horizon, float(np.median([np.ptp(part["time"]) for part in segments])))
     parts: list[pd.DataFrame] = []
-    if horizon > 2 * STEP:
-        parts = [part for segment in segments for part in _parts_of(segment, horizon)]
+    for segment in segments if horizon > 2 * STEP else ():
+        time = segment["time"]
+        for begin in np.arange(time.iloc[0], time.iloc[-1] - LEAST_PART * horizon, horizon):
+            part = segment[time.between(begin, begin + horizon)]
+            if len(part) > 2 and np.isfinite(numeric(part, STATES)).all():
+                elapsed = part["time"] - part["time"].iloc[0]
+                parts.append(part.assign(time=elapsed).reset_index(drop=True))
     if not parts:
         raise ValueError(
             f"the flights have no part of {horizon:.3g} s in which {', '.join(STATES)} are known"
         )
     chosen = np.linspace(0, len(parts) - 1, min(MOST_STARTS, len(parts))).round().astype(int)
     return [parts[k] for k in chosen]
-
-
-def _segments(table: pd.DataFrame) -> list[pd.DataFrame]:
-    """Return the segments of a flight without gaps, whose angles do not jump."""
-    names = [name for name in (*STATES, "psi") if name in table]
-    smooth = table.assign(**by_name(names, unwrapped(table, names)))
-    runs = FlightTable.of(smooth).segments
-    return [smooth.iloc[run] for run in runs if n_rows(run) > 2]
-
-
-def _parts_of(segment: pd.DataFrame, horizon: float) -> Iterator[pd.DataFrame]:
-    """Yield the parts of a segment whose states are known."""
-    time = segment["time"]
-    for begin in np.arange(time.iloc[0], time.iloc[-1] - LEAST_PART * horizon, horizon):
-        flown = segment[time.between(begin, begin + horizon)]
-        if len(flown) > 2 and np.isfinite(numeric(flown, STATES)).all():
-            yield flown.assign(time=flown["time"] - flown["time"].iloc[0]).reset_index(drop=True)

@@ -358,7 +358,8 @@ class FlightPipeline(Pipeline):
         if samples == "all":
             return y
         if samples is None:
-            is_exact = getattr(self.steps[-1][1], "inference", None) == "exact"
+            last = self.steps[-1][1]
+            is_exact = isinstance(last, DependentGPRegressor) and last.inference == "exact"
             samples = MOST_EXACT if is_exact else MOST_SPARSE
         return thin_targets(y, cast("int", samples))
 

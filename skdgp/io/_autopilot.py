@@ -16,10 +16,10 @@ from skdgp._compute.typing import Mask, Vector
 from skdgp._flight.clock import runs_between
 from skdgp._flight.faults import attitude_jumps
 from skdgp._flight.tables import FlightTable
-from skdgp.io._clock import clock_parts
+from skdgp.io._clock import with_sound_times
 from skdgp.io._dataflash import read_dataflash
 from skdgp.io._log import NOTHING, Control, Log, States, controls_of, no_wings, rows_in
-from skdgp.io._sources import find_sources, to_table
+from skdgp.io._sources import Source, find_sources, to_table
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
 from skdgp.io._ulog import read_ulog
@@ -58,14 +58,14 @@ LONGEST_DIP = 2.0
 SHORTEST_FLIGHT = 5.0
 # channels begin and end within this of each other [s]
 LONGEST_EDGE = 1.0
+# times of cuts in a remark
+MOST_SHOWN = 5
 
 
 class FlightLog(NamedTuple):
-    """A log, or a part of it between two restarts of its clock, resampled to one clock."""
+    """A log, resampled to one clock."""
 
-    # with the topics of the longest part
     log: Log
-    # of the longest part
     table: pd.DataFrame
     flights: list[pd.DataFrame]
     # description and rate [Hz] of the source of each column
@@ -96,47 +96,32 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
     with np.errstate(all="ignore"):
         controls = controls_of(servos, log)
         _check_channels(log, controls)
-        topics_of_parts, remarks = clock_parts(log.topics)
-        parts = []
-        for topics in topics_of_parts:
-            part = _part(replace(log, topics=topics), controls, speed, airborne)
-            if part is not None:
-                parts.append(part)
-    if not parts:
-        raise FlightReadError(
-            "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
-            "log these topics."
-        )
-    flights = []
-    origin: dict[str, tuple[str, float]] = {}
-    remarks = [*log.remarks, *remarks]
-    for part in parts:
-        flights += part.flights
-        origin |= part.origin
-        remarks += part.remarks
-    longest = max(parts, key=lambda part: len(part.table))
-    return longest._replace(flights=flights, origin=origin, remarks=list(dict.fromkeys(remarks)))
+        topics, wrong_times = with_sound_times(log.topics)
+        log = replace(log, topics=topics)
+        sources, useless = find_sources(log, controls)
+        if not sources:
+            raise FlightReadError(
+                "Got no message of a flight, but expected rates, accelerations, attitude, airspeed: "
+                "log these topics."
+            )
+        return _flown(log, sources, speed, airborne, [*log.remarks, *wrong_times, *useless])
 
 
-def _part(
-    log: Log, controls: Mapping[str, tuple[str, Control]], speed: float, airborne: Any
-) -> FlightLog | None:
-    """Return a part of a log on one clock, None if it has no source of a column."""
-    sources, useless = find_sources(log, controls)
-    if not sources:
-        return None
+def _flown(
+    log: Log, sources: list[Source], speed: float, airborne: Any, remarks: list[str]
+) -> FlightLog:
+    """Return a log on one clock, with its flights and further remarks."""
     table, origin = to_table(sources, log)
     time = table["time"].to_numpy()
     speeds = _speed(table, log)
     landed = log.lands(time)
     lifted = log.lifts(time)
-    remarks = []
     jumps = attitude_jumps(FlightTable.of(table))
     cuts = np.unique(np.concatenate([jumps, *(source.cuts for source in sources)]))
     if len(cuts):
         remarks.append(
             "a jump of the attitude or a reset of the estimator, so a new flight begins, at "
-            f"{', '.join(f'{cut:.1f} s' for cut in cuts)}"
+            f"{', '.join(f'{cut:.1f} s' for cut in cuts[:MOST_SHOWN])}{', ...' * (len(cuts) > MOST_SHOWN)}"
         )
     if airborne is False:
         flights = _cut(table, cuts)
@@ -157,7 +142,7 @@ def _part(
                 "surfaces, their columns and the throttle are not what flew"
             )
     reasons = _no_flight_because(table, speeds, speed, landed, lifted)
-    return FlightLog(log, table, flights, origin, remarks + useless, reasons)
+    return FlightLog(log, table, flights, origin, remarks, reasons)
 
 
 def _was_armed(log: Log, time: Vector) -> bool:

@@ -1,4 +1,4 @@
-"""Clocks of logs: parts between restarts without wrong time stamps, and channels brought to one clock.
+"""Clocks of logs: messages without wrong time stamps, and channels brought to one clock.
 
 Single time stamps may be wrong; the median of neighbouring messages in the file hardly ever is.
 """
@@ -11,16 +11,17 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.clock import LONGEST_STEP, runs_between, slices
+from skdgp._flight.clock import LONGEST_STEP, runs_between
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
+from skdgp.io._tables import FlightReadError
 
 # messages of a block, whose median time is compared with the next block's
 BLOCK_SIZE = 25
 # a clock that goes back by more than this was restarted [s]; messages out of order are less late
 RESTART_STEP = 5.0
-# distance of valid stamps from the medians of a part [s], and the longest step between medians that widens it [s]
+# distance of valid stamps from the medians [s], and the longest step between medians that widens it [s]
 MARGIN = 5.0
 LARGEST_STEP = 60.0
 # corner of the low-pass in parts of the new rate: gain 1/2 there; and its order
@@ -35,79 +36,37 @@ PAUSE_STEPS = 50.0
 MOST_GAPS = 0.05
 
 
-def clock_parts(topics: dict[str, Topic]) -> tuple[list[dict[str, Topic]], list[str]]:
-    """Return the topics, split where the clock was set back, their times strictly increasing; and remarks."""
-    order, time = _in_file_order(topics)
-    restarts = _restarts(time)
-    parts = []
-    n_wrong: Counter[str] = Counter()
-    for run in slices(restarts, len(time)):
-        first, last = order[run][[0, -1]]
-        low, high = _valid_times(time[run])
-        part = {}
-        for name, topic in topics.items():
-            logged = topic.select((topic.order >= first) & (topic.order <= last))
-            valid = logged.select((logged.time >= low) & (logged.time <= high))
-            n_wrong[name] += len(logged) - len(valid)
-            if len(valid):
-                part[name] = _increasing(valid)
-        parts.append(part)
-    return parts, _remarks(time, restarts, n_wrong)
+def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[str]]:
+    """Return the topics without wrong times, their times strictly increasing, and a remark if there were any.
 
-
-def _remarks(time: Vector, restarts: list[int], n_wrong: Counter[str]) -> list[str]:
-    """Return remarks on restarts of a clock, of these the first, and on wrong times."""
-    remarks = []
-    if restarts:
-        before, after = time[restarts[0] - 1 : restarts[0] + 1]
-        remarks.append(
-            f"the clock was set back {len(restarts)} times (from {before:.1f} s to {after:.1f} s): each time a new "
-            "flight begins"
-        )
-    if n_wrong.total():
-        name, most = n_wrong.most_common(1)[0]
-        remarks.append(
-            f"{n_wrong.total()} of {len(time)} messages have a time that cannot be ({most} of {name})"
-        )
-    return remarks
-
-
-def _increasing(topic: Topic) -> Topic:
-    """Return the messages in order of time, each time once."""
-    _, rows = np.unique(topic.time, return_index=True)
-    return topic.select(rows)
-
-
-def _in_file_order(topics: dict[str, Topic]) -> tuple[Vector, Vector]:
-    """Return places in the file and times of all messages, in the order of the file."""
+    Raises FlightReadError if the clock was set back.
+    """
     order = np.concatenate([topic.order for topic in topics.values()])
     time = np.concatenate([topic.time for topic in topics.values()])
-    rows = np.argsort(order, kind="stable")
-    return order[rows], time[rows]
-
-
-def _restarts(time: Vector) -> list[int]:
-    """Return the first messages of clocks that were set back."""
-    size = BLOCK_SIZE
-    steady = _steady(time)
-    restarts = set()
-    falls = np.flatnonzero(np.diff(steady) < -RESTART_STEP)
-    for block in falls.tolist():
-        start = max(block - 3, 0) * size
-        window = time[start : (block + 5) * size]
-        middle = (steady[block] + steady[block + 1]) / 2
-        # before the restart messages are later than the middle, behind it earlier
-        balance = np.cumsum(np.where(window > middle, 1, -1))
-        restarts.add(start + int(np.argmax(balance)) + 1)
-    return sorted(restarts - {len(time)})
-
-
-def _valid_times(time: Vector) -> tuple[float, float]:
-    """Return the earliest and the latest time that messages of a part may have."""
-    steady = _steady(time)
-    step = np.abs(np.diff(steady)).max(initial=0.0)
-    margin = MARGIN + min(step, LARGEST_STEP)
-    return steady.min() - margin, steady.max() + margin
+    steady = _steady(time[np.argsort(order, kind="stable")])
+    steps = np.diff(steady)
+    falls = np.flatnonzero(steps < -RESTART_STEP)
+    if len(falls):
+        before, after = steady[falls[0]], steady[falls[0] + 1]
+        raise FlightReadError(
+            f"Got a log whose clock was set back, from about {before:.0f} s to {after:.0f} s, but expected one clock: "
+            "the autopilot was started again, so record or cut one log for each start."
+        )
+    margin = MARGIN + min(steps.max(initial=0.0), LARGEST_STEP)
+    sound = {}
+    n_wrong: Counter[str] = Counter()
+    for name, topic in topics.items():
+        is_valid = (topic.time >= steady.min() - margin) & (topic.time <= steady.max() + margin)
+        n_wrong[name] = len(topic) - int(is_valid.sum())
+        if is_valid.any():
+            # in order of time, each time once
+            _, rows = np.unique(topic.time[is_valid], return_index=True)
+            sound[name] = topic.select(np.flatnonzero(is_valid)[rows])
+    if not n_wrong.total():
+        return sound, []
+    name, most = n_wrong.most_common(1)[0]
+    wrong = f"{n_wrong.total()} of {len(time)} messages have a time that cannot be"
+    return sound, [f"{wrong} ({most} of {name})"]
 
 
 def _steady(time: Vector) -> Vector:

@@ -258,18 +258,15 @@ def _by_name(messages: list[Any], system: int) -> dict[str, dict[int, Any]]:
     for place, message in enumerate(messages):
         if message.get_srcSystem() == system:
             kind = message.get_type()
-            instance = getattr(message, NUMBERED.get(kind, ""), 0)
+            instance = message.to_dict().get(NUMBERED.get(kind), 0)
             by_name[instance_name(kind, int(instance))][place] = message
     return by_name
 
 
 def _topic(messages: dict[int, Any], attitude: tuple[list[int], list[float]]) -> Topic:
     """Return a topic; a message without a time near the attitude's, by places and times, was sent between these."""
-    sent = messages.values()
-    fields = {}
-    for name in next(iter(sent)).fieldnames:
-        fields[name] = [getattr(message, name) for message in sent]
-    numbers = numeric_fields(fields)
+    sent = [message.to_dict() for message in messages.values()]
+    numbers = numeric_fields({name: [fields[name] for fields in sent] for name in sent[0]})
     places = np.array([*messages], dtype=float)
     time = np.interp(places, *attitude)
     for name, factor in CLOCKS.items():

@@ -72,11 +72,6 @@ MEASURED = (("airspeed_source", 1, 3), ("selected_airspeed_index", 1, 3))
 PITOT = tuple(
     Use("airspeed_validated", field, first=1, is_measurement=True) for field, _, _ in MEASURED
 )
-LANE = (Use("estimator_selector_status", "primary_instance"),)
-
-
-VELOCITY_VALID = "v_xy_valid v_z_valid"
-VELOCITY_RESETS = "vxy_reset_counter vz_reset_counter"
 
 
 def _gps(topic: str) -> tuple[Rule, ...]:
@@ -89,8 +84,8 @@ def _gps(topic: str) -> tuple[Rule, ...]:
     )
 
 
-def _wind(topic: str, used: tuple[Use, ...] = ()) -> Rule:
-    return Rule("wind_north wind_east", topic, "windspeed_north windspeed_east", used=used)
+def _wind(topic: str) -> Rule:
+    return Rule("wind_north wind_east", topic, "windspeed_north windspeed_east")
 
 
 MOST_ENGINES = 12
@@ -113,7 +108,6 @@ RULES = (
     ),
     Rule("ax ay az", "sensor_accel", "x y z"),
     Rule(QUATERNION, "vehicle_attitude", ATTITUDE, resets="quat_reset_counter"),
-    Rule(QUATERNION, "estimator_attitude", ATTITUDE, used=LANE, resets="quat_reset_counter"),
     Rule(
         "airspeed",
         "airspeed_validated",
@@ -128,16 +122,8 @@ RULES = (
         "v_north v_east v_down",
         "vehicle_local_position",
         "vx vy vz",
-        valid=VELOCITY_VALID,
-        resets=VELOCITY_RESETS,
-    ),
-    Rule(
-        "v_north v_east v_down",
-        "estimator_local_position",
-        "vx vy vz",
-        valid=VELOCITY_VALID,
-        used=LANE,
-        resets=VELOCITY_RESETS,
+        valid="v_xy_valid v_z_valid",
+        resets="vxy_reset_counter vz_reset_counter",
     ),
     Rule("v_north v_east v_down", "vehicle_global_position", "vel_n vel_e vel_d"),
     Rule("north east down", "vehicle_local_position", "x y z", valid="xy_valid z_valid"),
@@ -148,7 +134,6 @@ RULES = (
     Rule("density", "vehicle_air_data", "rho"),
     _wind("wind"),
     _wind("wind_estimate"),
-    _wind("estimator_wind", LANE),
     Rule("throttle", "actuator_controls_1", "control[3]", note="of a VTOL in forward flight"),
     Rule("throttle", "actuator_controls_0", "control[3]"),
     Rule("throttle", "vehicle_thrust_setpoint", "xyz[0]"),

@@ -64,7 +64,7 @@ def number(
     return checked(
         ", or ".join([expected, *words]),
         lambda text: text if text in words else kind(text),
-        lambda value: value in words or least <= value < math.inf,
+        lambda value: value in words or least <= float(value) < math.inf,
     )
 
 

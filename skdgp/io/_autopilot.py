@@ -34,8 +34,6 @@ AUTOPILOTS: dict[str, Callable[[Path], Log]] = {
 }
 # parameters [m/s]
 SLOWEST_AIRSPEED = ("AIRSPEED_MIN", "ARSPD_FBW_MIN", "FW_AIRSPD_MIN")
-# fields that are times
-TIMES = {"timestamp", "timestamp_sample", "TimeUS"}
 # while motors may run
 ARMED: States = (
     ("actuator_armed", "armed", 1, 1),
@@ -153,16 +151,14 @@ def _was_armed(log: Log, time: Vector) -> bool:
 
 def _check_channels(log: Log, controls: Mapping[str, tuple[str, Control]]) -> None:
     """Raise FlightReadError if the log lacks the channel of a servo."""
-    logged = {}
-    for output in log.outputs:
-        if output in log.topics:
-            logged[output] = sorted(log.topics[output].fields.keys() - TIMES)
     for name, (_, control) in controls.items():
         for servo in control:
-            if servo.field not in log.topics.get(servo.topic, NOTHING):
+            topic = log.topics.get(servo.topic, NOTHING)
+            if servo.field not in topic:
+                expected = sorted(topic.fields) or [*log.outputs]
                 raise FlightReadError(
                     f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected "
-                    f"one of {logged or [*log.outputs]}."
+                    f"one of {expected}."
                 )
 
 

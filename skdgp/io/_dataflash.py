@@ -457,12 +457,12 @@ def _unread(
     controls: Mapping[str, Control], servos: Mapping[int, Servo], parameters: Mapping[str, float]
 ) -> list[str]:
     """Return the outputs by their parameters that move surfaces with a function of which no servo is read."""
-    read = {servo.channel for control in controls.values() for servo in control}
+    channels = {servo.channel for control in controls.values() for servo in control}
+    read = {function for function, servo in servos.items() if servo.channel in channels}
     unread = []
     for n in range(1, MOST_OUTPUTS + 1):
         function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-        is_read = function in servos and servos[function].channel in read
-        if function in MOVING and not is_read:
+        if function in MOVING - read:
             unread.append(f"SERVO{n}_FUNCTION {function}")
     return unread
 

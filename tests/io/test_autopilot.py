@@ -242,7 +242,7 @@ class TestRefusals:
             ({"servos": {"canard": {}}}, "'canard' in the servo file"),
             (
                 {"servos": ABSENT},
-                r"no such field: expected one of {'actuator_outputs': \['output.0.",
+                r"'RCOU.C4' for rudder, but the log has no such field: expected one of .*'actuator_outputs'",
             ),
         ],
     )

@@ -17,7 +17,7 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, SPECIFIC_FORCE, VANES
+from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, VANES
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import Evaluation
@@ -48,7 +48,8 @@ UNLEARNED_SLOPE = 10.0
 # Variance of a correlation between -1 and 1 of which nothing is known
 CORRELATION_VARIANCE = 1 / 3
 FORCES = "forces"
-N_FORCES = len(SPECIFIC_FORCE)
+# CY and CZ, which thrust and drag do not change
+LIFT = slice(1, 3)
 # Relative standard deviation of mass over dynamic pressure and wing area, from flight to flight: fuel, and a
 # temperature of the air that is wrong by 6 degrees (guess)
 LOADING_STD = 0.02
@@ -85,7 +86,7 @@ class Changes:
     Attributes
     ----------
     p_values : DataFrame
-        By flight: of CX CY CZ Cl Cm Cn, of one factor of the forces, and of the whole. Probability of
+        By flight: of CX CY CZ Cl Cm Cn, of one factor of the forces (by CY and CZ), and of the whole. Probability of
         weights at least as far from zero if the aircraft has not changed; NaN where the flight is too short.
     derivatives : DataFrame
         By flight and derivative such as Cm_alpha, or coefficient such as CX, at the mean regressors of
@@ -169,7 +170,7 @@ def changes_of(
         tables[flight] = pd.DataFrame(columns, names)
         expected = np.linalg.pinv(Q) @ pipeline[-1].predict(X)
         factor, variance = _factor_of_forces(weights, covariance, expected.T)
-        freedom = min(fit[2] for fit in fits[:N_FORCES])
+        freedom = min(fit[2] for fit in fits[LIFT])
         p[FORCES] = _p_value(np.array([factor]), np.array([[variance]]), freedom)
         tables[flight].loc[FORCES] = factor, variance**0.5
         p_values[flight] = p | {WHOLE: combined([*p.values()])}
@@ -211,18 +212,18 @@ def combined(p_values: Sequence[float]) -> float:
 
 
 def _factor_of_forces(weights: Matrix, covariance: Array, expected: Matrix) -> tuple[float, float]:
-    """Return the relative change of all forces by one factor, and its variance.
+    """Return the relative change of all forces by one factor, which CY and CZ show, and its variance.
 
     By generalized least squares of the weights (6, k) of the residuals, of ``covariance`` (6, k, 6, k), over
     those of the coefficients themselves, ``expected``.
     """
-    v = expected[:N_FORCES].ravel()
-    of_forces = covariance[:N_FORCES, :, :N_FORCES].reshape(len(v), len(v))
+    v = expected[LIFT].ravel()
+    of_forces = covariance[LIFT, :, LIFT].reshape(len(v), len(v))
     if np.isnan(of_forces).any():
         return np.nan, np.nan
     precision = np.linalg.pinv(of_forces, hermitian=True)
     information = v @ precision @ v
-    factor = v @ precision @ weights[:N_FORCES].ravel() / information
+    factor = v @ precision @ weights[LIFT].ravel() / information
     return float(factor), float(1 / information + LOADING_STD**2)
 
 

@@ -19,7 +19,6 @@ from sklearn.exceptions import ConvergenceWarning, NotFittedError
 from sklearn.linear_model import LinearRegression
 from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 from sklearn.preprocessing import StandardScaler
-from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor, FewRowsWarning, listening, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, simulate

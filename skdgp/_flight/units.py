@@ -143,19 +143,11 @@ LIMITS_OF_MOTION = (
 )
 
 
-def degrees_error(got: str, expected: str, name: str, angle: str = "") -> ValueError:
+def degrees_error(got: str, expected: str, name: str) -> ValueError:
     """Return the error of an angle or a rate that is too large for radians."""
     return ValueError(
         f"Got {got}, but expected {expected}: if it is in degrees, use numpy.deg2rad({name})."
-        f"{_how_to_wrap(angle)}"
     )
-
-
-def _how_to_wrap(*names: str) -> str:
-    """Return the remedy of unwrapped angles, empty if none of the names goes round."""
-    if not {*names} & {*WRAPPED}:
-        return ""
-    return " Unwrapped roll and heading are wrapped by numpy.angle(numpy.exp(1j * psi))."
 
 
 def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
@@ -169,12 +161,11 @@ def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
     for flight in FlightTable.of(table).flights.values():
         angle = flight.column(name)
         measured = np.isfinite(angle)
-        angle = angle[measured]
-        steps = np.abs(np.diff(angle))
-        rates = steps / np.diff(flight.time[measured])
-        first = np.abs(angle[:1]).max(initial=0.0)
+        # from zero to the first value, and on
+        steps = np.abs(np.diff(angle[measured], prepend=0.0))
+        rates = steps[1:] / np.diff(flight.time[measured])
         is_fast = _quantile(rates, 0.9) > 2 * np.pi or steps.max(initial=0.0) >= 300.0
-        if is_fast or first > 2 * np.pi + ANGLE_NOISE:
+        if is_fast or (steps[:1] > 2 * np.pi + ANGLE_NOISE).any():
             return False
     return True
 
@@ -188,10 +179,10 @@ def check_flight(flight: pd.DataFrame | FlightTable, needed: Iterable[str]) -> F
     or has no usual step, airspeed or density is not positive, or values are impossible in SI units. Warns of
     values that are probably of another unit or sign.
     """
-    if isinstance(flight, FlightTable) and flight.findings is not None:
-        check_columns(flight.table, needed)
-        return flight
     flights = flight if isinstance(flight, FlightTable) else FlightTable.of(flight, needed)
+    if flights.findings is not None:
+        check_columns(flights.table, needed)
+        return flights
     # raises where time has no usual step
     _ = flights.segments
     check_airspeed(flights.column("airspeed"))
@@ -235,7 +226,7 @@ def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
             f"Got magnitudes up to {degrees} (99th percentile), but expected radians and radians "
             f"per second: these look like degrees. Convert them with numpy.deg2rad, or say the unit in "
             f"the header, as in 'alpha [deg]'. If they are the values of another column, correct the "
-            f"header.{_how_to_wrap(*degrees)}"
+            f"header. Unwrapped roll and heading are wrapped by numpy.angle(numpy.exp(1j * psi))."
         )
 
 

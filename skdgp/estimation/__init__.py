@@ -14,7 +14,7 @@ from skdgp.estimation._lags import Lag, estimate_lags
 from skdgp.estimation._lags import removable as removable
 from skdgp.estimation._path import CALIBRATED as CALIBRATED
 from skdgp.estimation._path import RECONSTRUCTED as RECONSTRUCTED
-from skdgp.estimation._path import PathEstimate, SensorContradiction, estimate_path
+from skdgp.estimation._path import PathEstimate, estimate_path
 from skdgp.estimation._path import air_columns as air_columns
 from skdgp.estimation._path import contradictions as contradictions
 from skdgp.estimation._path import ground_paths as ground_paths
@@ -40,7 +40,6 @@ __all__ = [
     "FlightSensors",
     "Lag",
     "PathEstimate",
-    "SensorContradiction",
     "airspeed_scale",
     "estimate_air_motion",
     "estimate_lags",

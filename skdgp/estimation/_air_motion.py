@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.linalg import eigen_root
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import (
     ELEVONS,
     EULER,
@@ -191,14 +191,14 @@ class AirMotion:
                 out[:, j] += 2 * alpha * curvature.fillna(0.0)
         return out[..., 0], np.nan_to_num(out[..., 1:])
 
-    def position_error(self, significance: float = 3.0) -> Vector | None:
-        """Return how far the inertial sensors are from their position (3,) [m].
+    def position_error(self) -> float | None:
+        """Return how far the inertial sensors are from their position [m].
 
-        None unless a component is more than ``significance`` standard deviations of its prior.
+        None unless a component is more than three standard deviations of its prior.
         """
         error = self.constants.loc[list(ARM)]
-        is_improbable = error["value"].abs() > significance * error["prior_std"]
-        return error["value"].to_numpy(float) if is_improbable.any() else None
+        is_improbable = error["value"].abs() > 3.0 * error["prior_std"]
+        return float(np.linalg.norm(error["value"])) if is_improbable.any() else None
 
     def gust_change(self, flight: int) -> float:
         """Return the change of the gusts of a flight in 1 s [m/s], root mean square of the axes; NaN if unknown."""

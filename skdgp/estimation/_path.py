@@ -33,6 +33,7 @@ from skdgp._flight.channels import (
     SPECIFIC_FORCE,
     WIND,
 )
+from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import air_data, rotation_to_euler
 from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._least_squares import Equations, GaussianPrior, Posterior, solve
@@ -334,23 +335,9 @@ def _variance_component(name: str, std: float, sums: Vector, pace: float) -> flo
     return max(std * (total / weight) ** (stride / 2), least)
 
 
-class SensorContradiction(NamedTuple):
-    """A sensor whose residuals along the path exceed its white noise, standard deviations [SI]."""
-
-    sensor: str
-    residual: float
-    noise: float
-    # whether the readings show less noise than any sensor, so that the residual tells nothing of it
-    is_smoothed: bool = False
-
-
-INERTIAL = ("gyro", "accelerometer")
-
-
 def contradictions(
-    flights: Sequence[FlightSensors],
-    residuals: Mapping[str, float],
-) -> list[SensorContradiction]:
+    flights: Sequence[FlightSensors], residuals: Mapping[str, float]
+) -> list[Finding]:
     """Return the sensors whose residuals along the path exceed their white noise by a ratio.
 
     ``residuals`` are the noises
@@ -360,12 +347,13 @@ def contradictions(
     contradicted = []
     for sensor, columns in READINGS_OF.items():
         # ratios by trials: 30 s of sound inertial sensors show up to 4.4
-        largest = 6.0 if sensor in INERTIAL else 1.4
+        largest = 1.4 if sensor in AIR_DATA else 6.0
         residual = residuals[sensor]
         noise = noise_by_differences(flights, columns)
-        is_smoothed = noise < LEAST_NOISE * PATH_NOISE[sensor]
         if residual > largest * noise:
-            contradicted.append(SensorContradiction(sensor, residual, noise, is_smoothed))
+            is_smoothed = noise < LEAST_NOISE * PATH_NOISE[sensor]
+            numbers = {"residual": residual, "noise": noise, "is_smoothed": is_smoothed}
+            contradicted.append(Finding(Code.SENSOR_CONTRADICTS, channel=sensor, **numbers))
     return contradicted
 
 

@@ -36,7 +36,6 @@ from skdgp.estimation import (
     AirSettings,
     NamedFlight,
     PathEstimate,
-    SensorContradiction,
     air_columns,
     contradictions,
     estimate_air_motion,
@@ -106,8 +105,8 @@ class FlightPathReconstruction(TableTransformer):
         Why; ``finding_.clause`` says it in words.
     missing_ : list of str
         Missing channels of the flights of ``fit``, which then pass unchanged.
-    contradictions_ : list of SensorContradiction
-        Sensors that contradict the others, with residual and noise.
+    contradictions_ : list of Finding
+        Sensors that contradict the others (``channel``), with residual and noise (``numbers``).
     noise_std_ : dict of str to float
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt, heading.
@@ -183,14 +182,10 @@ class FlightPathReconstruction(TableTransformer):
     def finding_(self) -> Finding:
         """Whether ``transform`` reconstructs flights, and why."""
         code = Code.PATHS_RECONSTRUCTED if self.used_ else Code.PATHS_SMOOTHED
-        contradictions = [
-            Finding(Code.SENSOR_CONTRADICTS, channel=sensor.sensor, **sensor._asdict())
-            for sensor in self.contradictions_
-        ]
         return Finding(
             code,
             missing=self.missing_,
-            contradictions=contradictions,
+            contradictions=self.contradictions_,
             air=self.air_motion_ and self.air_motion_.summary,
         )
 
@@ -212,7 +207,7 @@ class FlightPathReconstruction(TableTransformer):
         self._check_any(table, (*PATH_CHANNELS, *VANES))
         self.missing_ = missing_channels(table)
         self.used_ = not self.missing_
-        self.contradictions_: list[SensorContradiction] = []
+        self.contradictions_: list[Finding] = []
         self.air_motion_: AirMotion | None = None
         self.doubts_: list[Finding] = []
         if self.missing_:
@@ -237,7 +232,7 @@ class FlightPathReconstruction(TableTransformer):
         found = contradictions([flight.sensors for flight, _ in parts], self.noise_std_)
         self.contradictions_ = found
         # one sensor of air data alone is probably filtered by the autopilot
-        is_filtered = len(found) == 1 and found[0].sensor in AIR_DATA
+        is_filtered = len(found) == 1 and found[0].channel in AIR_DATA
         self.used_ = not found or is_filtered or not has_vanes
         if self.used_:
             self.doubts_ += _diverged(parts, table)
@@ -253,7 +248,7 @@ class FlightPathReconstruction(TableTransformer):
             return None
         error = motion.position_error()
         if not self.doubts_ and error is not None:
-            report(Finding(Code.SENSORS_ELSEWHERE, distance=float(np.linalg.norm(error))))
+            report(Finding(Code.SENSORS_ELSEWHERE, distance=error))
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
         changes = [motion.gust_change(number) for number in range(len(flights_of(table)))]

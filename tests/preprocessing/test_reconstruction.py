@@ -296,7 +296,9 @@ class TestInconsistent:
         table = damage(flown(20.0, gusts=0.1, seed=2))
         reconstruction = fitted(table)
         assert not reconstruction.used_
-        found = {found.sensor: found.is_smoothed for found in reconstruction.contradictions_}
+        found = {
+            found.channel: found.numbers["is_smoothed"] for found in reconstruction.contradictions_
+        }
         assert found[sensor] == is_smoothed
         assert sensor in reconstruction.finding_.clause
         assert_frame_equal(reconstruction.transform(table), table)
@@ -320,7 +322,7 @@ class TestInconsistent:
         filtered = table.assign(airspeed=mean)
         reconstruction = fitted(filtered)
         assert reconstruction.used_
-        assert [found.sensor for found in reconstruction.contradictions_] == ["airspeed"]
+        assert [found.channel for found in reconstruction.contradictions_] == ["airspeed"]
         filtered = filtered.assign(alpha=table["alpha_true"])
         assert not fitted(filtered).used_
 
@@ -328,7 +330,7 @@ class TestInconsistent:
         table = wandering(flown(20.0), ATTITUDE, 0.05).drop(columns="beta")
         reconstruction = fitted(table)
         assert reconstruction.used_
-        assert "gyro" in [found.sensor for found in reconstruction.contradictions_]
+        assert "gyro" in [found.channel for found in reconstruction.contradictions_]
 
 
 def test_gusts_are_told():

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.physics._laws import Contradiction, Law, Mistake, stuck_surface
+from skdgp._flight.physics._laws import Contradiction, Mistake, stuck_surface
 from skdgp._flight.physics._list import (
     CHANNELS,
     EQUALITIES,
@@ -56,10 +56,14 @@ def _findings_of(flights: FlightTable) -> list[Finding]:
     for cause, corrected in _candidates(signals, contradictions):
         if _n_contradicted(corrected) == 0:
             return [*findings, cause]
+    has_elevons = {*ELEVONS} <= {*flights.table.columns}
     for contradiction in _causes(contradictions, confirmed):
-        if {*ELEVONS} <= {*flights.table.columns}:
-            contradiction = _of_elevons(contradiction)
-        findings.append(contradiction.finding)
+        channels: list[str] = []
+        for name in contradiction.channels:
+            # elevons make elevator and aileron
+            channels += ELEVONS if has_elevons and name in MIXED else [name]
+        named = replace(contradiction, channels=tuple(dict.fromkeys(channels)))
+        findings.append(named.finding)
     if not contradictions:
         stuck = [stuck_surface(name, law, signals) for name, law in RESPONSES.items()]
         findings += [finding for finding in stuck if finding is not None]
@@ -122,37 +126,25 @@ def _n_contradicted(signals: Signals) -> int:
 
 
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:
-    """Return all contradictions of signals, and the channels that an equality confirms."""
-    unequal = []
+    """Return all contradictions of signals, and the channels that an equality confirms.
+
+    Others may be consequences of the first. Equalities and signs have the clearest first, and turns last, as a
+    single channel explains these.
+    """
+    contradictions: list[Contradiction] = []
     confirmed: set[str] = set()
-    for law in EQUALITIES:
-        contradiction, is_equal = law.judge(signals)
-        if contradiction is not None:
-            unequal.append(contradiction)
-        elif is_equal:
-            confirmed.update(law.channels)
-    # others may be consequences of the first
-    contradictions = [
-        *_contradicted(JUDGED_FIRST, signals),
-        *_clearest_first(unequal),
-        *_clearest_first(_contradicted(SIGNS, signals)),
-        *_contradicted(OFFSETS, signals),
-    ]
+    for laws in (JUDGED_FIRST, EQUALITIES, SIGNS, OFFSETS):
+        of_group = []
+        for law in laws:
+            contradiction, is_equal = law.judge(signals)
+            if contradiction is not None:
+                of_group.append(contradiction)
+            elif is_equal:
+                confirmed.update(law.channels)
+        if laws in (EQUALITIES, SIGNS):
+            of_group.sort(key=lambda item: (item.law is TURNING, -abs(item.slope.correlation)))
+        contradictions += of_group
     return contradictions, confirmed
-
-
-def _contradicted(laws: Iterable[Law], signals: Signals) -> list[Contradiction]:
-    """Return the contradictions of laws."""
-    judgements = [law.judge(signals) for law in laws]
-    return [contradiction for contradiction, _ in judgements if contradiction is not None]
-
-
-def _clearest_first(contradictions: list[Contradiction]) -> list[Contradiction]:
-    """Return contradictions in the order of their correlations, that of turns last: a single channel explains it."""
-    return sorted(
-        contradictions,
-        key=lambda item: (item.law is TURNING, -abs(item.slope.correlation)),
-    )
 
 
 def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
@@ -187,11 +179,3 @@ def _suspects(
         channels = tuple(name for name in channels if name not in confirmed)
     most = max(counts[name] for name in channels)
     return tuple(name for name in channels if counts[name] == most)
-
-
-def _of_elevons(contradiction: Contradiction) -> Contradiction:
-    """Return a contradiction with the elevons in place of elevator and aileron, which they make."""
-    channels: list[str] = []
-    for name in contradiction.channels:
-        channels += ELEVONS if name in MIXED else [name]
-    return replace(contradiction, channels=tuple(dict.fromkeys(channels)))

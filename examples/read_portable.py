@@ -23,7 +23,7 @@ class Model:
             self.head = json.loads(file["model.json"])
             self.arrays = {name: file[name] for name in file.files if name != "model.json"}
         found = self.head["format"], self.head["version"]
-        if found != ("skdgp portable model", 11):
+        if found != ("skdgp portable model", 10):
             raise ValueError(f"Got {path} of the format {found}.")
 
     def regressors(self, table):
@@ -65,7 +65,8 @@ class Model:
                     slope -= f * np.einsum("nk,nkd->nd", values * w[own], away)
             triangle = np.zeros((len(w), len(w)))
             triangle.T[np.tril_indices(len(w))] = a[f"root_{k}"]
-            half = p @ a[f"trend_root_{j}"] + g @ triangle
+            half = p @ a[f"trend_root_{j}"]
+            half[:, half.shape[1] - len(w) :] += g @ triangle
             prior = a["prior_variance"][j] + ((p @ a[f"trend_prior_{j}"]) ** 2).sum(axis=1)
             variance = prior - (half**2).sum(axis=1)
             means[:, component, i] = p @ a["trend_weights"][j] + g @ w

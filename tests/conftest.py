@@ -259,8 +259,8 @@ def slope_std():
 @pytest.fixture
 def few_manoeuvres(monkeypatch):
     """Let plans of pages and of the command line choose from few candidates."""
-    monkeypatch.setattr("skdgp.design._library.WIDTHS", (1.0,))
-    monkeypatch.setattr("skdgp.design._library.MULTISINES", ())
+    monkeypatch.setattr("skdgp.design._manoeuvres.WIDTHS", (1.0,))
+    monkeypatch.setattr("skdgp.design._manoeuvres.MULTISINES", ())
 
 
 @pytest.fixture

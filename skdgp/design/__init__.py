@@ -11,7 +11,7 @@ from skdgp._flight.excitation import (
     wavetrain,
 )
 from skdgp.design._envelope import Envelope
-from skdgp.design._library import RATE as RATE
+from skdgp.design._manoeuvres import RATE as RATE
 from skdgp.design._planner import Plan, plan
 from skdgp.design._script import ardupilot_script
 from skdgp.design._script import surface_mixes as surface_mixes

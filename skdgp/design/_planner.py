@@ -28,8 +28,15 @@ from skdgp.design._envelope import (
     common_range,
     regressors_of,
 )
-from skdgp.design._library import RESPONSE, ROW_STEP, duration_of, input_bands, library
-from skdgp.design._rehearsal import Rehearsal, Rehearsed
+from skdgp.design._manoeuvres import (
+    RESPONSE,
+    ROW_STEP,
+    Rehearsal,
+    Rehearsed,
+    duration_of,
+    input_bands,
+    library,
+)
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,

@@ -12,7 +12,7 @@ import pandas as pd
 
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
 from skdgp._flight.servo_functions import ServoFunction
-from skdgp._flight.tables import check_full_deflections
+from skdgp._flight.tables import check_full_deflections, check_number
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 
@@ -36,14 +36,14 @@ MIXES = {
     "vtail_left": {"elevator": 1.0, "rudder": 1.0},
     "vtail_right": {"elevator": 1.0, "rudder": -1.0},
 }
-# RCn_OPTION of Scripting1 to Scripting8: others act on the aircraft
-SWITCHES = range(300, 308)
+# RCn_OPTION of the switch, Scripting1: most others act on the aircraft
+SWITCH = 300
 
 
-def ardupilot_script(
-    train: Wavetrain, rate: float, full: Mapping[str, float], switch: int = 300
-) -> str:
+def ardupilot_script(train: Wavetrain, rate: float, full: Mapping[str, float]) -> str:
     """Return a Lua script for ArduPilot that adds inputs to the autopilot's commands while a switch is high.
+
+    The switch of the transmitter has the RCn_OPTION 300, Scripting1.
 
     The script holds the signals as formulas, not as samples: some kilobytes for any duration. It
     keeps the limits of the axes at every step, also where steps come late. The inputs end at once
@@ -61,8 +61,6 @@ def ardupilot_script(
         The surfaces the aircraft has (SERVOn_FUNCTION), each with its deflection at the end of the
         servo's range [rad]. ``elevon_left`` and ``elevon_right`` move with elevator and aileron,
         ``vtail_left`` and ``vtail_right`` with elevator and rudder. The throttle needs none.
-    switch : int, default=300
-        RCn_OPTION of the switch of the transmitter, Scripting1 to Scripting8: 300 to 307.
 
     Returns
     -------
@@ -71,7 +69,7 @@ def ardupilot_script(
     Raises
     ------
     ValueError
-        If the rate is above 1000 Hz, the switch none of these, an axis moves none of the surfaces,
+        If the rate is above 1000 Hz, an axis moves none of the surfaces,
         ArduPilot has no servo function for one, a full deflection is no number > 0 or smaller than
         the inputs of the surface, or as of `Wavetrain.table`.
 
@@ -82,18 +80,15 @@ def ardupilot_script(
     >>> "SRV_Channels" in script
     True
     """
-    if not (0.0 < rate <= 1000.0 and switch in SWITCHES):
-        raise ValueError(
-            f"Got rate={rate:g} Hz and switch={switch!r}, but expected at most 1000 Hz and an "
-            f"RCn_OPTION of {SWITCHES[0]} to {SWITCHES[-1]}."
-        )
+    if not check_number("rate", rate, unit="Hz") <= 1000.0:
+        raise ValueError(f"Got rate={rate:g} Hz, but expected at most 1000 Hz.")
     full = dict(full)
     if "throttle" in train.inputs:
         full["throttle"] = 1.0
     mixes = surface_mixes(list(train.inputs), full)
     _check_room(train.table(rate), mixes, full)
     plan = {
-        "switch": switch,
+        "switch": SWITCH,
         "period": int(1000.0 / rate),  # ArduPilot counts milliseconds
         "duration": train.duration,
         "labels": ",".join(["t", *train.inputs]),

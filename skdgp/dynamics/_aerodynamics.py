@@ -21,6 +21,7 @@ from skdgp._compute.differences import central_difference
 from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array, Predictor
 from skdgp._flight.channels import COEFFICIENTS
+from skdgp._flight.tables import check_choice
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._servos import IDEAL, Servos
 from skdgp.dynamics._sizes import ScaleFactor
@@ -201,10 +202,7 @@ class Aerodynamics:
         (statistical linearisation: Gelb 1974, section 6.2). None is the model with local slopes, as
         is a model that knows no perturbation. Raises ValueError for others.
         """
-        if perturbation not in ("flown", None):
-            raise ValueError(
-                f"Got perturbation={perturbation!r}, but expected 'flown', or None for local slopes."
-            )
+        check_choice("perturbation", perturbation, ("flown", None))
         if perturbation is None or self.perturbation is None or self.learned is None:
             return replace(self, perturbation=None)
         _, slopes = self.learned.mean_function(self.perturbation)

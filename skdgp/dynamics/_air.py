@@ -253,8 +253,8 @@ class Air:
         coefficients that change slowly, as the residuals of the training flights did beyond what
         their turbulence explains, if the model knows it. False: the uncertainty of the
         aircraft alone.
-    density : float or callable, optional
-        [kg/m^3], or a function of altitude [m]; by default the standard atmosphere.
+    density : float, optional
+        [kg/m^3]; by default of the standard atmosphere.
     gravity : float, default=9.80665
         [m/s^2].
 
@@ -268,13 +268,13 @@ class Air:
     wind: Any = None
     gusts: Turbulence | Literal["auto"] | None = "auto"
     drift: bool = True
-    density: float | Callable | None = None
+    density: float | None = None
     gravity: float = STANDARD_GRAVITY
 
     def __post_init__(self) -> None:
         _check_gusts(self.gusts)
         check_choice("drift", self.drift, (True, False))
-        if not (self.density is None or callable(self.density)):
+        if self.density is not None:
             check_number("density", self.density, is_open=False, unit="kg/m^3")
         check_number("gravity", self.gravity, -np.inf, unit="m/s^2")
 

@@ -23,10 +23,10 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.frames import air_velocity, euler_to_quaternion, ned_to_body
 from skdgp._flight.tables import (
-    as_floats,
     check_columns,
     check_names,
     check_number,
+    check_numbers,
     check_table,
     interpolated,
     numeric,
@@ -203,7 +203,7 @@ def tables_of(source: Any, what: str, n_starts: int) -> list[pd.DataFrame]:
     return tables
 
 
-def wind_schedule(wind: Any, tables: Sequence[pd.DataFrame], stages: Array, n_starts: int) -> AirAt:
+def wind_schedule(wind: Any, tables: Sequence[pd.DataFrame], stages: Array) -> AirAt:
     """Return a function (stage, state) to the air by tables of a wind, or a constant."""
     if wind is None:
         return lambda stage, state: LocalAir()
@@ -211,12 +211,7 @@ def wind_schedule(wind: Any, tables: Sequence[pd.DataFrame], stages: Array, n_st
         velocity = np.moveaxis(_at_stages(tables, WIND, stages, "wind"), 0, -1)
         rate = np.gradient(velocity, stages[1], axis=0)
         return lambda stage, state: LocalAir(velocity[stage], rate[stage])
-    constant = as_floats(wind)
-    if constant.shape not in ((3,), (n_starts, 3)) or not np.isfinite(constant).all():
-        raise ValueError(
-            f"Got wind of shape {constant.shape}, but expected (3,) or ({n_starts}, 3): the "
-            f"finite velocity of the air, north, east, down [m/s]; or a table with time."
-        )
+    constant = check_numbers("wind", wind, 3, unit="m/s north, east, down")
     return lambda stage, state: LocalAir(constant)
 
 
@@ -225,9 +220,8 @@ def control_schedule(
     tables: Sequence[pd.DataFrame],
     stages: Array,
     names: Collection[str],
-    n_starts: int,
 ) -> Callable:
-    """Return a function (step, stage, observe) to controls by name, each () or (n_starts,).
+    """Return a function (step, stage, observe) to controls by name, numbers, or of tables (n_starts,) too.
 
     ``names`` of controls choose columns of the tables, which may be whole logs; ``observe()``
     returns what a feedback law sees.
@@ -247,13 +241,9 @@ def control_schedule(
             f"Got {type(controls).__name__} as controls, but expected a table with a column time, a list of such "
             "(one for each start), a mapping of constants, or a function."
         )
-    constants = {str(name): as_floats(value) for name, value in controls.items()}
-    for name, value in constants.items():
-        if value.shape not in ((), (n_starts,)) or not np.isfinite(value).all():
-            raise ValueError(
-                f"Got control {name} of shape {value.shape}, or not finite, but expected a finite number, or one for "
-                f"each of {n_starts} starts; what varies is a table with time."
-            )
+    constants = {}
+    for name, value in controls.items():
+        constants[str(name)] = check_number(f"control {name}", value, -np.inf)
     return lambda step, stage, observe: constants
 
 

@@ -32,7 +32,7 @@ from skdgp._flight.frames import (
     euler_to_quaternion,
     quaternion_to_euler,
 )
-from skdgp._flight.tables import as_floats, by_name, check_number
+from skdgp._flight.tables import by_name, check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
@@ -373,11 +373,7 @@ def flight_point(
     if isinstance(point, Trim):
         controls = point.controls if controls is None else controls
         point = point.state
-    state = as_floats(point)
-    if state.shape != (13,) or not np.isfinite(state).all():
-        raise ValueError(
-            f"Got the point {point!r}, but expected a Trim or a state of 13 finite numbers (STATE_NAMES)."
-        )
+    state = check_numbers("point", point, 13, unit="STATE_NAMES, or a Trim")
     if not np.linalg.norm(state[3:6]) > 0:
         raise ValueError(
             "Got a state at rest, but expected an airspeed > 0: coefficients are loads over rho V^2 / 2."

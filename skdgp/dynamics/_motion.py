@@ -285,9 +285,7 @@ class Motion:
             velocity = velocity - air.gusts.velocity
         altitude = -state[..., 2]
         density = self._density
-        if callable(density):
-            density = density(altitude)
-        elif density is None:
+        if density is None:
             density = density_or_nan(altitude)
         return Flow(velocity, wind, *air_data(velocity), altitude, density)
 

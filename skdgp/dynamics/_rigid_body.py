@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, components, cross, empty_vectors, rotation_rows
+from skdgp._flight.tables import check_choice
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
 
@@ -210,8 +211,7 @@ def propulsive_loads(
     shape = airspeed.shape
     if thrust is None:
         return np.zeros((*shape, 3)), np.zeros((*shape, 3))
-    if thrust != "auto":
-        raise ValueError(f"Got thrust={thrust!r}, but expected 'auto' or None.")
+    check_choice("thrust", thrust, ("auto", None))
     line = aircraft.engine_line
     if any(name in values for name in THRUST_FORCES):
         force = stacked(values, THRUST_FORCES, shape)

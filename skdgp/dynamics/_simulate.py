@@ -15,7 +15,7 @@ from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Seed, Vector
 from skdgp._flight.channels import SENSOR_GUST, SPECIFIC_FORCE, WIND
 from skdgp._flight.frames import by_components
-from skdgp._flight.tables import check_number, check_numbers
+from skdgp._flight.tables import check_number
 from skdgp.dynamics._aerodynamics import Aerodynamics, Drift, separate_generator
 from skdgp.dynamics._air import (
     LocalAir,
@@ -36,7 +36,7 @@ from skdgp.dynamics._inputs import (
     wind_schedule,
 )
 from skdgp.dynamics._integrate import FLYING, Integrator, channels, end_reasons, fly_record
-from skdgp.dynamics._motion import PROPULSION, STILL, Motion
+from skdgp.dynamics._motion import PROPULSION, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, VELOCITY
 from skdgp.dynamics._trajectories import (
     SimulationWarning,
@@ -156,9 +156,9 @@ def simulate(
     winds = tables_of(given_air.wind, "wind", n_starts)
     stages = stages_of(dt, duration, [*tables, *winds])
     warn_of_clocks(starts, tables, dt)
-    air_schedule = wind_schedule(given_air.wind, winds, stages, n_starts)
+    air_schedule = wind_schedule(given_air.wind, winds, stages)
     names = {*motion.inputs, *PROPULSION}
-    commands = control_schedule(controls, tables, stages, names, n_starts)
+    commands = control_schedule(controls, tables, stages, names)
     states = initial_states(starts, partial(air_schedule, 0))
     wind = air_schedule(0, states).velocity(states[:, ATTITUDE])
     speeds = channels(states, wind)["airspeed"]
@@ -306,14 +306,12 @@ class Simulator:
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
         self._mean_motion = self.motion
-        self._wind = STILL
         winds = air.wind if isinstance(air.wind, list | tuple) else [air.wind]
         if any(isinstance(wind, pd.DataFrame) for wind in winds):
             raise ValueError(
                 "Got a wind over time, but a Simulator flies in a constant one: simulate() takes it."
             )
-        if air.wind is not None:
-            self._wind = LocalAir(check_numbers("wind", air.wind, 3, unit="m/s north, east, down"))
+        self._wind = wind_schedule(air.wind, [], np.zeros(1))(0, np.zeros(13))
         self._turbulence = air.gusts if isinstance(air.gusts, Turbulence) else None
         self._flight: Any = None
 

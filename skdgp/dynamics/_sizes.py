@@ -192,21 +192,21 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     for name, value in sizes.items():
         if value is not None:
             given[name.replace("_", " ")] = value_and_std(name, value)
-    replaced = {*REPLACED["inertia"]} if inertia is not None else set()
-    replaced.update(*(REPLACED.get(name, ()) for name in given))
-    usual = {name: ratio for name, ratio in KINDS[kind].items() if name not in replaced}
+    factors = dict(KINDS[kind])
+    for name in (*given, *(["inertia"] if inertia is not None else [])):
+        for ratio in REPLACED.get(name, ()):
+            factors.pop(ratio, None)
     # all sizes are products of these factors, moments of inertia of squared radii of gyration
-    factors = usual | given
+    factors |= given
     values = {name: value**2 if name in INERTIAS else value for name, (value, _) in factors.items()}
     source = f"usual of {kind} aircraft"
     deviations = {}
     for name, (value, std) in factors.items():
+        is_estimate = name not in given
         powers = _powers(values, name, "length" in given)
-        if name in given and std > 0 and powers:
-            deviations[name] = ScaleFactor(std, powers, "given")
-        elif name in usual:
-            text = f"{RATIOS[name]} {value:g}, {source}"
-            deviations[name] = ScaleFactor(std, powers, text, is_estimate=True)
+        text = f"{RATIOS[name]} {value:g}, {source}" if is_estimate else "given"
+        if std > 0 and powers:
+            deviations[name] = ScaleFactor(std, powers, text, is_estimate=is_estimate)
     derived = _sizes(values, "length" in given)
     if inertia is None:
         inertia = np.diag([derived.pop(moment) for moment in MOMENTS])

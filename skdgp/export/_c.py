@@ -134,9 +134,9 @@ def _parts(model: PortableModel) -> list[str]:
     for j, part in enumerate(model.parts):
         k = readouts.index(part.readout)
         last = first + len(part.terms)
-        numbers = [first, last, len(part.readout.weights), part.trend_prior.shape[1]]
+        columns = f"{part.trend_root.shape[1]}, {part.trend_prior.shape[1]}"
         arrays = f"weights_{k}, root_{k}, trend_prior_{j}, trend_root_{j}"
-        rows.append(f"{', '.join(map(str, numbers))}, {arrays}")
+        rows.append(f"{first}, {last}, {len(part.readout.weights)}, {columns}, {arrays}")
         first = last
     return rows
 

@@ -62,7 +62,9 @@ def _moments(ca: Any, z: Any, part: Part) -> tuple[Any, Any]:
     g = ca.horzcat(z[:, :0], *functions.values())
     used = [*chain(*places.values())]
     mean = p @ part.trend_weights + g @ part.readout.weights[used]
-    explained = p @ part.trend_root + g @ part.readout.root[used]
+    half = p @ part.trend_root
+    first = part.trend_root.shape[1] - len(part.readout.weights)
+    explained = ca.horzcat(half[:, :first], half[:, first:] + g @ part.readout.root[used])
     prior = part.prior_variance + ca.sumsqr(p @ part.trend_prior)
     return mean, ca.fmax(prior - ca.sumsqr(explained), ROUNDING * prior)
 

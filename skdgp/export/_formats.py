@@ -14,6 +14,7 @@ import numpy as np
 from sklearn.utils import Bunch
 
 from skdgp._compute.files import write_atomically
+from skdgp._flight.tables import check_choice
 from skdgp.export._c import write_c
 from skdgp.export._casadi import write_casadi
 from skdgp.export._jsbsim import write_jsbsim
@@ -24,7 +25,7 @@ from skdgp.export._pipeline import portable_model
 LARGEST = 2**26
 
 FORMAT = "skdgp portable model"
-VERSION = 11
+VERSION = 10
 HEAD = "model.json"
 
 
@@ -94,8 +95,7 @@ def export_model(
     -------
     list of Path
     """
-    if to not in FORMATS:
-        raise ValueError(f"Got the format {to!r}, but expected one of {', '.join(FORMATS)}.")
+    check_choice("to", to, FORMATS)
     write = FORMATS[to]
     if full:
         if to != "jsbsim":

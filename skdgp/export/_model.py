@@ -101,17 +101,17 @@ class Part:
     With scaled regressors z, p = (1, z) and the basis g(z) of the terms,
 
     .. math:: \mu = v^T p + w^T g, \quad \nu = a + |R^T p|^2 - |h|^2, \quad
-              h = T^T p + U^T g.
+              h = T^T p + (0, U^T g).
 
     Parameters
     ----------
     terms : tuple of Term
     readout : Readout
-        w and U; parts may share one. Functions without terms are zero.
+        w and U, which acts on the last k entries of h; parts may share one.
     trend_weights : ndarray (d + 1,)
         v: posterior mean of intercept and slopes.
-    trend_root : ndarray (d + 1, k)
-        T.
+    trend_root : ndarray (d + 1, r)
+        T, with k <= r <= k + d + 1.
     trend_prior : ndarray (d + 1, s)
         R, a root of the prior covariance R R^T of intercept and slopes; any number s of columns.
     prior_variance : float

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from functools import cache
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -36,8 +35,9 @@ from skdgp.kernels import ConvolvedGaussian, LatentFeatures, LinearTrend, MultiO
 # training data, in standard deviations
 REFERENCE_ROWS = 40
 REFERENCE_STEP = 0.5
-# Terms, C (d + 1, k) of the trend, and readout, of k loadings
-Loadings: TypeAlias = tuple[list[Term], Matrix, Readout]
+NO_FUNCTIONS = Readout(np.empty(0), np.empty((0, 0)))
+# Terms, readout, weights of the trend and its root in the explained variance, of a part
+Learned: TypeAlias = tuple[list[Term], Readout, Vector, Matrix]
 REMEDY = "Export a pipeline of make_identification_pipeline that ends in DependentGPRegressor with a linear trend."
 
 
@@ -196,8 +196,8 @@ def _all_parts(posterior: Posterior) -> tuple[Part, ...]:
 def _parts(posterior: SinglePosterior, errors: FunctionErrors | None) -> list[Part]:
     """Return the parts of a single posterior, one for each output.
 
-    Each is linear in loadings C^T p + g of the trend and of the Gaussian functions. With the weights w and the root U
-    of these, v = C w and T = C U. Errors of the function are further columns of the prior.
+    A trend about a centre has the functions M p, p = (1, z), so the root of its prior covariance is M^T times its
+    standard deviations. Errors of the function are further columns of the prior.
     """
     kernels = [term for term in posterior.kernel.summands() if not isinstance(term, LinearTrend)]
     others = [type(term).__name__ for term in kernels if not isinstance(term, ConvolvedGaussian)]
@@ -215,30 +215,23 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None) -> list[Pa
         linear = _moved_trend(errors.centre).T @ errors.weights.T
         priors = [_square_root(np.hstack(pair)) for pair in zip(priors, linear, strict=True)]
     if isinstance(posterior, ExactPosterior):
-        loadings = _exact(posterior, kernels, roots)
+        learned = _exact(posterior, kernels, roots)
     else:
-        loadings = _sparse(cast(SparsePosterior, posterior), roots)
+        learned = _sparse(cast(SparsePosterior, posterior), roots)
     parts = []
-    for (terms, C, readout), R, a in zip(loadings, priors, variance.tolist(), strict=True):
-        trend_root = C @ readout.root
-        weights = C @ readout.weights
+    for of_output, R, a in zip(learned, priors, variance.tolist(), strict=True):
+        terms, readout, weights, trend_root = of_output
         if not terms:
+            readout = NO_FUNCTIONS
             trend_root = _square_root(trend_root)
-            readout = _no_functions(len(trend_root))
         parts.append(Part(tuple(terms), readout, weights, trend_root, R, a))
     return parts
-
-
-@cache
-def _no_functions(k: int) -> Readout:
-    """Return the readout of k functions that are zero."""
-    return Readout(np.zeros(k), np.zeros((k, k)))
 
 
 def _unused(d: int) -> Part:
     """Return a part of weight zero: its values do not matter, so it has no functions."""
     nothing = np.zeros((d + 1, 0))
-    return Part((), _no_functions(0), np.zeros(d + 1), nothing, nothing, 1.0)
+    return Part((), NO_FUNCTIONS, np.zeros(d + 1), nothing, nothing, 1.0)
 
 
 def _square_root(root: Matrix) -> Matrix:
@@ -247,10 +240,10 @@ def _square_root(root: Matrix) -> Matrix:
     return triangle[:, -len(root) :]
 
 
-def _exact(posterior: ExactPosterior, kernels: list[Any], roots: Array) -> Iterator[Loadings]:
-    """Yield the loadings of each output of an exact posterior.
+def _exact(posterior: ExactPosterior, kernels: list[Any], roots: Array) -> Iterator[Learned]:
+    """Yield terms, readout, weights and root of the trend of each output of an exact posterior.
 
-    The samples are the centres. The loadings are the covariances with the observed values, the readout C^-1 y and
+    The samples are the centres. The basis is the covariance with the observed values, the readout C^-1 y and
     L^-T of C = L L^T.
     """
     X = posterior.data.X
@@ -258,36 +251,39 @@ def _exact(posterior: ExactPosterior, kernels: list[Any], roots: Array) -> Itera
     inverse, info = lapack.dtrtri(posterior.factor.dense(), lower=1)
     if info:
         raise np.linalg.LinAlgError(f"The inverse of the Cholesky factor failed (trtri {info}).")
-    readout = Readout(posterior.alpha.copy(), np.tril(inverse).T)
+    inverse = np.tril(inverse)
+    readout = Readout(posterior.alpha.copy(), inverse.T)
     for i, root in enumerate(roots):
         terms: list[Term] = []
         for kernel in kernels:
             for j, first in enumerate(places[:-1]):
                 terms += _terms(kernel, i, j, first, X[j])
-        C = np.zeros((len(root), places[-1]))
+        own = slice(places[i], places[i + 1])
         samples = np.column_stack([np.ones(len(X[i])), X[i]])
-        C[:, places[i] : places[i + 1]] = root @ root.T @ samples.T
-        yield terms, C, readout
+        covariance = root @ root.T @ samples.T  # of the trend
+        yield terms, readout, covariance @ posterior.alpha[own], (inverse[:, own] @ covariance.T).T
 
 
-def _sparse(posterior: SparsePosterior, roots: Array) -> Iterator[Loadings]:
+def _sparse(posterior: SparsePosterior, roots: Array) -> Iterator[Learned]:
     """Yield the same of each output of a sparse posterior; the inducing inputs are the centres."""
-    for i, root in enumerate(roots):
-        columns = posterior.features.columns(i)
+    summands = posterior.features.summands()
+    latent = [features for features in summands if isinstance(features, LatentFeatures)]
+    for i, of_prior in enumerate(roots):
         terms: list[Term] = []
-        C = np.zeros((len(root), len(columns)))
         first = 0
-        for features in posterior.features.summands():
-            last = first + len(features.columns(i))
-            if isinstance(features, LatentFeatures):
-                places = range(first, last, len(features.Z))
-                for f, place in zip(features.blocks[i], places, strict=True):
-                    terms += _terms(features.joint, i, len(roots) + f, place, features.Z)
-            else:  # weights of the trend are in units of its prior
-                C[:, first:last] = root
-            first = last
-        triangle: Any = rq(posterior.roots[i], mode="r")
-        yield terms, C, Readout(posterior.weights[columns], triangle)
+        for features in latent:
+            for f in features.blocks[i]:
+                terms += _terms(features.joint, i, len(roots) + f, first, features.Z)
+                first += len(features.Z)
+        # the trend first
+        is_latent = [np.full(len(part.columns(i)), part in latent) for part in summands]
+        order = np.argsort(np.concatenate(is_latent), kind="stable")
+        n = len(order) - first
+        weights = posterior.weights[posterior.features.columns(i)][order]
+        root: Any = rq(posterior.roots[i][order], mode="r")
+        readout = Readout(weights[n:], np.ascontiguousarray(root[n:, n:]))
+        # weights of the trend are in units of its prior
+        yield terms, readout, of_prior[:, :n] @ weights[:n], of_prior[:, :n] @ root[:n]
 
 
 def _terms(kernel, i, j, first, X) -> Iterator[Term]:

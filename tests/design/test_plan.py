@@ -49,8 +49,8 @@ OPTIONS = {
 def few():
     """Plan with few manoeuvres, to be fast."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skdgp.design._library.WIDTHS", (1.0,))
-        patch.setattr("skdgp.design._library.MULTISINES", ())
+        patch.setattr("skdgp.design._manoeuvres.WIDTHS", (1.0,))
+        patch.setattr("skdgp.design._manoeuvres.MULTISINES", ())
         yield
 
 
@@ -85,8 +85,8 @@ def ask(model, uav, point):
 def planned(ask):
     goal = ["Cm_alpha", "Cm_q"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("skdgp.design._library.WIDTHS", (1.0, 2.5))
-        patch.setattr("skdgp.design._library.MULTISINES", (5.0, 10.0))
+        patch.setattr("skdgp.design._manoeuvres.WIDTHS", (1.0, 2.5))
+        patch.setattr("skdgp.design._manoeuvres.MULTISINES", (5.0, 10.0))
         return ask(goal=goal, seconds=14.0, envelope=LIMITED)
 
 

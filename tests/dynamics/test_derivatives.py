@@ -144,7 +144,7 @@ class TestDeviations:
         assert local.attrs["slopes"] == "local"
         assert "perturbation" not in local
         assert_allclose(local.loc[rows, "value"], (model.predict_gradient(at)[0] * UNITS).ravel())
-        with pytest.raises(ValueError, match="'flown', or None for local slopes"):
+        with pytest.raises(ValueError, match="perturbation='large', but expected 'flown' or None"):
             stability_derivatives(*flight, perturbation="large")
 
     @pytest.fixture
@@ -204,7 +204,7 @@ NOWHERE = Aerodynamics(lambda X: np.full((len(X), 6), np.nan), ["alpha", "elevat
     (MODEL, {"point": np.eye(13)[6]}, CONTROLS, "at rest"),
     (MODEL, {}, None, "controls lack"),
     (NOWHERE, {}, CONTROLS, "not defined there"),
-    (MODEL, {"point": []}, CONTROLS, "a state of 13 finite numbers"),
+    (MODEL, {"point": []}, CONTROLS, "expected 13 finite numbers .STATE_NAMES, or a Trim"),
 ])  # fmt: skip
 def test_what_has_no_derivatives(state, model, change, controls, match):
     with pytest.raises(ValueError, match=match):

@@ -14,9 +14,9 @@ typedef struct {
     double gain;
 } term;
 
-/* Posterior of an output by a component: its terms, functions, columns of R, and arrays of the portable model. */
+/* Posterior of an output by a component: its terms, functions, columns of T and R, and arrays of the portable model. */
 typedef struct {
-    int first_term, last_term, n_functions, n_prior;
+    int first_term, last_term, n_functions, n_columns, n_prior;
     const double *weights, *root, *trend_prior, *trend_root;
 } posterior;
 
@@ -54,7 +54,7 @@ ${formulas}
 static double part(int j, const double z[], const double p[], double g[], double *variance)
 {
     const posterior *q = &parts[j];
-    const int n = q->n_functions;
+    const int n = q->n_functions, rank = q->n_columns;
     const double *R = q->trend_prior, *T = q->trend_root, *U = q->root;
     double u[AERO_INPUTS], value = 0, prior = prior_variance[j], explained = 0;
     for (int c = 0; c < n; c++)
@@ -76,11 +76,11 @@ static double part(int j, const double z[], const double p[], double g[], double
             half += p[k] * *R++;
         prior += half * half;
     }
-    for (int r = 0; r < n; r++) {
+    for (int r = 0; r < rank; r++) {
         double half = 0;
         for (int k = 0; k <= AERO_INPUTS; k++)
             half += p[k] * *T++;
-        for (int c = 0; c <= r; c++) /* a column of the triangle */
+        for (int c = 0; c <= r - (rank - n); c++) /* a column of the triangle */
             half += g[c] * *U++;
         explained += half * half;
     }

@@ -93,8 +93,8 @@ def loop(X):
 
 @pytest.mark.parametrize(("change", "match"), [
     (lambda at: {"n_paths": 1}, "n_paths=1, but expected 0 or at least 2"),
-    (lambda at: {"point": at.state[:12], "controls": at.controls}, "expected 13 finite numbers .STATE_NAMES, or a Trim"),
-    (lambda at: {"point": [at, at]}, "expected 13 finite numbers .STATE_NAMES, or a Trim"),
+    (lambda at: {"point": at.state[:12], "controls": at.controls}, "13 finite numbers .STATE_NAMES, or a Trim"),
+    (lambda at: {"point": [at, at]}, "13 finite numbers .STATE_NAMES, or a Trim"),
     (lambda at: {"point": at.state}, "controls lack"),
     (lambda at: {"point": AT_REST, "controls": at.controls}, "at rest"),
     (lambda at: {"point": at.state, "controls": {"elevator": 0.0, "rudder": 0.0, "thrust": 1.0}}, "'aileron'"),

@@ -7,7 +7,7 @@ default pipeline. Variants of the fit are fitted; sources of error and weights a
 fitted models without another fit. Prepared flights are kept in OUT/prepared. The function is asked
 at regressors without noise along another path, in calm air and in gusts, and scored by the truth;
 logged rows are scored by their measured coefficients, with the noise of the fit and of the gusts of
-the flight. AP2 is a real flight, of which one quarter is left out: logged rows alone are scored.
+the flight. Derivatives are those of JSBSim's aircraft alone.
 
 Errors are NRMSE, the mean over the coefficients. In the table of effects they are over the error of
 the whole model, geometric means over aircraft and airs, with the standard error of the mean. Coverage is the change
@@ -54,10 +54,8 @@ EVERY = 10  # rows of a flight per row that is scored
 LEFT_OUT = {"Camel": 85.0, "F4N": 320.0, "OV10": 150.0, "787-8": 250.0}
 LEFT_OUT |= {"Boeing314": 130.0, "MD11": 280.0}
 KNOTS |= LEFT_OUT
-REAL = ["AP2, quarter 1", "AP2, quarter 3"]
-RECORDED = {"viggen_uav": "viggen", **dict(zip(REAL, REAL, strict=True))}
-CASES = [*KNOTS, *RECORDED]
-FIRST = ["Camel", "F4N", "OV10", "viggen_uav"]
+RECORDED = "viggen_uav"
+FIRST = ["Camel", "F4N", "OV10", RECORDED]
 TRAINED = {"calm": (1, "calm", 0), "light": (1, "light", 1), "moderate": (1, "moderate", 2)}
 
 WHOLE = "as it is"
@@ -78,8 +76,8 @@ class Asked(NamedTuple):
     X: np.ndarray
     ratio: np.ndarray  #: Of the noise of the regressors to the one in training
     measured: np.ndarray
-    exact: np.ndarray | None
-    truth: np.ndarray | None
+    exact: np.ndarray
+    truth: np.ndarray
 
 
 class Prepared(NamedTuple):
@@ -97,8 +95,8 @@ class Prepared(NamedTuple):
 
 def flights_of(name, air, data):
     """Return the aircraft, the training flight, those that are asked about, and loads of the inverse dynamics."""
-    if name in RECORDED:
-        task = task_of(RECORDED[name], data)
+    if name == RECORDED:
+        task = task_of("viggen", data)
         return task.aircraft, task.train, {"flown": task.test}, task.loads
     train, aircraft = flight_of(name, *TRAINED[air])
     return aircraft, train, {air: flight_of(name, *flown)[0] for air, flown in FLOWN.items()}, {}
@@ -118,25 +116,23 @@ def prepared(name, air, data, _commit):
         clock["flight"] = np.asarray(log["flight"].astype(str))
     asked = {}
     for where, flight in flown.items():
-        asked[where] = rows_of(pipeline, flight, aircraft, loads, is_known=name not in REAL)
-    derivatives = None if name in RECORDED else derivatives_of(name, aircraft, flown)
+        asked[where] = rows_of(pipeline, flight, aircraft, loads)
+    derivatives = None if name == RECORDED else derivatives_of(name, aircraft, flown)
     X = np.asarray(pipeline[:-1].transform(log))
     errors = pipeline._facts(pipeline[:1].transform(log), X, Y)["errors"]
     return Prepared(pipeline, X, Y, clock, pipeline.seconds_, asked, derivatives, errors)
 
 
-def rows_of(pipeline, flight, aircraft, loads, is_known):
+def rows_of(pipeline, flight, aircraft, loads):
     """Return the rows of a flight that are scored."""
     some = slice(None, None, EVERY)
     log = sensed(flight)
     X, ratio, _ = flight_regressors(pipeline, log)
     measured = aerodynamic_coefficients(pipeline[:1].transform(log), aircraft, **loads).to_numpy()
-    exact = truth = None
-    if is_known:
-        names = [name + "_hat" * (name in "pqr") for name in STEADY]
-        values = exact_regressors(flight, aircraft)[some, : len(STEADY)]
-        exact = np.asarray(pipeline[-3:-1].transform(pd.DataFrame(values, columns=names)))
-        truth = flight[[f"{C}_true" for C in COEFFICIENTS]].to_numpy()[some]
+    names = [name + "_hat" * (name in "pqr") for name in STEADY]
+    values = exact_regressors(flight, aircraft)[some, : len(STEADY)]
+    exact = np.asarray(pipeline[-3:-1].transform(pd.DataFrame(values, columns=names)))
+    truth = flight[[f"{C}_true" for C in COEFFICIENTS]].to_numpy()[some]
     return Asked(np.asarray(X)[some], ratio[some], measured[some], exact, truth)
 
 
@@ -226,9 +222,8 @@ def scored(model, flights):
     """Return the scores of a model by place: function and logged rows of each flight, and derivatives."""
     scores = {}
     for where, rows in flights.asked.items():
-        if rows.exact is not None:
-            bands = model.predict(rows.exact, return_std=True, include_input_noise=False)
-            scores[f"function, {where}"] = scores_of(rows.truth, *bands)
+        bands = model.predict(rows.exact, return_std=True, include_input_noise=False)
+        scores[f"function, {where}"] = scores_of(rows.truth, *bands)
         noise = {"include_noise": True, "include_input_noise": rows.ratio}
         bands = model.predict(rows.X, return_std=True, **noise)
         scores[f"logged, {where}"] = scores_of(rows.measured, *bands)
@@ -336,7 +331,7 @@ def spread(mean, values):
 
 def main(words=None):
     parser = parser_of(__doc__, data=True)
-    parser.add_argument("--cases", nargs="+", default=FIRST, choices=CASES)
+    parser.add_argument("--cases", nargs="+", default=FIRST, choices=[*KNOTS, RECORDED])
     parser.add_argument("--airs", nargs="+", default=["light"], choices=[*TRAINED])
     options = parser.parse_args(words)
     kept = Kept(options, "ablation")

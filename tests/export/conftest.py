@@ -88,7 +88,7 @@ def identified(once, first_minute, cut_short):
 
     def write(folder):
         data = first_minute()
-        train, test = data.train[data.train["time"] < 12], data.test[data.test["time"] < 4]
+        train, test = data.train[data.train["time"] < 8], data.test[data.test["time"] < 4]
         regressor = DependentGPRegressor(
             inference="sparse", n_inducing=12, n_latent=1, max_iter=10, random_state=0
         )

@@ -77,14 +77,6 @@ def test_columns_that_are_no_metres_are_refused(x, expected):
         aerodynamic_coefficients(placed(flight, [x, 0.0, 0.0]), GLIDER, thrust=None)
 
 
-def test_measured_angular_accelerations_count():
-    """A body at rest that begins to turn, as its sensors of angular acceleration say."""
-    spin = np.array([0.3, -0.2, 0.1])
-    flight = at_rest().assign(p_dot=spin[0], q_dot=spin[1], r_dot=spin[2])
-    moved = at_centre_of_gravity(placed(flight, ARM))
-    assert_allclose(moved[FORCES], np.broadcast_to(-np.cross(spin, ARM), (len(flight), 3)))
-
-
 def test_gyros_slower_than_accelerometers_tell_the_rotation_between_their_samples():
     flight = placed(tumbling(ARM), ARM)
     flight.loc[np.arange(len(flight)) % 2 == 1, RATES] = np.nan

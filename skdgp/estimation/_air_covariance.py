@@ -1,23 +1,52 @@
-"""Covariance of the parameters of the filter-error method, in named steps."""
+"""Covariance of the parameters of the filter-error method, in named steps, and the smoothed motion of the air.
+
+Errors of the states, given all samples and the parameters, and errors of the parameters are in the standard
+deviations of the motion. With slopes G of air data, rates and wind by the states of covariance P, and their total
+derivatives s by the parameters of covariance C, the variances are diag(G P G^T + s C s^T).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
 
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, WIND
+from skdgp._flight.frames import air_data, air_data_slopes, rotation_to_euler
 from skdgp.estimation._air_fit import AirFit, FittedRecord
 from skdgp.estimation._air_linearization import (
+    CONSTANTS,
+    GUST,
+    N_STATES,
+    RATE_STATES,
+    air_velocity,
+    air_velocity_slopes,
     means_of_neighbours,
+    slopes_by_constants,
 )
 from skdgp.estimation._air_parameters import (
     ARM,
     SENSOR_CONSTANTS,
     STATE_TERMS,
+    WINDS,
     Sums,
+    stacked,
 )
-from skdgp.estimation._kalman import surface_covariance
+from skdgp.estimation._air_records import Record
+from skdgp.estimation._kalman import parameter_slopes, smoothed, surface_covariance
+
+ESTIMATED = (*AIR_DATA, *RATES, *WIND)
+"""Smoothed columns, each with its standard deviation."""
+OF_AIR_DATA = slice(0, 3)
+OF_RATES = slice(3, 6)
+OF_WIND = slice(6, 9)
+PATH_COLUMNS = (*SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY)
+"""Columns of the path over the ground."""
+COLUMNS = (*ESTIMATED, *(f"{name}_std" for name in ESTIMATED), *PATH_COLUMNS)
 
 
 def sandwich(information: Matrix, scatter: Matrix) -> Matrix:
@@ -178,7 +207,7 @@ def widened(covariance: Matrix, fit: AirFit, fitted: list[FittedRecord], misfit:
         covariance = inflate(covariance, 1.5)
     # standard deviation by effects that the model lacks, over a derivative; each of six aircraft left
     # out in turn, docs/preprocessing.md
-    return add_model_error(covariance, fit.derivatives, 0.04)
+    return add_model_error(covariance, fit.x[: fit.layout.n_derivatives], 0.04)
 
 
 def error_fractions(fit: AirFit, fitted: list[FittedRecord]) -> Vector:
@@ -212,3 +241,59 @@ def _term_errors(fit: AirFit, fitted: list[FittedRecord], n_terms: int) -> Vecto
     # the same of thrust over dynamic pressure and wing area; guess
     error[: len(STATE_TERMS)] = [0.0, angle, 0.0, angle, *rates, 0.001]
     return error
+
+
+def smoothed_air(
+    fit: AirFit, fitted: list[FittedRecord], covariance: Matrix, n_rows: int
+) -> pd.DataFrame:
+    """Return the smoothed motion through the air; NaN in rows that no record contains."""
+    values = np.full((n_rows, len(COLUMNS)), np.nan)
+    for item in fitted:
+        record = item.record
+        # without biases and lags
+        angles = rotation_to_euler(Rotation.from_matrix(record.attitude.mT))
+        path = [record.force, angles, record.earth_velocity()]
+        estimates = _estimates(fit, item, covariance)
+        values[record.rows] = np.concatenate([*estimates, *path], axis=1)
+    return pd.DataFrame(values, columns=list(COLUMNS))
+
+
+def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Matrix, Matrix]:
+    """Return air data, rates and wind (n, 9), and their standard deviations."""
+    record = item.record
+    layout = fit.layout
+    states, P = smoothed(item.linear, item.filter_pass)
+    value = fit.parameters.values(fit.x, record.flight)
+    air = air_velocity(record, value, states)
+    G = np.zeros((len(air), len(ESTIMATED), N_STATES))
+    G[:, OF_AIR_DATA] = air_data_slopes(air) @ air_velocity_slopes(record, value)
+    G[:, OF_RATES, RATE_STATES] = np.eye(3)
+    G[:, OF_WIND, GUST] = np.eye(3)
+    # the first parameters of a flight are derivatives, and what is behind them instruments
+    n = len(layout.names)
+    by_constants = slopes_by_constants(
+        lambda moved: _estimated(record, moved, states), value, CONSTANTS
+    )
+    places = fit.parameters.places[record.flight]
+    C = covariance[np.ix_(places, places)]
+    variance = _variances(G, P)
+    # the first sample has its states from no other
+    variance[:1] += _variances(by_constants[:1], C[layout.n_derivatives :, layout.n_derivatives :])
+    for steps, _, Z in parameter_slopes(item.linear, item.filter_pass, item.expansion.slopes):
+        rows = slice(steps.start + 1, steps.stop + 1)
+        s = G[rows] @ Z[..., :n]
+        s[..., layout.n_derivatives :] += by_constants[rows]
+        variance[rows] += _variances(s, C)
+    return _estimated(record, value, states), np.sqrt(variance)
+
+
+def _estimated(record: Record, value: Mapping[str, Any], states: Matrix) -> Matrix:
+    """Return air data, rates and wind (n, 9) at parameters by name and states (n, N)."""
+    air = air_velocity(record, value, states)
+    wind = states[:, GUST] + stacked(value, *WINDS)
+    return np.column_stack([*air_data(air), states[:, RATE_STATES], wind])
+
+
+def _variances(slopes: Array, covariance: Array) -> Matrix:
+    """Return the diagonals of G P G^T, (n, k)."""
+    return np.sum((slopes @ covariance) * slopes, axis=-1)

@@ -126,11 +126,6 @@ class AirFit:
         self.states = [np.pad(record.rates, before) for record in records]
 
     @property
-    def derivatives(self) -> Vector:
-        """Derivatives of the coefficients, the first parameters."""
-        return self.x[: self.layout.n_derivatives]
-
-    @property
     def vibrates(self) -> bool:
         """Whether an oscillation shakes the inertial sensors of a record."""
         return any(record.vibration.any() for record in self.records)

@@ -62,7 +62,6 @@ from skdgp.estimation._air_parameters import (
     STATE_TERMS,
     TAIL,
     WINDS,
-    is_coupling,
     stacked,
 )
 from skdgp.estimation._air_records import Record
@@ -120,15 +119,6 @@ class Layout(NamedTuple):
     def n_derivatives(self) -> int:
         """Number of derivatives."""
         return len(self.rows)
-
-    def of_coefficient(self, name: str) -> Indices:
-        """Return the places of the derivatives of a coefficient."""
-        return np.flatnonzero(self.rows == COEFFICIENTS.index(name))
-
-    @property
-    def are_couplings(self) -> Mask:
-        """Whether each derivative is outside of the classical list."""
-        return np.array([is_coupling(name) for name in self.names[: self.n_derivatives]])
 
     def is_by(self, *terms: str) -> Mask:
         """Return whether each derivative is by one of the state's terms."""

@@ -43,6 +43,7 @@ from skdgp.estimation._air_covariance import (
     error_fractions,
     estimate_covariance,
     misfit_of_sensors,
+    smoothed_air,
     unfinished_covariance,
     widened,
 )
@@ -67,7 +68,6 @@ from skdgp.estimation._air_records import (
     records_of,
     shortened,
 )
-from skdgp.estimation._air_smoothing import smoothed_air
 from skdgp.estimation._path import PathEstimate, ground_paths
 from skdgp.estimation._sensors import (
     FORCE_READINGS,

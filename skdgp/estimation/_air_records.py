@@ -25,7 +25,6 @@ from skdgp.estimation._sensors import (
     AIRSPEED,
     INERTIAL_READINGS,
     RATE_READINGS,
-    FlightSensors,
     NamedFlight,
     flights_of,
     third_differences,
@@ -200,6 +199,10 @@ def _whole_flight(
     inputs = interpolate_missing(sensors.time, logged)
     surfaces = inputs[:, :n_surfaces]
     periods, surface_errors = _own_clocks(sensors.time, surfaces)
+    position = np.zeros(3)
+    stated = sensors.position[np.isfinite(sensors.position).all(axis=1)]
+    if len(stated):
+        position = np.median(stated, axis=0)
     return Record(
         flight=number,
         rows=flight.rows,
@@ -208,19 +211,13 @@ def _whole_flight(
         attitude=to_body.as_matrix(),
         measured=np.column_stack([inertial, air_data]),
         force=force,
-        position=_position_of(sensors),
+        position=position,
         surface_errors=surface_errors,
         inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
         periods=periods,
         vibration=vibration,
         answers=np.zeros((len(inputs), n_surfaces + 1)),
     )
-
-
-def _position_of(sensors: FlightSensors) -> Vector:
-    """Return the stated position of the inertial sensors (3,) [m], zero where it is unknown."""
-    stated = sensors.position[np.isfinite(sensors.position).all(axis=1)]
-    return np.median(stated, axis=0) if len(stated) else np.zeros(3)
 
 
 def _own_clocks(time: Vector, surfaces: Matrix) -> tuple[Vector, Matrix]:

@@ -15,9 +15,16 @@ from scipy.ndimage import uniform_filter1d
 
 from skdgp._compute.linalg import least_squares
 from skdgp._compute.typing import Matrix, Vector
+from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import air_data
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
-from skdgp.estimation._air_parameters import AIRCRAFT_CONSTANTS, PITOT, Parameters, Sums
+from skdgp.estimation._air_parameters import (
+    AIRCRAFT_CONSTANTS,
+    PITOT,
+    Parameters,
+    Sums,
+    is_coupling,
+)
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._sensors import AIRSPEED, WIND_STD
 
@@ -99,7 +106,8 @@ class SteadyRegression:
         X, C = map(np.concatenate, zip(*equations, strict=True))
         X = X[:, self.layout.columns]  # of each derivative
         x = x.copy()
-        is_held = self.layout.is_by("alpha", "beta") | self.layout.are_couplings
+        names = self.layout.names[: self.layout.n_derivatives]
+        is_held = self.layout.is_by("alpha", "beta") | [is_coupling(name) for name in names]
         for row in range(6):
             of_row = self.layout.rows == row
             held = np.flatnonzero(of_row & is_held)
@@ -116,7 +124,7 @@ def add_mean_lift(sums: Sums, record: Record, x: Vector, regression: SteadyRegre
     Alpha is observed by forces alone, so its mean and CZ_0 could not be separated otherwise.
     """
     X, C = regression(record, x)
-    places = regression.layout.of_coefficient("CZ")
+    places = np.flatnonzero(regression.layout.rows == COEFFICIENTS.index("CZ"))
     slopes = X.mean(axis=0)[regression.layout.columns[places]]
     residual = slopes @ x[places] - C[:, 2].mean()
     speed = np.linalg.norm(record.velocity, axis=1).mean()

@@ -193,15 +193,9 @@ class FlightPathReconstruction(TableTransformer):
     def fit_transform(self, X: Any, y: Any = None) -> Any:
         """Return ``fit(X).transform(X)``; y is ignored."""
         table = self._checked(X)
-        return self._reconstructed(table, self._learn(table))
+        return self._transform_table(table, self._fit_table(table))
 
-    def _fit_table(self, table):
-        self._learn(table)
-
-    def _transform_table(self, table):
-        return self._reconstructed(table)
-
-    def _learn(self, table: pd.DataFrame) -> list[PathEstimate] | None:
+    def _fit_table(self, table: pd.DataFrame) -> list[PathEstimate] | None:
         """Set the fitted attributes; return the paths over the ground of flights without vanes, else None."""
         table = with_sensor_position(table, self.aircraft)
         self._check_any(table, (*PATH_CHANNELS, *VANES))
@@ -215,8 +209,12 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         has_vanes = has_values(table, *AIR_DATA)
         paths = None
-        if not has_vanes:
-            paths = self._fit_air_motion(table)
+        if not has_vanes and self.aircraft is None:
+            cause = Finding(Code.NO_AIRCRAFT)
+            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, cause=cause)]
+        elif not has_vanes:
+            paths = ground_paths(table)
+            self._fit_air_motion(table, paths)
         if self.air_motion_ is None:
             self._fit_path(table, has_vanes)
         return paths
@@ -237,15 +235,11 @@ class FlightPathReconstruction(TableTransformer):
         if self.used_:
             self.doubts_ += _diverged(parts, table)
 
-    def _fit_air_motion(self, table: pd.DataFrame) -> list[PathEstimate] | None:
-        """Set the fitted attributes by the motion of the air, if it can be estimated; return paths over the ground."""
-        if self.aircraft is None:
-            cause = Finding(Code.NO_AIRCRAFT)
-            self.doubts_ = [Finding(Code.GUSTS_UNKNOWN, cause=cause)]
-            return None
-        motion, self.doubts_, paths = self._estimated_motion(table)
+    def _fit_air_motion(self, table: pd.DataFrame, paths: list[PathEstimate]) -> None:
+        """Set the fitted attributes by the motion of the air, if it can be estimated."""
+        motion, self.doubts_ = self._estimated_motion(table, paths)
         if motion is None:
-            return None
+            return
         error = motion.position_error()
         if not self.doubts_ and error is not None:
             report(Finding(Code.SENSORS_ELSEWHERE, distance=error))
@@ -254,20 +248,17 @@ class FlightPathReconstruction(TableTransformer):
         changes = [motion.gust_change(number) for number in range(len(flights_of(table)))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
-        return paths
 
     def _estimated_motion(
         self,
         table: pd.DataFrame,
-        paths: list[PathEstimate] | None = None,
+        paths: list[PathEstimate] | None,
         known: AirMotion | None = None,
-    ) -> tuple[AirMotion | None, list[Finding], list[PathEstimate] | None]:
-        """Return the motion of the air, None where it cannot be estimated, its doubts and the paths over the ground."""
+    ) -> tuple[AirMotion | None, list[Finding]]:
+        """Return the motion of the air, None where it cannot be estimated, and its doubts."""
         aircraft: Any = self.aircraft
         motion = None
         try:
-            if paths is None:
-                paths = ground_paths(table)
             motion = estimate_air_motion(
                 table,
                 aircraft,
@@ -277,7 +268,7 @@ class FlightPathReconstruction(TableTransformer):
                 paths=paths,
             )
             if motion.converged:
-                return motion, [], paths
+                return motion, []
             cause = Finding(Code.AIR_NOT_CONVERGED, **_agreement(table))
         except ValueError as error:
             cause = Finding(Code.AIR_NOT_ESTIMATED, error=str(error))
@@ -288,9 +279,9 @@ class FlightPathReconstruction(TableTransformer):
             general_bands=known is None,
         )
         report(doubt)
-        return motion, [doubt], paths
+        return motion, [doubt]
 
-    def _reconstructed(
+    def _transform_table(
         self, table: pd.DataFrame, paths: list[PathEstimate] | None = None
     ) -> pd.DataFrame:
         """Return the transformed table, whose flights have ``paths`` over the ground where these are known."""
@@ -303,7 +294,7 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         motion = None
         if self.air_motion_ is not None:
-            motion, *_ = self._estimated_motion(table, paths, self.air_motion_)
+            motion, _ = self._estimated_motion(table, paths, self.air_motion_)
         if motion is None:
             flights = self._columns_by_path(table)
         else:

@@ -58,7 +58,7 @@ class TableTransformer(TransformerMixin, BaseEstimator, ABC):
         return {}
 
     @abstractmethod
-    def _fit_table(self, table: pd.DataFrame) -> None:
+    def _fit_table(self, table: pd.DataFrame) -> Any:
         """Check the table's columns and learn from them."""
 
     @abstractmethod

@@ -113,8 +113,6 @@ class AirMotion:
         Whether the last steps were small, and the likelihood had not fallen far. Otherwise ``std``
         includes how far the search still moved in its last passes, and slopes by alpha and beta have
         that of before the search, as all have if it was cut short.
-    seconds : float
-        Length of the records [s].
     misfit : float
         Root mean square of the sensors' constants over their prior standard deviations, or of the
         errors of their position if that is larger, at least one. ``std`` is widened by it: effects
@@ -133,7 +131,6 @@ class AirMotion:
     air: pd.DataFrame
     surfaces: list[str]
     converged: bool
-    seconds: float
     misfit: float = 1.0
     vibrates: bool = False
     mean_thrust: float = 0.0
@@ -429,7 +426,6 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
         air=air,
         surfaces=list(fit.layout.surfaces),
         converged=converged,
-        seconds=sum(record.seconds for record in fit.records),
         misfit=misfit,
         vibrates=fit.vibrates,
         mean_thrust=fit.layout.mean_thrust,

@@ -31,6 +31,8 @@ from skdgp.estimation._sensors import (
 )
 from skdgp.estimation._vibration import vibration_covariance, without_vibration
 
+SAMPLED = ("rows", "time", "velocity", "attitude", "measured", "force", "surface_errors", "answers")
+"""Arrays of a record with a row for each sample."""
 FEWEST_SAMPLES = 100
 """Samples of a shortest record of flights to learn from."""
 
@@ -54,17 +56,9 @@ class Record(NamedTuple):
 
     def part(self, rows: slice) -> Record:
         """Return some samples."""
-        return self._replace(
-            rows=self.rows[rows],
-            time=self.time[rows],
-            velocity=self.velocity[rows],
-            attitude=self.attitude[rows],
-            measured=self.measured[rows],
-            force=self.force[rows],
-            surface_errors=self.surface_errors[rows],
-            inputs=self.inputs.part(rows),
-            answers=self.answers[rows],
-        )
+        whole = self._asdict()
+        of_rows = {name: whole[name][rows] for name in SAMPLED}
+        return self._replace(inputs=self.inputs.part(rows), **of_rows)
 
     def with_axial_force(self, mass: float) -> Record:
         """Return the record with the measured axial force in place of thrust and CX."""

@@ -31,10 +31,8 @@ from skdgp.dynamics import (
 FREQUENCIES = (0.02, 1000.0)
 N_FREQUENCIES = 1400
 N_SEARCHED = 400
-# Growth [1/s] below which a slow mode does not count as unstable, a spiral that doubles in seven seconds, and
-# frequency [rad/s] at which a mode is allowed half of it
+# Growth [1/s] below which a slow mode does not count as unstable, a spiral that doubles in seven seconds
 GROWTH = 0.1
-SLOW = 1.0
 # Interval of values over the paths
 INTERVAL = (0.05, 0.95)
 # Usual requirements [dB], [deg]: least gain and phase, largest sensitivity
@@ -390,7 +388,7 @@ class _Stability(NamedTuple):
     r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
 
     :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
-    the right of the curve :math:`s = g / (1 + (w / w_0)^2) + j w`, as it is one at infinity: g is the
+    the right of the curve :math:`s = g / (1 + w^2) + j w`, as it is one at infinity: g is the
     growth that a slow mode may have. Motions along and across the plane of symmetry are judged apart, and then
     together: a pitch loop does not move the spiral.
     """
@@ -514,8 +512,8 @@ def _in_words(roots: Sequence[complex]) -> str:
 
 
 def _bound(w: Array) -> Array:
-    """Return the growth [1/s] that a mode of a frequency [rad/s] may have."""
-    return GROWTH / (1.0 + (w / SLOW) ** 2)
+    """Return the growth [1/s] that a mode of a frequency [rad/s] may have, half of it at 1 rad/s."""
+    return GROWTH / (1.0 + w**2)
 
 
 def _margins_of(transfer: Matrix, w: Vector) -> dict[str, Vector]:

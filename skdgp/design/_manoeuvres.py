@@ -214,13 +214,12 @@ class Rehearsal:
             [self.trim] * len(tables),
             tables,
             ROW_STEP,
-            duration=ROW_STEP * np.floor(longest / ROW_STEP + ROUNDING),
             thrust=self.thrust,
         )
         flights = {}
-        parts = np.array_split(np.arange(len(flown)), len(tables))
-        for (name, inputs), rows in zip(manoeuvres.items(), parts, strict=True):
-            flight = flown.iloc[rows].reset_index(drop=True)
+        of_manoeuvres = zip(manoeuvres.items(), flown.groupby("flight"), strict=True)
+        for (name, inputs), (_, rows) in of_manoeuvres:
+            flight = rows.reset_index(drop=True)
             flights[name] = flight[flight["time"] <= duration_of(inputs) + RESPONSE + ROUNDING]
         return flights
 

@@ -16,7 +16,7 @@ from skdgp._compute.messages import notify, warn
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
-from skdgp._flight.excitation import Wavetrain, wavetrain
+from skdgp._flight.excitation import ROUNDING, Wavetrain, wavetrain
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.tables import check_names, check_number, interpolated
 from skdgp.design._envelope import (
@@ -60,8 +60,6 @@ WORTH = 0.002
 VAGUE = 1e-8
 # Information of a manoeuvre below which motion is rounding
 UNMOVED = 1e-6
-# Rounding of sums of seconds
-ROUNDING = 1e-6
 # Longest flight [s], and deflection that no surface has [rad]
 MOST_SECONDS = 1800.0
 MOST_DEFLECTION = 0.5 * np.pi

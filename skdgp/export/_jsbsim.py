@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 from xml.sax.saxutils import escape
 
 import numpy as np
+from scipy.constants import foot, lbf, slug
 
 from skdgp._compute.files import text_writer, write_atomically
 from skdgp._compute.typing import Vector
@@ -23,10 +24,6 @@ from skdgp.export._model import PortableModel, Regressor, Term, inertia_entries
 from skdgp.io import FULL_THROW
 
 TEMPLATES = Path(__file__).with_name("jsbsim")
-FOOT = 0.3048
-POUND_FORCE = 4.4482216152605
-SLUG = POUND_FORCE / FOOT
-FOOT_POUND = POUND_FORCE * FOOT
 # Command, the command of JSBSim's trim, and position
 SURFACES = {
     "elevator": ("fcs/elevator-cmd-norm", "fcs/pitch-trim-cmd-norm", "fcs/elevator-pos-rad"),
@@ -46,12 +43,12 @@ SOURCES = {
     "p": ("velocities/p-aero-rad_sec", 1.0),
     "q": ("velocities/q-aero-rad_sec", 1.0),
     "r": ("velocities/r-aero-rad_sec", 1.0),
-    "airspeed": (AIRSPEED, FOOT),
-    "density": (DENSITY, SLUG / FOOT**3),
-    "altitude": ("position/h-sl-ft", FOOT),
-    "u": ("velocities/u-fps", FOOT),
-    "v": ("velocities/v-fps", FOOT),
-    "w": ("velocities/w-fps", FOOT),
+    "airspeed": (AIRSPEED, foot),
+    "density": (DENSITY, slug / foot**3),
+    "altitude": ("position/h-sl-ft", foot),
+    "u": ("velocities/u-fps", foot),
+    "v": ("velocities/v-fps", foot),
+    "w": ("velocities/w-fps", foot),
     "phi": ("attitude/phi-rad", 1.0),
     "theta": ("attitude/theta-rad", 1.0),
     "psi": ("attitude/psi-rad", 1.0),
@@ -191,13 +188,13 @@ def _add_thrust(root: Element, aircraft: Aircraft, full: Mapping[str, float]) ->
     propeller = aircraft.propeller
     if propeller is not None:
         reactions.insert(0, _named("property", SPEED))
-        thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / POUND_FORCE)
+        thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / lbf)
         force.insert(0, _function("propulsion/thrust-lbs", thrust))
-        factor = -propeller.rotation / FOOT_POUND
+        factor = -propeller.rotation / (lbf * foot)
         torque = _propeller(propeller, propeller.torque_coefficients or [0.0], 5, factor)
         _part(reactions, "moment").insert(0, _function("propulsion/torque-lbsft", torque))
     elif "thrust" in full:
-        thrust = _apply("product", full["thrust"] / POUND_FORCE, THROTTLE)
+        thrust = _apply("product", full["thrust"] / lbf, THROTTLE)
         force.insert(0, _function("propulsion/thrust-lbs", thrust))
 
 
@@ -212,9 +209,9 @@ def _propeller(
         turns = _apply("sum", idle, _apply("product", full - idle, THROTTLE))
     terms = []
     for k, coefficient in enumerate(coefficients):
-        scale = coefficient * (FOOT / propeller.diameter) ** k
+        scale = coefficient * (foot / propeller.diameter) ** k
         terms.append(_apply("product", scale, *[AIRSPEED] * k, *[turns] * (2 - k)))
-    scale = factor * propeller.diameter**power * SLUG / FOOT**3
+    scale = factor * propeller.diameter**power * slug / foot**3
     return _apply("product", scale, DENSITY, _apply("sum", *terms))
 
 

@@ -798,6 +798,8 @@ def test_the_thrust_tells_the_mass(first_minute, flight, size, factor):
         (1.0, 1.0, -1.0, {"thrust_line.direction"}),
         (1 / 0.0254, 1.0, 1.0, {"propeller.diameter"}),
         (100.0, 1.0, 1.0, {"propeller.diameter"}),
+        (0.5, 1.0, 1.0, {"propeller.diameter"}),
+        (2.0, 1.0, 1.0, {"propeller.diameter"}),
         (1.0, 30 / np.pi, 1.0, {"propeller_speed"}),
     ],
 )

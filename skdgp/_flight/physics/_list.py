@@ -278,7 +278,7 @@ def _accelerometer(name: str, axis: int) -> Law:
     )
 
 
-def _drive(name: str, unit: str, noise: float = 0.0) -> Law:
+def drive_of(name: str, unit: str, noise: float = 0.0) -> Law:
     """Return the law of the sign of the axial force by what drives the aircraft forward."""
     return Law(
         channels=(name, "ax"),
@@ -320,7 +320,7 @@ SIDEFORCE = replace(
 BY_AILERON = _response("p", ("aileron", "beta", "p", "r", "rudder"), POSITIVE)
 BY_ELEVATOR = _response("q", ("elevator", "alpha", "q"), NEGATIVE)
 BY_RUDDER = _response("r", ("rudder", "beta", "p", "r", "aileron"), NEGATIVE)
-DRIVES = {name: _drive(name, "1/kg") for name in ("thrust", "thrust_x")}
+DRIVES = {name: drive_of(name, "1/kg") for name in ("thrust", "thrust_x")}
 SIGNS = (
     TURNING,
     FALL,
@@ -331,7 +331,7 @@ SIGNS = (
     BY_AILERON,
     BY_ELEVATOR,
     BY_RUDDER,
-    _drive("throttle", "m/s^2", noise=0.01),
+    drive_of("throttle", "m/s^2", noise=0.01),
     *DRIVES.values(),
 )
 

@@ -17,7 +17,7 @@ from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import THRUST_FORCES
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, STANDARD_GRAVITY
-from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT
+from skdgp._flight.physics._list import CHANNELS, DRIVES, LIFT, drive_of
 from skdgp._flight.physics._regression import Slope
 from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.tables import FlightTable, by_name
@@ -96,6 +96,8 @@ LAWS = (
     SizeLaw("upper bound of the drag by the thrust over the weight", {"drag": 1}, 0.01, 10.0, "eta 0.014"),
     SizeLaw("mass times the slope of ax over the thrust", {"mass_by_thrust": 1}, 0.5, 1.8,
         "Newton's second law 1, records of ATTAS 0.80 to 0.90", "mass_by_thrust"),
+    SizeLaw("mass times the slope of ax over the thrust of the propeller", {"mass_by_propeller": 1}, 0.5, 1.8,
+        "Newton's second law 1, a flight of turns 1.2", "mass_by_propeller"),
     SizeLaw("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
         "F-104 at sea level 0.07, flaps 2.2", "CL"),
     SizeLaw("CL_alpha over that of a wing of this aspect ratio", {"CZ_alpha": 1, "usual lift slope": -1}, 0.4, 2.0,
@@ -117,6 +119,7 @@ POWERS = {
     "CL": OF_LOAD,
     "CZ_alpha": OF_LOAD,
     "mass_by_thrust": {"mass": 1.0, "thrust": -1.0},
+    "mass_by_propeller": {"mass": 1.0, "propeller.diameter": -4.0, "propeller_speed": -2.0},
     # where the thrust dominates the drag
     "drag": {
         "thrust": 1.0,
@@ -285,14 +288,18 @@ def sizes_in_flight(
         numbers["CL"] = -load * float(np.nanmedian(signals["az"] / signals["airspeed"] ** 2))
     if {"ax", "az", "alpha", ENGINE[0], ENGINE[2]} <= signals.channels.keys():
         numbers["drag"] = _largest_drag(signals, mass, thrust_std)
-    laws = [(drive, "mass_by_thrust", mass) for drive in DRIVES.values()]
+    laws = [(drive, "mass_by_thrust", mass) for drive in DRIVES.values() if drive.x in signals]
+    if not laws:
+        laws = [(drive_of(ENGINE[0], "1/kg"), "mass_by_propeller", mass)]
     for law, name, scale in [*laws, (LIFT, "CZ_alpha", load)]:
         slope = law.slopes(signals).get(0.0)
         if slope is not None and slope.n_effective >= PHYSICS.least_samples:
             middle, std = _in_bounds(slope)
             numbers[name] = scale * middle
             stds[name] = scale * std
-            if law is not LIFT:
+            if name == "mass_by_propeller":
+                stds[name] = float(np.hypot(stds[name], thrust_std * numbers[name]))
+            if name == "mass_by_thrust":
                 numbers["thrust"] = float(np.nanmedian(signals[law.x]))
     return numbers, stds
 

@@ -305,7 +305,7 @@ def sizes_in_flight(
 
 
 def _largest_drag(signals: Signals, mass: float, thrust_std: float) -> float:
-    """Return the upper bound of the median drag over the weight, zero if it is negative.
+    """Return the upper bound of the median drag over the weight, a millionth if it is negative.
 
     Standard deviations are that of the thrust, 0.03 rad of alpha and 0.3 m/s^2 of ax (guesses).
     """
@@ -314,7 +314,7 @@ def _largest_drag(signals: Signals, mass: float, thrust_std: float) -> float:
     drag = thrust - forward * signals["ax"] - down * signals["az"]
     stds = [thrust_std * np.nanmedian(thrust), 0.03 * np.nanmedian(signals["az"]), 0.3]
     largest = np.nanmedian(drag) + LEAST_T * np.linalg.norm(stds)
-    return max(float(largest) / STANDARD_GRAVITY, 0.0)
+    return max(float(largest) / STANDARD_GRAVITY, 1e-6)
 
 
 def _in_bounds(slope: Slope) -> tuple[float, float]:

@@ -152,9 +152,8 @@ def demo(run: Run) -> None:
     """
     run.console.stage("simulating the example flights")
     example = load_example_flights()
-    _identify(
-        run, example.train, example.aircraft, example.test, title="Example flights: a simulated UAV"
-    )
+    title = "Example flights: a simulated UAV"
+    _identify(run, example.train, example.aircraft, example.test, title=title)
 
 
 def _identify(run, train, aircraft, test, title=None, **loads):
@@ -173,7 +172,7 @@ def _identify(run, train, aircraft, test, title=None, **loads):
             horizon=options.horizon,
             **loads,
         )
-        _finish(run, replace(result, title=title or result.title))
+        _finish(run, result if title is None else replace(result, title=title))
 
 
 def _finish(run: Run, result: Identification) -> None:

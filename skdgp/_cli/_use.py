@@ -29,7 +29,6 @@ from skdgp._cli._shared import (
     Run,
     axis_value,
     changed,
-    checked,
     number,
     option,
     reading,
@@ -136,16 +135,18 @@ def predict(run: Run) -> None:
     names = model.pipeline[-1].output_names_
     columns = [*names, *(f"{name}_std" for name in names)]
     parts = []
-    for flight in flights.values():
-        predicted = model.pipeline.predict(
+    lines = []
+    rows = {}
+    for name, flight in flights.items():
+        mean, std = model.pipeline.predict(
             flight, return_std=True, include_noise=options.include_noise
         )
         clock = flight.table[["flight", "time"]].reset_index(drop=True)
-        parts.append(clock.join(pd.DataFrame(np.hstack(predicted), columns=columns)))
-    table = pd.concat(parts, ignore_index=True)
-    rows = {name: len(flight.table) for name, flight in flights.items()}
-    lines = [f"{count} rows of flight {name}" for name, count in rows.items()]
-    run.finish(lines, {"flights": rows}, {output.name: csv_writer(table)})
+        parts.append(clock.join(pd.DataFrame(np.hstack([mean, std]), columns=columns)))
+        rows[name] = len(mean)
+        lines.append(f"{len(mean)} rows of flight {name}")
+    table = csv_writer(pd.concat(parts, ignore_index=True))
+    run.finish(lines, {"flights": rows}, {output.name: table})
 
 
 def derivatives(run: Run) -> None:
@@ -393,7 +394,6 @@ def margins(run: Run) -> None:
             loops,
             gain_margin=options.gain_margin,
             phase_margin=options.phase_margin,
-            probability=options.probability,
         )
     except ValueError as error:
         texts += ["", f"no gains are suggested: {error}"]
@@ -632,12 +632,6 @@ COMMANDS: Commands = {
                 type=POSITIVE,
                 default=45.0,
                 help="wanted (default: 45)",
-            ),
-            option(
-                "--probability",
-                type=checked("a probability between 0 and 1", float, lambda p: 0 < p < 1),
-                default=0.95,
-                help="of the wanted margins (default: 0.95)",
             ),
         ],
     },

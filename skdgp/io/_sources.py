@@ -24,7 +24,6 @@ from skdgp._flight.frames import (
     without_sign_changes,
 )
 from skdgp._flight.smoothing import differentiate
-from skdgp._flight.tables import by_name
 from skdgp.io._clock import resample, uniform_clock, usual_step
 from skdgp.io._log import (
     COMMANDED,
@@ -102,14 +101,6 @@ class Candidate(NamedTuple):
         fraction = self.valid.mean() * np.ptp(self.instance.topic.time) / duration
         moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
         return int(self.used.sum()), round(fraction, 2), bool(moves), self.confidence
-
-
-class Column(NamedTuple):
-    """A column on the clock of a table, the description of its source and its rate [Hz]."""
-
-    values: Vector
-    words: str
-    rate: float
 
 
 # -- topics by rules
@@ -342,45 +333,38 @@ def _surface(log: Log, name: str, note: str, control: Control) -> Source:
 
 def to_table(sources: list[Source], log: Log) -> tuple[pd.DataFrame, dict[str, tuple[str, float]]]:
     """Return all columns on one clock, in the order of the vocabulary, and words and rates [Hz] of their sources."""
-    columns = _on_clock(sources, log)
-    if "density" not in columns and "altitude" in columns:
-        altitude, _, rate = columns["altitude"]
-        density = standard_density(np.clip(altitude, LOWEST, HIGHEST))
-        columns["density"] = Column(density, "altitude (standard atmosphere)", rate)
-    if EQUIVALENT in columns:
-        airspeed, words, rate = columns.pop(EQUIVALENT)
-        note = "equivalent, taken for true: density unknown"
-        if "density" in columns:
-            note = "equivalent; true by density"
-            airspeed = airspeed * np.sqrt(DENSITY / columns["density"].values)
-        columns["airspeed"] = Column(airspeed, f"{words} ({note})", rate)
-    if {*EARTH_VELOCITY, *EULER} <= columns.keys() and columns.keys().isdisjoint(SPECIFIC_FORCE):
-        columns |= _specific_force(columns)
-    names = [name for name in CHANNELS if name in columns]
-    table = pd.DataFrame({name: columns[name].values for name in names})
-    origin = {name: columns[name][1:] for name in names if name != "time"}
-    return table.where(np.isfinite(table)), origin
-
-
-def _on_clock(sources: list[Source], log: Log) -> dict[str, Column]:
-    """Return the columns of the sources on the clock of one of them."""
     leader = _leader(sources)
     rate = float(f"{min(HIGHEST_RATE, leader.rate):.3g}")
     clock = uniform_clock(leader.time, rate)
-    columns = {"time": Column(clock, "", rate)}
+    table = pd.DataFrame({"time": clock})
+    origin: dict[str, tuple[str, float]] = {}
     for source in sources:
-        names = source.columns
+        columns = [*source.columns]
         values = resample(source.time, source.values, clock, rate)
-        if names == tuple(QUATERNION.split()):
-            names = EULER
+        if columns == QUATERNION.split():
+            columns = [*EULER]
             # a quaternion of zeros is none
             is_attitude = values.any(axis=1, keepdims=True)
             values = quaternion_to_euler(np.where(is_attitude, values, np.nan))
-        for name, column in by_name(names, values).items():
-            columns[name] = Column(column, source.words, source.rate)
-        if names == SPECIFIC_FORCE:
-            columns |= _stated(log, source.instance, clock)
-    return columns
+        table[columns] = values
+        origin |= dict.fromkeys(columns, (source.words, source.rate))
+        if source.columns == SPECIFIC_FORCE:
+            _add_stated(table, origin, log, source.instance)
+    if "density" not in table and "altitude" in table:
+        table["density"] = standard_density(table["altitude"].clip(LOWEST, HIGHEST).to_numpy())
+        origin["density"] = "altitude (standard atmosphere)", origin["altitude"][1]
+    if EQUIVALENT in table:
+        words, of_sensor = origin.pop(EQUIVALENT)
+        note = "equivalent, taken for true: density unknown"
+        table["airspeed"] = table[EQUIVALENT]
+        if "density" in table:
+            note = "equivalent; true by density"
+            table["airspeed"] *= np.sqrt(DENSITY / table["density"])
+        origin["airspeed"] = f"{words} ({note})", of_sensor
+    if {*EARTH_VELOCITY, *EULER} <= {*table} and {*SPECIFIC_FORCE}.isdisjoint(table):
+        _add_specific_force(table, origin)
+    table = table[[name for name in CHANNELS if name in table]]
+    return table.where(np.isfinite(table)), {name: origin[name] for name in table if name in origin}
 
 
 def _leader(sources: list[Source]) -> Source:
@@ -392,41 +376,39 @@ def _leader(sources: list[Source]) -> Source:
     return max(sources, key=lambda source: source.rate)
 
 
-def _stated(log: Log, instance: int, clock: Vector) -> dict[str, Column]:
-    """Return the position of the accelerometers, if the parameters state it, and an unknown tilt.
+def _add_stated(
+    table: pd.DataFrame, origin: dict[str, tuple[str, float]], log: Log, instance: int
+) -> None:
+    """Add the position of the accelerometers, if the parameters state it, and an unknown tilt.
 
     Zeros, the default of autopilots, state nothing, and so do two of three.
     """
-    constants: dict[str, tuple[float, str]] = {}
     for name in log.sensor_positions[instance : instance + 1]:
         place = [log.parameters.get(f"{name}_{axis}", np.nan) for axis in "XYZ"]
         if np.isfinite(place).all() and any(place):
-            for column, value in zip(SENSOR_POSITION, place, strict=True):
-                constants[column] = value, f"{name}_X _Y _Z"
+            table[[*SENSOR_POSITION]] = place
+            origin |= dict.fromkeys(SENSOR_POSITION, (f"{name}_X _Y _Z", np.nan))
     if log.sensor_tilt:
-        constants["sensor_tilt"] = log.sensor_tilt, "not stated by the log"
-    columns = {}
-    for column, (value, words) in constants.items():
-        columns[column] = Column(np.full(len(clock), value), words, np.nan)
-    return columns
+        table["sensor_tilt"] = log.sensor_tilt
+        origin["sensor_tilt"] = "not stated by the log", np.nan
 
 
-def _specific_force(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return the specific force that changes the velocity, f = R^T (v_dot - g), at the body's origin.
+def _add_specific_force(table: pd.DataFrame, origin: dict[str, tuple[str, float]]) -> None:
+    """Add the specific force that changes the velocity, f = R^T (v_dot - g), at the body's origin.
 
     It is for logs without an accelerometer, and has the bandwidth of the velocity: little above
     a fifth of its rate.
     """
-    rate = min(columns[name].rate for name in EARTH_VELOCITY)
-    velocity = np.column_stack([columns[name].values for name in EARTH_VELOCITY])
+    rate = min(origin[name][1] for name in EARTH_VELOCITY)
+    velocity = table[[*EARTH_VELOCITY]].to_numpy()
     try:
-        change = differentiate(velocity, columns["time"].values, cutoff=VELOCITY_CUTOFF * rate)
+        change = differentiate(velocity, table["time"].to_numpy(), cutoff=VELOCITY_CUTOFF * rate)
     # the clock of the log is not sound, which coefficients refuse themselves
     except ValueError:
-        return {}
-    attitude = euler_to_matrix(*(columns[name].values for name in EULER))
+        return
+    attitude = euler_to_matrix(*table[[*EULER]].to_numpy().T)
     force = np.einsum("nji,nj->ni", attitude, change - [0.0, 0.0, STANDARD_GRAVITY])
-    place = np.zeros_like(force)
-    added = by_name(SPECIFIC_FORCE, force) | by_name(SENSOR_POSITION, place)
+    table[[*SPECIFIC_FORCE]] = force
+    table[[*SENSOR_POSITION]] = 0.0
     words = "velocity and attitude, as no accelerometer is of use"
-    return {name: Column(values, words, rate) for name, values in added.items()}
+    origin |= dict.fromkeys((*SPECIFIC_FORCE, *SENSOR_POSITION), (words, rate))

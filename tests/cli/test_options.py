@@ -54,7 +54,6 @@ def usage_error(command, capsys):
         ("plan m --full elevator", "got elevator, but expected AXIS=NUMBER"),
         ("derivatives m --airspeed 35 --paths 1", "got 1, but expected 0, or 2 or more"),
         ("export m --to c", "required: -o/--output"),
-        ("margins m --probability 95", "got 95, but expected a probability between 0 and 1"),
         ("soar m", "invalid choice: 'soar'"),
         ("", "required: COMMAND"),
     ],

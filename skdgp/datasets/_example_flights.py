@@ -198,7 +198,7 @@ SENSOR_NOISE = {
 }
 # Columns that a logger would write; the truth comes after them
 MEASURED = (
-    "time", "flight", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi",
+    "time", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi",
     "north", "east", "v_north", "v_east", "v_down", "altitude", "density", "throttle", "elevator", "aileron",
     "rudder", "elevon_left", "elevon_right", "thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m",
     "thrust_n", "propeller_speed",
@@ -314,8 +314,7 @@ def flight_logs(
         table = measure(truth, sensor_noise, np.random.default_rng(seed))
         for name, values in logged.items():
             table[name] = values[:, k]
-        measured = [name for name in MEASURED if name != "flight"]
-        logs.append(pd.concat([table[measured], truth], axis=1))
+        logs.append(pd.concat([table[[*MEASURED]], truth], axis=1))
     return logs
 
 
@@ -394,11 +393,11 @@ def _gusts(
     plans: tuple[FlightPlan, ...], n: int, turbulence: float, rng: np.random.Generator
 ) -> Any:
     """Return the gusts of the flights at n stages, two to a step."""
-    heights = [plan.altitudes[0][1] - FIELD_ELEVATION for plan in plans]
-    winds = [plan.wind_at_6m for plan in plans]
-    scales = [Turbulence.low_altitude(*each)[:2] for each in zip(heights, winds, strict=True)]
-    intensities = np.array([intensity for intensity, _ in scales])
-    lengths = np.array([length for _, length in scales])
+    scales = []
+    for plan in plans:
+        height = plan.altitudes[0][1] - FIELD_ELEVATION
+        scales.append(Turbulence.low_altitude(height, plan.wind_at_6m)[:2])
+    intensities, lengths = np.moveaxis(np.array(scales), 1, 0)
     return dryden_gusts(
         n, 0.5 * STEP, AIRSPEED, lengths, turbulence * intensities, BRUMBY.span, rng
     )

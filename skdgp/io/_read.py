@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from textwrap import fill
 from typing import Any, TypeAlias
@@ -49,6 +48,8 @@ TABLES: dict[str, Callable[..., pd.DataFrame]] = {
     ".parquet": read_parquet,
     ".pq": read_parquet,
 }
+# columns in an error
+MOST_SHOWN = 12
 # of the printed summary of a log [characters]
 WIDTH = 110
 PathLike: TypeAlias = "str | os.PathLike[str]"
@@ -199,9 +200,8 @@ def _renamed(table: pd.DataFrame, rename: Mapping[str, str]) -> pd.DataFrame:
                 "(docs/notation.md) without a unit: units stand in the file's header, such as 'de [deg]'."
             )
         if old not in names and new not in names:
-            near = get_close_matches(old, names, n=3, cutoff=0.5) or names[:12]
             raise FlightReadError(
-                f"Got rename of {old!r}, but the file has no such column: expected one such as {near}."
+                f"Got rename of {old!r}, but the file has no such column: expected one such as {names[:MOST_SHOWN]}."
             )
     return table.rename(columns=rename)
 
@@ -215,7 +215,7 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
         warn(f"Unknown columns are kept as they are: {unknown_names}.")
     if "time" not in table:
         raise FlightReadError(
-            f"Got no column 'time' [s] among {list(table.columns)[:12]}, but expected one: rename "
+            f"Got no column 'time' [s] among {list(table.columns)[:MOST_SHOWN]}, but expected one: rename "
             "a column, as by --rename t=time, or compute it; its unit stands in the header "
             "('t [ms]')."
         )
@@ -418,13 +418,10 @@ def names_servos(path: PathLike) -> bool:
 
 def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> LogSummary:
     """Return the summary of a file that is no log of an autopilot."""
-    steps = table.groupby("flight", sort=False)["time"].diff().dropna()
-    step = steps.median()
+    step = table.groupby("flight", sort=False)["time"].diff().median()
     unknown = table.attrs[UNKNOWN]
     channels = table.drop(columns=["time", "flight", *unknown])
-    columns = pd.DataFrame(
-        {"source": "column", "rate": channels.notna().mean() / step}, index=channels.columns
-    )
+    columns = pd.DataFrame({"source": "column", "rate": channels.notna().mean() / step})
     remarks = _faults(table, aircraft)
     unknown_names = unknown_columns_message(unknown, table.columns)
     if unknown_names:
@@ -442,7 +439,9 @@ def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> Log
 
 def _flights(table: pd.DataFrame) -> pd.DataFrame:
     """Return begin and end [s] of each flight, and its mean airspeed."""
-    flights = table.assign(airspeed=table.get("airspeed", np.nan)).groupby("flight", sort=False)
+    if "airspeed" not in table:
+        table = table.assign(airspeed=np.nan)
+    flights = table.groupby("flight", sort=False)
     return flights.agg(begin=("time", "first"), end=("time", "last"), airspeed=("airspeed", "mean"))
 
 

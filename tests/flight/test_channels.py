@@ -61,36 +61,16 @@ STEP, PERIOD, N = 0.02, 5, 2000  # 10 Hz in a log of 50 Hz
 TIME = 30.0 + STEP * np.arange(N)
 
 
-def held(period=PERIOD):
-    """Return flights of a channel sampled every ``period`` rows, which begins and ends steadily, and of noise."""
-    fresh = np.rint(np.arange(2, N, period)).astype(int)
+def test_a_held_channel_has_its_own_rate():
+    """Its period is no multiple of the rows."""
+    fresh = np.rint(np.arange(2, N, 2.45)).astype(int)
     rows = np.maximum(np.searchsorted(fresh, np.arange(N), side="right") - 1, 0)
-    samples = np.sin(2.0 * TIME[fresh])
-    samples[:3], samples[-3:] = samples[3], samples[-4]
-    slow = samples[rows]
-    table = pd.DataFrame({"time": TIME, "elevator": slow, "p": default_rng(0).normal(size=N)})
-    return FlightTable.of(table), fresh
-
-
-def test_rate_and_rows_of_a_held_channel():
-    """Also of samples that are equal: between changes the clock goes on."""
-    flights, fresh = held()
+    table = pd.DataFrame({"time": TIME, "elevator": np.sin(2.0 * TIME[fresh])[rows]})
+    flights = FlightTable.of(table.assign(p=default_rng(0).normal(size=N)))
     (hold,) = find_holds(flights, [("elevator",), ("p",)])
     assert hold.names == ["elevator"]
-    assert hold.rate == pytest.approx(1 / (PERIOD * STEP), rel=0.02)
-    assert_array_equal(np.flatnonzero(~hold.repeated), fresh)
-
-
-def test_a_channel_whose_period_is_no_multiple_of_the_rows():
-    flights, fresh = held(period=2.45)
-    (hold,) = find_holds(flights, [("elevator",)])
     assert hold.rate == pytest.approx(1 / (2.45 * STEP), rel=0.01)
     assert not hold.repeated[fresh[4:-4]].any()
-
-
-def test_a_channel_that_changes_less_than_once_a_second_is_not_sampled_slowly():
-    flights, _ = held(period=60)  # of 1.2 s
-    assert not find_holds(flights, [("elevator",)])
 
 
 def test_error_of_the_curve_is_half_of_the_curvature_between_samples():

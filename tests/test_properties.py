@@ -1,4 +1,4 @@
-"""What holds of the regressor for every problem: units, order, uncertainty, bounds.
+"""What holds of the regressor for every problem: units and uncertainty.
 
 Problems by hypothesis.
 """

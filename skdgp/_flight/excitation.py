@@ -306,17 +306,17 @@ def orthogonal_multisines(
     return inputs
 
 
-def _dealt(harmonics: np.ndarray, m: int, n: int, least_coverage: float = 0.7) -> list[np.ndarray]:
+def _dealt(harmonics: np.ndarray, m: int, n: int) -> list[np.ndarray]:
     """Return n of the harmonics for each of m axes.
 
-    They are evenly spaced, so that peaks are lower, if they then cover ``least_coverage`` of the
-    band. With a spacing d for each axis, the axes begin d // m apart.
+    They are evenly spaced, so that peaks are lower, if they then cover 70 % of the band. With a spacing d for each
+    axis, the axes begin d // m apart.
     """
     last = len(harmonics) - 1
     spacings = np.arange(m, last + 2)
     covered = spacings * (n - 1) + spacings // m * (m - 1)
     widest = np.searchsorted(covered, last, side="right") - 1
-    if covered[widest] < least_coverage * last:
+    if covered[widest] < 0.7 * last:
         spread = np.linspace(0, last, n * m).round().astype(int)
         return [harmonics[spread[k::m]] for k in range(m)]
     spacing = spacings[widest]

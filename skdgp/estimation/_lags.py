@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -416,21 +417,7 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
     A servo that reaches a limit of its rate seems to lag the more the larger its steps are.
     """
     segments = [segment for segment in segments if "surfaces" in segment.splines]
-    instruments = [segment.earlier_surfaces() for segment in segments]
-
-    def loss_of(lag: float, rate_limit: float = np.inf) -> Callable[[float], float]:
-        """Return n log RSS of the responses projected on instruments, by the delay."""
-        behind = [segment.behind_servos(lag, rate_limit) for segment in segments]
-
-        def loss(delay: float) -> float:
-            total = 0.0
-            for segment, Q in zip(behind, instruments, strict=True):
-                response, predictors = _turning_by_surfaces(segment, -delay)
-                total += _log_rss(Q.T @ response, Q.T @ predictors)
-            return total
-
-        return loss
-
+    loss_of = partial(_loss_by_delay, segments, [part.earlier_surfaces() for part in segments])
     # least gain in twice the log likelihood by a delay of servos that is removed, or a limit of their rate:
     # delays of 30 to 60 ms gain 260 to 440, limits that are reached 60 to 196, others 3, vibration 18 at most;
     # trials on four aircraft
@@ -466,6 +453,22 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
         lag, rate_limit = shorter, float(limit)
     servos = Lag(lag, lag_std, removed, rate_limit, delay_std)
     return servos, Lag(-delay, surfaces.std, -removed_delay)
+
+
+def _loss_by_delay(
+    segments: list[_Segment], instruments: list[Matrix], lag: float, rate_limit: float = np.inf
+) -> Callable[[float], float]:
+    """Return n log RSS of the responses behind servos, projected on instruments, as a function of the delay."""
+    behind = [segment.behind_servos(lag, rate_limit) for segment in segments]
+
+    def loss(delay: float) -> float:
+        total = 0.0
+        for segment, Q in zip(behind, instruments, strict=True):
+            response, predictors = _turning_by_surfaces(segment, -delay)
+            total += _log_rss(Q.T @ response, Q.T @ predictors)
+        return total
+
+    return loss
 
 
 def _std_of_profile(errors: Vector, losses: Vector, std: float) -> float:

@@ -212,6 +212,7 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
     step = float(np.median(np.concatenate([np.diff(time[rows]) for rows in runs])))
     # windows of 6.4 s, and 64 rows (guesses)
     half = int(min(max(6.4 / step, 64), longest // 4)) // 2
+    options: Any = {"window": hann(2 * half), "nperseg": 2 * half, "detrend": "linear"}
     total: Any = 0.0
     n_windows = 0
     for rows in runs:
@@ -219,9 +220,7 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
         if n < 1:
             continue
         for part in (column[rows], column[rows[len(rows) % half :]]):
-            frequency, power = signal.welch(
-                part, 1.0 / step, hann(2 * half), nperseg=2 * half, detrend="linear"
-            )
+            frequency, power = signal.welch(part, 1.0 / step, **options)
             total = total + n * power
             n_windows += n
     largest = np.abs(column[np.concatenate(runs)]).max()

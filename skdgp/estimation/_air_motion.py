@@ -378,7 +378,8 @@ def _mean_thrust(records: list[Record], aircraft: Aircraft) -> float:
 
 def _as_prior(estimates: pd.DataFrame) -> Prior:
     """Return value and standard deviation of estimates by name."""
-    return {row.Index: (row.value, row.std) for row in estimates.itertuples()}
+    pairs = zip(estimates["value"], estimates["std"], strict=True)
+    return dict(zip(estimates.index, pairs, strict=True))
 
 
 def _noises(records: list[Record], known: AirMotion | None, n_flights: int) -> Parameters:

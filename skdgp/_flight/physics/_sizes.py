@@ -201,7 +201,7 @@ def question_of_sizes(
             changed = _in_other_unit(sizes, name, factor, estimated)
             if not _broken(changed, relative):
                 plausible.append((_distance_from_usual(changed), name, factor, unit))
-    likely = [candidate for _, *candidate in sorted(plausible)[:3]]
+    likely = [(name, factor, unit) for _, name, factor, unit in sorted(plausible)[:3]]
     named = {name for name, *_ in likely}
     questions = []
     for name, factor, unit in (*likely, *(item for item in asked if item[0] not in named)):

@@ -12,7 +12,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import VANES
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp._flight.tables import as_floats, check_columns, check_number
+from skdgp._flight.tables import check_columns, check_number, check_numbers
 from skdgp.dynamics import Aerodynamics, Aircraft
 from skdgp.preprocessing import RateNondimensionalizer
 
@@ -80,8 +80,7 @@ class Envelope:
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):
             value = vars(self)[name]
-            ends = as_floats(UNLIMITED if value is None else value)
-            if ends.shape != (2,) or not ends[0] < ends[1]:
+            if value is not None and not np.diff(check_numbers(name, value, 2)) > 0:
                 raise ValueError(
                     f"Got {name}={value!r}, but expected the lowest and the highest value."
                 )

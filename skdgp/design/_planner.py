@@ -18,7 +18,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, SURFACES
 from skdgp._flight.excitation import ROUNDING, Wavetrain, wavetrain
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp._flight.tables import check_names, check_number, interpolated
+from skdgp._flight.tables import by_name, check_names, check_number, interpolated
 from skdgp.design._envelope import (
     OPTIONS,
     UNLIMITED,
@@ -286,10 +286,10 @@ def _warn_unlimited(bounds: Mapping[str, Range]) -> None:
         )
 
 
-def _derivatives(model: Aerodynamics) -> dict[str, int]:
-    """Return the place of the regressor of each derivative of the model, such as ``Cm_q``."""
-    names = [name.removesuffix(HAT) for name in model.regressors]
-    return {f"{C}_{name}": k for C in COEFFICIENTS for k, name in enumerate(names)}
+def _derivatives(model: Aerodynamics) -> dict[str, str]:
+    """Return the regressor of each derivative of the model, such as ``Cm_q``."""
+    names = model.regressors
+    return {f"{C}_{name.removesuffix(HAT)}": name for C in COEFFICIENTS for name in names}
 
 
 def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[str]) -> list[str]:
@@ -297,16 +297,16 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[
 
     Raises ValueError if the model cannot tell of one.
     """
-    places = _derivatives(model)
+    regressors = _derivatives(model)
     if goal is None:
-        return _moved(places, model, axes)
-    if isinstance(goal, str) or not len(goal) or not {*goal} <= places.keys():
+        return _moved(regressors, model, axes)
+    if isinstance(goal, str) or not len(goal) or not {*goal} <= regressors.keys():
         raise ValueError(
             f"Got the goal {goal!r}, but the model has the regressors {list(model.regressors)}: give a list of "
-            f"derivatives such as {next(iter(places))!r}, or learn a model with that regressor."
+            f"derivatives such as {next(iter(regressors))!r}, or learn a model with that regressor."
         )
     for name in goal:
-        low, high = model.training_ranges.get(model.regressors[places[name]], UNLIMITED)
+        low, high = model.training_ranges.get(regressors[name], UNLIMITED)
         if low == high:
             raise ValueError(
                 f"Got the goal {name}, but its regressor did not move in the flights that the model was learned "
@@ -318,8 +318,8 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[
 def _moved(goal: Iterable[str], model: Aerodynamics, axes: Iterable[str]) -> list[str]:
     """Return the derivatives of a goal that are not by a control other than the axes."""
     still = {*CONTROLS} - {*axes}
-    places = _derivatives(model)
-    return [name for name in goal if model.regressors[places[name]] not in still]
+    regressors = _derivatives(model)
+    return [name for name in goal if regressors[name] not in still]
 
 
 def _taught(goal: Sequence[str], model: Aerodynamics, flown: Sequence[Rehearsed]) -> list[str]:
@@ -385,8 +385,8 @@ def _chosen(
     fisher = VAGUE * np.diag(np.maximum(moved, UNMOVED))
     if model.learned is not None:
         fisher += information(model.learned.training_rows())
-    places = _derivatives(model)
-    slopes = [1 + places[name] for name in goal]  # behind the constant
+    regressors = _derivatives(model)
+    slopes = [1 + model.regressors.index(regressors[name]) for name in goal]  # behind the constant
     error = before = _mean_error(fisher, slopes)
     left = time + ROUNDING
     chosen: list[int] = []
@@ -430,8 +430,7 @@ def _errors(before: pd.Series, model: Aerodynamics, rows: Matrix) -> pd.DataFram
     if model.learned is not None:
         known = information(model.learned.training_rows())
         ratio = np.sqrt(variances(known + information(rows)) / variances(known))[1:]
-        ratios = {name: ratio[k] for name, k in _derivatives(model).items()}
-        expected = before * pd.Series(ratios)
+        expected = before * pd.Series(_derivatives(model)).map(by_name(model.regressors, ratio))
     return pd.DataFrame({"before": before, "expected": expected}, dtype=float)
 
 

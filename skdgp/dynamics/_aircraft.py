@@ -126,8 +126,7 @@ class Aircraft:
             "full_deflections": full or None,
             "sensor_position": _sensor_position(self.sensor_position, checked["span"]),
         }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(checked)
 
     @cached_property
     def inertia_inverse(self) -> np.ndarray:

@@ -61,9 +61,9 @@ def _units(eigenvalues: np.ndarray) -> list[list[int]]:
     """Return pairs of conjugate eigenvalues, positive imaginary part first, and single real ones."""
     units = []
     for k, value in enumerate(eigenvalues):
-        conjugate = int(np.argmin(np.abs(eigenvalues - value.conj())))
+        # LAPACK returns the conjugate next
         if value.imag >= 0:
-            units.append([k, conjugate] if value.imag else [k])
+            units.append([k, k + 1] if value.imag else [k])
     return units
 
 

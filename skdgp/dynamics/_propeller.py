@@ -92,8 +92,7 @@ class Propeller:
                     f"Got speed_range={self.speed_range!r}, but expected 0 <= idle < full [rad/s]."
                 )
             checked["speed_range"] = (idle, full)
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(checked)
 
     def speed_at(self, throttle: ArrayLike) -> Array:
         """Return the propeller speed [rad/s] at ``throttle``, 0 to 1; ``speed_range`` must be known."""
@@ -235,8 +234,7 @@ class ThrustLine:
         direction = direction / length
         position.setflags(write=False)
         direction.setflags(write=False)
-        object.__setattr__(self, "position", position)
-        object.__setattr__(self, "direction", direction)
+        vars(self).update(position=position, direction=direction)
 
     @cached_property
     def lever(self) -> Array:

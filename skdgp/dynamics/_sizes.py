@@ -63,9 +63,7 @@ class ScaleFactor:
 
     def __post_init__(self):
         std = check_number("std of a scale factor", self.std, is_open=False)
-        object.__setattr__(self, "std", std)
-        object.__setattr__(self, "powers", _floats(self.powers))
-        object.__setattr__(self, "added", _floats(self.added))
+        vars(self).update(std=std, powers=_floats(self.powers), added=_floats(self.added))
 
 
 def _floats(values: Mapping) -> dict[str, float]:

@@ -245,10 +245,10 @@ class PortableModel:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return every number of the model by name, as :func:`skdgp.export.save_portable` writes them."""
-        values = vars(self)
         parts = self.parts
         readouts = self.readouts
-        arrays: dict[str, Any] = {name: values[name] for name in NUMBERS_OF_MODEL}
+        values = vars(self).items()
+        arrays = {name: value for name, value in values if isinstance(value, np.ndarray)}
         arrays["trend_weights"] = np.array([part.trend_weights for part in parts])
         arrays["prior_variance"] = np.array([part.prior_variance for part in parts])
         arrays["readout_of"] = np.array([readouts.index(part.readout) for part in parts])
@@ -260,7 +260,7 @@ class PortableModel:
             arrays[f"weights_{k}"] = readout.weights
             arrays[f"root_{k}"] = packed(readout.root)
         for name, array in vars(self.reference).items():
-            arrays[REFERENCE + name] = array
+            arrays[f"reference_{name}"] = array
         return arrays
 
     def _term_arrays(self) -> dict[str, np.ndarray]:
@@ -275,15 +275,6 @@ class PortableModel:
             "term_inverse_widths": np.array(widths).reshape(-1, d),
             "centres": np.vstack([np.empty((0, d)), *(term.centres for _, term in terms)]),
         }
-
-
-# Arrays of a model
-NUMBERS_OF_MODEL = (
-    *("shift", "scale", "center", "output_scale", "mixture"),
-    *("noise_variance", "input_covariance", "limits", "servos"),
-)
-# Prefix of the arrays of a `Reference`
-REFERENCE = "reference_"
 
 
 def packed(triangle: Matrix) -> Vector:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -12,9 +11,8 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import VANES
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp._flight.tables import check_columns, check_number, check_numbers
-from skdgp.dynamics import Aerodynamics, Aircraft
-from skdgp.preprocessing import RateNondimensionalizer
+from skdgp._flight.tables import check_number, check_numbers, numeric
+from skdgp.dynamics import Aerodynamics, Motion
 
 # Limited quantities, and the options of the command line, or arguments, that limit them
 OPTIONS = {
@@ -139,13 +137,11 @@ def quantities(flight: pd.DataFrame) -> pd.DataFrame:
     return quantities
 
 
-def regressors_of(flight: pd.DataFrame, aircraft: Aircraft, names: Sequence[str]) -> Matrix:
+def regressors_of(flight: pd.DataFrame, motion: Motion) -> Matrix:
     """Return the regressors (n, d) of one simulated flight; alpha_dot and beta_dot are differentiated."""
     time = flight["time"].to_numpy(float)
     slopes = {}
     for angle in VANES:
         slopes[f"{angle}_dot"] = np.gradient(flight[angle].to_numpy(float), time)
-    table = flight.assign(**slopes)
-    table = RateNondimensionalizer(aircraft.span, aircraft.chord).fit_transform(table)
-    check_columns(table, names)
-    return table[[*names]].to_numpy(float)
+    channels = numeric(flight.assign(**slopes), motion.regressors)
+    return channels * motion.factors(flight["airspeed"].to_numpy(float))

@@ -20,7 +20,7 @@ from skdgp._flight.excitation import (
     three_two_one_one,
 )
 from skdgp.design._envelope import OPTIONS, Range, quantities, regressors_of
-from skdgp.dynamics import Aerodynamics, Aircraft, Trim, simulate
+from skdgp.dynamics import Motion, Trim, simulate
 
 Inputs: TypeAlias = dict[str, Signal]
 # Frequency times width where the spectrum of a doublet peaks: tan(x / 2) = x
@@ -162,13 +162,11 @@ class Rehearsed(NamedTuple):
 class Rehearsal:
     """Simulations of manoeuvres of some axes from a trim, by the mean of a model in calm air, inside bounds."""
 
-    model: Aerodynamics
-    aircraft: Aircraft
+    motion: Motion
     trim: Trim
     axes: tuple[str, ...]
     bounds: Mapping[str, Range]  #: Lowest and highest value of each limited channel
     margin: float  #: Of responses to the bounds
-    thrust: Any
 
     def inside(
         self, manoeuvres: Mapping[str, Inputs], seconds: float, pause: float
@@ -209,12 +207,12 @@ class Rehearsal:
             pause = longest - train.duration
             tables.append(train.table(RATE, trim=self.trim.controls, pause=pause))
         flown = simulate(
-            self.model,
-            self.aircraft,
+            self.motion.aerodynamics,
+            self.motion.aircraft,
             [self.trim] * len(tables),
             tables,
             ROW_STEP,
-            thrust=self.thrust,
+            thrust=self.motion.thrust,
         )
         flights = {}
         of_manoeuvres = zip(manoeuvres.items(), flown.groupby("flight"), strict=True)
@@ -226,8 +224,7 @@ class Rehearsal:
     def _channels(self, flight: pd.DataFrame) -> pd.DataFrame:
         """Return the values of each of the bounds along one flight."""
         values = quantities(flight)
-        names = self.model.regressors
-        values[[*names]] = regressors_of(flight, self.aircraft, names)
+        values[[*self.motion.aerodynamics.regressors]] = regressors_of(flight, self.motion)
         return values[[*self.bounds]]
 
     def _centre(self) -> pd.Series:

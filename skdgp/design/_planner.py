@@ -40,6 +40,7 @@ from skdgp.design._manoeuvres import (
 from skdgp.dynamics import (
     Aerodynamics,
     Aircraft,
+    Motion,
     SimulationWarning,
     Trim,
     as_aerodynamics,
@@ -217,7 +218,8 @@ def plan(
     if aerodynamics.is_uncertain and not np.isinf(envelope.growth):
         _warn_unlimited(bounds)
     margin = envelope.margin
-    rehearsal = Rehearsal(aerodynamics, aircraft, trim, tuple(axes), bounds, margin, thrust)
+    motion = Motion(aerodynamics, aircraft, thrust=thrust)
+    rehearsal = Rehearsal(motion, trim, tuple(axes), bounds, margin)
     goal = _check_goal(goal, aerodynamics, axes)
     amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
     # a quarter of Lanchester's phugoid, or more
@@ -230,7 +232,7 @@ def plan(
         bands = input_bands(modes, amplitudes)
         available = rehearsal.inside(library(bands, amplitudes), time, pause)
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
-        rows = [_rows(item, aircraft, aerodynamics) for item in available]
+        rows = [_rows(item, motion) for item in available]
         durations = np.array([duration_of(item.inputs) for item in available])
         chosen = _chosen(aerodynamics, rows, durations + pause, time, goal)
         if not chosen:
@@ -360,16 +362,15 @@ def _amplitudes(
     return amplitudes
 
 
-def _rows(item: Rehearsed, aircraft: Aircraft, model: Aerodynamics) -> Matrix:
+def _rows(item: Rehearsed, motion: Motion) -> Matrix:
     """Return the regressors (n, d) of a manoeuvre at the rate of the model's own rows."""
     interval = ROW_STEP
-    learned = model.learned
+    learned = motion.aerodynamics.learned
     if learned is not None and learned.seconds is not None:
         interval = learned.seconds / len(learned.training_rows())
     time = item.flight["time"].to_numpy(float)
     times = np.arange(time[0], time[-1] + 0.5 * interval, interval)
-    X = regressors_of(item.flight, aircraft, model.regressors)
-    return interpolated(times, time, X)
+    return interpolated(times, time, regressors_of(item.flight, motion))
 
 
 def _chosen(

@@ -169,7 +169,9 @@ def identify(
             **(pipeline or {}),
         )
         notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-        corrected = clone(model[0]).fit_transform(learned_from)  # of the error of the airspeed
+        corrected = clone(model.checking).fit_transform(
+            learned_from
+        )  # of the error of the airspeed
         checked = replace(learned_from, table=corrected)
         Y = aerodynamic_coefficients(checked, aircraft, thrust=thrust)
         notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20

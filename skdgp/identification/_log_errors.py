@@ -11,11 +11,11 @@ import pandas as pd
 from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
+    ALL_SURFACES,
     COEFFICIENTS,
     HAT,
     RATES,
     SPECIFIC_FORCE,
-    SURFACES,
     THRUST_COLUMNS,
     VANES,
 )
@@ -39,7 +39,7 @@ from skdgp.inference import FunctionErrors, attenuation, errors_of_slopes, linea
 CLOCK_STEPS = 0.1
 CLOCK = 0.01
 MOMENTS = COEFFICIENTS[3:]
-CHANNELS_OF_CLOCK = {"surfaces": SURFACES, "air": VANES}
+CHANNELS_OF_CLOCK = {"surfaces": ALL_SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
 
@@ -143,14 +143,15 @@ def errors_by_air(
     roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
     horizontal = (roll + pitch) / 2
     lags = gust_rate_lags(airspeed, aircraft.span)
-    unit = aircraft.moment_lengths / (2 * airspeed)
-    rates = [f"{name}{HAT}" for name in RATES]
+    names = regressors.columns
+    rates = [name if name in names else f"{name}{HAT}" for name in RATES]
+    is_hat = [name.endswith(HAT) for name in rates]
+    unit = np.where(is_hat, aircraft.moment_lengths / (2 * airspeed), 1.0)
     followed = rates_followed(linear, aircraft, airspeed, density, lags)
     variances = followed * [horizontal, horizontal, yaw] * unit**2
     by_pitch = np.sqrt(0.5) * pitch
     flow = lags * unit * [[by_pitch, by_pitch, 0.0], [0.0, 0.0, yaw]]
     X = regressors.to_numpy()
-    names = regressors.columns
     slopes = linear.loc[names].to_numpy().T
     errors = []
     for covariance in (
@@ -176,10 +177,14 @@ def rates_followed(
     instead of 0.07 for the Camel).
     """
     load = dynamic_pressure(airspeed, density) * aircraft.wing_area
-    rates = [f"{name}{HAT}" for name in RATES]
-    slopes = linear.reindex(index=rates, columns=MOMENTS, fill_value=0.0)
-    by_rate = load * aircraft.moment_lengths**2 / (2 * airspeed) / np.diag(aircraft.inertia)
-    followed = np.maximum(-by_rate * np.diag(slopes), 0.0) * gust_time
+    lengths = aircraft.moment_lengths
+    by_hat, by_rate = (
+        linear.reindex(index=names, columns=MOMENTS, fill_value=0.0)
+        for names in ([f"{name}{HAT}" for name in RATES], RATES)
+    )
+    slopes = np.diag(by_hat) * lengths / (2 * airspeed) + np.diag(by_rate)
+    damping = -load * lengths / np.diag(aircraft.inertia) * slopes
+    followed = np.maximum(damping, 0.0) * gust_time
     return np.where(followed > 0, followed / (1 + followed), 1.0)
 
 

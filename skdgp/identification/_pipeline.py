@@ -60,6 +60,7 @@ Step = TypeVar("Step")
 # inference: ten minutes at 50 Hz
 MOST_EXACT = 755
 MOST_SPARSE = 30000
+LINEAR = 1e-9  # rounding of a regressor that is scaled back, over its largest value
 
 
 def make_identification_pipeline(
@@ -107,7 +108,7 @@ def make_identification_pipeline(
     cutoff : float, "auto" or None, default="auto"
         As for :class:`skdgp.preprocessing.FlightSmoother`.
     mixer : transformer, optional
-        By default ``ElevonSplitter()``.
+        In place of ``ElevonSplitter()``, as the first step: all others need elevator, aileron and rudder.
     regressor : estimator, optional
         By default ``DependentGPRegressor()``. It is cloned. Any regressor of several outputs will
         do.
@@ -150,12 +151,15 @@ def make_identification_pipeline(
         ("lagcorrector", LagCorrector(lags, aircraft=aircraft)),
         ("flightpathreconstruction", reconstruction),
         ("flightsmoother", FlightSmoother(cutoff=cutoff)),
-        ("elevonsplitter", ElevonSplitter() if mixer is None else mixer),
+        ("elevonsplitter", ElevonSplitter()),
         ("ratenondimensionalizer", RateNondimensionalizer(aircraft.span, aircraft.chord)),
         ("regressorselector", RegressorSelector(regressors, engine=thrust is None)),
         ("standardscaler", StandardScaler()),
         ("dependentgpregressor", DependentGPRegressor() if regressor is None else clone(regressor)),
     ]
+    if mixer is not None:
+        del steps[4]
+        steps.insert(0, ("elevonsplitter", mixer))
     return FlightPipeline(
         steps, aircraft=aircraft, samples=samples, thrust=thrust, control_units=control_units
     )
@@ -197,17 +201,36 @@ def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
 
 
 def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
-    """Return the regressors (n, d) of the last step by name, in their units before the scaler."""
+    """Return the regressors (n, d) of the last step by name, in their units before the scaler.
+
+    Raises ValueError if the steps behind the selector do not scale each regressor by itself.
+    """
+    named = _behind_selector(pipeline).inverse_transform(regressors)
     zero, scale = scaling_of(pipeline)
-    return pd.DataFrame(regressors * scale + zero, columns=regressor_names(pipeline))
+    size = np.abs(scale * regressors).max(axis=0, initial=0.0) + np.abs(zero)
+    if named.shape != regressors.shape or not np.all(
+        np.abs(named - zero - scale * regressors) <= LINEAR * size
+    ):
+        kinds = [type(step).__name__ for _, step in _behind_selector(pipeline).steps]
+        raise ValueError(
+            f"Got {kinds} behind RegressorSelector, but expected steps that scale each regressor by itself, such as "
+            "StandardScaler, as errors of the log and slopes have names: use a Pipeline of the same steps, whose "
+            "bands are without these errors."
+        )
+    return pd.DataFrame(named, columns=regressor_names(pipeline))
 
 
 def scaling_of(pipeline: Pipeline) -> tuple[Vector, Vector]:
     """Return offset and scale (d,) of the steps behind the selector: regressors are offset + scale X."""
     d = len(regressor_names(pipeline))
-    first = 1 + [name for name, _ in pipeline.steps].index("regressorselector")
-    zero, one = pipeline[first:-1].inverse_transform(np.array([np.zeros(d), np.ones(d)]))
+    zero, one = _behind_selector(pipeline).inverse_transform(np.array([np.zeros(d), np.ones(d)]))
     return zero, one - zero
+
+
+def _behind_selector(pipeline: Pipeline) -> Pipeline:
+    """Return the steps between the choice of regressors and the last step."""
+    first = 1 + [name for name, _ in pipeline.steps].index("regressorselector")
+    return pipeline[first:-1]
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
@@ -320,7 +343,8 @@ class FlightPipeline(Pipeline):
         self.n_observed_ = _n_observed(y)
         y = self._thinned(y)
         self.n_learned_ = _n_observed(y)
-        first, others = self[:1], self[1:-1]
+        n_first = len(self.checking)
+        first, others = self[:n_first], self[n_first:-1]
         flights = first.fit_transform(X, y)
         regressors = np.asarray(others.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
@@ -352,6 +376,12 @@ class FlightPipeline(Pipeline):
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
 
+    @property
+    def checking(self) -> Pipeline:
+        """The steps up to the check of flights."""
+        names = [name for name, _ in self.steps]
+        return self[: 1 + names.index("flightcheck")]
+
     def _thinned(self, y: Any) -> Any:
         """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""
         samples = self.samples
@@ -381,12 +411,12 @@ class FlightPipeline(Pipeline):
         return None
 
     def _learn_errors_by_log(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> None:
-        """Learn errors of the function by the log and by the thrust, of six coefficients and a known aircraft."""
+        """Learn errors of the function by the log and by the thrust, of coefficients of a known aircraft."""
         self.errors_ = {}
         self.log_errors_: FunctionErrors | None = None
         is_logged = has_values(flights, "time", "airspeed", "density", *RATES)
-        is_complete = [*self.least_squares_] == [*COEFFICIENTS]
-        if self.aircraft is None or not is_logged or not is_complete:
+        outputs = [*self.least_squares_]
+        if self.aircraft is None or not is_logged or not {*outputs} <= {*COEFFICIENTS}:
             return
         if self.thrust is not None:
             self.errors_ = thrust_errors(flights, self.aircraft, regressors)
@@ -396,11 +426,12 @@ class FlightPipeline(Pipeline):
             with_sensor_position(flights, self.aircraft),
             self.aircraft,
             regressors,
-            self.least_squares_,
+            self.least_squares_.reindex(columns=COEFFICIENTS, fill_value=0.0),
             None if corrector is None else corrector.lags_,
             0.0 if check is None else check.airspeed_scale_.left(),
         )
-        self.log_errors_ = self._of_last_step(errors)
+        places = [COEFFICIENTS.index(name) for name in outputs]
+        self.log_errors_ = self._of_last_step(errors.of_outputs(places))
 
     def _errors_by_air(self, regressors: pd.DataFrame) -> list[FunctionErrors]:
         """Return the errors of the function by the rates of the air, none where flights do not show turbulence."""

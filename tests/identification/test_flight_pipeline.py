@@ -11,6 +11,7 @@ from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
+from sklearn.decomposition import PCA
 from sklearn.linear_model import LinearRegression
 from sklearn.metrics import r2_score
 from sklearn.model_selection import LeaveOneGroupOut, cross_validate
@@ -21,6 +22,7 @@ from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import flight_regressors, identify
 from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
+from skdgp.preprocessing import ElevonSplitter
 
 QUICK = {"n_latent": 1, "max_iter": 4, "input_noise": "learned", "random_state": 0}
 
@@ -166,12 +168,62 @@ def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
             dependentgpregressor=DependentGPRegressor(structure="trend", max_iter=2),
         )
         learned.append(pipeline.fit(rows, targets))
+    with pytest.raises(ValueError, match=r"\['PCA'\] behind RegressorSelector"):
+        clone(learned[0]).set_params(standardscaler=PCA()).fit(rows, targets)
     without = clone(learned[0])
     without.steps = [step for step in without.steps if step[0] != "standardscaler"]
     learned.append(without.fit(rows, targets))
     for pipeline in learned[1:]:
         assert_allclose(pipeline.least_squares_, learned[0].least_squares_, rtol=1e-6, atol=1e-9)
         assert np.isfinite(pipeline.predict(test_flight, return_std=True)[1]).all()
+
+
+def test_surfaces_of_any_name_are_those_that_they_are_mixed_into(flights, test_flight):
+    """In every step: lags, reconstruction and errors of the log are of elevator, aileron and rudder."""
+    rows = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    targets = aerodynamic_coefficients(rows, flights.aircraft)
+    halves = {
+        "elevator": {"tail_left": 0.5, "tail_right": 0.5},
+        "rudder": {"tail_left": 0.5, "tail_right": -0.5},
+    }
+
+    def plain(table):
+        return ElevonSplitter().fit_transform(table).drop(columns=["elevon_left", "elevon_right"])
+
+    def tailed(table):
+        table = plain(table)
+        left, right = (table["elevator"] + side * table["rudder"] for side in (1, -1))
+        table = table.assign(tail_left=left, tail_right=right)
+        return table.drop(columns=["elevator", "rudder"])
+
+    found = []
+    for mixer, seen in ((None, plain), (ElevonSplitter(halves), tailed)):
+        regressor = DependentGPRegressor(structure="trend", max_iter=2)
+        pipeline = make_identification_pipeline(flights.aircraft, mixer=mixer, regressor=regressor)
+        pipeline.fit(seen(rows), targets)
+        found.append(pipeline.predict(seen(test_flight), return_std=True))
+    assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-9)
+
+
+def test_the_order_and_number_of_targets_change_no_band(model, flights, test_flight):
+    rows = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    targets = aerodynamic_coefficients(rows, flights.aircraft)
+    names = [*targets]
+    quick = clone(model).set_params(
+        flightpathreconstruction="passthrough",
+        dependentgpregressor=DependentGPRegressor(
+            structure="trend", input_noise=None, optimizer=None
+        ),
+    )
+
+    def predicted(order):
+        found = clone(quick).fit(rows, targets[order]).predict(test_flight, return_std=True)
+        return [pd.DataFrame(part, columns=order) for part in found]
+
+    mean, std = predicted(names)
+    for order in (names[::-1], ["CY", "Cl"]):
+        for part, expected in zip(predicted(order), (mean, std), strict=True):
+            assert_allclose(part / std[order], expected[order] / std[order], atol=0.05)
 
 
 def test_coefficients_are_asked_for(model, test_flight):

@@ -101,6 +101,16 @@ def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k)
     std = clock_std(None, group, STEP)
     expected = slopes_of(errors, k) / std * late
     assert_allclose(change, expected, atol=0.03 * np.abs(expected).max())
+    elevons = {"elevator": "elevon_left", "aileron": "elevon_right"}
+    renamed = learned_errors(
+        table,
+        AIRCRAFT,
+        X.rename(columns=elevons),
+        least_squares_of(X, Y).rename(elevons),
+        None,
+        0.0,
+    )
+    assert_allclose(renamed.weights, errors.weights)
 
 
 def test_sensors_elsewhere_change_slopes_by_what_is_added(flown):
@@ -234,3 +244,10 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
     errors = errors_by_air(regressors, linear, turbulence, AIRCRAFT, density=0.0)
     stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
     assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)
+    names = {"p_hat": "p", "q_hat": "q", "r_hat": "r"}
+    per_unit = np.append([1.0, 1.0], 2 * airspeed / AIRCRAFT.moment_lengths)
+    in_units = least_squares_of(regressors * per_unit, felt @ slopes).rename(names)
+    measured = (regressors * per_unit).rename(columns=names)
+    of_rates = errors_by_air(measured, in_units, turbulence, AIRCRAFT, density=1.2)
+    of_hats = errors_by_air(regressors, linear, turbulence, AIRCRAFT, density=1.2)
+    assert_allclose(of_rates.slopes() * per_unit[:, None], of_hats.slopes(), atol=1e-9)

@@ -20,7 +20,7 @@ from typing import Any, TextIO, TypeAlias
 
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
 from skdgp._compute.messages import FindingWarning, Progress
-from skdgp._flight.channels import CHANNELS, REGRESSOR_SETS
+from skdgp._flight.channels import REGRESSOR_SETS
 from skdgp._regressor import FitCode
 
 Option: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
@@ -75,12 +75,7 @@ def _pair(text: str, separator: str, first: type = float, second: type = float) 
 
 table_file = checked("a name that ends in .csv", str, lambda text: Path(text).suffix == ".csv")
 axis_value = checked("AXIS=NUMBER such as elevator=0.4", lambda text: _pair(text, "=", str))
-renaming = checked(
-    "OLD=NEW, where NEW is a column of docs/notation.md without a unit (units stand in the header "
-    "of the file, such as 'de [deg]')",
-    lambda text: _pair(text, "=", str, str),
-    lambda names: names[0] != "" and names[1] in CHANNELS,
-)
+renaming = checked("OLD=NEW such as de=elevator", lambda text: _pair(text, "=", str, str))
 size = checked(
     "a number > 0, or with its standard deviation such as 3.2+-0.05",
     lambda text: _pair(text if "+-" in text else f"{text}+-0", "+-"),

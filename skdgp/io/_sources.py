@@ -119,8 +119,12 @@ def choose(log: Log, rule: Rule) -> Source | None:
     if not instances:
         return None
     use = _use(log, rule, instances)
-    candidates = [_candidate(log, instance, rule, use) for instance in instances]
-    duration = np.ptp([instance.topic.time[[0, -1]] for instance in instances])
+    return _source_of(rule, [_candidate(log, instance, rule, use) for instance in instances], use)
+
+
+def _source_of(rule: Rule, candidates: list[Candidate], use: Use | None) -> Source:
+    """Return the source by the best of the instances."""
+    duration = np.ptp([candidate.instance.topic.time[[0, -1]] for candidate in candidates])
     best = max(candidates, key=lambda candidate: candidate.merit(duration))
     number, name, topic = best.instance
     time = topic.time[best.rows]
@@ -128,14 +132,14 @@ def choose(log: Log, rule: Rule) -> Source | None:
     if rule.columns == QUATERNION:
         values = without_sign_changes(values)
     notes = [rule.note] if rule.note else []
-    if len(instances) > 1:
+    if len(candidates) > 1:
         by = f"used by the autopilot: {use.words}" if use and best.used.any() else "the healthiest"
-        notes.append(f"of {len(instances)}, {by}")
+        notes.append(f"of {len(candidates)}, {by}")
     words = f"{name}.{rule.fields}"
     if notes:
         words += f" ({', '.join(notes)})"
     remarks = [_unmeasured(rule, best)]
-    if name != instances[0].name:
+    if best is not candidates[0]:
         remarks.insert(0, f"{rule.words} of {words}")
     remark = "; ".join(filter(None, remarks))
     cuts = _resets(rule, topic.select(best.rows), values)
@@ -314,7 +318,7 @@ def _problem(source: Source, rule: Rule) -> str:
 def _surface(log: Log, name: str, note: str, control: Control) -> Source:
     """Return a control by the channels of its servos, which are fields of one topic.
 
-    It is empty where a part of the log lacks the topic.
+    It is empty where no message of the topic has a sound time.
     """
     topic = log.topics.get(control[0].topic, NOTHING)
     values = np.zeros(len(topic))

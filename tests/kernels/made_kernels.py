@@ -34,3 +34,12 @@ def trend(P=3, d=2):
     return LinearTrend(
         rng.uniform(0.5, 2, P), rng.uniform(0.5, 2, (P, d)), center=rng.normal(size=d)
     )
+
+
+def assert_covariance(draws, K):
+    """Assert that draws (n, N) have mean zero and this covariance, within what so many of them allow."""
+    n = len(draws)
+    variance = np.diag(K)
+    assert (np.abs(draws.mean(axis=0)) < 4.5 * np.sqrt(variance / n)).all()
+    error = np.sqrt((np.outer(variance, variance) + K**2) / n)
+    assert (np.abs(draws.T @ draws / n - K) < 5 * error).all()

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from made_kernels import convolved, trend
+from made_kernels import assert_covariance, convolved, trend
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
@@ -128,15 +128,6 @@ def stacked(paths, X):
     """Return the values of paths at X, output-major, (n_paths, P n)."""
     values = paths.values(X[None]).swapaxes(1, 2)
     return values.reshape(len(values), -1)
-
-
-def assert_covariance(draws, K):
-    """Assert that draws (n, N) have mean zero and this covariance, within what so many of them allow."""
-    n = len(draws)
-    variance = np.diag(K)
-    assert (np.abs(draws.mean(axis=0)) < 4.5 * np.sqrt(variance / n)).all()
-    error = np.sqrt((np.outer(variance, variance) + K**2) / n)
-    assert (np.abs(draws.T @ draws / n - K) < 5 * error).all()
 
 
 def test_every_public_kernel_is_in_the_list():

@@ -352,11 +352,11 @@ def _gains(linear, loops, s):
 def _of_loops(responses, linear, loops, s):
     """Return the loop transfer functions, each with the other loops closed, (n_models, n, n_loops).
 
-    The sensitivity 1 / (1 + L) of loop i is the entry (i, i) of (I + M)^-1.
+    Sensitivity 1 / (1 + L) and L / (1 + L) of loop i are the entries (i, i) of S = (I + M)^-1 and M S.
     """
     M = -_gains(linear, loops, s) @ responses
-    sensitivities = np.linalg.inv(np.eye(len(loops)) + M)
-    return 1.0 / np.diagonal(sensitivities, axis1=-2, axis2=-1) - 1.0
+    S = np.linalg.inv(np.eye(len(loops)) + M)
+    return np.einsum("...ii->...i", M @ S) / np.einsum("...ii->...i", S)
 
 
 class _Axis(NamedTuple):
@@ -438,7 +438,7 @@ class _Stability(NamedTuple):
             near = [group for group in others if _is_near(root, group[0][1])]
             if not near:
                 others.append([])
-            (near or others)[-1].append((path, root))
+            (near or others[-1:])[0].append((path, root))
         for group in others:
             numbers, roots = zip(*group, strict=True)
             paths.setdefault(_in_words(roots), set()).update(numbers)

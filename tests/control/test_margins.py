@@ -72,6 +72,9 @@ def test_a_growing_mode_of_closed_loops_is_their_root(damping, glider):
     root = newton(lambda s: s - a + g * np.exp(-s * DELAY), 10 + 40j)
     name = f"oscillation of {root.imag:.2g} rad/s that grows by {root.real:.2g} 1/s"
     assert margins(linear, [loop]).attrs["unstable"] == {name: 1.0}
+    reversed_root = newton(lambda s: s - a - 0.4 * g * np.exp(-s * DELAY), 10.0)
+    name = f"divergence that grows by {reversed_root:.2g} 1/s"
+    assert margins(linear, [loop.scaled(-0.4)]).attrs["unstable"] == {name: 1.0}
 
 
 def test_bands_hold_the_errors_of_the_servos(glider):

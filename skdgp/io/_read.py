@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
@@ -19,7 +20,7 @@ from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.clock import LONGEST_STEP, flight_codes, runs_between, unrounded
 from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults, without_ground
 from skdgp._flight.findings import Code, Finding, texts_of
-from skdgp._flight.physics import find_contradictions
+from skdgp._flight.physics import confirmed_channels, find_contradictions
 from skdgp._flight.tables import (
     FlightTable,
     check_table,
@@ -293,7 +294,8 @@ class LogSummary:
     topics : DataFrame
         Every message type with a time: ``messages``, and their mean ``rate`` [Hz].
     columns : DataFrame
-        Columns of the flight table: ``source`` and its ``rate`` [Hz].
+        Columns of the flight table: ``source`` and its ``rate`` [Hz]; of a table also ``physics``, "confirmed"
+        where a relation of equal changes confirms the channel.
     flights : DataFrame
         Flights in the air: ``begin`` and ``end`` [s], mean ``airspeed`` [m/s].
     remarks : tuple of str
@@ -422,6 +424,9 @@ def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> Log
     unknown = table.attrs[UNKNOWN]
     channels = table.drop(columns=["time", "flight", *unknown])
     columns = pd.DataFrame({"source": "column", "rate": channels.notna().mean() / step})
+    with suppress(ValueError):  # of irregular clocks
+        is_confirmed = columns.index.isin(confirmed_channels(FlightTable.of(table)))
+        columns["physics"] = np.where(is_confirmed, "confirmed", "")
     remarks = _faults(table, aircraft)
     unknown_names = unknown_columns_message(unknown, table.columns)
     if unknown_names:

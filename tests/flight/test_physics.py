@@ -18,6 +18,7 @@ from skdgp._compute.messages import FindingWarning
 from skdgp._flight.findings import Code
 from skdgp._flight.physics import (
     Regression,
+    confirmed_channels,
     estimated_slope,
     find_contradictions,
     question_of_sizes,
@@ -559,6 +560,14 @@ def test_a_late_servo_is_no_wrong_sign():
     log = pd.DataFrame({"time": time, "airspeed": 15.0, "r": r, "rudder": rudder})[n_late:]
     assert contradictions(log) == []
     assert len(contradictions(turn("rudder")(log))) == 1
+
+
+@pytest.mark.parametrize("change", [scale({"p": 0.0, "phi": 0.0}), without("p"), turn("p")])
+def test_what_confirms_a_channel(flight, change):
+    """Its motion, and another channel of it."""
+    confirmed = confirmed_channels(FlightTable.of(flight))
+    assert {*RATES, *log_errors.EULER, "az", "v_down"} <= confirmed
+    assert "p" not in confirmed_channels(FlightTable.of(change(flight)))
 
 
 def test_noise_has_none(flight):

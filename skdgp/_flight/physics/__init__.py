@@ -14,12 +14,13 @@ flight (``_equations.py``), the slope and its error (``_regression.py``), laws a
 (``_sizes.py``).
 """
 
-from skdgp._flight.physics._contradictions import find_contradictions
+from skdgp._flight.physics._contradictions import confirmed_channels, find_contradictions
 from skdgp._flight.physics._regression import Regression, estimated_slope
 from skdgp._flight.physics._sizes import question_of_sizes, sizes_in_flight
 
 __all__ = [
     "Regression",
+    "confirmed_channels",
     "estimated_slope",
     "find_contradictions",
     "question_of_sizes",

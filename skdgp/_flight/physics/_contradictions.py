@@ -44,6 +44,12 @@ def find_contradictions(flights: FlightTable) -> list[Finding]:
     return findings
 
 
+def confirmed_channels(flights: FlightTable) -> set[str]:
+    """Return the channels that an equality of kinematics confirms; of others nothing can be said but their signs."""
+    _, confirmed = _contradictions_in(signals_of(flights, CHANNELS))
+    return confirmed
+
+
 def _findings_of(flights: FlightTable) -> list[Finding]:
     """Return the contradictions of all rows together, or the mistake without which there is none."""
     signals = signals_of(flights, CHANNELS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
@@ -164,7 +164,7 @@ class Rehearsal:
 
     motion: Motion
     trim: Trim
-    axes: tuple[str, ...]
+    axes: Sequence[str]
     bounds: Mapping[str, Range]  #: Lowest and highest value of each limited channel
     margin: float  #: Of responses to the bounds
 

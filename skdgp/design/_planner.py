@@ -211,17 +211,17 @@ def plan(
     ['elevator doublet 0.23 s', 'elevator 3-2-1-1 0.39 s', 'elevator doublet 0.23 s']
     """
     envelope = envelope or Envelope()
+    limits = limits or {}
     aerodynamics = as_aerodynamics(model)
-    _check_options(seconds, axes, limits or {})
+    _check_options(seconds, axes, limits)
     check_names(axes, trim.controls, "controls of the trim")
     bounds = envelope.bounds(aerodynamics)
     if aerodynamics.is_uncertain and not np.isinf(envelope.growth):
         _warn_unlimited(bounds)
-    margin = envelope.margin
     motion = Motion(aerodynamics, aircraft, thrust=thrust)
-    rehearsal = Rehearsal(motion, trim, tuple(axes), bounds, margin)
+    rehearsal = Rehearsal(motion, trim, axes, bounds, envelope.margin)
     goal = _check_goal(goal, aerodynamics, axes)
-    amplitudes = _amplitudes(trim, aerodynamics, axes, limits or {})
+    amplitudes = _amplitudes(trim, aerodynamics, axes, limits)
     # a quarter of Lanchester's phugoid, or more
     pause = max(RESPONSE, np.pi * trim.airspeed / (2.0 * np.sqrt(2.0) * STANDARD_GRAVITY))
     time = seconds - RESPONSE
@@ -233,8 +233,8 @@ def plan(
         available = rehearsal.inside(library(bands, amplitudes), time, pause)
         notify(f"planning: choice from {len(available)} manoeuvres", 0, 0.0)
         rows = [_rows(item, motion) for item in available]
-        durations = np.array([duration_of(item.inputs) for item in available])
-        chosen = _chosen(aerodynamics, rows, durations + pause, time, goal)
+        lasting = [pause + duration_of(item.inputs) for item in available]
+        chosen = _chosen(aerodynamics, rows, np.array(lasting), time, goal)
         if not chosen:
             raise ValueError(
                 f"Got the goal {goal}, but {seconds:g} s of manoeuvres of {list(axes)} within their limits lower its "
@@ -253,7 +253,7 @@ def plan(
         errors=errors.reindex(_taught(goal, aerodynamics, flown)),
         limits=pd.DataFrame(bounds, ["low", "high"]).T,
         aircraft=aircraft,
-        margin=margin,
+        margin=envelope.margin,
     )
 
 

@@ -71,6 +71,7 @@ CHANNELS = {
     "sensor_position_y": "m",  # position of the inertial sensors from the CG, right
     "sensor_position_z": "m",  # position of the inertial sensors from the CG, down
     "sensor_tilt": "rad",  # roll and pitch of the inertial sensors against the attitude's axes, standard deviation
+    "servo_delay_std": "s",  # error of the delay of surfaces behind their commands, beside a lag
     "u": "m/s",  # ground-relative velocity, forward
     "v": "m/s",  # ground-relative velocity, right
     "w": "m/s",  # ground-relative velocity, down (body axis)

@@ -243,7 +243,8 @@ def estimate_air_motion(
     larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
     samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
     Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
-    added. A delay of the servos of 0 ± 5 ms beside their lag moves all parameters.
+    added. A delay of the servos beside their lag, of 0 ± 5 ms or, where it is
+    larger, ``servo_delay_std``, moves all parameters.
     Where surfaces hardly move a term, so that errors of path and sensors make most of its motion,
     ``std`` approaches ``prior_std``.
 
@@ -254,7 +255,9 @@ def estimate_air_motion(
         density, surfaces (deflections or commands), thrust or its sources; ``flight`` names the
         flights. alpha and beta are used where they are. SI, radians. Rows may repeat the last
         sample of a slower channel; surfaces are splines between samples. Of flights of more than 12,000
-        samples at 50 to 100 Hz, the first parts of the records are used.
+        samples at 50 to 100 Hz, the first parts of the records are used. A delay of the servos, which
+        makes slopes by rates too small, is not estimated: `skdgp.preprocessing.LagCorrector` before this
+        removes it, and says in ``servo_delay_std`` [s] how well it is known.
     aircraft : Aircraft
         Its position of the inertial sensors, or the one in the table, is taken to be right to 1 cm
         (across 5 mm). Unknown, it is estimated within 3 cm of the centre of gravity (across 1 cm).
@@ -325,10 +328,13 @@ def estimate_air_motion(
         _noises(records, known, n_flights),
         settings,
     )
-    return _searched(start, len(table))
+    delay_std = 0.005  # of `estimate_lags`, mostly
+    if has_values(table, "servo_delay_std"):
+        delay_std = max(delay_std, float(np.nanmax(table["servo_delay_std"])))
+    return _searched(start, len(table), delay_std)
 
 
-def _searched(start: Callable[[], AirFit], n_rows: int) -> AirMotion:
+def _searched(start: Callable[[], AirFit], n_rows: int, delay_std: float) -> AirMotion:
     """Return the result of the first search that does not go back to an earlier pass, else of the last one that ends.
 
     Raise ValueError if all diverge.
@@ -342,7 +348,7 @@ def _searched(start: Callable[[], AirFit], n_rows: int) -> AirMotion:
             # a search that diverges leaves the range of numbers
             with np.errstate(over="ignore", invalid="ignore"):
                 converged, went_back = fit.search(n_before)
-            motion = _air_motion(fit, converged, n_rows)
+            motion = _air_motion(fit, converged, n_rows, delay_std)
         except np.linalg.LinAlgError:  # the search diverged
             continue
         if not went_back:
@@ -396,7 +402,7 @@ def _noises(records: list[Record], known: AirMotion | None, n_flights: int) -> P
     return Parameters.of(shared, FLIGHT_NOISES, n_flights)
 
 
-def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
+def _air_motion(fit: AirFit, converged: bool, n_rows: int, delay_std: float) -> AirMotion:
     """Return the result of a search, from one more pass at its parameters."""
     sums, fitted = fit.filter_records()
     names = fit.parameters.names
@@ -410,8 +416,7 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int) -> AirMotion:
         misfit = misfit_of_sensors(fit)
         covariance = widened(covariance, fit, fitted, misfit)
         place = names.index("servo_delay")
-        # standard deviation of the delay of the servos [s]: those of `estimate_lags` are 3 to 5 ms
-        covariance = add_delay_error(covariance, sums.information, place, 0.005)
+        covariance = add_delay_error(covariance, sums.information, place, delay_std)
     # the air has the errors of the estimates; those of flattened slopes are added below
     air = smoothed_air(fit, fitted, covariance, n_rows)
     if not fit.is_known:

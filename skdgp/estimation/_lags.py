@@ -79,7 +79,7 @@ class Lag(NamedTuple):
     std: float
     removal: float | None = None  #: What to remove [s]; None: the lag, where it is significant
     rate_limit: float = np.inf  #: Of servos, in the unit of the surfaces per second
-    delay_std: float = 0.0  #: Of the delay beside the lag of servos [s]
+    delay_std: float = 0.0  #: Of the delay beside the lag of servos, or of what is left of it [s]
 
     def is_significant(self) -> bool:
         """Return whether the lag exceeds some standard deviations."""
@@ -146,6 +146,7 @@ def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -
     Its lag of servos takes in the half step by which commands are late that hold between samples, and
     what is left of the delay. Two standard deviations less than the delay are removed, but at most 10 ms
     less: surfaces that are too late follow the motion that an autopilot answers, and slopes are too small.
+    What is left beyond that is an error of the commands' delay.
     """
     if servos_and_delay is None:
         return UNKNOWN, UNKNOWN
@@ -153,7 +154,9 @@ def _left_to_filter(servos_and_delay: tuple[Lag, Lag] | None, log_step: float) -
     delay = commands.removal or 0.0
     margin = min(2.0 * servos.delay_std, LEAST_LAG)
     removed = delay + margin if abs(delay) >= log_step else 0.0
-    return servos._replace(removal=0.0), commands._replace(removal=removed)
+    left = max(0.0, removed - commands.value - margin)
+    error = float(np.hypot(left, servos.delay_std))
+    return servos._replace(removal=0.0), commands._replace(removal=removed, delay_std=error)
 
 
 def _lags_of_path(table: pd.DataFrame) -> list[Lag]:

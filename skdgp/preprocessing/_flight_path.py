@@ -294,7 +294,9 @@ class FlightPathReconstruction(TableTransformer):
         self._check(table)
         motion = None
         if self.air_motion_ is not None:
-            motion, _ = self._estimated_motion(table, paths, self.air_motion_)
+            motion, found = self._estimated_motion(table, paths, self.air_motion_)
+            if paths is not None:  # of the flights of the fit
+                self.doubts_ += found
         if motion is None:
             flights = self._columns_by_path(table)
         else:

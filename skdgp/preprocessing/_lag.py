@@ -28,7 +28,7 @@ from skdgp.estimation import (
     removable,
     without_lag,
 )
-from skdgp.preprocessing._table import TableTransformer, present, wrap_near
+from skdgp.preprocessing._table import TableTransformer, present, with_names, wrap_near
 
 GROUPS = {
     "air": AIR_DATA,
@@ -130,12 +130,13 @@ class LagCorrector(TableTransformer):
 
     def _fit_table(self, table):
         check_columns(table, ["time"])
-        self.rate_limit_, self.delay_std_ = np.inf, 0.0
+        self.rate_limit_, self.delay_std_, self.left_std_ = np.inf, 0.0, 0.0
         if isinstance(self.lags, str):
             self._check_any(table, _columns_of(GROUPS))
             lags = estimate_lags(with_sensor_position(table, self.aircraft))
             rows = {group: _applied(lag) for group, lag in lags.items()}
             self.rate_limit_, self.delay_std_ = lags["servos"].rate_limit, lags["servos"].delay_std
+            self.left_std_ = lags["surfaces"].delay_std
             if np.isfinite(self.rate_limit_):
                 warn(
                     f"The servos reach a limit of their rate, {self.rate_limit_:.2g} rad/s, in these flights: larger "
@@ -180,7 +181,12 @@ class LagCorrector(TableTransformer):
             moved = table.assign(**new)
             new |= deflections(moved, lags["servos"], self.rate_limit_)
         wrap_near(new, table)
+        if self.left_std_:  # for `estimate_air_motion`
+            new["servo_delay_std"] = np.full(len(table), self.left_std_)
         return table.assign(**new)
+
+    def _columns_out(self, names):
+        return with_names(names, ["servo_delay_std"] if self.left_std_ else [])
 
 
 def deflections(table: pd.DataFrame, lag: float, rate_limit: float = np.inf) -> dict[str, Vector]:

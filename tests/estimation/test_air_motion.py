@@ -265,6 +265,15 @@ def test_logged_deflections_are_not_late():
     assert abs(found.constants.loc["servo_lag", "value"]) < 0.005
 
 
+def test_a_delay_of_the_servos_that_is_hardly_known_widens_the_bands():
+    flight, known = in_gusts(), found_in_gusts().derivatives
+    table = flight.table.assign(servo_delay_std=0.05)
+    found = estimate_air_motion(table, flight.aircraft).derivatives
+    assert_allclose(found["value"], known["value"], rtol=1e-9)
+    assert (found["std"] > known["std"] * (1 - 1e-9)).all()
+    assert found.loc["Cm_q", "std"] > 2 * known.loc["Cm_q", "std"]
+
+
 def test_angle_of_attack_follows_the_gusts():
     flight = in_gusts()
     air = flight.estimate(known=found_in_gusts()).air

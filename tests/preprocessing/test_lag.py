@@ -134,9 +134,12 @@ class TestEstimate:
             later = np.minimum(time + delay, time[-1])
             flight[name] = deflection(later) + servos * deflection(later, 1)
         flights = [flight.assign(flight=number) for number in range(n_flights)]
-        corrector = LagCorrector().fit(pd.concat(flights, ignore_index=True))
+        corrector = LagCorrector()
+        out = corrector.fit_transform(pd.concat(flights, ignore_index=True))
         applied = corrector.lags_.applied
         assert applied["surfaces"] == pytest.approx(-removed, abs=0.01)
+        in_lag = 0.01 if removed else 0.0
+        assert delay + applied["surfaces"] - in_lag < 2 * out["servo_delay_std"][0]
         assert applied["servos"] == 0.0
         if removed:  # but for two standard deviations, at most 10 ms
             left = applied["surfaces"] - corrector.lags_.lag["surfaces"]

@@ -41,6 +41,26 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
 
     Raises FlightReadError if the clock was set back.
     """
+    earliest, latest = _span(topics)
+    sound = {}
+    n_wrong: Counter[str] = Counter()
+    for name, topic in topics.items():
+        is_valid = (topic.time >= earliest) & (topic.time <= latest)
+        n_wrong[name] = len(topic) - int(is_valid.sum())
+        if is_valid.any():
+            # in order of time, each time once
+            _, rows = np.unique(topic.time[is_valid], return_index=True)
+            sound[name] = topic.select(np.flatnonzero(is_valid)[rows])
+    if not n_wrong.total():
+        return sound, []
+    name, most = n_wrong.most_common(1)[0]
+    total = sum(map(len, topics.values()))
+    wrong = f"{n_wrong.total()} of {total} messages have a time that cannot be"
+    return sound, [f"{wrong} ({most} of {name})"]
+
+
+def _span(topics: dict[str, Topic]) -> tuple[float, float]:
+    """Return the earliest and the latest time that messages may have; raise FlightReadError if the clock was set back."""
     order = np.concatenate([topic.order for topic in topics.values()])
     time = np.concatenate([topic.time for topic in topics.values()])
     steady = _steady(time[np.argsort(order, kind="stable")])
@@ -53,20 +73,7 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
             "the autopilot was started again, so record or cut one log for each start."
         )
     margin = MARGIN + min(steps.max(initial=0.0), LARGEST_STEP)
-    sound = {}
-    n_wrong: Counter[str] = Counter()
-    for name, topic in topics.items():
-        is_valid = (topic.time >= steady.min() - margin) & (topic.time <= steady.max() + margin)
-        n_wrong[name] = len(topic) - int(is_valid.sum())
-        if is_valid.any():
-            # in order of time, each time once
-            _, rows = np.unique(topic.time[is_valid], return_index=True)
-            sound[name] = topic.select(np.flatnonzero(is_valid)[rows])
-    if not n_wrong.total():
-        return sound, []
-    name, most = n_wrong.most_common(1)[0]
-    wrong = f"{n_wrong.total()} of {len(time)} messages have a time that cannot be"
-    return sound, [f"{wrong} ({most} of {name})"]
+    return steady.min() - margin, steady.max() + margin
 
 
 def _steady(time: Vector) -> Vector:

@@ -262,6 +262,7 @@ def test_more_drag_alone_is_found(model):
     assert row["change"] == pytest.approx(-0.02, abs=3 * row["std"])
     (finding,) = result.findings
     assert finding.numbers["likely"]["CX"] == (row["change"], row["std"])
+    assert finding.numbers["forces"] is None
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])

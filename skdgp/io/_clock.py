@@ -60,7 +60,7 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
 
 
 def _span(topics: dict[str, Topic]) -> tuple[float, float]:
-    """Return the earliest and the latest time that messages may have; raise FlightReadError if the clock was set back."""
+    """Return the earliest and latest time of messages; raise FlightReadError if the clock was set back."""
     order = np.concatenate([topic.order for topic in topics.values()])
     time = np.concatenate([topic.time for topic in topics.values()])
     steady = _steady(time[np.argsort(order, kind="stable")])

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.linalg import matrix_vector
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Matrix
 from skdgp.estimation._air_parameters import PATH_ERRORS, GustProcesses, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import (
@@ -30,7 +30,7 @@ from skdgp.estimation._kalman import (
     noise_slopes,
 )
 
-LARGEST_STEP = 0.7  # of the logarithm of a noise; factors of this limit are 0.5 where steps turn back, else 1.3
+LARGEST_STEP = 0.7  # of the logarithm of a noise
 NOISE_STEP = 1e-6  # of the logarithms, in slopes of the noises
 
 
@@ -44,8 +44,9 @@ class NoiseSearch:
         self.span = span
         self.prior = noises._replace(mean=np.log(noises.mean))
         self.psi = self.prior.mean.copy()
-        self.last = np.zeros(len(self.psi))
-        self.limits = np.full(len(self.psi), LARGEST_STEP)
+        n_free = len(self.psi) - noises.n_held
+        self.last_step = np.zeros(n_free)
+        self.limits = np.full(n_free, LARGEST_STEP)
 
     @property
     def values(self) -> dict[str, float]:
@@ -80,27 +81,20 @@ class NoiseSearch:
             sums.add(places, weight * gradient, weight * fisher)
         # damping of steps of the noises, over the information
         information, score = sums.damped(0.02)
-        before = self.psi[sums.free].copy()
-        full_step: Any = -np.linalg.solve(information, score)
-        step = self._limited(full_step)
+        step: Any = -np.linalg.solve(information, score)
+        # half as large where it turns back: noises near zero overshoot
+        factor = np.where(step * self.last_step < 0, 0.5, 1.3)
+        self.limits = np.minimum(self.limits * factor, LARGEST_STEP)
+        self.last_step = np.clip(step, -self.limits, self.limits)
         # farthest that the logarithm of a noise moves from its prior mean, in standard deviations: noise of
         # slow sensors resembles fast gusts
         reach = 2.0 * self.prior.std
-        moved = self.psi[sums.free] + step
-        low, high = self.prior.mean - reach, self.prior.mean + reach
-        self.psi[sums.free] = np.clip(moved, low[sums.free], high[sums.free])
-        return sums.squared_length(self.psi[sums.free] - before)
-
-    def _limited(self, step: Vector) -> Vector:
-        """Return the step within limits, half as large where it turns back: noises near zero overshoot."""
-        free = slice(self.prior.n_held, None)
-        turns_back = step * self.last[free] < 0
-        factor = np.where(turns_back, 0.5, 1.3)
-        limits = np.minimum(self.limits[free] * factor, LARGEST_STEP)
-        step = np.clip(step, -limits, limits)
-        self.limits[free] = limits
-        self.last[free] = step
-        return step
+        before = self.psi.copy()
+        self.psi[sums.free] += self.last_step
+        self.psi[sums.free] = np.clip(self.psi, self.prior.mean - reach, self.prior.mean + reach)[
+            sums.free
+        ]
+        return sums.squared_length((self.psi - before)[sums.free])
 
 
 def air_noise(value: Mapping[str, Any], record: Record, roll: tuple[float, float]) -> Noise:

@@ -23,7 +23,7 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicSpline
 
-from skdgp._compute.typing import Indices, Matrix, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     AIR_DATA,
     EARTH_VELOCITY,
@@ -126,14 +126,54 @@ def estimate_path(
     -------
     PathEstimate
     """
-    search = _Search(sensors, noise, learn, free)
-    converged = False
+    places = np.array([PLACE[name] for name in free])
+    # draws from the posterior that estimate traces, an even number; trials
+    draws = _mirrored_draws(len(sensors.time), free, 32)
+    time_step = np.diff(sensors.time)
+    usual_step = np.median(time_step) if len(time_step) else np.inf
+    correlation = np.exp(-time_step / GUST_TIME)  # of gusts over a step
+    channels = list(EQUATION_NOISE)
+    if not np.isfinite(sensors.readings[:, AIR_READINGS.start + 1]).any():
+        # without an alpha vane vertical gusts are like horizontal ones
+        channels[GUST_ROWS.stop - 1] = "gust_horizontal"
+    path = FlightPath.initial(sensors)
+    last_step = np.zeros(len(free))
+    fraction = 1.0  # of a step of the path that is taken
     # Gauss-Newton steps at most; trials
     for number in range(40):
-        converged = search.step(number)
+        # steps that may change lags by whole samples; trials
+        if number <= 6:
+            lags = path.constants[[VELOCITY_LAG, ATTITUDE_LAG]]
+            delays = np.round(lags / usual_step).astype(int)
+        stds = np.array([noise[name] for name in channels])
+        equations = path_equations(path, sensors, correlation, delays)
+        equations.whiten(_scales(stds, correlation))
+        posterior = solve(equations, _prior(path, sensors, stds), places, draws)
+
+        # the full step of the constants, in standard deviations
+        step = posterior.constants[places] / np.sqrt(np.diag(posterior.covariance))
+        # fraction of a step that the next one takes back, above which steps are halved; trials
+        if step @ last_step < -0.5 * last_step @ last_step:
+            fraction /= 2
+        last_step = step
+        path = path.moved(fraction * posterior.states, fraction * posterior.constants)
+
+        # steps that change the noise in full; later ones ever less, so that the search does not oscillate; trials
+        pace = min(1.0, 10.0 / (number + 1))
+        sums = _residual_sums(equations, posterior, channels)
+        noise, largest_change = _moved_noise(noise, sums, learn, pace)
+
+        # largest change of the logarithm of a noise, and of a state in standard deviations
+        tolerance = 0.02
+        is_steady = largest_change < tolerance and _is_small(posterior, tolerance)
+        converged = number > 0 and is_steady
         if converged:
             break
-    return search.estimate(converged)
+    noise = noise | {"gust_vertical": noise[channels[GUST_ROWS.stop - 1]]}
+    # a copy, as a view would keep all equations of this part of the flight in memory
+    equations = path_equations(path, sensors, correlation, delays)
+    off_path = equations.residual[:-1, INERTIAL_ROWS].copy()
+    return PathEstimate(path, noise, posterior.covariance, converged, off_path)
 
 
 def ground_path(sensors: FlightSensors) -> PathEstimate:
@@ -148,139 +188,61 @@ def ground_paths(table: pd.DataFrame) -> list[PathEstimate]:
     return [ground_path(flight.sensors) for flight in flights_of(table)]
 
 
-class _Search:
-    """The path of one flight, the noise of its sensors, and the steps that improve both."""
+def _scales(stds: Vector, correlation: Vector) -> Matrix:
+    """Return the noise of the equations of each sample (n, m), by the noise of the channels."""
+    scale = np.tile(stds, (len(correlation) + 1, 1))
+    # change of a Gauss-Markov process of correlation time T in a step
+    growth = GUST_TIME / 2 * (1 - correlation**2)
+    scale[:-1, GUST_ROWS] *= np.sqrt(growth)[:, None]
+    return scale
 
-    def __init__(
-        self,
-        sensors: FlightSensors,
-        noise: dict[str, float],
-        learn: Collection[str],
-        free: Sequence[str],
-    ) -> None:
-        self.sensors = sensors
-        self.noise = noise
-        self.learn = learn
-        self.places = np.array([PLACE[name] for name in free])  # of the free constants
-        self.path = FlightPath.initial(sensors)
-        self.covariance = np.diag(PRIOR_STD[self.places] ** 2)
-        self.delays = np.zeros(2, dtype=int)  # lags of GPS and attitude in whole samples
-        self.fraction = 1.0  # of a step of the path that is taken
-        self.last_step = np.zeros(len(free))
-        # draws from the posterior that estimate traces, an even number; trials
-        self.draws = _mirrored_draws(len(sensors.time), free, 32)
-        self.time_step = np.diff(sensors.time)
-        self.correlation = np.exp(-self.time_step / GUST_TIME)  # of gusts over a step
-        self.has_alpha = bool(np.isfinite(sensors.readings[:, AIR_READINGS.start + 1]).any())
-        self.channels = list(EQUATION_NOISE)
-        if not self.has_alpha:
-            # without an alpha vane vertical gusts are like horizontal ones
-            self.channels[GUST_ROWS.stop - 1] = "gust_horizontal"
 
-    def step(self, number: int) -> bool:
-        """Take a step of the path, then one of the noise; return whether both were small."""
-        # Gauss-Newton steps that may change lags by whole samples; trials
-        if number <= 6:
-            self.delays = self._delays()
-        equations = self._equations()
-        posterior = solve(equations, self._prior(), self.places, self.draws)
-        self._move_path(posterior)
-        # steps that change the noise in full; later ones ever less, so that the search does not oscillate; trials
-        pace = min(1.0, 10.0 / (number + 1))
-        largest_change = self._move_noise(self._residual_sums(equations, posterior), pace)
-        # largest change of the logarithm of a noise, and of a state in standard deviations
-        tolerance = 0.02
-        return number > 0 and largest_change < tolerance and _is_small(posterior, tolerance)
+def _prior(path: FlightPath, sensors: FlightSensors, stds: Vector) -> GaussianPrior:
+    """Return the prior of constants and gusts, and a wide one of velocity and attitude where segments begin.
 
-    def estimate(self, converged: bool) -> PathEstimate:
-        """Return path and noise as they are."""
-        noise = self.noise
-        if not self.has_alpha:  # vertical gusts were estimated with the horizontal ones
-            noise = noise | {"gust_vertical": noise["gust_horizontal"]}
-        # a copy, as a view would keep all equations of this part of the flight in memory
-        off_path = self._raw_equations().residual[:-1, INERTIAL_ROWS].copy()
-        return PathEstimate(self.path, noise, self.covariance, converged, off_path)
+    The mean of the latter is the path so far, by an offset of zero: it dampens steps and pulls to no value.
+    """
+    gust_std = stds[GUST_ROWS] * np.sqrt(GUST_TIME / 2)  # stationary
+    # [m/s] and [rad]; wide
+    start_std = np.repeat([100.0, 1.0], 3)
+    begins = np.append(True, ~sensors.joined)[:, None]
+    precision = begins * np.concatenate([start_std, gust_std]) ** -2.0
+    offset = np.zeros_like(precision)
+    offset[:, GUST] = path.gust
+    return GaussianPrior(precision, offset, PRIOR_STD**-2, path.constants)
 
-    def _delays(self) -> Indices:
-        """Return the lags of GPS and attitude in whole samples, (2,)."""
-        interval = np.median(self.time_step) if len(self.time_step) else np.inf
-        lags = self.path.constants[[VELOCITY_LAG, ATTITUDE_LAG]]
-        return np.round(lags / interval).astype(int)
 
-    def _move_path(self, posterior: Posterior) -> None:
-        """Move the path by a fraction of the step to the posterior mean, half as large where it overshoots."""
-        # the full step of the constants, in standard deviations
-        step = posterior.constants[self.places] / np.sqrt(np.diag(posterior.covariance))
-        last_step = self.last_step
-        # fraction of a step that the next one takes back, above which steps are halved; trials
-        if step @ last_step < -0.5 * last_step @ last_step:
-            self.fraction /= 2
-        states = self.fraction * posterior.states
-        self.path = self.path.moved(states, self.fraction * posterior.constants)
-        self.last_step = step
-        self.covariance = posterior.covariance
+def _residual_sums(
+    equations: Equations, posterior: Posterior, channels: Sequence[str]
+) -> dict[str, Vector]:
+    """Return sums over the residuals of each channel that was sampled, in units of its noise.
 
-    def _move_noise(self, residual_sums: Mapping[str, Vector], pace: float) -> float:
-        """Move the noise of the channels in ``learn`` that were sampled; return the largest change of a logarithm."""
-        largest_change = 0.0
-        noise = self.noise.copy()
-        for name, sums in residual_sums.items():
-            if name in self.learn:
-                before = noise[name]
-                noise[name] = _variance_component(name, before, sums, pace)
-                largest_change = max(largest_change, abs(np.log(noise[name] / before)))
-        self.noise = noise
-        return largest_change
+    Of squares, the trace of J P J^T, and their number.
+    """
+    change = equations.changes(posterior.states[..., None], posterior.constants[:, None])
+    squares = np.sum((equations.residual + change[..., 0]) ** 2, axis=0)
+    draws = equations.changes(posterior.state_draws, posterior.constant_draws)
+    traces = np.square(draws).mean(axis=-1).sum(axis=0)
+    counts = np.any(equations.d_state != 0, axis=2).sum(axis=0)
+    sums = np.column_stack([squares, traces, counts])
+    by_channel = {}
+    for name in dict.fromkeys(channels):
+        total = sums[np.array(channels) == name].sum(axis=0)
+        if total[-1]:
+            by_channel[name] = total
+    return by_channel
 
-    def _equations(self) -> Equations:
-        """Return the equations of the path in units of their noise."""
-        equations = self._raw_equations()
-        scale = np.tile(self._stds(), (len(self.sensors.time), 1))
-        # change of a Gauss-Markov process of correlation time T in a step
-        growth = GUST_TIME / 2 * (1 - self.correlation**2)
-        scale[:-1, GUST_ROWS] *= np.sqrt(growth)[:, None]
-        equations.whiten(scale)
-        return equations
 
-    def _raw_equations(self) -> Equations:
-        """Return the equations of the path [SI]."""
-        return path_equations(self.path, self.sensors, self.correlation, self.delays)
-
-    def _stds(self) -> Vector:
-        """Return the noise of each equation."""
-        return np.array([self.noise[name] for name in self.channels])
-
-    def _prior(self) -> GaussianPrior:
-        """Return the prior of constants and gusts, and a wide one of velocity and attitude where segments begin.
-
-        The mean of the latter is the path so far, by an offset of zero: it dampens steps and pulls to no value.
-        """
-        gust_std = self._stds()[GUST_ROWS] * np.sqrt(GUST_TIME / 2)  # stationary
-        # [m/s] and [rad]; wide
-        start_std = np.repeat([100.0, 1.0], 3)
-        begins = np.append(True, ~self.sensors.joined)[:, None]
-        precision = begins * np.concatenate([start_std, gust_std]) ** -2.0
-        offset = np.zeros_like(precision)
-        offset[:, GUST] = self.path.gust
-        return GaussianPrior(precision, offset, PRIOR_STD**-2, self.path.constants)
-
-    def _residual_sums(self, equations: Equations, posterior: Posterior) -> dict[str, Vector]:
-        """Return sums over the residuals of each channel that was sampled, in units of its noise.
-
-        Of squares, the trace of J P J^T, and their number.
-        """
-        change = equations.changes(posterior.states[..., None], posterior.constants[:, None])
-        squares = np.sum((equations.residual + change[..., 0]) ** 2, axis=0)
-        draws = equations.changes(posterior.state_draws, posterior.constant_draws)
-        traces = np.square(draws).mean(axis=-1).sum(axis=0)
-        counts = np.any(equations.d_state != 0, axis=2).sum(axis=0)
-        sums = np.column_stack([squares, traces, counts])
-        by_channel = {}
-        for name in dict.fromkeys(self.channels):
-            total = sums[np.array(self.channels) == name].sum(axis=0)
-            if total[-1]:
-                by_channel[name] = total
-        return by_channel
+def _moved_noise(
+    noise: dict[str, float], sums: dict[str, Vector], learn: Collection[str], pace: float
+) -> tuple[dict[str, float], float]:
+    """Return the noise, moved in the channels of ``learn`` that were sampled, and the largest change of a logarithm."""
+    moved = noise.copy()
+    largest_change = 0.0
+    for name in sums.keys() & learn:
+        moved[name] = _variance_component(name, noise[name], sums[name], pace)
+        largest_change = max(largest_change, abs(np.log(moved[name] / noise[name])))
+    return moved, largest_change
 
 
 def _mirrored_draws(n_states: int, free: Sequence[str], n_draws: int) -> Matrix:

@@ -19,6 +19,7 @@ import numpy as np
 
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix
+from skdgp.dynamics import rolling_gust
 from skdgp.estimation._air_parameters import PATH_ERRORS, GustProcesses, Parameters, Sums, stacked
 from skdgp.estimation._air_records import Record
 from skdgp.estimation._kalman import (
@@ -57,8 +58,9 @@ class NoiseSearch:
         """Return the noises of a record, one set, or at other logarithms (s, p)."""
         psi = self.psi[None] if psi is None else psi
         value = self.prior.values(np.exp(psi), record.flight)
-        found = self.prior.values(np.exp(self.psi), record.flight)
-        roll = GustProcesses.of(found).rolling(record.airspeed, self.span)
+        gusts = GustProcesses.of(self.prior.values(np.exp(self.psi), record.flight))
+        speed = record.airspeed
+        roll = rolling_gust(speed, self.span, gusts.std[2], speed * gusts.time[2])
         return air_noise(value, record, roll)
 
     def move(self, records: list[Record], linears: list[Linearization]) -> float:
@@ -97,7 +99,7 @@ class NoiseSearch:
         return sums.squared_length((self.psi - before)[sums.free])
 
 
-def air_noise(value: Mapping[str, Any], record: Record, roll: tuple[float, float]) -> Noise:
+def air_noise(value: Mapping[str, Any], record: Record, roll: tuple[Any, float]) -> Noise:
     """Return the noises of a record at parameters by name, each (s,).
 
     ``roll`` are standard deviation and correlation time of the rate of roll of the air, by the spectrum

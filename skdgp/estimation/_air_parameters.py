@@ -13,7 +13,6 @@ import numpy as np
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, RATES, SURFACES
-from skdgp.dynamics import rolling_gust
 from skdgp.estimation._sensors import AIR_NOISE, AIR_SENSOR_ERRORS, RATE_BIASES, WIND_STD, Prior
 
 STATE_TERMS = ("0", "alpha", "alpha2", "beta", "p", "q", "r", "thrust")
@@ -171,14 +170,6 @@ class GustProcesses(NamedTuple):
     def of(cls, value: Mapping[str, Any]) -> GustProcesses:
         """Return the gusts of noises by name."""
         return cls(stacked(value, *GUST_AXES), stacked(value, "time_h", "time_h", "time_v"))
-
-    def rolling(self, airspeed: float, span: float) -> tuple[float, float]:
-        """Return standard deviation [rad/s] and correlation time [s] of the rate of roll of the air.
-
-        Of the vertical gusts, see `rolling_gust`.
-        """
-        std, time = rolling_gust(airspeed, span, self.std[2], airspeed * self.time[2])
-        return float(std), time
 
 
 def stacked(value: Mapping[str, Any], *names: str) -> Array:

@@ -60,21 +60,16 @@ def steady_wind(records: list[Record]) -> tuple[Vector, float]:
             residuals.append(error)
         residual = np.concatenate(residuals)
         pitot = pitot - least_squares(np.vstack(slopes), residual)
-    variance = _sample_variance(residual[len(prior) :], records)
+    # least variance of a sample [m^2/s^2]
+    variance = 0.01
+    errors = residual[len(prior) :]
+    if len(errors):
+        seconds = sum(record.seconds for record in records)
+        # length of a moving mean that is longer than gusts last [s]
+        width = max(1, int(len(errors) * min(20.0 / seconds, 0.25)))
+        means = uniform_filter1d(errors, width, mode="nearest")
+        variance = max(width * means.var(), errors.var(), variance)
     return pitot, variance
-
-
-def _sample_variance(error: Vector, records: list[Record]) -> float:
-    """Return the variance of a sample of the airspeed, by the errors of all."""
-    # least variance of a sample of the airspeed [m^2/s^2]
-    least = 0.01
-    if not len(error):
-        return least
-    seconds = sum(record.seconds for record in records)
-    # length of a moving mean that is longer than gusts last [s]
-    width = max(1, int(len(error) * min(20.0 / seconds, 0.25)))
-    means = uniform_filter1d(error, width, mode="nearest")
-    return max(width * means.var(), error.var(), least)
 
 
 class SteadyRegression:

@@ -208,7 +208,7 @@ class RecordModel:
         return readings_of(self.record, self.value, self.truth(end))
 
 
-class Expansion:
+class Expansion(RecordModel):
     """Model, inputs and motion of a record at filtered states (n, N) and parameters by name.
 
     ``decay`` (N,) are 1 / correlation time of the states, zero for the rates. The model moves the motion
@@ -223,14 +223,9 @@ class Expansion:
         states: Matrix,
         decay: Vector,
     ) -> None:
-        self.record = record
+        super().__init__(record, layout, value)
         self.layout = layout
         self.states = states
-        here = RecordModel(record, layout, value)
-        self.model = here.model
-        self.inputs = here.inputs
-        self.end_inputs = here.end_inputs
-        self.value = value
         self.air_by_state = air_velocity_slopes(record, value)
         airspeed = np.linalg.norm(air_velocity(record, value, states), axis=1)
         tau = self.model.relative_thrust(airspeed, self.inputs)
@@ -240,26 +235,26 @@ class Expansion:
         self.drift_by_state = -self.air_by_state[:-1] * decay
         self.drift = matrix_vector(self.drift_by_state, states[:-1])
         # variables (n - 1, 13) before and after each step, and after it along the recorded path
-        self.start = here.variables(states)[:-1]
-        motion = here.moved(self.start, self.drift)
+        self.start = self.variables(states)[:-1]
+        motion = self.moved(self.start, self.drift)
         self.predicted = states[:-1] * self.remaining  # (n - 1, N)
         self.predicted[:, RATE_STATES] = motion[:, BODY_RATES]
         self.end = _variables(motion[:, AIR_VELOCITY], self.predicted)
-        self.along = here.later_variables(self.predicted)
+        self.along = self.later_variables(self.predicted)
         # measured less predicted, zero where not sampled
         self.measured = record.measured[1:, record.sampled]
-        self.past_truth = here.truth(self.end)
-        self.path_truth = here.truth(self.along)
+        self.past_truth = self.truth(self.end)
+        self.path_truth = self.truth(self.along)
         past = readings_of(record, value, self.past_truth)
         path = readings_of(record, value, self.path_truth)
         self.past_error = np.nan_to_num(self.measured - past)
         self.path_error = np.nan_to_num(self.measured - path)
         # of the motion, (n - 1, 6, 13), and of the readings, (n - 1, m, 13)
         self.by_start = differentiated(
-            lambda start: here.moved(start, self.drift), self.start, motion
+            lambda start: self.moved(start, self.drift), self.start, motion
         )
-        self.past_by_end = differentiated(here.readings, self.end, past)
-        self.path_by_along = differentiated(here.readings, self.along, path)
+        self.past_by_end = differentiated(self.readings, self.end, past)
+        self.path_by_along = differentiated(self.readings, self.along, path)
 
     def _predictions(self, value: Mapping[str, Any]) -> Matrix:
         """Return rates after each step, readings of the past and along the path (n - 1, 3 + 2 m) at other constants."""

@@ -227,7 +227,6 @@ def plan(
     time = seconds - RESPONSE
     with one_blas_thread(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SimulationWarning)
-        notify("planning: library", 0, 0.0)
         modes = linearize(model, aircraft, trim, thrust=thrust).modes()
         bands = input_bands(modes, amplitudes)
         available = rehearsal.inside(library(bands, amplitudes), time, pause)

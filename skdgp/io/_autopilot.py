@@ -117,9 +117,11 @@ def _flown(
     jumps = attitude_jumps(FlightTable.of(table))
     cuts = np.unique(np.concatenate([jumps, *(source.cuts for source in sources)]))
     if len(cuts):
+        shown = [f"{cut:.1f} s" for cut in cuts[:MOST_SHOWN]]
+        more = ", ..." if len(cuts) > MOST_SHOWN else ""
         remarks.append(
             "a jump of the attitude or a reset of the estimator, so a new flight begins, at "
-            f"{', '.join(f'{cut:.1f} s' for cut in cuts[:MOST_SHOWN])}{', ...' * (len(cuts) > MOST_SHOWN)}"
+            f"{', '.join(shown)}{more}"
         )
     if airborne is False:
         flights = _cut(table, cuts)

@@ -74,6 +74,16 @@ def _force_with_gravity(flights: FlightTable) -> float:
     return force if force > 0.5 else np.nan
 
 
+def _turning_over_gyro(flights: FlightTable) -> float:
+    """Return the spread of changes of theta over that of q times the step, NaN of steps below half a second."""
+    step = np.diff(flights.time)
+    if _quantile(step, 0.5) < 0.5:
+        return np.nan
+    turned = np.nanstd(np.diff(flights.column("theta")))
+    by_gyro = np.nanstd(flights.column("q")[1:] * step)
+    return float(turned / by_gyro) if by_gyro > 0 else np.nan
+
+
 def _density_over_standard(flights: FlightTable) -> float:
     """Return the median density over that of the standard atmosphere at the median altitude."""
     height = _quantile(flights.column("altitude"), 0.5)
@@ -118,6 +128,13 @@ LIMITS = (
         5.0,
         "Got a median time step of {value:g}, but expected seconds: this looks like milliseconds or "
         "microseconds. Divide time by 1e3 or 1e6, or say the unit in the header, as in 'time [ms]'.",
+    ),
+    Limit(
+        _turning_over_gyro,
+        0.1,
+        np.inf,
+        "Got a theta that changes {value:.2g} times as fast as q says, in steps of half a second or more: time looks "
+        "like milliseconds. Divide it by 1e3, or say the unit in the header, as in 'time [ms]'.",
     ),
     Limit(
         lambda flights: _quantile(np.diff(flights.time), 0.5),

@@ -443,11 +443,13 @@ def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> Log
 
 
 def _flights(table: pd.DataFrame) -> pd.DataFrame:
-    """Return begin and end [s] of each flight, and its mean airspeed."""
+    """Return begin and end [s] of each flight, and its median airspeed."""
     if "airspeed" not in table:
         table = table.assign(airspeed=np.nan)
     flights = table.groupby("flight", sort=False)
-    return flights.agg(begin=("time", "first"), end=("time", "last"), airspeed=("airspeed", "mean"))
+    return flights.agg(
+        begin=("time", "first"), end=("time", "last"), airspeed=("airspeed", "median")
+    )
 
 
 def _faults(table: pd.DataFrame, aircraft: Aircraft | None) -> list[str]:

@@ -56,6 +56,10 @@ class TestUnitsThatNumbersGiveAway:
         refused("expected air in kg/m", table(density=1.2e-3))
         refused("looks like g", table(ax=0.02, ay=0.0, az=-1.01))
         refused("looks like milliseconds", table(time=20.0 * np.arange(50)))
+        fast = np.arange(50) / 400  # s
+        motion = {"theta": 0.2 * np.sin(30 * fast), "q": 6.0 * np.cos(30 * fast)}
+        refused("looks like milliseconds", table(time=1e3 * fast, **motion))
+        read(table(time=np.arange(50.0), theta=motion["theta"], q=0.075 * np.cos(30 * fast)))
         with pytest.warns(UserWarning, match="if this is in minutes"):
             read(table(time=4e-4 * np.arange(50)))
         assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)

@@ -66,30 +66,6 @@ class FittedRecord(NamedTuple):
     log_likelihood: float  # of the innovations, but for a constant
 
 
-class _StepControl:
-    """Damping of the steps of a search, and the fraction of them that is taken."""
-
-    def __init__(self, n_free: int, damping: float) -> None:
-        self.damping = damping  # over the information
-        self.fraction = 1.0
-        self.last_step = np.zeros(n_free)
-
-    def shortened(self, step: Vector, information: Matrix) -> Vector:
-        """Return the part of a step that is taken: less where steps turn back, so that no two solutions alternate.
-
-        The next step is damped less.
-        """
-        if step @ information @ self.last_step < 0:
-            # factor of the fraction of a step that is taken, where steps turn back; least fraction; else
-            self.fraction = max(0.5 * self.fraction, 0.25)
-        else:
-            self.fraction = min(1.4 * self.fraction, 1.0)
-        self.last_step = step
-        # factor of the damping from step to step
-        self.damping *= 0.25
-        return self.fraction * step
-
-
 class AirFit:
     """Parameters x, noises and filtered states of the records, which `search` improves.
 
@@ -139,8 +115,9 @@ class AirFit:
         earlier pass, and the search did not converge.
         """
         keep_freed_memory()
-        n_free = len(self.x) - self.parameters.n_held
-        control = _StepControl(n_free, self.settings.first_damping)
+        last_step = np.zeros(len(self.x) - self.parameters.n_held)
+        damping = self.settings.first_damping  # over the information
+        fraction = 1.0  # of a step that is taken
         max_passes = self.settings.max_passes
         was_small = False
         converged = False
@@ -152,9 +129,16 @@ class AirFit:
             likelihood = sum(item.log_likelihood for item in fitted)
             if likelihood > best[0]:
                 best = likelihood, self.x.copy(), self.noise_search.psi.copy()
-            information, score = sums.damped(control.damping)
+            information, score = sums.damped(damping)
             step = self._bounded_step(information, score)
-            self.x[sums.free] += control.shortened(step, information)
+            # less where steps turn back, so that no two solutions alternate
+            if step @ information @ last_step < 0:
+                fraction = max(0.5 * fraction, 0.25)
+            else:
+                fraction = min(1.4 * fraction, 1.0)
+            self.x[sums.free] += fraction * step
+            last_step = step
+            damping *= 0.25
             self.history.append(self.x.copy())
             # noises move from the second pass on, by the middle of each record
             noise_length = np.inf

@@ -335,7 +335,8 @@ def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:
     coefficients = np.linalg.lstsq(terms[moving], y[moving], rcond=1e-8)[0]
     squared = (y - terms @ coefficients) ** 2
     ratio = float(np.sqrt(squared[still].mean() / squared[moving].mean()))
-    if ratio < 2:
+    # a response below these errors does not go on, whatever other terms say that it does
+    if ratio < 2 or y[still].var() < squared[moving].mean():
         return None
     percent = 100 * float(is_still[is_whole].mean())
     return Finding(Code.STUCK_SURFACE, channels=[name], y=law.y, percent=percent, ratio=ratio)

@@ -456,6 +456,12 @@ def noisy(flight):
     return flight.assign(ay=flight["ay"] + default_rng(0).normal(0.0, 12.0, len(flight)))
 
 
+def in_gusts(airspeed):
+    """Return an airspeed that an autopilot holds: gusts of 0.3 m/s for 2 s remain."""
+    white = default_rng(0).normal(0.0, 0.3 * 0.025**0.5, len(airspeed))
+    return airspeed.mean() + signal.lfilter([1.0], [1.0, -(1 - 0.025 / 2.0)], white)
+
+
 HELD = {
     "p q r ax ay az phi theta psi airspeed alpha beta elevon_left elevon_right rudder throttle": 10,
     "v_north v_east v_down north east altitude": 5,
@@ -477,6 +483,7 @@ SOUND = [
     ("latlon", heading(3.0)),
     ("latlon", slow_gps),
     ("latlon", noisy),
+    ("latlon", from_half("airspeed", in_gusts)),
     ("latlon", scale({"r": 0.0})),
     ("latlon", scale({"airspeed": 0.0})),
 ]

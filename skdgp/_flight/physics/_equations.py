@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_per_rotation, wrapped
@@ -75,10 +76,15 @@ def airspeed_later(flight: Signals) -> Regression:
 def ground_velocity_later(flight: Signals) -> Regression:
     """Return V and the component along x in the second half of each segment, beside it and another wind in each half.
 
-    Where V stands still, its slope over the component is that of the first half less.
+    Where V stands still, its slope over the component is that of the first half less. A V that is held follows gusts:
+    no row counts unless the later V is white noise.
     """
     ground, airspeed, wind = velocity_along(flight)
     later = _is_later(flight)
+    of_later = airspeed[np.isfinite(airspeed) & (later > 0)]
+    # correlated for 2.4 samples and more where it is held, at 1 to 20 Hz, for 1.6 at most in a blocked tube
+    if not of_later.size or autocorrelation_time(of_later) > 2:
+        airspeed = np.full_like(airspeed, np.nan)
     constant = np.ones_like(airspeed)
     others = [constant, *wind]
     return Regression(

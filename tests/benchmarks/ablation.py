@@ -119,7 +119,8 @@ def prepared(name, air, data, _commit):
         asked[where] = rows_of(pipeline, flight, aircraft, loads)
     derivatives = None if name == RECORDED else derivatives_of(name, aircraft, flown)
     X = np.asarray(pipeline[:-1].transform(log))
-    errors = pipeline._facts(pipeline[:1].transform(log), X, Y)["errors"]
+    learned = pipeline[-1].function_errors()  # by learned noise of each regressor first
+    errors = learned._replace(weights=learned.weights[X.shape[1] :])
     return Prepared(pipeline, X, Y, clock, pipeline.seconds_, asked, derivatives, errors)
 
 

@@ -20,7 +20,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import HIGHEST, LOWEST, standard_density
-from skdgp._flight.tables import FlightTable, check_columns
+from skdgp._flight.tables import FlightTable, check_columns, has_values
 
 # noise may carry an angle beyond its limit by this [rad]
 ANGLE_NOISE = 0.05
@@ -76,11 +76,11 @@ def _force_with_gravity(flights: FlightTable) -> float:
 
 def _turning_over_gyro(flights: FlightTable) -> float:
     """Return the spread of changes of theta over that of q times the step, NaN of steps below half a second."""
-    step = np.diff(flights.time)
-    if _quantile(step, 0.5) < 0.5:
+    step = _quantile(np.diff(flights.time), 0.5)
+    if not step >= 0.5 or not has_values(flights.table, "theta", "q"):
         return np.nan
     turned = np.nanstd(np.diff(flights.column("theta")))
-    by_gyro = np.nanstd(flights.column("q")[1:] * step)
+    by_gyro = step * np.nanstd(flights.column("q"))
     return float(turned / by_gyro) if by_gyro > 0 else np.nan
 
 

@@ -6,21 +6,23 @@ Single time stamps may be wrong; the median of neighbouring messages in the file
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.clock import LONGEST_STEP, runs_between
+from skdgp._flight.clock import LONGEST_STEP, runs_between, slices
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
-from skdgp.io._tables import FlightReadError
 
 # messages of a block, whose median time is compared with the next block's
 BLOCK_SIZE = 25
 # a clock that goes back by more than this was restarted [s]; messages out of order are less late
 RESTART_STEP = 5.0
+# between two runs of a clock [s]
+RESTART_PAUSE = 60.0
 # distance of valid stamps from the medians [s], and the longest step between medians that widens it [s]
 MARGIN = 5.0
 LARGEST_STEP = 60.0
@@ -37,42 +39,60 @@ MOST_GAPS = 0.05
 
 
 def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[str]]:
-    """Return the topics without wrong times, their times strictly increasing, and a remark if there were any.
+    """Return the topics without wrong times, their times strictly increasing, and remarks.
 
-    Raises FlightReadError if the clock was set back.
+    A clock that was set back goes on behind a pause.
     """
-    earliest, latest = _span(topics)
+    order = np.concatenate([topic.order for topic in topics.values()])
+    time = np.concatenate([topic.time for topic in topics.values()])
+    rows = np.argsort(order, kind="stable")
+    restarts = _restarts(time[rows])
+    spans = [_span(time[rows[run]]) for run in slices(restarts, len(time))]
+    earliest, latest = np.transpose(spans)
+    shifts = np.cumsum(np.append(0.0, latest[:-1] - earliest[1:] + RESTART_PAUSE))
     sound = {}
     n_wrong: Counter[str] = Counter()
     for name, topic in topics.items():
-        is_valid = (topic.time >= earliest) & (topic.time <= latest)
+        part = np.searchsorted(order[rows[restarts]], topic.order, side="right")
+        is_valid = (topic.time >= earliest[part]) & (topic.time <= latest[part])
         n_wrong[name] = len(topic) - int(is_valid.sum())
         if is_valid.any():
             # in order of time, each time once
-            _, rows = np.unique(topic.time[is_valid], return_index=True)
-            sound[name] = topic.select(np.flatnonzero(is_valid)[rows])
-    if not n_wrong.total():
-        return sound, []
-    name, most = n_wrong.most_common(1)[0]
-    total = sum(map(len, topics.values()))
-    wrong = f"{n_wrong.total()} of {total} messages have a time that cannot be"
-    return sound, [f"{wrong} ({most} of {name})"]
-
-
-def _span(topics: dict[str, Topic]) -> tuple[float, float]:
-    """Return the earliest and latest time of messages; raise FlightReadError if the clock was set back."""
-    order = np.concatenate([topic.order for topic in topics.values()])
-    time = np.concatenate([topic.time for topic in topics.values()])
-    steady = _steady(time[np.argsort(order, kind="stable")])
-    steps = np.diff(steady)
-    falls = np.flatnonzero(steps < -RESTART_STEP)
-    if len(falls):
-        before, after = steady[falls[0]], steady[falls[0] + 1]
-        raise FlightReadError(
-            f"Got a log whose clock was set back, from about {before:.0f} s to {after:.0f} s, but expected one clock: "
-            "the autopilot was started again, so record or cut one log for each start."
+            continued, first = np.unique((topic.time + shifts[part])[is_valid], return_index=True)
+            sound[name] = replace(topic.select(np.flatnonzero(is_valid)[first]), time=continued)
+    remarks = []
+    if restarts:
+        later = ", ".join(f"{shift:.1f} s" for shift in shifts[1:])
+        remarks.append(
+            f"the clock was set back, as by a restart: what follows has times {later} later than in the log"
         )
-    margin = MARGIN + min(steps.max(initial=0.0), LARGEST_STEP)
+    if n_wrong.total():
+        name, most = n_wrong.most_common(1)[0]
+        wrong = f"{n_wrong.total()} of {len(time)} messages have a time that cannot be"
+        remarks.append(f"{wrong} ({most} of {name})")
+    return sound, remarks
+
+
+def _restarts(time: Vector) -> list[int]:
+    """Return the first messages of clocks that were set back, of times in the order of the file."""
+    size = BLOCK_SIZE
+    steady = _steady(time)
+    restarts = set()
+    falls = np.flatnonzero(np.diff(steady) < -RESTART_STEP)
+    for block in falls.tolist():
+        start = max(block - 3, 0) * size
+        window = time[start : (block + 5) * size]
+        middle = (steady[block] + steady[block + 1]) / 2
+        # before the restart messages are later than the middle, behind it earlier
+        balance = np.cumsum(np.where(window > middle, 1, -1))
+        restarts.add(start + int(np.argmax(balance)) + 1)
+    return sorted(restarts - {len(time)})
+
+
+def _span(time: Vector) -> tuple[float, float]:
+    """Return the earliest and the latest time that messages between two restarts may have."""
+    steady = _steady(time)
+    margin = MARGIN + min(np.diff(steady).max(initial=0.0), LARGEST_STEP)
     return steady.min() - margin, steady.max() + margin
 
 

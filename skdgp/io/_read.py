@@ -71,8 +71,8 @@ def read_flight(
 
     Messages of an autopilot are brought to one clock (low-passed where faster, interpolated where
     slower, NaN in gaps) and cut into flights; ``table.attrs["sources"]`` names the message of each
-    column. Warns with FlightDataWarning if a log is damaged, has gaps or wrong times, channels
-    were never valid, or columns are left out.
+    column. Warns with FlightDataWarning if a log is damaged, has gaps or wrong times, its clock was
+    set back, channels were never valid, or columns are left out.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def read_flight(
     FlightReadError
         If the file is damaged or no table or log; has no ``time``, or one that does not increase
         within a flight, text among numbers, or numbers that are not in SI and radians; a log holds
-        no flight, or its clock was set back; or an option makes no sense.
+        no flight; or an option makes no sense.
     FileNotFoundError
         If there is no such file.
     ImportError

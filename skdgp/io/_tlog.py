@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.messages import extra
-from skdgp._compute.typing import Matrix
+from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.frames import STANDARD_GRAVITY, euler_to_quaternion
 from skdgp.io._dataflash import (
     NAMING,
@@ -198,7 +198,12 @@ def _system(messages: list[Any]) -> tuple[int, list[str]]:
 def _topics(by_name: Mapping[str, dict[int, Any]]) -> dict[str, Topic]:
     """Return the topics, with a field on whether a sensor measured the airspeed."""
     attitudes = by_name["ATTITUDE"]
-    attitude = [*attitudes], [1e-3 * message.time_boot_ms for message in attitudes.values()]
+    places = np.array([*attitudes], dtype=float)
+    times = np.array([1e-3 * message.time_boot_ms for message in attitudes.values()])
+    # the clock stands between the last attitude before a restart and the first behind it
+    falls = np.flatnonzero(np.diff(times) < 0.0)
+    last = places[falls + 1] - 0.5
+    attitude = np.insert(places, falls + 1, last), np.insert(times, falls + 1, times[falls])
     topics = {name: _topic(by_name[name], attitude) for name in sorted(by_name)}
     if {"VFR_HUD", "SYS_STATUS"} <= topics.keys():
         topics["VFR_HUD"] = _with_pitot(topics["VFR_HUD"], topics["SYS_STATUS"])
@@ -225,8 +230,7 @@ def _pitch_trim(parameters: Mapping[str, float]) -> float:
 
 def _with_pitot(hud: Topic, status: Topic) -> Topic:
     """Return the messages with a field that says whether a sensor measured the airspeed, else it is estimated."""
-    order = np.argsort(status.time)
-    rows = order[last_before(status.time[order], hud.time)]
+    rows = last_before(status.order, hud.order)
     present, healthy = (status.fields[name][rows].astype(int) for name in SENSOR_SETS)
     return hud.with_fields(**{PITOT: present & healthy & PRESSURE_SENSOR})
 
@@ -263,7 +267,7 @@ def _by_name(messages: list[Any], system: int) -> dict[str, dict[int, Any]]:
     return by_name
 
 
-def _topic(messages: dict[int, Any], attitude: tuple[list[int], list[float]]) -> Topic:
+def _topic(messages: dict[int, Any], attitude: tuple[Vector, Vector]) -> Topic:
     """Return a topic; a message without a time near the attitude's, by places and times, was sent between these."""
     sent = [message.to_dict() for message in messages.values()]
     numbers = numeric_fields({name: [fields[name] for fields in sent] for name in sent[0]})

@@ -349,29 +349,33 @@ class TestStamps:
 
     @pytest.mark.parametrize("place", [-60, -5, 5, 60])
     @pytest.mark.parametrize("kind", ["ulog", "dataflash"])
-    def test_a_clock_that_was_set_back_is_refused(self, refused, request, kind, place):
+    def test_a_clock_that_was_set_back_goes_on_behind_a_pause(self, read, request, kind, place):
         """From 50 to 2 s, and near the restart one message has a wrong time."""
         time = np.arange(10, 50, 0.02)
         times = np.append(time, time - 8)
         times[len(time) + place] = 5000.0
-        log = request.getfixturevalue(kind)().gyros(times, np.repeat([1.0, 2.0], len(time)))
+        log = request.getfixturevalue(kind)().gyros(times, np.append(time, time) / 100)
         log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
-        message = refused(r"clock was set back, from about \d+ s to \d+ s.*each start", log)
-        before, after = map(float, re.findall(r"(\d+) s", message)[:2])
-        assert before == pytest.approx(50.0, abs=2.0)
-        assert after == pytest.approx(2.0, abs=2.0)
+        with pytest.warns(FlightDataWarning) as warned:
+            table = read(log, airborne=False)
+        told = str(warned[0].message)
+        shift = re.search(r"what follows has times (.*) s later.*; 1 of 4000 messages", told)
+        late = np.where(table.p.diff().lt(0).cumsum(), float(shift[1]) - 8, 0.0)
+        assert_allclose(table.time, 100 * table.p + late, atol=0.1)
+        assert [*table.time.diff().gt(60)].count(True) == 1
 
     @pytest.mark.parametrize(
         ("rate", "n_before", "n_after"),
         [(50, 30, 1000), (50, 1000, 40), (4, 400, 400), (2, 400, 400)],
     )
-    def test_slow_and_short_parts_do_not_hide_a_restart(
-        self, refused, dataflash, rate, n_before, n_after
-    ):
+    def test_all_messages_beside_a_restart_stay(self, told, dataflash, rate, n_before, n_after):
         times = np.append(500 + np.arange(n_before) / rate, 2 + np.arange(n_after) / rate)
-        log = dataflash().gyros(times, 1.0)
+        log = dataflash().gyros(times, np.repeat([1.0, 2.0], [n_before, n_after]))
         log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
-        refused("clock was set back", log)
+        table = told("clock was set back", log, airborne=False)
+        rates = table.groupby(table.time.diff().gt(60).cumsum()).p
+        assert_allclose([rates.min(), rates.max()], [[1.0, 2.0]] * 2)
+        assert rates.count().tolist() == [n_before, n_after]
 
     def test_messages_of_a_topic_without_times_are_left_out(self, told, ulog):
         """The sensor of distances of a simulator has the stamp 0."""

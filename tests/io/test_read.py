@@ -59,7 +59,10 @@ class TestUnitsThatNumbersGiveAway:
         fast = np.arange(50) / 400  # s
         motion = {"theta": 0.2 * np.sin(30 * fast), "q": 6.0 * np.cos(30 * fast)}
         refused("looks like milliseconds", table(time=1e3 * fast, **motion))
-        read(table(time=np.arange(50.0), theta=motion["theta"], q=0.075 * np.cos(30 * fast)))
+        slow = np.arange(50.0)
+        slow[30:] += 3600  # a pause
+        read(table(time=slow, theta=motion["theta"], q=0.075 * np.cos(30 * fast)))
+        read(table(time=slow, theta=motion["theta"]))
         with pytest.warns(UserWarning, match="if this is in minutes"):
             read(table(time=4e-4 * np.arange(50)))
         assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)

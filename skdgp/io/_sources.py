@@ -139,6 +139,12 @@ def _source_of(rule: Rule, candidates: list[Candidate], use: Use | None) -> Sour
     if notes:
         words += f" ({', '.join(notes)})"
     remarks = [_unmeasured(rule, best)]
+    unused = (best.valid & ~best.rows).mean()
+    if use and unused:
+        remarks.append(
+            f"{rule.words} of {name}: {100 * unused:.0f} % of the messages are left out, as the autopilot used another "
+            f"({use.words})"
+        )
     if best is not candidates[0]:
         remarks.insert(0, f"{rule.words} of {words}")
     remark = "; ".join(filter(None, remarks))

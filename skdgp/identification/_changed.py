@@ -49,7 +49,7 @@ UNLEARNED_SLOPE = 10.0
 CORRELATION_VARIANCE = 1 / 3
 FORCES = "forces"
 # CY and CZ, which thrust and drag do not change
-LIFT = slice(1, 3)
+LIFT = (1, 2)
 # Relative standard deviation of mass over dynamic pressure and wing area, from flight to flight: fuel, and a
 # temperature of the air that is wrong by 6 degrees (guess)
 LOADING_STD = 0.02
@@ -169,8 +169,9 @@ def changes_of(
         columns = {"change": (weights / units).ravel(), "std": (stds / units).ravel()}
         tables[flight] = pd.DataFrame(columns, names)
         expected = np.linalg.pinv(Q) @ pipeline[-1].predict(X)
-        factor, variance = _factor_of_forces(weights, covariance, expected.T)
-        freedom = min(fit[2] for fit in fits[LIFT])
+        known = [i for i in LIFT if fits[i][2]]
+        factor, variance = _factor_of_forces(weights, covariance, expected.T, known)
+        freedom = min((fits[i][2] for i in known), default=0.0)
         p[FORCES] = _p_value(np.array([factor]), np.array([[variance]]), freedom)
         tables[flight].loc[FORCES] = factor, variance**0.5
         p_values[flight] = p | {WHOLE: combined([*p.values()])}
@@ -211,19 +212,21 @@ def combined(p_values: Sequence[float]) -> float:
     return float(false_discovery_control(known).min()) if known else float("nan")
 
 
-def _factor_of_forces(weights: Matrix, covariance: Array, expected: Matrix) -> tuple[float, float]:
-    """Return the relative change of all forces by one factor, which CY and CZ show, and its variance.
+def _factor_of_forces(
+    weights: Matrix, covariance: Array, expected: Matrix, known: list[int]
+) -> tuple[float, float]:
+    """Return the relative change of all forces by one factor, which some ``known`` forces show, and its variance.
 
     By generalized least squares of the weights (6, k) of the residuals, of ``covariance`` (6, k, 6, k), over
     those of the coefficients themselves, ``expected``.
     """
-    v = expected[LIFT].ravel()
-    of_forces = covariance[LIFT, :, LIFT].reshape(len(v), len(v))
-    if np.isnan(of_forces).any():
+    if not known:
         return np.nan, np.nan
+    v = expected[known].ravel()
+    of_forces = covariance[known][:, :, known].reshape(len(v), len(v))
     precision = np.linalg.pinv(of_forces, hermitian=True)
     information = v @ precision @ v
-    factor = v @ precision @ weights[LIFT].ravel() / information
+    factor = v @ precision @ weights[known].ravel() / information
     return float(factor), float(1 / information + LOADING_STD**2)
 
 

@@ -174,10 +174,11 @@ class TestSensors:
     def errors(self, data):
         return data.train[list(self.NOISE)].to_numpy() - true(data.train, *self.NOISE)
 
-    def test_noise_has_the_stated_levels(self, errors):
+    def test_noise_has_the_stated_levels_and_is_independent(self, errors):
         std = errors.std(axis=0)
         assert_allclose(std, [*self.NOISE.values()], rtol=0.04)  # of 4800 samples: 1 %
         assert (abs(errors.mean(axis=0)) < 5 * std / np.sqrt(len(errors))).all()
+        assert_allclose(np.corrcoef(errors.T), np.eye(len(std)), atol=5 / np.sqrt(len(errors)))
 
     def test_perfect_sensors_tell_the_truth(self):
         test = load_example_flights(sensor_noise=0.0, duration=1.0).test

@@ -158,7 +158,7 @@ class TestPredict:
 
 def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
     """Least squares beside the model are in units, and the same."""
-    rows = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
     targets = aerodynamic_coefficients(rows, flights.aircraft)
     learned = []
     for scaler in (StandardScaler(), RobustScaler()):
@@ -180,7 +180,7 @@ def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
 
 def test_surfaces_of_any_name_are_those_that_they_are_mixed_into(flights, test_flight):
     """In every step: lags, reconstruction and errors of the log are of elevator, aileron and rudder."""
-    rows = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
     targets = aerodynamic_coefficients(rows, flights.aircraft)
     halves = {
         "elevator": {"tail_left": 0.5, "tail_right": 0.5},
@@ -206,7 +206,7 @@ def test_surfaces_of_any_name_are_those_that_they_are_mixed_into(flights, test_f
 
 
 def test_the_order_and_number_of_targets_change_no_band(model, flights, test_flight):
-    rows = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
     targets = aerodynamic_coefficients(rows, flights.aircraft)
     names = [*targets]
     quick = clone(model).set_params(
@@ -234,7 +234,7 @@ def test_coefficients_are_asked_for(model, test_flight):
 @pytest.mark.usefixtures("no_mechanics")
 def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     """To the bit, also of a clone, of a saved model, and of flights that are held out in turn."""
-    train, aircraft = flights.train.groupby("flight", observed=True).head(500), flights.aircraft
+    train, aircraft = flights.train.groupby("flight", observed=True).head(300), flights.aircraft
     train = train.reset_index(drop=True)
     regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
     options = {"regressor": regressor, "samples": 100}

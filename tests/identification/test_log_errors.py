@@ -224,7 +224,7 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
     airspeed, rng = 20.0, default_rng(0)
     turbulence = Turbulence(np.ones(3), np.full(3, 200.0), airspeed)
     gusts = dryden_gusts(
-        100_000, STEP, airspeed, turbulence.length[None], np.ones((1, 3)), AIRCRAFT.span, rng
+        50_000, STEP, airspeed, turbulence.length[None], np.ones((1, 3)), AIRCRAFT.span, rng
     )
     lags = np.array([1.0, 3.0, 4.0]) * AIRCRAFT.span / (np.pi * airspeed)
     wind = (gusts.velocity + lags * gusts.acceleration)[:, 0]  # at a point, not over the span

@@ -121,8 +121,8 @@ class TestEstimate:
 
     @pytest.mark.parametrize(
         ("servos", "delay", "removed", "n_flights"),
-        # four flights tell the delay within less than 5 ms
-        [(0.06, 0.0125, 0.0, 1), (0.06, 0.05, 0.043, 4)],
+        # three flights tell the delay within less than 5 ms
+        [(0.06, 0.0125, 0.0, 1), (0.06, 0.05, 0.043, 3)],
     )
     def test_without_vanes_a_delay_shorter_than_a_step_is_left_to_the_filter(
         self, latlon, servos, delay, removed, n_flights

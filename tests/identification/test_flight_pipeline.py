@@ -234,7 +234,7 @@ def test_coefficients_are_asked_for(model, test_flight):
 @pytest.mark.usefixtures("no_mechanics")
 def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     """To the bit, also of a clone, of a saved model, and of flights that are held out in turn."""
-    train, aircraft = flights.train.groupby("flight", observed=True).head(300), flights.aircraft
+    train, aircraft = flights.train.groupby("flight", observed=True).head(400), flights.aircraft
     train = train.reset_index(drop=True)
     regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
     options = {"regressor": regressor, "samples": 100}

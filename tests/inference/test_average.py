@@ -173,11 +173,13 @@ class TestHeldOut:
         known = np.isfinite(Y)
         assert_array_equal(np.isfinite(mean), known)
         late = np.flatnonzero(known[:, 1])[18]
-        for value in [(4, 0), (late, 1), (59, 0)]:
+        for value in [(4, 0), (59, 0), (late, 1)]:
             again, same = predictions(fit, X, changed(Y, *value))
             assert again[value] == pytest.approx(mean[value], rel=1e-9, abs=1e-9)
             assert np.nanmax(np.abs(again - mean)) > 0.01  # others feel it
             assert_allclose(same, variance, rtol=1e-9)
+        # the other output of that row feels it, too, as one of them has gaps
+        assert abs(again[late, 0] - mean[late, 0]) > 0.01
 
     def test_between_distant_rows_correlated_errors_count_as_white(self, data):
         """Of every second row, where two neighbours had one error in common."""

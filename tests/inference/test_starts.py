@@ -5,7 +5,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.inference import single_output, starting_kernel
-from skdgp.kernels import ConvolvedGaussian
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
+
+
+def test_what_outputs_found_alone_is_adopted(uneven):
+    X, Y = uneven
+    kernel = LinearTrend() + ConvolvedGaussian(0)
+    singles = []
+    for i in range(3):
+        single = starting_kernel(single_output(kernel), X, Y[:, [i]])
+        singles.append(single.clone_with_theta(single.theta - 0.3))
+    start = starting_kernel(kernel, X, Y, singles)
+    for i, single in enumerate(singles):
+        assert_allclose(start.block_diag(i, X), single.block_diag(0, X), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("bounds", "widest"), [(None, 10.0), ("spacing", 500.0)])

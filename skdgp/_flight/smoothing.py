@@ -23,6 +23,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy import interpolate, ndimage, optimize, signal
 from scipy.signal.windows import hann
@@ -212,23 +213,26 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
     step = float(np.median(np.concatenate([np.diff(time[rows]) for rows in runs])))
     # windows of 6.4 s, and 64 rows (guesses)
     half = int(min(max(6.4 / step, 64), longest // 4)) // 2
-    options: Any = {"window": hann(2 * half), "nperseg": 2 * half, "detrend": "linear"}
-    total: Any = 0.0
-    n_windows = 0
+    parts = []
     for rows in runs:
-        n = len(rows) // half - 1
-        if n < 1:
-            continue
-        for part in (column[rows], column[rows[len(rows) % half :]]):
-            frequency, power = signal.welch(part, 1.0 / step, **options)
-            total = total + n * power
-            n_windows += n
+        if len(rows) >= 2 * half:
+            for part in (rows, rows[len(rows) % half :]):
+                parts.append(sliding_window_view(column[part], 2 * half)[::half])
+    windows = np.concatenate(parts)
+    windows -= windows.mean(axis=1, keepdims=True)
+    ramp = np.linspace(-1.0, 1.0, 2 * half)
+    windows -= np.outer(windows @ ramp, ramp) / (ramp @ ramp)
+    taper = hann(2 * half)
+    squares = np.abs(np.fft.rfft(windows * taper)) ** 2
+    # one-sided: each power but the first and the last is of two frequencies
+    power = 2 * step * squares.mean(axis=0) / (taper @ taper)
+    power[[0, -1]] /= 2
     largest = np.abs(column[np.concatenate(runs)]).max()
     return Spectrum(
-        frequency=frequency,
-        power=total / n_windows,
+        frequency=np.arange(half + 1) / (2 * half * step),
+        power=power,
         # each sample is in four windows
-        averages=0.375 * n_windows,
+        averages=0.375 * len(squares),
         rounding=2 * step * (1e-9 * largest) ** 2,
     )
 

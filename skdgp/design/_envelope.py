@@ -11,7 +11,7 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import VANES
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp._flight.tables import check_number, check_numbers, numeric
+from skdgp._flight.tables import as_floats, check_number, numeric
 from skdgp.dynamics import Aerodynamics, Motion
 
 # Limited quantities, and the options of the command line, or arguments, that limit them
@@ -78,7 +78,8 @@ class Envelope:
     def __post_init__(self) -> None:
         for name in ("alpha", "beta", "load_factor", "airspeed"):
             value = vars(self)[name]
-            if value is not None and not np.diff(check_numbers(name, value, 2)) > 0:
+            ends = as_floats(UNLIMITED if value is None else value)
+            if ends.shape != (2,) or not ends[0] < ends[1]:
                 raise ValueError(
                     f"Got {name}={value!r}, but expected the lowest and the highest value."
                 )

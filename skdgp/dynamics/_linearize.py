@@ -103,6 +103,7 @@ class LinearModel:
         factors (Perez-Arriaga, Verghese & Schweppe 1982), the share of each state in each mode. A
         pair that has split into two real roots keeps its name with a number; a roll and a spiral
         that have become one oscillation are the "roll-spiral". Position and heading are left out.
+        Raises ValueError if A lacks one of the other states.
 
         Returns
         -------

@@ -20,7 +20,8 @@ LATERAL = ("v", "p", "r", "phi")
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
     names = [*LONGITUDINAL, *LATERAL]
-    rows = A.columns.get_indexer(pd.Index(names))
+    states = [*A]
+    rows = [states.index(name) for name in names]
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
     participation = pd.DataFrame(_participation(left, right), names)
     modes = _named(_units(eigenvalues), participation, eigenvalues)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
@@ -69,6 +70,11 @@ def test_names_hold_whatever_the_order_and_units_of_states():
     table = mode_table(A, [(ALONG + ACROSS)[k] for k in order])
     assert list(table.index) == ["short period", "phugoid", "Dutch roll", "roll", "spiral"]
     assert_allclose(table["eigenvalue"], mode_table(BOTH)["eigenvalue"], rtol=1e-6)
+
+
+def test_states_of_one_plane_alone_are_refused():
+    with pytest.raises(ValueError, match="'v' is not in list"):
+        mode_table(BOTH[:4, :4], ALONG)
 
 
 def test_an_unstable_aircraft_has_a_short_period_of_two_real_roots():

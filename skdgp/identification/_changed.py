@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,7 @@ from sklearn.pipeline import Pipeline
 
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Array, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, VANES
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -24,6 +24,7 @@ from skdgp.identification._evaluate import Evaluation
 from skdgp.identification._log_errors import dynamic_load
 from skdgp.identification._pipeline import (
     FlightPipeline,
+    named_regressors,
     reconstruction_of,
     regressor_names,
     scaling_of,
@@ -72,9 +73,10 @@ class Changes:
     of a constant error of each vane, 0.3 deg, and of each accelerometer, 0.05 m/s², of the errors
     of regressors, and of unknown slopes of regressors that did not move in the fit. Errors of
     regressors flatten slopes J the more, the less an aircraft moves (Fuller 1987, section 1.1), by
-    :math:`(S^{-1} - S_0^{-1}) E J`, where S and :math:`S_0` are
-    the covariances of the regressors in the flight and in the fit, and E is that of their errors,
-    whose correlations are unknown within symmetric and within lateral regressors.
+    :math:`(\rho S^{-1} - S_0^{-1}) E J`, where S and :math:`S_0` are the covariances of the regressors in
+    the flight and in the fit, E is that of their errors in the fit, whose correlations are unknown within
+    symmetric and within lateral regressors, and :math:`\rho \ge 1` the noise of rougher air over that of the
+    fit. Rates of rougher air, which no sensor sees, are errors, too, of each weight by itself.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
@@ -115,6 +117,16 @@ class Changes:
         return Finding(Code.CHANGED, flight=flight, p=p[WHOLE], forces=forces, likely=likely)
 
 
+class Compared(NamedTuple):
+    """A flight beside a model."""
+
+    regressors: Matrix  #: Of the last step, (n, d)
+    residuals: Matrix  #: Measured less predicted coefficients (n, 6), NaN where unknown
+    by_acceleration: Vector  #: Force coefficients of an acceleration of 1 m/s² (n,)
+    noise_ratio: float = 1.0  #: Variance of the noise of the regressors over that in the fit
+    by_air: Sequence[FunctionErrors] = ()  #: Errors by the rates of its air beyond those of the fit
+
+
 def changes_in_flights(
     pipeline: FlightPipeline, flights: Sequence[Evaluation], aircraft: Aircraft
 ) -> Changes:
@@ -127,13 +139,20 @@ def changes_in_flights(
         )
         by_acceleration = aircraft.mass / dynamic_load(flight.table, aircraft)
         residuals = measured.to_numpy() - flight.mean
-        compared[flight.name] = flight.regressors, residuals, by_acceleration
+        named = named_regressors(pipeline, flight.regressors)
+        compared[flight.name] = Compared(
+            flight.regressors,
+            residuals,
+            by_acceleration,
+            float(flight.noise_ratio.mean()),
+            pipeline.errors_by_air(named, flight.table, pipeline.turbulence_),
+        )
     return changes_of(pipeline, compared, pipeline.log_errors_)
 
 
 def changes_of(
     pipeline: Pipeline,
-    flights: Mapping[str, tuple[Matrix, Matrix, Vector]],
+    flights: Mapping[str, Compared],
     log_errors: FunctionErrors | None = None,
 ) -> Changes:
     """Return the changes of the aircraft of a model, by `Changes`.
@@ -141,9 +160,7 @@ def changes_of(
     Parameters
     ----------
     pipeline : Pipeline
-    flights : mapping of str to tuple of ndarray
-        Regressors (n, d) of the last step; residuals (n, 6), NaN where unknown; and the force
-        coefficients of an acceleration of 1 m/s² (n,).
+    flights : mapping of str to Compared
     log_errors : FunctionErrors, optional
         Errors of the model's function that the measured coefficients have, too.
     """
@@ -152,13 +169,15 @@ def changes_of(
     units = np.append(1.0, scaling_of(pipeline)[1])
     p_values = {}
     tables = {}
-    for flight, (X, residuals, by_acceleration) in flights.items():
+    for flight, given in flights.items():
+        residuals = given.residuals
         rows = np.isfinite(residuals).all(axis=1)
-        X = X[rows]
+        X = given.regressors[rows]
         Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
         fits = [residual_weights(Q, residual) for residual in residuals[rows].T]
         weights = np.array([fit[0] for fit in fits])
-        covariance = _covariance(pipeline, X, Q, by_acceleration[rows], log_errors)
+        known = given._replace(regressors=X, by_acceleration=given.by_acceleration[rows])
+        covariance = _covariance(pipeline, known, Q, log_errors)
         p = {}
         for i, (coefficient, (_, scatter, freedom)) in enumerate(
             zip(COEFFICIENTS, fits, strict=True)
@@ -231,28 +250,31 @@ def _factor_of_forces(
 
 
 def _covariance(
-    pipeline: Pipeline,
-    X: Matrix,
-    Q: Matrix,
-    by_acceleration: Vector,
-    log_errors: FunctionErrors | None,
+    pipeline: Pipeline, flight: Compared, Q: Matrix, log_errors: FunctionErrors | None
 ) -> Array:
     """Return the covariance (P, k, P, k) of the weights of Q by the model and by constant errors."""
-    rows = np.linspace(0, len(X) - 1, min(MOST_ROWS, len(X))).astype(int)
-    at = X[rows]
+    rows = np.linspace(0, len(Q) - 1, min(MOST_ROWS, len(Q))).astype(int)
+    at = flight.regressors[rows]
     mean, function = pipeline[-1].predict(at, return_cov=True, include_input_noise=False)
     if log_errors is not None:
         function = function - log_errors.covariance(at)
-    effects = _effects(pipeline, X, at, by_acceleration[rows])
+    effects = _effects(pipeline, flight, rows)
     K = function.reshape(*mean.T.shape, *mean.T.shape)
     K = K + np.einsum("nij,mlj->inlm", effects, effects)
     fitting = np.linalg.pinv(Q[rows])  # G Q^T
-    return np.einsum("ka,iajb,lb->ikjl", fitting, K, fitting, optimize=True)
+    covariance = np.einsum("ka,iajb,lb->ikjl", fitting, K, fitting, optimize=True)
+    for errors in flight.by_air:
+        weights = fitting @ errors.linear(at)
+        np.einsum("ikik->ik", covariance)[:] += np.sum(weights**2, axis=0).T
+    return covariance
 
 
-def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector) -> Array:
-    """Return the effects (n, 6, J) of J errors of sensors, regressors and slopes in a flight X at rows (n, d)."""
+def _effects(pipeline: Pipeline, flight: Compared, rows: Indices) -> Array:
+    """Return the effects (n, 6, J) of J errors of sensors, regressors and slopes at n rows of a flight."""
     regressor = pipeline[-1]
+    X = flight.regressors
+    at = X[rows]
+    by_acceleration = flight.by_acceleration[rows]
     trained = regressor.posterior_.inputs
     is_vane = np.isin(regressor_names(pipeline), VANES)
     offsets = VANE_OFFSET * is_vane / scaling_of(pipeline)[1]
@@ -260,7 +282,8 @@ def _effects(pipeline: Pipeline, X: Matrix, at: Matrix, by_acceleration: Vector)
     by_accelerometers = ACCELEROMETER_OFFSET * by_acceleration[:, None, None] * np.eye(6, 3)
     unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
     by_slopes = np.kron(unlearned[:, None], np.eye(6))  # each of one output
-    moved = (at - X.mean(axis=0)) @ (_precision(X) - _precision(trained))
+    rougher = max(flight.noise_ratio, 1.0)
+    moved = (at - X.mean(axis=0)) @ (rougher * _precision(X) - _precision(trained))
     slopes = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
     by_noise = moved[:, None] * _noise_effects(pipeline, slopes)
     return np.concatenate([by_vanes, by_accelerometers, by_slopes, by_noise], axis=-1)

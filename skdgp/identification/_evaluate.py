@@ -90,6 +90,8 @@ class Evaluation:
         Standard deviations of such measurements, which have the same errors of the log.
     regressors : (n, d)
         Inputs of the last step of the pipeline.
+    noise_ratio : (n,)
+        Variance of their noise over that in the fit, see `flight_regressors`.
     baseline : (n, 6)
         Coefficients that least squares on the same rows predict.
     truth : (n, 6), optional
@@ -106,6 +108,7 @@ class Evaluation:
     std: Matrix
     prediction_std: Matrix
     regressors: Matrix
+    noise_ratio: Vector
     baseline: Matrix
     truth: Matrix | None = None
     replay: pd.DataFrame | None = None
@@ -164,8 +167,9 @@ def evaluate(
     """Predict a checked flight and replay it."""
     notify(f"evaluating {name}")
     thrust = pipeline.thrust
-    corrected = pipeline[:1].transform(flight)
-    X, ratio, path = flight_regressors(pipeline[1:], corrected)
+    checking = pipeline.checking
+    corrected = checking.transform(flight)
+    X, ratio, path = flight_regressors(pipeline[len(checking) :], corrected)
     checked = replace(flight, table=corrected)
     states = corrected
     if reconstruction_of(pipeline) is not None:  # beside the logged inputs
@@ -191,6 +195,7 @@ def evaluate(
         std=std,
         prediction_std=np.sqrt(variance + pipeline[-1].noise_variance_),
         regressors=X,
+        noise_ratio=ratio,
         truth=_truth(corrected, band),
         baseline=by_least_squares(named_regressors(pipeline, X), pipeline.least_squares_),
         replay=replayed,

@@ -358,7 +358,7 @@ class FlightPipeline(Pipeline):
         slopes = None
         if isinstance(last, DependentGPRegressor):
             slopes = self._slopes_of_air(regressors, y)
-            errors = self._errors_by_air(named) if slopes is None else []
+            errors = [] if slopes is not None else self.errors_by_air(named, flights)
             if self.log_errors_ is not None:
                 errors.append(self.log_errors_)
             facts = {
@@ -433,14 +433,30 @@ class FlightPipeline(Pipeline):
         places = [COEFFICIENTS.index(name) for name in outputs]
         self.log_errors_ = self._of_last_step(errors.of_outputs(places))
 
-    def _errors_by_air(self, regressors: pd.DataFrame) -> list[FunctionErrors]:
-        """Return the errors of the function by the rates of the air, none where flights do not show turbulence."""
-        if self.turbulence_ is None:
+    def errors_by_air(
+        self, regressors: pd.DataFrame, flights: pd.DataFrame, beyond: Turbulence | None = None
+    ) -> list[FunctionErrors]:
+        """Return the errors of a function of named regressors by the rates of the air of checked flights.
+
+        They are of the power that gusts have ``beyond`` another turbulence. None where flights do not show theirs.
+        """
+        turbulence = self._turbulence_of(flights)
+        if turbulence is None:
             return []
-        density = self.conditions_.get("density", 0.0)
+        density = float(flights["density"].median()) if "density" in flights else 0.0
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
-        errors = errors_by_air(regressors, self.least_squares_, self.turbulence_, aircraft, density)
+        errors = errors_by_air(regressors, self.least_squares_, turbulence, aircraft, density)
+        if beyond is not None:
+            ratio = np.sum(beyond.intensity**2) / np.sum(turbulence.intensity**2)
+            errors = errors._replace(weights=max(0.0, 1.0 - ratio) * errors.weights)
         return [self._of_last_step(errors)]
+
+    def _turbulence_of(self, flights: pd.DataFrame) -> Turbulence | None:
+        """Return the turbulence of flights of a known aircraft, where they show it."""
+        if self.aircraft is not None:
+            with suppress(TypeError, ValueError):  # short flights, or columns that are missing
+                return Turbulence.from_flight(flights, self.aircraft.span)
+        return None
 
     def _of_last_step(self, errors: FunctionErrors) -> FunctionErrors:
         """Return errors over regressors in units as those over the regressors of the last step."""
@@ -453,10 +469,7 @@ class FlightPipeline(Pipeline):
         self.seconds_ = float(sum(np.ptp(clock.time[segment]) for segment in clock.segments))
         self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
         self.conditions_ = flights.median(numeric_only=True).astype(float).to_dict()
-        self.turbulence_ = None
-        if self.aircraft is not None:
-            with suppress(TypeError, ValueError):  # short flights, or columns that are missing
-                self.turbulence_ = Turbulence.from_flight(flights, self.aircraft.span)
+        self.turbulence_ = self._turbulence_of(flights)
 
     def in_simulation(self) -> dict[str, Any]:
         """Return what the flights of the fit show for a simulation."""

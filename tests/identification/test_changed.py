@@ -12,6 +12,8 @@ from sklearn.utils import Bunch
 from skdgp import DependentGPRegressor
 from skdgp._flight.findings import Code
 from skdgp.identification import changes_of
+from skdgp.identification._changed import Compared
+from skdgp.inference import attenuation, errors_of_slopes
 from skdgp.preprocessing import FlightPathReconstruction, RegressorSelector
 
 NAMES = ["alpha", "q_hat", "elevator"]
@@ -47,7 +49,8 @@ def model():
 def residuals(model, X, Y):
     """Return scaled regressors of a flight, what a model does not explain, and forces by acceleration."""
     unexplained = Y - model.predict(X)
-    return np.asarray(model[:-1].transform(X)), unexplained, np.full(len(X), BY_ACCELERATION)
+    regressors = np.asarray(model[:-1].transform(X))
+    return Compared(regressors, unexplained, np.full(len(X), BY_ACCELERATION))
 
 
 def changes(model, flights, change=0.0):
@@ -170,6 +173,23 @@ def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight():
     pipeline = learned(*with_noise_of_alpha(0, 1.0, of_q), noise)
     assert alarms(changes(pipeline, several(with_noise_of_alpha, 0.3, of_q))) < 0.2
     assert p_value(pipeline, with_noise_of_alpha(20, 1.0, of_q), change=0.2) < 0.01
+
+
+def test_slopes_that_rougher_air_flattens_are_no_change():
+    """By noise of the regressors over that in the fit, or by rates of the air that no sensor sees."""
+    model = learned(*flight(0, 0.02), np.array([ALPHA_NOISE / 3, 0.0, 0.0]))
+    steady, rough, rates = {}, {}, {}
+    for name, (X, Y) in several(with_noise_of_alpha, 0.5).items():
+        steady[name] = residuals(model, X, Y)
+        rough[name] = steady[name]._replace(noise_ratio=9.0)
+        noise = np.diag([ALPHA_NOISE / model[1].scale_[0], 0.0, 0.0]) ** 2
+        regressors = steady[name].regressors
+        slopes = model[-1].predict_gradient(np.zeros((1, 3)))[0]
+        errors = np.stack([attenuation(regressors, noise, of_output) for of_output in slopes])
+        rates[name] = steady[name]._replace(by_air=[errors_of_slopes(errors, np.zeros(3))])
+    assert alarms(changes_of(model, steady)) > 0.8
+    assert alarms(changes_of(model, rough)) < 0.2
+    assert alarms(changes_of(model, rates)) < 0.2
 
 
 def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight(model):

@@ -39,6 +39,8 @@ from skdgp._flight.units import ANGLE_NOISE, MOST_THROTTLE
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
 # noise and motion never let them stand still
 SENSORS = {"airspeed"}.union(*SIBLINGS)
+# whose range has an end: attitude, velocity and position are estimates, and stay at a bank angle that is held
+LIMITED = {"airspeed", *VANES, *RATES, *SPECIFIC_FORCE}
 # channels that move only if those of a group do
 WITNESSES = {
     ("airspeed",): (*SPECIFIC_FORCE, *EARTH_VELOCITY),
@@ -199,7 +201,7 @@ def _faults_of_channel(name: str, values: Vector, step: float) -> Iterator[Fault
     if rows.size:
         n_runs = 1 + int(np.sum(np.diff(rows) > 1))
         yield Fault(name, Code.SPIKE, rows, {"times": n_runs})
-    for rows in clipped_rows(values):
+    for rows in clipped_rows(values) if name in LIMITED else ():
         yield Fault(name, Code.CLIPPED, rows, {"value": float(values[rows[0]])})
         values[rows] = np.nan
     for rows in stuck_rows(values, step):

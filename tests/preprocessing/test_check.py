@@ -274,6 +274,12 @@ def test_a_sensor_that_is_cut_off_measures_nothing_there(channel):
     ]
 
 
+def test_a_bank_angle_that_is_held_is_not_cut_off():
+    table = log()
+    bank = np.abs(((table["time"] - table["time"][0]) % 8.0) - 4.0) / 2.0
+    assert ["phi", "clipped"] not in faults(table.assign(phi=bank.clip(upper=0.5)))
+
+
 def test_dropouts_to_the_same_value_are_found_each_time():
     table = log()
     for start in (400, 900, 1500):

@@ -59,6 +59,11 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
         "test_aero.c": _test(model),
         "Makefile": {},
     }
+    makefile = Path(folder, "Makefile")
+    if makefile.exists() and "test_aero" not in makefile.read_text(errors="replace"):
+        raise FileExistsError(
+            f"Got {makefile}, which is of something else, but expected none: export into a folder of its own."
+        )
     templates = Path(__file__).with_name("c")
     writers = {}
     for name, of_file in values.items():

@@ -54,6 +54,10 @@ def test_equals_the_pipeline(written, read, tmp_path):
     export_model(tmp_path, model, "c")
     done(tmp_path, *STRICT, *CHECKED, "aero.c", "test_aero.c", "-o", "test", "-lm")
     assert "passed: 40 points, with the values of the pipeline" in done(tmp_path, "./test")
+    export_model(tmp_path, model, "c")  # over its own files
+    (tmp_path / "Makefile").write_text("all:\n")
+    with pytest.raises(FileExistsError, match="Makefile, which is of something else"):
+        export_model(tmp_path, model, "c")
 
     library = Library(tmp_path, model)
     P, d = library.shape

@@ -42,6 +42,16 @@ def bayesian_line(X, y, at, noise, slope_std):
     return mean, np.sqrt(np.einsum("ij,jk,ik->i", B, covariance, B))
 
 
+def test_bands_are_those_of_bayesian_linear_regression():
+    rng = default_rng(0)
+    X = rng.normal(1.0, 2.0, (40, 3))
+    y = X.sum(axis=1) + rng.normal(size=40)
+    model = DependentGPRegressor(structure="trend", random_state=0).fit(X, y)
+    slopes = model.kernel_.value("slope_scale").ravel()
+    expected = bayesian_line(X, y, 2 * X, model.noise_variance_[0], slopes)
+    assert_allclose(model.predict(2 * X, return_std=True), expected, rtol=1e-5)
+
+
 def test_more_regressors_than_rows_are_a_ridge_regression():
     rng = default_rng(0)
     X = rng.normal(size=(200, 60)) * rng.uniform(0.1, 10, 60)

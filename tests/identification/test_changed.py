@@ -192,6 +192,18 @@ def test_slopes_that_rougher_air_flattens_are_no_change():
     assert alarms(changes_of(model, rates)) < 0.2
 
 
+def test_noise_of_lateral_regressors_hardly_widens_a_symmetric_slope():
+    """Only a covariance with the noise of q biases it, and a mirrored flight changes its sign."""
+    std = []
+    for surface in ("elevator", "rudder"):
+        names = ["alpha", "q_hat", surface]
+        (X, Y), (gentle, later) = flight(0, 0.02), with_noise_of_alpha(1, 0.3)
+        pipeline = learned(X.set_axis(names, axis=1), Y, np.array([0.0, 0.05, 0.05]))
+        found = changes(pipeline, {"one": (gentle.set_axis(names, axis=1), later)})
+        std.append(found.derivatives.xs("Cm_q", level="derivative")["std"].item())
+    assert std[1] < 0.7 * std[0]
+
+
 def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight(model):
     """Residuals do not show them, where the filter derived the angles from the same forces."""
     reconstruction = FlightPathReconstruction()

@@ -161,6 +161,25 @@ def test_slopes_by_states_are_those_of_the_predictions():
             assert_allclose(found[..., i], expected, atol=2e-2 * np.abs(expected).max())
 
 
+def test_instruments_are_moved_by_surfaces_and_hardly_by_gusts():
+    record, layout, value, calm = flight_of_sines(200)
+    moving = record._replace(inputs=record.inputs._replace(surfaces=5 * record.inputs.surfaces))
+    still = record._replace(inputs=record.inputs._replace(surfaces=np.zeros((200, 3))))
+    gusty = calm.copy()
+    gusty[:, :3] += default_rng(0).standard_normal((200, 3))
+    at = np.array([layout.names.index(name) for name in ("CZ_0", "CZ_alpha")])
+    slopes, instruments = [], []
+    for flown, states in ((moving, calm), (moving, gusty), (still, gusty)):
+        E = slopes_at(flown, layout, value, states).E
+        for columns, out in ((at, slopes), (len(layout.names) + at, instruments)):
+            offset, slope = E[:, 2, columns].T
+            of_pressure = offset * (offset @ slope) / (offset @ offset)
+            out.append(slope - of_pressure)
+    assert np.corrcoef(slopes)[0, 1] < 0.7
+    assert np.corrcoef(instruments)[0, 1] > 0.95
+    assert np.std(instruments[2]) < 0.01 * np.std(instruments[1])
+
+
 def test_a_delay_of_the_servos_is_that_of_later_commands():
     """To first order in the delay, after the servos have started."""
     record, layout, value, states = flight_of_sines()

@@ -176,8 +176,8 @@ def changes_of(
         Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
         fits = [residual_weights(Q, residual) for residual in residuals[rows].T]
         weights = np.array([fit[0] for fit in fits])
-        known = given._replace(regressors=X, by_acceleration=given.by_acceleration[rows])
-        covariance = _covariance(pipeline, known, Q, log_errors)
+        judged = given._replace(regressors=X, by_acceleration=given.by_acceleration[rows])
+        covariance = _covariance(pipeline, judged, Q, log_errors)
         p = {}
         for i, (coefficient, (_, scatter, freedom)) in enumerate(
             zip(COEFFICIENTS, fits, strict=True)

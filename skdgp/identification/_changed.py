@@ -164,37 +164,41 @@ def changes_of(
     log_errors : FunctionErrors, optional
         Errors of the model's function that the measured coefficients have, too.
     """
+    p_values = {}
+    tables = {}
+    for flight, compared in flights.items():
+        p_values[flight], tables[flight] = _changes_of_flight(pipeline, compared, log_errors)
+    return Changes(pd.DataFrame(p_values).T, pd.concat(tables, names=["flight", "derivative"]))
+
+
+def _changes_of_flight(
+    pipeline: Pipeline, flight: Compared, log_errors: FunctionErrors | None
+) -> tuple[dict[str, float], pd.DataFrame]:
+    """Return the p-values of a flight, and its likely changes with their standard deviations, see `Changes`."""
     endings = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
     names = [coefficient + ending for coefficient in COEFFICIENTS for ending in endings]
     units = np.append(1.0, scaling_of(pipeline)[1])
-    p_values = {}
-    tables = {}
-    for flight, given in flights.items():
-        residuals = given.residuals
-        rows = np.isfinite(residuals).all(axis=1)
-        X = given.regressors[rows]
-        Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
-        fits = [residual_weights(Q, residual) for residual in residuals[rows].T]
-        weights = np.array([fit[0] for fit in fits])
-        judged = given._replace(regressors=X, by_acceleration=given.by_acceleration[rows])
-        covariance = _covariance(pipeline, judged, Q, log_errors)
-        p = {}
-        for i, (coefficient, (_, scatter, freedom)) in enumerate(
-            zip(COEFFICIENTS, fits, strict=True)
-        ):
-            covariance[i, :, i] += scatter
-            p[coefficient] = _p_value(weights[i], covariance[i, :, i], freedom)
-        stds = np.sqrt(np.einsum("ikik->ik", covariance))
-        columns = {"change": (weights / units).ravel(), "std": (stds / units).ravel()}
-        tables[flight] = pd.DataFrame(columns, names)
-        expected = np.linalg.pinv(Q) @ pipeline[-1].predict(X)
-        known = [i for i in LIFT if fits[i][2]]
-        factor, variance = _factor_of_forces(weights, covariance, expected.T, known)
-        freedom = min((fits[i][2] for i in known), default=0.0)
-        p[FORCES] = _p_value(np.array([factor]), np.array([[variance]]), freedom)
-        tables[flight].loc[FORCES] = factor, variance**0.5
-        p_values[flight] = p | {WHOLE: combined([*p.values()])}
-    return Changes(pd.DataFrame(p_values).T, pd.concat(tables, names=["flight", "derivative"]))
+    rows = np.isfinite(flight.residuals).all(axis=1)
+    X = flight.regressors[rows]
+    flight = flight._replace(regressors=X, by_acceleration=flight.by_acceleration[rows])
+    Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
+    fits = [residual_weights(Q, residual) for residual in flight.residuals[rows].T]
+    weights = np.array([fit[0] for fit in fits])
+    covariance = _covariance(pipeline, flight, Q, log_errors)
+    p = {}
+    for i, (coefficient, (_, scatter, freedom)) in enumerate(zip(COEFFICIENTS, fits, strict=True)):
+        covariance[i, :, i] += scatter
+        p[coefficient] = _p_value(weights[i], covariance[i, :, i], freedom)
+    stds = np.sqrt(np.einsum("ikik->ik", covariance))
+    columns = {"change": (weights / units).ravel(), "std": (stds / units).ravel()}
+    table = pd.DataFrame(columns, names)
+    expected = np.linalg.pinv(Q) @ pipeline[-1].predict(X)
+    known = [i for i in LIFT if fits[i][2]]
+    factor, variance = _factor_of_forces(weights, covariance, expected.T, known)
+    freedom = min((fits[i][2] for i in known), default=0.0)
+    p[FORCES] = _p_value(np.array([factor]), np.array([[variance]]), freedom)
+    table.loc[FORCES] = factor, variance**0.5
+    return p | {WHOLE: combined([*p.values()])}, table
 
 
 def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:

@@ -34,8 +34,9 @@ class PhysicsSettings:
     # signs and exchanges: least ratio of explained to unexplained variance, of a partial correlation of 0.3;
     # feedback, lags and gusts cause weaker ones
     least_explained: float = 0.1
-    # least correlation at a lag that is a contradiction, whatever the slope, and of a wrong clock (guess)
-    clear_correlation: float = 0.5
+    # least correlation at a lag that is a contradiction, whatever the slope, and of a wrong clock: sound sensors
+    # far ahead of the centre of gravity have 0.50, channels that are late 0.66 and more
+    clear_correlation: float = 0.6
 
 
 PHYSICS = PhysicsSettings()

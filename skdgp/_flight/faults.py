@@ -39,8 +39,8 @@ from skdgp._flight.units import ANGLE_NOISE, MOST_THROTTLE
 SIBLINGS = (VANES, RATES, SPECIFIC_FORCE, EULER, EARTH_VELOCITY, BODY_VELOCITY, POSITION)
 # noise and motion never let them stand still
 SENSORS = {"airspeed"}.union(*SIBLINGS)
-# whose range has an end: attitude, velocity and position are estimates, and stay at a bank angle that is held
-LIMITED = {"airspeed", *VANES, *RATES, *SPECIFIC_FORCE}
+# whose range has an end, which flights reach: an airspeed, and a bank angle, stay where they are held
+LIMITED = {*VANES, *RATES, *SPECIFIC_FORCE}
 # channels that move only if those of a group do
 WITNESSES = {
     ("airspeed",): (*SPECIFIC_FORCE, *EARTH_VELOCITY),

@@ -277,7 +277,9 @@ def test_a_sensor_that_is_cut_off_measures_nothing_there(channel):
 def test_a_bank_angle_that_is_held_is_not_cut_off():
     table = log()
     bank = np.abs(((table["time"] - table["time"][0]) % 8.0) - 4.0) / 2.0
-    assert ["phi", "clipped"] not in faults(table.assign(phi=bank.clip(upper=0.5)))
+    for channel in ("phi", "airspeed"):
+        held = table.assign(**{channel: bank.clip(upper=0.5)})
+        assert [channel, "clipped"] not in faults(held)
 
 
 def test_dropouts_to_the_same_value_are_found_each_time():

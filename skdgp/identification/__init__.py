@@ -1,6 +1,7 @@
 """Identification of a model from flights: the workflow, the pipeline, and the model file."""
 
 from skdgp.identification._changed import Changes
+from skdgp.identification._changed import Compared as Compared
 from skdgp.identification._changed import changes_of as changes_of
 from skdgp.identification._evaluate import THRESHOLDS
 from skdgp.identification._evaluate import Evaluation as Evaluation

@@ -169,9 +169,8 @@ def identify(
             **(pipeline or {}),
         )
         notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-        corrected = clone(model.checking).fit_transform(
-            learned_from
-        )  # of the error of the airspeed
+        # airspeed without its error, as the pipeline learns from it
+        corrected = clone(model.checking).fit_transform(learned_from)
         checked = replace(learned_from, table=corrected)
         Y = aerodynamic_coefficients(checked, aircraft, thrust=thrust)
         notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20

@@ -297,7 +297,7 @@ class LogSummary:
         Columns of the flight table: ``source`` and its ``rate`` [Hz]; of a table also ``physics``, "confirmed"
         where a relation of equal changes confirms the channel.
     flights : DataFrame
-        Flights in the air: ``begin`` and ``end`` [s], mean ``airspeed`` [m/s].
+        Flights in the air: ``begin`` and ``end`` [s], median ``airspeed`` [m/s].
     remarks : tuple of str
         Why there is no flight, damage, faults of clock and channels, and channels that contradict
         each other by physics.

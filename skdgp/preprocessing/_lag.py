@@ -56,7 +56,8 @@ class LagCorrector(TableTransformer):
     a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay. Without vanes
     only a delay of a step of the log or more is removed, less two standard deviations or 10 ms: the rest is
     part of the lag that :class:`FlightPathReconstruction` removes, and surfaces that are too late follow
-    the motion that an autopilot answers.
+    the motion that an autopilot answers. A column ``servo_delay_std`` [s] tells the error of the rest to
+    :func:`skdgp.estimation.estimate_air_motion`.
 
     Attitude and GPS follow from gyros and accelerometers by kinematics, as in
     :class:`FlightPathReconstruction`. Surfaces and vanes are related to them by a local linear
@@ -89,6 +90,10 @@ class LagCorrector(TableTransformer):
     servos_ : Servos
         Lag, delay and, where the flights reach it, limit of the rate of the servos, for simulations and
         margins, also where they are not removed. A limit is warned of.
+    rate_limit_, delay_std_ : float
+        Of ``servos_`` [rad/s], inf where the flights do not reach it, and the standard error of the delay [s].
+    left_std_ : float
+        Standard error [s] of the delay that is left beside the lag, of the column ``servo_delay_std``; 0 is none.
     lags_ : DataFrame
         By group or column: ``lag`` and ``std`` [s], NaN where it is given or flights do not show it,
         ``applied``, the lag that is removed [s], and a ``remark``.

@@ -11,8 +11,7 @@ from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
 from skdgp._flight.findings import Code
-from skdgp.identification import changes_of
-from skdgp.identification._changed import Compared
+from skdgp.identification import Compared, changes_of
 from skdgp.inference import attenuation, errors_of_slopes
 from skdgp.preprocessing import FlightPathReconstruction, RegressorSelector
 

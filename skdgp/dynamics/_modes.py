@@ -11,6 +11,7 @@ from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
 from skdgp._compute.typing import Array
+from skdgp._flight.tables import check_names
 
 # States of the modes along and across the plane of symmetry
 LONGITUDINAL = ("u", "w", "q", "theta")
@@ -20,8 +21,8 @@ LATERAL = ("v", "p", "r", "phi")
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
     names = [*LONGITUDINAL, *LATERAL]
-    states = [*A]
-    rows = [states.index(name) for name in names]
+    check_names(names, A, "states of the linear model")
+    rows = A.columns.get_indexer(names)
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
     participation = pd.DataFrame(_participation(left, right), names)
     modes = _named(_units(eigenvalues), participation, eigenvalues)

@@ -73,7 +73,7 @@ def test_names_hold_whatever_the_order_and_units_of_states():
 
 
 def test_states_of_one_plane_alone_are_refused():
-    with pytest.raises(ValueError, match="'v' is not in list"):
+    with pytest.raises(ValueError, match="The states of the linear model lack 'v'"):
         mode_table(BOTH[:4, :4], ALONG)
 
 

@@ -21,8 +21,8 @@ LATERAL = ("v", "p", "r", "phi")
 def mode_table(A: pd.DataFrame, paths: Array | None = None) -> pd.DataFrame:
     """Return the table of :meth:`skdgp.dynamics.LinearModel.modes`, of A and of the A of paths (n_paths, n, n)."""
     names = [*LONGITUDINAL, *LATERAL]
-    check_names(names, A, "states of the linear model")
-    rows = A.columns.get_indexer(names)
+    check_names(names, map(str, A), "states of the linear model")
+    rows = A.columns.get_indexer(pd.Index(names))
     eigenvalues, left, right = eig(A.to_numpy()[np.ix_(rows, rows)], left=True)
     participation = pd.DataFrame(_participation(left, right), names)
     modes = _named(_units(eigenvalues), participation, eigenvalues)

@@ -15,8 +15,7 @@ changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p an
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
-from ablation import LEFT_OUT
-from jsbsim_flight import FLOWN, KNOTS, TRAINING, flight_of, sensed
+from jsbsim_flight import FLOWN, KNOTS, LEFT_OUT, TRAINING, flight_of, sensed
 
 from skdgp import make_identification_pipeline
 from skdgp.dynamics import (

@@ -12,7 +12,6 @@ from skdgp.dynamics import (
     air_velocity,
     body_to_ned,
     euler_to_quaternion,
-    ned_to_body,
     stability_derivatives,
 )
 
@@ -77,6 +76,10 @@ HEIGHT = 274.0  # above the ground [m]
 KNOTS = {"J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0, "c182": 100.0}
 KNOTS |= {"c172p": 100.0, "t6texan2": 150.0, "T37": 200.0}
 KNOTS |= {"737": 250.0, "A320": 250.0, "B747": 280.0}
+# Aircraft of the ablation alone, which feel the rates of the air
+LEFT_OUT = {"Camel": 85.0, "F4N": 320.0, "OV10": 150.0, "787-8": 250.0}
+LEFT_OUT |= {"Boeing314": 130.0, "MD11": 280.0}
+KNOTS |= LEFT_OUT
 RATE = 40  # Hz, of the logs
 # Of JSBSim per row; controls change at each of them: held longer, they would lag behind the loads
 FRAMES = 6
@@ -199,11 +202,7 @@ def exact_regressors(table, aircraft):
     """Return `NAMES` of columns of the truth, (n, 11), with the rates that the aerodynamics feel."""
     columns = [f"{name}_true" if f"{name}_true" in table else name for name in NAMES]
     exact = table[columns].to_numpy()
-    felt = [f"{rate}_felt" for rate in "pqr"]
-    if {*felt} <= {*table}:
-        exact[:, ROTATION] = table[felt]
-    else:
-        exact[:, ROTATION] -= milspec_rates(table, aircraft.span)
+    exact[:, ROTATION] = table[[f"{rate}_felt" for rate in "pqr"]]
     lengths = aircraft.moment_lengths / (2 * table[["airspeed_true"]].to_numpy())
     exact[:, ROTATION] *= lengths
     exact[:, SLOPES] *= lengths[:, 1:]
@@ -323,32 +322,3 @@ def learned_derivatives(model, aircraft, at, airspeed, names=STEADY):
 def true_values(table, known):
     """Return the known values (n,) of the rows of a table of derivatives."""
     return np.array([known.loc[row.coefficient, row.regressor] for row in table.itertuples()])
-
-
-def milspec_rates(table, span):
-    """Return the rates of the air that JSBSim's turbulence makes of its wind, (n, 3) in body axes [rad/s].
-
-    Pitching and yawing lag behind the changes of the velocities w and v (Yeager 1998, eqs 14 and
-    18). Rolling is drawn for itself and stays unknown.
-    """
-    wind = (table[f"wind_{axis}_true"].to_numpy() for axis in ("north", "east", "down"))
-    north, east, down = wind
-    speed = table["airspeed_true"].to_numpy()
-    azimuth = np.arctan2(east.mean(), north.mean())
-    cos = np.cos(azimuth)
-    sin = np.sin(azimuth)
-    step = np.median(np.diff(table["time"]))
-
-    def lagging(velocity, lengths):
-        length = lengths * span / np.pi
-        rate = np.zeros(len(velocity))
-        keep = np.exp(-step * speed / length)
-        change = (1 - keep) * np.diff(velocity, prepend=velocity[0]) / (step * speed)
-        for k in range(1, len(rate)):
-            rate[k] = keep[k] * rate[k - 1] + change[k]
-        return rate
-
-    q = lagging(down, 4)
-    r = lagging(sin * north + cos * east, 3)
-    attitude = euler_to_quaternion(*(table[f"{angle}_true"] for angle in ("phi", "theta", "psi")))
-    return ned_to_body(attitude, np.column_stack([sin * q, cos * q, r]))

@@ -82,7 +82,7 @@ def identify(run: Run) -> None:
       "alpha [deg]"): time, airspeed, density, alpha, beta, p, q, r, ax, ay, az (specific force,
       what accelerometers read), elevator, aileron, rudder (or elevon_left, elevon_right), throttle,
       and thrust along the thrust line (or thrust_x, thrust_y, thrust_z, or propeller_speed, with
-      a propeller in the aircraft's file). For the replay also phi, theta, psi, v_north, v_east,
+      a propeller in the aircraft's file). For the simulation also phi, theta, psi, v_north, v_east,
       v_down. A column "flight" tells several flights in one file apart. Logs of PX4 (.ulg),
       ArduPilot (.bin) and telemetry (.tlog) are read too; --servos gives angles of surfaces.
 

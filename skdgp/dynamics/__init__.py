@@ -41,7 +41,6 @@ from skdgp.dynamics._modes import LONGITUDINAL as LONGITUDINAL
 from skdgp.dynamics._motion import Instant as Instant
 from skdgp.dynamics._motion import Motion as Motion
 from skdgp.dynamics._propeller import Propeller, ThrustLine
-from skdgp.dynamics._replay import replay as replay
 from skdgp.dynamics._rigid_body import ATTITUDE as ATTITUDE
 from skdgp.dynamics._rigid_body import RATES as RATES
 from skdgp.dynamics._rigid_body import STATE_NAMES

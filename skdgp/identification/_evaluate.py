@@ -1,4 +1,4 @@
-"""Predictions and replays of test flights, and their scores."""
+"""Predictions of test flights, and their scores."""
 
 from __future__ import annotations
 
@@ -14,14 +14,12 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     COEFFICIENTS,
-    EARTH_VELOCITY,
-    EULER,
     TRUTH_SUFFIX,
 )
 from skdgp._flight.smoothing import band_limited, without_vibration
 from skdgp._flight.tables import FlightTable, interpolated
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, replay
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._log_errors import by_least_squares
 from skdgp.identification._pipeline import (
     FlightPipeline,
@@ -37,7 +35,6 @@ from skdgp.metrics import (
     normalized_rmse,
 )
 
-REPLAY_HORIZON = 2.0  # seconds from restart to restart of a replay
 MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
 # scores by the names of their columns in summary and report
 SHOWN = {
@@ -73,7 +70,7 @@ THRESHOLDS = Thresholds()
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """Predictions for one flight and their replay.
+    """Predictions for one flight.
 
     Parameters
     ----------
@@ -96,8 +93,6 @@ class Evaluation:
         Coefficients that least squares on the same rows predict.
     truth : (n, 6), optional
         Noise-free coefficients of a simulation.
-    replay : DataFrame, optional
-        States integrated from the predicted coefficients along ``table``.
     """
 
     name: str
@@ -111,7 +106,6 @@ class Evaluation:
     noise_ratio: Vector
     baseline: Matrix
     truth: Matrix | None = None
-    replay: pd.DataFrame | None = None
 
 
 def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
@@ -164,7 +158,7 @@ def evaluate(
     pipeline: FlightPipeline,
     aircraft: Aircraft,
 ) -> Evaluation:
-    """Predict a checked flight and replay it."""
+    """Predict a checked flight."""
     notify(f"evaluating {name}")
     thrust = pipeline.thrust
     checking = pipeline.checking
@@ -183,9 +177,6 @@ def evaluate(
     variance = std**2
     if pipeline.log_errors_ is not None:  # which the measured coefficients have, too
         variance = np.maximum(variance - pipeline.log_errors_.variance(X), 0.0)
-    replayed = None
-    if {*EULER, *EARTH_VELOCITY} <= {*corrected.columns}:  # from which the integration starts
-        replayed = replay(checked, aircraft, mean, horizon=REPLAY_HORIZON, thrust=thrust)
     return Evaluation(
         name=name,
         table=corrected,
@@ -198,7 +189,6 @@ def evaluate(
         noise_ratio=ratio,
         truth=_truth(corrected, band),
         baseline=by_least_squares(named_regressors(pipeline, X), pipeline.least_squares_),
-        replay=replayed,
     )
 
 

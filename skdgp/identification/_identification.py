@@ -52,7 +52,7 @@ class Identification:
     train : dict of str to DataFrame
         Usable rows of the training flights; empty for a model that existed before.
     evaluations : list of Evaluation
-        Predictions and replay of each test flight.
+        Predictions of each test flight.
     findings : tuple of Finding
         Warnings, and assumptions where flights and aircraft do not say.
     changes : Changes, optional

@@ -76,8 +76,8 @@ def identify(
     """Learn a model of the six coefficients from flights, and judge it on others.
 
     Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`)
-    learns them from the training flights, and predicts the test flights; predictions are scored and
-    replayed. Listeners of `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``:
+    learns them from the training flights, and predicts the test flights; predictions are scored, and
+    the model is simulated. Listeners of `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``:
     "reading", "coefficients", "transforming", "evaluating NAME"; stages with a number of steps, such as
     "reconstructing paths", have ``done`` and ``total``. Ctrl-C during the fit keeps the
     best model so far.

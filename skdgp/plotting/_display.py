@@ -93,26 +93,21 @@ class Display(ABC):
         return self
 
 
-def segments(
-    time: Vector, values: Array, window: np.ndarray | None = None, longest: float = 5.0
-) -> Matrix:
+def segments(time: Vector, values: Array, longest: float = 5.0) -> Matrix:
     """Return time and columns of values (n, ...), rows with NaN where a line breaks.
 
-    Rows that are not known are left out. A line breaks at a gap longer than ``longest`` times the usual step, when
-    time goes back, at a new window.
+    Rows that are not known are left out. A line breaks at a gap longer than ``longest`` times the usual step, and when
+    time goes back.
 
     >>> segments(np.array([0.0, 1.0, 2.0, 9.0]), np.array([5.0, 6.0, 7.0, 8.0]))[1]
     array([ 5.,  6.,  7., nan,  8.])
     """
     rows = np.column_stack([time, values])
-    is_known = np.isfinite(rows).all(axis=1)
-    rows = rows[is_known]
+    rows = rows[np.isfinite(rows).all(axis=1)]
     step = np.diff(rows[:, 0])
     forward = step[step > 0]
     usual = np.median(forward) if forward.size else np.inf
     cut = ~((step > 0) & (step <= longest * usual))
-    if window is not None:
-        cut |= np.diff(window[is_known]) != 0
     return np.insert(rows, np.flatnonzero(cut) + 1, np.nan, axis=0).T
 
 

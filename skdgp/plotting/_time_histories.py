@@ -1,4 +1,4 @@
-"""TimeHistoryDisplay: measured, estimated, replayed, simulated or true values with bands against time."""
+"""TimeHistoryDisplay: measured, estimated, simulated or true values with bands against time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from skdgp._flight.tables import check_columns, interpolated, unwrapped
 from skdgp.dynamics import trajectory_bands
 from skdgp.plotting._display import BAND, ROLES, Display, axis_label, display_unit, segments
 
-LATERAL_STATES = ("v_east", "p", "r")  # of the paper's figure 7: east velocity, roll and yaw rate
 INPUTS = ("throttle", *SURFACES, *ELEVONS)
 # Samples above which lines are drawn as a picture: 20,000 of six outputs take 194 kB of SVG, and 900 as lines 568 kB
 LONG = 1000
@@ -27,7 +26,7 @@ class TimeHistoryDisplay(Display):
     """Measured and estimated values with the 95 % band of the estimate, a panel for each name.
 
     Units are SI and radians, drawn in degrees. No line is drawn across a gap, nor where time goes
-    back or a replay restarts.
+    back.
 
     Parameters
     ----------
@@ -37,8 +36,6 @@ class TimeHistoryDisplay(Display):
         Measured values, NaN = not observed; estimated ones; noise-free ones of a simulation.
     lower, upper : (n, k), optional
         Edges of the band.
-    window : (n,), optional
-        Number of the replay that a row belongs to, which changes at a restart.
     beyond : (n,), optional
         Fraction of simulated paths outside the range of the training data, marked at the upper
         edge.
@@ -64,7 +61,6 @@ class TimeHistoryDisplay(Display):
     truth: Matrix | None = None
     lower: Matrix | None = None
     upper: Matrix | None = None
-    window: np.ndarray | None = None
     beyond: Vector | None = None
     estimate: str = "estimated"
     suffix: str = ""
@@ -105,13 +101,13 @@ class TimeHistoryDisplay(Display):
 
         def line(label: str, values: Matrix | None, **style: Any) -> None:
             if values is not None:
-                drawn = segments(self.time, factor * values[:, k], self.window)
+                drawn = segments(self.time, factor * values[:, k])
                 ax.plot(*drawn, label=label, **style, **common)
 
         if self.lower is not None and self.upper is not None:
             edges = factor * np.column_stack([self.lower[:, k], self.upper[:, k]])
             style = {"color": ROLES["band"], "alpha": 0.35, "linewidth": 0.6, "zorder": 2.2}
-            drawn = segments(self.time, edges, self.window)
+            drawn = segments(self.time, edges)
             ax.fill_between(*drawn, label="95 % band", **style, **common)
         line("measured", self.measured, color=ROLES["measured"], linewidth=1.4)
         line("truth", self.truth, color=ROLES["truth"], linewidth=0.9, linestyle="--")
@@ -161,25 +157,6 @@ class TimeHistoryDisplay(Display):
             upper=None if half is None else center + half,
             truth=columns(truth),
             names=tuple(map(str, getattr(measured, "columns", unnamed))),
-        ).plot(ax)
-
-    @classmethod
-    def from_replay(cls, trajectory: pd.DataFrame, flight: pd.DataFrame, *, ax: Any = None) -> Self:
-        """Draw a replay of `skdgp.identification` and its flight (the paper's figure 7).
-
-        ``trajectory`` has ``time``, ``window`` and states, and a row for each row of the flight.
-        Drawn are v_east, p and r, where the flight has them.
-        """
-        check_columns(trajectory, ["time", "window", *LATERAL_STATES], what="trajectory")
-        check_consistent_length(trajectory, flight)
-        states = [name for name in LATERAL_STATES if name in flight]
-        return cls(
-            time=trajectory["time"].to_numpy(float),
-            names=tuple(states),
-            measured=flight[states].to_numpy(float),
-            mean=trajectory[states].to_numpy(float),
-            window=trajectory["window"].to_numpy(),
-            estimate="replayed",
         ).plot(ax)
 
     @classmethod

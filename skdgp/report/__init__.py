@@ -74,11 +74,6 @@ SCORES = (
     "wide. Bands are judged against measured values alone: the true coefficients contain effects "
     "that no sensor saw, such as gusts, which no band promises to hold."
 )
-REPLAY = (
-    "{name} in motion (the paper's figure 7): states integrated from the coefficients estimated at "
-    "the measured states, restarted from the measured state every {horizon:g} s. No control or "
-    "stability of the aircraft corrects their drift, so this is not a simulation."
-)
 EFFECTS = (
     "For each coefficient the regressors along which it changes most, on one scale, the others as in "
     "the trim (vertical line), with the 95 % band. Short lines are quantiles of the samples."
@@ -323,7 +318,7 @@ def _coverage(held: float) -> str:
 
 
 def _figures(result: Evaluation) -> str:
-    """Return coefficients with residuals, and replayed states, of a long flight where the estimates move most."""
+    """Return coefficients with residuals of a long flight where the estimates move most."""
     time = result.table["time"].to_numpy(float)
     rows = liveliest_rows(time, result.mean)
     display = TimeHistoryDisplay.from_predictions(
@@ -337,13 +332,10 @@ def _figures(result: Evaluation) -> str:
     caption = f"Coefficients of {result.name}"
     if rows != slice(None):
         caption += f", the {EXCERPT:g} s in which the estimates move most"
-    body = figure(display, f"{caption}.")
-    body += figure(display.residuals(), f"{caption}: measured less estimated, in the 95 % band.")
-    if result.replay is None:
-        return body
-    horizon = result.replay["horizon"].iloc[0]
-    states = TimeHistoryDisplay.from_replay(result.replay[rows], result.table[rows], ax=False)
-    return body + figure(states, REPLAY.format(name=result.name, horizon=horizon))
+    residuals = figure(
+        display.residuals(), f"{caption}: measured less estimated, in the 95 % band."
+    )
+    return figure(display, f"{caption}.") + residuals
 
 
 def liveliest_rows(time: Vector, values: Matrix) -> slice:

@@ -108,16 +108,11 @@ class TestCoefficients:
             assert {tuple(row) for row in np.column_stack([time, edge]).round(5)} <= corners
 
 
-def test_a_replay_is_in_degrees_and_breaks_between_windows():
-    time, measured, mean, _ = outputs(100, 3)
-    flown = pd.DataFrame(measured, columns=["v_east", "p", "r"])
-    replayed = pd.DataFrame(mean, columns=flown.columns).assign(
-        time=time, window=np.arange(100) // 25
-    )
-    display = TimeHistoryDisplay.from_replay(replayed, flown, ax=Figure())
-    assert_array_equal(line(display, "v_east", "measured").get_ydata()[:25], measured[:25, 0])
-    shown = line(display, "p", "replayed").get_ydata()
-    assert np.isnan(shown).sum() == 3
+def test_states_are_in_degrees_and_no_line_crosses_a_gap():
+    time, _, mean, _ = outputs(100, 2)
+    time = time + np.where(np.arange(100) < 50, 0.0, 60.0)
+    display = TimeHistoryDisplay(time=time, names=("v_east", "p"), mean=mean).plot(Figure())
+    shown = line(display, "p", "estimated").get_ydata()
+    assert np.isnan(shown).sum() == 1
     assert_allclose(shown[~np.isnan(shown)], np.rad2deg(mean[:, 1]))
-    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
-        TimeHistoryDisplay.from_replay(replayed, flown.iloc[1:])
+    assert_array_equal(line(display, "v_east", "estimated").get_ydata()[:50], mean[:50, 0])

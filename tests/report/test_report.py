@@ -84,7 +84,6 @@ def result(n=800, **changes):
     flight = table(n)
     mean = 0.1 * np.sin(np.outer(flight["time"], np.arange(1, 7))) + 0.01
     std = np.full((n, 6), 0.01)
-    window = (flight["time"] // 2).astype(int)
     given = {
         "name": "test",
         "measured": mean + 0.02 * rng.normal(size=(n, 6)),
@@ -97,7 +96,6 @@ def result(n=800, **changes):
         "truth": mean + 0.01 * rng.normal(size=(n, 6)),
         "table": flight,
         "states": flight,
-        "replay": flight[["time", "v_east", "p", "r"]].assign(horizon=2.0, window=window),
     }
     return Evaluation(**given | changes)
 
@@ -185,14 +183,6 @@ class TestPage:
         assert plt.rcParams["svg.fonttype"] == setting
 
 
-class TestPictures:
-    """SVG files of their own, small and true."""
-
-    def test_of_a_replay_the_horizon_is_told(self, html):
-        assert html.count("the paper's figure 7".replace("'", "&#x27;")) == 2  # alt, and caption
-        assert "restarted from the measured state every 2 s" in html
-
-
 class TestWords:
     def test_the_verdict_stands_first_with_thresholds(self, no_pictures):
         page = render(mechanics=FlightMechanics(notes=(said("none"),)))
@@ -211,7 +201,7 @@ class TestWords:
         assert "errors of at most 0.5 of the spread" in words
 
     def test_many_flights_are_a_table_and_the_three_worst_have_figures(self):
-        good = result(100, replay=None)
+        good = result(100)
         bad = replace(good, mean=good.mean + 10 * default_rng(0).normal(size=(100, 6)))
         better = replace(good, mean=good.measured)
         flights = {"a": better, "b": good, "c": bad, "d": good}
@@ -287,7 +277,7 @@ class TestWords:
         """Markup, and dollars, which are no templates and no mathematics."""
         evil = '<script>alert("&")</script> $title $$ ${body} $x^{'
         html = render(
-            title=evil, train={evil: table(100)}, evaluations=[result(100, name=evil, replay=None)],
+            title=evil, train={evil: table(100)}, evaluations=[result(100, name=evil)],
             subtitle=evil, facts={evil: evil}, assumed=[evil], command=evil,
             verdict=verdict(findings=(said(evil),)),
         )  # fmt: skip
@@ -315,7 +305,7 @@ class TestPoorContent:
         assert page.tags.count("table") == 3  # of uses, errors, and what was done
 
     def test_an_output_never_observed(self, no_pictures):
-        flight = result(400, truth=None, replay=None)
+        flight = result(400, truth=None)
         flight.measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
             words = words_of(evaluations=[flight])

@@ -9,23 +9,22 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+import pandas as pd
 
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.clock import LONGEST_STEP, runs_between, slices
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import interpolated
 from skdgp.io._log import Topic
 
-# messages of a block, whose median time is compared with the next block's
-BLOCK_SIZE = 25
+# messages, of which the median is hardly ever a wrong time
+NEIGHBOURS = 25
 # a clock that goes back by more than this was restarted [s]; messages out of order are less late
-RESTART_STEP = 5.0
+RESTART_STEP = 15.0
 # between two runs of a clock [s]
 RESTART_PAUSE = 60.0
-# distance of valid stamps from the medians [s], and the longest step between medians that widens it [s]
+# distance of valid times from the medians, beside the usual one [s]
 MARGIN = 5.0
-LARGEST_STEP = 60.0
 # corner of the low-pass in parts of the new rate: gain 1/2 there; and its order
 CUTOFF = 0.4
 FILTER_ORDER = 4
@@ -46,23 +45,31 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
     order = np.concatenate([topic.order for topic in topics.values()])
     time = np.concatenate([topic.time for topic in topics.values()])
     rows = np.argsort(order, kind="stable")
-    restarts = _restarts(time[rows])
-    spans = [_span(time[rows[run]]) for run in slices(restarts, len(time))]
-    earliest, latest = np.transpose(spans)
-    shifts = np.cumsum(np.append(0.0, latest[:-1] - earliest[1:] + RESTART_PAUSE))
+    rows = rows[_is_near_others(time[rows])]
+    stamps = time[rows]
+    restarts = np.flatnonzero(np.diff(stamps) < -RESTART_STEP) + 1
+    shifts = []
+    end = 0.0
+    for run in slices(restarts, len(stamps)):
+        if run.start:
+            shifts.append(end - stamps[run].min() + RESTART_PAUSE)
+            stamps[run] += shifts[-1]
+        end = stamps[run].max()
+    continued = np.full(len(time), np.nan)
+    continued[rows] = stamps
+    ends = np.cumsum([len(topic) for topic in topics.values()])
     sound = {}
     n_wrong: Counter[str] = Counter()
-    for name, topic in topics.items():
-        part = np.searchsorted(order[rows[restarts]], topic.order, side="right")
-        is_valid = (topic.time >= earliest[part]) & (topic.time <= latest[part])
-        n_wrong[name] = len(topic) - int(is_valid.sum())
-        if is_valid.any():
+    for (name, topic), times in zip(topics.items(), np.split(continued, ends[:-1]), strict=True):
+        valid = np.flatnonzero(np.isfinite(times))
+        n_wrong[name] = len(topic) - len(valid)
+        if len(valid):
             # in order of time, each time once
-            continued, first = np.unique((topic.time + shifts[part])[is_valid], return_index=True)
-            sound[name] = replace(topic.select(np.flatnonzero(is_valid)[first]), time=continued)
+            increasing, first = np.unique(times[valid], return_index=True)
+            sound[name] = replace(topic.select(valid[first]), time=increasing)
     remarks = []
-    if restarts:
-        later = ", ".join(f"{shift:.1f} s" for shift in shifts[1:])
+    if shifts:
+        later = ", ".join(f"{shift:.1f} s" for shift in shifts)
         remarks.append(
             f"the clock was set back, as by a restart: what follows has times {later} later than in the log"
         )
@@ -73,38 +80,19 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
     return sound, remarks
 
 
-def _restarts(time: Vector) -> list[int]:
-    """Return the first messages of clocks that were set back, of times in the order of the file."""
-    size = BLOCK_SIZE
-    steady = _steady(time)
-    restarts = set()
-    falls = np.flatnonzero(np.diff(steady) < -RESTART_STEP)
-    for block in falls.tolist():
-        start = max(block - 3, 0) * size
-        window = time[start : (block + 5) * size]
-        middle = (steady[block] + steady[block + 1]) / 2
-        # before the restart messages are later than the middle, behind it earlier
-        balance = np.cumsum(np.where(window > middle, 1, -1))
-        restarts.add(start + int(np.argmax(balance)) + 1)
-    return sorted(restarts - {len(time)})
+def _is_near_others(time: Vector) -> Mask:
+    """Return which times, in the order of the file, are near the median of those before, or of those behind."""
+    # odd, so that a median is one of the times, and at most half of a short log
+    n = min(NEIGHBOURS, 2 * ((len(time) - 1) // 4) + 1)
+    before = _running_median(time, n)
+    behind = _running_median(time[::-1], n)[::-1]
+    margin = MARGIN + np.nanmedian(np.abs(behind - before))
+    return (np.abs(time - before) <= margin) | (np.abs(time - behind) <= margin)
 
 
-def _span(time: Vector) -> tuple[float, float]:
-    """Return the earliest and the latest time that messages between two restarts may have."""
-    steady = _steady(time)
-    margin = MARGIN + min(np.diff(steady).max(initial=0.0), LARGEST_STEP)
-    return steady.min() - margin, steady.max() + margin
-
-
-def _steady(time: Vector) -> Vector:
-    """Return the median time of each block of messages, (m,), and of these the median of five neighbours."""
-    size = min(BLOCK_SIZE, len(time))
-    n_blocks = len(time) // size
-    blocks = time[: n_blocks * size].reshape(n_blocks, size)
-    medians = np.pad(np.median(blocks, axis=1), 2, mode="edge")
-    # Not scipy.ndimage.median_filter: of one value, versions 1.15.0 to .2 overwrite memory, and
-    # 1.15.3 returns 0.
-    return np.median(sliding_window_view(medians, 5), axis=1)
+def _running_median(time: Vector, n: int) -> Vector:
+    """Return the median of n times up to each one, of at least half as many at the beginning, else NaN."""
+    return pd.Series(time).rolling(n, min_periods=n // 2 + 1).median().to_numpy()
 
 
 def usual_step(step: Vector) -> float:

@@ -43,7 +43,7 @@ class Topic:
     time : ndarray (n,)
         Time stamps [s] in the order of the file, as written: they may be wrong or out of order.
     order : ndarray (n,)
-        Place of each message in the file, the order of all topics together.
+        Place of each message in the file, the order of all topics together; of PX4 the time.
     fields : dict of str to ndarray (n,)
         Numbers by name. Elements of arrays and nested messages are ``q[0]``, ``esc[0].esc_rpm``.
     """

@@ -273,7 +273,7 @@ def _flight_names(flight: pd.Series) -> np.ndarray:
     """Return the name of each row's flight as str; whole numbers without a point."""
     try:
         codes, names = flight_codes(flight)
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         message = f"{error} read_flight(path, flight='name') names all rows alike."
         raise FlightReadError(message) from error
     texts = []

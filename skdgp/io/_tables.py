@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from skdgp._compute.messages import warn
+from skdgp._compute.messages import extra, warn
 from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
 
@@ -285,46 +285,23 @@ def _check_rows(records: Any, names: list[str], above: int, separator: str) -> s
 
 # the names that pandas gives to an index without one
 INDEX = re.compile(r"__index_level_\d+__")
-# types of pyarrow whose cells are no single numbers, texts or times
-NO_CELLS = re.compile("list|struct|map|union|binary")
 
 
 def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
     """Return the table of a Parquet file; an index that pandas wrote into it is a column if it has a name.
 
-    ``rename`` is not needed, as names have no units.
-
-    Raise FlightReadError if it is damaged or has columns of lists, structs or bytes, ImportError without pyarrow.
+    ``rename`` is not needed, as names have no units. Raise FlightReadError if it is damaged,
+    ImportError without pyarrow.
     """
+    parquet = extra("pyarrow.parquet", "parquet")
     try:
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ImportError(
-            "Reading parquet needs pyarrow, which is not installed: pip install 'skdgp[parquet]', or write a CSV."
-        ) from error
-    try:
-        return _parquet_table(path, pyarrow)
-    except (FlightReadError, Warning):
-        raise
+        table = parquet.ParquetFile(path).read()
     except Exception as error:  # a damaged file makes pyarrow raise nearly anything
         reason = next(iter(str(error).splitlines()), type(error).__name__)
         raise FlightReadError(
             f"Got a file that is not a whole parquet file ({reason}), but expected one: copy or export it again."
         ) from error
-
-
-def _parquet_table(path: Path, pyarrow: Any) -> pd.DataFrame:
-    with pyarrow.parquet.ParquetFile(path) as file:
-        names = file.schema_arrow.names
-        check_width(len(names))
-        check_names(name.strip() for name in names)
-        kinds = {field.name: str(field.type) for field in file.schema_arrow}
-        no_cells = {name: kind for name, kind in kinds.items() if NO_CELLS.search(kind)}
-        if no_cells:
-            raise FlightReadError(
-                f"Got columns of types {no_cells}, but expected one number or text in each row: drop them, or write "
-                "one column for each value."
-            )
-        columns = [name for name in names if not INDEX.match(name)]
-        table = file.read(columns=columns).replace_schema_metadata(None)
-    return table.to_pandas()
+    names = [name for name in table.column_names if not INDEX.match(name)]
+    check_width(len(names))
+    check_names(name.strip() for name in names)
+    return table.select(names).replace_schema_metadata(None).to_pandas()

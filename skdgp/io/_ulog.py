@@ -6,7 +6,6 @@ Topics: https://docs.px4.io/main/en/msg_docs. A damaged file is read as far as p
 from __future__ import annotations
 
 import io
-from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -41,8 +40,6 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35"
-# bytes before each message
-HEAD_SIZE = 3
 # microseconds from sampling to publishing, at most
 LATEST = 1_000_000
 TAILSITTERS = (19, 20, 23)
@@ -208,13 +205,15 @@ def read_ulog(path: Path) -> Log:
     Raises FlightReadError if it is none, of a later format, or holds no message, ImportError
     without pyulog.
     """
-    file = _File(path.read_bytes())
-    log = _parsed(file)
+    log = _parsed(path.read_bytes())
     topics = {}
     for data_set in log.data_list:
         if "timestamp" in data_set.data:
             name = instance_name(data_set.name, data_set.multi_id)
-            topics[name] = _topic(data_set, file.places[data_set.msg_id])
+            fields = numeric_fields(data_set.data)
+            time = 1e-6 * sampled(data_set.name, fields)
+            # PX4's clock is not set back: wrong times are known among those of all topics
+            topics[name] = Topic(time, time, fields)
     if not topics:
         raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")
     parameters = _parameters(log, topics)
@@ -243,28 +242,10 @@ def read_ulog(path: Path) -> Log:
     )
 
 
-class _File(io.BytesIO):
-    """A file that notes where data messages end, by their number."""
-
-    def __init__(self, data: bytes):
-        super().__init__(data)
-        self.places: defaultdict[int, list[int]] = defaultdict(list)
-        self._is_data = False
-
-    def read(self, size: int | None = -1) -> bytes:
-        """Return the next bytes: a head, or what stands behind it."""
-        content = super().read(size)
-        if self._is_data and len(content) == size:
-            number = int.from_bytes(content[:2], "little")
-            self.places[number].append(self.tell())
-        self._is_data = size == HEAD_SIZE and content[2:] == b"D"
-        return content
-
-
-def _parsed(file: _File) -> Any:
+def _parsed(data: bytes) -> Any:
     """Return the log of pyulog; raise FlightReadError if it reads none."""
     pyulog = extra("pyulog", "logs")
-    if not file.getvalue().startswith(HEADER):
+    if not data.startswith(HEADER):
         raise FlightReadError(
             "Got a file that does not begin as a ULog does, but expected a log of PX4: is it empty, "
             "or of another kind? A log of PX4 is named .ulg, one of ArduPilot .bin."
@@ -272,7 +253,7 @@ def _parsed(file: _File) -> Any:
     try:
         # where pyulog tells of damage
         with redirect_stdout(io.StringIO()):
-            log = pyulog.ULog(file)
+            log = pyulog.ULog(io.BytesIO(data))
             log.get_version_info_str()
     except (pyulog.ULogException, RecursionError, LookupError, TypeError, ValueError) as error:
         raise FlightReadError(f"Got a ULog that cannot be read: {error}.") from error
@@ -288,16 +269,6 @@ def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> t
     board = euler_to_matrix(*np.deg2rad(BOARD_ROTATIONS[place]))
     rotation = euler_to_matrix(*np.deg2rad(offsets)) @ board
     return turned(rules, rotation, BY_BOARD, OF_BOARD)
-
-
-def _topic(data_set: Any, places: list[int]) -> Topic:
-    """Return the messages of a topic; places are approximate where pyulog refused messages."""
-    fields = numeric_fields(data_set.data)
-    time = sampled(data_set.name, fields) * 1e-6
-    order = np.array(places, dtype=float)
-    if len(order) != len(time):
-        order = np.linspace(order[0], order[-1], len(time))
-    return Topic(time, order, fields)
 
 
 def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:

@@ -120,7 +120,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("name", "module", "extra"),
         [
-            ("log.parquet", "pyarrow", "parquet"),
+            ("log.parquet", "pyarrow.parquet", "parquet"),
             ("log.ulg", "pyulog", "logs"),
             ("log.tlog", "pymavlink.dialects.v20.ardupilotmega", "logs"),
         ],

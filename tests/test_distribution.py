@@ -77,5 +77,5 @@ class TestDistributions:
         with zipfile.ZipFile(tmp_path / build.build_wheel(str(tmp_path))) as archive:
             held = {name for name in archive.namelist() if ".dist-info/" not in name}
             (scripts,) = [name for name in archive.namelist() if name.endswith("entry_points.txt")]
-            assert b"skdgp = skdgp._cli:main" in archive.read(scripts)
+            assert b"skdgp = skdgp.__main__:main" in archive.read(scripts)
         assert held == {name for name in tracked() if name.startswith("skdgp/")}

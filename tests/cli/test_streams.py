@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from skdgp.__main__ import main
 from skdgp._cli import Console
 from skdgp._compute.messages import Progress
 
@@ -63,6 +64,20 @@ def test_output_that_is_closed(predict, written):
         sys.stdout.close()
         sys.stderr.close()
     assert written.exists()
+
+
+class Interrupted:
+    """A module during whose import Ctrl-C comes."""
+
+    @property
+    def main(self):
+        raise KeyboardInterrupt
+
+
+def test_imports_that_are_stopped(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "skdgp._cli", Interrupted())
+    assert main([]) == 130
+    assert capsys.readouterr().err == "stopped\n"
 
 
 def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():

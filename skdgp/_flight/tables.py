@@ -209,9 +209,9 @@ def check_table(table: object, *, what: str = "flight") -> pd.DataFrame:
     """Return a DataFrame with unique column names and at least one row; raise TypeError or ValueError at any other."""
     if not isinstance(table, pd.DataFrame):
         raise TypeError(
-            f"Got {type(table).__name__} for {what}, but expected a pandas DataFrame with named "
-            f"columns (one row per sample): build one with skdgp.io.read_flight or "
-            f"pandas.DataFrame, or convert another library's with its to_pandas()."
+            f"Got {type(table)} for {what}, but expected a pandas DataFrame with named columns (one row "
+            f"per sample): build one with skdgp.io.read_flight or pandas.DataFrame, or convert another "
+            f"library's with its to_pandas(). set_output must not ask steps for polars."
         )
     if len(table) == 0:
         raise ValueError(f"Got {what} with no rows, but expected at least one sample.")

@@ -192,7 +192,19 @@ def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector, 
 
 def regressor_names(pipeline: Pipeline) -> list[str]:
     """Return the names of the regressors of the last step."""
-    return [str(name) for name in pipeline["regressorselector"].regressors_]
+    _, selector = pipeline.steps[position_of(pipeline, "regressorselector")]
+    return [str(name) for name in selector.regressors_]
+
+
+def position_of(pipeline: Pipeline, name: str) -> int:
+    """Return the position of a step that flights need; raise ValueError where it is missing."""
+    names = [each for each, _ in pipeline.steps]
+    if name not in names:
+        raise ValueError(
+            f"Got a pipeline of {names}, but expected a step {name!r} as well: give its replacement this "
+            "name, 'passthrough' for none."
+        )
+    return names.index(name)
 
 
 def step_of(pipeline: Pipeline, kind: type[Step]) -> Step | None:
@@ -229,8 +241,7 @@ def scaling_of(pipeline: Pipeline) -> tuple[Vector, Vector]:
 
 def _behind_selector(pipeline: Pipeline) -> Pipeline:
     """Return the steps between the choice of regressors and the last step."""
-    first = 1 + [name for name, _ in pipeline.steps].index("regressorselector")
-    return pipeline[first:-1]
+    return pipeline[1 + position_of(pipeline, "regressorselector") : -1]
 
 
 def reconstruction_of(pipeline: Pipeline) -> FlightPathReconstruction | None:
@@ -343,6 +354,7 @@ class FlightPipeline(Pipeline):
         self.n_observed_ = _n_observed(y)
         y = self._thinned(y)
         self.n_learned_ = _n_observed(y)
+        position_of(self, "regressorselector")  # asked for before the flights take their time
         n_first = len(self.checking)
         first, others = self[:n_first], self[n_first:-1]
         flights = first.fit_transform(X, y)
@@ -379,8 +391,7 @@ class FlightPipeline(Pipeline):
     @property
     def checking(self) -> Pipeline:
         """The steps up to the check of flights."""
-        names = [name for name, _ in self.steps]
-        return self[: 1 + names.index("flightcheck")]
+        return self[: 1 + position_of(self, "flightcheck")]
 
     def _thinned(self, y: Any) -> Any:
         """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""

@@ -311,6 +311,23 @@ def test_a_throttle_brings_the_airspeed_among_the_regressors(throttle, moves, ex
     assert (np.abs(slopes[0]) > 1).all()
 
 
+@pytest.mark.parametrize("missing", ["flightcheck", "regressorselector"])
+def test_a_step_that_flights_need_is_asked_for(missing, flights):
+    train = flights.train[:200]
+    model = make_identification_pipeline(flights.aircraft)
+    model.steps = [(name, step) for name, step in model.steps if name != missing]
+    with pytest.raises(ValueError, match=f"expected a step '{missing}'"):
+        model.fit(train, aerodynamic_coefficients(train, flights.aircraft))
+
+
+def test_steps_pass_pandas_and_no_polars(flights):
+    pytest.importorskip("polars")
+    train = flights.train[:200]
+    model = make_identification_pipeline(flights.aircraft).set_output(transform="polars")
+    with pytest.raises(TypeError, match=r"Got .*polars.* but expected a pandas .*set_output"):
+        model.fit(train, aerodynamic_coefficients(train, flights.aircraft))
+
+
 NAMES = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
 
 

@@ -158,7 +158,7 @@ class TestContract:
 
     def test_an_array_is_refused(self, transformer, table):
         for X in (default_rng(0).normal(size=(20, 3)), table.to_numpy()):
-            with pytest.raises(TypeError, match=r"Got ndarray .*but expected a pandas DataFrame"):
+            with pytest.raises(TypeError, match=r"ndarray'> .*but expected a pandas DataFrame"):
                 clone(transformer).fit(X)
 
     def test_fit_transform_is_fit_and_transform(self, transformer, out, table):

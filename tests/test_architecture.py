@@ -2,7 +2,6 @@
 
 import ast
 import re
-import subprocess
 import sys
 import tomllib
 from functools import cache
@@ -204,18 +203,3 @@ def test_nothing_but_the_dependencies_is_imported():
         return found
 
     assert not offenders(others)
-
-
-def test_extras_are_not_loaded_by_the_package():
-    """pandas may bring pyarrow by itself; the package adds none."""
-    code = (
-        "import sys, numpy, scipy, pandas, sklearn; before = set(sys.modules);"
-        "import skdgp, skdgp.kernels, skdgp.inference, skdgp.io, skdgp.preprocessing, "
-        "skdgp.dynamics, skdgp.estimation, skdgp.metrics,"
-        "skdgp.model_selection, skdgp.datasets, skdgp.plotting, skdgp.report, skdgp.identification;"
-        "print(sorted({m.split('.')[0] for m in set(sys.modules) - before}))"
-    )
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
-    ).stdout
-    assert not set(ast.literal_eval(loaded)) & EXTRAS

@@ -12,7 +12,9 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.pipeline import Pipeline
+from sklearn.metrics import r2_score
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
 from sklearn.utils.estimator_checks import check_estimator
 
 import skdgp
@@ -138,6 +140,18 @@ class TestShapesAndNames:
         unobserved = np.full((9, 2), np.nan)
         model.fit(more, np.vstack([Y, unobserved]))
         assert_allclose(model.predict(new), expected, rtol=1e-6, atol=1e-9)
+
+    def test_score_leaves_targets_out_that_were_not_observed(self, data):
+        X, Y = data
+        short = {"structure": "joint", "n_latent": 1, "max_iter": 8, "random_state": 0}
+        model = make_pipeline(StandardScaler(), DependentGPRegressor(**short)).fit(X, Y)
+        seen = np.isfinite(Y[:, 1])
+        mean = model.predict(X)
+        scores = [r2_score(Y[:, 0], mean[:, 0]), r2_score(Y[seen, 1], mean[seen, 1])]
+        assert model.score(X, Y) == pytest.approx(np.mean(scores))
+        twice = model.score(np.vstack([X, X[:5]]), np.vstack([Y, Y[:5]]))
+        weights = 1.0 + (np.arange(len(X)) < 5)
+        assert model.score(X, Y, sample_weight=weights) == pytest.approx(twice)
 
 
 def ctrl_c(at_stage, n):

@@ -129,12 +129,6 @@ class TestRefusedFit:
         assert vars(model).keys() == before.keys()
         assert_array_equal(model.predict(X, return_std=True), expected)
 
-    def test_of_a_new_estimator_leaves_it_unfitted(self):
-        model = quick()
-        with pytest.raises(ValueError, match="fewer than two"):
-            model.fit(np.eye(3), [np.nan, np.nan, 1.0])
-        assert not [name for name in vars(model) if name.endswith("_")]
-
 
 class TestRegressors:
     def test_by_other_names_or_in_another_order(self, tables):

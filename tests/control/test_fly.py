@@ -256,10 +256,6 @@ class TestRefuses:
             with pytest.raises(ValueError, match=rf"Got the port 127.0.0.1:{port}, but .* another"):
                 fly(glider.model(), glider.aircraft, steady, FULL, port=port)
 
-    def test_silence(self, port, glider, steady):
-        with pytest.raises(ValueError, match=r"Got no packet .* for 0.1 s, but expected ArduPilot"):
-            fly(glider.model(), glider.aircraft, steady, FULL, port=port, wait=0.1)
-
     @pytest.mark.parametrize(
         ("options", "message"),
         [
@@ -279,11 +275,6 @@ class TestRefuses:
         idle = np.where(np.arange(8) == 6, 0.0, glider.slopes)
         with pytest.raises(ValueError, match="whose aileron does not change p"):
             fly(glider.model(idle), glider.aircraft, steady, FULL)
-
-    def test_a_path_without_a_posterior(self, glider, steady):
-        model = glider.model(has_paths=False)
-        with pytest.raises(ValueError, match="without posterior samples"):
-            fly(model, glider.aircraft, steady, FULL, path=3)
 
 
 def test_elevons_are_mixed_back(flown):

@@ -466,18 +466,6 @@ class TestSimulator:
         assert np.isnan([seen[name] for name in ACCELERATIONS]).all()
         assert np.isfinite(seen["airspeed"])
 
-    def test_a_seed_draws_another_aircraft_and_the_same_one_again(self, aircraft, glider):
-        simulator = Simulator(glider.model(), aircraft)
-
-        def end(seed):
-            simulator.reset(START, random_state=seed)
-            for _ in range(20):
-                seen = simulator.step(commands(0.0))
-            return seen["phi"]
-
-        assert end(1) == end(1)
-        assert end(1) != pytest.approx(end(2))
-
     @pytest.mark.parametrize("n_tables", [1, 2])
     def test_a_wind_over_time_is_refused(self, n_tables, aircraft, glider):
         with pytest.raises(ValueError, match=r"^Got a wind over time.*simulate\(\) takes it"):

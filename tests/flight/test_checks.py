@@ -24,12 +24,6 @@ def test_an_unwrapped_heading_passes(missing):
     assert coefficients(psi=heading).notna().all(axis=None)
 
 
-@pytest.mark.parametrize("heading", [np.linspace(0.0, 359.0, 1000), np.full(1000, 90.0)])
-def test_a_heading_in_degrees_is_refused(heading):
-    with pytest.raises(ValueError, match=r"degrees.*wrapped by numpy.angle"):
-        coefficients(psi=heading)
-
-
 @pytest.mark.parametrize(("elevator", "rows"), [(0.9, 900), (1.0, 5), (-1.0, 5)])
 def test_commands_from_minus_one_to_one_are_warned_of(elevator, rows):
     """Beyond what servos move, or at the end of a command's range though rarely."""

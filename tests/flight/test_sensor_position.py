@@ -50,14 +50,6 @@ def test_an_unknown_position_stays_unknown_beside_a_known_one():
     assert moved.loc["unknown", POSITION].isna().all(axis=None)
 
 
-def test_a_tumbling_body_has_no_force_at_its_origin():
-    flight = tumbling(ARM)
-    assert np.abs(flight[FORCES]).max(axis=None) > 0.5
-    moved = at_centre_of_gravity(placed(flight, ARM))
-    assert_allclose(moved[FORCES][5:-5], 0.0, atol=2e-3)
-    assert_allclose(moved[POSITION], 0.0)
-
-
 @pytest.mark.parametrize(
     "stated",
     [{}, {"sensor_position_x": 0.5}, dict.fromkeys(POSITION, 0.0), dict.fromkeys(POSITION, np.nan)],

@@ -122,14 +122,6 @@ def test_a_table_without_thrust():
 
 
 @pytest.mark.usefixtures("no_mechanics")
-def test_of_an_engine_that_never_ran_no_thrust_is_assumed():
-    found = quietly(table().assign(throttle=0.0), UNKNOWN, samples=60, horizon=1.0)
-    assert found.options["thrust"] is None
-    assert "THRUST_IN_COEFFICIENTS" not in codes(found.findings)
-    assert "throttle" not in found.fit.regressors
-
-
-@pytest.mark.usefixtures("no_mechanics")
 def test_surfaces_may_have_a_mixing_of_their_own():
     flight = table()
     elevator = flight.pop("elevator")

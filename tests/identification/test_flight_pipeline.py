@@ -122,17 +122,6 @@ class TestPredict:
         carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
         assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
 
-    def test_air_at_rest_or_from_behind_is_refused(self, model, flights, test_flight):
-        noise = default_rng(0).normal(0.0, 0.3, 200)
-        slow = test_flight.assign(airspeed=np.where(np.arange(200) < 100, noise, 30.0 + noise))
-        for use in (
-            model.predict,
-            partial(model.predict, return_std=True),
-            partial(aerodynamic_coefficients, aircraft=flights.aircraft),
-        ):
-            with pytest.raises(ValueError, match="need airspeed > 0"):
-                use(slow)
-
     def test_flights_of_different_rates_last_as_long_as_each_of_them(self, delta):
         time = np.concatenate([np.arange(0, 20, 0.02), np.arange(0, 110, 0.1)])
         names = np.repeat(["fast", "slow"], [1000, 1100])

@@ -146,11 +146,6 @@ class TestStacking:
         errors = np.array([(best - 1.0) * difference, best * difference])
         assert stacked(errors, 10.0)[0] == pytest.approx(np.clip(best, 0.0, 1.0), abs=1e-5)
 
-    def test_rows_that_tell_nothing_give_equal_weights(self):
-        rng = default_rng(0)
-        errors = rng.normal(size=(1, 30)) + 1e-4 * rng.normal(size=(2, 30))
-        assert_allclose(stacked(errors, 0.0), 0.5, atol=0.01)
-
     def test_without_rows_the_trend_has_all(self):
         assert_array_equal(stacked(np.empty((2, 0)), 10.0), [0.0, 1.0])
 

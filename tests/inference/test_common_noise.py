@@ -5,8 +5,6 @@ import pytest
 from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
-from skdgp.inference import Data, Objective, log_likelihood
-from skdgp.kernels import ConvolvedGaussian
 
 STD = 0.1, 0.01  # of the errors of two regressors
 
@@ -18,14 +16,6 @@ def time_series():
     x = rng.uniform(-2, 2, (800, 2))
     Y = np.sin(x) + np.cos(x[:, ::-1])
     return x + rng.normal(0, STD, x.shape), Y + rng.normal(0, 0.02, Y.shape)
-
-
-def test_the_objective_keeps_it(time_series):
-    X, Y = (part[:9] for part in time_series)
-    kernel = ConvolvedGaussian(0).initialize(X, Y, 0)
-    data = Data.from_table(X, Y, np.ones((9, 2, 1)))
-    found = Objective(kernel, [data], 2).value(np.append(kernel.theta, [0.0, 0.0]))
-    assert found == pytest.approx(log_likelihood(kernel, np.ones(2), data))
 
 
 @pytest.mark.parametrize(("inference", "n"), [("exact", 150), ("sparse", 800)])

@@ -76,11 +76,6 @@ class TestFit:
         K = found.kernel(np.zeros((1, 1)))
         assert K[0, 1] / np.sqrt(K[0, 0] * K[1, 1]) < -0.7
 
-    def test_the_seed_decides(self, fit, drawn):
-        X, _, kernel, _ = drawn
-        once, again = (fit(kernel, optimizer=None).posterior.predict(X) for _ in range(2))
-        assert_array_equal(once, again)
-
 
 class TestGivenKernel:
     """What a user says of a kernel holds."""

@@ -253,19 +253,6 @@ class TestUse:
             assert kernel.couples(i, j) == kernel.couples(j, i)
             assert kernel.couples(i, j) or not block.any()
 
-    def test_how_rows_are_cut_does_not_matter(self, kernel):
-        X, last = inputs(kernel, (900, 30, 300)), kernel.n_outputs - 1
-        many, others = X[0], X[last]
-        block = kernel.block(0, last, many, others)
-        W = default_rng(1).normal(size=block.shape)
-        blocks, slopes = [], []
-        for part, weights in zip(np.split(many, 9), np.split(W, 9), strict=True):
-            blocks.append(kernel.block(0, last, part, others))
-            slopes.append(kernel.block_gradient(0, last, part, others, weights))
-        equal(np.vstack(blocks), block)
-        slope = kernel.block_gradient(0, last, many, others, W)
-        equal(np.sum(slopes, axis=0), slope, rtol=1e-10, atol=1e-11)
-
     def test_block_and_gradient_are_those_that_are_computed_together(self, kernel):
         X = inputs(kernel)
         pairs = coupled(kernel, X)

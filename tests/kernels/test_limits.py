@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.linalg import block_diag
 from sklearn.gaussian_process.kernels import RBF
 
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels import ConvolvedGaussian
 
 
 @pytest.fixture
@@ -29,13 +28,3 @@ def test_tied_without_shift_is_the_linear_model_of_coregionalisation(rng):
         np.kron(np.outer(w, w), RBF(length[0])(X)) for w, length in zip(W, lengths, strict=True)
     )
     assert_allclose(kernel(X), expected, rtol=1e-12)
-
-
-def test_trend_is_a_bayesian_linear_model(rng):
-    """Phi diag(tau^2) Phi^T of each output, nothing between outputs."""
-    intercept, slope, center = rng.uniform(1, 2, 2), rng.uniform(1, 2, (2, 3)), rng.normal(size=3)
-    X = rng.normal(size=(4, 3))
-    Phi = np.column_stack([np.ones(4), X - center])
-    priors = [np.diag(np.append(a, b) ** 2) for a, b in zip(intercept, slope, strict=True)]
-    expected = block_diag(*(Phi @ prior @ Phi.T for prior in priors))
-    assert_allclose(LinearTrend(intercept, slope, center)(X), expected, rtol=1e-12)

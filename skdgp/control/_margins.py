@@ -10,7 +10,7 @@ with the response G of the linear model, the laws K of all loops and the delay t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,8 +80,6 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     ------
     ValueError
         If there are no loops, two of a control, or one of a control that the linear model has not.
-    TypeError
-        If ``loops`` is no list of Loop.
 
     Examples
     --------
@@ -107,7 +105,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     _check(linear, loops)
     s: Any = 1j * _frequencies(N_FREQUENCIES)
     transfer = _of_loops(_responses(linear, _models(linear), loops, s), linear, loops, s)
-    stability = _Stability.of(linear, loops, N_FREQUENCIES)
+    stability = _Stability(linear, loops, N_FREQUENCIES)
     unstable = stability.unstable(loops)
     rows = []
     for k, loop in enumerate(loops):
@@ -172,7 +170,7 @@ def suggest_gains(
     search = _GainSearch(
         s=s,
         responses=_responses(linear, _models(linear)[1:], loops, s),
-        stability=_Stability.of(linear, loops, N_SEARCHED),
+        stability=_Stability(linear, loops, N_SEARCHED),
         gain_margin=gain_margin,
         phase_margin=phase_margin,
         probability=probability,
@@ -271,9 +269,7 @@ def _factor(decibels):
 
 
 def _check(linear, loops):
-    """Raise an error if loops are none, two of a control, or of controls that are no inputs."""
-    if not isinstance(loops, list | tuple) or not all(isinstance(loop, Loop) for loop in loops):
-        raise TypeError(f"Got loops={loops!r}, but expected a list of Loop, of autopilot_loops.")
+    """Raise ValueError if loops are none, two of a control, or of controls that are no inputs."""
     inputs = [*linear.B.columns]
     controls = [loop.control for loop in loops]
     moved = controls + ["rudder" for loop in loops if loop.rudder]
@@ -367,16 +363,7 @@ class _Axis(NamedTuple):
     aircraft: Array  #: det(s I - A) / (s + 1)^m on the curve, (1 + n_paths, n)
     responses: Array  #: To the commands of the loops, (1 + n_paths, n, n_outputs, n_loops)
 
-    @classmethod
-    def of(cls, linear, models, loops, s, unused, numbers):
-        kept = [k for k, name in enumerate(linear.A.index) if name not in unused]
-        A = np.array([model[0] for model in models])
-        roots = np.linalg.eigvals(A[:, kept, :][..., kept])
-        aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
-        responses = _responses(linear, models, loops, s, unused)[..., numbers]
-        return cls(numbers, roots, aircraft, responses)
-
-    def logarithm(self, K) -> Array:
+    def logarithm(self, K: Array) -> Array:
         """Return log(det(s I - A) det(I + M) / (s + 1)^m) on the curve, of loops closed by K, (1 + n_paths, n)."""
         M = -K[:, self.loops] @ self.responses
         characteristic = self.aircraft * np.linalg.det(np.eye(len(self.loops)) + M)
@@ -384,7 +371,7 @@ class _Axis(NamedTuple):
         return np.log(np.abs(characteristic)) + 1j * angle
 
 
-class _Stability(NamedTuple):
+class _Stability:
     r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
 
     :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
@@ -393,96 +380,86 @@ class _Stability(NamedTuple):
     together: a pitch loop does not move the spiral.
     """
 
-    linear: LinearModel
-    s: Vector
-    axes: list[_Axis]
-
-    @classmethod
-    def of(cls, linear, loops, n_frequencies):
+    def __init__(self, linear: LinearModel, loops: Sequence[Loop], n_frequencies: int) -> None:
+        self.linear = linear
         beyond = FREQUENCIES[1] * np.geomspace(1.0, 10.0, n_frequencies // 5)[1:]
         w = np.concatenate([[0.0], _frequencies(n_frequencies), beyond])
-        s: Any = _bound(w) + 1j * w
-        models = _models(linear)
-        axes: list[_Axis] = []
+        self.s: Any = _bound(w) + 1j * w
+        self.axes: list[_Axis] = []
         for others in (LATERAL, LONGITUDINAL, ()):
             numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] not in others]
-            if numbers and all(numbers != axis.loops for axis in axes):
-                axes.append(_Axis.of(linear, models, loops, s, {*UNUSED, *others}, numbers))
-        return cls(linear, s, axes)
+            if numbers and all(numbers != axis.loops for axis in self.axes):
+                self.axes.append(self._axis(loops, {*UNUSED, *others}, numbers))
 
-    def logarithms(self, loops) -> list[Array]:
-        """Return the logarithm of the characteristic of each axis on the curve, (1 + n_paths, n)."""
+    def _axis(self, loops: Sequence[Loop], unused: set[str], numbers: list[int]) -> _Axis:
+        """Return the motion without some states, and its loops."""
+        models = _models(self.linear)
+        kept = [k for k, name in enumerate(self.linear.A.index) if name not in unused]
+        A = np.array([model[0] for model in models])
+        roots = np.linalg.eigvals(A[:, kept, :][..., kept])
+        s = self.s[:, None]
+        aircraft = np.prod((s - roots[:, None, :]) / (s + 1.0), axis=-1)
+        responses = _responses(self.linear, models, loops, self.s, unused)[..., numbers]
+        return _Axis(numbers, roots, aircraft, responses)
+
+    def growing(self, loops: Sequence[Loop]) -> list[tuple[_Axis, Array, Vector]]:
+        """Return each axis, its logarithm (1 + n_paths, n), and how many of its modes grow (1 + n_paths,).
+
+        Modes of both axes together count where neither alone has one.
+        """
         K = _gains(self.linear, loops, self.s)
-        return [axis.logarithm(K) for axis in self.axes]
+        growing = []
+        for axis in self.axes:
+            logarithm = axis.logarithm(K)
+            turns = (logarithm[:, 0] - logarithm[:, -1]).imag / np.pi
+            number = np.maximum(np.round(turns), 0.0)
+            if len(growing) == 2:
+                number[growing[0][2] + growing[1][2] > 0] = 0.0
+            growing.append((axis, logarithm, number))
+        return growing
 
-    def unstable(self, loops) -> Mask:
+    def unstable(self, loops: Sequence[Loop]) -> Mask:
         """Return whether the mean and each path are unstable by the axis of each loop, (1 + n_paths, n_loops)."""
         unstable = np.zeros((len(self.axes[0].roots), len(loops)), dtype=bool)
-        for axis, number in zip(self.axes, _n_growing(self.logarithms(loops)), strict=True):
+        for axis, _, number in self.growing(loops):
             unstable[:, axis.loops] |= (number > 0)[:, None]
         return unstable
 
-    def growing_modes(self, loops) -> dict[str, float]:
+    def growing_modes(self, loops: Sequence[Loop]) -> dict[str, float]:
         """Return the growing modes of the closed loops, and the fractions of the paths, or of the mean.
 
-        A mode near a growing one of the aircraft without loops has its name, by the mean's nearest mode; others
-        are named by the medians of their frequency and growth.
+        A mode near a growing one of the aircraft without loops has its name, by the mean's nearest mode. Of others the
+        fastest growing oscillation and divergence of an axis have the medians of their frequency and growth.
         """
         modes = self.linear.modes()["eigenvalue"]
-        paths: dict[str, set[int]] = {}
-        others: list[list[tuple[int, complex]]] = []  # path and root, each near the first
-        for path, root, own in self._growing_roots(loops):
-            if any(_is_near(root, mode) for mode in own):
-                paths.setdefault(str(abs(modes - root).idxmin()), set()).add(path)
-                continue
-            near = [group for group in others if _is_near(root, group[0][1])]
-            if not near:
-                others.append([])
-            (near or others[-1:])[0].append((path, root))
-        for group in others:
-            numbers, roots = zip(*group, strict=True)
-            paths.setdefault(_in_words(roots), set()).update(numbers)
-        n_paths = max(1, len(self.axes[0].roots) - 1)
-        return {name: len(numbers) / n_paths for name, numbers in paths.items()}
-
-    def _growing_roots(self, loops) -> Iterator[tuple[int, complex, Array]]:
-        """Yield each path, or the mean where there are none, with a growing root and those without loops."""
-        logarithms = self.logarithms(loops)
-        for axis, logarithm, number in zip(
-            self.axes, logarithms, _n_growing(logarithms), strict=True
-        ):
-            for path in range(min(1, len(number) - 1), len(number)):
+        n_models = len(self.axes[0].roots)
+        first = min(1, n_models - 1)  # the mean where there are no paths
+        fractions: dict[str, float] = {}
+        for axis, logarithm, number in self.growing(loops):
+            named: dict[str, dict[int, complex]] = {}
+            for path in first + np.flatnonzero(number[first:] > 0):
                 own = axis.roots[path]
                 own = own[own.real > _bound(own.imag)]
-                if number[path] > 0:
-                    roots = _roots(self.s, logarithm[path], int(number[path]))
-                    for root in roots[roots.imag >= 0.0]:
-                        yield path, root, own
-
-
-def _n_growing(logarithms: list[Array]) -> list[Vector]:
-    """Return how many modes of each axis grow, of the mean and each path, (1 + n_paths,).
-
-    Of both axes together where neither alone has one.
-    """
-    numbers: list[Vector] = []
-    for logarithm in logarithms:
-        turns = (logarithm[:, 0] - logarithm[:, -1]).imag / np.pi
-        numbers.append(np.maximum(np.round(turns), 0.0))
-    if len(numbers) == 3:
-        numbers[2][numbers[0] + numbers[1] > 0] = 0.0
-    return numbers
+                for root in _roots(self.s, logarithm[path], int(number[path])):
+                    name = "oscillation" if root.imag else "divergence"
+                    if (np.abs(root - own) < np.abs(own) / 2).any():
+                        name = str(abs(modes - root).idxmin())
+                    named.setdefault(name, {})[path] = root
+            for name, roots in named.items():
+                text = name if name in modes else _in_words([*roots.values()])
+                fractions[text] = fractions.get(text, 0.0) + len(roots) / (n_models - first)
+        return fractions
 
 
 def _roots(s: Vector, logarithm: Vector, number: int) -> Array:
-    r"""Return the roots to the right of a curve s (n,) by the logarithm of their function on it (n,).
+    r"""Return the roots to the right of a curve s (n,) above the real axis, by the logarithm of their function (n,).
 
     The sums of the powers of 1 / (a + r) over the roots are integrals (Delves & Lyness 1967), and by Newton's
     identities the coefficients of a polynomial,
 
     .. math:: p_k = -\frac{1}{\pi} \Im \int \frac{d \log f}{(a + s)^k}, \quad k c_k = -\sum_{i=1}^k c_{k-i} p_i.
 
-    They are exact to some 0.1 % with a scale a near their size.
+    They are exact to some 0.1 % with a scale a near their size. The fastest growing root is the last.
     """
     between = 0.5 * (s[1:] + s[:-1])
     change = np.diff(logarithm)
@@ -496,12 +473,8 @@ def _roots(s: Vector, logarithm: Vector, number: int) -> Array:
             c = -coefficients[::-1] @ sums[:k] / k
             coefficients = np.append(coefficients, c)
         roots = 1.0 / np.roots(coefficients) - scale
-    return roots
-
-
-def _is_near(root: complex, mode: complex) -> bool:
-    """Return whether a root is within half the frequency of a mode."""
-    return abs(root - mode) < abs(mode) / 2
+    above = roots[roots.imag >= 0.0]
+    return above[np.argsort(above.real)]
 
 
 def _in_words(roots: Sequence[complex]) -> str:

@@ -60,8 +60,6 @@ LONGEST_FRAME = 0.09
 NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
-# Silence [s] of an autopilot after which another one may fly
-HANDOVER = 1.0
 
 
 def read_packet(data: bytes) -> tuple[int, int, list[int]] | None:
@@ -237,8 +235,7 @@ def fly(
 
     ArduPilot is started with ``sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1``; its protocol is
     that of ``SIM_JSON.cpp``. The aircraft has the servos of its model. A restart of the autopilot starts
-    another flight, and so does another autopilot after one second of silence. Silence for ``wait``, ``seconds`` or
-    Ctrl-C end it.
+    another flight. Silence for ``wait``, ``seconds`` or Ctrl-C end it.
 
     Parameters
     ----------
@@ -287,7 +284,7 @@ def fly(
     Warns
     -----
     UserWarning
-        If other bytes come, or packets of a second autopilot, which are ignored.
+        If other bytes come, which are ignored.
     SimulationWarning
         When the flight leaves the training range of a regressor, once a second at most.
     """
@@ -351,32 +348,18 @@ class _Flights:
     def serve(self, link: socket.socket, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
         last = sys.maxsize  # number of the last packet
-        autopilot = None  # address of its sender
-        heard = -np.inf  # time of the last packet [s]
-        has_warned = False
         line = ""
         while self.simulator.time < seconds:
             received = receive(link, wait)
             if received is None:
                 return f"the autopilot is silent for {wait:g} s"
             (rate, number, pulses), sender = received
-            is_another = sender != autopilot
-            now = time.monotonic()
-            if is_another and now < heard + HANDOVER:
-                if not has_warned:
-                    warn(
-                        f"Got packets of two autopilots, {autopilot} and {sender}, but expected one: those of the "
-                        "second are ignored."
-                    )
-                has_warned = True
-                continue
-            heard = now
             # ArduPilot repeats a packet whose answer it did not get
-            if number != last or is_another:
-                if number < last or is_another:
+            if number != last:
+                if number < last:
                     self._start()
                     self.n_starts += 1
-                last, autopilot = number, sender
+                last = number
                 began = time.perf_counter()
                 commands = self.steady.controls | commands_of(pulses, self.servos)
                 duration = min(1.0 / max(rate, 1), LONGEST_FRAME)

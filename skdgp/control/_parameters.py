@@ -381,7 +381,7 @@ def _ardupilot_loops(
     scaling_speed = value("SCALING_SPEED")
     slowest = value("AIRSPEED_MIN", "ARSPD_FBW_MIN")
     fastest = value("AIRSPEED_MAX", "ARSPD_FBW_MAX")
-    notches, following = _gyro_notches(value)
+    notches, others = _gyro_notches(value)
     common = {
         "scaling_speed": scaling_speed,
         # Plane::calc_speed_scaler
@@ -409,7 +409,7 @@ def _ardupilot_loops(
     if "rudder" in full:
         prefixes.append("YAW2SRV_")
         loops += _ardupilot_yaw_damper(value, full, unit, common)
-    return loops, value.unread(tuple(prefixes)) | following
+    return loops, value.unread(tuple(prefixes)) | others
 
 
 def output_factor(value: Parameters, control: str) -> float:
@@ -446,44 +446,30 @@ def servo_functions(given: Mapping[str, float]) -> dict[int, int]:
 
 
 def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float]]:
-    """Return the notches of ArduPilot's gyros, and the modes of those whose frequency follows the engine.
+    """Return the notches of ArduPilot's gyros, one at each harmonic, and the settings that make them others.
 
-    These are taken at their lowest frequency, where their phase lag is largest.
+    Notches whose frequency follows the engine are taken at their lowest frequency, where their phase lag is largest.
     """
     notches: list[Notch] = []
-    following = {}
+    others = {}
     for name in HARMONIC_NOTCHES:
-        if not value(f"{name}_ENABLE"):
+        width = value(f"{name}_BW", default=40.0) if value(f"{name}_ENABLE") else 0.0
+        if not width > 0:
             continue
-        frequency = value(f"{name}_FREQ", default=80.0)
+        # ArduPilot keeps the whole notch above zero
+        frequency = max(value(f"{name}_FREQ", default=80.0), 0.52 * width)
         lowest = frequency
         mode = value(f"{name}_MODE", default=1.0) if value(f"{name}_REF") else FIXED
-        if mode != FIXED:
-            following[f"{name}_MODE"] = mode
         if mode == BY_THROTTLE:
-            lowest *= value(f"{name}_FM_RAT", default=1.0)
-        notches += _harmonics(value, name, frequency, lowest)
-    return tuple(notches), following
-
-
-def _harmonics(value: Parameters, name: str, frequency: float, lowest: float) -> list[Notch]:
-    """Return the notches of a ``HarmonicNotchFilter``: of one, two or three at each harmonic; none without width."""
-    width = value(f"{name}_BW", default=40.0)
-    if not width > 0:
-        return []
-    options = int(value(f"{name}_OPTS"))
-    n_each = 2 if options & 1 else 3 if options & 16 else 1
-    frequency = max(frequency, 0.52 * width)
-    spread = width / (32 * frequency)
-    places = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[n_each]
-    (of_all,) = _notch(frequency, width / n_each, value(f"{name}_ATT", default=40.0))
-    harmonics = int(value(f"{name}_HMNCS", default=3.0))
-    notches = []
-    for k in range(16):
-        if harmonics >> k & 1:
-            centre = max(lowest, 0.52 * width) * (k + 1)
-            notches += [of_all._replace(frequency=centre * (1 + place)) for place in places]
-    return notches
+            lowest = max(frequency * value(f"{name}_FM_RAT", default=1.0), 0.52 * width)
+        options = value(f"{name}_OPTS")
+        others |= {f"{name}_MODE": mode, f"{name}_OPTS": options}
+        (of_all,) = _notch(frequency, width, value(f"{name}_ATT", default=40.0))
+        harmonics = int(value(f"{name}_HMNCS", default=3.0))
+        for k in range(16):
+            if harmonics >> k & 1:
+                notches.append(of_all._replace(frequency=(k + 1) * lowest))
+    return tuple(notches), {name: number for name, number in others.items() if number}
 
 
 def _numbered_notch(value: Parameters, name: str) -> tuple[Notch, ...]:

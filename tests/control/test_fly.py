@@ -306,36 +306,6 @@ def test_a_repeated_packet_is_no_step_and_a_restart_a_new_flight(flown):
     assert result.table["time"].tolist() == [1 / RATE, 1 / RATE]
 
 
-def test_a_second_autopilot_is_ignored(flown):
-    def play(autopilot):
-        autopilot.send(count=5)
-        other = Autopilot(autopilot.target[1])
-        other.socket.settimeout(0.1)
-        for count in (1, 9):
-            with pytest.raises(TimeoutError):
-                other.send(count=count)
-        other.socket.close()
-        assert autopilot.send(count=6)["timestamp"] == 2 / RATE
-
-    with pytest.warns(UserWarning, match="Got packets of two autopilots") as told:
-        result = flown(play)
-    assert len(told) == 1
-    assert set(result.table["flight"]) == {0}
-
-
-def test_another_autopilot_flies_after_silence(flown, monkeypatch):
-    monkeypatch.setattr("skdgp.control._ardupilot.HANDOVER", 0.0)
-
-    def play(autopilot):
-        autopilot.send(count=5)
-        other = Autopilot(autopilot.target[1])
-        assert other.send(count=9)["timestamp"] == 1 / RATE
-        other.socket.close()
-
-    table = flown(play).table
-    assert table["flight"].tolist() == [0, 1]
-
-
 @pytest.mark.parametrize(
     "garbage", [b"", b"hello", bytes(40), struct.pack("<HHI16H", 29569, 400, 1, *[1500] * 16)]
 )

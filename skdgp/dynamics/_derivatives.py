@@ -16,7 +16,7 @@ from skdgp._flight.channels import CHANNELS, COEFFICIENTS, LENGTHS, rate_factor
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._linearize import check_paths, flight_point, unsteady_terms
-from skdgp.dynamics._motion import Instant, Motion, check_settled
+from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._sizes import errors_of_sizes
 from skdgp.dynamics._trim import Trim
 
@@ -125,7 +125,6 @@ def stability_derivatives(
     check_paths(n_paths)
     motion = Motion(as_aerodynamics(model).over(perturbation), aircraft, thrust=thrust, air=air)
     now = motion.at(*flight_point(motion, point, controls))
-    check_settled(now)
     frame = _Frame(motion, now)
     terms = _terms(motion.aerodynamics, now.coefficients, now.regressors)
     values = frame(terms)

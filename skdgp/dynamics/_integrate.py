@@ -40,7 +40,6 @@ REASONS = {
     "airspeed": "airspeed under 1 m/s",
     "altitude": "outside of the atmosphere",
     "diverged": "diverged",
-    "fixed point": "no fixed point of the regressors that follow from the loads",
 }
 
 
@@ -341,6 +340,5 @@ def end_reasons(state: Array, now: Instant) -> dict[str, Array]:
         "airspeed": now.airspeed < LEAST_AIRSPEED,
         "altitude": np.isnan(now.density) & np.isfinite(state[..., 2]),
         "diverged": ~(is_finite & is_slow),
-        "fixed point": ~np.broadcast_to(now.settled, state.shape[:-1]),
     }
     return {reason: where for reason, where in reasons.items() if where.any()}

@@ -36,7 +36,7 @@ from skdgp._flight.tables import by_name, check_number, check_numbers
 from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
-from skdgp.dynamics._motion import Instant, Motion, check_settled
+from skdgp.dynamics._motion import Instant, Motion
 from skdgp.dynamics._rigid_body import ATTITUDE, RATES, dynamic_pressure, thrust_control
 from skdgp.dynamics._servos import IDEAL, Servos
 from skdgp.dynamics._trim import Trim
@@ -132,7 +132,7 @@ def linearize(
 ) -> LinearModel:
     r"""Return the linear model of an aircraft's motion about a trim, through the slopes of its model.
 
-    Regressors that follow from the loads (alpha_dot, accelerations) are included by the implicit
+    Regressors that follow from the loads (alpha_dot, beta_dot) are included by the implicit
     function theorem. Air is at rest; in steady wind the same holds for the motion relative to the
     air. Raises ValueError if the airspeed is zero, or the model is not defined there.
 
@@ -237,8 +237,7 @@ def _matrices(
     unsteady: UnsteadyTerms | None = None,
 ) -> Matrices:
     """Return A, B, C, D at states (..., 13), behind servos of lags and delays (...), of inputs that lag."""
-    x_dot_z, y_z, now = jacobian(motion, state, controls, inputs, unsteady)
-    check_settled(now)
+    x_dot_z, y_z = jacobian(motion, state, controls, inputs, unsteady)
     if not np.isfinite(x_dot_z).all():
         raise ValueError(
             "Got slopes of the model that are not finite at this point: it is not defined there."
@@ -253,8 +252,8 @@ def jacobian(
     controls: Mapping,
     inputs: Sequence[str] = (),
     unsteady: UnsteadyTerms | None = None,
-) -> tuple[Array, Array, Instant]:
-    r"""Return the slopes d x_dot (..., 12, 12 + k) and d outputs (..., 6, 12 + k) by z, and the instant.
+) -> tuple[Array, Array]:
+    r"""Return the slopes d x_dot (..., 12, 12 + k) and d outputs (..., 6, 12 + k) by z.
 
     The states are (..., 13), as of `Motion.at`, the inputs k of the controls, which are numbers.
     Where the aerodynamics are paths, these are the first axis of ``state``.
@@ -263,7 +262,7 @@ def jacobian(
 
     .. math:: C = C_0 + c_X (X - X_0) + \delta.
 
-    Regressors X that follow from the loads (alpha_dot, ax, ...) are the fixed point of the motion.
+    Regressors X that follow from the loads (alpha_dot, beta_dot) are the fixed point of the motion.
     Slopes by :math:`z = (x, u)` and :math:`\delta` are differences. Unsteady terms are
     :math:`\delta = K (M \text{rates} - S X)`, of the motion without them, to first order.
     """
@@ -294,7 +293,7 @@ def jacobian(
         K, S, M = unsteady
         rates = y_z[..., AIR_ANGLES, :n_states] @ x_dot_z
         by_z = by_z + by_delta @ K @ (M * rates - S @ X_z)
-    return by_z[..., :n_states, :], by_z[..., n_states : n_states + len(OUTPUTS), :], now
+    return by_z[..., :n_states, :], by_z[..., n_states : n_states + len(OUTPUTS), :]
 
 
 def _with_euler_angles(state: Array) -> Array:

@@ -55,7 +55,7 @@ WITHOUT_SERVOS = frozenset((*PROPULSION, "gust"))
 # Largest deflection [rad] of a control whose training range is not known
 DEFLECTION = np.pi / 4
 # Channels that follow from the loads, and so from the coefficients that they may be regressors of
-FROM_LOADS = ("alpha_dot", "beta_dot", "p_dot", "q_dot", "r_dot", "ax", "ay", "az")
+FROM_LOADS = ("alpha_dot", "beta_dot")
 # Channels that are rebuilt from the state
 FROM_STATE = (
     *("airspeed", "alpha", "beta", "density", "altitude"),
@@ -83,17 +83,9 @@ class Instant(NamedTuple):
     beta: Array
     density: Array
     force: Array  #: All but gravity, body axes, (..., 3) [N]
-    implicit: Array | None  #: The regressors of `FROM_LOADS`, (..., 8), where the model has any
-    settled: Array | bool  #: Whether the fixed point of the implicit regressors was found
-
-
-def check_settled(instant: Instant) -> None:
-    """Raise ValueError if the fixed point of the implicit regressors was not found."""
-    if not np.all(instant.settled):
-        raise ValueError(
-            "The coefficients depend so strongly on the accelerations they cause that no fixed point "
-            "was found: learn a model without accelerations, as RegressorSelector() does."
-        )
+    implicit: (
+        Array | None
+    )  #: Rates of the air angles, (..., 2) of `FROM_LOADS`, where they are regressors
 
 
 class Flow(NamedTuple):
@@ -237,7 +229,8 @@ class Motion:
     ) -> Instant:
         """Return what happens at states (..., 13) under ``controls``, by name, each (...), in ``air``, else at rest.
 
-        ``guess`` (..., 8) starts the search for the channels of `FROM_LOADS`, best from the last call.
+        ``guess`` (..., 2) starts the search for the channels of `FROM_LOADS`, best from the last call; loads are
+        NaN where no channels follow from them.
         ``drift`` (..., 6) is added to the coefficients, which are the aerodynamics', or those of another
         ``model``, a function of the regressors such as a tangent.
         """
@@ -268,11 +261,13 @@ class Motion:
             now = loaded_by(guess)
             result: Any = now.implicit
             off = ((result - guess) / (1.0 + np.abs(result)))[..., self._load_places]
-            settled = np.abs(off).max(axis=-1) < TOLERANCE
-            if np.all(settled | ~np.isfinite(off).all(axis=-1)):
+            is_found = np.abs(off).max(axis=-1) < TOLERANCE
+            if is_found.all():
+                return now
+            if np.all(is_found | np.isnan(off).any(axis=-1)):
                 break
             guess = result
-        return now._replace(settled=settled)
+        return loaded_by(np.where(is_found[..., None], guess, np.nan))
 
     def _flow(self, state: Array, air: LocalAir) -> Flow:
         """Return the air that the aircraft meets."""
@@ -326,10 +321,10 @@ class Motion:
         moment += other_loads[1]
         derivative = rigid_body_derivative(state, force, moment, self.aircraft, self.gravity)
         air = (flow.airspeed, flow.alpha, flow.beta, flow.density)
-        return Instant(derivative, C, X, *air, force, None, True)
+        return Instant(derivative, C, X, *air, force, None)
 
     def _from_loads(self, state: Array, now: Instant, flow: Flow, air: LocalAir) -> Array:
-        """Return what follows from the loads, (..., 8), in the order of `FROM_LOADS`."""
+        """Return what follows from the loads, (..., 2), in the order of `FROM_LOADS`."""
         acceleration = now.derivative[..., VELOCITY]
         if flow.wind is not None:
             # a wind that is constant over the earth turns against the aircraft in body axes
@@ -339,6 +334,4 @@ class Motion:
         if air.gusts is not None:
             acceleration = acceleration - air.gusts.acceleration
         air_rates = air_data_slopes(flow.velocity) @ acceleration[..., None]
-        angle_rates = air_rates[..., 1:, 0]
-        specific_force = now.force / self.aircraft.mass
-        return np.concatenate([angle_rates, now.derivative[..., RATES], specific_force], axis=-1)
+        return air_rates[..., 1:, 0]

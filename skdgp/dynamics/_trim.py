@@ -20,7 +20,7 @@ from skdgp._flight.channels import (
     THRUST_MOMENTS,
 )
 from skdgp._flight.channels import RATES as RATE_NAMES
-from skdgp._flight.frames import air_velocity, cross, euler_to_quaternion, ned_to_body
+from skdgp._flight.frames import air_velocity, euler_to_quaternion, ned_to_body
 from skdgp._flight.tables import by_name, check_names, check_number
 from skdgp._flight.units import degrees_error
 from skdgp.dynamics._aerodynamics import Aerodynamics
@@ -29,7 +29,6 @@ from skdgp.dynamics._motion import (
     DEFLECTION,
     Instant,
     Motion,
-    check_settled,
 )
 from skdgp.dynamics._rigid_body import (
     RATES,
@@ -197,7 +196,6 @@ def trim(
     }
     steady = SteadyFlight(motion, conditions, values)
     flight, state, now = steady.at(steady.solve(airspeed), airspeed)
-    check_settled(now)
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
     met = by_name(motion.aerodynamics.regressors, now.regressors)
     beyond = {}
@@ -348,11 +346,8 @@ class SteadyFlight:
         rates = flight["turn_rate"] * vertical
         position = np.array([0.0, 0.0, -flight["altitude"]])
         state = np.concatenate([position, velocity, attitude, rates])
-        # regressors that follow from the loads are searched from a steady flight
-        specific_force = cross(rates, velocity) - self.motion.gravity * vertical
-        from_loads = np.concatenate([np.zeros(5), specific_force])
         controls = {name: flight[name] for name in self.controls}
-        return flight, state, self.motion.at(state, controls, guess=from_loads)
+        return flight, state, self.motion.at(state, controls)
 
     def residual(self, x: Array, airspeed: float) -> Array:
         """Return the six accelerations, and the error of the path's slope, (7,)."""

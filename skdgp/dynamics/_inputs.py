@@ -46,11 +46,10 @@ AIRSPEED_DIFFERENCE = 0.15
 LOWEST = -450.0
 
 
-def as_starts(x0: Any) -> pd.DataFrame | Array:
-    """Return one start or several as a table of names or an array of states, with a row for each.
+def as_starts(x0: Any) -> pd.DataFrame:
+    """Return one start or several as a table of names, with a row for each.
 
-    ``x0`` is a mapping, Series or DataFrame by name, an array (13,) or (n, 13), a `Trim` or a list
-    of trims, which hold relative to the air.
+    ``x0`` is a mapping, Series or DataFrame by name, a `Trim` or a list of trims, which hold relative to the air.
     """
     if isinstance(x0, Mapping):
         _check_start_names([str(name) for name in x0])
@@ -61,13 +60,9 @@ def as_starts(x0: Any) -> pd.DataFrame | Array:
     points = [x0] if isinstance(x0, Trim) else x0
     if isinstance(points, list | tuple) and points and all(isinstance(at, Trim) for at in points):
         return pd.DataFrame([point.start for point in points])
-    states = np.atleast_2d(np.array(points, dtype=float))
-    if states.ndim != 2 or states.shape[1] != len(STATE_NAMES) or not len(states):
-        raise ValueError(
-            f"Got x0 of shape {np.shape(x0)}, but expected names and values, or (13,) or (n, 13): "
-            f"{', '.join(STATE_NAMES)}."
-        )
-    return states
+    raise ValueError(
+        f"Got x0={x0!r}, but expected names and values, a table of them, or trims: see docs/notation.md."
+    )
 
 
 def _check_start_names(names: Sequence[str]) -> None:
@@ -81,28 +76,6 @@ def _check_start_names(names: Sequence[str]) -> None:
             )
 
 
-def initial_states(starts: pd.DataFrame | Array, air_at: Callable[[Array], LocalAir]) -> Array:
-    """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
-
-    By name: the velocity as v_north, v_east, v_down, or airspeed, alpha, beta (relative to the
-    air); what else is not given is zero. Altitude counts before down, as the density follows
-    from it. Raises ValueError if the velocity is missing, or a value is not finite or not in
-    radians. Warns if ground speed, wind and airspeed do not fit, or a start lies below any land.
-    """
-    states = _from_table(starts, air_at) if isinstance(starts, pd.DataFrame) else starts
-    is_bad = ~np.isfinite(states).all(axis=0)
-    if is_bad.any():
-        raise ValueError(
-            f"Got a start whose {np.array(STATE_NAMES)[is_bad].tolist()} are NaN or infinite: choose "
-            "rows in which the state was measured."
-        )
-    if not (np.linalg.norm(states[:, ATTITUDE], axis=1) > 0).all():
-        raise ValueError(
-            "Got a start whose quaternion is zero, but expected q0, q1, q2, q3 of an attitude."
-        )
-    return states
-
-
 def table_states(table: pd.DataFrame) -> Array:
     """Return the states (n, 13) of a flight table, zero where a column is absent."""
     n = (len(table),)
@@ -112,8 +85,14 @@ def table_states(table: pd.DataFrame) -> Array:
     return np.hstack([position, velocity, attitude, stacked(table, RATES, n)])
 
 
-def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> Array:
-    """Return the states (n, 13) of starts by name."""
+def initial_states(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> Array:
+    """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
+
+    The velocity is v_north, v_east, v_down, or airspeed, alpha, beta (relative to the
+    air); what else is not given is zero. Altitude counts before down, as the density follows
+    from it. Raises ValueError if the velocity is missing, or a value is not finite or not in
+    radians. Warns if ground speed, wind and airspeed do not fit, or a start lies below any land.
+    """
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
     states = table_states(table)
     if "altitude" in table:
@@ -130,14 +109,20 @@ def _from_table(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> Arr
     if set(EARTH_VELOCITY) <= set(table):
         if "airspeed" in table:
             _warn_of_wind(table["airspeed"].to_numpy(float), states[:, VELOCITY] - wind)
-        return states
-    # u, v, w alone do not determine the angles
-    needed = ["airspeed"] if set(BODY_VELOCITY).isdisjoint(table) else AIR_DATA
-    check_names(needed, table.columns, "columns of x0 (or v_north, v_east, v_down)")
-    for speed in table["airspeed"]:
-        check_number("airspeed of x0", speed, unit="m/s")
-    through_air = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T)
-    states[:, VELOCITY] = through_air + wind
+    else:
+        # u, v, w alone do not determine the angles
+        needed = ["airspeed"] if set(BODY_VELOCITY).isdisjoint(table) else AIR_DATA
+        check_names(needed, table.columns, "columns of x0 (or v_north, v_east, v_down)")
+        for speed in table["airspeed"]:
+            check_number("airspeed of x0", speed, unit="m/s")
+        through_air = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T)
+        states[:, VELOCITY] = through_air + wind
+    is_bad = ~np.isfinite(states).all(axis=0)
+    if is_bad.any():
+        raise ValueError(
+            f"Got a start whose {np.array(STATE_NAMES)[is_bad].tolist()} are NaN or infinite: choose "
+            "rows in which the state was measured."
+        )
     return states
 
 
@@ -281,16 +266,14 @@ def _at_stages(
     return parts[0] if len(parts) == 1 else np.stack(parts, axis=-1)
 
 
-def warn_of_clocks(starts: pd.DataFrame | Array, tables: Sequence[pd.DataFrame], dt: float) -> None:
+def warn_of_clocks(starts: pd.DataFrame, tables: Sequence[pd.DataFrame], dt: float) -> None:
     """Warn of a start that carries another time than the first row of the controls, which is the start."""
-    if not (tables and isinstance(starts, pd.DataFrame) and "time" in starts):
+    if not tables or "time" not in starts:
         return
-    begins = np.array([float(table["time"].iloc[0]) for table in tables])
+    begins = [float(table["time"].iloc[0]) for table in tables]
     late = begins - starts["time"].to_numpy(float)
     if (np.abs(late) > dt).any():
-        k = int(np.nanargmax(np.abs(late)))
-        start = starts["time"].iloc[k]
         warn(
-            f"Got controls that begin {late[k]:+g} s from the time of start {k}: the first row of each table counts "
-            f"as the start. Cut the controls, table[table['time'] >= {start:g}]."
+            f"Got controls that begin {late.round(3).tolist()} s from the times of their starts: the first row of a "
+            "table counts as the start. Cut the controls, table[table['time'] >= start]."
         )

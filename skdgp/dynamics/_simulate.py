@@ -74,7 +74,7 @@ def simulate(
     model : Pipeline, estimator or Aerodynamics
         Gives the coefficients: see :func:`skdgp.dynamics.as_aerodynamics`.
     aircraft : Aircraft
-    x0 : mapping, Series, DataFrame, Trim, list of Trim or array-like, (13,) or (n_starts, 13)
+    x0 : mapping, Series, DataFrame, Trim or list of Trim
         The start, or several that are flown together. By name: a row of a flight, or ``airspeed``,
         ``alpha``, ``beta``, ``phi``, ``theta``, ``psi``, ``p``, ``q``, ``r``, ``altitude``, ...;
         other values are zero.
@@ -306,11 +306,6 @@ class Simulator:
         self.motion = Motion(model, aircraft, thrust=thrust, air=air)
         self.dt = check_number("dt", dt, unit="s")
         self._mean_motion = self.motion
-        winds = air.wind if isinstance(air.wind, list | tuple) else [air.wind]
-        if any(isinstance(wind, pd.DataFrame) for wind in winds):
-            raise ValueError(
-                "Got a wind over time, but a Simulator flies in a constant one: simulate() takes it."
-            )
         self._wind = wind_schedule(air.wind, [], np.zeros(1))(0, np.zeros(13))
         self._turbulence = air.gusts if isinstance(air.gusts, Turbulence) else None
         self._flight: Any = None

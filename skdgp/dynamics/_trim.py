@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -81,7 +81,7 @@ START_ADVANCE_RATIO = 0.5
 class Trim:
     """A steady flight: airspeed [m/s], altitude [m], angles, climb angle of the path [rad], turn rate [rad/s]."""
 
-    state: Array  #: (13,), see `STATE_NAMES`; above the origin, heading north
+    state: Array = field(repr=False)  #: (13,), see `STATE_NAMES`; above the origin, heading north
     controls: dict  #: Controls of the model and the engine
     airspeed: float
     altitude: float
@@ -92,7 +92,7 @@ class Trim:
     beta: float
     phi: float
     theta: float
-    coefficients: Array  #: CX CY CZ Cl Cm Cn
+    coefficients: Array = field(repr=False)  #: CX CY CZ Cl Cm Cn
     thrust: float  #: Thrust of the engine along its line [N]
     residual: float  #: The largest acceleration that remains [m/s^2 or rad/s^2]
     beyond: dict  #: Regressors outside their training ranges: name to (value, smallest, largest)
@@ -102,13 +102,6 @@ class Trim:
         """The start of this flight by name, with the same airspeed in any wind."""
         values = {name: vars(self)[name] for name in (*AIR_DATA, "phi", "theta", "altitude")}
         return values | by_name(RATE_NAMES, self.state[RATES])
-
-    def __repr__(self) -> str:
-        values = {name: vars(self)[name] for name in FLIGHT[1:]} | self.controls
-        parts = [f"{name} {value:.4g}" for name, value in values.items()]
-        if self.beyond:
-            parts.append(f"beyond training in {', '.join(self.beyond)}")
-        return f"Trim({self.airspeed:g} m/s, {', '.join(parts)})"
 
 
 def trim(

@@ -287,9 +287,7 @@ class TestStarts:
     def test_controls_of_another_time_than_the_start_are_noticed(self, fly):
         table = pd.DataFrame({"time": [0.0, 1.0], **dict.fromkeys(("elevator", "aileron"), 0.0)})
         table = table.assign(rudder=0.0, thrust=12.0)
-        with pytest.warns(
-            UserWarning, match=r"begin -5 s from the time of start 0: the first row .* >= 5\]"
-        ):
+        with pytest.warns(UserWarning, match=r"begin \[-5.0\] s from the times of their starts"):
             fly(x0=START | {"time": 5.0}, controls=table, duration=0.1)
 
     @pytest.mark.parametrize(("start", "match"), [
@@ -298,8 +296,8 @@ class TestStarts:
         ({"airspeed": np.nan}, "expected a number > 0"),
         ({"airspeed": 20.0, "aplha": 0.1}, "did you mean 'alpha'"),
         ({"airspeed": 20.0, "phi": 30.0}, "expected radians"),
-        (np.zeros(12), r"shape \(12,\)"),
-        ([], "expected"),
+        (np.zeros(13), r"expected names and values, a table of them, or trims"),
+        ([], "Got x0="),
     ])  # fmt: skip
     def test_impossible_ones_are_told(self, start, match, fly):
         with pytest.raises(ValueError, match=match):
@@ -468,7 +466,7 @@ class TestSimulator:
 
     @pytest.mark.parametrize("n_tables", [1, 2])
     def test_a_wind_over_time_is_refused(self, n_tables, aircraft, glider):
-        with pytest.raises(ValueError, match=r"^Got a wind over time.*simulate\(\) takes it"):
+        with pytest.raises(ValueError, match=r"^Got wind=(?s:.*)expected 3 finite numbers"):
             Simulator(glider.model(), aircraft, air=[table_of(1.0)] * n_tables)
 
     def test_says_when_it_is_over(self, aircraft, glider):

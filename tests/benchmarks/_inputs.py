@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from log_errors import EULER, RATES, elsewhere
+from flight_columns import AIR, EULER, RATES, SPIN
+from log_errors import elsewhere
 from scipy.io import loadmat
 
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients, air_data, air_velocity
@@ -44,8 +45,6 @@ SMALL_UAV = Aircraft(
     span=1.6,
     chord=0.24,
 )
-AIR = ["airspeed", "alpha", "beta"]
-SPIN = ["p_dot", "q_dot", "r_dot"]
 # Numbers of the channels of ATTAS in the book; angles are in degrees
 ATTAS_CHANNELS = dict(
     zip([*RATES, *EULER, "alpha", "beta", *SPIN], [*range(7, 15), *range(17, 20)], strict=True)

@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from _common import Kept, commit, finish, parser_of
+from flight_columns import COEFFICIENTS
 from joblib import Memory
 from jsbsim_flight import (
-    COEFFICIENTS,
     FLOWN,
     KNOTS,
     STEADY,

@@ -17,7 +17,8 @@ from functools import partial
 
 import numpy as np
 from _common import Kept, finish, parser_of
-from log_errors import EULER, FORCES, GRAVITY, RATES, VELOCITY, elsewhere, late, without_gravity
+from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
+from log_errors import GRAVITY, elsewhere, late, without_gravity
 from numpy.random import default_rng
 from scipy import signal
 from uav_flight import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, fly, logged
@@ -34,7 +35,6 @@ FOOT = 0.3048
 VANE_NOISE, POSITION_NOISE = 0.005, 0.5  # rad, m
 ARM = 0.25  # of the sensors ahead of the centre of gravity, over the span
 CORNER = 2.0  # Hz, of a recorder that smooths
-SURFACES = ["elevator", "aileron", "rudder"]
 COMMANDS = [*SURFACES, "throttle"]
 
 

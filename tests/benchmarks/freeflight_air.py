@@ -15,6 +15,7 @@ changed with A320 and B747 seen; nothing was chosen on global5000, 737, c172p an
 import numpy as np
 import pandas as pd
 from _common import Kept, finish, parser_of
+from flight_columns import EULER, RATES, SURFACES, VELOCITY
 from jsbsim_flight import FLOWN, KNOTS, LEFT_OUT, TRAINING, flight_of, sensed
 
 from skdgp import make_identification_pipeline
@@ -29,9 +30,8 @@ N_PATHS = 40  # of the ensembles
 STEP = 0.05  # s
 HORIZONS, STARTS, MARGIN = (2.0, 10.0), 20, 5.0  # s, number, s
 LEVELS = {"free_flight": 0.95, "free_flight_half": 0.5}  # of the bands, by table
-SCORED = ("v_north", "v_east", "v_down", "phi", "theta", "psi", "p", "q", "r")
-ANGLES = ("phi", "theta", "psi")
-CONTROLS = ("elevator", "aileron", "rudder", "throttle")
+SCORED = [*VELOCITY, *EULER, *RATES]
+CONTROLS = [*SURFACES, "throttle"]
 UNKNOWN = ["airspeed", "alpha", "beta", "u", "v", "w"]  # Columns of a start that hold a gust
 
 
@@ -66,7 +66,7 @@ def held(paths, stretches, horizon, level):
         for name in SCORED:
             low, middle, high = (band[name + end].iloc[k] for end in ("_low", "", "_high"))
             off = stretch[name][k] - middle
-            off = np.angle(np.exp(1j * off)) if name in ANGLES else off
+            off = np.angle(np.exp(1j * off)) if name in EULER else off
             inside.append(low <= middle + off <= high)
     return 100.0 * np.mean(inside)
 

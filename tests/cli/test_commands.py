@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
@@ -22,8 +23,6 @@ from skdgp._compute.files import json_text
 from skdgp.control import autopilot_loops, margins
 from skdgp.dynamics import Turbulence, linearize, stability_derivatives, trim
 from skdgp.identification import load_model, save_model, validate
-
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
 
 @pytest.fixture(scope="module")

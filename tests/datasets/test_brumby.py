@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from flight_columns import COEFFICIENTS, SURFACES
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
@@ -11,9 +12,8 @@ from skdgp.datasets import load_example_flights
 
 REGRESSORS = [
     *("alpha", "beta", "p", "q", "r", "alpha_dot", "beta_dot"),
-    *("elevator", "aileron", "rudder"),
+    *SURFACES,
 ]
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SCALES = np.array([0.06, 0.05, 0.03, 0.004, 0.02, 0.003, 0.006, 0.05, 0.06, 0.1])
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flight_columns import COEFFICIENTS, FORCES, RATES, VELOCITY, WIND
 from numpy.random import RandomState
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -24,8 +25,6 @@ from skdgp.dynamics import (
 )
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-WIND = ["wind_north", "wind_east", "wind_down"]
 
 
 def true(flight, *names):
@@ -164,9 +163,9 @@ class TestSensors:
     NOISE = {
         "airspeed": 0.3,
         **dict.fromkeys(["alpha", "beta", "phi", "theta", "psi"], 0.3 * DEGREE),
-        **dict.fromkeys(["p", "q", "r"], 0.002),
-        **dict.fromkeys(["ax", "ay", "az"], 0.05),
-        **dict.fromkeys(["v_north", "v_east", "v_down"], 0.1),
+        **dict.fromkeys(RATES, 0.002),
+        **dict.fromkeys(FORCES, 0.05),
+        **dict.fromkeys(VELOCITY, 0.1),
         **dict.fromkeys(["north", "east"], 0.5),
     }
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from made_flights import lasting
 from matplotlib.figure import Figure
 from numpy.random import default_rng
@@ -192,7 +193,7 @@ def learned(*flights):
     regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
     names = ["alpha", "q_hat", "elevator"]
     pipeline = make_pipeline(RegressorSelector(names), StandardScaler(), regressor)
-    Y = pd.DataFrame(np.concatenate(targets), columns=["CX", "CY", "CZ", "Cl", "Cm", "Cn"])
+    Y = pd.DataFrame(np.concatenate(targets), columns=COEFFICIENTS)
     return pipeline.fit(pd.concat(tables, ignore_index=True), Y)
 
 

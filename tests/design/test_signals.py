@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flight_columns import SURFACES
 from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp.design import (
@@ -63,7 +64,7 @@ def test_phases_that_are_no_numbers_are_refused():
 @pytest.mark.parametrize(("axes", "tones", "more"), [(1, 1, 0), (2, 2, 1), (3, 1, 30), (3, 7, 2)])
 def test_tones_are_dealt_out_over_the_band(axes, tones, more):
     count = axes * tones + more  # harmonics 1, 2 ... of 10 s
-    limits = dict.fromkeys(("elevator", "aileron", "rudder")[:axes], 0.1)
+    limits = dict.fromkeys(SURFACES[:axes], 0.1)
     inputs = orthogonal_multisines(limits, 10.0, (0.1 - 1e-3, 0.1 * count + 1e-3), n_tones=tones)
     found = sorted(np.concatenate([one.harmonics for one in inputs.values()]))
     assert len({*found}) == axes * tones
@@ -102,7 +103,7 @@ def test_manoeuvres_follow_one_another_with_pauses_at_trim():
     ]
     train = wavetrain(manoeuvres, pause=2.0)
     table = train.table(50.0, pause=1.0)
-    moving = (table[["elevator", "aileron", "rudder"]] != 0).any(axis=1)
+    moving = (table[SURFACES] != 0).any(axis=1)
     begins = table["time"][moving & ~moving.shift(fill_value=False)]
     assert_allclose(begins, [2.0, 5.0, 10.5])
     assert table["time"].iloc[-1] == train.duration + 1.0 == 13.5

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from scipy.integrate import solve_ivp
 
 from skdgp.dynamics import Air, Aircraft, ThrustLine, simulate
@@ -57,7 +58,7 @@ def simulated(flown, aircraft):
 
 @pytest.fixture(scope="session")
 def true_coefficients(flown):
-    return flown[["CX", "CY", "CZ", "Cl", "Cm", "Cn"]].to_numpy()
+    return flown[COEFFICIENTS].to_numpy()
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from made_outputs import slopes_over
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -23,7 +24,6 @@ from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aerodynamics, as_aerodynamics
 from skdgp.preprocessing import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 REGRESSORS = ["alpha", "beta", "p_hat", "elevator"]
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
@@ -29,7 +30,6 @@ def derivatives(X):
 
 MODEL = Aerodynamics(coefficients, NAMES, slopes=derivatives)
 CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04, "throttle": 0.6}
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
 
 @pytest.fixture(scope="module")

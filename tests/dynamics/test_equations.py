@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import WIND
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid, quad
@@ -105,7 +106,7 @@ def test_winds_of_seconds_tell_the_rates_of_gusts():
     gusts = dryden_gusts(n, step, speed, *scales, span, default_rng(3)).velocity
     winds = []
     for gust in gusts.swapaxes(0, 1):
-        wind = pd.DataFrame(gust, columns=["wind_north", "wind_east", "wind_down"])
+        wind = pd.DataFrame(gust, columns=WIND)
         winds.append(wind.assign(time=step * np.arange(n), airspeed=speed))
     density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
     for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):

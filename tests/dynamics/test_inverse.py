@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS, FORCES, SPIN
 from log_errors import elsewhere
 from made_flights import GLIDER
 from numpy.random import default_rng
@@ -13,9 +14,6 @@ from pandas.testing import assert_frame_equal
 from scipy import signal
 
 from skdgp.dynamics import aerodynamic_coefficients
-
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-DERIVATIVES = ["p_dot", "q_dot", "r_dot"]
 
 
 def relative(got, expected):
@@ -33,7 +31,7 @@ def test_simulated_flight_gives_its_coefficients_back(simulated, aircraft, true_
 def test_rates_are_differentiated_where_accelerations_are_not_measured(
     simulated, aircraft, true_coefficients
 ):
-    got = aerodynamic_coefficients(simulated.drop(columns=DERIVATIVES), aircraft, cutoff=None)
+    got = aerodynamic_coefficients(simulated.drop(columns=SPIN), aircraft, cutoff=None)
     assert relative(got, true_coefficients).max() < 2e-3
     two_of_three = simulated.drop(columns="q_dot").assign(p_dot=1e3)
     assert_frame_equal(aerodynamic_coefficients(two_of_three, aircraft, cutoff=None), got)
@@ -43,7 +41,7 @@ def test_sensors_half_a_metre_ahead_give_the_same_coefficients(
     simulated, aircraft, true_coefficients
 ):
     arm = (0.5, 0.1, -0.2)
-    flight = elsewhere(simulated, arm, simulated[DERIVATIVES])
+    flight = elsewhere(simulated, arm, simulated[SPIN])
     placed = replace(aircraft, sensor_position=arm)
     assert (
         relative(aerodynamic_coefficients(flight, aircraft, cutoff=None), true_coefficients).max()
@@ -51,14 +49,14 @@ def test_sensors_half_a_metre_ahead_give_the_same_coefficients(
     )
     got = aerodynamic_coefficients(flight, placed, cutoff=None)
     assert_allclose(got, true_coefficients, atol=1e-12)
-    got = aerodynamic_coefficients(flight.drop(columns=DERIVATIVES), placed, cutoff=None)
+    got = aerodynamic_coefficients(flight.drop(columns=SPIN), placed, cutoff=None)
     assert relative(got, true_coefficients).max() < 3e-3
 
 
 def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
     simulated, aircraft, true_coefficients
 ):
-    flight = simulated.drop(columns=DERIVATIVES)
+    flight = simulated.drop(columns=SPIN)
     rng = default_rng(1)
     noisy = flight.copy()
     for name, std in {
@@ -108,7 +106,7 @@ def test_a_mass_that_falls_is_that_of_each_row(simulated, aircraft, true_coeffic
     """The same force gives a lighter aircraft more specific force."""
     burnt = np.linspace(1.0, 0.8, len(simulated))
     lighter = simulated.assign(mass=burnt * aircraft.mass)
-    lighter[["ax", "ay", "az"]] /= burnt[:, None]
+    lighter[FORCES] /= burnt[:, None]
     got = aerodynamic_coefficients(lighter, aircraft, cutoff=None)
     assert_allclose(got, true_coefficients, atol=1e-12)
     with pytest.raises(ValueError, match="mass of 0 kg at row 3"):
@@ -122,8 +120,8 @@ def test_forces_of_a_tether_among_those_of_the_thrust_are_taken_away(
 ):
     tether, twist = np.array([3.0, -8.0, 40.0]), np.array([0.4, 0.2, -0.1])
     pulled = simulated.copy()
-    pulled[["ax", "ay", "az"]] += tether / aircraft.mass
-    pulled[DERIVATIVES] += np.linalg.solve(aircraft.inertia, twist)
+    pulled[FORCES] += tether / aircraft.mass
+    pulled[SPIN] += np.linalg.solve(aircraft.inertia, twist)
     for axis, value in zip(["x", "y", "z", "l", "m", "n"], [*tether, *twist], strict=True):
         pulled[f"thrust_{axis}"] = pulled.get(f"thrust_{axis}", 0.0) + value
     got = aerodynamic_coefficients(pulled, aircraft, cutoff=None)

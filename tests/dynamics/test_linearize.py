@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flight_columns import SURFACES
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
 
@@ -118,7 +119,6 @@ OUTPUTS = ["airspeed", "alpha", "beta", "ax", "ay", "az"]
 
 
 LAG = 0.08  # of the servos [s]
-SURFACES = ["elevator", "aileron", "rudder"]
 POSITIONS = [f"{name}_position" for name in SURFACES]
 
 

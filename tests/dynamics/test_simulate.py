@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS, EULER, FORCES, RATES, SURFACES, VELOCITY, WIND
 from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -36,24 +37,7 @@ from skdgp.preprocessing import (
 
 START = {"airspeed": 22.0, "alpha": 0.08, "beta": 0.02, "phi": 0.3, "theta": 0.1, "psi": 1.0}
 START |= {"p": 0.1, "q": 0.05, "r": -0.1, "north": 10.0, "east": -20.0, "altitude": 300.0}
-STATES = [
-    "v_north",
-    "v_east",
-    "v_down",
-    "phi",
-    "theta",
-    "psi",
-    "p",
-    "q",
-    "r",
-    "north",
-    "east",
-    "down",
-    "airspeed",
-]
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-SURFACES = ["elevator", "aileron", "rudder"]
-ACCELERATIONS = ["ax", "ay", "az"]
+STATES = [*VELOCITY, *EULER, *RATES, "north", "east", "down", "airspeed"]
 REST = dict.fromkeys(SURFACES, 0.0)
 
 
@@ -134,8 +118,8 @@ class TestEquations:
         truth = solved(aircraft, lambda x: glider.level + glider.slopes @ x, commands, 4.0, wind)
         end = flown[STATES].iloc[-1]
         assert_allclose(end[["north", "east", "down"]], truth[:3], atol=1e-6)
-        assert_allclose(end[["v_north", "v_east", "v_down"]], truth[3:6], atol=1e-6)
-        assert_allclose(end[["p", "q", "r"]], truth[15:], atol=1e-6)
+        assert_allclose(end[VELOCITY], truth[3:6], atol=1e-6)
+        assert_allclose(end[RATES], truth[15:], atol=1e-6)
         angles = Rotation.from_matrix(truth[6:15].reshape(3, 3)).as_euler("ZYX")
         assert_allclose(end[["psi", "theta", "phi"]], angles, atol=1e-7)
 
@@ -180,7 +164,7 @@ class TestRegressors:
             )  # fmt: skip
 
         gust = pd.DataFrame({"time": np.arange(0, 2.1, 0.01)})
-        for k, name in enumerate(("wind_north", "wind_east", "wind_down")):
+        for k, name in enumerate(WIND):
             gust[name] = 2.0 * np.sin(5 * gust["time"] + k)
         model = Aerodynamics(coefficients, names)
         controls = {"elevator": -0.02, "thrust": 14.0}
@@ -271,7 +255,7 @@ class TestStarts:
 
     def test_a_row_of_a_flight_a_state_and_names_are_the_same_start(self, flown, fly):
         row = flown.iloc[100]
-        controls = dict.fromkeys(("elevator", "aileron", "rudder"), 0.01) | {"thrust": 12.0}
+        controls = dict.fromkeys(SURFACES, 0.01) | {"thrust": 12.0}
         by_row, by_names = (
             fly(x0=start, controls=controls, duration=0.5, air=[3.0, -2.0, 0.7])
             for start in (row, dict(row[[*START]]))
@@ -384,8 +368,8 @@ class TestEnsembles:
             table = pd.DataFrame({"time": t, **inputs(t)})
             paths = fly(model, START, table, dt=dt, n_paths=2, air=Air(gusts=None))
             end = paths[paths["path"] == 1].iloc[-1]
-            ground = end[["v_north", "v_east", "v_down"]] - truth[3:6]
-            turning = end[["p", "q", "r"]] - truth[15:]
+            ground = end[VELOCITY] - truth[3:6]
+            turning = end[RATES] - truth[15:]
             errors.append(np.abs([*ground / 22.0, *turning]).max())
         assert errors[1] < 1e-4
         assert errors[1] < errors[0] / 3
@@ -455,13 +439,13 @@ class TestSimulator:
         for row in at_once.to_dict("records"):
             for name in ("time", *STATES):
                 assert seen[name] == pytest.approx(row[name], abs=1e-10)
-            for name in ACCELERATIONS if not gain else ():
+            for name in FORCES if not gain else ():
                 assert seen[name] == pytest.approx(row[name], abs=0.01)
             seen = simulator.step(law(seen["time"], seen))
 
     def test_accelerometers_of_a_start_without_controls_are_unknown(self, aircraft, glider):
         seen = Simulator(glider.model(), aircraft).reset(START)
-        assert np.isnan([seen[name] for name in ACCELERATIONS]).all()
+        assert np.isnan([seen[name] for name in FORCES]).all()
         assert np.isfinite(seen["airspeed"])
 
     @pytest.mark.parametrize("n_tables", [1, 2])

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import WIND
 from made_flights import GLIDER
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -22,7 +23,6 @@ from skdgp.dynamics import (
 )
 from skdgp.identification import make_identification_pipeline
 
-WIND = ["wind_north", "wind_east", "wind_down"]
 SPAN, SPEED, STEP = GLIDER.span, 25.0, 0.05
 TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
 

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import uav_flight
+from flight_columns import FORCES, RATES, SPIN, SURFACES
 from log_errors import elsewhere, held
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal, assert_array_less
@@ -22,7 +23,6 @@ from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion,
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
 
-SURFACES = ["elevator", "aileron", "rudder"]
 GUSTY = "0.5 m/s, 1 s"
 
 
@@ -78,7 +78,7 @@ def flown(
     true = uav_flight.fly(plane, air, rng, seconds, 0.05, commands, banks=[bank], speeds=speeds)
     table = uav_flight.logged(true, rng, "ideal")
     if arm is not None:
-        table = elsewhere(table, arm, true[uav_flight.SPIN].to_numpy())
+        table = elsewhere(table, arm, true[SPIN].to_numpy())
     table[SURFACES] = true[SURFACES if deflections else uav_flight.COMMANDS]
     alpha = table.pop("alpha_true")
     aircraft = replace(uav_flight.aircraft_of(plane), sensor_position=arm)
@@ -200,7 +200,7 @@ def test_derivatives_of_a_flight_that_vibrates():
     flight = flown(GUSTY, 40.0)
     table = flight.table
     shake = uav_flight.vibration(default_rng(2), table["throttle"].to_numpy(), 0.02)
-    table[["ax", "ay", "az", "p", "q", "r"]] += shake
+    table[FORCES + RATES] += shake
     found = flight.estimate()
     assert found.vibrates
     assert "vibrate" in found.summary

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from log_errors import EULER, FORCES, RATES, VELOCITY
+from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
 from made_flights import flight_of_motion
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -54,7 +54,6 @@ from skdgp.estimation._least_squares import Equations, GaussianPrior, solve
 from skdgp.estimation._path_equations import PLACE, path_equations
 from skdgp.estimation._servos import servo_output
 
-SURFACES = ["elevator", "aileron", "rudder"]
 AIRCRAFT = Aircraft(
     mass=1.9,
     inertia=[[0.09, 0.002, -0.015], [0.002, 0.11, 0.001], [-0.015, 0.001, 0.17]],

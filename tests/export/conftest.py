@@ -10,6 +10,7 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from numpy.random import default_rng
 from sklearn.utils import Bunch
 
@@ -20,7 +21,6 @@ from skdgp.identification import identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
 JOINT = {"structure": "joint"}
 SPARSE = {"inference": "sparse", "n_inducing": 9}

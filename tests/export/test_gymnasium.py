@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flight_columns import FORCES
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
@@ -35,7 +36,7 @@ def test_an_episode_is_a_flight_of_a_drawn_aircraft(example, fitted):
         )
         return rows[environment.SEEN].to_numpy()
 
-    states = [name not in ("ax", "ay", "az") for name in environment.SEEN]
+    states = [name not in FORCES for name in environment.SEEN]
     assert_allclose(seen[1:, states], flown(held)[1:, states], atol=1e-9)
     # accelerometers show the last stage of a step
     assert_allclose(seen[1:], flown(held)[1:], atol=0.01)

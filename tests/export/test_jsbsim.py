@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flight_columns import COEFFICIENTS
 from numpy.testing import assert_allclose
 
 from skdgp.dynamics import Air, Aircraft, Propeller, ThrustLine, trim
 from skdgp.export import write_jsbsim
 
 FOOT, POUND_FORCE = 0.3048, 4.4482216152605
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 AIRSPEED = 25.0
 FULL = {"elevator": 0.9, "aileron": 0.8, "rudder": 0.7}  # [rad], at a command of 1
 PROPELLER = Propeller(

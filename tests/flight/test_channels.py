@@ -5,6 +5,7 @@ from itertools import permutations
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import EULER, FORCES, RATES
 from log_errors import shake
 from made_flights import make_flight
 from numpy.random import default_rng
@@ -100,7 +101,7 @@ RATE = 40.0
 def shaken(size):
     """Return motion below 4 Hz, with a vibration of the rates whose frequency changes, 8 to 14 Hz."""
     table = make_flight({"p q r elevator": (0, 1, 0)}, 4800, 1 / RATE, width=4, seed=2)
-    for name in ("p", "q", "r"):
+    for name in RATES:
         table[name] += size * shake(table["time"])
     return table
 
@@ -116,7 +117,7 @@ def test_forces_beyond_it_are_vibration():
     table = shaken(1.0)
     rng = default_rng(1)
     band = motion_band_of(table)
-    for name in ("ax", "ay", "az"):
+    for name in FORCES:
         table[name] = table["elevator"] + 0.5 * rng.normal(size=len(table))
     assert not vibrates_beyond(table, band)
     shaking = table["p"] - shaken(0.0)["p"]
@@ -139,7 +140,7 @@ def test_without_rates_and_surfaces_it_is_unknown():
     assert motion_band_of(shaken(0.0).iloc[:60]) == np.inf
 
 
-SENSORS = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
+SENSORS = [*RATES, *FORCES, *EULER]
 ANGLES = {"elevator": "theta", "aileron": "phi", "rudder": "psi"}
 
 

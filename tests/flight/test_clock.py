@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import EULER, RATES, VELOCITY
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
@@ -22,8 +23,10 @@ MISSING = [None, np.nan, pd.NA, pd.NaT, "", "  "]
 DTYPES = ["string", "category", *["str"] * (int(pd.__version__.split(".")[0]) > 2)]
 N = 60
 NAMES = [
-    *("alpha", "beta", "p", "q", "r", "ax", "ay"),
-    *("phi", "theta", "psi", "v_north", "v_east", "v_down"),
+    *("alpha", "beta", "ax", "ay"),
+    *RATES,
+    *EULER,
+    *VELOCITY,
 ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import uav_flight
-from log_errors import FORCES, RATES, VELOCITY
+from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
 from made_flights import lasting
 from numpy.random import default_rng
 from scipy import signal
@@ -41,7 +41,6 @@ from skdgp.dynamics import (
 from skdgp.io import inspect_log, read_flight
 
 ELEVONS = ["elevon_left", "elevon_right"]
-SURFACES = ["elevator", "aileron", "rudder"]
 VANES = ["alpha", "beta"]
 PLACE = ["north", "east", "altitude"]
 DEGREES = 180 / np.pi
@@ -159,7 +158,7 @@ def in_earth_axes(west):
     """Log accelerations north, east or west, and down, as inertial navigation systems do."""
 
     def change(flight):
-        rotation = euler_to_matrix(*(flight[name] for name in log_errors.EULER))
+        rotation = euler_to_matrix(*(flight[name] for name in EULER))
         force = np.einsum("nij,nj->ni", rotation, flight[FORCES].to_numpy())
         return flight.assign(**dict(zip(FORCES, (force * [1.0, west, 1.0]).T, strict=True)))
 
@@ -342,7 +341,7 @@ def test_channels_that_are_turned_together_are_one_mistake(flight, names, droppe
 
 @pytest.mark.parametrize("factor", [-1.0, 0.1])
 def test_impossible_factors_are_no_wrong_clock(flight, factor):
-    kept = flight[["time", *RATES, *log_errors.EULER, *VELOCITY, *FORCES]]
+    kept = flight[["time", *RATES, *EULER, *VELOCITY, *FORCES]]
     found = contradictions(scale({"p q r v_north v_east v_down": factor})(kept))
     assert {finding.code for finding in found} == {Code.CONTRADICTION}
 
@@ -532,7 +531,7 @@ def test_a_surface_that_stands_still_is_not_stuck(flight):
 def test_a_simulated_airspeed_in_still_air_is_the_ground_speed(flight):
     """Without noise the wind is what both differ by, and of still air that is nothing."""
     through_air = air_velocity(*(flight[name] for name in ("airspeed", "alpha", "beta")))
-    rotation = euler_to_matrix(*(flight[name] for name in log_errors.EULER))
+    rotation = euler_to_matrix(*(flight[name] for name in EULER))
     still = ordinary(flight)
     still[VELOCITY] = np.einsum("nij,nj->ni", rotation, through_air)
     level = still.assign(airspeed=np.hypot(still["v_north"], still["v_east"]))
@@ -573,7 +572,7 @@ def test_a_late_servo_is_no_wrong_sign():
 def test_what_confirms_a_channel(flight, change):
     """Its motion, and another channel of it."""
     confirmed = confirmed_channels(FlightTable.of(flight))
-    assert {*RATES, *log_errors.EULER, "az", "v_down"} <= confirmed
+    assert {*RATES, *EULER, "az", "v_down"} <= confirmed
     assert "p" not in confirmed_channels(FlightTable.of(change(flight)))
 
 

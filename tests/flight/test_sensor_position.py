@@ -3,7 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from log_errors import FORCES, POSITION, RATES, placed
+from flight_columns import FORCES, POSITION, RATES
+from log_errors import placed
 from made_flights import GLIDER, flight_of_motion
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
+from flight_columns import COEFFICIENTS, EULER, RATES, SURFACES
 from numpy.random import default_rng
 
 from skdgp.datasets import COMMANDS, FLIGHT_PLANS, measure
@@ -64,11 +65,10 @@ def aircraft_of(fdm, model):
 
 # -- flights to learn from, with their truth
 
-STEADY = ("alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "throttle")
+STEADY = ("alpha", "beta", *RATES, *SURFACES, "throttle")
 NAMES = (*STEADY, "alpha_dot", "beta_dot")  # Regressors of the truth, rates non-dimensional
 ROTATION = [2, 3, 4]
 SLOPES = [9, 10]
-COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 # [kt], MIL-F-8785C as JSBSim flies it
 WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
 HEIGHT = 274.0  # above the ground [m]
@@ -87,7 +87,6 @@ SETTLING = 10.0  # s before the log
 DURATION = 200.0  # s of a log
 TRAINING = (1, "light", 1)  # Plan of the flight, air and seed
 FLOWN = {"calm": (2, "calm", 0), "light": (2, "light", 11), "moderate": (2, "moderate", 12)}
-SURFACES = ("elevator", "aileron", "rudder")
 UNITS = {"ft": FOOT, "ft/s": FOOT, "lb": POUND_FORCE, "lb ft": POUND_FORCE * FOOT}
 UNITS |= {"slug/ft^3": SLUG / FOOT**3}
 # Columns; the property of JSBSim that each comes from; their unit
@@ -183,7 +182,7 @@ def with_truth(table, aircraft):
     table[coefficients[3:]] /= aircraft.moment_lengths
     for axis in ("north", "east"):
         table[f"{axis}_true"] = np.cumsum(table[f"v_{axis}_true"]) / RATE
-    attitude = euler_to_quaternion(*(table[f"{angle}_true"] for angle in ("phi", "theta", "psi")))
+    attitude = euler_to_quaternion(*(table[f"{angle}_true"] for angle in EULER))
     air = air_velocity(
         *(table[f"{name}_true"].to_numpy() for name in ("airspeed", "alpha", "beta"))
     )

@@ -1,16 +1,12 @@
 """Errors that recorders and installations leave in logs of flights."""
 
 import numpy as np
+from flight_columns import EULER, FORCES, POSITION, RATES
 from scipy import signal
 
 from skdgp.dynamics import euler_to_matrix
 
 GRAVITY = 9.80665
-FORCES = ["ax", "ay", "az"]
-RATES = ["p", "q", "r"]
-EULER = ["phi", "theta", "psi"]
-VELOCITY = ["v_north", "v_east", "v_down"]
-POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 
 
 def elsewhere(table, place, spin=None):

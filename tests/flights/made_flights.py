@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from flight_columns import AIR, EULER, FORCES, RATES, SURFACES, VELOCITY
 from numpy.random import default_rng
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
@@ -12,8 +13,7 @@ from skdgp.dynamics import Aerodynamics, Aircraft, air_data
 
 GRAVITY = 9.80665
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
-SENSED = ["ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "airspeed", "alpha", "beta"]
-SENSED += ["v_north", "v_east", "v_down"]
+SENSED = [*FORCES, *RATES, *EULER, *AIR, *VELOCITY]
 STEP = 1e-4  # of the differences of a motion [s]
 
 
@@ -89,7 +89,7 @@ LINEAR_GLIDER = Glider(
         name="glider", mass=12, inertia=[[1.1, 0, -0.2], [0, 2.3, 0], [-0.2, 0, 3.1]],
         wing_area=1.3, span=2.6, chord=0.55,
     ),
-    ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"],
+    ["alpha", "beta", "p_hat", "q_hat", "r_hat", *SURFACES],
     np.array([-0.03, 0, -0.3, 0, 0.02, 0]),
     np.array([
         [0.35, 0, 0, 0, 0, 0.02, 0, 0],

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from log_errors import EULER, FORCES, RATES, VELOCITY, elsewhere, held, late
+from flight_columns import COEFFICIENTS, EULER, FORCES, RATES, SPIN, SURFACES, VELOCITY, WIND
+from log_errors import elsewhere, held, late
 
 from skdgp.dynamics import Aerodynamics, Air, Aircraft, Servos, simulate
 
 DENSITY = 1.2
 STEP, EVERY = 0.01, 2  # s of the simulation, steps between logged samples
-COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 TERMS = ("level", "alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder", "abs_beta")
 REGRESSORS = ["airspeed", "alpha", "beta", "p_hat", "q_hat", "r_hat"]
 # [rad], at which the softened lift and moment of some aircraft have lost half their slope
@@ -53,8 +53,6 @@ AIRS = {  # intensity [m/s], correlation time [s], spectrum
 }
 VIBRATION = (1.5, 0.03)  # m/s^2, rad/s
 STEADY_WIND = np.array([3.0, -2.0, 0.0])
-SPIN = ["p_dot", "q_dot", "r_dot"]
-SURFACES = ["elevator", "aileron", "rudder"]
 COMMANDS = ["elevator_command", "aileron_command", "rudder_command"]
 # White noise of channels that are logged, standard deviation
 NOISE = [(["airspeed"], 0.3), (FORCES, 0.1), (RATES, 0.005), (EULER, 0.005), (VELOCITY, 0.1)]
@@ -154,7 +152,7 @@ def fly(plane, air, rng, seconds, lag, inputs=None, banks=BANKS, speeds=SPEEDS):
         return dict(zip(SURFACES, commanded[k], strict=True)) | {"throttle": throttle}
 
     start = {"airspeed": plane["airspeed"], "alpha": 0.05, "theta": 0.05, "altitude": 200.0}
-    wind = pd.DataFrame(wind, columns=["wind_north", "wind_east", "wind_down"]).assign(time=time)
+    wind = pd.DataFrame(wind, columns=WIND).assign(time=time)
     flown = simulate(
         aerodynamics(plane, lag), aircraft_of(plane), start, law, STEP, duration=seconds,
         air=Air(wind, gusts=None, density=DENSITY), thrust=None,

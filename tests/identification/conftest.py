@@ -4,12 +4,13 @@ import warnings
 from contextlib import suppress
 
 import pytest
+from flight_columns import AIR, FORCES, RATES
 
 from skdgp import listening
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import identify
 
-MEASURED = ["time", "flight", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az"]
+MEASURED = ["time", "flight", *AIR, *RATES, *FORCES]
 MEASURED += ["throttle", "rudder", "elevon_left", "elevon_right"]
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from flight_columns import EULER, FORCES, RATES
 from sklearn.utils import Bunch
 
-SENSORS = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
+SENSORS = [*RATES, *FORCES, *EULER]
 
 
 @pytest.fixture(scope="module")

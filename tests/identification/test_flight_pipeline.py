@@ -6,7 +6,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from log_errors import FORCES, shake
+from flight_columns import FORCES, RATES, SURFACES
+from log_errors import shake
 from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -317,7 +318,7 @@ def test_steps_pass_pandas_and_no_polars(flights):
         model.fit(train, aerodynamic_coefficients(train, flights.aircraft))
 
 
-NAMES = ["alpha", "beta", "p", "q", "r", "elevator", "aileron", "rudder"]
+NAMES = ["alpha", "beta", *RATES, *SURFACES]
 
 
 def shaken(flight):

@@ -12,6 +12,7 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
@@ -37,9 +38,6 @@ from skdgp.report import save_report
 GLIDER = Aircraft.estimate(3.0, 1.8)
 QUICK = DependentGPRegressor(structure="joint", n_latent=1, max_iter=3, random_state=0)
 AVERAGE = clone(QUICK).set_params(structure="average")
-
-
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS, FORCES, SURFACES
 from log_errors import placed
 from made_flights import make_flight
 from numpy.random import default_rng
@@ -35,8 +36,7 @@ from skdgp.inference import linear_weights
 from skdgp.preprocessing import FlightCheck, FlightPathReconstruction, LagCorrector
 
 AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
-REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", "elevator", "aileron", "rudder"]
+REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", *SURFACES]
 STEP = 0.02
 
 
@@ -75,8 +75,8 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
     without = learned_errors(table, AIRCRAFT, X, known, None, 0.0)
     errors = learned_errors(table.assign(sensor_tilt=0.03), AIRCRAFT, X, known, None, 0.0)
     assert len(errors.weights) == len(without.weights) + 2  # roll and pitch
-    turned = Rotation.from_euler("y", 0.03).apply(table[["ax", "ay", "az"]])
-    tilted = table.assign(**dict(zip(["ax", "ay", "az"], turned.T, strict=True)))
+    turned = Rotation.from_euler("y", 0.03).apply(table[FORCES])
+    tilted = table.assign(**dict(zip(FORCES, turned.T, strict=True)))
     forces = [
         aerodynamic_coefficients(t, AIRCRAFT, thrust=None)[["CX", "CY", "CZ"]]
         for t in (tilted, table)
@@ -87,7 +87,7 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
 
 @pytest.mark.parametrize(
     ("group", "channels", "k"),
-    [("surfaces", ["elevator", "aileron", "rudder"], 3), ("air", ["alpha", "beta"], 4)],
+    [("surfaces", SURFACES, 3), ("air", ["alpha", "beta"], 4)],
 )
 def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k):
     table, X, slopes = flown

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS, WIND
 from made_flights import LINEAR_GLIDER
 from numpy.random import default_rng
 from pandas.testing import assert_frame_equal
@@ -27,7 +28,6 @@ from skdgp.identification import (
 )
 
 AIRCRAFT = LINEAR_GLIDER.aircraft
-COEFFICIENTS = ["CX", "CY", "CZ", "Cl", "Cm", "Cn"]
 SETTINGS = {"thrust": None, "horizon": 4.0}
 FIT = Bunch(
     regressors=LINEAR_GLIDER.names,
@@ -110,7 +110,6 @@ NO_TRIM = Finding(Code.NO_TRIM, airspeed=20.0)
 ALONE = {
     name: Finding(Code.ROWS_LEFT_OUT, flight=name, left_out=2, rows=9, alone=2) for name in "ab"
 }
-WIND = ["wind_north", "wind_east", "wind_down"]
 CONTROLS = ["Cm_elevator", "Cl_aileron", "Cn_rudder"]
 PREDICT = "predict coefficients"
 SIMULATE = "simulate"

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import FORCES, RATES, VELOCITY
 from made_flights import flight_of_motion
 from numpy.random import default_rng
 from scipy.spatial.transform import Rotation
@@ -39,7 +40,7 @@ DATAFLASH_CODES = {
 }
 DATAFLASH_SCALE = {"c": 100, "C": 100, "e": 100, "L": 1e7}
 DEGREE = 180 / np.pi
-INERTIAL = ("ax", "ay", "az", "p", "q", "r")
+INERTIAL = [*FORCES, *RATES]
 
 
 class LogWriter:
@@ -282,7 +283,7 @@ class Flight:
         return Rotation.from_euler("ZYX", self.at(t, "psi", "theta", "phi"))
 
     def velocity(self, t):
-        return self.at(t, "v_north", "v_east", "v_down")
+        return self.at(t, *VELOCITY)
 
     def time(self, rate, *, delay=0.0):
         return np.arange(self.BEGIN + delay, self.END, 1 / rate)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flight_columns import FORCES
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
@@ -273,7 +274,7 @@ class TestWithoutAnAccelerometer:
 
     def test_specific_force_is_that_of_velocity_and_attitude(self, read, log):
         table = read(log)
-        found = table[table.time.between(2, 28)][["ax", "ay", "az"]]
+        found = table[table.time.between(2, 28)][FORCES]
         load = np.hypot(9.80665, self.OMEGA * self.SPEED)
         assert_allclose(found - [0.0, 0.0, -load], 0.0, atol=0.03)
         source = "velocity and attitude, as no accelerometer is of use"
@@ -322,7 +323,7 @@ def test_a_bench_log_of_px4_is_no_flight_but_can_be_read(vtol_bench):
     assert "a flight stays above" in inspect_log(vtol_bench).remarks[-1]
     with pytest.warns(FlightDataWarning):
         table = read_flight(vtol_bench, airborne=False)
-    force = np.linalg.norm(table[["ax", "ay", "az"]].dropna(), axis=1)
+    force = np.linalg.norm(table[FORCES].dropna(), axis=1)
     assert np.median(force) == pytest.approx(9.7, abs=0.2)
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import EULER, FORCES, RATES, VELOCITY
 from numpy.random import default_rng
 
 from skdgp.identification import named_flights
@@ -102,8 +103,7 @@ class TestSummary:
 def test_what_was_not_measured_contradicts_nothing(write, flight):
     """Of a sound flight: the IMU ends at 27 s, and its columns are zero from there."""
     time = flight.time(50)
-    names = ["p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi"]
-    names += ["v_north", "v_east", "v_down"]
+    names = [*RATES, *FORCES, *EULER, *VELOCITY]
     table = pd.DataFrame(flight.at(time, *names), columns=names)
     table += default_rng(0).normal(0, 0.003, table.shape)
     table.loc[time > 27, names[:6]] = 0.0

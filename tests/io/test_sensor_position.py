@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from flight_columns import POSITION
 from numpy.testing import assert_allclose
 
 from skdgp.io import inspect_log
 
-POSITION = ["sensor_position_x", "sensor_position_y", "sensor_position_z"]
 PLACE = (0.12, -0.03, 0.05)
 T = 10 + np.arange(500) / 50.0
 FORCE = np.column_stack([np.sin(T), np.cos(T), np.sin(T) - 9.8])

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from flight_columns import EULER, FORCES, RATES
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from skdgp.io import inspect_log
 
-NAMES = ("p", "q", "r", "ax", "ay", "az")
+NAMES = [*RATES, *FORCES]
 INERTIAL = ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ")
 TRIM = {"AHRS_TRIM_X": 0.03, "AHRS_TRIM_Y": -0.05, "AHRS_TRIM_Z": 0.01}
 ARSPD = {"I": ("B", 0), "H": ("B", 1)}
@@ -15,7 +16,7 @@ ARSPD = {"I": ("B", 0), "H": ("B", 1)}
 
 def measured(flight, time, to_body):
     """Return what sensors read that a rotation takes to body axes, (n, 6)."""
-    rates, force = (flight.at(time, *names) for names in (NAMES[:3], NAMES[3:]))
+    rates, force = (flight.at(time, *names) for names in (RATES, FORCES))
     board = to_body.inv()
     return np.hstack([board.apply(rates), board.apply(force)])
 
@@ -29,7 +30,7 @@ def dataflash_log(dataflash, flight, to_body, **parameters):
         I=("B", 0),
         **dict(zip(INERTIAL, measured(flight, time, to_body).T, strict=True)),
     )
-    degrees = np.rad2deg(flight.at(time, "phi", "theta", "psi")).T
+    degrees = np.rad2deg(flight.at(time, *EULER)).T
     log.topic("ATT", time, **dict(zip(("Roll", "Pitch", "Yaw"), degrees, strict=True)))
     return log
 

@@ -4,14 +4,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import COEFFICIENTS
 from matplotlib.figure import Figure
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import norm
 
 from skdgp.plotting import TimeHistoryDisplay
-
-COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 
 
 def outputs(n=200, n_outputs=6):

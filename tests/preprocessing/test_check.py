@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
-from log_errors import VELOCITY
+from flight_columns import VELOCITY
 from log_errors import held as sampled
 from made_flights import GLIDER, make_flight
 from numpy.random import default_rng

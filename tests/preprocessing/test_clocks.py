@@ -4,7 +4,8 @@ import warnings
 
 import numpy as np
 import pytest
-from log_errors import VELOCITY, held
+from flight_columns import SURFACES, VELOCITY
+from log_errors import held
 from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -14,7 +15,6 @@ from skdgp.estimation import flights_of
 from skdgp.preprocessing import FlightCheck, LagCorrector
 
 N = 3000
-SURFACES = ["elevator", "aileron", "rudder"]
 LEVELS = {
     "p q r ax ay az phi theta psi v_north v_east v_down": (0, 0.07, 0.001),
     "airspeed": (15, 0.07, 0.001),

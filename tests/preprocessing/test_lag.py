@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import RATES
 from log_errors import elsewhere, placed
 from made_flights import make_flight
 from numpy.random import default_rng
@@ -105,7 +106,7 @@ class TestEstimate:
         truth = linear_aircraft(2, width=2, seconds=40)
         table = linear_aircraft(2, servos=servos, surfaces=-delay, width=2, seconds=40)
         rng = default_rng(2)
-        for name in ("p", "q", "r"):
+        for name in RATES:
             table[name] += rng.normal(0, 0.002 * np.std(table[name]), len(table))
         corrector = LagCorrector()
         out = corrector.fit_transform(table)

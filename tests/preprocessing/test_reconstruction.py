@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
-from log_errors import EULER as ATTITUDE
-from log_errors import FORCES, POSITION, RATES, VELOCITY, elsewhere, late
+from flight_columns import AIR, EULER, FORCES, POSITION, RATES, VELOCITY, WIND
+from log_errors import elsewhere, late
 from made_flights import GLIDER, flight_of_motion, lasting
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -27,13 +27,11 @@ from skdgp.preprocessing import (
     LagCorrector,
 )
 
-AIR = ["airspeed", "alpha", "beta"]
-WIND = ["wind_north", "wind_east", "wind_down"]
 # White noise of the sensors, standard deviation
 SHEET = {
     **dict.fromkeys(FORCES, 0.05),
     **dict.fromkeys(RATES, 0.002),
-    **dict.fromkeys([*ATTITUDE, "alpha", "beta"], 0.005),
+    **dict.fromkeys([*EULER, "alpha", "beta"], 0.005),
     **dict.fromkeys(VELOCITY, 0.1),
     "airspeed": 0.3,
 }
@@ -123,7 +121,7 @@ class TestRecovery:
     def test_in_calm_air_the_vanes_noise_all_but_vanishes(self):
         table, reconstruction, out = reconstructed()
         assert_near(table, out, shares(0.15) | {"airspeed": 0.1 * SHEET["airspeed"]})
-        assert_near(table, out, dict.fromkeys(ATTITUDE, 0.2 * 0.005) | dict.fromkeys(WIND, 0.05))
+        assert_near(table, out, dict.fromkeys(EULER, 0.2 * 0.005) | dict.fromkeys(WIND, 0.05))
         sheet = {"airspeed": 0.3, "alpha": 0.005, "v_down": 0.1, "tilt": 0.005}
         found = {name: reconstruction.noise_std_[name] for name in sheet}
         assert found == pytest.approx(sheet, rel=0.06)
@@ -177,7 +175,7 @@ class TestRecovery:
         row = np.arange(len(table))
         slow.loc[row % 5 != 0, VELOCITY] = np.nan  # GPS at 5 Hz
         slow.loc[row % 3 != 0, ["alpha"]] = np.nan
-        slow.loc[(row > 300) & (row < 350), [*ATTITUDE, "airspeed"]] = np.nan
+        slow.loc[(row > 300) & (row < 350), [*EULER, "airspeed"]] = np.nan
         slow.loc[row % 50 == 7, ["p", "ax"]] = np.nan
         out = path_of(slow)
         assert out[[*AIR, "p", "ax", "psi", "wind_down"]].notna().all(axis=None)
@@ -282,7 +280,7 @@ class TestInconsistent:
     @pytest.mark.parametrize(
         ("damage", "sensor", "is_smoothed"),
         [
-            (lambda table: wandering(table, ATTITUDE, 0.05), "gyro", False),
+            (lambda table: wandering(table, EULER, 0.05), "gyro", False),
             (lambda table: wandering(table, VELOCITY, 2.0), "accelerometer", False),
             (
                 lambda table: table.assign(**dict(zip(AIR, true(table, AIR).T, strict=True))),
@@ -310,7 +308,7 @@ class TestInconsistent:
 
     def test_it_is_used_after_correction_of_lags(self):
         table, _, best = reconstructed(seconds=20.0, gusts=0.3)
-        delayed = late(late(table, 0.2, ATTITUDE), 0.3, VELOCITY)
+        delayed = late(late(table, 0.2, EULER), 0.3, VELOCITY)
         steps = make_pipeline(LagCorrector(), FlightPathReconstruction())
         out = steps.fit_transform(delayed)
         assert steps[-1].used_
@@ -327,7 +325,7 @@ class TestInconsistent:
         assert not fitted(filtered).used_
 
     def test_without_a_vane_there_is_no_choice(self):
-        table = wandering(flown(20.0), ATTITUDE, 0.05).drop(columns="beta")
+        table = wandering(flown(20.0), EULER, 0.05).drop(columns="beta")
         reconstruction = fitted(table)
         assert reconstruction.used_
         assert "gyro" in [found.channel for found in reconstruction.contradictions_]

@@ -118,7 +118,6 @@ class Plan:
             time=starts[number] + self.flight["time"].to_numpy(float),
             names=names,
             mean=self.flight[[*names]].to_numpy(float),
-            window=number,
             estimate="expected",
         )
         return display.plot(ax)

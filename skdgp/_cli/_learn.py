@@ -152,11 +152,10 @@ def demo(run: Run) -> None:
     """
     run.console.stage("simulating the example flights")
     example = load_example_flights()
-    title = "Example flights: a simulated UAV"
-    _identify(run, example.train, example.aircraft, example.test, title=title)
+    _identify(run, example.train, example.aircraft, example.test)
 
 
-def _identify(run, train, aircraft, test, title=None, **loads):
+def _identify(run, train, aircraft, test, **loads):
     """Learn a model with the options of the command line, write it and print its summary."""
     options = run.options
     parameters = without_nones({"max_iter": options.max_iter})
@@ -172,7 +171,7 @@ def _identify(run, train, aircraft, test, title=None, **loads):
             horizon=options.horizon,
             **loads,
         )
-        _finish(run, result if title is None else replace(result, title=title))
+        _finish(run, result)
 
 
 def _finish(run: Run, result: Identification) -> None:
@@ -211,8 +210,8 @@ def validate(run: Run) -> None:
 LEARNING = [
     option(
         "--samples",
-        metavar="N|all",
-        type=number(2, "all", kind=int),
+        metavar="N",
+        type=number(2, kind=int),
         help="rows to learn from (default: all, at most 30,000)",
     ),
     option(

@@ -24,7 +24,6 @@ from skdgp._cli._shared import (
     OUTPUT,
     PATHS,
     POSITIVE,
-    SEED,
     Commands,
     Run,
     axis_value,
@@ -135,7 +134,6 @@ def predict(run: Run) -> None:
     names = model.pipeline[-1].output_names_
     columns = [*names, *(f"{name}_std" for name in names)]
     parts = []
-    lines = []
     rows = {}
     for name, flight in flights.items():
         mean, std = model.pipeline.predict(
@@ -144,7 +142,7 @@ def predict(run: Run) -> None:
         clock = flight.table[["flight", "time"]].reset_index(drop=True)
         parts.append(clock.join(pd.DataFrame(np.hstack([mean, std]), columns=columns)))
         rows[name] = len(mean)
-        lines.append(f"{len(mean)} rows of flight {name}")
+    lines = [f"{n} rows of flight {name}" for name, n in rows.items()]
     table = csv_writer(pd.concat(parts, ignore_index=True))
     run.finish(lines, {"flights": rows}, {output.name: table})
 
@@ -167,11 +165,7 @@ def derivatives(run: Run) -> None:
     beyond = sorted({name for point in trims for name in point.beyond})
     if beyond:
         report(Finding(Code.TRIM_BEYOND, names=beyond))
-    spread = {
-        "n_paths": options.paths,
-        "random_state": options.seed,
-        "thrust": model.pipeline.thrust,
-    }
+    spread = {"n_paths": options.paths, "thrust": model.pipeline.thrust}
     points = []
     for at in trims:
         table = stability_derivatives(model.pipeline, model.aircraft, at, **spread)
@@ -230,8 +224,8 @@ def plan(run: Run) -> None:
     """Choose the manoeuvres of the next flight: those that lower the errors of a goal most in the given time.
 
     Doublets, 3-2-1-1s and multisines are simulated from a trim of the model in calm air. Each is made
-    smaller or left out if its response leaves the limits. These are the range of the training flights,
-    with --growth, unless given (others in Python, skdgp.design.Envelope). The controls are open loop
+    smaller or left out if its response leaves the limits, the range of the training flights with
+    --growth (others in Python, skdgp.design.Envelope). The controls are open loop
     during a manoeuvre; return to the trim in the pause after it.
 
     Writes into DIR, all or none, and removes a script there that an earlier plan wrote:
@@ -251,7 +245,6 @@ def plan(run: Run) -> None:
     full = dict(options.full)
     if full:  # the search takes long
         surface_mixes([axis for axis in axes if axis != "throttle"], full)
-    envelope = Envelope(bank=options.max_bank, altitude=options.floor, growth=float(options.growth))
     model = read_model_to_fly(options)
     altitude = options.altitude
     if altitude is None:  # the highest of the training flights
@@ -266,7 +259,7 @@ def plan(run: Run) -> None:
             axes=axes,
             goal=options.goal,
             limits=dict(options.limits),
-            envelope=envelope,
+            envelope=Envelope(growth=options.growth),
             thrust=model.pipeline.thrust,
         )
     numbers = {"seconds": planned.seconds, **planned.to_dict()}
@@ -302,8 +295,6 @@ def _plan_lines(planned: Plan, full: dict[str, float]) -> list[str]:
     manoeuvres = planned.manoeuvres[["start", "name", "scale"]]
     limits = planned.limits.rename_axis("limit")
     lines = [_table(manoeuvres), "", _table(planned.errors), "", _table(limits), ""]
-    if np.isinf(planned.limits).all(axis=None):
-        lines.append("no limits, not even a floor: set them by --growth, --max-bank, --floor ...")
     if not full:
         lines.append("no script for ArduPilot: --full gives the full deflections that it needs")
     return lines
@@ -369,7 +360,6 @@ def margins(run: Run) -> None:
         model.aircraft,
         steady,
         n_paths=options.paths,
-        random_state=options.seed,
         thrust=model.pipeline.thrust,
         delay=options.delay,
         perturbation=None if options.slopes == "local" else "flown",
@@ -410,12 +400,17 @@ def margins(run: Run) -> None:
 
 def _gains_of(loops: list[Loop], suggested: list[Loop]) -> pd.DataFrame:
     """Return the parameters with their values now and suggested."""
-    rows = []
-    for before, after in zip(loops, suggested, strict=True):
-        for name, value in (before.parameters or {}).items():
-            new = float(f"{(after.parameters or {})[name]:.4g}")
-            rows.append({"parameter": name, "now": value, "suggested": new})
-    return pd.DataFrame(rows)
+    gains = {"now": _parameters_of(loops), "suggested": _parameters_of(suggested)}
+    return pd.DataFrame(gains).rename_axis("parameter").reset_index()
+
+
+def _parameters_of(loops: list[Loop]) -> dict[str, float]:
+    """Return the gains of loops, to four digits."""
+    gains = {}
+    for loop in loops:
+        for name, value in (loop.parameters or {}).items():
+            gains[name] = float(f"{value:.4g}")
+    return gains
 
 
 def _with_infinities(table: pd.DataFrame) -> pd.DataFrame:
@@ -523,7 +518,6 @@ COMMANDS: Commands = {
             MODEL,
             AIRCRAFT,
             ALTITUDE,
-            SEED,
             OUTPUT,
             changed(AIRSPEED, nargs="+", help="of the trims [m/s]"),
             changed(PATHS, help="of the posterior; 0: no standard deviations (default: 200)"),
@@ -561,18 +555,12 @@ COMMANDS: Commands = {
                 default=[],
                 help="largest deviations from trim [rad] (default: as flown)",
             ),
-            option("--max-bank", type=POSITIVE, help="to either side"),
-            option(
-                "--floor",
-                type=number(),
-                help="lowest altitude [m] (default: the lowest that was flown)",
-            ),
             option(
                 "--growth",
-                type=number(0.0, "inf"),
+                type=number(0.0),
                 default=0.2,
-                help="part of its range by which a quantity may leave its range in training; inf: no "
-                "limit (default: 0.2)",
+                help="part of its range by which a quantity may leave its range in training "
+                "(default: 0.2)",
             ),
         ],
     },
@@ -596,7 +584,6 @@ COMMANDS: Commands = {
             AIRSPEED,
             ALTITUDE,
             PATHS,
-            SEED,
             OUTPUT,
             changed(
                 PARAMETERS,

@@ -41,7 +41,7 @@ from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, numbers_in_flight, propeller_speed_of, with_sensor_position
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
-from skdgp.io import FULL_THROW, FlightReadError, is_log, names_servos, read_flight
+from skdgp.io import FlightReadError, is_log, read_flight
 from skdgp.preprocessing import clean
 
 Flights = dict[str, FlightTable]
@@ -55,19 +55,14 @@ POSITION_TOLERANCE = 0.01  # of the inertial sensors [m]
 
 
 def train_and_test(
-    flights: Any, test: Any, regressors: Sequence[str], needed: Sequence[str], **reading: Any
-) -> tuple[Flights, Flights, Any]:
-    """Return flights to learn from, flights to be tested on, each once, and what gave their surfaces.
+    flights: Any, test: Any, needed: Sequence[str], **reading: Any
+) -> tuple[Flights, Flights]:
+    """Return flights to learn from and flights to be tested on, each once.
 
     Without test flights the last of several is held out, of a single one the last quarter. Warns of
     that, of slow logs, and of copies.
     """
-    given = [*items_of(flights), *([] if test is None else items_of(test))]
-    servos = _servos_for(reading.get("servos"), given, regressors)
-    reading["servos"] = servos
     train = named_flights(flights, needed=needed, **reading)
-    if servos is None and any(IN_FULL_THROWS in flight.table for flight in train.values()):
-        servos = FULL_THROW
     steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
     if max(steps, default=0.0) > 1 / SLOWEST:
         report(Finding(Code.SLOW_LOG, rate=float(1 / max(steps))))
@@ -77,9 +72,12 @@ def train_and_test(
     train, tested, copies = without_copies(train, tested)
     for finding in copies:
         report(finding)
-    if test is None:
-        train, tested = _without_last(train)
-    return train, tested, servos
+    return _without_last(train) if test is None else (train, tested)
+
+
+def are_in_full_throws(flights: Flights) -> bool:
+    """Return whether surfaces of flights are in parts of their full throw."""
+    return any(IN_FULL_THROWS in flight.table for flight in flights.values())
 
 
 def _without_last(flights: Flights) -> tuple[Flights, Flights]:
@@ -97,17 +95,6 @@ def _without_last(flights: Flights) -> tuple[Flights, Flights]:
         {learned: flight.part(rows[:begin]).named(learned)},
         {tested: flight.part(rows[begin:]).named(tested)},
     )
-
-
-def _servos_for(servos: Any, flights: Sequence[Any], regressors: Sequence[str]) -> Any:
-    """Return ``servos``, or without them "full throw" for logs of autopilots.
-
-    None where no surface is a regressor, and no parameter names servos.
-    """
-    if servos is not None or not any(map(is_log, flights)):
-        return servos
-    needs_surfaces = not {*ALL_SURFACES}.isdisjoint(regressors)
-    return FULL_THROW if needs_surfaces or any(map(names_servos, flights)) else None
 
 
 def named_flights(
@@ -133,11 +120,11 @@ def named_flights(
     dict of str to FlightTable
     """
     rename = reading.pop("rename", None)
-    items = (
-        list(flights.items())
-        if isinstance(flights, Mapping)
-        else [("", item) for item in items_of(flights)]
-    )
+    items = [("", flights)]
+    if isinstance(flights, Mapping):
+        items = list(flights.items())
+    elif isinstance(flights, list | tuple):
+        items = [("", item) for item in flights]
     if not items:
         raise ValueError("Got no flight, but expected at least one.")
     by_name: Flights = {}
@@ -170,13 +157,6 @@ def named_flights(
             by_name[name] = flight.named(name)
             origin[name] = place
     return by_name
-
-
-def items_of(flights: Any) -> list:
-    """Return the tables and paths of a dict or a list, or of a single one."""
-    if isinstance(flights, Mapping):
-        return list(flights.values())
-    return list(flights) if isinstance(flights, list | tuple) else [flights]
 
 
 def regressor_columns(tables: Iterable[pd.DataFrame], regressors: Sequence[str]) -> list[str]:

@@ -36,6 +36,7 @@ from skdgp.dynamics import (
 from skdgp.identification._changed import changes_in_flights
 from skdgp.identification._evaluate import evaluate
 from skdgp.identification._flights import (
+    are_in_full_throws,
     named_flights,
     regressor_columns,
     thrust_of,
@@ -51,7 +52,7 @@ from skdgp.identification._pipeline import (
     regressor_names,
     step_of,
 )
-from skdgp.io import FULL_THROW, reversed_of
+from skdgp.io import FULL_THROW
 from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
 # columns that the coefficients follow from
@@ -68,7 +69,7 @@ def identify(
     regressors: str | Sequence[str] = "quasi-steady",
     regressor: DependentGPRegressor | None = None,
     pipeline: Mapping[str, Any] | None = None,
-    samples: int | str | None = None,
+    samples: int | None = None,
     horizon: float = 10.0,
     reading: Mapping[str, Any] | None = None,
     thrust: str | None = "auto",
@@ -98,14 +99,14 @@ def identify(
         By default ``DependentGPRegressor(random_state=0)``.
     pipeline : mapping of str to object, optional
         Other options of :func:`make_identification_pipeline`, such as ``{"lags": None}``.
-    samples : int, "all" or None
-        Rows to learn from, spread over the flights. None: all, at most 30,000, or 755 by exact
+    samples : int, optional
+        Rows to learn from, spread over the flights. By default all, at most 30,000, or 755 by exact
         inference.
     horizon : float
         Seconds after which simulations of test flights start again from measured states.
     reading : mapping of str to object, optional
         Options of :func:`skdgp.io.read_flight`: ``rename`` for tables, the others for logs of
-        autopilots; by default ``{"servos": "full throw"}``.
+        autopilots; by default ``{"servos": "full throw"}`` where surfaces are regressors.
     thrust : {"auto", None}, default="auto"
         As of :func:`skdgp.dynamics.aerodynamic_coefficients`. ``thrust=None`` needs the throttle or the
         speed of the propeller among the regressors, best with the airspeed, unless the aircraft
@@ -149,9 +150,12 @@ def identify(
     names = REGRESSOR_SETS[regressors] if isinstance(regressors, str) else regressors
     with recorded_findings() as findings:
         notify("reading")
-        train, tests, servos = train_and_test(flights, test, names, MEASURED, **reading or {})
+        reading = dict(reading or {})
+        if reading.get("servos") is None and not {*ALL_SURFACES}.isdisjoint(names):
+            reading["servos"] = FULL_THROW
+        train, tests = train_and_test(flights, test, MEASURED, **reading)
         aircraft = with_position_of(as_aircraft(aircraft), train)
-        units = FULL_THROW_UNITS if reversed_of(servos) is not None else None
+        units = FULL_THROW_UNITS if are_in_full_throws(train) else None
         columns = regressor_columns([flight.table for flight in train.values()], names)
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
         tests = usable_flights(tests, aircraft, names, columns, in_radians=units is None)
@@ -182,7 +186,7 @@ def identify(
             report(Finding(Code.LAGS_CORRECTED, lags=lags, commands=is_late))
         chosen = _options(model) | {"thrust": thrust, "horizon": horizon}
         if units is not None:
-            chosen["servos"] = servos
+            chosen["servos"] = reading.get("servos") or FULL_THROW
         evaluations = [evaluate(name, flight, model, aircraft) for name, flight in tests.items()]
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import reduce
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -60,7 +60,6 @@ Step = TypeVar("Step")
 # inference: ten minutes at 50 Hz
 MOST_EXACT = 755
 MOST_SPARSE = 30000
-LINEAR = 1e-9  # rounding of a regressor that is scaled back, over its largest value
 
 
 def make_identification_pipeline(
@@ -72,7 +71,7 @@ def make_identification_pipeline(
     mixer: Any = None,
     regressor: Any = None,
     lags: str | dict | None = "auto",
-    samples: int | str | None = None,
+    samples: int | None = None,
     thrust: str | None = "auto",
     control_units: Mapping[str, str] | None = None,
 ) -> FlightPipeline:
@@ -114,7 +113,7 @@ def make_identification_pipeline(
         do.
     lags : "auto", dict or None, default="auto"
         As for :class:`skdgp.preprocessing.LagCorrector`.
-    samples : int, "all" or None
+    samples : int, optional
         Rows to learn from, spread over the flights: see `FlightPipeline`.
     thrust : {"auto", None}, default="auto"
         As for :func:`skdgp.dynamics.aerodynamic_coefficients`, which gave the coefficients. With
@@ -219,10 +218,7 @@ def named_regressors(pipeline: Pipeline, regressors: Matrix) -> pd.DataFrame:
     """
     named = _behind_selector(pipeline).inverse_transform(regressors)
     zero, scale = scaling_of(pipeline)
-    size = np.abs(scale * regressors).max(axis=0, initial=0.0) + np.abs(zero)
-    if named.shape != regressors.shape or not np.all(
-        np.abs(named - zero - scale * regressors) <= LINEAR * size
-    ):
+    if named.shape != regressors.shape or not np.allclose(named, zero + scale * regressors):
         kinds = [type(step).__name__ for _, step in _behind_selector(pipeline).steps]
         raise ValueError(
             f"Got {kinds} behind RegressorSelector, but expected steps that scale each regressor by itself, such as "
@@ -276,9 +272,9 @@ class FlightPipeline(Pipeline):
         Of :func:`make_identification_pipeline`; each may be replaced.
     aircraft : Aircraft, optional
         For errors of the log and turbulence.
-    samples : int, "all" or None
-        Rows to learn from, spread over those that have a target. None: all, at most 30,000, or 755
-        by exact inference.
+    samples : int, optional
+        Rows to learn from, spread over those that have a target. By default all, at most 30,000,
+        or 755 by exact inference.
     thrust : str or None, default="auto"
         As of :func:`make_identification_pipeline`.
     control_units : mapping of str to str, optional
@@ -325,7 +321,7 @@ class FlightPipeline(Pipeline):
         steps: list[tuple[str, Any]],
         *,
         aircraft: Aircraft | None = None,
-        samples: int | str | None = None,
+        samples: int | None = None,
         thrust: str | None = "auto",
         control_units: Mapping[str, str] | None = None,
         memory: Any = None,
@@ -395,14 +391,10 @@ class FlightPipeline(Pipeline):
 
     def _thinned(self, y: Any) -> Any:
         """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""
-        samples = self.samples
-        if samples == "all":
-            return y
-        if samples is None:
-            last = self.steps[-1][1]
-            is_exact = isinstance(last, DependentGPRegressor) and last.inference == "exact"
-            samples = MOST_EXACT if is_exact else MOST_SPARSE
-        return thin_targets(y, cast("int", samples))
+        last = self.steps[-1][1]
+        is_exact = isinstance(last, DependentGPRegressor) and last.inference == "exact"
+        most = MOST_EXACT if is_exact else MOST_SPARSE
+        return thin_targets(y, most if self.samples is None else self.samples)
 
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
         """Return the slopes that the motion of the air shows, None with vanes.

@@ -12,7 +12,6 @@ from skdgp.io._log import Log, Rule, Topic
 from skdgp.io._log import read_servos as read_servos
 from skdgp.io._log import reversed_of as reversed_of
 from skdgp.io._read import LogSummary, inspect_log, read_flight
-from skdgp.io._read import names_servos as names_servos
 from skdgp.io._tables import FlightReadError
 
 __all__ = [

@@ -164,9 +164,8 @@ TURNED = (
     ServoFunction.ELEVON_RIGHT,
 )
 NAMING = "the parameters SERVOn_FUNCTION"
-# that are logged, and that there are
+# that are logged
 MOST_SERVOS = 16
-MOST_OUTPUTS = 32
 # of the left and the right engine of a twin, throttle +- half the rudder's part (ArduPlane/servos.cpp)
 TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 # motors 1 to 32 of a multicopter by SERVOn_FUNCTION (SRV_Channel.h); those of Q_TILT_MASK, and of tailsitters
@@ -182,10 +181,6 @@ MIXES: dict[str, dict[int, float]] = {
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
     "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
 }
-MIXED = {function for weights in MIXES.values() for function in weights}
-# differential spoilers
-SPOILERS = (16, 17, 86, 87)
-MOVING = {*SURFACES, *MIXED, *SPOILERS}
 # numbers of the modes QSTABILIZE to QACRO and LOITER_ALT_QLAND, in which rotors lift a VTOL (ArduPlane/mode.h)
 LIFTING_MODES = (*range(17, 24), 25)
 # fraction of the range of pulses above which a motor runs; a guess
@@ -433,38 +428,15 @@ def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> 
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = (left, right.times(-1.0))
     lifts = _lifting(servos, parameters)
-    remarks = [*log.remarks]
-    unread = _unread(controls, servos, parameters) if servos else []
-    if unread:
-        remarks.append(f"outputs {', '.join(unread)} move surfaces that are not read")
-    if whole(parameters.get("Q_TILT_MASK", 0.0)) and not lifts:
-        remarks.append(
-            "Q_TILT_MASK has every motor that lifts: transitions are left out of flights by the mode alone"
-        )
     return replace(
         log,
         rules=_in_vehicle_axes(log.rules, parameters),
-        remarks=tuple(remarks),
         outputs=(name,),
         controls=controls,
         commands=commands,
         lifting=(*hover, *(lifts or modes)) if log.vehicle == "VTOL" else (),
         sensor_positions=IMU_POSITIONS,
     )
-
-
-def _unread(
-    controls: Mapping[str, Control], servos: Mapping[int, Servo], parameters: Mapping[str, float]
-) -> list[str]:
-    """Return the outputs by their parameters that move surfaces with a function of which no servo is read."""
-    channels = {servo.channel for control in controls.values() for servo in control}
-    read = {function for function, servo in servos.items() if servo.channel in channels}
-    unread = []
-    for n in range(1, MOST_OUTPUTS + 1):
-        function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-        if function in MOVING - read:
-            unread.append(f"SERVO{n}_FUNCTION {function}")
-    return unread
 
 
 def _servos_of(topic: Topic, parameters: Mapping[str, float], channel: str) -> dict[int, Servo]:

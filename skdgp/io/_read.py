@@ -412,12 +412,6 @@ def _topics(topics: Mapping[str, Topic]) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index", columns=["messages", "rate"])
 
 
-def names_servos(path: PathLike) -> bool:
-    """Return whether the parameters of a log of an autopilot name servos; raise FlightReadError if it is none."""
-    with reading(path):
-        return bool(read_log(Path(path)).controls)
-
-
 def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> LogSummary:
     """Return the summary of a file that is no log of an autopilot."""
     step = table.groupby("flight", sort=False)["time"].diff().median()

@@ -19,8 +19,6 @@ from skdgp._compute.messages import extra, warn
 from skdgp._flight.channels import CHANNELS, TRUTH_SUFFIX
 from skdgp._flight.faults import FlightDataWarning
 
-# columns, above those of any flight; a guess
-MOST_COLUMNS = 10_000
 # factors of units by the unit of SI
 TO_SI = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
@@ -38,7 +36,6 @@ TO_SI = {
     "N m": {"N m": 1.0},
     "": {"": 1.0, "%": 0.01},
 }  # fmt: skip
-UNITS = {unit for units in TO_SI.values() for unit in units}
 SPELLINGS = {
     "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "°/s^2": "deg/s^2", "dps": "deg/s", "µs": "us",
     "-": "", "1": "", "kts": "kt", "knots": "kt", "nm": "N m", "n m": "N m", "n": "N", "fpm": "ft/min",
@@ -66,15 +63,6 @@ def reading(path: str | os.PathLike) -> Iterator[None]:
     except FlightReadError as error:
         error.path = path
         raise
-
-
-def check_width(n_columns: int) -> None:
-    """Raise a FlightReadError if a table has too many columns."""
-    if n_columns > MOST_COLUMNS:
-        raise FlightReadError(
-            f"Got {n_columns} columns, but expected at most {MOST_COLUMNS}: keep those of "
-            "the flight, with a row for each sample."
-        )
 
 
 def base_name(column: str) -> str:
@@ -119,11 +107,9 @@ def _no_numbers(column: pd.Series, bad: np.ndarray) -> FlightReadError:
     row = bad[0]
     cell = column.iloc[row]
     unit = CHANNELS[base_name(str(column.name))]
-    remedy = "leave missing values empty, write no separators of thousands, and one decimal mark"
+    remedy = "leave missing values empty, write no separators of thousands, one decimal mark, units in the header"
     if column.name == "time":
-        remedy = "write seconds, or dates as 2024-05-03T12:00:00.25 (ISO 8601)"
-    if isinstance(cell, str) and _usual_spelling(cell) in UNITS:
-        remedy = f"write the unit into the header, '{column.name} [{cell.strip()}]'"
+        remedy = "write seconds, with another unit in the header, or dates as 2024-05-03T12:00:00.25 (ISO 8601)"
     return FlightReadError(
         f"Got {cell!r} in column {column.name!r} at row {row} ({bad.size} rows are not "
         f"numbers), but expected numbers [{unit}]: {remedy}."
@@ -190,7 +176,6 @@ def _csv_table(text: str, file_name: str, rename: Mapping[str, str]) -> pd.DataF
     separator = max(",;\t|", key=lambda mark: _n_names(lines, mark))
     records = _records(lines, separator)
     names, units = _split_headings(next(records), rename)
-    check_width(len(names))
     check_names(name for name in names if name)
     rows = "".join(lines[records.line_num :])
     cut = _check_rows(records, names, n_above, separator)
@@ -302,6 +287,5 @@ def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
             f"Got a file that is not a whole parquet file ({reason}), but expected one: copy or export it again."
         ) from error
     names = [name for name in table.column_names if not INDEX.match(name)]
-    check_width(len(names))
     check_names(name.strip() for name in names)
     return table.select(names).replace_schema_metadata(None).to_pandas()

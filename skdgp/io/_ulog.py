@@ -181,9 +181,6 @@ IMU_POSITIONS = ("EKF2_IMU_POS",) * MOST_IMUS
 MIXED_TYPES = (*range(1, 9), *range(12, 16))
 # Left and right flaps
 FLAPS = (9, 10)
-# Left and right ailerons, which are flaperons with a CA_SV_CSn_FLAP; airbrake, left and right spoiler
-AILERONS = (1, 2)
-SPOILERS = (11, 17, 18)
 # Torques CA_SV_CSn_TRQ_ that allocate a control, and its sign in a flight table at a positive
 # torque
 TORQUES = {"aileron": ("TRQ_R", 1.0), "elevator": ("TRQ_P", -1.0), "rudder": ("TRQ_Y", -1.0)}
@@ -230,7 +227,7 @@ def read_ulog(path: Path) -> Log:
         parameters=parameters,
         firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {log.get_version_info_str() or 'development'}",
         vehicle=vehicle,
-        remarks=(*damage, *_unread(surfaces)),
+        remarks=tuple(damage),
         landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
         outputs=OUTPUTS,
         naming=NAMING,
@@ -353,21 +350,6 @@ def _flaps(surfaces: Surfaces) -> dict[str, Control]:
             throws = OPENING if scale > 0 else OPENING[::-1]
             servos.append(_servo(number, (-abs(scale), abs(scale)), throws))
     return {"flap": scaled(tuple(servos), 1 / len(servos))} if servos else {}
-
-
-def _unread(surfaces: Surfaces) -> list[str]:
-    """Return a remark on surfaces that open and are not read, if there are any.
-
-    These are airbrakes, spoilers, flaperons, and flaps of versions without a CA_SV_CSn_FLAP.
-    """
-    unread = []
-    for number, surface in surfaces.items():
-        kind = whole(surface.get("TYPE", 0.0))
-        flap = surface.get("FLAP")
-        opens = kind in SPOILERS and surface.get("SPOIL", 1.0)
-        if opens or (kind in AILERONS and flap) or (kind in FLAPS and flap is None):
-            unread.append(f"control[{number}] (CA_SV_CS{number}_TYPE {kind})")
-    return [f"outputs {', '.join(unread)} move surfaces that are not read"] if unread else []
 
 
 def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:

@@ -37,7 +37,7 @@ FLIGHTS = ["viggen", "c172p", "viggen lateral", "lateral to latlon", "AP2, real"
 
 def pipeline(task):
     """Return moments of the test flight by the default pipeline."""
-    model = make_identification_pipeline(task.aircraft, samples="all")
+    model = make_identification_pipeline(task.aircraft)
     model.set_params(dependentgpregressor__random_state=0).fit(task.train, task.targets)
     return moments_of(model, task.test)
 

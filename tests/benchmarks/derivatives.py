@@ -107,7 +107,7 @@ def measured(air):
     """Return the tables of the example aircraft, learned in this air, and slopes of both."""
     data = load_example_flights(turbulence=AIRS[air])
     truth = data.truth
-    model = make_identification_pipeline(data.aircraft, samples="all")
+    model = make_identification_pipeline(data.aircraft)
     model.set_params(dependentgpregressor__random_state=0)
     model.fit(data.train, aerodynamic_coefficients(data.train, data.aircraft))
     truth = over_perturbation(truth, model)

@@ -40,7 +40,7 @@ def usage_error(command, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("demo --samples 1", "got 1, but expected a whole number >= 2, or all"),
+        ("demo --samples 1", "got 1, but expected a whole number >= 2"),
         (f"demo --seed {'9' * 400}", "but expected a whole number"),
         ("demo --horizon nan", "got nan, but expected a number > 0"),
         ("demo --sampels 40", "unrecognized arguments: --sampels 40"),

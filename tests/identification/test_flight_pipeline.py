@@ -291,7 +291,6 @@ def test_a_throttle_brings_the_airspeed_among_the_regressors(throttle, moves, ex
         lags=None,
         regressor=DependentGPRegressor(structure="trend", max_iter=15, random_state=0),
         thrust=None,
-        samples="all",
     ).set_params(flightcheck="passthrough", flightsmoother="passthrough")
     model.fit(flight, Y)
     chosen = model["regressorselector"].regressors_

@@ -63,7 +63,7 @@ CASES = {
     ),
     "units under the header": (
         ["time,alpha\nms,deg\n0,1\n20,2\n", "time [ms],alpha\ns,deg\n0,1\n20,2\n"],
-        "in column 'time' at row 0 .* write the unit into the header, 'time",
+        "in column 'time' at row 0 .* unit in the header",
     ),
     "dates": (
         [

@@ -9,7 +9,7 @@ from flight_columns import EULER, FORCES, RATES, VELOCITY
 from numpy.random import default_rng
 
 from skdgp.identification import named_flights
-from skdgp.io import FlightReadError, inspect_log, names_servos, read_flight
+from skdgp.io import FlightReadError, inspect_log, read_flight
 
 
 @pytest.fixture
@@ -125,11 +125,6 @@ class TestCommand:
         flights = named_flights([whole, table], servos=px4_servos)
         assert set(px4_servos) <= set(flights["whole"].table.columns)
         assert set(flights["table"].table.columns) == {"time", "flight", "alpha"}
-
-    def test_which_logs_name_their_servos(self, whole, ardupilot, tmp_path):
-        (tmp_path / "log.bin").write_bytes(ardupilot)
-        assert names_servos(tmp_path / "log.bin")
-        assert not names_servos(whole)
 
     def test_identify_is_told_what_of_a_log_is_a_flight(self, command, whole, tmp_path, capsys):
         for airborne in (True, False):

@@ -431,30 +431,6 @@ class TestVehicles:
         assert_wave(table, "aileron", 0.3, atol=0.005)
 
 
-@pytest.mark.parametrize("output", ["SERVO15_FUNCTION 19", "SERVO5_FUNCTION 16"])
-def test_outputs_of_ardupilot_that_are_not_read_are_told(told, output, plane):
-    name, function = output.split()
-    log = plane(SERVO1_FUNCTION=4.0, **{name: float(function)})
-    log.topic("RCOU", SLOW, C1=pulse(0.0), C5=pulse(0.0))
-    told(f"outputs {output} move surfaces that are not read", log, airborne=False)
-
-
-@pytest.mark.parametrize(
-    "parameters", [{"TYPE": 9}, {"TYPE": 11}, {"TYPE": 17}, {"TYPE": 1, "FLAP": 0.5}]
-)
-def test_outputs_of_px4_that_are_not_read_are_told(told, parameters, px4):
-    log = px4(**{f"CA_SV_CS1_{name}": value for name, value in parameters.items()})
-    log.topic("actuator_servos", SLOW, control=np.zeros((len(SLOW), 2)))
-    words = rf"control\[1\] \(CA_SV_CS1_TYPE {parameters['TYPE']}\) move surfaces that are not read"
-    told(words, log, airborne=False)
-
-
-def test_a_vtol_all_of_whose_motors_tilt_is_told(told, plane):
-    log = plane("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, Q_TILT_MASK=1.0, SERVO5_FUNCTION=33.0)
-    log.topic("RCOU", SLOW, C5=("H", 1600))
-    told("transitions are left out of flights by the mode alone", log, airborne=False)
-
-
 @pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])
 def test_a_gps_without_a_fix_measures_nothing(told, name, px4):
     log = px4()

@@ -45,7 +45,8 @@ ALTITUDE = 200.0
 PAUSE = 3.0
 STEP = 0.0125  # of the servos [s]; every other sample is logged
 SERVO_LAG = 0.04  # [s]
-ENVELOPE = Envelope(bank=1.0, airspeed=(28.0, 42.0), altitude=120.0, growth=0.5)
+LIMITS = {"bank": (-1.0, 1.0), "airspeed": (28.0, 42.0), "altitude": (120.0, np.inf)}
+ENVELOPE = Envelope(LIMITS, growth=0.5)
 
 
 def fly(truth, aircraft, train, seconds, seed):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -11,19 +12,11 @@ import pandas as pd
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import VANES
 from skdgp._flight.frames import STANDARD_GRAVITY
-from skdgp._flight.tables import as_floats, check_number, numeric
+from skdgp._flight.tables import as_floats, check_names, check_number, numeric
 from skdgp.dynamics import Aerodynamics, Motion
 
-# Limited quantities, and the options of the command line, or arguments, that limit them
-OPTIONS = {
-    "alpha": "Envelope(alpha=...)",
-    "beta": "Envelope(beta=...)",
-    "load_factor": "Envelope(load_factor=...)",
-    "bank": "--max-bank",
-    "airspeed": "Envelope(airspeed=...)",
-    "altitude": "--floor",
-}
-QUANTITIES = tuple(OPTIONS)
+# Limited quantities
+QUANTITIES = ("alpha", "beta", "load_factor", "bank", "airspeed", "altitude")
 # Lowest and highest value that a control can have, beyond which no limit grows
 WHOLE_RANGE = {"throttle": (0.0, 1.0)}
 UNLIMITED = (-np.inf, np.inf)
@@ -41,14 +34,9 @@ class Envelope:
 
     Parameters
     ----------
-    alpha, beta, load_factor : tuple of float, optional
-        Lowest and highest [rad], and of -az / g.
-    bank : float, optional
-        Largest, to either side [rad].
-    airspeed : tuple of float, optional
-        Lowest and highest [m/s].
-    altitude : float, optional
-        Lowest [m]; by default the lowest that was flown, without growth.
+    limits : mapping of str to tuple of float, optional
+        Lowest and highest alpha, beta, bank [rad], load_factor (-az / g), airspeed [m/s], altitude [m], or
+        of a regressor; inf: none. By default the altitude is no lower than was flown.
     growth : float, default=0.2
         Allowed excess of a regressor, or of a quantity above without a value, over its training
         range, relative to the range: half at either end. inf: no limit.
@@ -61,60 +49,39 @@ class Envelope:
     >>> from skdgp.design import Envelope
     >>> from skdgp.dynamics import Aerodynamics
     >>> flown = Aerodynamics(lambda X: 0 * X, ["alpha"], flown={"airspeed": (20.0, 30.0)})
-    >>> bounds = Envelope(bank=0.8, growth=0.2).bounds(flown)
+    >>> bounds = Envelope({"bank": (-0.8, 0.8)}, growth=0.2).bounds(flown)
     >>> bounds["bank"], bounds["airspeed"]
     ((-0.8, 0.8), (19.0, 31.0))
     """
 
-    alpha: Range | None = None
-    beta: Range | None = None
-    load_factor: Range | None = None
-    bank: float | None = None
-    airspeed: Range | None = None
-    altitude: float | None = None
+    limits: Mapping[str, Range] = field(default_factory=dict)
     growth: float = 0.2
     margin: float = 0.3
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "beta", "load_factor", "airspeed"):
-            value = vars(self)[name]
-            ends = as_floats(UNLIMITED if value is None else value)
+        for name, value in self.limits.items():
+            ends = as_floats(value)
             if ends.shape != (2,) or not ends[0] < ends[1]:
                 raise ValueError(
                     f"Got {name}={value!r}, but expected the lowest and the highest value."
                 )
-        if self.bank is not None:
-            check_number("bank", self.bank)
-        if self.altitude is not None:
-            check_number("altitude", self.altitude, -np.inf)
         if self.growth != np.inf:
             check_number("growth", self.growth, is_open=False)
         check_number("margin", self.margin, is_open=False)
 
-    @property
-    def given(self) -> dict[str, Range]:
-        """Lowest and highest value of the quantities that are limited here."""
-        ranges = {name: vars(self)[name] for name in QUANTITIES}
-        given = {name: value for name, value in ranges.items() if value is not None}
-        if "bank" in given:
-            given["bank"] = (-given["bank"], given["bank"])
-        if "altitude" in given:
-            given["altitude"] = (given["altitude"], np.inf)
-        return given
-
     def bounds(self, model: Aerodynamics) -> dict[str, Range]:
         """Return the lowest and the highest value of each limited quantity, and of each regressor."""
-        given = self.given
-        bounds = dict.fromkeys(QUANTITIES, UNLIMITED) | given
+        check_names(self.limits, [*QUANTITIES, *model.regressors], "quantities of an envelope")
+        bounds = dict.fromkeys(QUANTITIES, UNLIMITED) | dict(self.limits)
         if np.isinf(self.growth):
             return bounds
         flown = flown_quantities(model)
-        others = {name: ends for name, ends in flown.items() if name not in given}
+        others = {name: ends for name, ends in flown.items() if name not in self.limits}
         for name, (low, high) in (others | model.training_ranges).items():
             growth = 0.5 * self.growth * (high - low)
             grown = (low, np.inf) if name == "altitude" else (low - growth, high + growth)
             whole = WHOLE_RANGE.get(name, UNLIMITED)
-            bounds[name] = common_range(grown, whole, given.get(name, UNLIMITED))
+            bounds[name] = common_range(grown, whole, self.limits.get(name, UNLIMITED))
         return bounds
 
 

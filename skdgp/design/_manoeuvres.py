@@ -19,7 +19,7 @@ from skdgp._flight.excitation import (
     orthogonal_multisines,
     three_two_one_one,
 )
-from skdgp.design._envelope import OPTIONS, Range, quantities, regressors_of
+from skdgp.design._envelope import Range, quantities, regressors_of
 from skdgp.dynamics import Motion, Trim, simulate
 
 Inputs: TypeAlias = dict[str, Signal]
@@ -194,7 +194,7 @@ class Rehearsal:
         if not inside:
             raise ValueError(
                 f"Got an envelope that every manoeuvre leaves even at {LEAST_SCALE:.0%} of the limits; the last one "
-                f"leaves it by {_with_option(cause)}: widen this limit, or fly another airspeed or altitude."
+                f"leaves it by {cause}: widen this limit (--growth), or fly another airspeed or altitude."
             )
         return inside
 
@@ -235,7 +235,7 @@ class Rehearsal:
             if centre[name] < low or centre[name] > high:
                 raise ValueError(
                     f"Got an envelope that trimmed flight at {self.trim.airspeed:g} m/s and {self.trim.altitude:.0f} m "
-                    f"leaves by {_with_option(name)}: widen this limit, or choose another airspeed or altitude."
+                    f"leaves by {name}: widen this limit (--growth), or choose another airspeed or altitude."
                 )
         return centre
 
@@ -251,11 +251,6 @@ class Rehearsal:
         with np.errstate(divide="ignore", invalid="ignore"):
             factors = response.rdiv(1.0) * np.where(response > 0, high, low)
         return factors.where(np.isfinite(factors), np.inf).min()
-
-
-def _with_option(name: str) -> str:
-    """Return a limited channel with the option that changes its limit."""
-    return f"{name} ({OPTIONS.get(name, '--growth')})"
 
 
 def _that_last(manoeuvres: Mapping[str, Inputs], longest: float) -> dict[str, Inputs]:

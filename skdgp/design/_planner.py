@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +20,7 @@ from skdgp._flight.excitation import ROUNDING, Wavetrain, wavetrain
 from skdgp._flight.frames import STANDARD_GRAVITY
 from skdgp._flight.tables import by_name, check_names, check_number, interpolated
 from skdgp.design._envelope import (
-    OPTIONS,
+    QUANTITIES,
     UNLIMITED,
     WHOLE_RANGE,
     Envelope,
@@ -248,7 +248,7 @@ def plan(
         trim=trim,
         manoeuvres=_timetable(flown, pause, RESPONSE),
         flight=pd.concat(flights, ignore_index=True),
-        errors=errors.reindex(_taught(goal, aerodynamics, flown)),
+        errors=errors.reindex(goal),
         limits=pd.DataFrame(bounds, ["low", "high"]).T,
         aircraft=aircraft,
         margin=envelope.margin,
@@ -277,12 +277,11 @@ def _check_options(seconds: Any, axes: Any, limits: Mapping[str, float]) -> None
 
 def _warn_unlimited(bounds: Mapping[str, Range]) -> None:
     """Warn of quantities with neither a limit nor a known range."""
-    free = [name for name in OPTIONS if np.isinf(bounds[name]).all()]
+    free = [name for name in QUANTITIES if np.isinf(bounds[name]).all()]
     if free:
-        options = ", ".join(OPTIONS[name] for name in free)
         warn(
             f"The model does not know the flown range of {', '.join(free)}, so nothing limits them: a manoeuvre may "
-            f"turn the aircraft over or dive. Limit them by the envelope ({options}), or fit the model again."
+            "turn the aircraft over or dive. Limit them by the envelope, or fit the model again."
         )
 
 
@@ -299,7 +298,8 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[
     """
     regressors = _derivatives(model)
     if goal is None:
-        return _moved(regressors, model, axes)
+        still = {*CONTROLS} - {*axes}
+        return [name for name, regressor in regressors.items() if regressor not in still]
     if isinstance(goal, str) or not len(goal) or not {*goal} <= regressors.keys():
         raise ValueError(
             f"Got the goal {goal!r}, but the model has the regressors {list(model.regressors)}: give a list of "
@@ -313,26 +313,6 @@ def _check_goal(goal: Sequence[str] | None, model: Aerodynamics, axes: Sequence[
                 "from: learn from a flight in which it moves, or ask for another goal."
             )
     return list(goal)
-
-
-def _moved(goal: Iterable[str], model: Aerodynamics, axes: Iterable[str]) -> list[str]:
-    """Return the derivatives of a goal that are not by a control other than the axes."""
-    still = {*CONTROLS} - {*axes}
-    regressors = _derivatives(model)
-    return [name for name in goal if regressors[name] not in still]
-
-
-def _taught(goal: Sequence[str], model: Aerodynamics, flown: Sequence[Rehearsed]) -> list[str]:
-    """Return the derivatives of a goal that the chosen manoeuvres teach; warn of the others."""
-    taught = _moved(goal, model, [axis for item in flown for axis in item.inputs])
-    lost = [name for name in goal if name not in taught]
-    if lost:
-        warn(
-            f"The plan has no manoeuvre that moves the controls of {', '.join(lost)}, as others lower the errors of "
-            "the goal more, or the limits leave no room: nothing is expected of them. Give more seconds, wider "
-            "limits, or these derivatives alone as the goal."
-        )
-    return taught
 
 
 def _amplitudes(

@@ -37,7 +37,8 @@ FLOWN = {
     "az": (-30.0, 10.0),
 }
 LIMITS = {"elevator": 0.06}
-LIMITED = Envelope(alpha=(-0.03, 0.055))
+ALPHA = (-0.03, 0.055)
+LIMITED = Envelope({"alpha": ALPHA})
 OPTIONS = {
     "axes": ["elevator"],
     "limits": LIMITS,
@@ -140,7 +141,7 @@ def test_aircraft_of_the_posterior_stay_inside_in_calm_air(planned, table, model
     paths = simulate(
         model, uav, planned.trim, table, 0.04, n_paths=200, random_state=7, air=Air(gusts=None)
     )
-    is_inside = paths["alpha"].between(*LIMITED.alpha) & (paths["ended"] == "")
+    is_inside = paths["alpha"].between(*ALPHA) & (paths["ended"] == "")
     assert is_inside.groupby(paths["path"]).all().mean() >= 0.95
 
 
@@ -151,10 +152,10 @@ def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, 
     at_trim = (stronger - glider.slopes)[:, 5] * planned.trim.controls["elevator"]
     model = glider._replace(level=glider.level - at_trim).model(stronger)
     flown = simulate(model, glider.aircraft, planned.trim, table, 0.04)
-    lowest, highest = LIMITED.alpha
+    lowest, highest = ALPHA
     assert flown["alpha"].between(lowest - 1e-4, highest + 1e-4).all()  # nearly proportional
     ends = planned.flight["alpha"].agg(["min", "max"])
-    expected, room = np.array([ends, LIMITED.alpha]) - planned.trim.alpha
+    expected, room = np.array([ends, ALPHA]) - planned.trim.alpha
     used = (1 + LIMITED.margin) * expected / room
     assert 0.8 < used.max() <= 1.0  # no more is given away
 
@@ -164,13 +165,6 @@ def test_the_goal_decides_which_axis_moves(ask, goal, axis):
     limits = {"elevator": 0.06, "rudder": 0.06}
     found = ask(axes=[*limits], limits=limits, goal=[goal], seconds=7.0)
     assert found.manoeuvres["name"].str.startswith(axis).all()
-
-
-def test_derivatives_whose_control_no_manoeuvre_moves_are_named(ask):
-    limits = {"elevator": 0.06, "rudder": 1e-6}
-    with pytest.warns(UserWarning, match="no manoeuvre that moves the controls of Cn_rudder, as"):
-        found = ask(axes=[*limits], limits=limits, goal=["Cm_elevator", "Cn_rudder"], seconds=7.0)
-    assert list(found.errors.index) == ["Cm_elevator"]
 
 
 # CX ... Cn at zero and by alpha, q_hat and elevator
@@ -210,7 +204,7 @@ def test_what_is_expected_is_what_derivatives_state_after_both_flights(uav, poin
 
 def test_a_plan_expects_less_and_its_record_is_plain(ask):
     model = learned(flown_rows(150, 0.02, 1))
-    envelope = Envelope(growth=np.inf, bank=1.5, airspeed=(5.0, np.inf))
+    envelope = Envelope({"bank": (-1.5, 1.5), "airspeed": (5.0, np.inf)}, growth=np.inf)
     found = ask(model, limits={"elevator": 0.03}, seconds=9.0, envelope=envelope)
     assert (found.errors["expected"] < found.errors["before"]).all()
     assert json.loads(json.dumps(found.to_dict()))["errors"] == found.errors.to_dict("index")
@@ -221,6 +215,7 @@ def test_a_plan_expects_less_and_its_record_is_plain(ask):
     [
         ({"goal": ["Cm_alpha_dot"]}, "Cm_alpha_dot.*learn a model with that regressor"),
         ({"goal": "Cm_q"}, "give a list"),
+        ({"envelope": Envelope({"roll": (-1.0, 1.0)})}, "quantities of an envelope lack 'roll'"),
         ({"axes": ["elevator", "flaps"]}, "controls of the trim lack 'flaps'"),
         (
             {"axes": ["elevon_left"], "limits": {}},
@@ -234,12 +229,12 @@ def test_a_plan_expects_less_and_its_record_is_plain(ask):
         ({"goal": ["Cm_beta"]}, r"manoeuvres of \['elevator'\] within their limits lower"),
         ({"seconds": 5.0}, r"but expected at least .* s: give .* s more"),
         (
-            {"envelope": Envelope(altitude=200.0)},
-            "trimmed flight at 20 m/s and 100 m leaves by altitude .*--floor",
+            {"envelope": Envelope({"altitude": (200.0, np.inf)})},
+            "trimmed flight at 20 m/s and 100 m leaves by altitude: widen",
         ),
         (
             {"seconds": 7.0, "limits": {"elevator": 1.5}},
-            "every manoeuvre leaves .* by alpha .*Envelope.alpha=",
+            "every manoeuvre leaves .* by alpha: widen .*--growth",
         ),
     ],
 )
@@ -254,16 +249,13 @@ def test_what_cannot_be_planned_is_said(ask, changed, words):
         {"alpha": (None, 0.2)},
         {"alpha": ("a", "b")},
         {"beta": (0.2, -0.2)},
-        {"bank": (-0.5, 0.5)},
-        {"bank": True},
-        {"bank": np.inf},
-        {"altitude": (100, 200)},
+        {"bank": 0.5},
     ],
     ids=str,
 )
 def test_invalid_limits_are_refused_by_name(limit):
     with pytest.raises(ValueError, match=f"Got {next(iter(limit))}="):
-        Envelope(**limit)
+        Envelope(limit)
 
 
 @pytest.mark.parametrize(
@@ -280,7 +272,7 @@ def test_without_options_a_plan_stays_in_what_was_flown(ask, model, uav, point):
     narrow = copy(model)
     narrow.flown = FLOWN | {"az": (-12.5, -7.0)}
     inside = []
-    for envelope in (Envelope(), Envelope(load_factor=(-9.0, 9.0))):
+    for envelope in (Envelope(), Envelope({"load_factor": (-9.0, 9.0)})):
         found = ask(narrow, limits={"elevator": 0.09}, envelope=envelope)
         table = found.train.table(50.0, trim=point.controls, pause=3.0)
         flown = simulate(narrow, uav, point, table, 0.04)

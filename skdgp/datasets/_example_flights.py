@@ -196,17 +196,6 @@ SENSOR_NOISE = {
     **dict.fromkeys(("north", "east"), 0.5),
     **dict.fromkeys(EARTH_VELOCITY, 0.1),
 }
-# Columns that a logger would write; the truth comes after them
-MEASURED = (
-    "time", "airspeed", "alpha", "beta", "p", "q", "r", "ax", "ay", "az", "phi", "theta", "psi",
-    "north", "east", "v_north", "v_east", "v_down", "altitude", "density", "throttle", "elevator", "aileron",
-    "rudder", "elevon_left", "elevon_right", "thrust_x", "thrust_y", "thrust_z", "thrust_l", "thrust_m",
-    "thrust_n", "propeller_speed",
-)  # fmt: skip
-TRUTH = (
-    "airspeed", "alpha", "beta", "alpha_dot", "beta_dot", *RATES, "p_dot", "q_dot", "r_dot", *SPECIFIC_FORCE,
-    "u", "v", "w", *EULER, "north", "east", *EARTH_VELOCITY, *WIND, "gravity", *COEFFICIENTS,
-)  # fmt: skip
 DESCR = files("skdgp.datasets").joinpath("example_flights.rst").read_text(encoding="utf-8")
 FACTOR = [Interval(Real, 0, None, closed="left")]
 
@@ -247,9 +236,9 @@ def load_example_flights(
     Returns
     -------
     Bunch
-        ``train``: two flights of 180 s at 40 Hz, a DataFrame (14400, 69) whose column ``flight``
+        ``train``: two flights of 180 s at 40 Hz, a DataFrame (14400, 70) whose column ``flight``
         tells them apart and serves as ``groups`` of a cross-validation; ``test``: one flight along
-        another path, at two altitudes, in stronger turbulence, (7200, 69); ``aircraft``;
+        another path, at two altitudes, in stronger turbulence, (7200, 70); ``aircraft``;
         ``aerodynamics``: the true model, a function of regressors (..., 10) to CX CY CZ Cl Cm Cn
         (..., 6); its ``regressor_names`` (rates are relative to the air and non-dimensional);
         ``truth``: the same as an `Aerodynamics`, for `simulate`, `trim` and `linearize`; ``DESCR``,
@@ -309,12 +298,11 @@ def flight_logs(
     logged, true = _columns(record, instant)
     logs = []
     for k, seed in enumerate(seeds):
-        exact = pd.DataFrame({name: true[name][:, k] for name in TRUTH})
-        truth = exact.add_suffix(TRUTH_SUFFIX)
-        table = measure(truth, sensor_noise, np.random.default_rng(seed))
-        for name, values in logged.items():
-            table[name] = values[:, k]
-        logs.append(pd.concat([table[[*MEASURED]], truth], axis=1))
+        exact = {name: values[:, k] for name, values in logged.items()}
+        truth = pd.DataFrame({name: values[:, k] for name, values in true.items()})
+        truth = truth.add_suffix(TRUTH_SUFFIX)
+        measured = measure(truth, sensor_noise, np.random.default_rng(seed))
+        logs.append(pd.concat([pd.DataFrame(exact), measured, truth], axis=1))
     return logs
 
 
@@ -335,7 +323,6 @@ def _columns(record: Any, truth: Any) -> tuple[dict[str, Array], dict[str, Array
     rate_derivatives = truth.derivative[..., -len(RATES) :]
     true = {
         **motion,
-        "gravity": np.full(shape, STANDARD_GRAVITY),
         "psi": motion["psi"] % (2.0 * np.pi),
         **by_name(("alpha_dot", "beta_dot"), truth.implicit),
         **by_name(("p_dot", "q_dot", "r_dot"), rate_derivatives),

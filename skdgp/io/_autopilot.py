@@ -56,8 +56,6 @@ LONGEST_DIP = 2.0
 SHORTEST_FLIGHT = 5.0
 # channels begin and end within this of each other [s]
 LONGEST_EDGE = 1.0
-# times of cuts in a remark
-MOST_SHOWN = 5
 
 
 class FlightLog(NamedTuple):
@@ -117,11 +115,10 @@ def _flown(
     jumps = attitude_jumps(FlightTable.of(table))
     cuts = np.unique(np.concatenate([jumps, *(source.cuts for source in sources)]))
     if len(cuts):
-        shown = [f"{cut:.1f} s" for cut in cuts[:MOST_SHOWN]]
-        more = ", ..." if len(cuts) > MOST_SHOWN else ""
+        times = " ".join(f"{cut:.1f}" for cut in cuts)
         remarks.append(
             "a jump of the attitude or a reset of the estimator, so a new flight begins, at "
-            f"{', '.join(shown)}{more}"
+            f"{times} s"
         )
     if airborne is False:
         flights = _cut(table, cuts)

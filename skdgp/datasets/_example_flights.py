@@ -40,7 +40,6 @@ from skdgp.dynamics import (
     Instant,
     LocalAir,
     Motion,
-    Propeller,
     Trajectories,
     Turbulence,
     air_velocity,
@@ -60,7 +59,7 @@ REGRESSORS = ("alpha", "beta", *RATES, "alpha_dot", "beta_dot", "elevator", "ail
 
 FILE = Path(__file__).with_name("brumby.toml")
 BRUMBY = Aircraft.from_file(FILE)
-PROPELLER = Propeller(**read_toml(FILE)["propeller"])
+PROPELLER: Any = BRUMBY.propeller
 
 
 def brumby_coefficients(regressors: ArrayLike) -> Array:

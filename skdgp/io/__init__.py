@@ -10,7 +10,6 @@ from skdgp.io._autopilot import is_log as is_log
 from skdgp.io._log import FULL_THROW as FULL_THROW
 from skdgp.io._log import Log, Rule, Topic
 from skdgp.io._log import read_servos as read_servos
-from skdgp.io._log import reversed_of as reversed_of
 from skdgp.io._read import LogSummary, inspect_log, read_flight
 from skdgp.io._tables import FlightReadError
 

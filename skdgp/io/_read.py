@@ -59,7 +59,6 @@ PathLike: TypeAlias = "str | os.PathLike[str]"
 def read_flight(
     path: PathLike,
     *,
-    flight: str | None = None,
     servos: PathLike | Mapping[str, Any] | None = None,
     airborne: bool | float = True,
     rename: Mapping[str, str] | None = None,
@@ -79,9 +78,6 @@ def read_flight(
     path : str or path
         ``.csv``, ``.parquet`` or ``.pq`` (by the extra ``parquet``), ``.ulg`` (PX4) and ``.tlog``
         (MAVLink telemetry), both by the extra ``logs``, ``.bin`` (ArduPilot).
-    flight : str, optional
-        Flight identifier. By default the file's column ``flight``, or without one the name of the
-        file; further flights in a log of an autopilot are ``name#2``, ``name#3``.
     servos : path or mapping, optional
         Calibration of servos, channel to surface and angle, in TOML: see docs/logs.md. This and the
         two following: autopilots only. Without it the table has no surfaces. ``"full throw"``:
@@ -97,7 +93,9 @@ def read_flight(
     Returns
     -------
     DataFrame
-        Columns ``time``, ``flight``, then the others in the file's order; numbers as float64.
+        Columns ``time``, ``flight``, then the others in the file's order; numbers as float64. A file
+        without a column ``flight`` names its flight; further ones in a log of an autopilot are
+        ``name#2``, ``name#3``.
 
     Raises
     ------
@@ -130,20 +128,19 @@ def read_flight(
                     f"Got rename={dict(rename)} for a log of an autopilot, but expected it only "
                     "with tables: its columns follow from its messages."
                 )
-            return _from_autopilot(path, flight, servos, airborne)
+            return _from_autopilot(path, servos, airborne)
         if servos is not None or not isinstance(airborne, bool):
             raise FlightReadError(
                 f"Got servos={servos}, airborne={airborne} for a table, but expected a servo file and a speed "
                 "only with logs of autopilots."
             )
-        table = _unrounded(_from_table(path, flight, dict(rename or {})))
+        table = _unrounded(_from_table(path, dict(rename or {})))
         return without_ground(table, path.name) if airborne else table
 
 
-def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) -> pd.DataFrame:
+def _from_autopilot(path: Path, servos: Any, airborne: Any) -> pd.DataFrame:
     flown = on_one_clock(read_log(path), servos=servos, airborne=airborne)
-    name = path.stem if flight is None else flight
-    table = flight_table(flown, name)
+    table = flight_table(flown, path.stem)
     if reversed_of(servos) is not None:
         table[IN_FULL_THROWS] = 1.0
     table = _as_flight(table)
@@ -155,7 +152,7 @@ def _from_autopilot(path: Path, flight: str | None, servos: Any, airborne: Any) 
     return table
 
 
-def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.DataFrame:
+def _from_table(path: Path, rename: dict[str, str]) -> pd.DataFrame:
     if path.is_dir():
         raise FlightReadError(
             "Got a folder, but expected a file: give that of one flight, of PX4 the .ulg itself."
@@ -167,8 +164,8 @@ def _from_table(path: Path, flight: str | None, rename: dict[str, str]) -> pd.Da
             "convert it, in MATLAB by writetable, or rename it."
         )
     table = _renamed(TABLES[kind](path, rename), rename)
-    if flight is not None or "flight" not in table:
-        table["flight"] = path.stem if flight is None else flight
+    if "flight" not in table:
+        table["flight"] = path.stem
     return _as_flight(table)
 
 
@@ -228,7 +225,7 @@ def _as_flight(table: pd.DataFrame) -> pd.DataFrame:
             row = int(np.argmax(is_missing))
             raise FlightReadError(f"Got no time at row {row}, but expected it in every row [s].")
         check_units(FlightTable.of(table))
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise FlightReadError(*error.args) from error
     channels = [name for name in table.columns if name not in ("time", "flight")]
     table = table[["time", "flight", *channels]]
@@ -271,11 +268,7 @@ def _as_seconds(time: pd.Series) -> pd.Series:
 
 def _flight_names(flight: pd.Series) -> np.ndarray:
     """Return the name of each row's flight as str; whole numbers without a point."""
-    try:
-        codes, names = flight_codes(flight)
-    except (ValueError, TypeError) as error:
-        message = f"{error} read_flight(path, flight='name') names all rows alike."
-        raise FlightReadError(message) from error
+    codes, names = flight_codes(flight)
     texts = []
     for name in names:
         is_whole = isinstance(name, float) and name.is_integer()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -39,8 +39,8 @@ class TimeHistoryDisplay(Display):
     beyond : (n,), optional
         Fraction of simulated paths outside the range of the training data, marked at the upper
         edge.
-    estimate, suffix : str
-        What ``mean`` is called; the end of the vertical axes' labels.
+    estimate : str
+        What ``mean`` is called.
 
     Examples
     --------
@@ -63,34 +63,12 @@ class TimeHistoryDisplay(Display):
     upper: Matrix | None = None
     beyond: Vector | None = None
     estimate: str = "estimated"
-    suffix: str = ""
     by_column = True
 
     @property
     def keys(self) -> list[str]:
         """The names."""
         return list(self.names)
-
-    def residuals(self) -> Self:
-        """Return the display of everything less the estimate."""
-        if self.mean is None:
-            raise ValueError(
-                "Got a display without an estimate, but expected one: nothing to subtract."
-            )
-        mean = self.mean
-
-        def less(values: Matrix | None) -> Matrix | None:
-            return None if values is None else values - mean
-
-        return replace(
-            self,
-            suffix=" less estimate",
-            measured=less(self.measured),
-            mean=less(mean),
-            truth=less(self.truth),
-            lower=less(self.lower),
-            upper=less(self.upper),
-        )
 
     def draw(self, ax: Any, key: str) -> None:
         """Draw the lines and the band of a name."""
@@ -116,9 +94,9 @@ class TimeHistoryDisplay(Display):
             _fit_to_lines(ax)
         if self.beyond is not None and (self.beyond > 0).any():
             _mark_beyond(ax, self.time, self.beyond)
-        # short labels of small residuals, which would stand over the name
+        # short labels of small values, which would stand over the name
         ax.ticklabel_format(axis="y", scilimits=(-3, 6))
-        ax.set(xlabel="time [s]", ylabel=axis_label(key) + self.suffix)
+        ax.set(xlabel="time [s]", ylabel=axis_label(key))
 
     @classmethod
     def from_predictions(

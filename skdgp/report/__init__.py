@@ -318,7 +318,7 @@ def _coverage(held: float) -> str:
 
 
 def _figures(result: Evaluation) -> str:
-    """Return coefficients with residuals of a long flight where the estimates move most."""
+    """Return the coefficients of a long flight where the estimates move most."""
     time = result.table["time"].to_numpy(float)
     rows = liveliest_rows(time, result.mean)
     display = TimeHistoryDisplay.from_predictions(
@@ -332,10 +332,7 @@ def _figures(result: Evaluation) -> str:
     caption = f"Coefficients of {result.name}"
     if rows != slice(None):
         caption += f", the {EXCERPT:g} s in which the estimates move most"
-    residuals = figure(
-        display.residuals(), f"{caption}: measured less estimated, in the 95 % band."
-    )
-    return figure(display, f"{caption}.") + residuals
+    return figure(display, f"{caption}.")
 
 
 def liveliest_rows(time: Vector, values: Matrix) -> slice:

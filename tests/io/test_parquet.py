@@ -57,7 +57,7 @@ REFUSED = {
     "timestamp": ("alpha", pa.array([NOON] * 3), NO_NUMBER),
     "text": ("alpha", pa.array(["high"] * 3), NO_NUMBER),
     "list": ("alpha", pa.array([[1.0, 2.0]] * 3), NO_NUMBER),
-    "list of flights": ("flight", pa.array([["a"]] * 3), "names all rows alike"),
+    "list of flights": ("flight", pa.array([["a"]] * 3), "unhashable"),
 }
 
 

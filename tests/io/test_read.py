@@ -23,11 +23,10 @@ def table(n=50, **columns):
     return pd.DataFrame({**data, **columns})
 
 
-def test_flight_column_and_argument(read):
+def test_flight_column(read):
     two = pd.concat([table(flight="a"), table(flight="b")])
     assert read(two).flight.unique().tolist() == ["a", "b"]
     assert read(table(flight=7)).flight.unique().tolist() == ["7"]
-    assert read(table(), flight="named").flight.unique().tolist() == ["named"]
 
 
 class TestUnitsThatNumbersGiveAway:

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -154,6 +155,19 @@ def kernel_of_the_page(blocks_of):
         if "\nclass " in code:
             exec(compile(code, "kernels.md", "exec"), vars(made))
     return made.SharedMatern
+
+
+@pytest.fixture(scope="session")
+def example():
+    """Return a function to an example of the project by name, as a module."""
+
+    def load(name):
+        spec = spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture

@@ -24,20 +24,15 @@ MINUTE = {"preprocessing.md", "simulation.md", "after.md"}
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
-def blocks(page):
-    text = page.read_text(encoding="utf-8")
-    return re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
-
-
 RUN_HERE = []
 for page in PAGES:
-    if blocks(page) and page.name not in RUN_ELSEWHERE:
+    if "\n```python\n" in page.read_text("utf-8") and page.name not in RUN_ELSEWHERE:
         marks = [pytest.mark.slow] if page.name in MINUTE else []
         RUN_HERE.append(pytest.param(page, id=page.name, marks=marks))
 
 
 @pytest.mark.parametrize("page", RUN_HERE)
-def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, request):
+def test_code_of_the_page_runs_from_top_to_bottom(page, blocks_of, tmp_path, monkeypatch, request):
     """In one namespace, in an empty folder; what a page writes, it writes there."""
     if page.name in UNJUDGED:
         request.getfixturevalue("hasty_fits")
@@ -57,7 +52,7 @@ def test_code_of_the_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch, r
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names = {}
-    for number, block in enumerate(blocks(page), start=1):
+    for number, block in enumerate(blocks_of(page), start=1):
         exec(compile(block, f"{page.name}, block {number}", "exec"), names)
     if "matplotlib" in page.read_text(encoding="utf-8"):
         plt = pytest.importorskip("matplotlib.pyplot")

@@ -206,12 +206,9 @@ class TestInterrupted:
         model = DependentGPRegressor(
             inference=inference, n_inducing=20, random_state=0, max_iter=60
         )
-        with (
-            listening(press, keep_best=True),
-            pytest.warns(ConvergenceWarning, match=r"interrupted.*kept") as caught,
-        ):
+        told = pytest.warns(ConvergenceWarning, match=r"interrupted.*kept")
+        with listening(press, keep_best=True), told:
             model.fit(*data)
-        assert caught[0].filename == __file__  # where fit was called
         assert np.isfinite(model.predict(new, return_std=True)).all()
         pressed = [k for k, (at, *_) in enumerate(heard) if at == stage][n - 1]
         assert len(heard) <= pressed + 5  # what still had to start did so once

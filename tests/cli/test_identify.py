@@ -3,12 +3,10 @@
 import io
 import json
 import re
-import runpy
 import shlex
 import signal
 import warnings
 from contextlib import redirect_stderr
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,7 +17,6 @@ from skdgp.dynamics import Aircraft, Propeller
 from skdgp.identification import identify as identify_flights
 from skdgp.identification import load_model
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 OUTPUTS = {"model.joblib", "metrics.json", "report.html"}
 QUICK = ["--samples", "40", "--max-iter", "3"]
 
@@ -273,21 +270,21 @@ def test_demo_is_honest(command, tmp_path, monkeypatch, capsys):
     indirect=["short_flights"],
 )
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
-def test_examples_draw(name, arguments, tmp_path, capsys):
+def test_examples_draw(name, arguments, example, tmp_path, capsys):
     picture = tmp_path / "picture.png"
-    example = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
-    if "GRID" in example.__globals__:  # one candidate of eight
-        example.__globals__["GRID"] = {
-            key: values[:1] for key, values in example.__globals__["GRID"].items()
-        }
-    example([*arguments, "--output", str(picture)])
+    module = example(name)
+    if name == "grid_search_flights":  # one candidate of eight
+        module.GRID = {key: values[:1] for key, values in module.GRID.items()}
+    module.main([*arguments, "--output", str(picture)])
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert str(picture) in capsys.readouterr().out
 
 
-def test_example_of_a_real_flight_says_that_there_is_no_network(tmp_path, monkeypatch, capsys):
+def test_example_of_a_real_flight_says_that_there_is_no_network(
+    example, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("https_proxy", "http://127.0.0.1:9")  # nobody listens there
-    runpy.run_path(str(EXAMPLES / "real_flight.py"))["main"]([])
+    example("real_flight").main([])
     assert re.search(r"No log \(.*\)\. Fetch it from\nhttps://", capsys.readouterr().out)
     assert list(tmp_path.iterdir()) == []

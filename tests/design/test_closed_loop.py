@@ -1,25 +1,10 @@
 """The example of a closed loop learns, plans, flies, and learns again."""
 
-import importlib.util
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 from skdgp import datasets
-
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "closed_loop.py"
-
-
-@pytest.fixture
-def example(monkeypatch, first_minute, few_manoeuvres):
-    """Return the module of the example, with the aircraft of the shared flights and few manoeuvres."""
-    monkeypatch.setattr(datasets, "load_example_flights", lambda turbulence: first_minute())
-    spec = importlib.util.spec_from_file_location("closed_loop", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "fly", partial(short, module.fly))
-    return module
 
 
 def short(fly, truth, aircraft, train, seconds, seed):
@@ -29,8 +14,13 @@ def short(fly, truth, aircraft, train, seconds, seed):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_it_runs(example, tmp_path, capsys):
+@pytest.mark.usefixtures("few_manoeuvres")
+def test_it_runs(example, first_minute, monkeypatch, tmp_path, capsys):
+    """With the aircraft of the shared flights."""
+    monkeypatch.setattr(datasets, "load_example_flights", lambda turbulence: first_minute())
+    loop = example("closed_loop")
+    monkeypatch.setattr(loop, "fly", partial(short, loop.fly))
     picture = tmp_path / "loop.png"
-    example.main(["--rounds", "1", "--seconds", "12", "--output", str(picture)])
+    loop.main(["--rounds", "1", "--seconds", "12", "--output", str(picture)])
     assert picture.stat().st_size > 0
     assert "scale" in capsys.readouterr().out  # of the planned manoeuvres

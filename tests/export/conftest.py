@@ -2,8 +2,6 @@
 
 import warnings
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import joblib
@@ -20,7 +18,6 @@ from skdgp.export import portable_model, save_portable
 from skdgp.identification import identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
 JOINT = {"structure": "joint"}
 SPARSE = {"inference": "sparse", "n_inducing": 9}
@@ -129,19 +126,6 @@ def in_another_order():
     with warnings.catch_warnings(action="ignore"):  # of few rows
         pipeline = pipeline_of(learner).fit(flight, Y[["Cm", "CX", "CY", "CZ", "Cl", "Cn"]])
     return pipeline, AIRCRAFT
-
-
-@pytest.fixture(scope="session")
-def example():
-    """Return a function to an example of the project by name, as a module."""
-
-    def load(name):
-        spec = spec_from_file_location(name, EXAMPLES / f"{name}.py")
-        module = module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return module
-
-    return load
 
 
 @pytest.fixture

@@ -47,6 +47,8 @@ def test_deviations_covariances_and_samples_are_of_one_distribution(
     again, cov = model.predict(X, return_cov=True, **switches)
     assert_allclose(again, mean)
     assert_allclose(np.diag(cov), std.T.ravel() ** 2, rtol=1e-9)
+    assert_allclose(cov, cov.T)
+    assert np.linalg.eigvalsh(cov).min() > -1e-9 * cov.max()
     drawn = model.sample_y(X, N_DRAWN, random_state=1, **switches)
     if not noise and input_noise is False:
         assert_array_equal(np.moveaxis(drawn, -1, 0), model.sample_paths(N_DRAWN, 1)(X))

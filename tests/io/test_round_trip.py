@@ -23,9 +23,7 @@ def test_csv(tmp_path, flights, quoting, separator, mark):
     table["flight"] = np.repeat(flights, 3)
 
     def written(value):
-        if isinstance(value, str):
-            return value
-        return "" if np.isnan(value) else repr(float(value)).replace(".", mark)
+        return "" if pd.isna(value) else str(value).replace(".", mark)
 
     with (tmp_path / "log.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, delimiter=separator, quoting=quoting)

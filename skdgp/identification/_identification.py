@@ -179,19 +179,18 @@ class Identification:
     def facts(self) -> dict[str, str]:
         """What was done, as text."""
         paths = self.fit.reconstruction
-        lags = {name: f"{lag:.3g} s" for name, lag in self.fit.lags_corrected.items()}
         return {
             "aircraft": repr(self.aircraft),
             "regressors": ", ".join(self.fit.regressors),
             "flight paths": "" if paths is None else paths.clause,
             "fit": self.fit.summary,
-            "lags": _listed(lags),
+            "lags [s]": _listed(pd.Series(self.fit.lags_corrected, dtype=float).round(3)),
             "options": _listed(self.options),
             "versions": _listed(software_versions()),
         }
 
 
-def _listed(values: Mapping[str, Any]) -> str:
+def _listed(values: Mapping[str, Any] | pd.Series) -> str:
     """Return values with their names."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 

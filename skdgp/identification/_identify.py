@@ -154,7 +154,9 @@ def identify(
         if reading.get("servos") is None and not {*ALL_SURFACES}.isdisjoint(names):
             reading["servos"] = FULL_THROW
         train, tests = train_and_test(flights, test, MEASURED, **reading)
-        aircraft = with_position_of(as_aircraft(aircraft), train)
+        if isinstance(aircraft, str | os.PathLike):
+            aircraft = Aircraft.from_file(aircraft)
+        aircraft = with_position_of(check_aircraft(aircraft), train)
         units = FULL_THROW_UNITS if are_in_full_throws(train) else None
         columns = regressor_columns([flight.table for flight in train.values()], names)
         train = usable_flights(train, aircraft, names, columns, in_radians=units is None)
@@ -198,12 +200,6 @@ def identify(
         evaluations=evaluations,
         findings=(*assumed_sizes(aircraft, model.errors_), *_named_once(findings)),
     )
-
-
-def as_aircraft(aircraft: Any) -> Aircraft:
-    """Return the aircraft, read from a file where a path is given."""
-    is_path = isinstance(aircraft, str | os.PathLike)
-    return Aircraft.from_file(aircraft) if is_path else check_aircraft(aircraft)
 
 
 def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list[Finding]:
@@ -259,7 +255,6 @@ def validate(
     model: Bunch,
     flights: Any,
     *,
-    aircraft: Aircraft | str | os.PathLike | None = None,
     horizon: float = 10.0,
     reading: Mapping[str, Any] | None = None,
 ) -> Identification:
@@ -270,10 +265,8 @@ def validate(
     Parameters
     ----------
     model : Bunch
-        As of :func:`load_model`.
+        As of :func:`load_model`; another ``aircraft`` in it, such as with another mass, counts.
     flights : as of :func:`identify`
-    aircraft : Aircraft or path, optional
-        In place of the model's, such as with another mass.
     horizon, reading
         As of :func:`identify`; logs are read with the model's servos by default.
 
@@ -285,9 +278,9 @@ def validate(
     options = {**model.get("options", {}), "thrust": model.pipeline.thrust, "horizon": horizon}
     reading = dict(reading or {})
     reading["servos"] = reading.get("servos") or options.get("servos")
+    aircraft = check_aircraft(model.aircraft)
     with recorded_findings() as findings:
         notify("reading")
-        aircraft = as_aircraft(model.aircraft if aircraft is None else aircraft)
         named = named_flights(flights, **reading)
         usable = usable_flights_of_model(model.pipeline, named, aircraft)
         fit = fit_record(model.pipeline)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
@@ -18,7 +18,7 @@ from skdgp._flight.faults import attitude_jumps
 from skdgp._flight.tables import FlightTable
 from skdgp.io._clock import with_sound_times
 from skdgp.io._dataflash import read_dataflash
-from skdgp.io._log import NOTHING, Control, Log, States, controls_of, no_wings, rows_in
+from skdgp.io._log import NOTHING, Log, States, controls_of, no_wings, rows_in
 from skdgp.io._sources import Source, find_sources, to_table
 from skdgp.io._tables import FlightReadError
 from skdgp.io._tlog import read_tlog
@@ -91,7 +91,6 @@ def on_one_clock(log: Log, *, servos: Any = None, airborne: Any = True) -> Fligh
     # damaged messages may hold any number
     with np.errstate(all="ignore"):
         controls = controls_of(servos, log)
-        _check_channels(log, controls)
         topics, wrong_times = with_sound_times(log.topics)
         log = replace(log, topics=topics)
         sources, useless = find_sources(log, controls)
@@ -146,19 +145,6 @@ def _was_armed(log: Log, time: Vector) -> bool:
     """Return whether the autopilot was armed at some time, True where the log does not say."""
     is_told = any(field in log.topics.get(name, NOTHING) for name, field, _, _ in ARMED)
     return not is_told or bool(rows_in(ARMED, log.topics, time).any())
-
-
-def _check_channels(log: Log, controls: Mapping[str, tuple[str, Control]]) -> None:
-    """Raise FlightReadError if the log lacks the channel of a servo."""
-    for name, (_, control) in controls.items():
-        for servo in control:
-            topic = log.topics.get(servo.topic, NOTHING)
-            if servo.field not in topic:
-                expected = sorted(topic.fields) or [*log.outputs]
-                raise FlightReadError(
-                    f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected "
-                    f"one of {expected}."
-                )
 
 
 # -- flights in a log

@@ -41,6 +41,7 @@ from skdgp.io._log import (
     last_before,
     whole,
 )
+from skdgp.io._tables import FlightReadError
 
 # a source slower than this [Hz] gives way to one further down that is not, or so many times as fast (guess)
 LEAST_RATE = 5.0
@@ -324,11 +325,17 @@ def _problem(source: Source, rule: Rule) -> str:
 def _surface(log: Log, name: str, note: str, control: Control) -> Source:
     """Return a control by the channels of its servos, which are fields of one topic.
 
-    It is empty where no message of the topic has a sound time.
+    Raises FlightReadError if the log lacks one.
     """
     topic = log.topics.get(control[0].topic, NOTHING)
     values = np.zeros(len(topic))
-    for servo in control if len(topic) else ():
+    for servo in control:
+        if servo.field not in topic:
+            expected = sorted(topic.fields) or [*log.outputs]
+            raise FlightReadError(
+                f"Got channel {servo.channel!r} for {name}, but the log has no such field: expected "
+                f"one of {expected}."
+            )
         deflection = servo.deflection(topic[servo.field])
         # an engine that is switched off gets no number
         values = values + (np.nan_to_num(deflection) if note == COMMANDED else deflection)

@@ -33,8 +33,6 @@ LEAST_RATIO = 1.2
 # in pauses longer than both, [s] and [usual steps], the clock has no rows
 PAUSE_SECONDS = 5.0
 PAUSE_STEPS = 50.0
-# larger fractions of gaps are the pauses between bursts; a guess
-MOST_GAPS = 0.05
 
 
 def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[str]]:
@@ -95,17 +93,6 @@ def _running_median(time: Vector, n: int) -> Vector:
     return pd.Series(time).rolling(n, min_periods=n // 2 + 1).median().to_numpy()
 
 
-def usual_step(step: Vector) -> float:
-    """Return the usual step of a clock: the median, or the mean where messages come in bursts.
-
-    In bursts, steps longer than gaps are frequent and make up most of the time.
-    """
-    median = np.median(step)
-    gap = step > LONGEST_STEP * median
-    are_bursts = gap.mean() > MOST_GAPS and step[gap].sum() > 0.5 * step.sum()
-    return float(np.mean(step) if are_bursts else median)
-
-
 def uniform_clock(time: Vector, rate: float) -> Vector:
     """Return the multiples of 1 / rate [s] within the runs of a channel."""
     step = np.diff(time)
@@ -127,7 +114,7 @@ def resample(time: Vector, values: Matrix, clock: Vector, rate: float) -> Matrix
     the initial states in forward-backward filtering); then it is interpolated linearly.
     """
     result = np.full((len(clock), values.shape[1]), np.nan)
-    gap = LONGEST_STEP * usual_step(np.diff(time))
+    gap = LONGEST_STEP * np.median(np.diff(time))
     tolerance = 1e-6 / rate
     for run in runs_between(time, gap):
         run_time = time[run]

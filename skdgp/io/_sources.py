@@ -24,7 +24,7 @@ from skdgp._flight.frames import (
     without_sign_changes,
 )
 from skdgp._flight.smoothing import differentiate
-from skdgp.io._clock import resample, uniform_clock, usual_step
+from skdgp.io._clock import resample, uniform_clock
 from skdgp.io._log import (
     COMMANDED,
     DENSITY,
@@ -78,7 +78,7 @@ class Source(NamedTuple):
     @property
     def rate(self) -> float:
         """The usual rate [Hz] of two samples or more."""
-        return 1.0 / usual_step(np.diff(self.time))
+        return float(1.0 / np.median(np.diff(self.time)))
 
 
 class Candidate(NamedTuple):
@@ -189,11 +189,8 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
         remark = f"{rule.topic}: no engine has valid speeds above zero"
         return Source((rule.columns,), rule.topic, time, values[:, None], remark)
     columns = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
-    kind = "mean"
-    mean = np.mean(columns, axis=0)
-    if not are_commands:
-        kind = "root mean square"
-        mean = np.sqrt(np.mean(np.square(columns), axis=0))
+    kind, power = ("mean", 1) if are_commands else ("root mean square", 2)
+    mean = np.mean(np.power(columns, power), axis=0) ** (1 / power)
     is_finite = np.isfinite(mean)
     words = " and ".join(names[:3])
     if len(names) > 1:

@@ -1,17 +1,11 @@
-"""The rigid body against Newton and Euler, and flights whose course is a formula."""
+"""The rigid body against Newton and Euler."""
 
 import numpy as np
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from skdgp.dynamics import (
-    Aircraft,
-    euler_to_quaternion,
-    quaternion_to_matrix,
-    rigid_body_derivative,
-)
+from skdgp.dynamics import quaternion_to_matrix, rigid_body_derivative
 
 RNG = default_rng(5)
 
@@ -46,23 +40,3 @@ def test_one_state_under_many_loads(aircraft):
         rigid_body_derivative(state, *loads, aircraft) for loads in zip(force, moment, strict=True)
     ]
     assert_allclose(found, each, rtol=1e-12)
-
-
-SIZES = {"wing_area": 0.0182, "span": 0.152, "chord": 0.152}
-
-
-def test_a_loop_passes_theta_of_90_degrees_and_comes_back():
-    """A centripetal force m V q on a body that pitches at q; a full turn is minus the quaternion."""
-    V, q, mass = 30.0, 0.8, 2.0
-    body = Aircraft(mass=mass, inertia=np.diag([0.5, 0.6, 0.8]), **SIZES)
-    loads = np.array([0.0, 0.0, -mass * V * q]), np.zeros(3)
-
-    def rate(t, state):
-        return rigid_body_derivative(state, *loads, body, 0.0)
-
-    start = np.concatenate([[0, 0, 0, V, 0, 0], euler_to_quaternion(0.0, 0.0, 0.7), [0, q, 0]])
-    times = np.linspace(0, 2 * np.pi / q, 101)
-    states = solve_ivp(rate, times[[0, -1]], start, "DOP853", times, rtol=1e-12, atol=1e-12).y
-    assert_allclose(states[2], -V / q * (1 - np.cos(q * times)), atol=1e-7)
-    assert_allclose(states[:6, -1], start[:6], atol=1e-7)
-    assert_allclose(states[6:10, -1], -start[6:10], atol=1e-9)

@@ -254,11 +254,10 @@ def orthogonal_multisines(
 ) -> dict[str, Multisine]:
     """Return multisines for several axes at once: orthogonal, and as large as the limits allow.
 
-    The harmonics of the band are dealt out to the axes in turn, so that each covers the band
-    (Morelli, AIAA 2003-5700). The harmonics of an axis are evenly spaced where this covers most of
-    the band, since peaks are then lower. Phases are as of `multisine`, and each input begins and
-    ends at zero. Raises ValueError if the band is none, has fewer harmonics than tones, or there is
-    no axis.
+    The harmonics of the band are dealt out to the m axes in turn, n to each, so that each covers the
+    band (Morelli, AIAA 2003-5700). Those of an axis are evenly spaced, since peaks are then lower.
+    Phases are as of `multisine`, and each input begins and ends at zero. Raises ValueError if the
+    band is none, has fewer harmonics than tones, or there is no axis.
 
     Parameters
     ----------
@@ -298,30 +297,16 @@ def orthogonal_multisines(
             f"Got {n_axes} axes with {n_each} tones each, but there are {len(available)} harmonics in the band "
             f"{band} Hz: give an axis, fly longer, widen the band or use fewer tones."
         )
+    # d, as wide as d (n - 1) + d // m (m - 1) fits into the band
+    spacing = n_axes * (len(available) - 1) // max(n_axes * n_each - 1, 1) or 1
+    offset = spacing // n_axes
     inputs = {}
-    for axis, harmonics in zip(limits, _dealt(available, n_axes, n_each), strict=True):
+    for number, axis in enumerate(limits):
+        harmonics = available[number * offset :: spacing][:n_each]
         limit = check_number(f"limit of the {axis}", limits[axis])
         signal = multisine(duration, harmonics.tolist(), rms=1.0).from_zero()
         inputs[axis] = signal.scaled(limit / signal.peak)
     return inputs
-
-
-def _dealt(harmonics: np.ndarray, m: int, n: int) -> list[np.ndarray]:
-    """Return n of the harmonics for each of m axes.
-
-    They are evenly spaced, so that peaks are lower, if they then cover 70 % of the band. With a spacing d for each
-    axis, the axes begin d // m apart.
-    """
-    last = len(harmonics) - 1
-    spacings = np.arange(m, last + 2)
-    covered = spacings * (n - 1) + spacings // m * (m - 1)
-    widest = np.searchsorted(covered, last, side="right") - 1
-    if covered[widest] < 0.7 * last:
-        spread = np.linspace(0, last, n * m).round().astype(int)
-        return [harmonics[spread[k::m]] for k in range(m)]
-    spacing = spacings[widest]
-    offset = spacing // m
-    return [harmonics[k * offset :: spacing][:n] for k in range(m)]
 
 
 Signal: TypeAlias = Steps | Multisine

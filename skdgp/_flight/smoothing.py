@@ -219,20 +219,13 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
             for part in (rows, rows[len(rows) % half :]):
                 parts.append(sliding_window_view(column[part], 2 * half)[::half])
     windows = np.concatenate(parts)
-    windows -= windows.mean(axis=1, keepdims=True)
-    ramp = np.linspace(-1.0, 1.0, 2 * half)
-    windows -= np.outer(windows @ ramp, ramp) / (ramp @ ramp)
-    taper = hann(2 * half)
-    squares = np.abs(np.fft.rfft(windows * taper)) ** 2
-    # one-sided: each power but the first and the last is of two frequencies
-    power = 2 * step * squares.mean(axis=0) / (taper @ taper)
-    power[[0, -1]] /= 2
+    frequency, powers = signal.periodogram(windows, 1 / step, hann(2 * half), detrend="linear")
     largest = np.abs(column[np.concatenate(runs)]).max()
     return Spectrum(
-        frequency=np.arange(half + 1) / (2 * half * step),
-        power=power,
+        frequency=frequency,
+        power=powers.mean(axis=0),
         # each sample is in four windows
-        averages=0.375 * len(squares),
+        averages=0.375 * len(powers),
         rounding=2 * step * (1e-9 * largest) ** 2,
     )
 

@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import (
@@ -35,6 +34,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import air_data, rotation_to_euler
+from skdgp._flight.smoothing import differentiate
 from skdgp._flight.tables import interpolate_missing
 from skdgp.estimation._least_squares import Equations, GaussianPrior, Posterior, solve
 from skdgp.estimation._path_equations import (
@@ -343,15 +343,6 @@ def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
 
 def _columns(sensors: FlightSensors, air: Matrix, motion: Matrix) -> dict[str, Vector]:
     """Return the columns `RECONSTRUCTED` by air data (n, 3) and motion (n, k)."""
-    columns = np.hstack([air, angle_rates(sensors, air), motion])
+    rates = differentiate(air[:, 1:], sensors.time, cutoff=None)
+    columns = np.hstack([air, rates, motion])
     return dict(zip(RECONSTRUCTED, columns.T, strict=True))
-
-
-def angle_rates(sensors: FlightSensors, air: Matrix) -> Matrix:
-    """Return the rates of change of alpha and beta (n, 2) by air data (n, 3), NaN of single samples."""
-    rates = np.full((len(air), 2), np.nan)
-    for rows in sensors.segments():
-        if len(rows) > 1:
-            time = sensors.time[rows]
-            rates[rows] = CubicSpline(time, air[rows, 1:])(time, 1)
-    return rates

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
-from skdgp._flight.clock import flight_codes
+from skdgp._flight.clock import flight_codes, n_rows
 from skdgp._flight.frames import euler_to_rotation
 from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
 from skdgp._flight.sensor_position import sensor_acceleration
@@ -181,22 +181,22 @@ def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
     checked = FlightTable.of(table)
     table = without_repeats(table, SENSOR_GROUPS)
     flights = []
-    for runs in checked.clock.segments_by_flight:
-        rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
-        segment = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
-        name = table["flight"].iloc[rows[0]] if "flight" in table else 0
-        sensors = _sensors_of(table.iloc[rows], checked.time[rows], segment)
+    for name, runs in zip(checked.clock.names, checked.clock.segments_by_flight, strict=True):
+        rows = np.r_[tuple(runs)]
+        segment = np.repeat(np.arange(len(runs)), list(map(n_rows, runs)))
+        sensors = _sensors_of(name, table.iloc[rows], checked.time[rows], segment)
         flights.append(NamedFlight(name, rows, sensors))
     return flights
 
 
-def _sensors_of(table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSensors:
+def _sensors_of(
+    name: object, table: pd.DataFrame, time: Vector, segment: Indices
+) -> FlightSensors:
     """Return the sensors of one flight; inertial sensors and attitude are interpolated."""
     silent = [name for name in PATH_CHANNELS if not has_values(table, name)]
     if silent:
-        flight = f"flight {table['flight'].iloc[0]!r}" if "flight" in table else "the flight"
         raise ValueError(
-            f"Got no value of {', '.join(silent)} in {flight}, but expected some: a path cannot be "
+            f"Got no value of {', '.join(silent)} in flight {name!r}, but expected some: a path cannot be "
             "reconstructed without them. Leave the flight out, or smooth it with FlightSmoother."
         )
     angles = numeric(table, EULER).copy()

@@ -245,7 +245,7 @@ class FlightPathReconstruction(TableTransformer):
             report(Finding(Code.SENSORS_ELSEWHERE, distance=error))
         mean = motion.air.mean().to_frame().T  # a saved model holds no flights
         self.air_motion_ = replace(motion, air=mean)
-        changes = [motion.gust_change(number) for number in range(len(flights_of(table)))]
+        changes = [motion.gust_change(number) for number in range(len(paths))]
         self.gust_std_ = float(np.sqrt(np.nanmean(np.square(changes))))
         self.noise_std_ = PATH_NOISE | {name: motion.noise[name] for name in ("gyro", "airspeed")}
 

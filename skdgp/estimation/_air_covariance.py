@@ -33,7 +33,6 @@ from skdgp.estimation._air_parameters import (
     SENSOR_CONSTANTS,
     STATE_TERMS,
     WINDS,
-    Sums,
     stacked,
 )
 from skdgp.estimation._air_records import Record
@@ -47,23 +46,6 @@ OF_WIND = slice(6, 9)
 PATH_COLUMNS = (*SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY)
 """Columns of the path over the ground."""
 COLUMNS = (*ESTIMATED, *(f"{name}_std" for name in ESTIMATED), *PATH_COLUMNS)
-
-
-def sandwich(information: Matrix, scatter: Matrix) -> Matrix:
-    """Return A^-1 B A^-T, with the information A and the covariance B of the score (Huber 1967)."""
-    inverse = np.linalg.inv(information)
-    return inverse @ scatter @ inverse.T
-
-
-def correlated_scatter(blocks: Matrix) -> Matrix:
-    """Return the covariance of the score by its sums over blocks (b, p), neighbours correlated (Newey & West 1987)."""
-    later = blocks[1:].T @ blocks[:-1]
-    return blocks.T @ blocks + 0.5 * (later + later.T)
-
-
-def widen(covariance: Matrix, other: Matrix) -> Matrix:
-    """Return the covariance with the variances of the other where these are larger, and its own correlations."""
-    return with_variances(covariance, np.maximum(np.diag(covariance), np.diag(other)))
 
 
 def with_variances(covariance: Matrix, variance: Vector) -> Matrix:
@@ -127,13 +109,6 @@ def add_attenuation(
     mean_square = np.minimum(prior_std**2, (values**2 + variance) / motion**2)
     weight = np.sqrt(1 - fraction**2)
     return weight[:, None] * covariance * weight + np.diag(fraction**2 * mean_square)
-
-
-def estimate_covariance(fit: AirFit, sums: Sums, fitted: list[FittedRecord]) -> Matrix:
-    """Return the covariance of the parameters, by blocks of scores where its variance is larger."""
-    covariance: Any = np.linalg.inv(sums.information)
-    scatter = correlated_scatter(fit.block_scores(fitted))
-    return widen(covariance, sandwich(sums.information, scatter))
 
 
 def add_delay_error(covariance: Matrix, information: Matrix, place: int, std: float) -> Matrix:
@@ -271,20 +246,16 @@ def _estimates(fit: AirFit, item: FittedRecord, covariance: Matrix) -> tuple[Mat
     G[:, OF_WIND, GUST] = np.eye(3)
     # the first parameters of a flight are derivatives, and what is behind them instruments
     n = len(layout.names)
-    by_constants = slopes_by_constants(
+    slopes = np.zeros((len(air), len(ESTIMATED), n))
+    slopes[..., layout.n_derivatives :] = slopes_by_constants(
         lambda moved: _estimated(record, moved, states), value, CONSTANTS
     )
-    places = fit.parameters.places[record.flight]
-    C = covariance[np.ix_(places, places)]
-    variance = _variances(G, P)
-    # the first sample has its states from no other
-    variance[:1] += _variances(by_constants[:1], C[layout.n_derivatives :, layout.n_derivatives :])
     for steps, _, Z in parameter_slopes(item.linear, item.filter_pass, item.expansion.slopes):
         rows = slice(steps.start + 1, steps.stop + 1)
-        s = G[rows] @ Z[..., :n]
-        s[..., layout.n_derivatives :] += by_constants[rows]
-        variance[rows] += _variances(s, C)
-    return _estimated(record, value, states), np.sqrt(variance)
+        slopes[rows] += G[rows] @ Z[..., :n]
+    places = fit.parameters.places[record.flight]
+    C = covariance[np.ix_(places, places)]
+    return _estimated(record, value, states), np.sqrt(_variances(G, P) + _variances(slopes, C))
 
 
 def _estimated(record: Record, value: Mapping[str, Any], states: Matrix) -> Matrix:

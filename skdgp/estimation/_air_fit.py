@@ -56,13 +56,12 @@ AIR_SETTINGS = AirSettings()
 
 
 class FittedRecord(NamedTuple):
-    """A record with its last pass, the score of the parameters by each sample, (n - 1, p), and the likelihood."""
+    """A record with its last pass, and the likelihood."""
 
     record: Record
     expansion: Expansion
     linear: Linearization
     filter_pass: Pass
-    scores: Matrix
     log_likelihood: float  # of the innovations, but for a constant
 
 
@@ -214,61 +213,42 @@ class AirFit:
             filter_pass = filtered(linear, noise)
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovation_covariance))
             e = matrix_vector(L_inverse, filter_pass.innovations)
+            weighted: Any = 0.0
             products: Any = 0.0
-            weighted = []
             for steps, by_parameters, _ in parameter_slopes(linear, filter_pass, slopes):
                 whitened = L_inverse[steps] @ by_parameters
                 rows = whitened.reshape(-1, whitened.shape[2])
+                weighted = weighted + rows.T @ e[steps].ravel()
                 products = products + rows.T @ rows
-                weighted.append((e[steps, None] @ whitened)[:, 0])
             has_instruments = by_instruments and not self.is_known
-            scores = self._add_scores(
-                sums, record.flight, np.concatenate(weighted), products, has_instruments
-            )
+            self._add_scores(sums, record.flight, weighted, products, has_instruments)
             if has_instruments:
                 # for the instruments of the next pass
                 record = record.with_answers(e)
             determinants = np.log(np.einsum("nii->ni", L_inverse)).sum()
             log_likelihood = float(determinants - 0.5 * np.sum(e**2))
-            fitted.append(
-                FittedRecord(record, expansion, linear, filter_pass, scores, log_likelihood)
-            )
+            fitted.append(FittedRecord(record, expansion, linear, filter_pass, log_likelihood))
         return sums, fitted
 
     def _add_scores(
-        self, sums: Sums, flight: int, weighted: Matrix, products: Matrix, has_instruments: bool
-    ) -> Matrix:
-        """Add and return the scores (n - 1, p) of a record.
+        self, sums: Sums, flight: int, weighted: Vector, products: Matrix, has_instruments: bool
+    ) -> None:
+        """Add score and information of a record.
 
         With slopes S of whitened innovations e by the estimated parameters of a flight and, behind these, by the
-        instruments, ``weighted`` are S^T e of each sample (n - 1, q), and ``products`` the sum of S^T S.
+        instruments, ``weighted`` is S^T e (q,), and ``products`` S^T S.
         """
         places = self.parameters.free_places(flight)
-        own = np.arange(len(places))
+        n = len(places)
+        score = weighted[:n]
+        information = products[:n, :n]
         if has_instruments:
-            used = np.arange(self.layout.n_derivatives, len(products))
-            of_own = products[np.ix_(used, own)]
-            weights = _projection(products[np.ix_(used, used)], of_own)
-            scores = weighted[:, used] @ weights
+            used = slice(self.layout.n_derivatives, None)
+            of_own = products[used, :n]
+            weights = _projection(products[used, used], of_own)
+            score = weights.T @ weighted[used]
             information = weights.T @ of_own
-        else:
-            scores = weighted[:, own]
-            information = products[np.ix_(own, own)]
-        sums.add(places, scores.sum(axis=0), information)
-        return scores
-
-    def block_scores(self, fitted: list[FittedRecord]) -> Matrix:
-        """Return the scores of all records, summed over blocks of some seconds, (b, p)."""
-        blocks = []
-        for item in fitted:
-            # length of the sums of scores whose covariance is taken [s]
-            width = max(round(2.0 / item.record.median_step), 1)
-            starts = np.arange(0, len(item.scores), width)
-            sums = np.zeros((len(starts), len(self.x)))
-            places = self.parameters.free_places(item.record.flight)
-            sums[:, places] = np.add.reduceat(item.scores, starts, axis=0)
-            blocks.append(sums)
-        return np.concatenate(blocks)
+        sums.add(places, score, information)
 
 
 def _projection(squares: Matrix, products: Matrix) -> Matrix:

@@ -41,7 +41,6 @@ from skdgp.estimation._air_covariance import (
     add_attenuation,
     add_delay_error,
     error_fractions,
-    estimate_covariance,
     misfit_of_sensors,
     smoothed_air,
     unfinished_covariance,
@@ -239,8 +238,7 @@ def estimate_air_motion(
     ailerons, or Cm by thrust over dynamic pressure and wing area, have narrow priors around zero, as
     of a symmetric aircraft without offset of the thrust line. Elevator and rudder may become stronger
     with thrust, in the slipstream of a propeller. The covariance is
-    :math:`(Z^T Z + \Lambda)^{-1}`, or its estimate from sums over blocks where that is
-    larger, times the square of `AirMotion.misfit`. It is larger, too, where errors of surfaces between
+    :math:`(Z^T Z + \Lambda)^{-1}` times the square of `AirMotion.misfit`. It is larger where errors of surfaces between
     samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
     Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
     added. A delay of the servos beside their lag, of 0 ± 5 ms or, where it is
@@ -408,7 +406,7 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int, delay_std: float) -> 
     names = fit.parameters.names
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
-    covariance = estimate_covariance(fit, sums, fitted)
+    covariance = np.linalg.inv(sums.information)
     if not converged:
         covariance = unfinished_covariance(fit, covariance)
     misfit = 1.0

@@ -111,11 +111,6 @@ class Record(NamedTuple):
         return float(np.linalg.norm(self.velocity, axis=1).mean())
 
     @property
-    def seconds(self) -> float:
-        """Length [s]."""
-        return self.time_step.sum()
-
-    @property
     def median_step(self) -> float:
         """Usual step [s]."""
         return np.median(self.time_step)

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from skdgp._compute.linalg import least_squares
+from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import air_data
@@ -43,8 +44,7 @@ def airspeed_error(record: Record, pitot: Vector) -> tuple[Matrix, Vector]:
 def steady_wind(records: list[Record]) -> tuple[Vector, float]:
     """Return `PITOT` (3,) of a flight by least squares of its airspeed, and the variance of a sample of it [m^2/s^2].
 
-    By Gauss-Newton steps. Gusts correlate over seconds, so the variance of a sample is the variance of means over
-    some seconds times the number of samples in a mean.
+    By Gauss-Newton steps. Gusts correlate over seconds, so a sample counts as one over their correlation time.
     """
     _, scale_std = AIRCRAFT_CONSTANTS["airspeed_scale"]
     # mean airspeed of a flight times the root of its samples, standard deviation [m/s]; typical
@@ -60,16 +60,11 @@ def steady_wind(records: list[Record]) -> tuple[Vector, float]:
             residuals.append(error)
         residual = np.concatenate(residuals)
         pitot = pitot - least_squares(np.vstack(slopes), residual)
-    # least variance of a sample [m^2/s^2]
-    variance = 0.01
     errors = residual[len(prior) :]
-    if len(errors):
-        seconds = sum(record.seconds for record in records)
-        # length of a moving mean that is longer than gusts last [s]
-        width = max(1, int(len(errors) * min(20.0 / seconds, 0.25)))
-        means = uniform_filter1d(errors, width, mode="nearest")
-        variance = max(width * means.var(), errors.var(), variance)
-    return pitot, variance
+    least = 0.01  # [m^2/s^2]
+    if not len(errors):
+        return pitot, least
+    return pitot, max(autocorrelation_time(errors) * errors.var(), least)
 
 
 class SteadyRegression:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER, RATES, SPECIFIC_FORCE
-from skdgp._flight.clock import flight_codes, n_rows
+from skdgp._flight.clock import n_rows
 from skdgp._flight.frames import euler_to_rotation
 from skdgp._flight.holds import SENSOR_GROUPS, without_repeats
 from skdgp._flight.sensor_position import sensor_acceleration
@@ -189,9 +189,7 @@ def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
     return flights
 
 
-def _sensors_of(
-    name: object, table: pd.DataFrame, time: Vector, segment: Indices
-) -> FlightSensors:
+def _sensors_of(name: object, table: pd.DataFrame, time: Vector, segment: Indices) -> FlightSensors:
     """Return the sensors of one flight; inertial sensors and attitude are interpolated."""
     silent = [name for name in PATH_CHANNELS if not has_values(table, name)]
     if silent:
@@ -223,8 +221,7 @@ def missing_channels(table: pd.DataFrame) -> list[str]:
     """Return the channels needed by a path that are absent, or have no value in some flight."""
     flights = [table]
     if "flight" in table:
-        codes, _ = flight_codes(table["flight"])
-        flights = [flight for _, flight in table.groupby(codes)]
+        flights = [flight for _, flight in table.groupby("flight", sort=False)]
     silent = [name for name in PATH_CHANNELS if not all(has_values(t, name) for t in flights)]
     return silent if "time" in table else ["time", *silent]
 

@@ -1,7 +1,6 @@
 """Equations of the filter-error method and of a path against their definitions: slopes, filter, covariance."""
 
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,12 +17,9 @@ from skdgp.estimation._air_covariance import (
     add_attenuation,
     add_delay_error,
     add_model_error,
-    correlated_scatter,
     inflate,
     misfit_of,
-    sandwich,
     spread_of,
-    widen,
     without_estimate,
 )
 from skdgp.estimation._air_linearization import (
@@ -370,28 +366,8 @@ def test_slopes_of_innovations_are_those_of_a_filter_with_the_same_gains():
     assert_allclose(of_states[..., 0], change, atol=1e-6)
 
 
-def test_sandwich_of_a_regression_is_the_covariance_of_its_coefficients():
-    """Least squares with weights that are wrong: (X^T W X)^-1 X^T W S W X (X^T W X)^-1."""
-    rng = default_rng(1)
-    X = rng.standard_normal((20, 3))
-    weights, variances = rng.uniform(1, 2, (2, 20))
-    coefficients = np.linalg.solve(X.T @ (weights[:, None] * X), X.T * weights)  # by y
-    scatter = X.T @ ((weights**2 * variances)[:, None] * X)
-    expected = coefficients @ np.diag(variances) @ coefficients.T
-    assert_allclose(sandwich(X.T @ (weights[:, None] * X), scatter), expected)
-
-
-def test_scatter_of_blocks_counts_neighbours_half():
-    blocks = default_rng(2).standard_normal((5, 2))
-    expected = sum(np.outer(b, b) for b in blocks)
-    for before, after in pairwise(blocks):
-        expected = expected + 0.5 * (np.outer(before, after) + np.outer(after, before))
-    assert_allclose(correlated_scatter(blocks), expected)
-
-
 def test_covariances_in_named_steps_are_those_by_hand():
     covariance = np.array([[4.0, 1.0], [1.0, 9.0]])
-    assert_allclose(widen(covariance, np.diag([16.0, 1.0])), [[16.0, 2.0], [2.0, 9.0]])
     assert_allclose(inflate(covariance, 2.0), [[16.0, 4.0], [4.0, 36.0]])
     assert_allclose(add_model_error(covariance, np.array([-5.0]), 0.2), [[5.0, 1.0], [1.0, 9.0]])
     prior_std = np.array([1.0, 2.0])

@@ -155,7 +155,6 @@ def _averaged(name: str, time: Vector, values: Vector, clock: Matrix) -> Vector:
     if not samples.size:
         return np.full(len(clock), np.nan)
     if name in EULER:
-        is_degrees = np.abs(samples).max() > 2.1 * np.pi
-        samples = np.unwrap(samples, period=360.0 if is_degrees else 2 * np.pi)
+        samples = np.unwrap(samples)
     sampled = np.interp(clock, time[is_sample], samples, left=np.nan, right=np.nan)
     return sampled.mean(axis=1)

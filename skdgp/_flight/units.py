@@ -167,26 +167,6 @@ def degrees_error(got: str, expected: str, name: str) -> ValueError:
     )
 
 
-def is_unwrapped(table: pd.DataFrame, name: str) -> bool:
-    """Return whether roll or heading goes on from within a turn without jumps, as unwrapping leaves it.
-
-    Degrees change 57 times as fast as a turn a second, and jump by 360; a tenth of the steps may be faster, as spikes
-    are.
-    """
-    if name not in WRAPPED or "time" not in table:
-        return False
-    for flight in FlightTable.of(table).flights.values():
-        angle = flight.column(name)
-        measured = np.isfinite(angle)
-        # from zero to the first value, and on
-        steps = np.abs(np.diff(angle[measured], prepend=0.0))
-        rates = steps[1:] / np.diff(flight.time[measured])
-        is_fast = _quantile(rates, 0.9) > 2 * np.pi or steps.max(initial=0.0) >= 300.0
-        if is_fast or (steps[:1] > 2 * np.pi + ANGLE_NOISE).any():
-            return False
-    return True
-
-
 def check_flight(flight: pd.DataFrame | FlightTable, needed: Iterable[str]) -> FlightTable:
     """Return the flights of a table that has the ``needed`` columns in SI units.
 
@@ -228,7 +208,7 @@ def check_radians(table: pd.DataFrame, names: Iterable[str] = USUAL) -> None:
         usual = USUAL[name]
         sizes = np.abs(table[name].to_numpy(float, na_value=np.nan))
         top = _quantile(sizes, 0.99)
-        if top > usual and not is_unwrapped(table, name):
+        if top > usual:
             too_large = sizes[sizes > usual]
             # marks are -99 or -999; a doublet of 5 or flaps of 20 are degrees, as a heading of 359 is
             is_one_mark = np.ptp(too_large) == 0 and too_large[0] > 90.0

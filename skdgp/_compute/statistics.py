@@ -90,14 +90,11 @@ def half_width(level: float) -> float:
     return float(norm.ppf(0.5 + float(level) / 2))
 
 
-def remaining_error(value: float, std: float, prior_std: float, is_removed: bool) -> float:
-    r"""Return what remains of an error that was estimated, root mean square.
+def remaining_error(value: float, std: float, prior_std: float) -> float:
+    r"""Return the root mean square of an error that was estimated, and not removed.
 
-    With the prior variance :math:`\tau^2` and :math:`w = \tau^2 / (\tau^2 + \sigma^2)` an estimate
-    :math:`v \pm \sigma` that stays in the data leaves the posterior's :math:`\sqrt{w^2 v^2 + w \sigma^2}`. One
-    that was removed contradicts the prior, and leaves :math:`\sigma`.
+    With the prior variance :math:`\tau^2` and :math:`w = \tau^2 / (\tau^2 + \sigma^2)` it is that of the
+    posterior, :math:`\sqrt{w^2 v^2 + w \sigma^2}` for an estimate :math:`v \pm \sigma`.
     """
-    if is_removed:
-        return std
     weight = prior_std**2 / (prior_std**2 + std**2)
     return float(np.hypot(weight * value, np.sqrt(weight) * std))

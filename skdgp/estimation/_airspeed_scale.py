@@ -48,7 +48,7 @@ class AirspeedScale(NamedTuple):
         _, prior = AIR_SENSOR_ERRORS["airspeed_scale"]
         if self.std > prior:
             return 0.0
-        return remaining_error(self.value, self.std, prior, self.removable() != 0)
+        return self.std if self.removable() else remaining_error(self.value, self.std, prior)
 
 
 UNKNOWN_SCALE = AirspeedScale(0.0, np.inf)

@@ -223,12 +223,24 @@ def _by_airspeed(regressors: pd.DataFrame, linear: pd.DataFrame) -> Matrix:
 
 
 def clock_std(lags: pd.DataFrame | None, group: str, step: float) -> float:
-    """Return the error of the time of a group of channels after its lag is removed [s], root mean square."""
+    """Return the error of the time of a group of channels after its lag is removed [s], root mean square.
+
+    A lag of servos that is removed stands for a delay of their commands too.
+    """
     error = CLOCK
     if lags is not None and group in lags.index:
-        lag, std, applied = map(float, lags.loc[group, ["lag", "std", "applied"]])
+        columns = ["lag", "applied", "std"]
+        lag, applied, std = lags.loc[group, columns].to_numpy(float)
+        if group == "surfaces" and "servos" in lags.index:
+            of_servos, applied_to_servos, _ = lags.loc["servos", columns].to_numpy(float)
+            lag, applied = lag - of_servos, applied - applied_to_servos
         if np.isfinite(std):
-            error = remaining_error(lag, std, CLOCK, applied != 0)
+            left = lag - applied
+            error = (
+                float(np.hypot(left, std))
+                if applied
+                else remaining_error(float(lag), float(std), CLOCK)
+            )
         elif applied:  # given
             error = 0.0
     return float(np.hypot(error, CLOCK_STEPS * step))

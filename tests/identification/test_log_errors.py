@@ -133,6 +133,16 @@ def test_a_lag_that_is_known_leaves_no_more_than_motion_between_samples():
     assert clock_std(lags.lags_, "air", STEP) == pytest.approx(np.hypot(CLOCK, least))
 
 
+def test_what_is_left_of_a_delay_behind_a_lag_of_servos_is_an_error():
+    """Commands 40 ms early, of which a lag of servos of 45 ms was removed."""
+    lags = pd.DataFrame(
+        {"lag": [-0.03, 0.01], "std": [0.001, 0.004], "applied": [0.0, 0.045]},
+        ["surfaces", "servos"],
+    )
+    expected = np.linalg.norm([0.005, 0.001, CLOCK_STEPS * STEP])
+    assert clock_std(lags, "surfaces", STEP) == pytest.approx(expected)
+
+
 def test_an_airspeed_that_is_too_large_scales_coefficients_and_slopes(flown):
     """Coefficients are over the dynamic pressure, and non-dimensional rates over the airspeed."""
     table, X, slopes = flown

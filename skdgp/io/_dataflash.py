@@ -181,6 +181,8 @@ MIXES: dict[str, dict[int, float]] = {
     "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
     "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
 }
+# functions of differential spoilers, which are not read
+SPOILERS = {16, 17, 86, 87}
 # numbers of the modes QSTABILIZE to QACRO and LOITER_ALT_QLAND, in which rotors lift a VTOL (ArduPlane/mode.h)
 LIFTING_MODES = (*range(17, 24), 25)
 # fraction of the range of pulses above which a motor runs; a guess
@@ -428,9 +430,13 @@ def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> 
         left, right = (servos[function] for function in TWIN)
         commands["differential_throttle"] = (left, right.times(-1.0))
     lifts = _lifting(servos, parameters)
+    remarks = [*log.remarks]
+    if not SPOILERS.isdisjoint(servos):
+        remarks.append("differential spoilers move and are not read")
     return replace(
         log,
         rules=_in_vehicle_axes(log.rules, parameters),
+        remarks=tuple(remarks),
         outputs=(name,),
         controls=controls,
         commands=commands,

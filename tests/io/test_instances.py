@@ -431,6 +431,12 @@ class TestVehicles:
         assert_wave(table, "aileron", 0.3, atol=0.005)
 
 
+def test_differential_spoilers_are_told(told, plane):
+    log = plane(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=16.0)
+    log.topic("RCOU", SLOW, C1=pulse(0.0), C5=pulse(0.0))
+    told("differential spoilers move and are not read", log, airborne=False)
+
+
 @pytest.mark.parametrize("name", ["vehicle_gps_position", "sensor_gps"])
 def test_a_gps_without_a_fix_measures_nothing(told, name, px4):
     log = px4()

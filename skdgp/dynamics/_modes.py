@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -104,10 +103,13 @@ def _split(
     A pair is not taken apart: there may be no such units.
     """
     share = participation.sum().to_numpy()
-    subsets = chain.from_iterable(combinations(units, n) for n in range(1, size + 1))
-    fitting = [subset for subset in subsets if sum(map(len, subset)) == size]
-    best = max(fitting, key=lambda subset: share[[*chain(*subset)]].sum(), default=())
-    return list(best), [unit for unit in units if unit not in best]
+    largest: list[list[int]] = []
+    left = size
+    for unit in sorted(units, key=lambda unit: -share[unit[0]]):
+        if len(unit) <= left:
+            largest.append(unit)
+            left -= len(unit)
+    return largest, [unit for unit in units if unit not in largest]
 
 
 def _values(roots: np.ndarray) -> tuple[float, float, float]:

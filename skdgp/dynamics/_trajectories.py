@@ -106,37 +106,27 @@ def warn_of(record: Trajectories, motion: Motion, farthest: Array) -> None:
 
     ``farthest`` (n_times, ...) is as of `farthest_beyond`.
     """
-    if (record.ended != FLYING).any():
-        warn(_ended_message(record), SimulationWarning)
+    has_ended = record.ended != FLYING
+    if has_ended.any():
+        reasons = ", ".join(REASONS[name] for name in np.unique(record.ended[has_ended]))
+        warn(
+            f"{has_ended.sum()} of {has_ended.size} trajectories ended early ({reasons}). Their rows are NaN from "
+            "there on, and the column ended says why. Look at start, controls, wind and thrust; try a smaller dt.",
+            SimulationWarning,
+        )
     if farthest.any():
-        warn(_beyond_message(record, motion, farthest), SimulationWarning)
+        left = [range_text(motion, int(k)) for k in np.unique(farthest[farthest > 0])]
+        warn(
+            f"{farthest.any(axis=0).sum()} of {has_ended.size} trajectories left what the model was learned from, in "
+            f"{', '.join(left)}: the column beyond says where.",
+            SimulationWarning,
+        )
 
 
-def _ended_message(record: Trajectories) -> str:
-    """Return a sentence on trajectories that ended early."""
-    ended = record.ended[record.ended != FLYING]
-    reasons = ", ".join(REASONS[name] for name in np.unique(ended))
-    is_over = np.isnan(record.states).any(axis=-1).reshape(len(record.time), -1)
-    first = record.time[is_over.any(axis=1)][0]
-    return (
-        f"{len(ended)} of {record.ended.size} trajectories ended early, the first {first:.2f} s after its start "
-        f"({reasons}). Their rows are NaN from there on, and the column ended says why. Look at start, controls, wind "
-        "and thrust; try a smaller dt."
-    )
-
-
-def _beyond_message(record: Trajectories, motion: Motion, farthest: Array) -> str:
-    """Return a sentence on trajectories that left the training ranges."""
-    model = motion.aerodynamics
-    farthest = farthest.reshape(len(record.time), -1)
-    first = int(np.argmax(farthest.any(axis=1)))
-    k = farthest[first].max() - 1
-    low, high = model.limits[:, k]
-    return (
-        f"{farthest.any(axis=0).sum()} of {record.ended.size} trajectories left what the model was learned from, the "
-        f"first {record.time[first]:.2f} s after its start in {model.regressors[k]} (learned from {low:.3g} to "
-        f"{high:.3g}): the column beyond says where."
-    )
+def range_text(motion: Motion, k: int) -> str:
+    """Return the k-th regressor, from 1 on, with its training range, as text."""
+    low, high = motion.aerodynamics.limits[:, k - 1]
+    return f"{motion.regressors[k - 1]} (learned from {low:.3g} to {high:.3g})"
 
 
 def trajectory_bands(

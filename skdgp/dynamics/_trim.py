@@ -187,8 +187,8 @@ def trim(
         "phi": bank,
         "beta": values.pop("beta", None),
     }
-    steady = SteadyFlight(motion, conditions, values)
-    flight, state, now = steady.at(steady.solve(airspeed), airspeed)
+    steady = SteadyFlight(motion, airspeed, conditions, values)
+    flight, state, now = steady.at(steady.solve())
     aerodynamic, _ = aerodynamic_loads(now.coefficients, now.airspeed, now.density, aircraft)
     met = by_name(motion.aerodynamics.regressors, now.regressors)
     beyond = {}
@@ -224,8 +224,9 @@ class SteadyFlight:
         What `solve` finds.
     """
 
-    def __init__(self, motion: Motion, conditions: dict, fixed: dict):
+    def __init__(self, motion: Motion, airspeed: float, conditions: dict, fixed: dict):
         self.motion = motion
+        self.airspeed = airspeed
         _check_given(conditions, fixed)
         self.flown = motion.aerodynamics.training_ranges
         held, free = self._controls(fixed)
@@ -290,16 +291,14 @@ class SteadyFlight:
             return low - margin, high + margin
         return UNKNOWN_LIMITS.get(name, (-DEFLECTION, DEFLECTION))
 
-    def solve(self, airspeed: float) -> Array:
+    def solve(self) -> Array:
         """Return the values of the unknowns."""
-        low, high = np.array(list(self.limits.values())).T
-        solutions = []
+        low, high = np.array([*self.limits.values()]).T
+        best: Any = None
         for fraction in STARTS:
             solution = least_squares(
                 self.residual,
-                np.clip(self._start(airspeed, fraction), low, high),
-                jac="2-point",
-                args=(airspeed,),
+                np.clip(self._start(fraction), low, high),
                 bounds=(low, high),
                 x_scale="jac",
                 xtol=1e-15,
@@ -307,33 +306,32 @@ class SteadyFlight:
                 gtol=1e-15,
                 max_nfev=200,
             )
-            if np.abs(solution.fun).max() < TOLERANCE:
-                return solution.x
-            solutions.append(solution)
-        best = min(solutions, key=lambda solution: solution.cost)
-        if np.abs(best.fun).max() < ACCEPTED:
-            return best.x
-        raise ValueError(self._no_trim(best, airspeed))
+            if best is None or solution.cost < best.cost:
+                best = solution
+            if np.abs(best.fun).max() < TOLERANCE:
+                break
+        if np.abs(best.fun).max() > ACCEPTED:
+            raise ValueError(self._no_trim(best))
+        return best.x
 
-    def _start(self, airspeed: float, fraction: float) -> Array:
+    def _start(self, fraction: float) -> Array:
         """Return a first guess, with alpha at a fraction of its training range."""
         aircraft = self.motion.aircraft
         low, high = self.flown.get("alpha", START_ALPHA)
-        alpha = low + fraction * (high - low)
         start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()}
-        start["alpha"] = alpha
-        start["theta"] = alpha + self.given.get("climb", 0.0)
+        start["alpha"] = low + fraction * (high - low)
+        start["theta"] = start["alpha"] + self.given.get("climb", 0.0)
         start["thrust"] = START_THRUST * aircraft.mass * self.motion.gravity
         start["throttle"] = START_THROTTLE
         if aircraft.propeller is not None:
             advance = START_ADVANCE_RATIO * aircraft.propeller.diameter
-            start["propeller_speed"] = 2.0 * np.pi * airspeed / advance
+            start["propeller_speed"] = 2.0 * np.pi * self.airspeed / advance
         return np.array([start[name] for name in self.unknowns])
 
-    def at(self, x: Array, airspeed: float) -> tuple[dict, Array, Instant]:
+    def at(self, x: Array) -> tuple[dict, Array, Instant]:
         """Return all quantities by name, the state and what happens, at unknowns (k,)."""
         flight = self.given | dict(zip(self.unknowns, x, strict=True))
-        velocity = air_velocity(airspeed, flight["alpha"], flight["beta"])
+        velocity = air_velocity(self.airspeed, flight["alpha"], flight["beta"])
         attitude = euler_to_quaternion(flight["phi"], flight["theta"], 0.0)
         vertical = ned_to_body(attitude, (0.0, 0.0, 1.0))
         rates = flight["turn_rate"] * vertical
@@ -342,28 +340,28 @@ class SteadyFlight:
         controls = {name: flight[name] for name in self.controls}
         return flight, state, self.motion.at(state, controls)
 
-    def residual(self, x: Array, airspeed: float) -> Array:
+    def residual(self, x: Array) -> Array:
         """Return the six accelerations, and the error of the path's slope, (7,)."""
-        flight, _, now = self.at(x, airspeed)
+        flight, _, now = self.at(x)
         if not np.isfinite(now.derivative).all():
             raise ValueError(
-                f"Got rates of change that are not finite at airspeed {airspeed:g} m/s, alpha "
+                f"Got rates of change that are not finite at airspeed {self.airspeed:g} m/s, alpha "
                 f"{flight['alpha']:.3g} rad, altitude {flight['altitude']:g} m, but "
                 "expected six accelerations: the model, the thrust or the air is not defined there."
             )
-        path = -now.derivative[2] / airspeed - np.sin(flight["climb"])
+        path = -now.derivative[2] / self.airspeed - np.sin(flight["climb"])
         return np.append(now.derivative[PLACES], PATH_WEIGHT * path)
 
-    def _no_trim(self, best: Any, airspeed: float) -> str:
+    def _no_trim(self, best: Any) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
         remaining = zip(ACCELERATIONS, best.fun, strict=False)
         accelerations = ", ".join(f"{name} = {value:.3g}" for name, value in remaining)
-        given = {"airspeed": airspeed, **self.given}
+        given = {"airspeed": self.airspeed, **self.given}
         conditions = ", ".join(f"{name} {value:g}" for name, value in given.items())
         ends = []
         for name, value in zip(self.unknowns, best.x, strict=True):
             for limit in self.limits[name]:
-                if abs(value - limit) < 1e-3 * min(1.0, np.ptp(self.limits[name])):
+                if abs(value - limit) < 1e-3:
                     ends.append(f"{name} at its limit {limit:.4g}")
         return (
             f"There is no trim of {self.motion.aircraft.name} at {conditions} (SI units): nearest to it are left "

@@ -18,11 +18,10 @@ from skdgp._flight.channels import (
     CHANNELS,
     EULER,
     HAT,
-    LENGTHS,
+    RATE_LENGTHS,
     THRUST_FORCES,
     THRUST_MOMENTS,
     TRUTH_SUFFIX,
-    rate_factor,
 )
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import (
@@ -100,6 +99,19 @@ class Flow(NamedTuple):
     density: Array
 
 
+def _source(full: str, lengths: Mapping[str, float]) -> tuple[str, float]:
+    """Return the channel that a regressor is made from, and the length that makes it non-dimensional, else NaN."""
+    name = full.removesuffix(TRUTH_SUFFIX)
+    if not name.endswith(HAT):
+        return name, np.nan
+    name = name.removesuffix(HAT)
+    if name not in RATE_LENGTHS:
+        raise ValueError(
+            f"Got regressor {full!r}, but of {list(RATE_LENGTHS)} alone a simulation knows the non-dimensional form."
+        )
+    return name, lengths[RATE_LENGTHS[name]]
+
+
 class Motion:
     """An aircraft with its aerodynamics and propulsion: `at` returns its loads and accelerations.
 
@@ -131,9 +143,10 @@ class Motion:
         air = as_air(air)
         self.gravity = air.gravity
         self._density = air.density
-        self._lengths = self._check_lengths()
-        self._sources = [self._source(name) for name in self.aerodynamics.regressors]
-        self.regressors = tuple(name for name, _ in self._sources)
+        lengths = self._check_lengths()
+        sources = [_source(name, lengths) for name in self.aerodynamics.regressors]
+        self.regressors = tuple(name for name, _ in sources)
+        self._rate_lengths = np.array([length for _, length in sources])
         self.controls = tuple(name for name in self.regressors if name not in FROM_MOTION)
         unknown = [name for name in self.controls if name in CHANNELS and name not in CONTROLS]
         if unknown:
@@ -170,29 +183,10 @@ class Motion:
         """Names of the inputs that servos move."""
         return self.inputs - WITHOUT_SERVOS
 
-    def factor(self, k: int, airspeed: Array) -> Array | float:
-        """Return the k-th regressor over its channel: what makes a rate non-dimensional, or 1."""
-        name, length = self._sources[k]
-        return 1.0 if length is None else rate_factor(name, length, airspeed)
-
     def factors(self, airspeed: Array) -> Array:
-        """Return the regressors over their channels, (..., d)."""
-        factors = [
-            self.factor(k, airspeed) * np.ones_like(airspeed) for k in range(len(self._sources))
-        ]
-        return np.stack(factors, axis=-1)
-
-    def _source(self, full: str) -> tuple[str, float | None]:
-        """Return the channel that a regressor is made from, and the length that makes it non-dimensional."""
-        name = full.removesuffix(TRUTH_SUFFIX)
-        if not name.endswith(HAT):
-            return name, None
-        name = name.removesuffix(HAT)
-        if name not in LENGTHS:
-            raise ValueError(
-                f"Got regressor {full!r}, but only rates have a non-dimensional form: {list(LENGTHS)}."
-            )
-        return name, self._lengths[LENGTHS[name]]
+        """Return the regressors over their channels, (..., d): what makes a rate non-dimensional, or 1."""
+        L = self._rate_lengths
+        return np.where(np.isnan(L), 1.0, L / (2.0 * airspeed[..., None]))
 
     def mixed(self, controls: Mapping) -> dict:
         """Return all controls of the model, made from surfaces where these are given; ValueError if one is missing."""
@@ -243,14 +237,15 @@ class Motion:
         def loaded() -> Instant:
             return self._loaded(state, X, model(X) + drift, flow, other_loads)
 
+        if not self._implicit_places:
+            return loaded()
+        factors = self.factors(flow.airspeed)[..., self._implicit_places]
+
         def loaded_by(guess: Array) -> Instant:
-            for k, place in zip(self._implicit_places, self._load_places, strict=True):
-                X[..., k] = guess[..., place] * self.factor(k, flow.airspeed)
+            X[..., self._implicit_places] = guess[..., self._load_places] * factors
             now = loaded()
             return now._replace(implicit=self._from_loads(state, now, flow, air))
 
-        if not self._implicit_places:
-            return loaded()
         if guess is None:
             guess = np.zeros((*state.shape[:-1], len(FROM_LOADS)))
         return loaded_by(guess) if self.lagged else self._fixed_point(loaded_by, guess)
@@ -299,10 +294,8 @@ class Motion:
             values |= by_name(EULER, quaternion_to_euler(state[..., ATTITUDE]))
         X = np.empty((*state.shape[:-1], len(self.regressors)))
         for k, name in enumerate(self.regressors):
-            if name in FROM_LOADS:
-                continue
-            X[..., k] = values[name] * self.factor(k, flow.airspeed)
-        return X
+            X[..., k] = values.get(name, 0.0)
+        return X * self.factors(flow.airspeed)
 
     def evaluated(self, X: Array) -> Array:
         """Return the model's coefficients (..., 6) at regressors (..., d), NaN where a state has diverged."""

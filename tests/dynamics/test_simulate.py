@@ -176,7 +176,7 @@ class TestRegressors:
 
     @pytest.mark.parametrize(("names", "match"), [
         (["alpha", "elevator_trim", "temperature"], "controls lack 'elevator_trim'.*'temperature'"),
-        (["alpha_hat"], "only rates have a non-dimensional form"),
+        (["alpha_hat"], "alone a simulation knows the non-dimensional form"),
         (["alpha", "v_north", "az"], r"regressors \['v_north', 'az'\], which are neither controls nor"),
     ])  # fmt: skip
     def test_one_that_cannot_be_rebuilt_is_named(self, names, match, fly):

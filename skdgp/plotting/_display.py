@@ -45,6 +45,7 @@ class Display(ABC):
     figure_: Any
     size: tuple[float, float] = (4.6, 1.5)  # of a panel [in]
     by_column = False  # whether panels follow each other column by column
+    sharey: Any = False  # whether panels have one vertical scale
 
     @property
     @abstractmethod
@@ -82,7 +83,7 @@ class Display(ABC):
 
             ax = plt.figure(figsize=self.figsize, layout="constrained")
         self.figure_ = ax
-        self.axes_ = ax.subplots(self.n_rows, self.n_columns, squeeze=False)
+        self.axes_ = ax.subplots(self.n_rows, self.n_columns, squeeze=False, sharey=self.sharey)
         cells = list(self.axes_.T.flat if self.by_column else self.axes_.flat)
         for cell, key in zip(cells, keys, strict=False):
             tidy(cell)

@@ -63,6 +63,7 @@ class EffectsDisplay(Display):
     std: Array
 
     size = (2.9, 1.75)
+    sharey = "row"
 
     @property
     def keys(self) -> list[tuple[str, str]]:
@@ -84,9 +85,7 @@ class EffectsDisplay(Display):
         """Draw the slice of an output along a regressor."""
         output, name = key
         k = self.outputs.index(output)
-        names = list(self.values)
-        slices = [names.index(other) for other in self._largest(output)]
-        i = names.index(name)
+        i = list(self.values).index(name)
         factor, _ = display_unit(name)
         ax.axvline(factor * self.at[name], color=ROLES["measured"], linewidth=0.6)
         at = factor * self.values[name].to_numpy()
@@ -99,11 +98,6 @@ class EffectsDisplay(Display):
             quantiles, np.full(len(quantiles), 0.03), "|", label="samples", color=ROLES["measured"],
             markersize=4, markeredgewidth=0.5, transform=ax.get_xaxis_transform(),
         )  # fmt: skip
-        # one scale for the row, which the narrowest bands fit
-        mean = self.mean[slices, :, k]
-        room = 0.04 * np.ptp(mean) + BAND * self.std[slices, :, k].min(axis=1).max()
-        if room > 0:
-            ax.set_ylim(mean.min() - room, mean.max() + room)
         ax.locator_params(axis="both", nbins=4)
         # short labels fit narrow panels
         ax.xaxis.set_major_formatter("{x:g}")

@@ -117,13 +117,9 @@ class TimeHistoryDisplay(Display):
         check_consistent_length(time, measured, mean, std, truth)
 
         def columns(values: ArrayLike | None) -> Any:
-            if values is None:
-                return None
-            return np.asarray(values, dtype=float).reshape(
-                np.size(time), np.size(mean) // np.size(time)
-            )
+            return None if values is None else np.asarray(values, float).reshape(len(center), -1)
 
-        center = columns(mean)
+        center = np.reshape(np.asarray(mean, dtype=float), (np.size(time), -1))
         half = None if std is None else BAND * columns(std)
         n_outputs = center.shape[1]
         unnamed = COEFFICIENTS if n_outputs == 6 else [f"y{k}" for k in range(n_outputs)]

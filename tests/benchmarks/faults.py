@@ -1,6 +1,6 @@
 """Faults put into simulated flights: how many are found, and how often is a sound channel accused?
 
-    python tests/benchmarks/faults.py [--first K] [--every N] [--out OUT]
+    python tests/benchmarks/faults.py --out OUT
 
 Sixty flights of the aircraft of small_uav.py in its airs, with ideal, real, held and vibrating
 sensors in turn, and with vanes. Each sound way to record them (a recorder that smooths, sensors
@@ -163,11 +163,10 @@ def score(table, wrong):
     return {"found": is_found, "accused": accused}
 
 
-def flights(numbers):
-    """Yield key, table and span of the flights of these numbers."""
-    cases = [*itertools.product((91, 92), AIRCRAFT, AIRS)]
-    for k in numbers:
-        seed, name, air = cases[k]
+def flights():
+    """Yield key, table and span of the flights."""
+    cases = itertools.product((91, 92), AIRCRAFT, AIRS)
+    for k, (seed, name, air) in enumerate(itertools.islice(cases, N_FLIGHTS)):
         rng = default_rng([*map(ord, name + air), seed])
         plane = AIRCRAFT[name]
         kind = list(SENSORS)[k % len(SENSORS)]
@@ -180,13 +179,10 @@ def flights(numbers):
 
 
 def main(words=None):
-    parser = parser_of(__doc__)
-    parser.add_argument("--first", type=int, default=0, help="flight to begin with")
-    parser.add_argument("--every", type=int, default=1, help="flights to go on by")
-    options = parser.parse_args(words)
+    options = parser_of(__doc__).parse_args(words)
     warnings.simplefilter("ignore")
     kept = Kept(options, "faults")
-    for key, table, span in flights(range(options.first, N_FLIGHTS, options.every)):
+    for key, table, span in flights():
         recorded = ways(table, span)
         for way, sound in recorded.items():
             kept.run(key | {"case": way, "kind": "sound"}, score, sound, [])

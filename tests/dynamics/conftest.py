@@ -1,12 +1,15 @@
 """An aircraft with a full inertia tensor, and a smooth flight of it in wind with known coefficients."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import COEFFICIENTS
+from made_flights import LINEAR_GLIDER
 from scipy.integrate import solve_ivp
 
-from skdgp.dynamics import Air, Aircraft, ThrustLine, simulate
+from skdgp.dynamics import Air, ThrustLine, simulate
 
 GRAVITY = 9.79
 SENSED = (
@@ -19,13 +22,9 @@ START |= {"p": 0.2, "q": 0.05, "r": -0.1, "north": 5.0, "east": -7.0, "altitude"
 
 @pytest.fixture(scope="session")
 def aircraft():
-    return Aircraft(
-        name="test",
-        mass=11.0,
+    return replace(
+        LINEAR_GLIDER.aircraft,
         inertia=[[1.1, -0.12, 0.21], [-0.12, 2.3, 0.09], [0.21, 0.09, 2.9]],
-        wing_area=1.3,
-        span=2.6,
-        chord=0.55,
         thrust_line=ThrustLine(position=(-0.4, 0.05, -0.15), direction=(0.98, 0.03, -0.08)),
     )
 

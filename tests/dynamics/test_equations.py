@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import WIND
-from made_flights import LINEAR_GLIDER
+from made_flights import LINEAR_GLIDER, TURBULENCE
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid
@@ -91,19 +91,18 @@ def test_with_alpha_dot_the_rest_of_it_is_uncertain():
     assert_allclose(errors[5, 9, 1], RELATIVE_STD[1] * SLOPES[5, 4])
 
 
-TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
-
-
 def test_winds_of_seconds_tell_the_rates_of_gusts():
     """Of ten winds of ten seconds, and of one."""
     n, step, speed, span = 201, 0.05, 25.0, 2.0
-    scales = np.tile(TRUE.length, (10, 1)), np.tile(TRUE.intensity, (10, 1))
+    scales = np.tile(TURBULENCE.length, (10, 1)), np.tile(TURBULENCE.intensity, (10, 1))
     gusts = dryden_gusts(n, step, speed, *scales, span, default_rng(3)).velocity
     winds = []
     for gust in gusts.swapaxes(0, 1):
         wind = pd.DataFrame(gust, columns=WIND)
         winds.append(wind.assign(time=step * np.arange(n), airspeed=speed))
-    density = np.square(TRUE.intensity) / TRUE.length  # of the spectra above their corner
+    density = (
+        np.square(TURBULENCE.intensity) / TURBULENCE.length
+    )  # of the spectra above their corner
     for some, tolerance in ((winds, 0.3), (winds[:1], 0.7)):
         found = turbulence_of_winds(some, span)
         assert_allclose(np.square(found.intensity) / found.length, density, rtol=tolerance)
@@ -123,7 +122,7 @@ def test_a_drift_is_what_gusts_of_training_do_not_explain():
     drift = Drift(np.full(6, 1e-6), np.full(6, 0.4))
     for factor, fraction in ((0.0, 1.0), (1.0, 0.0)):
         left = drift_in_still_air(
-            learned_in(TRUE._replace(intensity=factor * TRUE.intensity), drift)
+            learned_in(TURBULENCE._replace(intensity=factor * TURBULENCE.intensity), drift)
         )
         assert_allclose(left.variance, fraction * drift.variance, atol=3e-8)
     assert drift_in_still_air(Aerodynamics(np.sin, ["alpha"], drift=drift)) is drift

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import WIND
-from made_flights import GLIDER
+from made_flights import GLIDER, TURBULENCE
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
@@ -24,7 +24,6 @@ from skdgp.dynamics import (
 from skdgp.identification import make_identification_pipeline
 
 SPAN, SPEED, STEP = GLIDER.span, 25.0, 0.05
-TRUE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
 
 
 def times(turbulence, factor):
@@ -52,13 +51,13 @@ def gusts_of(turbulence, n, rng, n_flights=1, **options):
     return dryden_gusts(n, STEP, SPEED, *scales, SPAN, rng, **options)
 
 
-WEAK = Turbulence(np.full(3, 0.2), TRUE.length)
+WEAK = Turbulence(np.full(3, 0.2), TURBULENCE.length)
 
 
 class TestFromFlight:
     @pytest.mark.parametrize(
         ("turbulence", "n_flights", "noise", "heading"),
-        [(TRUE, 4, 0.2, 0.0), (TRUE, 4, 0.1, 2.0), (WEAK, 1, 0.5, 0.0)],
+        [(TURBULENCE, 4, 0.2, 0.0), (TURBULENCE, 4, 0.1, 2.0), (WEAK, 1, 0.5, 0.0)],
     )
     def test_finds_intensity_and_length(self, turbulence, n_flights, noise, heading):
         """Those of u and v are one, in any direction; weak gusts in noise are no noise."""
@@ -69,7 +68,9 @@ class TestFromFlight:
         assert_allclose(found.length, turbulence.length, rtol=0.25)
 
     def test_calm_air_is_calm(self):
-        found = Turbulence.from_flight(flights(times(TRUE, 1e-6), 1, 300.0, 0.2, seed=2), SPAN)
+        found = Turbulence.from_flight(
+            flights(times(TURBULENCE, 1e-6), 1, 300.0, 0.2, seed=2), SPAN
+        )
         assert (found.intensity < 0.25 * 0.2).all()
 
 
@@ -78,7 +79,7 @@ class TestPipeline:
 
     @pytest.fixture
     def table(self):
-        return flights(TRUE, 2, 35.0, 0.2, seed=1).assign(p=0.1, q=0.1, r=0.1)
+        return flights(TURBULENCE, 2, 35.0, 0.2, seed=1).assign(p=0.1, q=0.1, r=0.1)
 
     @pytest.fixture
     def pipeline(self):
@@ -122,53 +123,53 @@ def flown(model, **options):
 class TestSimulate:
     def test_gusts_last_as_long_as_those_of_the_turbulence(self):
         """Correlations over a second by Dryden's spectra; the span, 0.2 s long, adds little."""
-        paths = flown(learned(), air=Air(gusts=TRUE), n_paths=400)
-        T = TRUE.length / START["airspeed"]
+        paths = flown(learned(), air=Air(gusts=TURBULENCE), n_paths=400)
+        T = TURBULENCE.length / START["airspeed"]
         expected = np.exp(-1 / T) * [1.0, 1 - 0.5 / T[1], 1 - 0.5 / T[2]]
         first, last = (paths[np.isclose(paths["time"], time)][WIND] for time in (0.0, 1.0))
         found = [np.corrcoef(first[name], last[name])[0, 1] for name in WIND]
         assert_allclose(found, expected, atol=0.08)
-        assert_allclose(last.std(), TRUE.intensity, rtol=0.15)
+        assert_allclose(last.std(), TURBULENCE.intensity, rtol=0.15)
 
     def test_a_wind_has_gusts_of_its_own(self):
         """By itself a table decides the intensity, whatever the model was learned in."""
-        known = learned(turbulence=times(TRUE, 9.0))
-        wind = pd.DataFrame(gusts_of(TRUE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
+        known = learned(turbulence=times(TURBULENCE, 9.0))
+        wind = pd.DataFrame(gusts_of(TURBULENCE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
         wind["time"] = STEP * SPEED / START["airspeed"] * np.arange(400)
         by_table = flown(known, air=wind)
-        asked = flown(known, air=Air(wind, TRUE))
+        asked = flown(known, air=Air(wind, TURBULENCE))
         assert_allclose(by_table["p"].std(), asked["p"].std(), rtol=0.4)
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
     def test_a_wind_may_have_missing_values(self):
-        wind = pd.DataFrame(gusts_of(TRUE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
+        wind = pd.DataFrame(gusts_of(TURBULENCE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
         wind["time"] = STEP * np.arange(400)
         whole = flown(learned(), air=wind)
         wind.loc[100, "wind_east"] = np.nan
         assert_allclose(flown(learned(), air=wind)["p"].std(), whole["p"].std(), rtol=0.05)
 
     def test_what_is_not_said_is_as_in_the_training_flights(self):
-        known = learned(turbulence=TRUE)
+        known = learned(turbulence=TURBULENCE)
         for wind in (None, [0.0, 0.0, 0.0], WIND_OF_A_SECOND):
-            paths, drawn = flown(known, air=wind), flown(known, air=Air(wind, TRUE))
+            paths, drawn = flown(known, air=wind), flown(known, air=Air(wind, TURBULENCE))
             assert_allclose(paths["p"], drawn["p"], atol=1e-12)
 
     def test_paths_without_gusts_as_these_are_unknown_are_said(self):
-        calm = flown(learned(turbulence=TRUE), air=Air(gusts=None))
+        calm = flown(learned(turbulence=TURBULENCE), air=Air(gusts=None))
         with pytest.warns(SimulationWarning, match="does not know the turbulence"):
             unknown = flown(learned())
         assert_allclose(calm["p"], unknown["p"], atol=1e-12)
 
     def test_the_mean_meets_the_gusts_of_a_turbulence(self):
-        options = {"air": Air(gusts=TRUE), "duration": 20.0}
+        options = {"air": Air(gusts=TURBULENCE), "duration": 20.0}
         one = flown(learned(), **options, n_paths=1)
         for start in (START, pd.DataFrame([START, START])):
             mean = flown(learned(), **options, x0=start, n_paths=None)
             if isinstance(start, dict):
                 assert_allclose(mean[[*WIND, "p"]], one[[*WIND, "p"]], atol=1e-9)
             east = mean.groupby("flight", observed=True)["wind_east"]
-            assert (east.std() > 0.3 * TRUE.intensity[1]).all()
+            assert (east.std() > 0.3 * TURBULENCE.intensity[1]).all()
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -178,8 +179,8 @@ class TestSimulate:
             ({"density": "thin"}, "Got density='thin', but expected a number >= 0"),
             ({"gravity": "x"}, "Got gravity='x', but expected a finite number"),
             ({"drift": 3}, "Got drift=3, but expected True or False"),
-            ({"gusts": times(TRUE, -1.0)}, "three intensities >= 0"),
-            ({"gusts": TRUE._replace(length=np.zeros(3))}, "lengths > 0"),
+            ({"gusts": times(TURBULENCE, -1.0)}, "three intensities >= 0"),
+            ({"gusts": TURBULENCE._replace(length=np.zeros(3))}, "lengths > 0"),
             ({"gusts": Turbulence(1.0, 100.0)}, "three intensities"),
         ],
     )
@@ -189,7 +190,7 @@ class TestSimulate:
 
     def test_what_cannot_be_flown_is_said(self):
         with pytest.raises(ValueError, match=r"as the air, but expected Air\(gusts=...\)"):
-            flown(learned(), air=TRUE)
+            flown(learned(), air=TURBULENCE)
 
 
 @pytest.mark.parametrize(("change", "span", "match"), [
@@ -201,7 +202,7 @@ class TestSimulate:
 ])  # fmt: skip
 def test_flights_that_show_no_turbulence_are_refused(change, span, match):
     with pytest.raises(ValueError, match=match):
-        Turbulence.from_flight(change(flights(TRUE, 1, 200.0, 0.2, seed=3)), span)
+        Turbulence.from_flight(change(flights(TURBULENCE, 1, 200.0, 0.2, seed=3)), span)
 
 
 @pytest.mark.parametrize(("height", "wind", "match"), [

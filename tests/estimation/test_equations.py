@@ -5,13 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
-from made_flights import flight_of_motion
+from made_flights import LINEAR_GLIDER, flight_of_motion
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from skdgp.dynamics import Aircraft, air_data, euler_to_matrix
+from skdgp.dynamics import air_data, euler_to_matrix
 from skdgp.estimation import FlightPath, flights_of
 from skdgp.estimation._air_covariance import (
     add_attenuation,
@@ -50,14 +50,6 @@ from skdgp.estimation._least_squares import Equations, GaussianPrior, solve
 from skdgp.estimation._path_equations import PLACE, path_equations
 from skdgp.estimation._servos import servo_output
 
-AIRCRAFT = Aircraft(
-    mass=1.9,
-    inertia=[[0.09, 0.002, -0.015], [0.002, 0.11, 0.001], [-0.015, 0.001, 0.17]],
-    wing_area=0.32,
-    span=1.27,
-    chord=0.25,
-)
-
 
 @cache
 def flight_of_sines(n=30):
@@ -94,7 +86,12 @@ def flight_of_sines(n=30):
     }
     value |= {"servo_lag": 0.03, "slipstream": 3.0, "Cm_elevator": -1.0}
     states = 0.2 * wave(N_STATES)
-    return record, Layout.of(AIRCRAFT, 0.05, list(derivatives), SURFACES), value, states
+    return (
+        record,
+        Layout.of(LINEAR_GLIDER.aircraft, 0.05, list(derivatives), SURFACES),
+        value,
+        states,
+    )
 
 
 def test_a_slipstream_has_the_dynamic_pressure_of_momentum_theory():

@@ -8,17 +8,18 @@ import joblib
 import numpy as np
 import pandas as pd
 import pytest
-from flight_columns import COEFFICIENTS
+from flight_columns import COEFFICIENTS, SURFACES
+from made_flights import LINEAR_GLIDER
 from numpy.random import default_rng
 from sklearn.utils import Bunch
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import Aircraft, as_aerodynamics
+from skdgp.dynamics import as_aerodynamics
 from skdgp.export import portable_model, save_portable
 from skdgp.identification import identify, make_identification_pipeline
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
-REGRESSORS = ["alpha", "beta", "q_hat", "elevator", "aileron", "rudder"]
+REGRESSORS = ["alpha", "beta", "q_hat", *SURFACES]
 JOINT = {"structure": "joint"}
 SPARSE = {"inference": "sparse", "n_inducing": 9}
 ALONE = ConvolvedGaussian(0)
@@ -35,18 +36,9 @@ KINDS = {
     "sparse-constant": SPARSE | JOINT | {"trend": "constant"},
     "precise": JOINT | {"max_iter": 20},  # little noise: the variance is a millionth of the prior
 }
-AIRCRAFT = Aircraft(
-    name="uav", mass=11.0, inertia=[[1.1, -0.1, 0.2], [-0.1, 2.3, 0.1], [0.2, 0.1, 2.9]],
-    wing_area=1.3, span=2.6, chord=0.5,
-)  # fmt: skip
-
-
+AIRCRAFT = LINEAR_GLIDER.aircraft
 # Of a textbook aircraft, by REGRESSORS
-LEVEL = np.array([-0.03, 0.0, -0.2, 0.0, 0.02, 0.0])
-SLOPES = np.array([
-    [0.3, 0, 0, 0, 0, 0], [0, -0.5, 0, 0, 0, 0.1], [-4.5, 0, -5, -0.4, 0, 0],
-    [0, -0.05, 0, 0, 0.15, 0], [-0.5, 0, -9, -0.9, 0, 0], [0, 0.08, 0, 0, 0, -0.08],
-])  # fmt: skip
+SLOPES = LINEAR_GLIDER.slopes[:, [0, 1, 3, 5, 6, 7]]
 
 
 def textbook_flight(n, seed, noise=1e-3):
@@ -55,7 +47,7 @@ def textbook_flight(n, seed, noise=1e-3):
     X = rng.normal(0.0, 0.1, (6, n)).T * [1.0, 1.0, 0.05, 1.0, 1.0, 1.0]
     speed = rng.uniform(20.0, 30.0, n)
     alpha, beta, q_hat, elevator, aileron, rudder = X.T
-    Y = LEVEL + X @ SLOPES.T + rng.normal(0.0, noise, (n, 6))
+    Y = LINEAR_GLIDER.level + X @ SLOPES.T + rng.normal(0.0, noise, (n, 6))
     Y[:, 0] += 4 * alpha**2
     Y[:, 2] += 0.1 * np.sin(20 * alpha)
     Y[:, 4] += alpha * elevator

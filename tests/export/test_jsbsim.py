@@ -97,7 +97,7 @@ def test_a_command_of_1_is_the_full_deflection(load, portable_of):
         load(model, {"elevator": 0.42})
     fdm = load(model, {"elevator": 0.42, "rudder": 0.3})
     assert deflections(fdm, model) == pytest.approx([0.42, 0.5, 0.3])
-    text = Path(fdm.get_root_dir(), "aircraft", "uav", "uav.xml").read_text()
+    text = Path(fdm.get_root_dir(), "aircraft", "glider", "glider.xml").read_text()
     assert "command of 1: elevator 0.42 rad, aileron 0.5 rad, rudder 0.3 rad." in text
 
     parts = [

@@ -9,10 +9,11 @@ from numpy.random import default_rng
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from skdgp.dynamics import Aerodynamics, Aircraft, air_data
+from skdgp.dynamics import Aerodynamics, Aircraft, Turbulence, air_data
 
 GRAVITY = 9.80665
 GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, span=2.0, chord=0.25)
+TURBULENCE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
 SENSED = [*FORCES, *RATES, *EULER, *AIR, *VELOCITY]
 STEP = 1e-4  # of the differences of a motion [s]
 

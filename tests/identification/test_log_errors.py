@@ -3,9 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
-from flight_columns import COEFFICIENTS, FORCES, SURFACES
+from flight_columns import COEFFICIENTS, FORCES, RATES, SURFACES
 from log_errors import placed
-from made_flights import make_flight
+from made_flights import GLIDER, make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
@@ -14,7 +14,6 @@ from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
-    Aircraft,
     Turbulence,
     aerodynamic_coefficients,
     as_aerodynamics,
@@ -34,7 +33,6 @@ from skdgp.identification._pipeline import named_regressors
 from skdgp.inference import linear_weights
 from skdgp.preprocessing import LagCorrector
 
-AIRCRAFT = Aircraft(mass=3.0, inertia=np.diag([0.3, 0.4, 0.6]), wing_area=0.6, span=2.0, chord=0.3)
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", *SURFACES]
 STEP = 0.02
 
@@ -46,12 +44,12 @@ def flown():
     table = make_flight({names: (0, 0.05, 0)}, 3000, STEP, width=12)
     table = table.assign(airspeed=20.0, density=1.2)
     X = table[names.split()].copy()
-    for rate, length in (("p", 2.0), ("q", 0.3), ("r", 2.0)):
-        X[rate] *= length / 40.0
+    X[RATES] *= GLIDER.moment_lengths / 40.0
     X.columns = REGRESSORS
     slopes = default_rng(0).normal(size=(8, 6))
-    force = (X.to_numpy() @ slopes)[:, :3] * 0.5 * 1.2 * 20.0**2 * 0.6 / 3.0
-    return table.assign(ax=force[:, 0], ay=force[:, 1], az=force[:, 2]), X, slopes
+    force = (X.to_numpy() @ slopes)[:, :3] * 0.5 * 1.2 * 20.0**2 * GLIDER.wing_area / GLIDER.mass
+    table[FORCES] = force
+    return table, X, slopes
 
 
 def least_squares_of(X, Y):
@@ -71,13 +69,13 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
     """Sensors whose nose is 0.03 rad low read less of gravity forward; a log that states the tilt adds nothing."""
     table, X, slopes = flown
     known = least_squares_of(X, X.to_numpy() @ slopes)
-    without = learned_errors(table, AIRCRAFT, X, known, None, 0.0)
-    errors = learned_errors(table.assign(sensor_tilt=0.03), AIRCRAFT, X, known, None, 0.0)
+    without = learned_errors(table, GLIDER, X, known, None, 0.0)
+    errors = learned_errors(table.assign(sensor_tilt=0.03), GLIDER, X, known, None, 0.0)
     assert len(errors.weights) == len(without.weights) + 2  # roll and pitch
     turned = Rotation.from_euler("y", 0.03).apply(table[FORCES])
     tilted = table.assign(**dict(zip(FORCES, turned.T, strict=True)))
     forces = [
-        aerodynamic_coefficients(t, AIRCRAFT, thrust=None)[["CX", "CY", "CZ"]]
+        aerodynamic_coefficients(t, GLIDER, thrust=None)[["CX", "CY", "CZ"]]
         for t in (tilted, table)
     ]
     change = LinearRegression().fit(X, forces[0] - forces[1]).coef_
@@ -91,7 +89,7 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
 def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k):
     table, X, slopes = flown
     Y = X.to_numpy() @ slopes
-    errors = learned_errors(table, AIRCRAFT, X, least_squares_of(X, Y), None, 0.0)
+    errors = learned_errors(table, GLIDER, X, least_squares_of(X, Y), None, 0.0)
     late = 1e-4  # s
     later = X.copy()
     for name in channels:
@@ -103,7 +101,7 @@ def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k)
     elevons = {"elevator": "elevon_left", "aileron": "elevon_right"}
     renamed = learned_errors(
         table,
-        AIRCRAFT,
+        GLIDER,
         X.rename(columns=elevons),
         least_squares_of(X, Y).rename(elevons),
         None,
@@ -114,10 +112,10 @@ def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k)
 
 def test_sensors_elsewhere_change_slopes_by_what_is_added(flown):
     table, X, _ = flown
-    Y = aerodynamic_coefficients(table, AIRCRAFT, thrust=None, cutoff=None)
-    errors = learned_errors(table, AIRCRAFT, X, least_squares_of(X, Y), None, 0.0)
+    Y = aerodynamic_coefficients(table, GLIDER, thrust=None, cutoff=None)
+    errors = learned_errors(table, GLIDER, X, least_squares_of(X, Y), None, 0.0)
     above = placed(table, (0.0, 0.0, 0.03))
-    there = aerodynamic_coefficients(above, AIRCRAFT, thrust=None, cutoff=None)
+    there = aerodynamic_coefficients(above, GLIDER, thrust=None, cutoff=None)
     change = LinearRegression().fit(X, there - Y).coef_
     got = slopes_of(errors, 2)
     assert_allclose(got, change, atol=0.02 * np.abs(change).max())
@@ -152,7 +150,7 @@ def test_an_airspeed_that_is_too_large_scales_coefficients_and_slopes(flown):
     later = X / np.where(rates, 1 + error, 1.0)
     Y = (level + X.to_numpy() @ slopes) / (1 + error) ** 2
     change = least_squares_of(later, Y)
-    errors = learned_errors(table, AIRCRAFT, X, fitted, None, error)
+    errors = learned_errors(table, GLIDER, X, fitted, None, error)
     for j, name in enumerate(COEFFICIENTS):
         expected = np.array([change[name][x] - fitted[name][x] for x in REGRESSORS])
         assert_allclose(errors.weights[-1, 1:, j], expected, rtol=1e-3)
@@ -165,7 +163,7 @@ def test_a_model_has_them_in_its_band(flown):
     table, X, slopes = flown
     Y = pd.DataFrame(X.to_numpy() @ slopes + 0.01, columns=COEFFICIENTS)
     model = make_identification_pipeline(
-        AIRCRAFT,
+        GLIDER,
         regressors=REGRESSORS,
         cutoff=None,
         lags=None,
@@ -174,7 +172,7 @@ def test_a_model_has_them_in_its_band(flown):
     )
     model.set_params(flightcheck="passthrough", flightsmoother="passthrough").fit(table, Y)
     named = named_regressors(model, model[:-1].transform(table))
-    expected = learned_errors(table, AIRCRAFT, named, model.least_squares_, None, 0.0)
+    expected = learned_errors(table, GLIDER, named, model.least_squares_, None, 0.0)
     found = as_aerodynamics(model).learned.function_errors
     at = named.to_numpy()[:9]
     assert (found.variance(at) >= expected.variance(at) * (1 - 1e-6)).all()
@@ -204,16 +202,16 @@ def test_an_aircraft_follows_the_rolling_air_by_its_damping():
     airspeed, density = 20.0, 1.2
     slopes = np.diag([-0.4, 0.0, 0.1])
     linear = pd.DataFrame(slopes, ["p_hat", "q_hat", "r_hat"], COEFFICIENTS[3:])
-    load = 0.5 * density * airspeed**2 * AIRCRAFT.wing_area
-    d = 0.4 * load * AIRCRAFT.span**2 / (2 * airspeed * AIRCRAFT.inertia[0, 0])
+    load = 0.5 * density * airspeed**2 * GLIDER.wing_area
+    d = 0.4 * load * GLIDER.span**2 / (2 * airspeed * GLIDER.inertia[0, 0])
     step = 0.002
-    kept = np.exp(-step * np.pi * airspeed / (4 * AIRCRAFT.span))
+    kept = np.exp(-step * np.pi * airspeed / (4 * GLIDER.span))
     gust = lfilter([1.0], [1.0, -kept], default_rng(0).standard_normal(1_000_000))
     left = np.exp(-d * step)
     rate = lfilter([1.0 - left], [1.0, -left], gust)
     simulated = np.cov(rate, gust)[0, 1] / np.var(gust)
-    gust_time = 4 * AIRCRAFT.span / (np.pi * airspeed)
-    followed = rates_followed(linear, AIRCRAFT, airspeed, density, gust_time)
+    gust_time = 4 * GLIDER.span / (np.pi * airspeed)
+    followed = rates_followed(linear, GLIDER, airspeed, density, gust_time)
     assert_allclose(followed, [simulated, 1.0, 1.0], rtol=0.03)
 
 
@@ -222,9 +220,9 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
     airspeed, rng = 20.0, default_rng(0)
     turbulence = Turbulence(np.ones(3), np.full(3, 200.0), airspeed)
     gusts = dryden_gusts(
-        50_000, STEP, airspeed, turbulence.length[None], np.ones((1, 3)), AIRCRAFT.span, rng
+        50_000, STEP, airspeed, turbulence.length[None], np.ones((1, 3)), GLIDER.span, rng
     )
-    lags = np.array([1.0, 3.0, 4.0]) * AIRCRAFT.span / (np.pi * airspeed)
+    lags = np.array([1.0, 3.0, 4.0]) * GLIDER.span / (np.pi * airspeed)
     wind = (gusts.velocity + lags * gusts.acceleration)[:, 0]  # at a point, not over the span
     X = rng.normal(scale=[0.01, 0.01, 0.1, 0.1, 0.1], size=(len(wind), 5))
     X[:, :2] += wind[:, [2, 1]] / airspeed
@@ -234,18 +232,18 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
     for angle in np.radians([0, 45, 90, 135]):
         turned = Rotation.from_euler("z", angle).apply(gusts.rates[:, 0])
         felt = X.copy()
-        felt[:, 2:] -= turned * AIRCRAFT.moment_lengths / (2 * airspeed)
+        felt[:, 2:] -= turned * GLIDER.moment_lengths / (2 * airspeed)
         found = LinearRegression().fit(X, felt @ slopes).coef_
         squares.append((found - slopes.T)[:, :2] ** 2)
     regressors = pd.DataFrame(X, columns=REGRESSORS[:5])
     linear = least_squares_of(regressors, felt @ slopes)
-    errors = errors_by_air(regressors, linear, turbulence, AIRCRAFT, density=0.0)
+    errors = errors_by_air(regressors, linear, turbulence, GLIDER, density=0.0)
     stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
     assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)
     names = {"p_hat": "p", "q_hat": "q", "r_hat": "r"}
-    per_unit = np.append([1.0, 1.0], 2 * airspeed / AIRCRAFT.moment_lengths)
+    per_unit = np.append([1.0, 1.0], 2 * airspeed / GLIDER.moment_lengths)
     in_units = least_squares_of(regressors * per_unit, felt @ slopes).rename(names)
     measured = (regressors * per_unit).rename(columns=names)
-    of_rates = errors_by_air(measured, in_units, turbulence, AIRCRAFT, density=1.2)
-    of_hats = errors_by_air(regressors, linear, turbulence, AIRCRAFT, density=1.2)
+    of_rates = errors_by_air(measured, in_units, turbulence, GLIDER, density=1.2)
+    of_hats = errors_by_air(regressors, linear, turbulence, GLIDER, density=1.2)
     assert_allclose(of_rates.slopes() * per_unit[:, None], of_hats.slopes(), atol=1e-9)

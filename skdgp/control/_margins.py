@@ -495,21 +495,19 @@ def _margins_of(transfer: Matrix, w: Vector) -> dict[str, Vector]:
     Of several crossings the smallest phase margin counts, and the smallest rise of the gain. Without a
     crossing the margin is infinite, and the frequency unknown.
     """
-    size = 20 * np.log10(np.abs(transfer))
-    # angles from -180 deg: positive is a margin
-    angle = np.rad2deg(np.unwrap(np.angle(-transfer), axis=-1))
     places = np.arange(len(w))
     rows = []
-    for of_size, of_angle in zip(size, angle, strict=True):
-        crossings = _zeros(of_size)
-        phases = np.interp(crossings, places, of_angle)
-        phases -= 360.0 * np.round(phases / 360.0)
+    for L in transfer:
+        size = 20 * np.log10(np.abs(L))
+        crossings = _zeros(size)
+        # angles from -180 deg: positive is a margin
+        phases = np.rad2deg(np.angle(-np.interp(crossings, places, L)))
         smallest = np.argmin(np.abs([*phases, np.inf]))
         phase, crossover = [*phases, np.inf][smallest], [*crossings, np.nan][smallest]
-        # where the angle rises, a larger gain makes a mode stable
-        turns = 360.0 * np.arange(np.floor(of_angle.min() / 360.0), of_angle.max() / 360.0 + 1.0)
-        crossings = np.concatenate([_zeros(of_angle - turn, falling=True) for turn in turns])
-        gains = -np.interp(crossings, places, of_size)
+        # at -180 deg the angle falls; where it rises, a larger gain makes a mode stable
+        falling = _zeros(-L.imag, falling=True)
+        at_180 = falling[np.interp(falling, places, L.real) < 0]
+        gains = -np.interp(at_180, places, size)
         rows.append([gains[gains > 0].min(initial=np.inf), phase, crossover])
     gain, phase, crossings = np.transpose(rows)
     return {

@@ -57,7 +57,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.export import FORMATS, export_model
+from skdgp.export import FORMATS, export_model, portable_model
 from skdgp.identification import (
     FlightMechanics,
     check_identified,
@@ -329,10 +329,11 @@ def export(run: Run) -> None:
     model = read_model(options)
     warn_unfit(model, "simulate", "Use the export to predict coefficients, not in a simulator.")
     full = dict(options.full)
+    portable = portable_model(**model)
     writers: dict[str, Writer] = {}
     sizes = {}
     with tempfile.TemporaryDirectory() as temporary:
-        for file in map(Path, export_model(temporary, model, options.to, full=full)):
+        for file in map(Path, export_model(temporary, portable, options.to, full=full)):
             name = str(file.relative_to(temporary))
             writers[name] = partial(shutil.copyfile, file)
             sizes[name] = file.stat().st_size

@@ -11,7 +11,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from sklearn.utils import Bunch
 
 from skdgp._compute.files import write_atomically
 from skdgp._flight.tables import check_choice
@@ -19,7 +18,6 @@ from skdgp.export._c import write_c
 from skdgp.export._casadi import write_casadi
 from skdgp.export._jsbsim import write_jsbsim
 from skdgp.export._model import PortableModel
-from skdgp.export._pipeline import portable_model
 
 # Compilers and simulators take no larger source in reasonable time [bytes]
 LARGEST = 2**26
@@ -71,7 +69,7 @@ FORMATS: dict[str, Callable[[Path, PortableModel], list[Path]]] = {
 
 def export_model(
     folder: str | os.PathLike[str],
-    model: Bunch | PortableModel,
+    model: PortableModel,
     to: str,
     *,
     full: Mapping[str, float] | None = None,
@@ -84,8 +82,7 @@ def export_model(
     Parameters
     ----------
     folder : path-like
-    model : Bunch or PortableModel
-        What :func:`skdgp.identification.load_model` or :func:`portable_model` returns.
+    model : PortableModel
     to : str
         Name of the format.
     full : mapping of str to float, optional
@@ -103,11 +100,9 @@ def export_model(
                 f"Got full deflections for the format {to}, but only jsbsim has commands: leave them out."
             )
         write = partial(write_jsbsim, full=full)
-    portable = portable_model(**model) if isinstance(model, Bunch) else model
-    if to != "portable" and portable.nbytes > LARGEST:
+    if to != "portable" and model.nbytes > LARGEST:
         raise ValueError(
-            f"Got a model of {portable.nbytes / 1e6:.0f} MB, but expected at most {LARGEST / 1e6:.0f} MB for the "
-            f"format {to}: learn with sparse inference of fewer inducing inputs, inference='sparse' and n_inducing "
-            "(in Python inference='sparse', n_inducing=50)."
+            f"Got a model of {model.nbytes / 1e6:.0f} MB, but expected at most {LARGEST / 1e6:.0f} MB for the "
+            f"format {to}: learn with sparse inference of fewer inducing inputs, inference='sparse', n_inducing=50."
         )
-    return write(Path(folder), portable)
+    return write(Path(folder), model)

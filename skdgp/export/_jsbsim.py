@@ -102,7 +102,7 @@ def write_jsbsim(
     full = _full_deflections(model, full or {})
     name = re.sub(r"[^\w-]", "_", model.aircraft.name, flags=re.ASCII) or "aircraft"
     path = Path(folder, "aircraft", name, f"{name}.xml")
-    root = _skeleton(name, model, full)
+    root = _skeleton(name, model.aircraft)
     _add_thrust(root, model.aircraft, full)
     _add_controls(root, model, full)
     _add_aerodynamics(root, model)
@@ -133,11 +133,6 @@ def _units(model: PortableModel) -> dict[str, str]:
     return {r.name: r.unit for r in model.regressors if r.name in SURFACES}
 
 
-def _listed(deflections: Mapping[str, float], units: Mapping[str, str]) -> str:
-    """Return deflections with their units, in words."""
-    return ", ".join(f"{name} {value:.4g} {units[name]}" for name, value in deflections.items())
-
-
 def _filled(template: str, values: Mapping[str, Any]) -> Element:
     """Return the element of a template."""
     text = (TEMPLATES / template).read_text(encoding="utf-8")
@@ -151,12 +146,11 @@ def _part(element: Element, path: str) -> Element:
     return node
 
 
-def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Element:
+def _skeleton(file: str, aircraft: Aircraft) -> Element:
     """Return the file of an aircraft without its functions and controls.
 
     JSBSim reads Ixy and Iyz in structural axes (x aft, z up), Ixz as the tensor's entry.
     """
-    aircraft = model.aircraft
     inertia = inertia_entries(aircraft)
     line = aircraft.engine_line
     x, y, z = map(float, line.position)
@@ -165,7 +159,6 @@ def _skeleton(file: str, model: PortableModel, full: Mapping[str, float]) -> Ele
     values |= {
         "file": file,
         "name": escape(aircraft.name),
-        "full": _listed(full, _units(model) | {"thrust": "N"}) or "none",
         "ixy": -inertia["ixy"],
         "iyz": -inertia["iyz"],
         "thrust_x": -x,

@@ -48,11 +48,8 @@ AIR_ANGLES = slice(1, 3)  # Places of alpha and beta in `OUTPUTS`
 EULER_ANGLES = slice(6, 9)  # Places of phi, theta, psi in `LINEAR_STATES`
 
 
-# Steps of the differences of the mechanics: of positions [m]; of angles and rates [rad], [rad/s]; of velocities
-# over the airspeed, of controls over 1 + their size, of coefficients
-POSITION_STEP = 1.0
-ANGLE_STEP = 1e-3
-RELATIVE_STEP = 1e-3
+# Step of the differences of the mechanics over 1 + the size of a quantity, in SI units
+STEP = 1e-3
 # States that neither loads nor outputs of interest depend on: their modes are at zero
 UNUSED = ("north", "east", "down", "psi")
 
@@ -286,7 +283,7 @@ def jacobian(
 
     u = np.broadcast_to([controls[name] for name in inputs], (*state.shape[:-1], len(inputs)))
     z = np.concatenate([_with_euler_angles(state), u, np.zeros((*state.shape[:-1], 6))], axis=-1)
-    by_all = central_difference(moved, z, _steps(z, now.airspeed))
+    by_all = central_difference(moved, z, STEP * (1.0 + np.abs(z)))
     by_z, by_delta = np.split(by_all, [n], axis=-1)
     x_dot_z, y_z, X_z = np.split(by_z, [n_states, n_states + len(OUTPUTS)], axis=-2)
     if unsteady is not None:
@@ -316,16 +313,6 @@ def _x_dot(x: Array, now: Instant) -> Array:
     return np.concatenate([derivative[..., :6], angles_dot, derivative[..., RATES]], axis=-1)
 
 
-def _steps(zC: Array, airspeed: Array) -> Array:
-    """Return the steps of the differences by (x, u, C) (..., 12 + k + 6)."""
-    steps = np.full(zC.shape, RELATIVE_STEP)
-    steps[..., :3] = POSITION_STEP
-    steps[..., 3:6] *= airspeed[..., None]
-    steps[..., 6:12] = ANGLE_STEP
-    steps[..., 12:-6] *= 1.0 + np.abs(zC[..., 12:-6])
-    return steps
-
-
 def _with_servos(
     x_dot_z: Array, y_z: Array, lagging: Sequence[bool], lag: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -335,19 +322,19 @@ def _with_servos(
     :math:`(x, \delta)`, with :math:`T \dot\delta = E u - \delta`. The aircraft gets the controls
     :math:`E^T \delta + (I - E^T E) u`. Outputs are the states, and then the outputs of the aircraft.
     """
-    E = np.eye(len(lagging))[lagging]
-    n_states = len(LINEAR_STATES) + len(E)
-    # Rows of these matrices are linear in (x, delta, u).
-    states = np.eye(n_states, n_states + len(lagging))
-    controls = np.hstack([E.T, np.eye(len(lagging)) - E.T @ E])
-    x_and_controls = block_diag(np.eye(len(LINEAR_STATES)), controls)
-    commands = np.hstack([np.zeros((len(E), n_states)), E])
-    delta_dot = (commands - states[len(LINEAR_STATES) :]) / lag[..., None, None]
+    n, k = len(LINEAR_STATES), len(lagging)
+    E = np.eye(k)[lagging]
+    m = len(E)
+    # rows of these matrices are linear in (x, delta, u)
+    states = np.eye(n + m, n + m + k)
+    controls = np.hstack([E.T, np.eye(k) - E.T @ E])
+    x_and_controls = block_diag(np.eye(n), controls)
+    delta_dot = np.hstack([np.zeros((m, n)), -np.eye(m), E]) / lag[..., None, None]
     rates = np.concatenate([x_dot_z @ x_and_controls, delta_dot], axis=-2)
     same = np.broadcast_to(states, (*lag.shape, *states.shape))
     outputs = np.concatenate([same, y_z @ x_and_controls], axis=-2)
-    A, B = np.split(rates, [n_states], axis=-1)
-    C, D = np.split(outputs, [n_states], axis=-1)
+    A, B = np.split(rates, [n + m], axis=-1)
+    C, D = np.split(outputs, [n + m], axis=-1)
     return A, B, C, D
 
 

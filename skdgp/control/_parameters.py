@@ -218,8 +218,8 @@ def autopilot_loops(
         ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``,
         the rate of its filter ``SCHED_LOOP_RATE``,
         filters ``FILTn_*``, ``INS_GYRO_FILTER``, ``INS_HNTCH_*`` and ``INS_HNTC2_*``, airspeeds
-        ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION``,
-        ``MIXING_GAIN`` and ``MIXING_OFFSET``.
+        ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION`` and
+        ``MIXING_GAIN``.
     full : mapping of str to float
         Deflection [rad] of aileron, elevator and rudder with the servos at their ends, positive, as of `fly`; for
         PX4 at an output of 1. Loops of controls that are not named are left out.
@@ -391,7 +391,7 @@ def _ardupilot_loops(
     }
     unit = np.rad2deg(1.0) / ARDUPILOT_FULL
     loops = []
-    prefixes = ["INS_NOTCH_ENABLE"]  # before 4.2
+    prefixes = ["INS_NOTCH_ENABLE", "MIXING_OFFSET"]  # notches before 4.2
     for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
         if LOOP_AXES[name][2] not in full:
             continue
@@ -415,14 +415,14 @@ def _ardupilot_loops(
 def output_factor(value: Parameters, control: str) -> float:
     """Return the deflection of a control at a full output of its loop, over the one with the servos at their ends.
 
-    The mixer of elevons and V-tails, ``Plane::channel_function_mixer``, multiplies outputs by MIXING_GAIN;
-    MIXING_OFFSET raises roll and yaw where it is positive, else pitch. Warns if no servo moves the control.
+    The mixer of elevons and V-tails, ``Plane::channel_function_mixer``, multiplies outputs by MIXING_GAIN. Warns if
+    no servo moves the control.
     """
     functions = {*servo_functions(value.given).values()}
     factor = 0.0
     for function, weight in WEIGHTS[control].items():
         if function in functions:
-            factor += abs(weight) * (_mixed(value, control) if function in MIXED else 1.0)
+            factor += abs(weight) * (value("MIXING_GAIN") if function in MIXED else 1.0)
     if not factor:
         warn(
             f"No servo is the {control} by SERVOn_FUNCTION: its loop is taken as one whose full output is full "
@@ -430,13 +430,6 @@ def output_factor(value: Parameters, control: str) -> float:
         )
         return 1.0
     return factor
-
-
-def _mixed(value: Parameters, control: str) -> float:
-    """Return the gain of the mixer of elevons and V-tails."""
-    offset = value("MIXING_OFFSET")
-    counts = offset < 0 if control == "elevator" else offset > 0
-    return value("MIXING_GAIN") * (1.0 + counts * abs(offset) / 100.0)
 
 
 def servo_functions(given: Mapping[str, float]) -> dict[int, int]:

@@ -78,7 +78,7 @@ def stability_derivatives(
         A row for each coefficient (``CL``) and derivative (``CL_alpha``, ``Cm_q``, ``Cn_rudder``),
         with columns ``value``, ``std``, ``lower`` and ``upper`` (95 %), ``coefficient``,
         ``regressor``, and ``per``, the unit of the regressor. ``perturbation`` is s in this unit,
-        absent for local slopes (``attrs["slopes"]`` tells which). ``std`` is the standard deviation
+        absent for local slopes. ``std`` is the standard deviation
         over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too. Of a
         model learned from flights its square is the sum of the squares of
 
@@ -141,9 +141,7 @@ def stability_derivatives(
     if n_paths and motion.aerodynamics.is_uncertain:
         columns |= _standard_deviations(motion, now, frame, n_paths, random_state)
     columns |= _errors_of_sizes(motion, frame, terms)
-    table = frame.table(columns)
-    table.attrs["slopes"] = "local" if perturbation is None else "over the perturbation"
-    return table
+    return frame.table(columns)
 
 
 def _terms(model: Aerodynamics, coefficients: Array, X: Array) -> Array:

@@ -387,8 +387,6 @@ VTAILS = {"SERVO2_FUNCTION": 79, "SERVO4_FUNCTION": 80}
     [
         ({}, (0.42, 0.4, 0.35)),
         (ELEVONS, (0.21, 0.2, 0.35)),
-        (ELEVONS | {"MIXING_OFFSET": 50}, (0.315, 0.2, 0.35)),
-        (ELEVONS | {"MIXING_OFFSET": -50}, (0.21, 0.3, 0.35)),
         (ELEVONS | {"MIXING_GAIN": 1.0}, (0.42, 0.4, 0.35)),
         (VTAILS | {"MIXING_GAIN": 0.8}, (0.42, 0.32, 0.28)),
     ],
@@ -555,6 +553,7 @@ def test_settings_that_a_notch_lacks_are_told(notch, lacking):
     [
         ({"RLL_RATE_PDMX": 0.1, "RLL_RATE_SMAX": 150.0}, "RLL_RATE_PDMX 0.1, RLL_RATE_SMAX 150"),
         ({"RLL_RATE_NEW": 0.1}, "RLL_RATE_NEW 0.1"),
+        ({"MIXING_OFFSET": 50.0}, "MIXING_OFFSET 50"),
     ],
 )
 def test_parameters_of_the_loops_that_are_not_known_are_named(extra, names):

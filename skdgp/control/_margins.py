@@ -408,7 +408,7 @@ class _Stability:
         Modes of both axes together count where neither alone has one.
         """
         K = _gains(self.linear, loops, self.s)
-        growing = []
+        growing: list[tuple[_Axis, Array, Vector]] = []
         for axis in self.axes:
             logarithm = axis.logarithm(K)
             turns = (logarithm[:, 0] - logarithm[:, -1]).imag / np.pi
@@ -437,7 +437,7 @@ class _Stability:
         fractions: dict[str, float] = {}
         for axis, logarithm, number in self.growing(loops):
             named: dict[str, dict[int, complex]] = {}
-            for path in first + np.flatnonzero(number[first:] > 0):
+            for path in (first + np.flatnonzero(number[first:] > 0)).tolist():
                 own = axis.roots[path]
                 own = own[own.real > _bound(own.imag)]
                 for root in _roots(self.s, logarithm[path], int(number[path])):

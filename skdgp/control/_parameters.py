@@ -444,7 +444,7 @@ def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float
     Notches whose frequency follows the engine are taken at their lowest frequency, where their phase lag is largest.
     """
     notches: list[Notch] = []
-    others = {}
+    others: dict[str, float] = {}
     for name in HARMONIC_NOTCHES:
         width = value(f"{name}_BW", default=40.0) if value(f"{name}_ENABLE") else 0.0
         if not width > 0:

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import WIND
-from made_flights import GLIDER, TURBULENCE
+from made_flights import GLIDER, LINEAR_GLIDER, TURBULENCE
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from sklearn.base import clone
@@ -74,41 +74,30 @@ class TestFromFlight:
         assert (found.intensity < 0.25 * 0.2).all()
 
 
-class TestPipeline:
-    names = ("alpha", "beta", "p_hat", "q_hat", "r_hat")
+NAMES = LINEAR_GLIDER.names[:5]
 
-    @pytest.fixture
-    def table(self):
-        return flights(TURBULENCE, 2, 35.0, 0.2, seed=1).assign(p=0.1, q=0.1, r=0.1)
 
-    @pytest.fixture
-    def pipeline(self):
-        return make_identification_pipeline(
-            GLIDER, regressors=self.names, reconstruction="passthrough", cutoff=None,
-            regressor=LinearRegression(),
-        )  # fmt: skip
-
-    def test_knows_its_turbulence(self, pipeline, table):
-        Y = np.zeros((len(table), 6))
-        expected = Turbulence.from_flight(table, SPAN)
-        fitted = clone(pipeline).fit(table, Y)
-        found = as_aerodynamics(fitted).turbulence
-        assert_allclose(found.length, expected.length, rtol=1e-9)
-        assert clone(fitted).turbulence_ is None
-        assert as_aerodynamics(Pipeline(fitted.steps)).turbulence is None
+def test_a_pipeline_knows_its_turbulence():
+    table = flights(TURBULENCE, 2, 35.0, 0.2, seed=1).assign(p=0.1, q=0.1, r=0.1)
+    pipeline = make_identification_pipeline(
+        GLIDER, regressors=NAMES, reconstruction="passthrough", cutoff=None,
+        regressor=LinearRegression(),
+    )  # fmt: skip
+    fitted = pipeline.fit(table, np.zeros((len(table), 6)))
+    found = as_aerodynamics(fitted).turbulence
+    assert_allclose(found.length, Turbulence.from_flight(table, SPAN).length, rtol=1e-9)
+    assert clone(fitted).turbulence_ is None
+    assert as_aerodynamics(Pipeline(fitted.steps)).turbulence is None
 
 
 def coefficients(X):
-    alpha, beta, p, q, r = np.moveaxis(X, -1, 0)
-    return np.stack([-0.02 + 2 * alpha**2, -0.4 * beta, -0.2 - 4.5 * alpha, -0.05 * beta - 0.4 * p + 0.1 * r,
-                     0.02 - 0.4 * alpha - 8 * q, 0.08 * beta - 0.1 * r], axis=-1)  # fmt: skip
+    return LINEAR_GLIDER.level + X @ LINEAR_GLIDER.slopes[:, :5].T
 
 
 def learned(**known):
     """One aircraft for all paths: what spreads is the air."""
-    names = ["alpha", "beta", "p_hat", "q_hat", "r_hat"]
     one = coefficients, None
-    return Aerodynamics(coefficients, names, sampler=lambda n_paths, random_state: one, **known)
+    return Aerodynamics(coefficients, NAMES, sampler=lambda n_paths, random_state: one, **known)
 
 
 START = {"airspeed": 12.0, "alpha": 0.05, "altitude": 100.0}

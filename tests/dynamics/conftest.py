@@ -9,7 +9,7 @@ from flight_columns import COEFFICIENTS
 from made_flights import LINEAR_GLIDER
 from scipy.integrate import solve_ivp
 
-from skdgp.dynamics import Air, ThrustLine, simulate
+from skdgp.dynamics import Air, ThrustLine, air_velocity, euler_to_quaternion, simulate
 
 GRAVITY = 9.79
 SENSED = (
@@ -35,6 +35,13 @@ def commands(t, state=None):
         "elevator": 0.05 * np.sin(1.7 * t + 0.4), "aileron": 0.04 * np.cos(1.3 * t),
         "rudder": 0.05 * np.sin(2.1 * t + 1.0), "thrust": 14.0 + 3.0 * np.sin(0.9 * t),
     }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def state():
+    """No angle and no rate is zero."""
+    velocity, attitude = air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0)
+    return np.concatenate([[0.0, 0.0, -200.0], velocity, attitude, [0.2, 0.1, 0.15]])
 
 
 @pytest.fixture(scope="session")

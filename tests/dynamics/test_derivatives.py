@@ -12,8 +12,6 @@ from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     Aerodynamics,
     Motion,
-    air_velocity,
-    euler_to_quaternion,
     stability_derivatives,
 )
 
@@ -30,13 +28,6 @@ def derivatives(X):
 
 MODEL = Aerodynamics(coefficients, NAMES, slopes=derivatives)
 CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04, "throttle": 0.6}
-
-
-@pytest.fixture(scope="module")
-def state():
-    """No angle and no rate is zero."""
-    velocity, attitude = air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0)
-    return np.concatenate([[0.0, 0.0, -200.0], velocity, attitude, [0.2, 0.1, 0.15]])
 
 
 @pytest.fixture(scope="module")

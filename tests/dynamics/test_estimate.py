@@ -15,8 +15,6 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Aircraft,
-    air_velocity,
-    euler_to_quaternion,
     stability_derivatives,
 )
 
@@ -163,8 +161,6 @@ class TestFiles:
 class TestWhatErrorsDo:
     """The same log with the sizes of another aircraft: its forces and accelerations are what they are."""
 
-    VELOCITY, ATTITUDE = air_velocity(36.0, 0.1, 0.04), euler_to_quaternion(0.4, 0.15, 1.0)
-    STATE = np.array([0.0, 0.0, -200.0, *VELOCITY, *ATTITUDE, 0.2, 0.1, 0.15])
     CONTROLS = {"elevator": -0.03, "aileron": 0.02, "rudder": 0.04}
 
     def learned(self, aircraft):
@@ -182,7 +178,7 @@ class TestWhatErrorsDo:
     @pytest.mark.parametrize(
         "cause", ["mass", "span", "aspect ratio", "length", "product of inertia", *AXES[::2]]
     )
-    def test_relative_errors_are_those_of_a_second_identification(self, cause):
+    def test_relative_errors_are_those_of_a_second_identification(self, cause, state):
         factor = Aircraft.estimate((60.0, 0.6), (BRUMBY.span, 0.01)).deviations[cause]
         sizes = BRUMBY.to_dict() | {"deviations": {cause: {"std": 1e-5, "powers": factor.powers}}}
         diagonal = np.diag(BRUMBY.inertia.diagonal())
@@ -196,7 +192,7 @@ class TestWhatErrorsDo:
         other = Aircraft.from_dict(sizes | grown | {"inertia": inertia})
         at = {"thrust": None, "air": Air(density=1.1)}
         table, changed = (
-            stability_derivatives(self.learned(each), each, self.STATE, self.CONTROLS, **at)
+            stability_derivatives(self.learned(each), each, state, self.CONTROLS, **at)
             for each in (known, other)
         )
         change = changed["value"] - table["value"]

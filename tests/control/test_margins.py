@@ -174,6 +174,7 @@ PITCH = {name.replace("RLL", "PTCH"): value for name, value in ROLL.items()}
 RATE = {"RLL_RATE_P": 0.2, "RLL_RATE_I": 0.0, "RLL_RATE_FF": 0.0, "SCALING_SPEED": 15.0}
 RATE |= {"INS_GYRO_FILTER": 0.0}
 S = 30j
+BY_RATE = -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9
 # The loop of parameters and a surface of 0.4 rad: its command for a channel at s, 20 m/s and density 0.9
 LAWS = {
     "AlphaFilter of PX4's derivative": (
@@ -188,10 +189,10 @@ LAWS = {
     # AP_FW_Controller: "FF should be scaled by scaler/eas2tas"
     "ArduPilot's feed-forward of roll": (ROLL, "aileron", "phi", 1e-6, -0.4 * 0.3 * UNIT * 15 / 20 / 0.4),
     "ArduPilot's feed-forward of pitch": (PITCH, "elevator", "theta", 1e-6, -0.4 * 0.3 * UNIT * 15 / 20 / 0.4),
-    "ArduPilot's rate": (RATE, "aileron", "p", 1e-6, -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9),
+    "ArduPilot's rate": (RATE, "aileron", "p", 1e-6, BY_RATE),
     # RLL2SRV_TCONST of the firmware
     "ArduPilot's attitude": (
-        RATE, "aileron", "phi", 1e-6, -0.4 * 0.2 * UNIT * 15**2 / 20**2 * 1.225 / 0.9 / 0.5
+        RATE, "aileron", "phi", 1e-6, BY_RATE / 0.5
     ),
 }  # fmt: skip
 

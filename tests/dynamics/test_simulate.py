@@ -72,6 +72,16 @@ def inert(glider, **options):
     return glider._replace(level=np.zeros(6)).model(0.0 * glider.slopes, **options)
 
 
+def curved(glider, bends, **options):
+    """Return a model of the glider's coefficients and squares of its regressors, whose paths are all this function."""
+
+    def values(X):
+        return glider.level + X @ glider.slopes.T + X**2 @ bends.T
+
+    one = values, lambda X: glider.slopes + 2 * bends * X[..., None, :]
+    return Aerodynamics(values, glider.names, sampler=lambda n_paths, random_state: one, **options)
+
+
 @pytest.fixture(scope="module")
 def flown(fly):
     return fly(dt=0.01, duration=4.0, air=WIND_OVER_GROUND)
@@ -339,15 +349,7 @@ class TestEnsembles:
 
         bends = np.zeros((6, 8))
         bends[2, 0], bends[4, [0, 3, 5]] = 5.0, [-2.0, -900.0, 3.0]
-
-        def curved(X):
-            return glider.level + X @ glider.slopes.T + X**2 @ bends.T
-
-        def curved_slopes(X):
-            return glider.slopes + 2 * bends * X[..., None, :]
-
-        one = curved, curved_slopes
-        model = Aerodynamics(curved, glider.names, sampler=lambda n_paths, random_state: one)
+        model = curved(glider, bends)
         ends = []
         for dt, n_paths in (
             (0.02, 2),
@@ -367,17 +369,7 @@ class TestEnsembles:
     def test_steps_in_which_a_control_jumps_are_corrected(self, fly, glider):
         bends = np.zeros((6, 8))
         bends[3, 6] = 0.3
-
-        def curved(X):
-            return glider.level + X @ glider.slopes.T + X**2 @ bends.T
-
-        one = curved, lambda X: glider.slopes + 2 * bends * X[..., None, :]
-        model = Aerodynamics(
-            curved,
-            glider.names,
-            sampler=lambda *_, **__: one,
-            limits=np.outer([-0.5, 0.5], np.ones(8)),
-        )
+        model = curved(glider, bends, limits=np.outer([-0.5, 0.5], np.ones(8)))
         t = np.arange(0.0, 0.31, 0.02)
         table = pd.DataFrame({"time": t, **REST, "aileron": np.where(t < 0.15, 0.04, -0.04)})
         options = {"air": Air(gusts=None), "thrust": None}

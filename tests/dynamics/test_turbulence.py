@@ -51,6 +51,12 @@ def gusts_of(turbulence, n, rng, n_flights=1, **options):
     return dryden_gusts(n, STEP, SPEED, *scales, SPAN, rng, **options)
 
 
+def gusty_wind(longer=1.0):
+    """Return a table of gusts of 20 s, or longer by a factor."""
+    gusts = gusts_of(TURBULENCE, 400, default_rng(0)).velocity[:, 0]
+    return pd.DataFrame(gusts, columns=WIND).assign(time=longer * STEP * np.arange(400))
+
+
 WEAK = Turbulence(np.full(3, 0.2), TURBULENCE.length)
 
 
@@ -123,8 +129,7 @@ class TestSimulate:
     def test_a_wind_has_gusts_of_its_own(self):
         """By itself a table decides the intensity, whatever the model was learned in."""
         known = learned(turbulence=times(TURBULENCE, 9.0))
-        wind = pd.DataFrame(gusts_of(TURBULENCE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
-        wind["time"] = STEP * SPEED / START["airspeed"] * np.arange(400)
+        wind = gusty_wind(SPEED / START["airspeed"])
         by_table = flown(known, air=wind)
         asked = flown(known, air=Air(wind, TURBULENCE))
         assert_allclose(by_table["p"].std(), asked["p"].std(), rtol=0.4)
@@ -132,8 +137,7 @@ class TestSimulate:
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
     def test_a_wind_may_have_missing_values(self):
-        wind = pd.DataFrame(gusts_of(TURBULENCE, 400, default_rng(0)).velocity[:, 0], columns=WIND)
-        wind["time"] = STEP * np.arange(400)
+        wind = gusty_wind()
         whole = flown(learned(), air=wind)
         wind.loc[100, "wind_east"] = np.nan
         assert_allclose(flown(learned(), air=wind)["p"].std(), whole["p"].std(), rtol=0.05)

@@ -48,6 +48,13 @@ def model(flights, cut_short):
 
 
 @pytest.fixture(scope="module")
+def few(flights):
+    """Return a few seconds of each flight, and their coefficients."""
+    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
+    return rows, aerodynamic_coefficients(rows, flights.aircraft)
+
+
+@pytest.fixture(scope="module")
 def test_flight(flights):
     return flights.test.iloc[:200]
 
@@ -146,10 +153,9 @@ class TestPredict:
             linear.predict(test_flight, return_std=True)
 
 
-def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
+def test_the_scaler_may_be_left_out_or_another(model, few, test_flight):
     """Least squares beside the model are in units, and the same."""
-    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
-    targets = aerodynamic_coefficients(rows, flights.aircraft)
+    rows, targets = few
     learned = []
     for scaler in (StandardScaler(), RobustScaler()):
         pipeline = clone(model).set_params(
@@ -168,10 +174,9 @@ def test_the_scaler_may_be_left_out_or_another(model, flights, test_flight):
         assert np.isfinite(pipeline.predict(test_flight, return_std=True)[1]).all()
 
 
-def test_surfaces_of_any_name_are_those_that_they_are_mixed_into(flights, test_flight):
+def test_surfaces_of_any_name_are_those_that_they_are_mixed_into(flights, few, test_flight):
     """In every step: lags, reconstruction and errors of the log are of elevator, aileron and rudder."""
-    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
-    targets = aerodynamic_coefficients(rows, flights.aircraft)
+    rows, targets = few
     halves = {
         "elevator": {"tail_left": 0.5, "tail_right": 0.5},
         "rudder": {"tail_left": 0.5, "tail_right": -0.5},
@@ -195,9 +200,8 @@ def test_surfaces_of_any_name_are_those_that_they_are_mixed_into(flights, test_f
     assert_allclose(found[1], found[0], rtol=1e-6, atol=1e-9)
 
 
-def test_the_order_and_number_of_targets_change_no_band(model, flights, test_flight):
-    rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
-    targets = aerodynamic_coefficients(rows, flights.aircraft)
+def test_the_order_and_number_of_targets_change_no_band(model, few, test_flight):
+    rows, targets = few
     names = [*targets]
     quick = clone(model).set_params(
         flightpathreconstruction="passthrough",

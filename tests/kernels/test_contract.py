@@ -82,6 +82,11 @@ def inputs(kernel, sizes=(4, 3, 5), seed=2):
     return [rng.normal(0, 1.2, (n, n_features(kernel))) for n in sizes[: kernel.n_outputs]]
 
 
+def both_inputs(kernel):
+    """Return two lists of inputs, of different lengths."""
+    return inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+
+
 def places(X):
     """Return the rows of each output in the stacked matrix."""
     edges = np.cumsum([0, *map(len, X)])
@@ -154,7 +159,7 @@ class TestContract:
     """What depends on the formula of a kernel."""
 
     def test_matrix_is_symmetric_and_swapping_the_inputs_transposes(self, kernel):
-        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+        X, Z = both_inputs(kernel)
         equal(kernel(X), kernel(X).T)
         equal(kernel(X, Z), kernel(Z, X).T)
         equal(kernel(X, X), kernel(X))
@@ -184,7 +189,7 @@ class TestContract:
 
     def test_in_another_unit_it_is_the_covariance_of_the_outputs_in_that_unit(self, kernel):
         factor = np.array([1e-3, 2.0, 50.0])[: kernel.n_outputs]
-        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+        X, Z = both_inputs(kernel)
         rows = np.repeat(factor, [len(x) for x in X])
         columns = np.repeat(factor, [len(z) for z in Z])
         other = kernel.rescaled(factor)
@@ -245,7 +250,7 @@ class TestUse:
     def test_matrix_is_output_major_and_its_blocks_are_the_blocks_zero_without_coupling(
         self, kernel
     ):
-        X, Z = inputs(kernel), inputs(kernel, (2, 6, 3), seed=3)
+        X, Z = both_inputs(kernel)
         K, rows, columns = kernel(X, Z), places(X), places(Z)
         for i, j in np.ndindex(len(X), len(Z)):
             block = kernel.block(i, j, X[i], Z[j])

@@ -38,8 +38,9 @@ def sample(n=40, outputs=3):
     return y, y + rng.normal(0, 0.5, y.shape), rng.uniform(0.2, 1.0, y.shape)
 
 
-def arguments(metric, y, mean, std):
-    return (y, mean, std) if metric in WITH_STD else (y, mean)
+def value(metric, y, mean, std, **options):
+    """Return the value of a metric, with or without standard deviations."""
+    return metric(y, mean, *[std] * (metric in WITH_STD), **options)
 
 
 def reference(metric, y, mean, std):
@@ -62,35 +63,34 @@ class TestEveryMetric:
         y, mean, std = sample(n)
         y[default_rng(1).random(y.shape) < 0.3] = np.nan
         expected = [reference(metric, *column) for column in zip(y.T, mean.T, std.T, strict=True)]
-        got = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
+        got = value(metric, y, mean, std, multioutput="raw_values")
         assert_allclose(got, expected, rtol=1e-12)
-        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(expected), 1e-12)
+        assert value(metric, y, mean, std) == pytest.approx(np.mean(expected), 1e-12)
 
     def test_shapes_and_types_do_not_matter(self, metric):
         y, mean, std = sample(outputs=1)
-        flat = metric(*(a.ravel() for a in arguments(metric, y, mean, std)))
+        flat = value(metric, y.ravel(), mean.ravel(), std.ravel())
         assert isinstance(flat, float)
-        assert metric(*arguments(metric, y, mean, std)) == pytest.approx(flat, rel=1e-12)
-        assert metric(*(pd.DataFrame(a) for a in arguments(metric, y, mean, std))) == pytest.approx(
-            flat, rel=1e-12
-        )
+        assert value(metric, y, mean, std) == pytest.approx(flat, rel=1e-12)
+        tables = map(pd.DataFrame, (y, mean, std))
+        assert value(metric, *tables) == pytest.approx(flat, rel=1e-12)
 
     def test_output_never_observed(self, metric):
         y, mean, std = sample()
         y[:, 1] = np.nan
         with pytest.warns(UndefinedMetricWarning, match=r"Output \[1\] is never observed"):
-            raw = metric(*arguments(metric, y, mean, std), multioutput="raw_values")
+            raw = value(metric, y, mean, std, multioutput="raw_values")
         assert np.isnan(raw).tolist() == [False, True, False]
         with pytest.warns(UndefinedMetricWarning):
-            assert metric(*arguments(metric, y, mean, std)) == pytest.approx(np.mean(raw[[0, 2]]))
+            assert value(metric, y, mean, std) == pytest.approx(np.mean(raw[[0, 2]]))
 
     def test_predictions_have_the_shape_and_are_finite(self, metric):
         y, mean, std = sample()
         with pytest.raises(ValueError, match="of shape"):
-            metric(*arguments(metric, y, mean[:-1], std))
+            value(metric, y, mean[:-1], std)
         mean[3, 0] = np.nan
         with pytest.raises(ValueError, match="1 values of y_pred that are not finite"):
-            metric(*arguments(metric, y, mean, std))
+            value(metric, y, mean, std)
 
 
 class TestMeaning:

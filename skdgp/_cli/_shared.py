@@ -316,8 +316,6 @@ class Run:
             writers = dict(files)
             if record:
                 writers[record] = text_writer(self._json(numbers))
-            for name in writers:
-                (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
             write_together(self.folder, writers)
             names = ", ".join(str(self.folder / name) for name in writers)
             lines = [*lines, f"wrote {names}"]

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -329,16 +326,11 @@ def export(run: Run) -> None:
     model = read_model(options)
     warn_unfit(model, "simulate", "Use the export to predict coefficients, not in a simulator.")
     full = dict(options.full)
-    portable = portable_model(**model)
-    writers: dict[str, Writer] = {}
-    sizes = {}
-    with tempfile.TemporaryDirectory() as temporary:
-        for file in map(Path, export_model(temporary, portable, options.to, full=full)):
-            name = str(file.relative_to(temporary))
-            writers[name] = partial(shutil.copyfile, file)
-            sizes[name] = file.stat().st_size
-        lines = [f"{size / 1024:>9.1f} kB  {name}" for name, size in sizes.items()]
-        run.finish(lines, {"files": sizes}, writers)
+    folder = Path(options.output)
+    files = export_model(folder, portable_model(**model), options.to, full=full)
+    sizes = {str(file.relative_to(folder)): file.stat().st_size for file in files}
+    lines = [f"{size / 1024:>9.1f} kB  {name}" for name, size in sizes.items()]
+    run.print([*lines, f"wrote {', '.join(map(str, files))}"], {"files": sizes})
 
 
 def margins(run: Run) -> None:

@@ -29,8 +29,8 @@ def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
 
     A reader sees the old file or the complete new one. If ``write`` fails or is interrupted, the
     temporary file is removed and an earlier file stays as it was. A symbolic link is followed, not
-    replaced. Raises FileNotFoundError without the folder, IsADirectoryError for a folder, and
-    OSError with ``path`` if it cannot be written.
+    replaced. Its folder is made. Raises IsADirectoryError for a folder, and OSError with ``path`` if it
+    cannot be written.
     """
     path = Path(path)
     target = path.resolve()
@@ -38,10 +38,7 @@ def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
         raise IsADirectoryError(
             f"Got the folder {str(path)!r} as a file to write: name a file inside it."
         )
-    if not target.parent.is_dir():
-        raise FileNotFoundError(
-            f"Cannot write {str(path)!r}: the folder {str(target.parent)!r} does not exist. Create it first."
-        )
+    target.parent.mkdir(parents=True, exist_ok=True)
     # Not tempfile: its files are readable by their owner alone, and would stay so after the
     # replacement.
     temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}.part{target.suffix}")

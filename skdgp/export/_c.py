@@ -45,7 +45,6 @@ def write_c(folder: str | os.PathLike[str], model: PortableModel) -> list[Path]:
     Parameters
     ----------
     folder : path-like
-        It must exist.
     model : PortableModel
 
     Returns

@@ -80,6 +80,7 @@ def _functions(ca: Any, z: Any, term: Term) -> Any:
 
 def write_casadi(folder: Path, model: PortableModel) -> list[Path]:
     """Save both functions of a model; ``casadi.Function.load`` reads them, in Python, C++ and MATLAB."""
+    folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for mean_only in (False, True):
         function = casadi_function(model, mean_only=mean_only)

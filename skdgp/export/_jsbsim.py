@@ -106,7 +106,6 @@ def write_jsbsim(
     _add_thrust(root, model.aircraft, full)
     _add_controls(root, model, full)
     _add_aerodynamics(root, model)
-    path.parent.mkdir(parents=True, exist_ok=True)
     ElementTree.indent(root, space=" ")
     text = ElementTree.tostring(root, encoding="unicode")
     write_atomically(path, text_writer(f'<?xml version="1.0"?>\n{text}\n'))

@@ -160,7 +160,6 @@ class Identification:
         ``further`` files have writers by name, see `skdgp.report.save_report`.
         """
         path = Path(path)
-        path.mkdir(parents=True, exist_ok=True)
         writers = {**further, "metrics.json": text_writer(json_text(self.metrics))}
         if self.train:
             writers["model.joblib"] = partial(

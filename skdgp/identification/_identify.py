@@ -325,11 +325,8 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
     ``lags``                        table of `skdgp.preprocessing.LagCorrector`; None without this step
     ``lags_corrected``              lags [s] by group that the flights show, and that are removed
     ``samples``                     rows learned from
-    ``samples_available``           rows with a coefficient
     ``seconds``, ``flown``          duration of the fit, and of the training flights without gaps [s]
-    ``flights``                     rows of each training flight
     ``conditions``                  medians of the columns of the training flights
-    ``least_squares``               by coefficient intercept and slopes of the linear model of the same rows
     =============================== =======================================================================
     """
     regressor = pipeline[-1]
@@ -360,12 +357,9 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
         lags=None if corrector is None else corrector.lags_,
         lags_corrected=corrected,
         samples=pipeline.n_learned_,
-        samples_available=pipeline.n_observed_,
         seconds=pipeline.fit_time_,
         flown=pipeline.seconds_,
-        flights=pipeline.flights_,
         conditions=pipeline.conditions_,
-        least_squares=pipeline.least_squares_.to_dict(),
     )
 
 

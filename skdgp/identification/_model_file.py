@@ -42,7 +42,6 @@ def save_model(
     Parameters
     ----------
     path : path-like
-        In a folder that exists.
     pipeline : Pipeline
     aircraft : Aircraft
     **facts

@@ -286,8 +286,6 @@ class FlightPipeline(Pipeline):
     ----------
     seconds_ : float
         Duration of the flights of the fit [s], without gaps.
-    flights_ : dict of str to int
-        Rows of each of them.
     conditions_ : dict of str to float
         Medians of their columns.
     n_observed_, n_learned_ : int
@@ -470,7 +468,6 @@ class FlightPipeline(Pipeline):
         """Learn duration, conditions and turbulence of checked flights."""
         clock = FlightTable.of(flights).clock
         self.seconds_ = float(sum(np.ptp(clock.time[segment]) for segment in clock.segments))
-        self.flights_ = {str(name): len(rows) for name, rows in clock.rows.items()}
         self.conditions_ = flights.median(numeric_only=True).astype(float).to_dict()
         self.turbulence_ = self._turbulence_of(flights)
 

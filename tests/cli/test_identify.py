@@ -113,7 +113,7 @@ class TestIdentify:
         assert json.loads(capsys.readouterr().out) == metrics
         assert metrics["fit"]["regressors"] == ["alpha", "q_hat", "elevator"]
         assert metrics["fit"]["samples"] == 300
-        assert list(metrics["fit"]["flights"].values()) == [300]
+        assert [flight["samples"] for flight in metrics["train"].values()] == [300]
         (flight,) = metrics["test"].values()
         assert flight["samples"] == 100
         assert "held_out_quarter" in [finding["code"] for finding in metrics["findings"]]
@@ -158,7 +158,7 @@ class TestIdentify:
             return table.drop(index=[*range(100, 150), *range(151, 200)]).assign(rudder=0.01)
 
         metrics = metrics_of("--test", "latlon.csv", train=[write("gaps.csv", spoil)])
-        assert metrics["fit"]["flights"] == {"latlon": 290}
+        assert metrics["train"]["latlon"]["samples"] == 290
         said = capsys.readouterr().err
         assert "11 of 301 rows are left out" in said
         assert "1 stand alone between gaps" in said

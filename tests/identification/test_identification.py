@@ -151,7 +151,10 @@ class TestIdentify:
         errors = normalized_rmse(evaluation.measured, evaluation.mean, multioutput="raw_values")
         assert of["normalized_rmse"] == pytest.approx(errors[2])
         assert result.fit.samples == result.options["samples"] == 40
-        assert result.fit.flights == {"lateral": 400, "latlon": 400}
+        assert {name: len(flight) for name, flight in result.train.items()} == {
+            "lateral": 400,
+            "latlon": 400,
+        }
         assert not of_code(result, "HELD_OUT_FLIGHT")
 
     def test_saves_what_load_model_reads(self, stopped, example):
@@ -173,7 +176,7 @@ class TestIdentify:
         found, stages, shown = averaged
         (held_out,) = of_code(found, "HELD_OUT_FLIGHT")
         assert held_out.flight == "latlon"
-        assert list(found.fit.flights) == ["lateral"]
+        assert list(found.train) == ["lateral"]
         assert list(found.metrics["test"]) == ["latlon"]
         assert {" ".join(str(one.message).split()) for one in shown} == {
             finding.text for finding in found.findings

@@ -231,13 +231,14 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
 
 
 def noise_power(spectrum: Spectrum) -> float:
-    """Return the white noise power: the flat part of the upper half of a spectrum, without the falling part.
+    """Return the white noise power: the flat part of the upper three quarters of a spectrum.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
     sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative weights; the
-    constant stands only if Whittle's log likelihood without it is lower by more than 2.
+    constant stands only if Whittle's log likelihood without it is lower by more than 2. The upper half
+    alone does not tell them apart: of 500 samples of white noise it was "none" in a third of the cases.
     """
-    top = slice(len(spectrum.power) // 2, -1)
+    top = slice(len(spectrum.power) // 4, -1)
     observed = spectrum.power[top]
     if not observed.min() > 1e-24 * spectrum.power.max():
         return 0.0

@@ -89,8 +89,7 @@ def test_files_with_rows_without_a_flight(tmp_path, suffix, read):
     path = tmp_path / f"log.{suffix}"
     flights = table(holed(None))
     flights.to_csv(path, index=False) if suffix == "csv" else flights.to_parquet(path)
-    words = r"60 of 120 rows .* read_flight\(path, flight='name'\) names all"
-    with pytest.raises(FlightReadError, match=words):
+    with pytest.raises(FlightReadError, match="60 of 120 rows without a flight"):
         read(path)
 
 

@@ -79,6 +79,12 @@ class TestSmooth:
         assert rms(smoothed - truth) < 0.25 * rms(noisy - truth)
         assert rms(rate - np.gradient(truth, time)) < 0.05 * rms(np.gradient(noisy, time))
 
+    @pytest.mark.parametrize("n", [500, 900])
+    def test_auto_finds_the_noise_of_short_records(self, n):
+        for seed in range(20):
+            time, truth, noisy = noisy_sine(n, noise=0.3, seed=seed)
+            assert rms(smooth(noisy, time) - truth) < 0.6 * rms(noisy - truth)
+
     def test_auto_leaves_a_noise_free_channel_alone(self):
         """Commands in steps, whose spectrum falls as f^-2, and a walk, as an Ornstein-Uhlenbeck process does."""
         time, truth, _ = noisy_sine()

@@ -123,15 +123,13 @@ def without_lag(
 def _advanced(values: Vector, steps: float) -> Vector:
     """Return equidistant values a fraction of steps later: every frequency's phase is shifted, white noise stays white.
 
-    They are continued oddly beyond both ends, and the line between these is shifted by itself, so
+    Less the line through both ends, which is shifted by itself, they are continued oddly beyond these, so
     that the periodic signal is continuous (Oppenheim & Schafer 2010, section 4.5).
     """
-    margin = min(len(values) - 1, 64 + int(np.ceil(abs(steps))))
-    padded = np.pad(values, margin, mode="reflect", reflect_type="odd")
-    n = len(padded)
-    slope = (padded[-1] - padded[0]) / (n - 1)
-    line = padded[0] + slope * np.arange(n)
+    line = np.linspace(values[0], values[-1], len(values))
+    rest = values - line
+    periodic = np.concatenate([rest, -rest[-2:0:-1]])
+    n = len(periodic)
     phase = np.exp(2j * np.pi * np.fft.rfftfreq(n) * steps)
-    periodic = np.fft.irfft(np.fft.rfft(padded - line) * phase, n)
-    shifted = periodic + line + slope * steps
-    return shifted[margin : n - margin]
+    shifted = np.fft.irfft(np.fft.rfft(periodic) * phase, n)
+    return shifted[: len(line)] + line + steps * (line[1] - line[0])

@@ -27,9 +27,8 @@ from skdgp.estimation._air_noise import NoiseSearch
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
 from skdgp.estimation._air_records import Record, n_samples
 from skdgp.estimation._air_start import (
-    SteadyRegression,
     add_airspeed,
-    add_mean_lift,
+    steady_derivatives,
     steady_wind,
 )
 from skdgp.estimation._kalman import (
@@ -85,7 +84,6 @@ class AirFit:
         self.noise_search = NoiseSearch(noises, layout.aircraft.span)
         self.settings = settings
         self.is_known = parameters.n_held > 0
-        self.regression = SteadyRegression(layout, parameters)
         self.x = parameters.mean.copy()
         self.history: list[Vector] = []  # of x in the search
         self.airspeed_variances = []  # of each flight
@@ -95,7 +93,7 @@ class AirFit:
             self.airspeed_variances.append(variance)
             self.x[parameters.places_of(flight, WINDS[:2])] = pitot[1:]
         if not self.is_known:
-            self.x = self.regression.derivatives(records, self.x)
+            self.x = steady_derivatives(records, layout, parameters, self.x)
         # rates as measured, without gusts
         before = ((0, 0), (RATE_STATES.start, 0))
         self.states = [np.pad(record.rates, before) for record in records]
@@ -202,7 +200,6 @@ class AirFit:
         for record, states in zip(self.records, self.states, strict=True):
             if not self.is_known:
                 variance = self.airspeed_variances[record.flight]
-                add_mean_lift(sums, record, self.x, self.regression)
                 add_airspeed(sums, record, self.x, self.parameters, variance)
             noise = self.noise_search.noise(record)
             value = self.parameters.values(self.x, record.flight)

@@ -210,10 +210,8 @@ def prior_deviations(coefficients: Sequence[str], regressors: Sequence[str]) -> 
     Rates, such as q or q_hat, are non-dimensional.
     """
     priors = derivatives_of(TERMS, SURFACES)
-    stds = np.full((len(coefficients), len(regressors)), np.nan)
-    for i, coefficient in enumerate(coefficients):
-        for j, regressor in enumerate(regressors):
-            name = f"{coefficient}_{str(regressor).removesuffix(HAT)}"
-            if name in priors:
-                stds[i, j] = priors[name][1]
-    return stds
+    rows = []
+    for coefficient in coefficients:
+        names = [f"{coefficient}_{str(name).removesuffix(HAT)}" for name in regressors]
+        rows.append([priors.get(name, (0.0, np.nan))[1] for name in names])
+    return np.array(rows)

@@ -79,9 +79,10 @@ class Record(NamedTuple):
         inputs -= inputs.mean(axis=0)
         answers = np.empty_like(inputs)
         X = _sums_around(innovation, self.median_step, self.periods.max(initial=0.0))
+        squares = X.T @ X
         # by the normal equations, as rows are many
-        residuals = inputs - X @ np.linalg.lstsq(X.T @ X, X.T @ inputs, rcond=None)[0]
-        for k, (surface, residual) in enumerate(zip(inputs.T, residuals.T, strict=True)):
+        for k, surface in enumerate(inputs.T):
+            residual = surface - X @ least_squares(squares, X.T @ surface)
             rho = (residual[1:] @ residual[:-1]) / max(residual @ residual, np.finfo(float).tiny)
             X_rest = X[1:] - rho * X[:-1]
             whitened = surface[1:] - rho * surface[:-1]

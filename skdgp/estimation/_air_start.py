@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 from skdgp._compute.linalg import least_squares
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import air_data
 from skdgp.estimation._air_linearization import N_STATES, Layout, air_velocity
 from skdgp.estimation._air_parameters import (
@@ -67,60 +66,38 @@ def steady_wind(records: list[Record]) -> tuple[Vector, float]:
     return pitot, max(autocorrelation_time(errors) * errors.var(), least)
 
 
-class SteadyRegression:
-    """Coefficients of records by inverse dynamics in steady wind, and their regressors."""
+def steady_derivatives(
+    records: list[Record], layout: Layout, parameters: Parameters, x: Vector
+) -> Vector:
+    """Return parameters with derivatives by least squares in steady wind, but slopes by alpha and beta as in x.
 
-    def __init__(self, layout: Layout, parameters: Parameters) -> None:
-        self.layout = layout
-        self.parameters = parameters
-
-    def __call__(self, record: Record, x: Vector) -> tuple[Matrix, Matrix]:
-        """Return terms (n, f) and coefficients (n, 6) at parameters x."""
-        value = self.parameters.values(x, record.flight)
-        air = air_velocity(record, value, np.zeros((len(record.rows), N_STATES)))
-        # half of the moving mean of the rates before they are differentiated in steady wind [s]
+    In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
+    """
+    terms = []
+    coefficients = []
+    for record in records:
+        value = parameters.values(x, record.flight)
+        model = layout.model(value)
+        flow = air_data(air_velocity(record, value, np.zeros((len(record.rows), N_STATES))))
+        # half of the moving mean of the rates before they are differentiated [s]
         width = 2 * round(0.05 / record.median_step) + 1
         smooth = uniform_filter1d(record.rates, width, axis=0, mode="nearest")
         spin = np.gradient(smooth, record.time, axis=0)
-        model = self.layout.model(value)
-        flow = air_data(air)
-        coefficients = model.coefficients(record.force, record.rates, spin, flow[0], record.inputs)
-        return model.terms(flow, record.rates, record.inputs), coefficients
-
-    def derivatives(self, records: list[Record], x: Vector) -> Vector:
-        """Return parameters with derivatives by least squares, but slopes by alpha and beta as in x.
-
-        In gusts, alpha and beta of the path in steady wind are too noisy for least squares.
-        """
-        equations = [self(record, x) for record in records]
-        X, C = map(np.concatenate, zip(*equations, strict=True))
-        X = X[:, self.layout.columns]  # of each derivative
-        x = x.copy()
-        names = self.layout.names[: self.layout.n_derivatives]
-        is_held = self.layout.is_by("alpha", "beta") | [is_coupling(name) for name in names]
-        for row in range(6):
-            of_row = self.layout.rows == row
-            held = np.flatnonzero(of_row & is_held)
-            free = np.flatnonzero(of_row & ~is_held)
-            if len(free):
-                residual = C[:, row] - X[:, held] @ x[held]
-                x[free] = least_squares(X[:, free], residual)
-        return x
-
-
-def add_mean_lift(sums: Sums, record: Record, x: Vector, regression: SteadyRegression) -> None:
-    """Add the equation of the mean lift: as in steady wind, except for a mean vertical gust.
-
-    Alpha is observed by forces alone, so its mean and CZ_0 could not be separated otherwise.
-    """
-    X, C = regression(record, x)
-    places = np.flatnonzero(regression.layout.rows == COEFFICIENTS.index("CZ"))
-    slopes = X.mean(axis=0)[regression.layout.columns[places]]
-    residual = slopes @ x[places] - C[:, 2].mean()
-    speed = np.linalg.norm(record.velocity, axis=1).mean()
-    # a typical slope of lift by alpha [1/rad], and the standard deviation of the mean vertical gust of a record [m/s]
-    std = 4.5 * 0.2 / speed
-    sums.add_equations(places, slopes[None], np.array([residual]), std**2)
+        motion = (record.force, record.rates, spin, flow[0], record.inputs)
+        terms.append(model.terms(flow, record.rates, record.inputs))
+        coefficients.append(model.coefficients(*motion))
+    X = np.concatenate(terms)[:, layout.columns]  # of each derivative
+    C = np.concatenate(coefficients)
+    x = x.copy()
+    names = layout.names[: layout.n_derivatives]
+    is_held = layout.is_by("alpha", "beta") | [is_coupling(name) for name in names]
+    for row in range(6):
+        of_row = layout.rows == row
+        held = np.flatnonzero(of_row & is_held)
+        free = np.flatnonzero(of_row & ~is_held)
+        residual = C[:, row] - X[:, held] @ x[held]
+        x[free] = least_squares(X[:, free], residual)
+    return x
 
 
 def add_airspeed(

@@ -11,7 +11,7 @@ Jategaonkar 2006, chapter 10). Gusts along u change u as well, so the heading is
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,9 +20,8 @@ from scipy.signal import detrend
 from skdgp._compute.statistics import remaining_error
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, EARTH_VELOCITY, EULER
-from skdgp._flight.clock import Clock
 from skdgp._flight.frames import air_velocity, euler_to_rotation
-from skdgp._flight.tables import has_values, numeric
+from skdgp._flight.tables import FlightTable, has_values, numeric
 from skdgp.estimation._sensors import AIR_SENSOR_ERRORS, GUST_TIME
 
 NEEDED = (*AIR_DATA, *EULER, *EARTH_VELOCITY)
@@ -95,14 +94,10 @@ def airspeed_scale(table: pd.DataFrame) -> AirspeedScale:
     is_sampled = np.isfinite(numeric(table, NEEDED)).all(axis=1)
     if not is_sampled.any():
         return UNKNOWN_SCALE
-    sampled = table.iloc[np.flatnonzero(is_sampled)]
-    clock = Clock.of(sampled["time"], sampled.get("flight"))
-    blocks = []
-    for rows in clock.rows.values():
-        flight: Any = sampled.iloc[rows]
-        blocks.append(_moments(flight))
+    flights = FlightTable.of(table[is_sampled])
+    blocks = [_moments(flight.table) for flight in flights.flights.values()]
     of_ground, of_air, of_instrument = np.concatenate(blocks, axis=1)
-    turning = of_instrument.real.sum() / len(sampled)
+    turning = of_instrument.real.sum() / is_sampled.sum()
     n = len(of_air)
     n_unknowns = 6  # real numbers: c, mean and drift of the wind
     # least variance of the unit vector forward that shows it: gusts turn a straight flight; a circle has 1; guess

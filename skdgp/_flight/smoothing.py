@@ -219,7 +219,8 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
             for part in (rows, rows[len(rows) % half :]):
                 parts.append(sliding_window_view(column[part], 2 * half)[::half])
     windows = np.concatenate(parts)
-    frequency, powers = signal.periodogram(windows, 1 / step, hann(2 * half), detrend="linear")
+    options: Any = {"window": hann(2 * half), "detrend": "linear"}
+    frequency, powers = signal.periodogram(windows, 1 / step, **options)
     largest = np.abs(column[np.concatenate(runs)]).max()
     return Spectrum(
         frequency=frequency,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -406,7 +407,7 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int, delay_std: float) -> 
     names = fit.parameters.names
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
-    covariance = np.linalg.inv(sums.information)
+    covariance: Any = np.linalg.inv(sums.information)
     if not converged:
         covariance = unfinished_covariance(fit, covariance)
     misfit = 1.0

@@ -182,7 +182,7 @@ def flights_of(table: pd.DataFrame) -> list[NamedFlight]:
     table = without_repeats(table, SENSOR_GROUPS)
     flights = []
     for name, runs in zip(checked.clock.names, checked.clock.segments_by_flight, strict=True):
-        rows = np.r_[tuple(runs)]
+        rows: Indices = np.r_[tuple(runs)]
         segment = np.repeat(np.arange(len(runs)), list(map(n_rows, runs)))
         sensors = _sensors_of(name, table.iloc[rows], checked.time[rows], segment)
         flights.append(NamedFlight(name, rows, sensors))

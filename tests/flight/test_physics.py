@@ -517,6 +517,20 @@ def test_a_surface_that_stands_still_is_not_stuck(flight):
     assert Code.STUCK_SURFACE not in [finding.code for finding in contradictions(steady)]
 
 
+def test_a_surface_that_moves_in_few_rows_is_not_stuck():
+    """Beta follows it then, so that their effects on yaw are not told apart; later gusts move beta alone."""
+    time = np.arange(0.0, 60.0, 0.05)
+    moves = (time > 20.0) & (time < 24.0)
+    rudder = 0.1 * np.sin(3.0 * time) * moves
+    gusts = 0.03 * np.sin(1.7 * time) + 0.02 * np.sin(2.9 * time)
+    beta = np.where(moves, 0.3 * rudder, gusts)
+    r = np.cumsum(0.05 * (30.0 * beta - 20.0 * rudder))
+    r += 0.001 * default_rng(0).normal(size=len(time))
+    still = dict.fromkeys(["p", "aileron"], 0.0 * time)
+    log = {"time": time, "airspeed": 20.0 + 0.0 * time, "r": r, "beta": beta, "rudder": rudder}
+    assert contradictions(pd.DataFrame(log | still)) == []
+
+
 def test_a_simulated_airspeed_in_still_air_is_the_ground_speed(flight):
     """Without noise the wind is what both differ by, and of still air that is nothing."""
     through_air = air_velocity(*(flight[name] for name in ("airspeed", "alpha", "beta")))

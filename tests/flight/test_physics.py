@@ -3,6 +3,7 @@
 import re
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import log_errors
 import numpy as np
@@ -117,15 +118,23 @@ def then(*changes):
     return change
 
 
-def from_half(name, change):
-    """Change the second half of a channel."""
+def from_part(begin, name, change):
+    """Change a channel after a part of the flight."""
 
     def changed(flight):
         values = flight[name].to_numpy()
-        half = len(values) // 2
-        return flight.assign(**{name: np.r_[values[:half], change(values[half:])]})
+        first = round(begin * len(values))
+        return flight.assign(**{name: np.r_[values[:first], change(values[first:])]})
 
     return changed
+
+
+from_half = partial(from_part, 0.5)
+
+
+def blocked(later):
+    """Return an airspeed that is the noise of its sensor alone."""
+    return later[0] + default_rng(0).normal(0, 0.3, len(later))
 
 
 def mix(names, matrix):
@@ -250,10 +259,7 @@ FOUND = [
     (scale({"airspeed": 0.95}), {"slope": pytest.approx(1 / 0.95, rel=0.02)}),
     (scale({"airspeed": 1.1}), {"slope": pytest.approx(1 / 1.1, rel=0.02)}),
     (then(without(*VELOCITY), scale({"airspeed": 3.6})), {"channels": ["airspeed"]}),
-    (
-        from_half("airspeed", lambda later: later[0] + default_rng(0).normal(0, 0.3, len(later))),
-        {"channels": ["airspeed"]},
-    ),
+    (from_half("airspeed", blocked), {"channels": ["airspeed"]}),
     (late(0.3, "alpha"), {"lag": pytest.approx(0.3), "channels": ["alpha"]}),
     (late(0.2, *RATES), {"lag": pytest.approx(0.2), "late": RATES}),
     (late(0.3, *SURFACES), {"lag": pytest.approx(0.3, abs=0.1), "late": SURFACES}),
@@ -282,6 +288,21 @@ FOUND = [
 def test_a_fault_has_its_numbers(flight, change, numbers):
     (found,) = contradictions(change(ordinary(flight)))
     assert {name: found.numbers[name] for name in numbers} == numbers
+
+
+@pytest.mark.parametrize("begin", [0.25, 0.75])
+def test_a_pitot_tube_may_be_blocked_at_any_time(begin):
+    time = np.arange(0.0, 120.0, 0.05)
+    speed = 20.0 + 2.0 * np.sin(0.4 * time)
+    psi = 0.1 * time
+    log = {"v_north": 3.0 + speed * np.cos(psi), "v_east": speed * np.sin(psi), "psi": psi}
+    log |= dict.fromkeys(["phi", "theta", "v_down"], 0.0 * time)
+    noise = default_rng(1).normal(size=(7, len(time)))
+    sound = pd.DataFrame(log) + 0.01 * noise[:6].T
+    sound = sound.assign(time=time, airspeed=speed + 0.3 * noise[6])
+    assert contradictions(sound) == []
+    (found,) = contradictions(from_part(begin, "airspeed", blocked)(sound))
+    assert found.numbers["causes"] == ["a blocked pitot tube"]
 
 
 @pytest.mark.parametrize("name", ELEVONS)

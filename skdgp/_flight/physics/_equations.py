@@ -70,17 +70,17 @@ def velocity_along(flight: Signals) -> Regression:
 def airspeed_later(flight: Signals) -> Regression:
     """Return V less the component along x, and V in the second half of each segment, beside V and a steady wind."""
     ground, airspeed, wind = velocity_along(flight)
-    return Regression(airspeed - ground, _is_later(flight) * airspeed, [airspeed, *wind])
+    return Regression(airspeed - ground, _is_later(flight, 0.5) * airspeed, [airspeed, *wind])
 
 
-def ground_velocity_later(flight: Signals) -> Regression:
-    """Return V and the component along x in the second half of each segment, beside it and another wind in each half.
+def ground_velocity_later(flight: Signals, begin: float) -> Regression:
+    """Return V and the component along x in the later part of each segment, beside it and another wind in each part.
 
-    Where V stands still, its slope over the component is that of the first half less. A V that is held follows gusts:
+    Where V stands still, its slope over the component is that of the first part less. A V that is held follows gusts:
     no row counts unless the later V is white noise.
     """
     ground, airspeed, wind = velocity_along(flight)
-    later = _is_later(flight)
+    later = _is_later(flight, begin)
     of_later = airspeed[np.isfinite(airspeed) & (later > 0)]
     # correlated for 2.4 samples and more where it is held, at 1 to 20 Hz, for 1.6 at most in a blocked tube
     if not of_later.size or autocorrelation_time(of_later) > 2:
@@ -92,12 +92,12 @@ def ground_velocity_later(flight: Signals) -> Regression:
     )
 
 
-def _is_later(flight: Signals) -> Vector:
-    """Return 1 in the second half of each segment, else 0."""
+def _is_later(flight: Signals, begin: float) -> Vector:
+    """Return 1 after a part of each segment, else 0."""
     first = np.searchsorted(flight.segment, flight.segment)
     number = np.arange(len(first)) - first
     size = np.bincount(flight.segment)[flight.segment]
-    return (number >= size / 2).astype(float)
+    return (number >= begin * size).astype(float)
 
 
 def course_through_the_air(flight: Signals) -> Regression:

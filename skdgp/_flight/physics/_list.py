@@ -204,6 +204,21 @@ def _copy(name: str, other: str, uses: tuple[str, ...], regression: Callable) ->
     )
 
 
+def _blocked(begin: float) -> Law:
+    """Return the law that an airspeed follows the ground velocity after a part of the flight as before."""
+    return Law(
+        channels=("airspeed",),
+        uses=(*EULER, *EARTH_VELOCITY),
+        y="airspeed",
+        x=f"the ground velocity after {begin:.0%} of the time, beside all of it",
+        regression=partial(equations.ground_velocity_later, begin=begin),
+        causes=("a blocked pitot tube",),
+        admissible=MOVING,
+        noise=0.15,
+        least_t=4.0,
+    )
+
+
 JUDGED_FIRST = (
     _copy("alpha", "theta", ("theta",), equations.alpha_by_attitude),
     _copy("psi", "the course over the ground", EARTH_VELOCITY[:2], equations.heading_by_course),
@@ -223,17 +238,7 @@ JUDGED_FIRST = (
         admissible=STEADY,
         noise=2.0,
     ),
-    Law(
-        channels=("airspeed",),
-        uses=(*EULER, *EARTH_VELOCITY),
-        y="airspeed",
-        x="the ground velocity of the second half, beside all of it",
-        regression=equations.ground_velocity_later,
-        causes=("a blocked pitot tube",),
-        admissible=MOVING,
-        noise=0.15,
-        least_t=4.0,
-    ),
+    *map(_blocked, (0.5, 0.25, 0.75)),
 )
 
 

@@ -26,7 +26,7 @@ from skdgp._flight.physics import (
     question_of_sizes,
 )
 from skdgp._flight.physics._laws import EQUAL
-from skdgp._flight.physics._list import OFFSETS, PITCH
+from skdgp._flight.physics._list import ALPHA, OFFSETS, PITCH
 from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.physics._sizes import usual_lift_slope
 from skdgp._flight.tables import FlightTable
@@ -578,6 +578,17 @@ def test_gusts_on_an_aircraft_that_hardly_pitches_are_no_wrong_airspeed():
     assert contradictions(pd.DataFrame(log).assign(time=step * np.arange(2400))) == []
 
 
+def test_a_usual_lag_is_no_wrong_scale():
+    """Of a velocity 0.4 s late in heaves of 1.5 s the slope without a lag is negative; vibration attenuates all."""
+    time = np.arange(0.0, 60.0, 0.05)
+    turns = 2 * np.pi / 1.5
+    names = [*log_errors.EULER, *VELOCITY, *FORCES]
+    log = pd.DataFrame(default_rng(0).normal(0.0, 0.01, (len(time), 9)), columns=names)
+    log["az"] = 350.0 * log["az"] + 3.0 * np.sin(turns * time) - GRAVITY
+    log["v_down"] -= 3.0 / turns * np.cos(turns * (time - 0.4))
+    assert contradictions(log.assign(time=time)) == []
+
+
 def test_a_late_servo_is_no_wrong_sign():
     """Rudder of 2 to 3 Hz, servo 0.15 s late, a third of a period: the slope at lag zero has the wrong sign."""
     step = 0.025
@@ -612,6 +623,13 @@ def judged(law, alpha, x, **changes):
     signals = Signals({"alpha": alpha}, np.zeros(len(x), int), 0.05)
     regression = lambda signals: Regression.with_intercept(signals["alpha"], x)  # noqa: E731
     return replace(law, uses=(), regression=regression, **changes).judge(signals)
+
+
+@pytest.mark.parametrize(("noise", "is_confirmed"), [(0.3, True), (1.5, False)])
+def test_a_slope_confirms_a_vane_only_without_gusts(noise, is_confirmed):
+    """Of a slope of 1 with a correlation of 0.55 the scale is 1 to 3."""
+    x, gusts = default_rng(0).normal(size=(2, 600))
+    assert judged(ALPHA, x + noise * gusts, x) == (None, is_confirmed)
 
 
 @pytest.mark.parametrize(("ratio", "is_accused"), [(1.12, False), (1.17, True)])

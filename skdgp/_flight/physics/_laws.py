@@ -103,12 +103,14 @@ class Law:
             return late, False
         least, most, _ = self.admissible
         if is_equal and abs(best.t(least, most)) < self.least_t:
-            return None, True
+            # errors of x attenuate a slope by the squared correlation at most (Frisch 1934)
+            return None, best.value < EQUAL.most * best.correlation**2
         if self.is_equality:  # Fuller 1987, section 1.1
             least *= 1 - (self.noise / best.size) ** 2
-        slope = slopes.get(0.0, best)
         if self.is_cause:
             slope = self._nearest_slope(slopes, best, signals)
+        else:
+            slope = most_explained(self._of_usual_lags(slopes)) or best
         t = slope.t(least, most)
         if abs(t) < self.least_t or slope.explained < self.least_explained:
             return None, False
@@ -123,14 +125,13 @@ class Law:
         self, slopes: dict[float, Slope], best: Slope, is_equal: bool
     ) -> Contradiction | None:
         """Return the contradiction of a best lag outside of the usual ones, if it is one."""
-        first, last = self.usual_lags
         best_lag = next(lag for lag, slope in slopes.items() if slope is best)
         is_clear = self.admissible.sign * best.correlation > PHYSICS.clear_correlation
         is_clear |= is_equal
-        if first <= best_lag <= last or not is_clear:
+        usual = self._of_usual_lags(slopes)
+        if best_lag in usual or not is_clear:
             return None
-        of_usual = [slope.explained for lag, slope in slopes.items() if first <= lag <= last]
-        explained = max(of_usual, default=0.0)
+        explained = max((slope.explained for slope in usual.values()), default=0.0)
         # likelihood ratio: t^2 = n log of the ratio of unexplained variances
         ratio = (1 + best.explained) / (1 + explained)
         t = float(np.sqrt(best.n_effective * np.log(ratio)))
@@ -142,6 +143,11 @@ class Law:
         # accelerometers are of the inertial unit, whose clock counts
         vanes = tuple(name for name in self.channels if name in VANES)
         return Contradiction(law=self, channels=vanes or self.channels, slope=best, t=t, lag=lag)
+
+    def _of_usual_lags(self, slopes: dict[float, Slope]) -> dict[float, Slope]:
+        """Return the slopes at lags that are no contradiction."""
+        first, last = self.usual_lags
+        return {lag: slope for lag, slope in slopes.items() if first <= lag <= last}
 
     def _nearest_slope(self, slopes: dict[float, Slope], best: Slope, signals: Signals) -> Slope:
         """Return the slope nearest to the admissible ones, of the lags that explain y about as well as the best.

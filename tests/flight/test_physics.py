@@ -216,7 +216,7 @@ FAULTS = [
     (scale({"p": 1.25}), "p", 0.8),
     (scale({"phi": DEGREES}), "phi", DEGREES),
     (scale({"psi": DEGREES}), "psi", None),
-    (scale({"phi theta psi": DEGREES}), "phi", DEGREES),
+    (scale({"phi theta psi": DEGREES}), "p phi", DEGREES),
     (scale({"p q r": DEGREES}), "p, q theta", None),
     (scale({"ax ay az": 1 / GRAVITY}), "az", 1 / GRAVITY),
     (scale({"airspeed": 1 / 0.514444}), "airspeed", 0.514444),

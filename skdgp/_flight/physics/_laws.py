@@ -108,9 +108,11 @@ class Law:
         if self.is_equality:  # Fuller 1987, section 1.1
             least *= 1 - (self.noise / best.size) ** 2
         if self.is_cause:
-            slope = self._nearest_slope(slopes, best, signals)
+            candidates = self._slopes_of_cause(slopes, best, signals)
         else:
-            slope = most_explained(self._of_usual_lags(slopes)) or best
+            usual = most_explained(self._of_usual_lags(slopes)) or best
+            candidates = [slopes.get(0.0, usual), usual]
+        slope = min(candidates, key=lambda slope: abs(slope.t(least, most)))
         t = slope.t(least, most)
         if abs(t) < self.least_t or slope.explained < self.least_explained:
             return None, False
@@ -149,8 +151,10 @@ class Law:
         first, last = self.usual_lags
         return {lag: slope for lag, slope in slopes.items() if first <= lag <= last}
 
-    def _nearest_slope(self, slopes: dict[float, Slope], best: Slope, signals: Signals) -> Slope:
-        """Return the slope nearest to the admissible ones, of the lags that explain y about as well as the best.
+    def _slopes_of_cause(
+        self, slopes: dict[float, Slope], best: Slope, signals: Signals
+    ) -> list[Slope]:
+        """Return the slopes at lags that explain y about as well as the best.
 
         Under feedback a late servo turns the sign at lag zero.
         """
@@ -158,8 +162,7 @@ class Law:
         lags = [lag for lag, slope in slopes.items() if slope.explained >= enough]
         if self.angle is not None and self.angle not in signals:
             lags = [lag for lag in lags if lag < 0] + _lags_before_angle(slopes, best)
-        least, most, _ = self.admissible
-        return min((slopes[lag] for lag in lags), key=lambda slope: abs(slope.t(least, most)))
+        return [slopes[lag] for lag in lags]
 
     def _is_reverse_equal(self, signals: Signals) -> bool:
         """Return whether x over y has an admissible slope: equal signals, of which x alone is noisy.

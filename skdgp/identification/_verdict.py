@@ -70,7 +70,7 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("unknown", (Code.TOO_LITTLE_FLOWN,)),
         ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN)),
         ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES)),
-        ("no", (Code.CONTROLS_MISSING,)),
+        ("no", (Code.CONTROLS_MISSING, Code.SLOW_LOG)),
         ("no", (Code.CONTROLS_TOO_UNCERTAIN, Code.BANDS_DO_NOT_HOLD, Code.TRIM_BEYOND)),
         ("partly", (Code.TESTED_ON_COPY, Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
         ("partly", (Code.ACCELERATIONS_AS_REGRESSORS,)),

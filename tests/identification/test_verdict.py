@@ -357,6 +357,7 @@ def modes(name):
 BLIND = replace(errors(0.7), table=errors().table[["time"]])
 HIDDEN = SHORT.assign(wind_known=False)
 LITTLE = {"flown": 5.0}
+SLOW = Finding(Code.SLOW_LOG, rate=4.0)
 BEYOND = replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})
 RATES = {"regressors": ["p_hat", "elevator"]}
 USES = [
@@ -399,6 +400,7 @@ USES = [
     (CONTROL, {"simulation": simulated([4.0, 2.0])}, "yes", "CONTROLS_KNOWN"),
     (CONTROL, {"fit": AX}, "partly", "ACCELERATIONS_AS_REGRESSORS"),
     (CONTROL, {"trim": BEYOND}, "no", "TRIM_BEYOND"),
+    (CONTROL, {"findings": [SLOW]}, "no", "SLOW_LOG"),
     (CONTROL, {"trim": None, "notes": (NO_TRIM,)}, "no", "NO_TRIM"),
     (CONTROL, {"trim": None}, "no", "CONTROLS_MISSING"),
 ]  # fmt: skip

@@ -210,12 +210,14 @@ def _blocked(begin: float) -> Law:
         channels=("airspeed",),
         uses=(*EULER, *EARTH_VELOCITY),
         y="airspeed",
-        x=f"the ground velocity after {begin:.0%} of the time, beside all of it",
+        x=f"the ground velocity after {100 * begin:g} % of the time, beside all of it",
         regression=partial(equations.ground_velocity_later, begin=begin),
         causes=("a blocked pitot tube",),
         admissible=MOVING,
         noise=0.15,
         least_t=4.0,
+        # the part before is not explained by it
+        least_explained=0.0,
     )
 
 

@@ -80,10 +80,10 @@ def _functions(ca: Any, z: Any, term: Term) -> Any:
 
 def write_casadi(folder: Path, model: PortableModel) -> list[Path]:
     """Save both functions of a model; ``casadi.Function.load`` reads them, in Python, C++ and MATLAB."""
+    functions = [casadi_function(model, mean_only=mean_only) for mean_only in (False, True)]
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for mean_only in (False, True):
-        function = casadi_function(model, mean_only=mean_only)
+    for function in functions:
         path = folder / f"{function.name()}.casadi"
         function.save(str(path))
         paths.append(path)

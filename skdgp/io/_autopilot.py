@@ -71,10 +71,8 @@ class FlightLog(NamedTuple):
     reasons: str
 
 
-def is_log(path: object) -> bool:
+def is_log(path: str | os.PathLike[str]) -> bool:
     """Return whether this is the path of a log of an autopilot."""
-    if not isinstance(path, str | os.PathLike):
-        return False
     return Path(path).suffix.lower() in AUTOPILOTS
 
 

@@ -416,8 +416,7 @@ def in_force(
     One that is set later alone has its first value.
     """
     # single time stamps may be wrong
-    middles = [float(np.median(topic.time)) for topic in topics.values() if len(topic)]
-    middle = float(np.median(middles)) if middles else 0.0
+    middle = np.median(np.concatenate([topic.time for topic in topics.values()]))
     parameters: dict[str, float] = {}
     for time, name, value in changes:
         if np.isfinite(value) and (time <= middle or name not in parameters):

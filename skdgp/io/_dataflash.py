@@ -23,7 +23,6 @@ from skdgp._flight.servo_functions import ServoFunction, ServoRange
 from skdgp.io._log import (
     DOWN,
     EQUIVALENT,
-    NO_PULSE,
     NOTHING,
     OPENING,
     QUATERNION,
@@ -446,17 +445,15 @@ def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> 
 
 
 def _servos_of(topic: Topic, parameters: Mapping[str, float], channel: str) -> dict[int, Servo]:
-    """Return the first logged servo of each SERVOn_FUNCTION, one that gets pulses before one that is off."""
+    """Return the first logged servo of each SERVOn_FUNCTION."""
     servos: dict[int, Servo] = {}
-    silent: dict[int, Servo] = {}
     for n in range(1, MOST_SERVOS + 1):
         name = channel.format(n)
         _, field = name.split(".")
         if field in topic:
             function = whole(parameters.get(f"SERVO{n}_FUNCTION", 0.0))
-            group = servos if (topic[field] >= NO_PULSE).any() else silent
-            group.setdefault(function, _servo(parameters, n, name, function))
-    return silent | servos
+            servos.setdefault(function, _servo(parameters, n, name, function))
+    return servos
 
 
 def _servo(parameters: Mapping[str, float], n: int, channel: str, function: int) -> Servo:

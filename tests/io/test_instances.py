@@ -423,13 +423,6 @@ class TestVehicles:
         assert {"flap", "spoiler"} & {*table} == {column}
         assert_wave(table, column, 0.5, mean=0.5, atol=0.003)
 
-    def test_an_output_that_is_off_gives_way_to_one_that_moves(self, plane, surfaces):
-        """Two outputs have the function of the aileron, and the first gets no pulse."""
-        log = plane(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=4.0)
-        log.topic("RCOU", SLOW, C1=("H", 0), C5=pulse(0.3 * np.sin(SLOW)))
-        table = surfaces(log)
-        assert_wave(table, "aileron", 0.3, atol=0.005)
-
 
 def test_differential_spoilers_are_told(told, plane):
     log = plane(SERVO1_FUNCTION=4.0, SERVO5_FUNCTION=16.0)

@@ -221,17 +221,16 @@ class TestInterrupted:
 @pytest.mark.filterwarnings("default")
 def test_a_fit_stopped_far_from_an_optimum_says_so():
     X = np.linspace(0, 6, 60)[:, None]
+    y = np.sin(3 * X[:, 0])
     with pytest.warns(
         ConvergenceWarning,
         match=r"stopped at max_iter=1 before it converged. Raise max_iter\.$",
     ):
-        model = DependentGPRegressor(max_iter=1, random_state=0).fit(X, np.sin(3 * X[:, 0]))
+        model = DependentGPRegressor(max_iter=1, random_state=0).fit(X, y)
     assert not model.converged_
     with pytest.warns(
         ConvergenceWarning,
         match=r"Raise max_iter, or scale the regressors \['x0'\] .StandardScaler.\.$",
     ):
-        DependentGPRegressor(max_iter=1, random_state=0).fit(100 * X, np.sin(3 * X[:, 0]))
-    assert (
-        DependentGPRegressor(random_state=0, max_iter=2000).fit(X, np.sin(3 * X[:, 0])).converged_
-    )
+        DependentGPRegressor(max_iter=1, random_state=0).fit(100 * X, y)
+    assert DependentGPRegressor(random_state=0, max_iter=2000).fit(X, y).converged_

@@ -21,12 +21,6 @@ AIR = {"air": Air(density=DENSITY, gravity=GRAVITY)}
 
 
 @pytest.fixture(scope="module")
-def textbook(glider):
-    """Return a model of coefficients that are linear."""
-    return glider.model()
-
-
-@pytest.fixture(scope="module")
 def of_columns(glider):
     """Return a function to the glider without some regressors, or with more, that it does not feel."""
 
@@ -44,17 +38,16 @@ def of_columns(glider):
 ACCELERATIONS = [3, 4, 5, 10, 11, 12]
 
 
-class TestKnownAnswers:
-    def test_bank_and_turn_rate_are_two_ways_to_ask_for_a_turn(self, glider, textbook):
-        by_bank = trim(textbook, glider.aircraft, 20.0, bank=-0.5, **AIR)
-        by_rate = trim(
-            textbook, glider.aircraft, 20.0, fixed={"turn_rate": by_bank.turn_rate}, **AIR
-        )
-        assert by_bank.turn_rate < 0
-        assert_allclose(by_rate.phi, -0.5)
-        assert_allclose(by_rate.state, by_bank.state)
-        now = Motion(textbook, glider.aircraft, **AIR).at(by_bank.state, by_bank.controls)
-        assert np.abs(now.derivative[ACCELERATIONS]).max() < 1e-8
+def test_bank_and_turn_rate_are_two_ways_to_ask_for_a_turn(glider):
+    model = glider.model()
+    by_bank = trim(model, glider.aircraft, 20.0, bank=-0.5, **AIR)
+    turn = {"turn_rate": by_bank.turn_rate}
+    by_rate = trim(model, glider.aircraft, 20.0, fixed=turn, **AIR)
+    assert by_bank.turn_rate < 0
+    assert_allclose(by_rate.phi, -0.5)
+    assert_allclose(by_rate.state, by_bank.state)
+    now = Motion(model, glider.aircraft, **AIR).at(by_bank.state, by_bank.controls)
+    assert np.abs(now.derivative[ACCELERATIONS]).max() < 1e-8
 
 
 class TestSteady:
@@ -121,20 +114,6 @@ class TestShape:
         )
         with pytest.raises(ValueError, match=r"lacks values of \['throttle'\], .*give fixed="):
             trim(of_columns(names), glider.aircraft, 20.0, **AIR)
-
-    def test_elevons_are_controls_as_others_are(self, glider, textbook):
-        mix = np.array([[0.5, 0.5], [0.5, -0.5]])  # elevator and aileron of left and right
-
-        def by_elevons(X):
-            return textbook(np.column_stack([X[:, :5], X[:, 5:7] @ mix.T, X[:, 7]]))
-
-        elevons = ["elevon_left", "elevon_right"]
-        model = Aerodynamics(by_elevons, [*glider.names[:5], *elevons, "rudder"])
-        found, usual = (
-            trim(one, glider.aircraft, 20.0, bank=0.4, **AIR).controls for one in (model, textbook)
-        )
-        mixed = mix @ [found[name] for name in elevons]
-        assert_allclose(mixed, [usual["elevator"], usual["aileron"]])
 
 
 @pytest.mark.parametrize(

@@ -171,6 +171,21 @@ def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.n
     return _vector(u, v, w)
 
 
+def flow_angle_rates(
+    velocity: ArrayLike, force: ArrayLike, rates: ArrayLike, attitude: ArrayLike
+) -> np.ndarray:
+    r"""Return the rates of change of alpha and beta (..., 2) [rad/s] by the motion through steady air.
+
+    Of body velocities v relative to the air, specific force f, angular rates and attitude (phi, theta),
+    :math:`\dot v = f + g - \omega \times v` (Stevens, Lewis & Johnson 2016, section 1.7).
+    """
+    phi, theta = components(attitude)
+    down = _vector(-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta))
+    acceleration = np.asarray(force) + STANDARD_GRAVITY * down - cross(rates, velocity)
+    slopes = air_data_slopes(velocity)[..., 1:, :]
+    return np.squeeze(slopes @ acceleration[..., None], -1)
+
+
 def wind_origin(north: float, east: float) -> float:
     """Return where the wind comes from [deg], clockwise from north, 0 to 360, by its velocity."""
     return np.rad2deg(np.arctan2(-east, -north)) % 360

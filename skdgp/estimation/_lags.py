@@ -41,7 +41,7 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.clock import uniform_grid
-from skdgp._flight.frames import STANDARD_GRAVITY
+from skdgp._flight.frames import air_velocity, flow_angle_rates
 from skdgp._flight.sensor_position import at_centre_of_gravity
 from skdgp._flight.smoothing import low_pass
 from skdgp._flight.tables import FlightTable, has_values, interpolate_missing, numeric
@@ -223,8 +223,8 @@ class _Segment:
             steady = low_pass(on_clock(["airspeed"]), rate_hz, 0.2)
             # airspeed at least, over its median: none in which rates over V diverge
             speed = np.maximum(steady, 0.1 * np.median(steady))
-            alpha = float(np.mean(on_clock(["alpha"])))
-            angle_rates = _angle_rates(force, rates, on_clock(ATTITUDE), alpha, speed[:, 0])
+            velocity = air_velocity(speed[:, 0], np.mean(on_clock(["alpha"])), 0.0)
+            angle_rates = flow_angle_rates(velocity, force, rates, on_clock(ATTITUDE))
             motion = cumulative_trapezoid(angle_rates, clock, axis=0, initial=0)
             groups["motion"] = motion[:, np.isin(VANES, vanes)]
         smooth_rates = low_pass(rates, rate_hz, 2 * high)
@@ -278,19 +278,6 @@ class _Segment:
         if "surfaces" not in self.splines:
             return inertial
         return np.hstack([inertial, self.at("surfaces", surface_lag)])
-
-
-def _angle_rates(
-    force: Matrix, rates: Matrix, attitude: Matrix, alpha: float, speed: Vector
-) -> Matrix:
-    """Return the rates of change of alpha and beta (n, 2) by the motion alone [rad/s]."""
-    p, q, r = rates.T
-    phi, theta = attitude.T
-    g_y = STANDARD_GRAVITY * np.cos(theta) * np.sin(phi)
-    g_z = STANDARD_GRAVITY * np.cos(theta) * np.cos(phi)
-    alpha_dot = q + (force[:, 2] + g_z) / speed
-    beta_dot = p * np.sin(alpha) - r * np.cos(alpha) + (force[:, 1] + g_y) / speed
-    return np.column_stack([alpha_dot, beta_dot])
 
 
 def _moving_surfaces(table: pd.DataFrame) -> list[str]:

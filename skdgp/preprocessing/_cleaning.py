@@ -32,7 +32,13 @@ from skdgp._flight.faults import (
 )
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
-from skdgp._flight.smoothing import band_limited, differentiate, smooth, vibration_band
+from skdgp._flight.smoothing import (
+    angles_by_motion,
+    band_limited,
+    differentiate,
+    smooth,
+    vibration_band,
+)
 from skdgp._flight.tables import FlightTable, by_name, check_columns, numeric, unwrapped
 from skdgp._flight.units import check_airspeed, check_radians
 from skdgp.estimation import airspeed_scale, without_airspeed_error
@@ -231,7 +237,9 @@ class FlightSmoother(TableTransformer):
     Each gap-free segment of a flight is filtered by itself, by the columns ``time`` [s] and
     ``flight`` (optional), at its full rate. With ``cutoff="auto"`` each channel gets the Wiener
     smoother of its own spectrum, H(f) = max(0, 1 - N / P(f)), where N is the white noise at the
-    upper end of P. Rates of change are derivatives of the cubic spline through the smoothed
+    upper end of P. Of alpha and beta it filters only what the motion through steady air does not
+    explain, where a flight has both, airspeed, phi, theta, rates and specific force: a transient of a
+    quiet flight is kept. Rates of change are derivatives of the cubic spline through the smoothed
     channel. Flights that vibrate beyond the motion of the aircraft lose, with "auto" columns and
     cutoff, all frequencies beyond it, and so do their controls: vibration biases slopes. Missing
     values (NaN) stay missing; a slow sensor is filtered at its own rate. Raises
@@ -328,5 +336,9 @@ class FlightSmoother(TableTransformer):
         if not names:
             return {}
         clock = {"time": numeric(table, ["time"])[:, 0], "flight": table.get("flight")}
-        values = operation(unwrapped(table, names), cutoff=self.cutoff, **clock)
-        return by_name(names, values)
+        values = unwrapped(table, names)
+        if self.cutoff != "auto":
+            return by_name(names, operation(values, cutoff=self.cutoff, **clock))
+        motion = angles_by_motion(table).reindex(columns=names, fill_value=0.0).to_numpy()
+        rest = operation(values - motion, cutoff="auto", **clock)
+        return by_name(names, rest + operation(motion, cutoff=None, **clock))

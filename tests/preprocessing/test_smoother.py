@@ -8,6 +8,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import signal
 
+from skdgp.dynamics import air_velocity
 from skdgp.preprocessing import FlightSmoother
 
 RATE = 40.0
@@ -222,3 +223,29 @@ def test_a_missing_column_is_named_once_with_its_flight():
     with pytest.raises(ValueError, match=words) as error:
         smoother.transform(flight("two").drop(columns="beta"))
     assert str(error.value).count("'beta'") == 1
+
+
+def test_vanes_keep_a_transient_that_the_motion_shows():
+    """Of a quiet record, whose spectrum tells nothing of it."""
+    time = clock(720)
+    alpha = 0.08 * np.exp(-3.0 * time) * np.cos(8.0 * time)
+    beta = -0.5 * alpha
+    zero = np.zeros_like(time)
+    velocity = air_velocity(20.0, alpha, beta)
+    truth = {
+        "alpha": alpha,
+        "beta": beta,
+        "p": zero,
+        "q": zero,
+        "r": zero,
+        "phi": zero,
+        "theta": zero,
+    }
+    force = np.gradient(velocity, time, axis=0, edge_order=2) - [0.0, 0.0, 9.80665]
+    table = pd.DataFrame({"time": time, "airspeed": 20.0} | truth)
+    table[["ax", "ay", "az"]] = force
+    noise = default_rng(0).normal(0.0, 0.01, (2, len(time)))
+    table[["alpha", "beta"]] += noise.T
+    out = smoothed_table(table)
+    for name in ("alpha", "beta"):
+        assert rms(out[name] - truth[name]) < 0.003

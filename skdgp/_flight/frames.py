@@ -290,26 +290,22 @@ def standard_density(altitude: ArrayLike) -> np.ndarray:
     array([1.225, 1.112])
     """
     altitude = np.asarray(altitude, dtype=float)
-    outside = (altitude < LOWEST) | (altitude > HIGHEST)
+    density = density_or_nan(altitude)
+    outside = np.isnan(density) & ~np.isnan(altitude)
     if outside.any():
         raise ValueError(
             f"Got altitude {altitude[outside].flat[0]:g} m, but expected {LOWEST:g} to "
             f"{HIGHEST:g} m, where the standard atmosphere is given: use metres above the sea, "
             f"upward, or density from elsewhere."
         )
-    return _density(altitude)
+    return density
 
 
 def density_or_nan(altitude: np.ndarray) -> np.ndarray:
     """Return the density of `standard_density` [kg/m^3], NaN outside of the atmosphere."""
-    is_inside = (altitude > LOWEST) & (altitude < HIGHEST)
+    is_inside = (altitude >= LOWEST) & (altitude <= HIGHEST)
     if not is_inside.all():
         altitude = np.where(is_inside, altitude, np.nan)
-    return _density(altitude)
-
-
-def _density(altitude: np.ndarray) -> np.ndarray:
-    """Return the density [kg/m^3] at geopotential altitudes [m] up to 20 km."""
     sea_level_temperature = 288.15  # [K]
     tropopause = 11000.0  # [m]
     lapse = 0.0065  # [K/m] up to the tropopause, zero above

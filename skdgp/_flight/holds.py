@@ -121,7 +121,7 @@ def error_between_samples(time: Vector, values: Vector, samples: Indices) -> Vec
     number = np.interp(time, time[samples], np.arange(len(samples)))
     fraction = number % 1.0
     curvature = np.abs(np.gradient(np.gradient(values[samples])))
-    return 2 * fraction * (1 - fraction) * np.interp(number, np.arange(len(samples)), curvature)
+    return 2 * fraction * (1 - fraction) * np.interp(time, time[samples], curvature)
 
 
 def without_repeats(table: pd.DataFrame, groups: Iterable[Sequence[str]]) -> pd.DataFrame:

@@ -28,7 +28,7 @@ from skdgp.estimation._sensors import PATH_NOISE as PATH_NOISE
 from skdgp.estimation._sensors import FlightSensors, flights_of
 from skdgp.estimation._sensors import NamedFlight as NamedFlight
 from skdgp.estimation._sensors import missing_channels as missing_channels
-from skdgp.estimation._servos import delayed_surfaces as delayed_surfaces
+from skdgp.estimation._servos import servo_output as servo_output
 from skdgp.estimation._servos import without_lag as without_lag
 from skdgp.estimation._vibration import vibration_covariance as vibration_covariance
 

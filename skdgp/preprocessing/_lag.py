@@ -18,14 +18,22 @@ from skdgp._flight.channels import (
     EULER,
     POSITION,
 )
+from skdgp._flight.clock import Clock, median_step, n_rows
 from skdgp._flight.holds import without_repeats
-from skdgp._flight.tables import by_name, check_columns, check_number, numeric, unwrapped
+from skdgp._flight.tables import (
+    by_name,
+    check_columns,
+    check_number,
+    interpolate_missing,
+    numeric,
+    unwrapped,
+)
 from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
     Lag,
-    delayed_surfaces,
     estimate_lags,
     removable,
+    servo_output,
     without_lag,
 )
 from skdgp.preprocessing._table import TableTransformer, present, with_names, wrap_near
@@ -195,11 +203,19 @@ class LagCorrector(TableTransformer):
 
 
 def deflections(table: pd.DataFrame, lag: float, rate_limit: float = np.inf) -> dict[str, Vector]:
-    """Return the deflections of servos of a first-order lag by their commands, NaN where there is none."""
+    """Return the deflections of servos of a first-order lag by their commands, NaN where there is none.
+
+    Servos begin each gap-free segment at rest.
+    """
     surfaces = present(ALL_SURFACES, table)
     time = numeric(table, ["time"])[:, 0]
     commands = numeric(table, surfaces)
-    late = delayed_surfaces(time, commands, lag, table.get("flight"), rate_limit)
+    filled = interpolate_missing(time, commands)
+    late = np.empty_like(commands)
+    for run in Clock.of(time, table.get("flight")).segments:
+        # a single sample is at rest, whatever the step
+        step = median_step(time, [run]) if n_rows(run) > 1 else 1.0
+        late[run] = servo_output(filled[run], lag, step, rate_limit)
     late[np.isnan(commands)] = np.nan
     return by_name(surfaces, late)
 

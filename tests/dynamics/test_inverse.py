@@ -165,13 +165,6 @@ def test_flights_that_cannot_be(simulated, aircraft, change, words):
         aerodynamic_coefficients(change(simulated), aircraft)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda f: f.assign(az=-f["az"]), "change the signs of ay and az"),
-        (lambda f: f.assign(altitude=6000.0), "times that of the standard atmosphere"),
-    ],
-)
-def test_flights_of_probably_wrong_units_warn(simulated, aircraft, change, words):
-    with pytest.warns(UserWarning, match=words):
-        aerodynamic_coefficients(change(simulated), aircraft, cutoff=None)
+def test_sensors_whose_z_points_up_are_warned_of(simulated, aircraft):
+    with pytest.warns(UserWarning, match="change the signs of ay and az"):
+        aerodynamic_coefficients(simulated.assign(az=-simulated["az"]), aircraft, cutoff=None)

@@ -19,7 +19,7 @@ from sklearn.base import clone
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.design import three_two_one_one
 from skdgp.dynamics import Aircraft, Servos, aerodynamic_coefficients, stability_derivatives
-from skdgp.estimation import AirSettings, delayed_surfaces, estimate_air_motion, flights_of
+from skdgp.estimation import AirSettings, estimate_air_motion, flights_of, servo_output
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
 
@@ -294,7 +294,7 @@ def test_another_flight_is_reconstructed_with_the_aircraft_that_is_known():
     assert_allclose(held.air["alpha"], out["alpha"])
     lag = found.constants.loc["servo_lag", "value"]
     sensors = flights_of(flight.table)[0].sensors
-    late = delayed_surfaces(sensors.time, flight.table[SURFACES].to_numpy(), lag)
+    late = servo_output(flight.table[SURFACES].to_numpy(), lag, np.diff(sensors.time)[0])
     assert_allclose(out[SURFACES], late)
     assert list(reconstruction().get_feature_names_out()) == list(out)
 

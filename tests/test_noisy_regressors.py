@@ -47,19 +47,17 @@ def test_bands_hold_the_truth_at_noisy_regressors(learned, naive):
     assert np.mean(np.abs(truth - mean) < 1.96 * too_small) < 0.5
 
 
-def test_the_wider_part_goes_with_the_slope(learned):
+@pytest.mark.parametrize("times", [0.0, 4.0, np.repeat([[1.0], [0.0]], [10, 20], axis=0)])
+def test_the_wider_part_goes_with_the_slope(learned, times):
+    """By a number for all rows, or one for each."""
     X = waves(seed=1)[0][:30]
-    variance = [
-        learned.predict(X, return_std=True, include_input_noise=times)[1] ** 2
-        for times in (0.0, 1.0, 4.0)
-    ]
+    exact, noisy = (
+        learned.predict(X, return_std=True, include_input_noise=noise)[1]
+        for noise in (False, np.ravel(times) if np.ndim(times) else times)
+    )
     slope = learned.predict_gradient(X)[..., 0]
     carried = slope**2 * learned.input_covariance_[0, 0]
-    assert_allclose(variance[1] - variance[0], carried, rtol=1e-6, atol=1e-12)
-    assert_allclose(variance[2] - variance[0], 4 * carried, rtol=1e-6, atol=1e-12)
-    each = np.r_[np.ones(10), np.zeros(20)]
-    mixed = learned.predict(X, return_std=True, include_input_noise=each)[1] ** 2
-    assert_allclose(mixed, np.where(each[:, None] > 0, variance[1], variance[0]))
+    assert_allclose(noisy**2 - exact**2, times * carried, rtol=1e-6, atol=1e-12)
 
 
 def test_nonsense_is_refused(learned):

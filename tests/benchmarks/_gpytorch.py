@@ -10,6 +10,7 @@ from gpytorch.variational import (
     LMCVariationalStrategy,
     VariationalStrategy,
 )
+from numpy.random import default_rng
 
 
 class GappedLCM(gpytorch.models.ExactGP):
@@ -94,7 +95,7 @@ class SparseLCM:
     def fit(self, X, Y):
         torch.set_num_threads(1)  # small matrices: faster so
         torch.manual_seed(0)
-        rng = np.random.default_rng(0)
+        rng = default_rng(0)
         size = min(150, len(X))
         starts = np.stack([X[rng.choice(len(X), size, replace=False)] for _ in range(6)])
         X, Y = (torch.as_tensor(part, dtype=torch.float32) for part in (X, Y))

@@ -17,6 +17,7 @@ import numpy as np
 from _common import Kept, contest, finish, parser_of
 from _peers import EachOutput, Process
 from made_outputs import little_overlap, noisy_copies, translated
+from numpy.random import default_rng
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor
@@ -93,7 +94,7 @@ METHODS = {"skdgp": defaults, "one structure": one_structure, "scikit-learn": se
 
 def scored(problem, method, seed):
     """Return the error over the spread of the truth, and the percentage of points inside the band."""
-    X, Y, points, truth = PROBLEMS[problem](np.random.default_rng(seed))
+    X, Y, points, truth = PROBLEMS[problem](default_rng(seed))
     mean, std = METHODS[method](X, Y, points)
     held = 100 * float(interval_coverage(truth, mean, std))
     return {"error": float(normalized_rmse(truth, mean)), "held": held}

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_flights import lasting
+from numpy.random import default_rng
 from scipy.stats import kstest
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -24,7 +25,7 @@ SLOPES = np.array([[0.3, 0.0, -4.0, 0.0, -0.5, 0.0], [0.0] * 6, [0.0] * 4 + [-0.
 
 def flight(seed, noise):
     """Return regressors and coefficients of a flight with errors that last."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = pd.DataFrame(0.1 * lasting(rng, (1500, 3), 15), columns=NAMES)
     return X, X.to_numpy() @ SLOPES + noise * lasting(rng, (1500, 6), 5)
 
@@ -136,7 +137,7 @@ def with_noise_of_alpha(seed, size, of_q=0.0):
     A part of this noise, ``of_q``, is also in q.
     """
     true, Y = flight(seed, 0.0)
-    rng = np.random.default_rng(1000 + seed)
+    rng = default_rng(1000 + seed)
     X = size * true
     measured = X.copy()
     noise = ALPHA_NOISE * rng.normal(size=len(X))
@@ -274,7 +275,7 @@ def test_constant_errors_of_sensors_are_no_change():
     model = learned(*flight(0, 0.005))
     flights = {}
     for seed in range(1, 13):
-        rng = np.random.default_rng(2000 + seed)
+        rng = default_rng(2000 + seed)
         X, Y = flight(seed, 0.005)
         X["alpha"] += 0.005 * rng.choice([-1, 1])
         Y[:, :3] += 0.05 * BY_ACCELERATION * rng.choice([-1, 1], size=3)

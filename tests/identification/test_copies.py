@@ -1,8 +1,8 @@
 """A flight that is given twice teaches nothing the second time, and tells nothing as a test."""
 
-import numpy as np
 import pytest
 from flight_columns import EULER, FORCES, RATES
+from numpy.random import default_rng
 from sklearn.utils import Bunch
 
 SENSORS = [*RATES, *FORCES, *EULER]
@@ -26,7 +26,7 @@ def flights(first_minute):
 def telemetry(flights):
     """Other samples, at a fifth of the rate, with noise of their own; the clock is the vehicle's."""
     slow = flights.train["latlon"].iloc[3:640:5].reset_index(drop=True)
-    slow[SENSORS] += np.random.default_rng(0).normal(0.0, 0.01, (len(slow), len(SENSORS)))
+    slow[SENSORS] += default_rng(0).normal(0.0, 0.01, (len(slow), len(SENSORS)))
     return slow
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from made_outputs import SHIFTS, noisy_copies, translated
+from numpy.random import default_rng
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
@@ -23,7 +24,7 @@ def error_over_spread(predicted, truth):
 @pytest.fixture(scope="module")
 def copies():
     """Return a fit to translated copies of one function, points, and the truth there."""
-    X, Y, points, truth = translated(np.random.default_rng(3), 120)
+    X, Y, points, truth = translated(default_rng(3), 120)
     return DependentGPRegressor(random_state=0).fit(X, Y), points, truth
 
 
@@ -43,7 +44,7 @@ class TestShiftedOutputs:
 
 
 def test_outputs_that_are_not_translated_have_no_shift():
-    rng = np.random.default_rng(1)
+    rng = default_rng(1)
     X = rng.uniform(-2, 2, (100, 1))
     F = np.column_stack([np.sin(2 * X[:, 0]), -2.0 * np.sin(2 * X[:, 0])])
     model = DependentGPRegressor(random_state=0).fit(X, F + 0.1 * rng.normal(size=F.shape))
@@ -53,7 +54,7 @@ def test_outputs_that_are_not_translated_have_no_shift():
 @pytest.mark.slow
 def test_noisy_copies_learn_from_the_exact_one():
     """Widths that copies share make the others as exact."""
-    X, Y, points, truth = noisy_copies(np.random.default_rng(2))
+    X, Y, points, truth = noisy_copies(default_rng(2))
     model = DependentGPRegressor(random_state=0).fit(X, Y)
     alone = []
     for y in Y.T:
@@ -66,7 +67,7 @@ def test_noisy_copies_learn_from_the_exact_one():
 
 def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains():
     """After as few iterations: private latents beside shared ones can all be zero."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     x = np.sort(rng.uniform(0, 10, 60))
     latent = np.column_stack([np.sin(2 * x), np.cos(3 * x)])
     Y = latent @ rng.normal(size=(2, 3)) + 0.05 * rng.normal(size=(60, 3))
@@ -78,7 +79,7 @@ def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains():
 
 def test_hyperparameters_without_effect_have_no_price():
     """Of 12 a private amplitude of 0.3 % of its output, with its 2 widths, and one width of 2000 deviations."""
-    rng = np.random.default_rng(0)
+    rng = default_rng(0)
     X = rng.normal(size=(30, 2)) * [1.0, 50.0]
     Y = rng.normal(size=(30, 2)) * [300.0, 3e-3]
     values = {
@@ -108,7 +109,7 @@ def test_weights_are_those_of_akaike():
 @pytest.mark.parametrize("seed", range(3))
 def test_a_slow_and_a_fast_part_of_one_output_have_latents_of_their_own(seed):
     """One process alone explains them less likely."""
-    rng = np.random.default_rng(seed)
+    rng = default_rng(seed)
     X = rng.uniform(-3, 3, (150, 1))
     y = 2 * np.sin(0.7 * X[:, 0]) + 0.3 * np.sin(9 * X[:, 0]) + 0.1 * rng.normal(size=150)
     one, several = (

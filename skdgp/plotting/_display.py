@@ -23,7 +23,6 @@ ROLES = {
     "mean": "#0072B2",
     "band": "#56B4E9",
     "truth": "#D55E00",
-    "beyond": "#E69F00",
 }
 
 _SYMBOLS = {

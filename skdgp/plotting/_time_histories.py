@@ -36,9 +36,6 @@ class TimeHistoryDisplay(Display):
         Measured values, NaN = not observed; estimated ones; noise-free ones of a simulation.
     lower, upper : (n, k), optional
         Edges of the band.
-    beyond : (n,), optional
-        Fraction of simulated paths outside the range of the training data, marked at the upper
-        edge.
     estimate : str
         What ``mean`` is called.
 
@@ -61,7 +58,6 @@ class TimeHistoryDisplay(Display):
     truth: Matrix | None = None
     lower: Matrix | None = None
     upper: Matrix | None = None
-    beyond: Vector | None = None
     estimate: str = "estimated"
     by_column = True
 
@@ -92,8 +88,6 @@ class TimeHistoryDisplay(Display):
         line(self.estimate, self.mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3)
         if self.measured is not None:  # else the band is the subject of the figure
             _fit_to_lines(ax)
-        if self.beyond is not None and (self.beyond > 0).any():
-            _mark_beyond(ax, self.time, self.beyond)
         # short labels of small values, which would stand over the name
         ax.ticklabel_format(axis="y", scilimits=(-3, 6))
         ax.set(xlabel="time [s]", ylabel=axis_label(key))
@@ -154,23 +148,17 @@ class TimeHistoryDisplay(Display):
                 f"Got trajectories of {trajectories['start'].nunique()} starts, but "
                 "expected those of one: trajectories[trajectories['start'] == 0]."
             )
-        n_paths = trajectories["path"].nunique() if "path" in trajectories else 1
-        time = trajectories["time"].to_numpy(float).reshape(n_paths, -1)[0]
         lower = upper = None
         estimate = "simulated"
-        if n_paths == 1:
-            line = unwrapped(trajectories, names)
-        else:
+        if "path" in trajectories:
             bands = trajectory_bands(trajectories, columns=names)
-            line = bands[names].to_numpy()
+            time, line = bands["time"].to_numpy(float), bands[names].to_numpy()
             lower, upper = (
                 bands[[f"{name}_{end}" for name in names]].to_numpy() for end in ("low", "high")
             )
             estimate = "median of the paths"
-        beyond = None
-        if "beyond" in trajectories:
-            is_beyond = (trajectories["beyond"] != "").to_numpy()
-            beyond = is_beyond.reshape(n_paths, -1).mean(axis=0)
+        else:
+            time, line = trajectories["time"].to_numpy(float), unwrapped(trajectories, names)
         return cls(
             time=time,
             names=tuple(names),
@@ -178,7 +166,6 @@ class TimeHistoryDisplay(Display):
             lower=lower,
             upper=upper,
             measured=None if flown is None else _interpolated(flown, time, names, line[0]),
-            beyond=beyond,
             estimate=estimate,
         ).plot(ax)
 
@@ -194,15 +181,6 @@ class TimeHistoryDisplay(Display):
             names=tuple(names),
             measured=flight[names].to_numpy(float),
         ).plot(ax)
-
-
-def _mark_beyond(ax: Any, time: Vector, beyond: Vector) -> None:
-    """Mark the times at which any path is outside the training data, at the upper edge."""
-    marks = np.where(beyond > 0, 1.0, np.nan)
-    ax.plot(
-        time, marks, label="outside the training data", color=ROLES["beyond"],
-        linewidth=4, clip_on=False, transform=ax.get_xaxis_transform(),
-    )  # fmt: skip
 
 
 def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Vector) -> Matrix:

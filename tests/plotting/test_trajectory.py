@@ -4,7 +4,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from numpy.random import default_rng
-from numpy.testing import assert_array_equal
 
 from skdgp.plotting import TimeHistoryDisplay
 
@@ -34,11 +33,3 @@ def test_headings_do_not_tear():
     paths = ensemble()
     display = TimeHistoryDisplay.from_trajectories(paths, columns=["airspeed", "psi"], ax=Figure())
     assert np.abs(np.diff(lines_of(display)[1]["median of the paths"])).max() < 2.0
-
-
-def test_marks_where_paths_were_beyond_what_was_learned_from():
-    paths = ensemble(3)
-    paths.loc[(paths["path"] == 1) & (paths["time"] > 9), "beyond"] = "alpha"
-    display = TimeHistoryDisplay.from_trajectories(paths, columns=["airspeed"], ax=Figure())
-    marked = np.isfinite(lines_of(display)[0]["outside the training data"])
-    assert_array_equal(marked, TIME + 7 > 9)

@@ -114,7 +114,7 @@ def write_jsbsim(
 
 def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[str, float]:
     """Return the deflections at a command of 1, given or of the aircraft; ValueError if one is not known."""
-    units = _units(model)
+    units = {r.name: r.unit for r in model.regressors if r.name in SURFACES}
     commands = units if model.aircraft.propeller is not None else units | {"thrust": "N"}
     given = check_full_deflections(full, commands, commands)
     by_unit = {name: 1.0 for name, unit in units.items() if unit == FULL_THROW}
@@ -125,11 +125,6 @@ def _full_deflections(model: PortableModel, full: Mapping[str, float]) -> dict[s
             f"full (--full {' '.join(f'{name}=...' for name in lacking)})."
         )
     return {name: float(known[name]) for name in units} | given
-
-
-def _units(model: PortableModel) -> dict[str, str]:
-    """Return the units of the surfaces that are regressors."""
-    return {r.name: r.unit for r in model.regressors if r.name in SURFACES}
 
 
 def _filled(template: str, values: Mapping[str, Any]) -> Element:

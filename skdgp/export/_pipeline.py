@@ -93,7 +93,7 @@ def portable_model(pipeline: Pipeline, aircraft: Aircraft, **facts: Any) -> Port
         points = np.vstack([samples, simulated.limits])
     servos = simulated.servos
     model = PortableModel(
-        regressors=_regressors(pipeline, simulated, aircraft),
+        regressors=_regressors(simulated, aircraft),
         outputs=tuple(regressor.output_names_),
         aircraft=aircraft,
         shift=shift,
@@ -131,15 +131,9 @@ def _reference(learned: Any, samples: Matrix) -> Reference:
     return Reference(X, mean.reshape(len(X), -1), std.reshape(len(X), -1), slopes)
 
 
-def _regressors(
-    pipeline: Pipeline, model: Aerodynamics, aircraft: Aircraft
-) -> tuple[Regressor, ...]:
-    """Return the regressors with the columns of flights that the pipeline computes them from."""
+def _regressors(model: Aerodynamics, aircraft: Aircraft) -> tuple[Regressor, ...]:
+    """Return the regressors with the columns of flights that they are computed from."""
     lengths = model.lengths(aircraft)
-    columns: set[str] = set()
-    for _, step in pipeline.steps:
-        columns.update(getattr(step, "feature_names_in_", ()))
-    mixing = model.mixing if model.mixing and columns.issuperset(model.mixing.surfaces) else None
     regressors = []
     for name in model.regressors:
         rate = name.removesuffix(HAT)
@@ -149,7 +143,7 @@ def _regressors(
             regressors.append(Regressor(name, "", (rate,), (1.0,), length, power))
             continue
         unit = CHANNELS.get(name, "")
-        factors = _factors(name, mixing)
+        factors = _factors(name, model.mixing)
         sources = tuple(factors)
         weights = tuple(factors.values())
         regressors.append(Regressor(name, model.units.get(name, unit), sources, weights))

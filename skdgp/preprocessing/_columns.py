@@ -112,7 +112,9 @@ class ElevonSplitter(TableTransformer):
         return with_names(names, self.mixing_.index) if {*self.mixing_} <= {*names} else names
 
     def in_simulation(self) -> dict[str, Any]:
-        """Return how controls follow from surfaces."""
+        """Return how controls follow from surfaces, if the flights had these."""
+        if not {*self.mixing_} <= {*self.feature_names_in_}:
+            return {}
         mixing = Mixing(tuple(self.mixing_), tuple(self.mixing_.index), self.mixing_.to_numpy())
         return {"mixing": mixing}
 

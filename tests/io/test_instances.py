@@ -1,4 +1,4 @@
-"""Several instances of a sensor: the one that the autopilot used longest, else a healthy one."""
+"""Several instances of a sensor: the one that the autopilot used longest, else a healthy one; vehicles of all kinds."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,12 @@ from skdgp.preprocessing import FlightDataWarning
 T = 10 + np.arange(1500) / 50.0
 SLOW = T[::5]
 TRUE = 18 + np.sin(SLOW)
+# rotors lift until then
+TRANSITION = 20.0
+HOVERS = SLOW < TRANSITION
+PLANE = "ArduPlane V4.5.1 (abcdef01)"
+MOTORS = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
+RUNNING = dict.fromkeys(("C5", "C6", "C7", "C8"), ("H", 1500))
 
 
 @pytest.fixture
@@ -28,6 +34,19 @@ def as_vtol(log, state):
     log.topic("airspeed", SLOW, true_airspeed_m_s=TRUE)
     log.topic("vehicle_status", SLOW, is_vtol=True)
     return log.topic("vtol_vehicle_status", SLOW, vehicle_vtol_state=("uint8_t", state))
+
+
+@pytest.fixture
+def vtol(plane):
+    """Return a writer of a log of a VTOL of ArduPilot in 18 m/s."""
+
+    def vtol(**parameters):
+        log = plane(PLANE, Q_ENABLE=1.0, **parameters)
+        log.topic("ARSP", SLOW, Airspeed=TRUE, H=("B", 1))
+        modes = ("B", np.where(HOVERS, 18, 5))
+        return log.topic("MODE", SLOW, Mode=("M", 0), ModeNum=modes)
+
+    return vtol
 
 
 @pytest.fixture
@@ -229,7 +248,7 @@ class TestResets:
         assert_is_cut(table)
 
 
-RUNNING = 200 * np.pi  # rad/s, of 6000 1/min
+TURNS = 200 * np.pi  # rad/s, of 6000 1/min
 
 
 def turning(log, number, rpm, time=SLOW):
@@ -240,32 +259,32 @@ def turning(log, number, rpm, time=SLOW):
 # Speeds that a log adds, the one that is read [rad/s], and the times of which it is known [s]
 ENGINES = {
     "the one that runs": (
-        lambda log: log.topic("RPM", SLOW, rpm1=0.0, rpm2=6000.0), RUNNING, (10, 40),
+        lambda log: log.topic("RPM", SLOW, rpm1=0.0, rpm2=6000.0), TURNS, (10, 40),
     ),
     "the controller that runs": (
         lambda log: log.topic("ESC1", SLOW, RPM=("e", 0.0)).topic("ESC2", SLOW, RPM=("e", 6000.0)),
-        RUNNING, (10, 40),
+        TURNS, (10, 40),
     ),
     "thrust goes with the squares of all": (
         lambda log: turning(turning(log, 0, np.where(SLOW > 25, 0.0, 6000.0)), 1, 6000.0),
-        RUNNING / np.sqrt(2), (25.2, 40),
+        TURNS / np.sqrt(2), (25.2, 40),
     ),
     "an unhealthy sensor does not count": (
         lambda log: log.topic("RPM", SLOW, I=("B", 0), RPM=9000.0, H=("B", 0))
                        .topic("RPM", SLOW + 1e-3, I=("B", 1), RPM=6000.0, H=("B", 1)),
-        RUNNING, (10, 40),
+        TURNS, (10, 40),
     ),
     "the only one stands in a glide": (lambda log: turning(log, 0, 0.0), 0.0, (10, 40)),
     # it stands, and tells nothing from 15 s on
     "one whose telemetry ends is chosen by its own mean": (
-        lambda log: turning(turning(log, 0, 0.0, SLOW[SLOW < 15]), 1, 6000.0), RUNNING, (10, 40),
+        lambda log: turning(turning(log, 0, 0.0, SLOW[SLOW < 15]), 1, 6000.0), TURNS, (10, 40),
     ),
     # its last speed is not that of the time afterwards
     **{f"a mean ends with the telemetry of number {silent}": (
         lambda log, silent=silent: turning(
             turning(log, silent, 6000.0, SLOW[SLOW < 30]), 1 - silent, np.where(SLOW < 30, 6000.0, 0.0)
         ),
-        RUNNING, (10, 30),
+        TURNS, (10, 30),
     ) for silent in (0, 1)},
 }  # fmt: skip
 
@@ -286,7 +305,7 @@ def test_the_engine_of_eight_controllers_that_runs(read, px4):
     for k in range(8):
         fields |= {f"esc[{k}].esc_voltage": 12.0, f"esc[{k}].esc_rpm": 6000.0 * (k == 2)}
     table = read(px4().topic("esc_status", SLOW, **fields), airborne=False)
-    assert_allclose(table.propeller_speed.dropna(), RUNNING, rtol=1e-6)
+    assert_allclose(table.propeller_speed.dropna(), TURNS, rtol=1e-6)
     assert table.propeller_speed.notna().mean() > 0.9
 
 
@@ -383,26 +402,22 @@ class TestVehicles:
     @pytest.mark.parametrize("are_silent", [False, True])
     def test_engines_that_lift_a_vtol_do_not_drive_it(self, told, plane, are_silent):
         """Four lift until 20 s, and tell no speed afterwards or zero; then the fifth pushes."""
-        lifts = SLOW < 20
-        motors = {f"SERVO{n}_FUNCTION": 28.0 + n for n in (5, 6, 7, 8)}
-        log = plane("ArduPlane V4.5.1 (abcdef01)", Q_ENABLE=1.0, **motors)
-        pulse = ("H", np.where(lifts, 1600, 1000))
-        log.topic("RCOU", SLOW, **dict.fromkeys(("C5", "C6", "C7", "C8"), pulse))
+        log = plane(PLANE, Q_ENABLE=1.0, **MOTORS)
+        log.topic("RCOU", SLOW, **dict.fromkeys(RUNNING, ("H", np.where(HOVERS, 1600, 1000))))
         for k in range(5):
-            rpm = 6000.0 * (lifts == (k < 4))
-            told_rows = lifts if are_silent and k < 4 else slice(None)
+            rpm = 6000.0 * ((k < 4) == HOVERS)
+            told_rows = HOVERS if are_silent and k < 4 else slice(None)
             turning(log, k, rpm[told_rows], SLOW[told_rows])
         table = told("rotors lift", airspeed_of(log, 0, TRUE))
         late = table.propeller_speed[table.time > 20.5]
-        assert_allclose(late, RUNNING, rtol=1e-6)
+        assert_allclose(late, TURNS, rtol=1e-6)
         assert len(late) > 900
 
     def test_the_motor_that_drives_a_vtol_of_px4(self, told, px4):
-        lifts = SLOW < 20
-        log = as_vtol(px4(), np.where(lifts, 3, 4))
+        log = as_vtol(px4(), np.where(HOVERS, 3, 4))
         lift = [0.5] * 8 + [np.nan]
         push = [np.nan] * 8 + [0.7]
-        commands = np.where(lifts[:, None], lift, push)
+        commands = np.where(HOVERS[:, None], lift, push)
         log.topic("actuator_motors", SLOW, control=commands)
         table = told("rotors lift", log)
         assert_allclose(table.throttle[table.time > 20.5], 0.7, rtol=1e-6)
@@ -441,3 +456,39 @@ def test_a_gps_without_a_fix_measures_nothing(told, name, px4):
     measured = table[["v_north", "altitude"]].dropna()
     assert_allclose(measured, [[9.0, 500.0]] * len(measured))
     assert table.time[measured.index].min() > 20
+
+
+def is_in_forward_flight_alone(table):
+    return abs(table.time.min() - TRANSITION) < 0.2 and table.time.max() > 39
+
+
+@pytest.mark.parametrize(
+    ("parameters", "outputs"),
+    [
+        ({"SERVO3_FUNCTION": 73.0, "SERVO4_FUNCTION": 74.0, "Q_TAILSIT_ENABLE": 1.0}, "C3 C4"),
+        (MOTORS | {"Q_TAILSIT_MOTMX": 15.0}, "C5 C6 C7 C8"),
+        (MOTORS, "C3 C4"),
+    ],
+    ids=["tailsitter", "tailsitter with motors of a copter", "motors on other outputs"],
+)
+def test_the_mode_counts_where_no_output_tells(told, vtol, parameters, outputs):
+    log = vtol(**parameters)
+    log.topic("RCOU", SLOW, **dict.fromkeys(outputs.split(), ("H", 1500)))
+    table = told("rotors lift", log)
+    assert is_in_forward_flight_alone(table)
+
+
+def test_a_flight_in_which_rotors_lift_throughout(refused, vtol):
+    log = vtol(**MOTORS)
+    log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **RUNNING)
+    refused("lifted by rotors in 100 % of the rows", log)
+
+
+def test_a_mode_that_flies_on_wings_at_first(read, vtol):
+    """QRTL returns in forward flight: the motors count, which are idle."""
+    log = vtol(**MOTORS)
+    log.topic("MODE", SLOW + 1e-3, Mode=("M", 0), ModeNum=("B", 21))
+    idle = dict.fromkeys(RUNNING, ("H", 1000))
+    log.topic("RCOU", SLOW, C1=("H", 1500 + 100 * np.sin(SLOW)), **idle)
+    table = read(log)
+    assert len(table) > 0.98 * len(T)

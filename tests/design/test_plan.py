@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import COEFFICIENTS
-from made_flights import lasting
+from made_flights import LINEAR_GLIDER, lasting
 from matplotlib.figure import Figure
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
@@ -167,9 +167,8 @@ def test_the_goal_decides_which_axis_moves(ask, goal, axis):
     assert found.manoeuvres["name"].str.startswith(axis).all()
 
 
-# CX ... Cn at zero and by alpha, q_hat and elevator
-SLOPES = np.zeros((6, 4))
-SLOPES[[0, 2, 4]] = [-0.01, 0.2, 0, 0], [-0.3, -4.5, 0, 0], [0.02, -0.6, -9, -1]
+LONGITUDINAL = ["alpha", "q_hat", "elevator"]
+SLOPES = LINEAR_GLIDER.slopes[:, [0, 3, 5]]
 
 
 def flown_rows(n, size, seed):
@@ -178,15 +177,13 @@ def flown_rows(n, size, seed):
     X = 1.7 * size * lasting(rng, (n, 3), 4.5)
     noise = 0.017 * lasting(rng, (n, 6), 4.5)
     noise[:, [1, 3, 5]] *= 1e-5  # there is a trim
-    table = pd.DataFrame(X, columns=["alpha", "q_hat", "elevator"])
-    return table, np.column_stack([np.ones(n), X]) @ SLOPES.T + noise
+    return pd.DataFrame(X, columns=LONGITUDINAL), LINEAR_GLIDER.level + X @ SLOPES.T + noise
 
 
 def learned(*flights):
     tables, targets = zip(*flights, strict=True)
     regressor = DependentGPRegressor(structure="trend", input_noise=None, random_state=0)
-    names = ["alpha", "q_hat", "elevator"]
-    pipeline = make_pipeline(RegressorSelector(names), StandardScaler(), regressor)
+    pipeline = make_pipeline(RegressorSelector(LONGITUDINAL), StandardScaler(), regressor)
     Y = pd.DataFrame(np.concatenate(targets), columns=COEFFICIENTS)
     return pipeline.fit(pd.concat(tables, ignore_index=True), Y)
 

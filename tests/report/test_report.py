@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from made_flights import make_flight
 from numpy.random import default_rng
 from sklearn.exceptions import UndefinedMetricWarning
 
@@ -62,20 +63,11 @@ class Page(HTMLParser):
 
 
 def table(n, seed=0):
-    t = np.arange(n) / 40.0
-    columns = {
-        "time": t,
-        "throttle": 0.5,
-        "elevator": 0.05 * np.sin(t),
-        "aileron": 0.01 * default_rng(seed).normal(size=n),
-        "rudder": 0.1 * np.cos(t),
-        "v_north": 40 * np.cos(t / 9),
-        "v_east": 40 * np.sin(t / 9),
-        "altitude": 300 + t,
-        "p": np.sin(t),
-        "r": np.cos(t),
-    }
-    return pd.DataFrame(columns)
+    levels = {
+        "throttle": (0.5, 0, 0), "elevator aileron rudder": (0, 0.05, 0), "p r": (0, 1, 0),
+        "v_north v_east": (0, 40, 0), "altitude": (300, 5, 0),
+    }  # fmt: skip
+    return make_flight(levels, n, 1 / 40, seed=seed)
 
 
 def result(n=800, **changes):

@@ -6,21 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import FORCES
+from made_flights import make_flight
 from numpy.testing import assert_allclose
 
 from skdgp.io import FlightReadError, read_flight
 
 
 def table(n=50, **columns):
-    t = 0.02 * np.arange(n)
-    data = {
-        "time": t,
-        "alpha": 0.05 * np.sin(t),
-        "q": 0.1 * np.cos(t),
-        "elevator": -0.02 * np.cos(t),
-        "airspeed": 30 + t,
-    }
-    return pd.DataFrame({**data, **columns})
+    levels = {"alpha q elevator": (0, 0.05, 0), "airspeed": (30, 0.5, 0)}
+    return make_flight(levels, n, 0.02).assign(**columns)
 
 
 def test_flight_column(read):

@@ -143,13 +143,6 @@ class Sums:
         self.score[places] += score
         self.information[block] += information
 
-    def add_equations(
-        self, places: Indices, slopes: Matrix, residual: Vector, variance: float
-    ) -> None:
-        """Add equations slopes (n, k) @ change + residual (n,) = 0 of some parameters, each with a variance."""
-        weighted = slopes.T / variance
-        self.add(places, weighted @ residual, weighted @ slopes)
-
     def damped(self, damping: float) -> tuple[Matrix, Vector]:
         """Return information and score of the estimated parameters, with a larger diagonal (Levenberg 1944)."""
         information = self.information[self.free, self.free]

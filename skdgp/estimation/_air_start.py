@@ -110,4 +110,5 @@ def add_airspeed(
     """
     places = parameters.places_of(record.flight, PITOT)
     slopes, error = airspeed_error(record, x[places])
-    sums.add_equations(places, slopes, error, variance)
+    weighted = slopes.T / variance
+    sums.add(places, weighted @ error, weighted @ slopes)

@@ -35,7 +35,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import air_data, rotation_to_euler
 from skdgp._flight.smoothing import differentiate
-from skdgp._flight.tables import interpolate_missing
+from skdgp._flight.tables import interpolate_missing, unwrapped
 from skdgp.estimation._least_squares import Equations, GaussianPrior, Posterior, solve
 from skdgp.estimation._path_equations import (
     ATTITUDE_LAG,
@@ -333,11 +333,9 @@ def air_columns(air: pd.DataFrame, sensors: FlightSensors) -> dict[str, Vector]:
     Between the rows that records contain values are interpolated; rates of alpha and beta [rad/s]
     are the derivatives of cubic splines.
     """
-    motion = air[[*AIR_DATA, *MOTION_COLUMNS]].reset_index(drop=True)
-    euler = motion[[*EULER]].dropna()
     # angles of thinned rows: between pi and -pi is pi, not zero
-    motion.loc[euler.index, [*EULER]] = np.unwrap(euler.to_numpy(), axis=0)
-    values = interpolate_missing(sensors.time, motion.to_numpy())
+    motion = unwrapped(air, [*AIR_DATA, *MOTION_COLUMNS])
+    values = interpolate_missing(sensors.time, motion)
     return _columns(sensors, values[:, : len(AIR_DATA)], values[:, len(AIR_DATA) :])
 
 

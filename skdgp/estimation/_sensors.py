@@ -29,6 +29,7 @@ from skdgp._flight.tables import (
     interpolate_missing,
     numeric,
     sensor_position,
+    unwrapped,
 )
 
 SENSORS = (*SPECIFIC_FORCE, *RATES, *AIR_DATA)
@@ -197,10 +198,7 @@ def _sensors_of(name: object, table: pd.DataFrame, time: Vector, segment: Indice
             f"Got no value of {', '.join(silent)} in flight {name!r}, but expected some: a path cannot be "
             "reconstructed without them. Leave the flight out, or smooth it with FlightSmoother."
         )
-    angles = numeric(table, EULER).copy()
-    sampled = np.all(np.isfinite(angles), axis=1)
-    angles[sampled] = np.unwrap(angles[sampled], axis=0)
-    angles = interpolate_missing(time, angles)
+    angles = unwrapped(table, EULER)
     inertial = interpolate_missing(time, numeric(table, [*SPECIFIC_FORCE, *RATES]))
     lever_acceleration = sensor_acceleration(table)
     inertial[:, FORCE_READINGS] -= lever_acceleration
@@ -210,8 +208,8 @@ def _sensors_of(name: object, table: pd.DataFrame, time: Vector, segment: Indice
         segment=segment,
         readings=np.concatenate([inertial, air], axis=1),
         velocity=numeric(table, EARTH_VELOCITY),
-        attitude=euler_to_rotation(angles),
-        attitude_sampled=sampled,
+        attitude=euler_to_rotation(interpolate_missing(time, angles)),
+        attitude_sampled=np.isfinite(angles).all(axis=1),
         position=sensor_position(table),
         lever_acceleration=lever_acceleration,
     )

@@ -277,8 +277,7 @@ class RegressorSelector(TableTransformer):
         super().fit(table, y)
         values = numeric(table, self.regressors_)
         used = np.isfinite(values).all(axis=1)
-        is_targeted = y is not None and len(y) == len(table)
-        if is_targeted:
+        if y is not None:
             targets = np.asarray(y, dtype=float).reshape(len(table), -1)
             used &= np.isfinite(targets).any(axis=1)
         table = table.assign(**by_name(self.regressors_, values))[used]
@@ -288,7 +287,7 @@ class RegressorSelector(TableTransformer):
         # by less than a billionth of themselves
         is_still = limits.loc["max"] - limits.loc["min"] <= 1e-9 * limits.abs().max()
         names = [name for name in self.regressors_ if is_still.get(name)]
-        if is_targeted and names:
+        if y is not None and names:
             report(Finding(Code.CONSTANT_REGRESSORS, names=names), FlightDataWarning)
         return self
 

@@ -196,15 +196,16 @@ def question_of_sizes(
         other = _in_other_unit(sizes, name, 4.0, estimated)
         if all(law.value(other) == law.value(sizes) for law in broken):
             continue
-        asked.append((name, 1.0, ""))
+        asked.append(name)
         for unit, factor in UNITS[name].items():
             changed = _in_other_unit(sizes, name, factor, estimated)
             if not _broken(changed, relative):
                 plausible.append((_distance_from_usual(changed), name, factor, unit))
     likely = [(name, factor, unit) for _, name, factor, unit in sorted(plausible)[:3]]
     named = {name for name, *_ in likely}
+    likely += [(name, 1.0, "") for name in asked if name not in named]
     questions = []
-    for name, factor, unit in (*likely, *(item for item in asked if item[0] not in named)):
+    for name, factor, unit in likely:
         questions.append(
             Finding(
                 Code.ASKED_SIZE,

@@ -209,7 +209,7 @@ def _sensors_of(name: object, table: pd.DataFrame, time: Vector, segment: Indice
         readings=np.concatenate([inertial, air], axis=1),
         velocity=numeric(table, EARTH_VELOCITY),
         attitude=euler_to_rotation(interpolate_missing(time, angles)),
-        attitude_sampled=np.isfinite(angles).all(axis=1),
+        attitude_sampled=np.all(np.isfinite(angles), axis=1),
         position=sensor_position(table),
         lever_acceleration=lever_acceleration,
     )

@@ -6,7 +6,7 @@ without units show it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple, TypeAlias
@@ -174,8 +174,8 @@ def question_of_sizes(
 ) -> Finding | None:
     """Return the finding of numbers that break a law, None if all hold.
 
-    It asks for sizes in these laws: the three that would keep all laws in the most usual other units, then the
-    others as they are.
+    It asks for sizes in these laws: at most three that would keep all laws in another unit, then the others as they
+    are.
     Sizes that were ``estimated`` follow mass and span.
     """
     # the same in all units
@@ -200,8 +200,8 @@ def question_of_sizes(
         for unit, factor in UNITS[name].items():
             changed = _in_other_unit(sizes, name, factor, estimated)
             if not _broken(changed, relative):
-                plausible.append((_distance_from_usual(changed), name, factor, unit))
-    likely = [(name, factor, unit) for _, name, factor, unit in sorted(plausible)[:3]]
+                plausible.append((name, factor, unit))
+    likely = plausible[:3]
     named = {name for name, *_ in likely}
     likely += [(name, 1.0, "") for name in asked if name not in named]
     questions = []
@@ -219,30 +219,17 @@ def question_of_sizes(
     return Finding(Code.SIZES_QUESTIONED, laws=laws, asked=questions)
 
 
-def _values(sizes: Sizes) -> Iterator[tuple[SizeLaw, float]]:
-    """Yield the laws of numbers that the sizes give, with these."""
-    for law in LAWS:
-        with suppress(KeyError):
-            yield law, law.value(sizes)
-
-
-def _distance_from_usual(sizes: Sizes) -> float:
-    """Return the mean distance of numbers from the middle of their limits, in logarithms."""
-    distances = []
-    for law, value in _values(sizes):
-        least, value = np.maximum([law.least, value], 1e-3)
-        distances.append(abs(np.log(value / np.sqrt(least * law.most))))
-    return float(np.mean(distances))
-
-
 def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[SizeLaw]:
     """Return the laws whose numbers are surely outside of their limits, by relative standard deviations."""
     broken = []
-    for law, value in _values(sizes):
+    for law in LAWS:
         # the numbers are positive, so their logarithms have the error
         factor = np.exp(min(LEAST_T * relative.get(law.uncertain, 0.0), 100.0))
-        if value > factor * law.most or factor * value < law.least:
-            broken.append(law)
+        # a law of unknown sizes is not broken
+        with suppress(KeyError):
+            value = law.value(sizes)
+            if value > factor * law.most or factor * value < law.least:
+                broken.append(law)
     return broken
 
 

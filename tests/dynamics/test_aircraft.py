@@ -1,7 +1,5 @@
 """The aircraft's door: what comes back, and what is refused with which words."""
 
-import json
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -37,20 +35,6 @@ def test_json_round_trip(tmp_path):
     assert_allclose(again.thrust_line.direction, [1, 0, 0])
     assert again.full_deflections == {"elevator": 0.42, "rudder": 0.35}
     assert_allclose(again.sensor_position, [0.35, 0.0, -0.12])
-
-
-def test_toml_says_the_same_as_json(tmp_path):
-    lines = [
-        f"{key} = {json.dumps(GOOD[key])}"
-        for key in ("name", "mass", "inertia", "wing_area", "span", "chord", "sensor_position")
-    ]
-    for table in ("thrust_line", "propeller", "full_deflections"):
-        lines += [
-            f"[{table}]",
-            *(f"{key} = {json.dumps(value)}" for key, value in GOOD[table].items()),
-        ]
-    (tmp_path / "a.toml").write_text("\n".join(lines))
-    assert Aircraft.from_file(tmp_path / "a.toml") == Aircraft.from_dict(GOOD)
 
 
 def test_the_aircraft_file_of_the_page_is_one(tmp_path, blocks_of):

@@ -8,7 +8,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from numpy.random import default_rng
+from made_outputs import in_units
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import ConvergenceWarning
@@ -24,26 +24,14 @@ from skdgp.kernels import ConvolvedGaussian
 TIED = ConvolvedGaussian(1, covariance_type="tied")
 
 
-def make_data(n=40, seed=0):
-    """Two dependent outputs of two regressors, in units far from one, some of the second not observed."""
-    rng = default_rng(seed)
-    X = rng.normal(size=(n, 2)) * [1.0, 30.0] + [0.0, 200.0]
-    z = (X - [0.0, 200.0]) / [1.0, 30.0]
-    common = np.sin(1.5 * z[:, 0]) + 0.5 * z[:, 1]
-    Y = np.column_stack([1e-2 * common + 3.0, -50 * common + 10 * np.cos(z[:, 1])])
-    Y += rng.normal(0, [3e-4, 2.0], Y.shape)
-    Y[rng.random(n) < 0.3, 1] = np.nan
-    return X, Y
-
-
 @pytest.fixture(scope="module")
 def data():
-    return make_data()
+    return in_units()
 
 
 @pytest.fixture(scope="module")
 def new():
-    return make_data(6, seed=9)[0]
+    return in_units(6, seed=9)[0]
 
 
 TREND = DependentGPRegressor(max_iter=2, structure="trend")

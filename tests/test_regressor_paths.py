@@ -4,20 +4,11 @@ import pickle
 
 import numpy as np
 import pytest
+from made_outputs import in_units
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
-
-
-def table(n=30, seed=0):
-    """Two outputs of two regressors, in units far from one; the second is not observed everywhere."""
-    rng = default_rng(seed)
-    X = rng.uniform(-2, 2, (n, 2))
-    Y = np.column_stack([30 + 10 * np.sin(X[:, 0]), 0.02 * np.cos(X.sum(axis=1))])
-    Y += rng.normal(0, [0.5, 1e-3], Y.shape)
-    Y[: n // 3, 1] = np.nan
-    return X, Y
 
 
 def fitted(inference, **options):
@@ -28,7 +19,7 @@ def fitted(inference, **options):
         "optimizer": None,
         "random_state": 0,
     } | options
-    return DependentGPRegressor(inference=inference, **options).fit(*table())
+    return DependentGPRegressor(inference=inference, **options).fit(*in_units(30))
 
 
 @pytest.fixture(scope="module", params=["exact", "sparse"])
@@ -49,7 +40,7 @@ def test_shapes_and_the_ways_to_ask_agree(model):
 
 
 def test_the_same_seed_gives_the_same_functions_in_any_process(model):
-    X = table()[0]
+    X = in_units(30)[0]
     paths = model.sample_paths(4, random_state=5)
     assert_allclose(model.sample_paths(4, random_state=5)(X), paths(X), rtol=1e-9, atol=1e-10)
     assert_allclose(pickle.loads(pickle.dumps(paths))(X), paths(X), rtol=1e-9, atol=1e-10)

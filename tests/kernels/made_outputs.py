@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
+from numpy.random import default_rng
 
 SHIFTS = np.array([0.0, 1.5, -1.0])
 
@@ -62,3 +63,15 @@ def slopes_over(slopes, X, spread, n_nodes=60):
         moved = [w * slopes(X + z * step)[..., k] for z, w in zip(nodes, weights, strict=True)]
         expected.append(np.sum(moved, axis=0))
     return np.stack(expected, axis=-1)
+
+
+def in_units(n=40, seed=0):
+    """Return two dependent outputs of two regressors, in units far from one, some of the second not observed."""
+    rng = default_rng(seed)
+    X = rng.normal(size=(n, 2)) * [1.0, 30.0] + [0.0, 200.0]
+    z = (X - [0.0, 200.0]) / [1.0, 30.0]
+    common = np.sin(1.5 * z[:, 0]) + 0.5 * z[:, 1]
+    Y = np.column_stack([1e-2 * common + 3.0, -50 * common + 10 * np.cos(z[:, 1])])
+    Y += rng.normal(0, [3e-4, 2.0], Y.shape)
+    Y[rng.random(n) < 0.3, 1] = np.nan
+    return X, Y

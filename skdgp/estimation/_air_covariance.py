@@ -53,13 +53,13 @@ def without_estimate(offset: Vector, prior_std: Vector) -> Matrix:
     return np.diag(prior_std**2) + np.outer(offset, offset)
 
 
-def misfit_of(offset: Vector, prior_std: Vector) -> float:
-    """Return the root mean square of constants over their prior standard deviations, at least one.
+def misfit_of(constants: Vector) -> float:
+    """Return the root mean square of constants in their prior standard deviations, at least one.
 
     Effects that the model lacks shift constants whose priors hold for any flight; by this ratio all
     standard deviations are too small (Birge 1932).
     """
-    return max(1.0, float(np.sqrt(np.mean((offset / prior_std) ** 2))))
+    return max(1.0, float(np.sqrt(np.mean(constants**2))))
 
 
 def inflate(covariance: Matrix, factor: float) -> Matrix:
@@ -131,12 +131,9 @@ def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:
 
 def misfit_of_sensors(fit: AirFit) -> float:
     """Return the misfit of the sensors' constants, or of their position if that is larger."""
-    offset = fit.x - fit.parameters.mean
-    misfits = []
-    for constants in (SENSOR_CONSTANTS, ARM):
-        places = fit.parameters.places_of_all(constants)
-        misfits.append(misfit_of(offset[places], fit.parameters.std[places]))
-    return max(misfits)
+    offset = (fit.x - fit.parameters.mean) / fit.parameters.std
+    groups = [fit.parameters.places_of_all(names) for names in (SENSOR_CONSTANTS, ARM)]
+    return max(misfit_of(offset[places]) for places in groups)
 
 
 def widened(covariance: Matrix, fit: AirFit, fitted: list[FittedRecord], misfit: float) -> Matrix:

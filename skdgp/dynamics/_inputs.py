@@ -33,7 +33,7 @@ from skdgp._flight.tables import (
 )
 from skdgp._flight.units import check_radians
 from skdgp.dynamics._air import AirAt, LocalAir
-from skdgp.dynamics._rigid_body import ATTITUDE, STATE_NAMES, VELOCITY, stacked
+from skdgp.dynamics._rigid_body import STATE_NAMES, VELOCITY, stacked
 from skdgp.dynamics._trim import Trim
 
 START_NAMES = (*AIR_DATA, *EARTH_VELOCITY, *EULER, *RATES, *POSITION, "altitude")
@@ -76,15 +76,6 @@ def _check_start_names(names: Sequence[str]) -> None:
             )
 
 
-def table_states(table: pd.DataFrame) -> Array:
-    """Return the states (n, 13) of a flight table, zero where a column is absent."""
-    n = (len(table),)
-    attitude = euler_to_quaternion(*stacked(table, EULER, n).T)
-    velocity = ned_to_body(attitude, stacked(table, EARTH_VELOCITY, n))
-    position = stacked(table, POSITION, n)
-    return np.hstack([position, velocity, attitude, stacked(table, RATES, n)])
-
-
 def initial_states(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> Array:
     """Return the states (n, 13) of starts, in the air that ``air_at`` returns at states (n, 13).
 
@@ -94,7 +85,11 @@ def initial_states(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> 
     radians. Warns if ground speed, wind and airspeed do not fit, or a start lies below any land.
     """
     check_radians(table, (*EULER, *RATES, "alpha", "beta"))
-    states = table_states(table)
+    n = (len(table),)
+    attitude = euler_to_quaternion(*stacked(table, EULER, n).T)
+    velocity = ned_to_body(attitude, stacked(table, EARTH_VELOCITY, n))
+    position = stacked(table, POSITION, n)
+    states = np.hstack([position, velocity, attitude, stacked(table, RATES, n)])
     if "altitude" in table:
         states[:, 2] = -table["altitude"].to_numpy(float)
     lowest = -states[:, 2].max()
@@ -103,7 +98,6 @@ def initial_states(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> 
             f"Got a start at an altitude of {lowest:g} m, below any land: down is positive downwards, "
             "altitude = -down."
         )
-    attitude = states[:, ATTITUDE]
     moving = air_at(states).velocity(attitude)
     wind = 0.0 if moving is None else ned_to_body(attitude, moving)
     if set(EARTH_VELOCITY) <= set(table):
@@ -115,7 +109,7 @@ def initial_states(table: pd.DataFrame, air_at: Callable[[Array], LocalAir]) -> 
         check_names(needed, table.columns, "columns of x0 (or v_north, v_east, v_down)")
         for speed in table["airspeed"]:
             check_number("airspeed of x0", speed, unit="m/s")
-        through_air = air_velocity(*stacked(table, AIR_DATA, (len(table),)).T)
+        through_air = air_velocity(*stacked(table, AIR_DATA, n).T)
         states[:, VELOCITY] = through_air + wind
     is_bad = ~np.isfinite(states).all(axis=0)
     if is_bad.any():

@@ -125,8 +125,7 @@ def display_unit(name: str) -> tuple[float, str]:
     """Return the factor from SI to the displayed unit, and that unit. Only pictures use degrees."""
     if name in _UNITS.get():
         return 1.0, _UNITS.get()[name]
-    channel = "phi" if name == "bank" else name
-    unit = CHANNELS.get(channel, "")
+    unit = CHANNELS.get(name, "")
     if unit.startswith("rad") and name != "propeller_speed":
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     return 1.0, unit

@@ -2,6 +2,7 @@
 
 import lzma
 import struct
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +16,7 @@ from scipy.spatial.transform import Rotation
 from skdgp.io import AUTOPILOTS, FlightReadError, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
-ULOG_CODES = {
-    "float": "f",
-    "double": "d",
-    "uint8_t": "B",
-    "uint32_t": "I",
-    "int32_t": "i",
-    "uint16_t": "H",
-    "uint64_t": "Q",
-    "bool": "?",
-}
+ULOG_CODES = {"float": "f", "uint8_t": "B", "int32_t": "i", "uint64_t": "Q", "bool": "?"}
 DATAFLASH_CODES = {
     "Q": "Q",
     "f": "f",
@@ -108,16 +100,16 @@ class ULogWriter(LogWriter):
         number = len(self.subscriptions)
         subscription = struct.pack("<BH", instance, number) + name.encode()
         self.subscriptions.append(self.message("A", subscription))
-        columns = []
-        for kind, values in fields.values():
-            code = ULOG_CODES[kind.split("[")[0]]
-            cells = np.reshape(values, (len(time), -1))
-            columns.append((code, cells if code in "fd" else cells.astype(int)))
-        for row, t in enumerate(time):
-            payload = struct.pack("<HQ", number, round(t * 1e6))
-            for code, cells in columns:
-                payload += struct.pack(f"<{cells.shape[1]}{code}", *cells[row].tolist())
-            self.data.append((t, self.message("D", payload)))
+        layout = [("number", "H"), ("timestamp", "Q")]
+        for field, (kind, values) in fields.items():
+            layout.append((field, ULOG_CODES[kind.split("[")[0]], values.shape[1:]))
+        rows = np.empty(len(time), layout)
+        rows["number"] = number
+        rows["timestamp"] = np.round(np.multiply(time, 1e6))
+        for field, (_, values) in fields.items():
+            rows[field] = values
+        for t, row in zip(time, rows, strict=True):
+            self.data.append((t, self.message("D", row.tobytes())))
         return self
 
     def gyros(self, time, rate, **fields):
@@ -292,16 +284,18 @@ class Flight:
         """Return channels at some times, (n, k)."""
         return np.column_stack([self[name](np.asarray(time)) for name in names])
 
-    def fields(self, time, fields, factor=1.0):
-        """Return fields of a message at some times: channels by name times a factor, functions, values as they are."""
+    def log(self, log, name, rate, *, delay=0.0, factor=1.0, code=None, **fields):
+        """Add a topic: channels by name times a factor, functions, values as they are; of a type, if they have none."""
+        time = self.time(rate, delay=delay)
         made = {}
         for key, value in fields.items():
             if isinstance(value, str):
-                values = factor * self.at(time, *value.split())
-                made[key] = values if " " in value else values[:, 0]
-            else:
-                made[key] = value(time) if callable(value) else value
-        return made
+                channels = factor * self.at(time, *value.split())
+                value = channels if " " in value else channels[:, 0]
+            elif callable(value):
+                value = value(time)
+            made[key] = (code, value) if code and not isinstance(value, tuple) else value
+        log.topic(name, time, **made)
 
     def equivalent_airspeed(self, t):
         return self["airspeed"](t) * np.sqrt(self["density"](t) / 1.225)
@@ -321,11 +315,7 @@ def flight():
 def px4(flight):
     """Return a ULog of a PX4 fixed wing that logs every column."""
     log = ULogWriter(MAV_TYPE=1, FW_AIRSPD_MIN=12.0)
-
-    def add(name, rate, *, delay=0.0, factor=1.0, **fields):
-        """Add a topic."""
-        t = flight.time(rate, delay=delay)
-        log.topic(name, t, **flight.fields(t, fields, factor))
+    add = partial(flight.log, log)
 
     def quaternion(t):
         """Return (w, x, y, z), by SciPy."""
@@ -335,14 +325,8 @@ def px4(flight):
         return 1500 + 1000 * flight.at(t, "aileron", "elevator", "rudder", "rudder")
 
     valid = dict.fromkeys(("xy_valid", "z_valid", "v_xy_valid", "v_z_valid"), True)
-    position = {
-        "x": "north",
-        "y": "east",
-        "z": "down",
-        "vx": "v_north",
-        "vy": "v_east",
-        "vz": "v_down",
-    }
+    position = {"x": "north", "y": "east", "z": "down"}
+    velocity = {"vx": "v_north", "vy": "v_east", "vz": "v_down"}
     indicated = {"indicated_airspeed_m_s": lambda t: 0.9 * flight["airspeed"](t)}
     add("vehicle_angular_velocity", 200, xyz="p q r")
     add("vehicle_acceleration", 100, delay=0.0017, xyz="ax ay az")
@@ -350,7 +334,7 @@ def px4(flight):
     add("airspeed", 20, true_airspeed_m_s="airspeed", **indicated)
     add("airflow_aoa", 25, aoa_rad="alpha")
     add("airflow_slip", 25, slip_rad="beta")
-    add("vehicle_local_position", 30, **position, **valid)
+    add("vehicle_local_position", 30, **position, **velocity, **valid)
     add("vehicle_global_position", 10, alt="altitude")
     add("vehicle_air_data", 15, rho="density")
     add("wind", 2, windspeed_north="wind_north", windspeed_east="wind_east")
@@ -377,22 +361,17 @@ def ardupilot(flight):
     """Return a DataFlash log of an ArduPilot plane that logs every column."""
     servos = {"SERVO1_FUNCTION": 4.0, "SERVO2_FUNCTION": 19.0, "SERVO4_FUNCTION": 21.0}
     log = DataFlashWriter("ArduPlane V4.5.1 (abcdef01)", AIRSPEED_MIN=12.0, **servos)
+    add = partial(flight.log, log)
     zero = ("B", 0)
-
-    def add(name, rate, *, delay=0.0, code="f", factor=1.0, **fields):
-        """Add a topic of fields of a type, if they have none of their own."""
-        t = flight.time(rate, delay=delay)
-        made = flight.fields(t, fields, factor)
-        typed = {key: v if isinstance(v, tuple) else (code, v) for key, v in made.items()}
-        log.topic(name, t, **typed)
 
     def pulse(channel, factor=1000):
         return lambda t: 1500 + factor * flight[channel](t)
 
-    heading = flight.time(50, delay=0.004), "psi"
+    def yaw(t):
+        return "C", flight["psi"](t) * DEGREE % 360
+
     gyro = {"GyrX": "p", "GyrY": "q", "GyrZ": "r"}
     velocity = {"VN": "v_north", "VE": "v_east", "VD": "v_down"}
-    yaw = ("C", flight.at(*heading)[:, 0] * DEGREE % 360)
     add("IMU", 100, I=zero, **gyro, AccX="ax", AccY="ay", AccZ="az")
     add("ATT", 50, delay=0.004, code="c", factor=DEGREE, Roll="phi", Pitch="theta", Yaw=yaw)
     add("ARSP", 20, I=zero, Airspeed=flight.equivalent_airspeed, H=("B", 1))

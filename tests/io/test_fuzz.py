@@ -98,13 +98,10 @@ def logs(tmp_path_factory, px4, ardupilot, tlog):
     """Return the bytes of a small log of each format."""
     folder = tmp_path_factory.mktemp("logs")
     t = np.arange(300) * 0.02
-    table = "time,alpha [deg],q\n" + "".join(
-        f"{x:.2f},{np.sin(x):.4f},{np.cos(x):.4f}\n" for x in t
-    )
-    columns = pd.DataFrame(
-        {"time": t, "alpha": 0.1 * np.sin(t), "flight": "a", "note": np.tile(["x", None, "z"], 100)}
-    )
-    columns.to_parquet(folder / "log.parquet")
+    columns = {"time": t, "alpha [deg]": np.sin(t).round(4), "q": np.cos(t).round(4)}
+    table = pd.DataFrame(columns).to_csv(index=False)
+    noted = pd.DataFrame(columns).assign(flight="a", note=np.tile(["x", None, "z"], 100))
+    noted.to_parquet(folder / "log.parquet")
     raw = {".ulg": px4, ".bin": ardupilot, ".tlog": b"".join(tlog), ".csv": table.encode()}
     raw[".parquet"] = (folder / "log.parquet").read_bytes()
     return {suffix: np.frombuffer(content, np.uint8)[:30_000] for suffix, content in raw.items()}

@@ -21,16 +21,9 @@ STRANGE = 'wind, "left";\nof the\tmast'
 def test_csv(tmp_path, flights, quoting, separator, mark):
     table = pd.DataFrame({STRANGE: NUMBERS[::-1], "time": 0.02 * np.arange(6), "north": NUMBERS})
     table["flight"] = np.repeat(flights, 3)
-
-    def written(value):
-        return "" if pd.isna(value) else str(value).replace(".", mark)
-
-    with (tmp_path / "log.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, delimiter=separator, quoting=quoting)
-        writer.writerow(table)
-        for row in table.itertuples(index=False):
-            writer.writerow(map(written, row))
-    found = read_flight(tmp_path / "log.csv")
+    path = tmp_path / "log.csv"
+    table.to_csv(path, sep=separator, decimal=mark, quoting=quoting, index=False)
+    found = read_flight(path)
     assert set(found) == set(table)
     for name in table:
         if name == "flight":

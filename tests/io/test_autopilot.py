@@ -9,7 +9,6 @@ import pytest
 from flight_columns import FORCES
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
 from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightDataWarning
@@ -256,34 +255,24 @@ class TestRefusals:
 
 
 class TestWithoutAnAccelerometer:
-    """A steady banked turn: specific force is minus gravity over cos(phi) along z, and zero along x and y."""
-
-    SPEED = 20.0
-    OMEGA = 0.3
-
     @pytest.fixture
-    def log(self, ulog):
-        t = np.arange(0, 30, 0.05)
-        phi = np.full(t.size, np.arctan(self.OMEGA * self.SPEED / 9.80665))
-        attitude = Rotation.from_euler("ZX", np.column_stack([self.OMEGA * t, phi]))
-        north, east, _ = self.SPEED * attitude.as_matrix()[:, :, 0].T
-        log = ulog().topic("airspeed", t, true_airspeed_m_s=self.SPEED)
-        log.gyros(t, 0.0)
-        log.topic("vehicle_attitude", t, q=np.roll(attitude.as_quat(), 1, axis=1))
-        return log.topic("vehicle_local_position", t, vx=north, vy=east, vz=np.zeros(t.size))
+    def log(self, ulog, flight):
+        t = flight.time(20)
+        log = ulog().gyros(t, 0.0).topic("airspeed", t, true_airspeed_m_s=20.0)
+        log.topic("vehicle_attitude", t, q=np.roll(flight.attitude(t).as_quat(), 1, axis=1))
+        velocity = zip(("vx", "vy", "vz"), flight.velocity(t).T, strict=True)
+        return log.topic("vehicle_local_position", t, **dict(velocity))
 
-    def test_specific_force_is_that_of_velocity_and_attitude(self, read, log):
+    def test_specific_force_is_that_of_velocity_and_attitude(self, read, log, flight):
         table = read(log)
-        found = table[table.time.between(2, 28)][FORCES]
-        load = np.hypot(9.80665, self.OMEGA * self.SPEED)
-        assert_allclose(found - [0.0, 0.0, -load], 0.0, atol=0.03)
+        inside = table[table.time.between(flight.BEGIN + 2, flight.END - 2)]
+        assert_allclose(inside[FORCES], flight.sensed(inside.time.to_numpy())[FORCES], atol=0.03)
         source = "velocity and attitude, as no accelerometer is of use"
         assert table.attrs["sources"]["az"] == source
 
-    def test_an_accelerometer_has_priority(self, read, log):
-        log.topic(
-            "vehicle_acceleration", np.arange(0, 30, 0.05), xyz=np.tile([0, 0, -9.0], (600, 1))
-        )
+    def test_an_accelerometer_has_priority(self, read, log, flight):
+        time = flight.time(20)
+        log.topic("vehicle_acceleration", time, xyz=np.tile([0, 0, -9.0], (len(time), 1)))
         assert read(log).az.median() == pytest.approx(-9.0)
 
 

@@ -37,6 +37,8 @@ READ = {
     "float32": ("alpha", pa.array(ALPHA, pa.float32())),
     "decimal": ("alpha", pa.array(DECIMALS)),
     "text": ("alpha", pa.array(TEXTS)),
+    "whole numbers": ("north", pa.array([1, 0, 1], pa.uint16())),
+    "truth values": ("north", pa.array([True, False, True])),
     "dictionary of texts": ("alpha", pa.array(TEXTS).dictionary_encode()),
     "timestamp": ("time", pa.array(STAMPS, pa.timestamp("us"))),
     "time zone": ("time", pa.array(STAMPS, pa.timestamp("ns", "Europe/Berlin"))),
@@ -44,12 +46,17 @@ READ = {
     "dictionary of flights": ("flight", pa.array(["a", "a", "b"]).dictionary_encode()),
     "blanks": ("flight", pa.array([" a", "a ", "b"])),
 }
-EXPECTED = {"alpha": ALPHA, "time": TIME, "flight": ["a", "a", "b"]}
+EXPECTED = {"alpha": ALPHA, "north": [1.0, 0.0, 1.0], "time": TIME, "flight": ["a", "a", "b"]}
 
 
 @pytest.mark.parametrize(("name", "values"), READ.values(), ids=READ)
 def test_types_that_are_read(read, name, values):
     assert read(**{name: values})[name].tolist() == EXPECTED[name]
+
+
+@pytest.mark.parametrize("kind", [pa.int64(), pa.float64()])
+def test_flights_that_are_numbers(read, kind):
+    assert read(flight=pa.array([1, 1, 12], kind)).flight.tolist() == ["1", "1", "12"]
 
 
 NO_NUMBER = r"in column 'alpha' at row 0 \(3 rows are not numbers\)"

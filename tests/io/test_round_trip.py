@@ -30,21 +30,3 @@ def test_csv(tmp_path, flights, quoting, separator, mark):
             assert found[name].tolist() == table[name].tolist()
         else:  # old versions of pandas round the last digit
             assert_allclose(found[name], table[name], rtol=4e-16)
-
-
-WHOLE = ["uint16", "Int32", "boolean"]
-NAMED = ["int64", "float64", "Int64"]
-
-
-@pytest.mark.parametrize(
-    ("name", "kind", "values", "expected"),
-    [
-        *(("north", kind, [1, 0, 1], [1.0, 0.0, 1.0]) for kind in WHOLE),
-        *(("flight", kind, [1, 1, 12], ["1", "1", "12"]) for kind in NAMED),
-    ],
-)
-def test_whole_numbers(tmp_path, name, kind, values, expected):
-    """Of a channel, and as names of flights."""
-    column = pd.Series(values).astype("int64").astype(kind)
-    pd.DataFrame({"time": [0.0, 0.02, 0.04], name: column}).to_parquet(tmp_path / "log.parquet")
-    assert read_flight(tmp_path / "log.parquet")[name].tolist() == expected

@@ -19,6 +19,7 @@ from skdgp._flight.channels import (
     WRAPPED,
 )
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.frames import density_or_nan
 from skdgp._flight.tables import FlightTable, check_columns, has_values
 
 # noise may carry an angle beyond its limit by this [rad]
@@ -83,9 +84,19 @@ def _turning_over_gyro(flights: FlightTable) -> float:
     return float(turned / by_gyro) if by_gyro > 0 else np.nan
 
 
+def _density_over_standard(flights: FlightTable) -> float:
+    """Return the median density over that of the standard atmosphere at the median altitude."""
+    standard = density_or_nan(np.float64(_quantile(flights.column("altitude"), 0.5)))
+    return float(_quantile(flights.column("density"), 0.5) / standard)
+
+
 DENSITY = (
     "Got a density of {value:g}, but expected air in kg/m^3 (1.225 at sea level): convert it, or use "
     "skdgp.dynamics.standard_density(altitude)."
+)
+ALTITUDE = (
+    "The median density is {value:.2f} times that of the standard atmosphere at the median altitude: check the "
+    "units of both."
 )
 FORCE = (
     "The median specific force is {value:.3g} m/s^2, but level flight gives 9.8: an accelerometer reads specific "
@@ -130,6 +141,7 @@ LIMITS = (
         "The median time step is {value:g} s: if this is in minutes, multiply time by 60.",
         is_error=False,
     ),
+    Limit(_density_over_standard, 0.8, 1.25, ALTITUDE, is_error=False),
 )
 # of flights whose coefficients are computed
 LIMITS_OF_MOTION = (

@@ -56,7 +56,7 @@ def smoothed(table):
     values[:, names.index("psi")] = np.unwrap(values[:, names.index("psi")])
     result = table.copy()
     result[names] = signal.sosfiltfilt(corner, values, axis=0)
-    return result
+    return result.assign(psi=np.angle(np.exp(1j * result["psi"])))
 
 
 def thinned(table):

@@ -1,4 +1,4 @@
-"""Headings beyond a turn, and surfaces that are commands."""
+"""Headings beyond a turn, surfaces that are commands, and densities of another altitude."""
 
 import numpy as np
 import pandas as pd
@@ -33,3 +33,8 @@ def test_commands_from_minus_one_to_one_are_warned_of(elevator, rows):
 
 def test_deflections_of_thirty_degrees_are_angles():
     assert len(coefficients(elevator=0.5)) == 1000
+
+
+def test_a_density_of_another_altitude_is_warned_of():
+    with pytest.warns(UserWarning, match=r"density is 1.82 times that of the standard atmosphere"):
+        coefficients(altitude=6000.0)

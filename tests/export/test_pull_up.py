@@ -27,7 +27,7 @@ def test_the_margin_keeps_the_limits_for_95_percent(example, fitted, portable_of
 
     margin = np.zeros((len(planner.TIME), 2))
     exceeding = []
-    for seed in range(3):
+    for seed in range(4):
         controls, mean = planner.planned(motion, start, steady, LIMITS - margin, (-0.3, 0.3))
         assert (mean + margin <= LIMITS + 1e-6).all()
         fly = pipeline, aircraft, steady, controls, DENSITY, PATHS

@@ -192,27 +192,23 @@ class TestGusts:
     STATE = np.r_[120.0, -40.0, -210.0, 34.0, -1.5, 3.4, ATTITUDE, RATES]
     CONTROLS = {"elevator": -0.025, "aileron": 0.065, "rudder": 0.08, "propeller_speed": 640.0}
     WIND = np.array([3.0, -2.0, 0.5])
-    STILL = np.zeros(3)
 
-    @pytest.fixture
-    def settled(self, data):
-        """Return what acts in a wind and gusts: their velocity, its rate of change, and their rates p, q, r."""
+    def test_steady_gust_acts_like_wind(self, data):
+        """A body-fixed gust that follows a steady wind turns against the aircraft."""
         motion = Motion(data.truth, data.aircraft, lagged=True)
 
-        def settled(state, wind, *gusts, passes=12, slopes=(0.0, 0.0)):
-            air = gusty_air(lambda *_: LocalAir(wind), [part[None] for part in gusts])(0, state)
-            for _ in range(passes):
-                now = motion.at(state, self.CONTROLS, air, np.r_[slopes, np.zeros(6)])
-                slopes = now.implicit[:2]
+        def settled(air):
+            """Return what acts once alpha_dot and beta_dot are those of the motion."""
+            implicit = np.zeros(8)
+            for _ in range(12):
+                now = motion.at(self.STATE, self.CONTROLS, air, implicit)
+                implicit[:2] = now.implicit[:2]
             return now
 
-        return settled
-
-    def test_steady_gust_acts_like_wind(self, settled):
-        """A body-fixed gust that follows a steady wind turns against the aircraft."""
         gust = ned_to_body(self.ATTITUDE, self.WIND)
-        change = -np.cross(self.RATES, gust)
-        as_wind = settled(self.STATE, self.WIND, self.STILL, self.STILL, self.STILL)
-        as_gust = settled(self.STATE, self.STILL, gust, change, self.STILL)
+        turning = np.array([gust, -np.cross(self.RATES, gust), np.zeros(3)])[:, None]
+        met = gusty_air(lambda *_: LocalAir(), turning)
+        as_wind = settled(LocalAir(self.WIND))
+        as_gust = settled(met(0, self.STATE))
         assert_allclose(as_gust.derivative, as_wind.derivative, atol=1e-12)
         assert_allclose(as_gust.implicit, as_wind.implicit, atol=1e-12)

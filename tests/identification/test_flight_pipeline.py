@@ -131,17 +131,16 @@ class TestPredict:
         assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
 
     def test_flights_of_different_rates_last_as_long_as_each_of_them(self, delta):
-        time = np.concatenate([np.arange(0, 20, 0.02), np.arange(0, 110, 0.1)])
-        names = np.repeat(["fast", "slow"], [1000, 1100])
-        angle = 0.1 * np.sin(time)
-        flight = pd.DataFrame({"time": time, "flight": names, "alpha": angle, "airspeed": 20.0})
-        flight = flight.assign(p=0.0, q=0.0, r=0.0)
+        levels = {"alpha": (0, 0.1, 0), "airspeed": (20, 0, 0), "p q r": (0, 0, 0)}
+        fast = make_flight(levels, 1000, 0.02).assign(flight="fast")
+        slow = make_flight(levels, 1100, 0.1).assign(flight="slow")
+        flight = pd.concat([fast, slow], ignore_index=True)
         fitted = make_identification_pipeline(
             delta,
             regressors=["alpha"],
             reconstruction="passthrough",
             regressor=LinearRegression(),
-        ).fit(flight, pd.DataFrame({"CZ": -4 * angle}))
+        ).fit(flight, pd.DataFrame({"CZ": -4 * flight["alpha"]}))
         assert fitted.seconds_ == pytest.approx(130, rel=1e-3)
 
     def test_another_regressor_predicts_without_a_band(self, flights, test_flight):

@@ -17,8 +17,8 @@ from skdgp.dynamics import (
     Turbulence,
     aerodynamic_coefficients,
     as_aerodynamics,
+    dryden_gusts,
 )
-from skdgp.dynamics._dryden import dryden_gusts
 from skdgp.identification import make_identification_pipeline
 from skdgp.identification._log_errors import (
     CLOCK,

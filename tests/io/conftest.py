@@ -420,14 +420,24 @@ def telemetry(now):
 
 
 @pytest.fixture(scope="session")
-def tlog(flight):
+def mavlink():
+    """Return the messages of telemetry."""
+    return pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
+
+
+@pytest.fixture(scope="session")
+def vehicle(mavlink):
+    """Return the vehicle that sends the messages."""
+    return mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+
+@pytest.fixture(scope="session")
+def tlog(flight, mavlink, vehicle):
     """Telemetry of a plane with ArduPilot: arrival late by up to .2 s, and a ground station that sends too."""
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     station = mavlink.MAVLink(None, srcSystem=255)
     sent = []
 
-    def send(time, kind, *values, by=plane):
+    def send(time, kind, *values, by=vehicle):
         message = vars(mavlink)[f"MAVLink_{kind}_message"](*values)
         sent.append((time, message.pack(by)))
 
@@ -454,16 +464,14 @@ def tlog(flight):
 
 
 @pytest.fixture
-def mavlink_parameters(tlog):
+def mavlink_parameters(tlog, mavlink, vehicle):
     """Return a function to the telemetry with further parameters, without one."""
-    mavlink = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-    plane = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 
     def with_parameters(values, without=b"nothing"):
         sent = []
         for name, value in values.items():
             message = mavlink.MAVLink_param_value_message(name, value, 9, 3, 0)
-            sent.append(tlog[0][:8] + message.pack(plane))
+            sent.append(tlog[0][:8] + message.pack(vehicle))
         return sent + [message for message in tlog if without not in message]
 
     return with_parameters

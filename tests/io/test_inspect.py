@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import EULER, FORCES, RATES, VELOCITY
+from made_flights import make_flight
 from numpy.random import default_rng
 
 from skdgp.identification import named_flights
@@ -56,9 +57,8 @@ class TestSummary:
 
     def test_one_elevon_alone(self, write):
         """A sign that it might have does not need the other one."""
-        time = 0.02 * np.arange(50)
-        columns = {"alpha": 0.05 * np.sin(time), "q": 0.1 * np.cos(time), "airspeed": 30 + time}
-        table = pd.DataFrame({"time": time, **columns, "elevon_left": 0.2 * np.sin(time)})
+        levels = {"alpha q elevon_left": (0, 0.1, 0), "airspeed": (30.5, 0.1, 0)}
+        table = make_flight(levels, 50, 0.02)
         table.loc[::10, "airspeed"] = -999.0  # marks of missing values
         summary = inspect_log(write(table))
         assert "elevon_left" in summary.columns.index
@@ -75,8 +75,8 @@ class TestSummary:
         assert set(found.columns.index) == {"airspeed", "elevator", "p"}
 
     def test_the_faults_of_a_table_at_its_own_times(self, write):
-        table = pd.DataFrame({"time": 1.7e9 + 0.02 * np.arange(500), "flight": "a"})
-        table["alpha"] = default_rng(0).normal(0.1, 0.01, 500)
+        table = make_flight({"alpha": (0.1, 0.0, 0.01)}, 500, 0.02).assign(flight="a")
+        table["time"] += 1.7e9
         table.loc[200:260, "alpha"] = table.alpha[200]
         summary = inspect_log(write(table))
         (remark,) = summary.remarks
@@ -85,12 +85,10 @@ class TestSummary:
         assert remark[:30] in str(summary)
 
     def test_a_table_of_many_short_records(self, write):
-        time = 0.01 * np.arange(150)
-        motion = {"airspeed": 5 + np.sin(time), "p": np.cos(time)}
-        still = dict.fromkeys(("alpha", "beta", "q", "r", "elevator", "aileron"), 0.1)
+        still = "alpha beta q r elevator aileron"
+        record = make_flight({"airspeed": (5, 1, 0), "p": (0, 1, 0), still: (0.1, 0, 0)}, 150, 0.01)
         records = [
-            pd.DataFrame({"time": 0.003 * k + time, "flight": f"run {k}", **motion, **still})
-            for k in range(9)
+            record.assign(time=0.003 * k + record["time"], flight=f"run {k}") for k in range(9)
         ]
         summary = inspect_log(write(pd.concat(records)))
         assert len(summary.flights) == 9

@@ -9,24 +9,7 @@ from pandas.testing import assert_frame_equal
 
 
 @pytest.fixture
-def mavlink():
-    return pytest.importorskip("pymavlink.dialects.v20.ardupilotmega")
-
-
-@pytest.fixture
-def plane(mavlink):
-    """Return the vehicle that sends the messages."""
-    return mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-
-
-@pytest.fixture
-def at(plane):
-    """Return a function to a message of the vehicle that arrives with another."""
-    return lambda stamped, message: stamped[:8] + message.pack(plane)
-
-
-@pytest.fixture
-def with_sent(mavlink, tlog, at):
+def with_sent(mavlink, tlog, vehicle):
     """Return a function to the telemetry with further messages after each of a type, without those of another."""
 
     def is_of(message, name):
@@ -39,7 +22,7 @@ def with_sent(mavlink, tlog, at):
             if without is None or not is_of(message, without):
                 log.append(message)
             if is_of(message, name):
-                log += [at(message, sent) for sent in further(message)]
+                log += [message[:8] + sent.pack(vehicle) for sent in further(message)]
         return log
 
     return with_sent
@@ -103,12 +86,12 @@ def test_an_airspeed_without_a_sensor_is_no_measurement(tlog, read, mavlink, wit
 
 @pytest.mark.parametrize("told_by", ["state", "mode", "tailsitter"])
 def test_a_vtol_is_read_in_forward_flight_alone(
-    told, mavlink, plane, mavlink_parameters, with_sent, told_by
+    told, mavlink, vehicle, mavlink_parameters, with_sent, told_by
 ):
     """It hovers until 20 s, by MAV_VTOL_STATE, or by QHOVER (18), also of MAV_TYPE 20."""
 
     def telling(message):
-        sent = plane.decode(bytearray(message[8:]))
+        sent = vehicle.decode(bytearray(message[8:]))
         hovers = sent.time_usec < 20e6
         if told_by == "state":
             return [mavlink.MAVLink_extended_sys_state_message(3 if hovers else 4, 2)]
@@ -131,11 +114,11 @@ def test_engines_by_their_controllers(read, mavlink, with_sent):
     assert_allclose(table.propeller_speed.dropna(), 200 * math.pi, rtol=1e-6)
 
 
-def test_a_dead_inertial_sensor_gives_way_to_the_second(told, mavlink, plane, with_sent):
+def test_a_dead_inertial_sensor_gives_way_to_the_second(told, mavlink, vehicle, with_sent):
     """Of SCALED_IMU nothing moves; RAW_IMU is left out."""
 
     def sensors(message):
-        time = plane.decode(bytearray(message[8:])).time_boot_ms
+        time = vehicle.decode(bytearray(message[8:])).time_boot_ms
         rates = [100 + time % 7] * 3
         still = mavlink.MAVLink_scaled_imu_message(time, 0, 0, -1000, *[0] * 6)
         moving = mavlink.MAVLink_scaled_imu2_message(time, 0, 0, -1000, *rates, 0, 0, 0)

@@ -51,23 +51,19 @@ def test_ahrs_trim_turns_rates_and_accelerations(read, dataflash, flight, angles
 
 
 @pytest.mark.parametrize(
-    ("place", "board"),
+    ("place", "board"),  # yaw, pitch, roll
     [
-        (0, ""),
-        (2, "yaw 90"),
-        (8, "roll 180"),
-        (12, "pitch 180"),
-        (14, "roll 180 yaw 270"),
-        (25, "pitch 270"),
+        (0, (0, 0, 0)),
+        (2, (90, 0, 0)),
+        (8, (0, 0, 180)),
+        (12, (0, 180, 0)),
+        (14, (270, 0, 180)),
+        (25, (0, 270, 0)),
     ],
 )
 def test_single_sensors_of_px4_are_turned_as_the_board_is(read, ulog, flight, place, board):
     """SENS_BOARD_ROT, and then the offsets in degrees; the numbers are those of ROTATION_* of PX4."""
-    words = board.split()
-    angles = {axis: float(degrees) for axis, degrees in zip(words[::2], words[1::2], strict=True)}
-    rotation = Rotation.from_euler(
-        "ZYX", [angles.get(axis, 0.0) for axis in ("yaw", "pitch", "roll")], degrees=True
-    )
+    rotation = Rotation.from_euler("ZYX", board, degrees=True)
     offsets = {"SENS_BOARD_X_OFF": 1.5, "SENS_BOARD_Y_OFF": -2.0, "SENS_BOARD_Z_OFF": 3.0}
     to_body = Rotation.from_euler("ZYX", [3.0, -2.0, 1.5], degrees=True) * rotation
     time = flight.time(100)

@@ -86,7 +86,7 @@ def _turning_over_gyro(flights: FlightTable) -> float:
 
 def _density_over_standard(flights: FlightTable) -> float:
     """Return the median density over that of the standard atmosphere at the median altitude."""
-    standard = density_or_nan(np.float64(_quantile(flights.column("altitude"), 0.5)))
+    standard = density_or_nan(np.array(_quantile(flights.column("altitude"), 0.5)))
     return float(_quantile(flights.column("density"), 0.5) / standard)
 
 

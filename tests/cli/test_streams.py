@@ -5,7 +5,6 @@ import os
 import re
 import sys
 import threading
-import time
 from contextlib import redirect_stderr, redirect_stdout
 from types import SimpleNamespace
 
@@ -81,14 +80,12 @@ def test_imports_that_are_stopped(monkeypatch, capsys):
 
 
 def test_steps_of_a_stage_have_a_bar_and_the_time_that_is_left():
-    stream = io.StringIO()
+    stream = Watched("3 of 8")
     with Console(stream, period=0.01) as console:
         console.progress("transforming", 0, float("nan"))
         for done in range(4):
             console.progress(Progress("estimating the air", done, 8), 0, float("nan"))
-        until = time.monotonic() + 30.0
-        while "3 of 8" not in stream.getvalue() and time.monotonic() < until:
-            time.sleep(0.01)
+        assert stream.was_written.wait(30.0)
     pattern = r"transforming · estimating the air \[####-{6}\] 3 of 8, about \d+ s left · \d+ s"
     assert re.search(pattern, stream.getvalue())
 
@@ -110,31 +107,32 @@ def test_the_time_that_is_left_is_by_the_rate_of_the_steps_since_the_first_notic
 
 
 class Watched(io.StringIO):
-    """A stream that tells when a stage was written with its seconds."""
+    """A stream that tells when some words were written."""
 
-    def __init__(self, is_terminal):
+    def __init__(self, words, is_terminal=False):
         super().__init__()
+        self.words = words
         self.is_terminal = is_terminal
-        self.has_seconds = threading.Event()
+        self.was_written = threading.Event()
 
     def isatty(self):
         return self.is_terminal
 
     def write(self, text):
-        if " · " in text:
-            self.has_seconds.set()
+        if self.words in text:
+            self.was_written.set()
         return super().write(text)
 
 
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_a_stage_that_lasts_is_shown_with_its_seconds(is_terminal):
     """The waits end with the event, so their limits, in seconds, only count where the test fails."""
-    stream = Watched(is_terminal)
+    stream = Watched(" · ", is_terminal)
     before = {*threading.enumerate()}
     with Console(stream, period=0.01) as console:
         (thread,) = {*threading.enumerate()} - before
         console.stage("flight 'a'")
-        assert stream.has_seconds.wait(30.0)
+        assert stream.was_written.wait(30.0)
     thread.join(30.0)
     assert not thread.is_alive()
     assert re.search(r"flight 'a' · \d+ s", stream.getvalue())

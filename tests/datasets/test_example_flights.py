@@ -132,18 +132,15 @@ def test_shape_clock_and_names(data):
 
 
 class TestLoader:
-    def test_other_seed_other_gusts(self, data):
+    def test_other_seed_other_gusts(self):
         """A seed is drawn of a generator, as scikit-learn does."""
-        usual = data.test.wind_down_true[:40]
         first, same, other = (
             load_example_flights(random_state=RandomState(seed), duration=1.0).test.wind_down_true
             for seed in (3, 3, 4)
         )
         assert_array_equal(first, same)
-        for gusts in (first, other):
-            assert (gusts != usual).all()
-            assert abs(np.corrcoef(gusts, usual)[0, 1]) < 0.9
         assert (first != other).all()
+        assert abs(np.corrcoef(first, other)[0, 1]) < 0.9
 
     @pytest.mark.parametrize(
         ("name", "value"),

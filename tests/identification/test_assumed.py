@@ -122,6 +122,18 @@ def test_a_table_without_thrust():
 
 
 @pytest.mark.usefixtures("no_mechanics")
+def test_an_engine_that_no_regressor_explains():
+    flight = table()
+    flight["propeller_speed"] = 500 + 100 * flight["throttle"]
+    names = ["alpha", "q_hat"]
+    found = quietly(flight, UNKNOWN, regressors=names, thrust=None, samples=60, horizon=1.0)
+    (engine,) = [each for each in found.findings if each.code.name == "ENGINE_UNEXPLAINED"]
+    assert engine.numbers["names"] == ["throttle", "propeller_speed"]
+    assert "Name regressors with throttle or " in engine.text
+    assert found.options["thrust"] is None
+
+
+@pytest.mark.usefixtures("no_mechanics")
 def test_surfaces_may_have_a_mixing_of_their_own():
     flight = table()
     elevator = flight.pop("elevator")

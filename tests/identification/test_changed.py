@@ -52,12 +52,15 @@ def residuals(model, X, Y):
     return Compared(regressors, unexplained, np.full(len(X), BY_ACCELERATION))
 
 
+def residuals_of(model, flights):
+    return {name: residuals(model, *flight) for name, flight in flights.items()}
+
+
 def changes(model, flights, change=0.0):
     """Return the changes that flights show whose alpha by Cm is changed."""
-    unexplained = {}
-    for name, (X, Y) in flights.items():
-        unexplained[name] = residuals(model, X, Y)
-        unexplained[name][1][:, 4] += change * X["alpha"]
+    unexplained = residuals_of(model, flights)
+    for name, (X, _) in flights.items():
+        unexplained[name].residuals[:, 4] += change * X["alpha"]
     return changes_of(model, unexplained)
 
 
@@ -165,15 +168,13 @@ def test_noise_that_regressors_share_makes_no_change_of_a_gentle_flight():
 def test_slopes_that_rougher_air_flattens_are_no_change():
     """By noise of the regressors over that in the fit, or by rates of the air that no sensor sees."""
     model = learned(*flight(0, 0.02), np.array([ALPHA_NOISE / 3, 0.0, 0.0]))
-    steady, rough, rates = {}, {}, {}
-    for name, (X, Y) in several(with_noise_of_alpha, 0.5).items():
-        steady[name] = residuals(model, X, Y)
-        rough[name] = steady[name]._replace(noise_ratio=9.0)
-        noise = np.diag([ALPHA_NOISE / model[1].scale_[0], 0.0, 0.0]) ** 2
-        regressors = steady[name].regressors
-        slopes = model[-1].predict_gradient(np.zeros((1, 3)))[0]
-        errors = np.stack([attenuation(regressors, noise, of_output) for of_output in slopes])
-        rates[name] = steady[name]._replace(by_air=[errors_of_slopes(errors, np.zeros(3))])
+    noise = np.diag([ALPHA_NOISE / model[1].scale_[0], 0.0, 0.0]) ** 2
+    slopes = model[-1].predict_gradient(np.zeros((1, 3)))[0]
+    steady, rough, rates = residuals_of(model, several(with_noise_of_alpha, 0.5)), {}, {}
+    for name, compared in steady.items():
+        rough[name] = compared._replace(noise_ratio=9.0)
+        errors = np.stack([attenuation(compared.regressors, noise, slope) for slope in slopes])
+        rates[name] = compared._replace(by_air=[errors_of_slopes(errors, np.zeros(3))])
     assert alarms(changes_of(model, steady)) > 0.8
     assert alarms(changes_of(model, rough)) < 0.2
     assert alarms(changes_of(model, rates)) < 0.2
@@ -198,9 +199,7 @@ def test_errors_of_angles_that_a_filter_states_make_no_change_of_a_gentle_flight
     air = pd.DataFrame({"alpha": [0.0], "alpha_std": [ALPHA_NOISE]})
     reconstruction.air_motion_ = Bunch(air=air)
     filtered = Pipeline([("flightpathreconstruction", reconstruction), *model.steps])
-    unexplained = {}
-    for name, (X, Y) in several(with_noise_of_alpha, 0.3).items():
-        unexplained[name] = residuals(model, X, Y)
+    unexplained = residuals_of(model, several(with_noise_of_alpha, 0.3))
     assert alarms(changes_of(model, unexplained)) > 0.8
     assert alarms(changes_of(filtered, unexplained)) < 0.2
 
@@ -290,13 +289,12 @@ def test_one_factor_of_all_forces_is_found_with_its_size(model, factor, drift):
 
     Where CY drifts, its errors are unknown, and CZ tells the factor.
     """
-    flights = {}
-    for name, (X, Y) in several(flight, 0.04).items():
-        unexplained = residuals(model, X, Y)
-        unexplained[1][:, :3] += (factor - 1) * model.predict(X)[:, :3]
-        unexplained[1][:, 1] += np.linspace(0.0, drift, len(X))
-        flights[name] = unexplained
-    result = changes_of(model, flights)
+    flights = several(flight, 0.04)
+    unexplained = residuals_of(model, flights)
+    for name, (X, _) in flights.items():
+        unexplained[name].residuals[:, :3] += (factor - 1) * model.predict(X)[:, :3]
+        unexplained[name].residuals[:, 1] += np.linspace(0.0, drift, len(X))
+    result = changes_of(model, unexplained)
     assert alarms(result, "forces") > 0.8
     row = result.derivatives.xs("forces", level="derivative")
     assert row["change"].mean() == pytest.approx(factor - 1, abs=0.02)

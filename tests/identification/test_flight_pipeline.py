@@ -143,14 +143,6 @@ class TestPredict:
         ).fit(flight, pd.DataFrame({"CZ": -4 * flight["alpha"]}))
         assert fitted.seconds_ == pytest.approx(130, rel=1e-3)
 
-    def test_another_regressor_predicts_without_a_band(self, flights, test_flight):
-        train = flights.train[:400]
-        linear = make_identification_pipeline(flights.aircraft, regressor=LinearRegression())
-        linear.fit(train, aerodynamic_coefficients(train, flights.aircraft))
-        assert linear.predict(test_flight).shape == (200, 6)
-        with pytest.raises(TypeError, match="return_std"):
-            linear.predict(test_flight, return_std=True)
-
 
 def test_the_scaler_may_be_left_out_or_another(model, few, test_flight):
     """Least squares beside the model are in units, and the same."""
@@ -258,18 +250,17 @@ class TestLeastSquares:
         result = identify(
             train, flights.aircraft, test=test, samples=120, regressor=regressor, horizon=2.0
         )
-        targets = aerodynamic_coefficients(train, flights.aircraft)
-        targets = thin_targets(targets, 120)
+        targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 120)
         rows = targets.notna().all(axis=1).to_numpy()
         X, Xt = (np.asarray(result.pipeline[:-1].transform(table)) for table in (train, test))
         linear = LinearRegression().fit(X[rows], targets[rows])
+        (evaluation,) = result.evaluations
+        assert_allclose(evaluation.baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)
         measured = aerodynamic_coefficients(test, flights.aircraft)
-        expected = normalized_rmse(measured, linear.predict(Xt), multioutput="raw_values")
-        (name,) = result.metrics["test"]
-        of = pd.DataFrame(result.metrics["test"][name]["coefficients"]["measured"]).T
+        expected = normalized_rmse(measured, evaluation.baseline, multioutput="raw_values")
+        (of_flight,) = result.metrics["test"].values()
+        of = pd.DataFrame(of_flight["coefficients"]["measured"]).T
         assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
-        baseline = result.evaluations[0].baseline
-        assert_allclose(baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ import json
 import pickle
 import subprocess
 import sys
-from dataclasses import replace
 from unittest.mock import patch
 
 import joblib
@@ -22,7 +21,7 @@ from sklearn.model_selection import GridSearchCV, LeaveOneGroupOut
 from sklearn.preprocessing import StandardScaler
 
 from skdgp import DependentGPRegressor, FewRowsWarning, listening, make_identification_pipeline
-from skdgp.dynamics import Aircraft, aerodynamic_coefficients, simulate
+from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import (
     ModelFileError,
     identify,
@@ -91,6 +90,8 @@ class TestPipeline:
             regressor=LinearRegression(),
         )
         assert model.fit(table, Y).predict(table).shape == (600, 2)
+        with pytest.raises(TypeError, match="return_std"):
+            model.predict(table, return_std=True)
 
     def test_refuses_what_is_no_aircraft(self):
         with pytest.raises(
@@ -214,26 +215,6 @@ class TestIdentify:
         ):
             identify(**given | change)
         assert not {"fit", "output 1"} & set(stages)
-
-    @pytest.mark.filterwarnings("ignore")
-    def test_an_unknown_thrust_is_part_of_the_coefficients(self, example):
-        aircraft, train, test = example
-        lost = [name for name in train if name.startswith("thrust")]
-        options = {"samples": 40, "regressor": QUICK, "horizon": 1.0, "thrust": None}
-        found = identify(
-            train.drop(columns=lost),
-            replace(aircraft, propeller=None),
-            test=test.drop(columns=lost),
-            regressors=["alpha", "q_hat"],
-            **options,
-        )
-        (unexplained,) = of_code(found, "ENGINE_UNEXPLAINED")
-        assert unexplained.numbers["names"][0] == "throttle"
-        words = "Name regressors with throttle or "
-        assert sum(words in finding.text for finding in found.findings) == 1
-        assert found.options["thrust"] is None
-        flown = simulate(found.pipeline, found.aircraft, test.iloc[0], test.iloc[:5], thrust=None)
-        assert np.isfinite(flown["airspeed"]).all()
 
     def test_says_the_weights_of_the_average(self, averaged):
         result = averaged[0]

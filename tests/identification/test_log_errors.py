@@ -233,10 +233,9 @@ def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
     errors = errors_by_air(regressors, linear, turbulence, GLIDER, density=0.0)
     stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
     assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)
-    names = {"p_hat": "p", "q_hat": "q", "r_hat": "r"}
     per_unit = np.append([1.0, 1.0], 2 * airspeed / GLIDER.moment_lengths)
-    in_units = least_squares_of(regressors * per_unit, felt @ slopes).rename(names)
-    measured = (regressors * per_unit).rename(columns=names)
+    measured = pd.DataFrame(X * per_unit, columns=["alpha", "beta", *RATES])
+    in_units = least_squares_of(measured, felt @ slopes)
     of_rates = errors_by_air(measured, in_units, turbulence, GLIDER, density=1.2)
     of_hats = errors_by_air(regressors, linear, turbulence, GLIDER, density=1.2)
     assert_allclose(of_rates.slopes() * per_unit[:, None], of_hats.slopes(), atol=1e-9)

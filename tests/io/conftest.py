@@ -378,7 +378,7 @@ def ardupilot(flight):
     add("AOA", 20, factor=DEGREE, AOA="alpha", SSA="beta")
     add("XKF1", 25, C=zero, **velocity, PN="north", PE="east", PD="down")
     add("XKF2", 25, C=zero, VWN="wind_north", VWE="wind_east")
-    add("POS", 10, Alt="altitude")
+    add("POS", 10, Lat=("L", -9.1234567), Alt="altitude")
     add("BARO", 10, I=zero, Press=flight.pressure)
     add("CTUN", 10, factor=100, ThO="throttle")
     add("RPM", 10, factor=30 / np.pi, rpm1="propeller_speed", rpm2=0.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flight_columns import FORCES
+from flight_columns import FORCES, SURFACES
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 
@@ -14,7 +14,6 @@ from skdgp.io import FlightReadError, inspect_log, read_flight
 from skdgp.preprocessing import FlightDataWarning
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
-SURFACES = ("aileron", "elevator", "rudder")
 POINTS = [[1000, -0.5], [2000, 0.5]]
 ARDUPILOT_SERVOS = {
     "aileron": {"channel": "RCOU.C1", "points": POINTS},
@@ -337,43 +336,40 @@ class TestStamps:
             table = recorded(stamps, time - 100)
         assert_allclose(table["p"], table["time"] - 100, atol=1e-5)
 
-    @pytest.mark.parametrize("place", [-60, -5, 5, 60])
-    def test_a_clock_that_was_set_back_goes_on_behind_a_pause(self, read, dataflash, place):
-        """From 50 to 2 s, and near the restart one message has a wrong time."""
-        time = np.arange(10, 50, 0.02)
-        times = np.append(time, time - 8)
-        times[len(time) + place] = 5000.0
-        log = dataflash().gyros(times, np.append(time, time) / 100)
-        log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
-        with pytest.warns(FlightDataWarning) as warned:
-            table = read(log, airborne=False)
-        told = str(warned[0].message)
-        shift = re.search(r"what follows has times (.*) s later.*; 1 of 4000 messages", told)
-        late = np.where(table.p.diff().lt(0).cumsum(), float(shift[1]) - 8, 0.0)
-        assert_allclose(table.time, 100 * table.p + late, atol=0.1)
-        assert [*table.time.diff().gt(59)].count(True) == 1
-
     @pytest.mark.parametrize(
-        ("rate", "n_before", "n_after"),
-        [(50, 30, 1000), (50, 1000, 40), (4, 400, 400), (2, 400, 400)],
+        ("rate", "n_before", "n_after", "wrong"),
+        [
+            (50, 30, 1000, None),
+            (50, 1000, 40, None),
+            (4, 400, 400, None),
+            (2, 400, 400, None),
+            *((50, 2000, 2000, place) for place in (1940, 1995, 2005, 2060)),
+        ],
     )
-    def test_all_messages_beside_a_restart_stay(self, told, dataflash, rate, n_before, n_after):
-        times = np.append(500 + np.arange(n_before) / rate, 2 + np.arange(n_after) / rate)
-        log = dataflash().gyros(times, np.repeat([1.0, 2.0], [n_before, n_after]))
-        log.data = [(k, message) for k, (_, message) in enumerate(log.data)]
-        table = told("clock was set back", log, airborne=False)
-        rates = table.groupby(table.time.diff().gt(59).cumsum()).p
-        assert_allclose([rates.min(), rates.max()], [[1.0, 2.0]] * 2)
-        assert rates.count().tolist() == [n_before, n_after]
+    def test_a_clock_that_was_set_back_goes_on_behind_a_pause(
+        self, recorded, rate, n_before, n_after, wrong
+    ):
+        """To 2 s; all messages stay but one near the restart that may have a wrong time."""
+        clock = np.append(500 + np.arange(n_before) / rate, 2 + np.arange(n_after) / rate)
+        stamps = clock.copy()
+        if wrong:
+            stamps[wrong] = 5000.0
+        with pytest.warns(FlightDataWarning, match="clock was set back") as warned:
+            table = recorded(stamps, clock / 100)
+        told = str(warned[0].message)
+        assert ("; 1 of 4000 messages" in told) == bool(wrong)
+        (shift,) = re.findall(r"what follows has times (.*) s later", told)
+        is_later = table.time.diff().gt(59).cumsum()
+        assert is_later.value_counts(sort=False).tolist() == [n_before, n_after]
+        assert_allclose(table.time - 100 * table.p, float(shift) * is_later, atol=0.1)
 
     def test_messages_of_a_topic_without_times_are_left_out(self, told, dataflash):
         """The sensor of distances of a simulator has the stamp 0."""
         time = np.arange(10, 50, 0.02)
         log = dataflash().gyros(time, 1.0).topic("RFND", time[::10], Dist=0.0)
-        stamp = slice(3, 11)  # behind the head
         for k in range(len(time), len(log.data)):
             place, message = log.data[k]
-            log.data[k] = place, message[: stamp.start] + bytes(8) + message[stamp.stop :]
+            log.data[k] = place, message[:3] + bytes(8) + message[11:]  # behind the head
         words = r"200 of 2200 messages have a time that cannot be \(200 of RFND\)"
         told(words, log, airborne=False)
 

@@ -89,12 +89,6 @@ class TestWhatTheLogSaysOfItself:
         assert list(topics) == ["BARO", "BARO#1", "BARO#2"]
         assert_array_equal(topics["BARO#2"]["Alt"], 20.0)
 
-    def test_scaled_integers(self, read, dataflash):
-        values = {"c": [-1.25, 1.25], "C": [3.5, 350.25], "L": [48.1234567, -9.0]}
-        log = dataflash().topic("S", [0.1, 0.2], **{code: (code, v) for code, v in values.items()})
-        for code, expected in values.items():
-            assert_allclose(read(log).topics["S"][code], expected, rtol=1e-12)
-
 
 class TestDamage:
     def test_bytes_between_messages(self, read, dataflash):

@@ -18,11 +18,6 @@ def whole(write, px4):
     return write(px4, "whole.ulg")
 
 
-def named(*names):
-    """Return a table of columns that are zero."""
-    return pd.DataFrame({"time": 0.02 * np.arange(20), **dict.fromkeys(names, 0.0)})
-
-
 SLOPES = ["--regressors", "alpha,q_hat"]
 
 
@@ -65,7 +60,10 @@ class TestSummary:
         assert 30 < summary.flights.airspeed.item() < 31
 
     def test_columns_of_unknown_names_are_one_line(self, write):
-        path = write(named("ias", "de", "gx_dps", *(f"sensor_{k}" for k in range(66))))
+        names = ["ias", "de", "gx_dps", *(f"sensor_{k}" for k in range(66))]
+        path = write(
+            pd.DataFrame(0.0, 0.02 * np.arange(20), names).rename_axis("time").reset_index()
+        )
         words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'gx_dps' \(.* 'p'"
         with pytest.warns(UserWarning, match=words):
             (remark,) = inspect_log(path).remarks

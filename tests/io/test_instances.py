@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from skdgp.preprocessing import FlightDataWarning
 
@@ -69,6 +70,11 @@ def allocated(px4, surfaces):
 def pulse(part):
     """Return pulses of parts of the full throw."""
     return "H", 1500 + 400 * part
+
+
+def turned(heading):
+    """Return quaternions (w, x, y, z) of headings."""
+    return np.roll(Rotation.from_euler("z", heading[:, None]).as_quat(), 1, axis=1)
 
 
 def assert_is_cut(table):
@@ -210,8 +216,7 @@ class TestResets:
         assert second.min() > 16.9
 
     def test_an_attitude_that_is_reset_is_cut(self, told, ulog):
-        half = (0.1 * T - 0.6 * (T < 25)) / 2
-        q = np.column_stack([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+        q = turned(0.1 * T - 0.6 * (T < 25))
         log = ulog().topic("vehicle_attitude", T, q=q, quat_reset_counter=("uint8_t", T >= 25))
         table = told(r"a new flight begins, at 25.0 s", log, airborne=False)
         assert_is_cut(table)
@@ -220,8 +225,7 @@ class TestResets:
     def test_a_heading_that_jumps_without_the_gyros_is_cut(self, told, ulog, suffix, plane):
         heading = 0.1 * T - 0.6 * (T < 25)
         if suffix == "ulg":
-            q = np.column_stack([np.cos(heading / 2), 0 * T, 0 * T, np.sin(heading / 2)])
-            log = ulog().topic("vehicle_attitude", T, q=q).gyros(T, 0.1)
+            log = ulog().topic("vehicle_attitude", T, q=turned(heading)).gyros(T, 0.1)
         else:
             log = plane().gyros(T, 0.1)
             angles = {"Roll": ("c", 0), "Pitch": ("c", 0), "Yaw": ("C", np.degrees(heading) % 360)}

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flight_columns import EULER, FORCES, RATES
+from flight_columns import FORCES, RATES
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -24,14 +24,9 @@ def measured(flight, time, to_body):
 def dataflash_log(dataflash, flight, to_body, **parameters):
     time = flight.time(50)
     log = dataflash("ArduPlane V4.5.1 (abcdef01)", AIRSPEED_MIN=12.0, **parameters)
-    log.topic(
-        "IMU",
-        time,
-        I=("B", 0),
-        **dict(zip(INERTIAL, measured(flight, time, to_body).T, strict=True)),
-    )
-    degrees = np.rad2deg(flight.at(time, *EULER)).T
-    log.topic("ATT", time, **dict(zip(("Roll", "Pitch", "Yaw"), degrees, strict=True)))
+    readings = zip(INERTIAL, measured(flight, time, to_body).T, strict=True)
+    log.topic("IMU", time, I=("B", 0), **dict(readings))
+    flight.log(log, "ATT", 50, factor=np.rad2deg(1.0), Roll="phi", Pitch="theta", Yaw="psi")
     return log
 
 

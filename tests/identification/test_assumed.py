@@ -86,6 +86,11 @@ def quietly(*flights, regressor=QUICK, **options):
         return identify(*flights, regressor=regressor, **options)
 
 
+def briefly(*flights, **options):
+    """Return what identify finds by few rows."""
+    return quietly(*flights, samples=60, horizon=1.0, **options)
+
+
 @pytest.mark.usefixtures("no_mechanics")
 def test_a_position_that_all_flights_state_is_the_models():
     """A flight that states none is then read with it, and one that states another is told."""
@@ -126,7 +131,7 @@ def test_an_engine_that_no_regressor_explains():
     flight = table()
     flight["propeller_speed"] = 500 + 100 * flight["throttle"]
     names = ["alpha", "q_hat"]
-    found = quietly(flight, UNKNOWN, regressors=names, thrust=None, samples=60, horizon=1.0)
+    found = briefly(flight, UNKNOWN, regressors=names, thrust=None)
     (engine,) = [each for each in found.findings if each.code.name == "ENGINE_UNEXPLAINED"]
     assert engine.numbers["names"] == ["throttle", "propeller_speed"]
     assert "Name regressors with throttle or " in engine.text
@@ -140,9 +145,7 @@ def test_surfaces_may_have_a_mixing_of_their_own():
     flight = flight.assign(tail_left=elevator, tail_right=elevator)
     v_tail = ElevonSplitter({"elevator": {"tail_left": 0.5, "tail_right": 0.5}})
     names = ["alpha", "q_hat", "elevator"]
-    found = quietly(
-        flight, UNKNOWN, regressors=names, pipeline={"mixer": v_tail}, samples=60, horizon=1.0
-    )
+    found = briefly(flight, UNKNOWN, regressors=names, pipeline={"mixer": v_tail})
     assert list(found.fit.regressors) == names
 
 
@@ -151,7 +154,7 @@ def test_an_engine_that_ran_only_in_rows_that_are_left_out_is_no_engine():
     flight = table().assign(throttle=0.0)
     flight.loc[:60, "throttle"] = 0.5
     flight.loc[:60, "airspeed"] = np.nan
-    found = quietly(flight, UNKNOWN, samples=60, horizon=1.0)
+    found = briefly(flight, UNKNOWN)
     assert "THRUST_IN_COEFFICIENTS" not in codes(found.findings)
     assert "throttle" not in found.fit.regressors
 
@@ -161,7 +164,7 @@ def test_nothing_was_assumed_of_what_was_told():
     inertia = np.diag([0.1, 0.15, 0.2])
     told = Aircraft.estimate(3.0, 1.8, wing_area=0.4, length=1.2, inertia=inertia)
     flight = table().assign(thrust_x=1.0)
-    assert quietly(flight, told, samples=60, horizon=1.0).assumed == []
+    assert briefly(flight, told).assumed == []
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +226,7 @@ def test_no_elevator():
     flight = table(200).drop(columns="elevator")
     both = flight.assign(elevon_left=0.1 * flight["alpha"], elevon_right=0.1)
     for of_aircraft, n_told in ((flight, 1), (both, 0)):
-        found = quietly(of_aircraft, UNKNOWN, samples=60, horizon=1.0)
+        found = briefly(of_aircraft, UNKNOWN)
         told = [finding.code.name for finding in found.findings]
         assert told.count("NO_ELEVATOR") == n_told
 
@@ -235,7 +238,7 @@ def test_signs_that_the_flights_contradict_are_reported_and_not_turned(first_min
     left = flight.pop("elevon_left")
     right = flight.pop("elevon_right")
     opposite = flight.drop(columns="psi").assign(aileron=(right - left) / 2)
-    found = quietly({"one": opposite}, data.aircraft, test=opposite[:200], samples=60, horizon=1.0)
+    found = briefly({"one": opposite}, data.aircraft, test=opposite[:200])
     (contradiction,) = [each for each in found.findings if each.code.name == "CONTRADICTION"]
     assert contradiction.numbers["channels"] == ["aileron"]
     assert contradiction.flight == "one"

@@ -270,13 +270,12 @@ class TestLeastSquares:
 def test_a_throttle_brings_the_airspeed_among_the_regressors(throttle, moves, expected):
     """One that stands still above zero too: the thrust depends on the airspeed."""
     rng = default_rng(0)
-    n = 250
     names = "alpha beta p q r elevator aileron rudder"
-    drifts = np.cumsum(rng.normal(size=(n, 2)), axis=0) / 20 * [1.0, moves]
-    flight = make_flight({names: (0, 1, 0)}, n, 0.05, width=0)
-    flight = flight.assign(airspeed=20 + drifts[:, 0], throttle=throttle + drifts[:, 1])
+    flight = make_flight({names: (0, 1, 0)}, 250, 0.05, width=0)
+    slow = {"airspeed": (20, 1, 0), "throttle": (throttle, float(moves), 0)}
+    flight[[*slow]] = make_flight(slow, 250, 0.05)[[*slow]]
     effects = rng.normal(size=(8, 6))
-    Y = pd.DataFrame(flight[names.split()] @ effects + 0.1 * rng.normal(size=(n, 6)))
+    Y = pd.DataFrame(flight[names.split()] @ effects + 0.1 * rng.normal(size=(250, 6)))
     Y[0] += 20 * flight["throttle"] + 10 * (flight["airspeed"] - 20) * bool(expected)
     model = make_identification_pipeline(
         Aircraft.estimate(3.0, 1.8),

@@ -241,7 +241,6 @@ class TestIdentify:
         assert_allclose(flight.prediction_std**2, expected, rtol=1e-6)
 
     @pytest.mark.filterwarnings("ignore")
-    @pytest.mark.usefixtures("short_fits", "no_mechanics")
     def test_targets_without_names_are_the_coefficients(self, example, tmp_path):
         aircraft, train, test = example
         train = train[train["time"] < 6]

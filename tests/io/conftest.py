@@ -27,6 +27,7 @@ DATAFLASH_CODES = {
     "C": "H",
     "e": "i",
     "L": "i",
+    "n": "4s",
     "N": "16s",
     "Z": "64s",
 }
@@ -126,17 +127,17 @@ class DataFlashWriter(LogWriter):
     def __init__(self, *messages, **parameters):
         super().__init__()
         self.types = {}
-        self._define("FMT", "BBnNZ", "Type,Length,Name,Format,Columns", kind=0x80, length=89)
+        self._define("FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
         for text in messages:
             self.rows("MSG", "QZ", "TimeUS,Message", [(0, text.encode())])
         for name, value in parameters.items():
             self.rows("PARM", "QNf", "TimeUS,Name,Value", [(0, name.encode(), value)])
 
-    def _define(self, name, codes, columns, kind=None, length=None):
+    def _define(self, name, codes, columns):
         if name not in self.types:
-            kind = kind or 100 + len(self.types)
+            kind = 0x80 if name == "FMT" else 100 + len(self.types)
             layout = "<" + "".join(DATAFLASH_CODES.get(code, "B") for code in codes)
-            length = length or struct.calcsize(layout) + 3
+            length = struct.calcsize(layout) + 3
             self.types[name] = kind, layout
             texts = name.encode(), codes.encode(), columns.encode()
             body = struct.pack("<BB4s16s64s", kind, length, *texts)

@@ -1,7 +1,6 @@
 """CSV files as people and programs write them: the table of the page, case by case."""
 
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.io import FlightReadError, read_flight
-from skdgp.preprocessing import FlightDataWarning
 
 PAGE = (Path(__file__).parents[2] / "docs/api/skdgp.io.md").read_text(encoding="utf-8")
 RIGHT = {"time": [0.0, 0.02], "alpha": [0.1, 0.2]}
@@ -133,27 +131,25 @@ CASES = {
         ["time,alpha,flight\n0,.1,007\n.02,.2, 007 \n"],
         {**RIGHT, "flight": ["007", "007"]},
     ),
-    "not UTF-8": (["utf-16", "latin-1"], "not text .* expected a CSV in UTF-8"),
+    "not UTF-8": (
+        ["time,alpha [°]\n0,1\n".encode(other) for other in ("utf-16", "latin-1")],
+        "not text .* expected a CSV in UTF-8",
+    ),
 }
 
 
 @pytest.mark.parametrize(
     ("text", "expected"), [(text, given) for texts, given in CASES.values() for text in texts]
 )
+@pytest.mark.filterwarnings("ignore:log.csv. line 4 has 2 cells, so it was cut off")
 def test_case(tmp_path, text, expected):
     path = tmp_path / "log.csv"
-    path.write_bytes(
-        "time,alpha [°]\n0,1\n".encode(text) if text in ("utf-16", "latin-1") else text.encode()
-    )
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
     if isinstance(expected, str):
         with pytest.raises(FlightReadError, match=expected):
             read_flight(path)
         return
-    with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "log.csv: line 4 has 2 cells, so it was cut off", FlightDataWarning
-        )
-        found = read_flight(path)
+    found = read_flight(path)
     assert set(found) == {"flight", *expected}
     for name, values in expected.items():
         if isinstance(values[0], str):

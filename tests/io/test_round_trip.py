@@ -25,8 +25,7 @@ def test_csv(tmp_path, flights, quoting, separator, mark):
     table.to_csv(path, sep=separator, decimal=mark, quoting=quoting, index=False)
     found = read_flight(path)
     assert set(found) == set(table)
-    for name in table:
-        if name == "flight":
-            assert found[name].tolist() == table[name].tolist()
-        else:  # old versions of pandas round the last digit
-            assert_allclose(found[name], table[name], rtol=4e-16)
+    assert found["flight"].tolist() == table["flight"].tolist()
+    numbers = [STRANGE, "time", "north"]
+    # old versions of pandas round the last digit
+    assert_allclose(found[numbers], table[numbers], rtol=4e-16)

@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
-from flight_columns import FORCES
+from flight_columns import FORCES, RATES, SURFACES
 from made_flights import make_flight
 from numpy.testing import assert_allclose
 
@@ -25,25 +25,13 @@ def test_flight_column(read):
 
 class TestUnitsThatNumbersGiveAway:
     def test_degrees_are_named_in_one_order(self, read, refused):
-        names = [
-            "alpha",
-            "beta",
-            "phi",
-            "theta",
-            "elevator",
-            "aileron",
-            "rudder",
-            "elevon_left",
-            "flap",
-            "p",
-            "q",
-            "r",
-        ]
-        values = 12 * np.sin(np.arange(50))
-        words = ".*".join(f"'{name}'" for name in names)
+        angles = ["alpha", "beta", "theta", "phi", *SURFACES, "elevon_left", "flap"]
+        wave = np.sin(np.arange(50))
+        degrees = dict.fromkeys(angles, 12 * wave) | dict.fromkeys(RATES, 25 * wave)
+        words = ".*".join(f"'{name}'" for name in degrees)
         words += ".*look like degrees. Convert them with numpy.deg2rad"
-        refused(words, table(**dict.fromkeys(names, values)))
-        read(table(**dict.fromkeys(names, np.deg2rad(values))))
+        refused(words, table(**degrees))
+        read(table(**{name: np.deg2rad(values) for name, values in degrees.items()}))
 
     def test_heading(self, refused):
         degrees = np.linspace(300, 420, 50) % 360

@@ -113,6 +113,8 @@ def test_the_damage_that_pyarrow_tells_in_its_own_words(tmp_path):
     pq.write_table(TABLE, tmp_path / "log.parquet")
     raw = (tmp_path / "log.parquet").read_bytes()
     for content in (
+        b"",
+        b"time,alpha\n0,0.1\n",
         b"PAR1",
         b"PAR1PAR1",
         raw[:-5] + b"\xffPAR1",

@@ -89,8 +89,6 @@ class TestRefusals:
             ("log.csv", "time,alpha\n0,0.1\n,0.2\n", "no time at row 1"),
             ("log.csv", "time,alpha\n0,0.1\n2,0.2\n1,0.3\n3,0.4\n", "time 1 s after 2 s at row 2"),
             ("log.csv", "time,alpha\n0,0.1\n1,0.2\n1,0.3\n", "drop repeated rows"),
-            ("fake.parquet", "time,alpha\n0,0.1\n", "not a whole parquet file"),
-            ("none.parquet", "", "not a whole parquet file"),
         ],
     )
     def test_says_what_is_wrong(self, write, name, content, message):

@@ -43,11 +43,6 @@ def test_of_px4(read, ulog):
     assert_is_placed(table)
 
 
-def test_of_telemetry(read, mavlink_parameters):
-    sent = {name.encode(): value for name, value in parameters("INS_POS1").items()}
-    assert_is_placed(read(mavlink_parameters(sent)))
-
-
 def test_forces_by_the_velocity_are_of_the_centre_of_gravity(read, dataflash):
     """Without accelerometers, wherever these would be."""
     log = dataflash(**parameters("INS_POS1"))

@@ -58,9 +58,11 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
     ends = np.cumsum([len(topic) for topic in topics.values()])
     sound = {}
     n_wrong: Counter[str] = Counter()
+    falls = {}
     for (name, topic), times in zip(topics.items(), np.split(continued, ends[:-1]), strict=True):
         valid = np.flatnonzero(np.isfinite(times))
         n_wrong[name] = len(topic) - len(valid)
+        falls[name] = -np.diff(times[valid]).min(initial=0.0)
         if len(valid):
             # in order of time, each time once
             increasing, first = np.unique(times[valid], return_index=True)
@@ -70,6 +72,11 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
         later = ", ".join(f"{shift:.1f} s" for shift in shifts)
         remarks.append(
             f"the clock was set back, as by a restart: what follows has times {later} later than in the log"
+        )
+    name = max(falls, key=lambda name: falls[name])
+    if falls[name] > MARGIN:
+        remarks.append(
+            f"the clock goes back by {falls[name]:.1f} s in {name}: what follows is mixed with what was before"
         )
     if n_wrong.total():
         name, most = n_wrong.most_common(1)[0]

@@ -416,7 +416,7 @@ def in_force(
     One that is set later alone has its first value.
     """
     # single time stamps may be wrong
-    middle = np.median(np.concatenate([topic.time for topic in topics.values()]))
+    middle = np.nanmedian(np.concatenate([topic.time for topic in topics.values()]))
     parameters: dict[str, float] = {}
     for time, name, value in changes:
         if np.isfinite(value) and (time <= middle or name not in parameters):
@@ -571,13 +571,19 @@ def _servo(name: str, entry: Any) -> Servo | float:
     try:
         channel = entry["channel"]
         inputs, angles = np.array(sorted(entry["points"]), dtype=float).T
-        is_sound = len(inputs) > 1 and _increases(inputs) and np.abs(angles).max() <= np.pi / 2
+        is_sound = (
+            {*entry} == {"channel", "points"}
+            and isinstance(channel, str)
+            and len(inputs) > 1
+            and _increases(inputs)
+            and np.abs(angles).max() <= np.pi / 2
+        )
     except (KeyError, TypeError, ValueError, OverflowError):
         is_sound = False
     if not is_sound:
         raise FlightReadError(
-            f"Got {name} = {entry}, but expected a channel and points. These are two or more pairs "
-            "of numbers, values of the channel, each once, and angles in radians, at most pi/2: "
+            f"Got {name} = {entry}, but expected a channel and points alone. These are two or more "
+            "pairs of numbers, values of the channel, each once, and angles in radians, at most pi/2: "
             'channel = "RCOU.C2", points = [[1100, -0.35], [1900, 0.35]].'
         )
     return Servo(channel, tuple(inputs.tolist()), tuple(angles.tolist()))

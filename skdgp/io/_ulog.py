@@ -208,8 +208,10 @@ def read_ulog(path: Path) -> Log:
         if "timestamp" in data_set.data:
             name = instance_name(data_set.name, data_set.multi_id)
             fields = numeric_fields(data_set.data)
-            time = 1e-6 * sampled(data_set.name, fields)
             # PX4's clock is not set back: wrong times are known among those of all topics
+            time = 1e-6 * sampled(data_set.name, fields)
+            # which would be in place at the beginning
+            time[1:][time[1:] == 0] = np.nan
             topics[name] = Topic(time, time, fields)
     if not topics:
         raise FlightReadError("Got a ULog without any data, but expected messages: was it cut off?")

@@ -363,15 +363,25 @@ class TestStamps:
         assert is_later.value_counts(sort=False).tolist() == [n_before, n_after]
         assert_allclose(table.time - 100 * table.p, float(shift) * is_later, atol=0.1)
 
-    def test_messages_of_a_topic_without_times_are_left_out(self, told, dataflash):
+    def test_a_clock_that_was_set_back_by_little_is_told(self, recorded):
+        times = np.append(np.arange(0, 20, 0.02), np.arange(12, 32, 0.02))
+        with pytest.warns(
+            FlightDataWarning, match=r"the clock goes back by 8\.0 s in IMU: what follows is mixed"
+        ):
+            recorded(times, 0 * times)
+
+    @pytest.mark.parametrize(
+        ("kind", "name", "head"), [("ulog", "distance_sensor", 5), ("dataflash", "RFND", 3)]
+    )
+    def test_messages_of_a_topic_without_times_are_left_out(self, told, request, kind, name, head):
         """The sensor of distances of a simulator has the stamp 0."""
         time = np.arange(10, 50, 0.02)
-        log = dataflash().gyros(time, 1.0).topic("RFND", time[::10], Dist=0.0)
+        log = request.getfixturevalue(kind)().gyros(time, 1.0).topic(name, time[::10], x=0.0)
         for k in range(len(time), len(log.data)):
             place, message = log.data[k]
-            log.data[k] = place, message[:3] + bytes(8) + message[11:]  # behind the head
-        words = r"200 of 2200 messages have a time that cannot be \(200 of RFND\)"
-        told(words, log, airborne=False)
+            log.data[k] = place, message[:head] + bytes(8) + message[head + 8 :]
+        words = r"200 of 2200 messages have a time that cannot be \(200 of "
+        told(f"{words}{name}", log, airborne=False)
 
     def test_messages_out_of_order_are_sorted(self, recorded):
         time = np.arange(500) * 0.02

@@ -39,6 +39,8 @@ class TestRefusals:
             ),
             ("rudder", {}, "expected a channel and points"),
             ("rudder", {"channel": "a.b"}, "expected a channel and points"),
+            ("rudder", ENDS | {"channel": 5}, "expected a channel and points"),
+            ("rudder", ENDS | {"reversed": True}, "expected a channel and points alone"),
             ("rudder", ENDS | {"points": [[1, 0.1], [2]]}, "expected a channel and points"),
             (
                 "rudder",

@@ -172,17 +172,22 @@ def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.n
 
 
 def flow_angle_rates(
-    velocity: ArrayLike, force: ArrayLike, rates: ArrayLike, attitude: ArrayLike
+    velocity: ArrayLike,
+    force: ArrayLike,
+    rates: ArrayLike,
+    attitude: ArrayLike,
+    least_speed: float = 0.0,
 ) -> np.ndarray:
     r"""Return the rates of change of alpha and beta (..., 2) [rad/s] by the motion through steady air.
 
     Of body velocities v relative to the air, specific force f, angular rates and attitude (phi, theta),
-    :math:`\dot v = f + g - \omega \times v` (Stevens, Lewis & Johnson 2016, section 1.7).
+    :math:`\dot v = f + g - \omega \times v` (Stevens, Lewis & Johnson 2016, section 1.7). Least speed: see
+    `air_data_slopes`.
     """
     phi, theta = components(attitude)
     down = _vector(-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta))
     acceleration = np.asarray(force) + STANDARD_GRAVITY * down - cross(rates, velocity)
-    slopes = air_data_slopes(velocity)[..., 1:, :]
+    slopes = air_data_slopes(velocity, least_speed)[..., 1:, :]
     return np.squeeze(slopes @ acceleration[..., None], -1)
 
 

@@ -328,13 +328,13 @@ def angles_by_motion(table: pd.DataFrame) -> pd.DataFrame:
         if not has_values(part, *MOTION):
             continue
         time = flights.time[rows]
-        values = interpolate_missing(time, numeric(part, MOTION))
+        values = interpolate_missing(time, unwrapped(part, MOTION))
         air, force, rates, attitude = np.split(values, [3, 6, 9], axis=1)
         airspeed, alpha, beta = air.T
-        # none in which rates of the angles diverge
-        airspeed = np.maximum(airspeed, max(0.1 * np.median(airspeed), 1.0))
+        # speed below which rates of the angles diverge [m/s]
+        slow = max(0.1 * np.median(airspeed), 1.0)
         velocity = air_velocity(airspeed, alpha, beta)
-        of_angles = flow_angle_rates(velocity, force, rates, attitude)
+        of_angles = flow_angle_rates(velocity, force, rates, attitude, slow)
         changes[rows] = cumulative_trapezoid(of_angles, time, axis=0, initial=0)
     return pd.DataFrame(changes, table.index, VANES)
 

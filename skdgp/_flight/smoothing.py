@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
-from scipy import interpolate, ndimage, optimize, signal
+from scipy import interpolate, ndimage, optimize, signal, special
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal.windows import hann
 
@@ -223,7 +223,7 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
         return None
     step = float(np.median(np.concatenate([np.diff(time[rows]) for rows in runs])))
     # windows of 6.4 s, and 64 rows (guesses)
-    half = int(min(max(6.4 / step, 64), longest // 4)) // 2
+    half = round(min(max(6.4 / step, 64), longest // 4)) // 2
     parts = []
     for rows in runs:
         if len(rows) >= 2 * half:
@@ -246,9 +246,9 @@ def noise_power(spectrum: Spectrum) -> float:
     """Return the white noise power: the flat part of the upper three quarters of a spectrum.
 
     A sampled process whose power falls as f^-2k appears, folded at the Nyquist frequency F, near
-    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative weights; the
-    constant stands only if Whittle's log likelihood without it is lower by more than 2. The upper half
-    alone does not tell them apart: of 500 samples of white noise it was "none" in a third of the cases.
+    sin(pi f / 2F)^-2k. These shapes and a constant are fitted with non-negative weights. The constant
+    counts with its probability: that by Whittle's likelihood with and without it, of prior odds exp(-2). The
+    upper half alone does not tell them apart: of 500 samples of white noise it was "none" in a third of the cases.
     """
     top = slice(len(spectrum.power) // 4, -1)
     observed = spectrum.power[top]
@@ -261,7 +261,8 @@ def noise_power(spectrum: Spectrum) -> float:
     weights, misfit = _fit_weights(shapes, observed)
     _, misfit_without = _fit_weights(shapes[:, 1:], observed)
     gain = spectrum.averages * (misfit_without - misfit)
-    return weights[0] if gain > 2 and weights[0] > spectrum.rounding else 0.0
+    noise = weights[0] * special.expit(gain - 2.0)
+    return float(noise) if noise > spectrum.rounding else 0.0
 
 
 def _fit_weights(shapes: Matrix, observed: Vector) -> tuple[Vector, float]:

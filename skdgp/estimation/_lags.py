@@ -63,8 +63,8 @@ SIGNIFICANCE = 3.0
 LEAST_LAG = 0.01
 # Longest times by which surfaces and vanes are early, and servos late [s]
 LARGEST = 0.3
-# Lags of surfaces and vanes that are tried [s]
-TRIED = np.arange(-LARGEST, 0.61, 0.02)
+# Lags of surfaces and vanes that are tried [s]; beyond the second and the last but one a lag is unknown
+TRIED = np.arange(-LARGEST - 0.02, 0.63, 0.02)
 # Precision of the lag of servos and their delay [s]; far below the step of a log
 PRECISION = 1e-3
 # Predictors nearer than this to a combination of others are left out, relative
@@ -343,7 +343,7 @@ def _most_likely_lag(
     if len(pieces) < 3:
         return UNKNOWN
     lag, _ = _least(_sum_of(map(loss_of, segments)), TRIED)
-    if not TRIED[0] < lag < TRIED[-1]:
+    if not TRIED[1] < lag < TRIED[-2]:
         return UNKNOWN
     of_pieces = [loss_of(piece) for piece in pieces]
     tried = np.array([[loss(lag) for lag in TRIED] for loss in of_pieces])
@@ -386,7 +386,7 @@ def _lag_behind_motion(segments: list[_Segment]) -> Lag:
         return sum(len(y) * float(np.log1p(-((x @ y) ** 2) / (y @ y))) for y, x, _ in pairs)
 
     lag, _ = _least(loss, TRIED)
-    if not TRIED[0] < lag < TRIED[-1]:
+    if not TRIED[1] < lag < TRIED[-2]:
         return UNKNOWN
     variance: Any = 0.0
     information: Any = 0.0

@@ -219,7 +219,7 @@ def missing_channels(table: pd.DataFrame) -> list[str]:
     """Return the channels needed by a path that are absent, or have no value in some flight."""
     flights = [table]
     if "flight" in table:
-        flights = [flight for _, flight in table.groupby("flight", sort=False)]
+        flights = [flight for _, flight in table.groupby("flight", sort=False, observed=True)]
     silent = [name for name in PATH_CHANNELS if not all(has_values(t, name) for t in flights)]
     return silent if "time" in table else ["time", *silent]
 

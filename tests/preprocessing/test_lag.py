@@ -207,6 +207,10 @@ class TestEstimate:
         assert lags["std"]["air"] < 0.02
         assert (lags.applied["air"] == 0.0) == (lag == 0.0)
 
+    @pytest.mark.parametrize("lag", [{"air": -0.35}, {"surfaces": -0.5}, {"surfaces": 0.8}])
+    def test_a_lag_beyond_those_that_are_tried_is_unknown(self, lag):
+        assert lags_of(linear_aircraft(2, **lag))["std"][list(lag)].isna().all()
+
     def test_a_flight_too_short_tells_nothing(self):
         assert tells_nothing(linear_aircraft(0, seconds=9, air=0.05))
 

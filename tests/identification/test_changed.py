@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from made_flights import lasting
 from numpy.random import default_rng
+from scipy.stats import kstest
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 from sklearn.utils import Bunch
@@ -89,6 +90,18 @@ def test_flights_of_the_same_aircraft_in_other_gusts_raise_few_alarms(model):
         str(seed): flight(seed, noise) for seed, noise in enumerate([0.01, 0.02, 0.04] * 10, 1)
     }
     assert most_alarms(changes(model, flights)) < 0.2
+
+
+@pytest.mark.slow
+def test_p_values_of_unchanged_aircraft_are_no_smaller_than_uniform():
+    """Each of its own model, as all flights share the error of one."""
+    rows = []
+    for seed in range(12):
+        unseen = {"unseen": flight(100 + seed, [0.01, 0.02, 0.04][seed % 3])}
+        rows.append(changes(learned(*flight(50 + seed, 0.02)), unseen).p_values.loc["unseen"])
+    p_values = pd.DataFrame(rows).drop(columns="whole")
+    for coefficient in p_values:
+        assert kstest(p_values[coefficient], "uniform", alternative="greater").pvalue > 0.001
 
 
 def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(model):

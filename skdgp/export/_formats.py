@@ -74,7 +74,7 @@ def export_model(
     *,
     full: Mapping[str, float] | None = None,
 ) -> list[Path]:
-    """Write a model as portable, c, jsbsim or casadi into a folder, which must exist, and return its files.
+    """Write a model as portable, c, jsbsim or casadi into a folder, which is made, and return its files.
 
     Raises ValueError if there is no such format, the model is too large for it, or has no portable
     form.

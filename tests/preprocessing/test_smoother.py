@@ -96,6 +96,16 @@ class TestSmooth:
         change = smooth(channels, time) - channels
         assert (change.std(axis=0) < 0.02 * channels.std(axis=0)).all()
 
+    @pytest.mark.parametrize("place", [0.3, 0.6])
+    def test_auto_leaves_a_resonance_alone(self, place):
+        """Of a slow log, at a part of half its rate."""
+        n, fine = 900, 20
+        w = np.pi * place / fine  # [rad/sample]
+        system = signal.bilinear([w**2], [1, 0.2 * w, w**2])
+        for seed in range(6):
+            values = signal.lfilter(*system, default_rng(seed).normal(size=n * fine))[::fine]
+            assert rms(smooth(values, clock(n)) - values) < 0.02 * rms(values)
+
     @pytest.mark.parametrize("cutoff", CUTOFFS)
     def test_flights_do_not_meet(self, cutoff):
         time, _, first = noisy_sine(seed=1)

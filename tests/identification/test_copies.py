@@ -27,3 +27,9 @@ def test_a_copied_test_flight_beside_another_is_left_out(data, said_of):
 def test_a_training_flight_that_comes_twice_counts_once(data, said_of):
     said = said_of(pd.concat([data.train, data.again]), data.aircraft, test=data.test)
     assert "'again' repeats flight 'latlon' (its rows or its attitude)" in said
+
+
+def test_a_copy_alone_is_told(data, said_of):
+    said = said_of(data.train, data.aircraft, test=data.again)
+    assert "'again' repeats training flight 'latlon' (its rows or its attitude)" in said
+    assert "left out" not in said

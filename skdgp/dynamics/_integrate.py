@@ -312,11 +312,7 @@ def fly_record(
 def _record(time: Array, flown: list, over: Array, ended: Array) -> Trajectories:
     """Return the record of the steps ``flown``: states, instant, wind and controls at the beginning of each."""
 
-    def over_time(values: Sequence) -> Array | None:
-        """Return values of each step (..., k), or numbers of all trajectories, over all times."""
-        if values[0] is None:
-            return None
-        size = np.shape(values[0])[ended.ndim :]
+    def over_time(values: Sequence, *size: int) -> Array:
         array = np.full((*time.shape, *ended.shape, *size), np.nan)
         for k, value in enumerate(values):
             array[k] = value
@@ -324,12 +320,15 @@ def _record(time: Array, flown: list, over: Array, ended: Array) -> Trajectories
         return array
 
     states, instants, winds, controls = zip(*flown, strict=True)
-    fields: list[Any] = [over_time(values) for values in zip(*instants, strict=True)]
-    deflected: dict[str, Any] = {}
+    fields: list[Any] = []
+    for values in zip(*instants, strict=True):
+        size = np.shape(values[0])[ended.ndim :]
+        fields.append(None if values[0] is None else over_time(values, *size))
+    deflected = {}
     for name in controls[0]:
         deflected[name] = over_time([moment[name] for moment in controls])
-    shown: Any = over_time(states)
-    return Trajectories(time, shown, Instant(*fields), over_time(winds), deflected, ended)
+    wind = None if winds[0] is None else over_time(winds, 3)
+    return Trajectories(time, over_time(states, 13), Instant(*fields), wind, deflected, ended)
 
 
 def end_reasons(state: Array, now: Instant) -> dict[str, Array]:

@@ -48,9 +48,24 @@ PATH_COLUMNS = (*SPECIFIC_FORCE, *EULER, *EARTH_VELOCITY)
 COLUMNS = (*ESTIMATED, *(f"{name}_std" for name in ESTIMATED), *PATH_COLUMNS)
 
 
+def with_variances(covariance: Matrix, variance: Vector) -> Matrix:
+    """Return the covariance with other variances (p,), and its own correlations."""
+    scale = np.sqrt(variance / np.diag(covariance))
+    return scale[:, None] * covariance * scale
+
+
 def without_estimate(offset: Vector, prior_std: Vector) -> Matrix:
-    """Return the covariance of a search that did not converge: the prior's, and the distance from its mean."""
+    """Return the covariance where the search hardly began: the prior's, and the distance from its mean."""
     return np.diag(prior_std**2) + np.outer(offset, offset)
+
+
+def spread_of(history: list[Vector]) -> Matrix:
+    """Return the mean square distance of the last passes of a search (k, p) from its end.
+
+    Errors of a search that did not converge.
+    """
+    offsets = np.array(history) - history[-1]
+    return offsets.T @ offsets / len(offsets)
 
 
 def misfit_of(constants: Vector) -> float:
@@ -108,6 +123,25 @@ def add_delay_error(covariance: Matrix, information: Matrix, place: int, std: fl
     by_delay[others] = -np.linalg.solve(within, information[others, place])
     total: Matrix = covariance + std**2 * np.outer(by_delay, by_delay)
     return total
+
+
+def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
+    """Return the covariance of a search that did not converge: wider, by its last passes too, or the prior's.
+
+    No parameter is known less than without its estimate. Slopes by alpha and beta are not known better, as a
+    search may end at gusts that are too large with slopes that are too small.
+    """
+    unknown = without_estimate(fit.x - fit.parameters.mean, fit.parameters.std)
+    # last passes of a search that did not converge, whose spread is an error
+    last = fit.history[-15:]
+    if len(last) == len(fit.history):
+        return unknown
+    # factor of the standard deviations of such a search; trials on flights with vibration
+    covariance = inflate(covariance, 2.0) + spread_of(last)
+    variance = np.minimum(np.diag(covariance), np.diag(unknown))
+    by_angles = np.flatnonzero(fit.layout.is_by("alpha", "alpha2", "beta"))
+    variance[by_angles] = np.diag(unknown)[by_angles]
+    return with_variances(covariance, variance)
 
 
 def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:

@@ -85,6 +85,7 @@ class AirFit:
         self.settings = settings
         self.is_known = parameters.n_held > 0
         self.x = parameters.mean.copy()
+        self.history: list[Vector] = []  # of x in the search
         self.airspeed_variances = []  # of each flight
         for flight in range(len(parameters.places)):
             own = [record for record in records if record.flight == flight]
@@ -135,6 +136,7 @@ class AirFit:
             self.x[sums.free] += fraction * step
             last_step = step
             damping *= 0.25
+            self.history.append(self.x.copy())
             # noises move from the second pass on, by the middle of each record
             noise_length = np.inf
             if number:
@@ -155,6 +157,7 @@ class AirFit:
         if likelihood >= best[0] - lost:
             return converged, False
         _, self.x, self.noise_search.psi = best
+        self.history.append(self.x.copy())
         self._pass()  # for the states there
         return False, True
 

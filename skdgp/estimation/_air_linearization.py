@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skdgp._compute.linalg import matrix_vector
-from skdgp._compute.typing import Array, Indices, Matrix, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS
 from skdgp._flight.frames import STANDARD_GRAVITY, air_data, cross, cross_matrix
 from skdgp.dynamics import Aircraft
@@ -119,6 +119,10 @@ class Layout(NamedTuple):
     def n_derivatives(self) -> int:
         """Number of derivatives."""
         return len(self.rows)
+
+    def is_by(self, *terms: str) -> Mask:
+        """Return whether each derivative is by one of the state's terms."""
+        return np.isin(self.columns, [STATE_TERMS.index(name) for name in terms])
 
     def by_terms(self, by_coefficients: Array, terms: Matrix) -> Array:
         """Return d h / d derivatives and instruments (n, m, 2 d), from d h / d coefficients (n, m, 6).

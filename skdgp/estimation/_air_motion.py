@@ -44,8 +44,8 @@ from skdgp.estimation._air_covariance import (
     error_fractions,
     misfit_of_sensors,
     smoothed_air,
+    unfinished_covariance,
     widened,
-    without_estimate,
 )
 from skdgp.estimation._air_fit import AIR_SETTINGS, AirFit, AirSettings
 from skdgp.estimation._air_linearization import Layout
@@ -111,7 +111,8 @@ class AirMotion:
         Surfaces that move in the flights.
     converged : bool
         Whether the last steps were small, and the likelihood had not fallen far. Otherwise ``std``
-        is that of before the search, with the distance from the prior's mean.
+        includes how far the search still moved in its last passes, and slopes by alpha and beta have
+        that of before the search, as all have if it was cut short.
     misfit : float
         Root mean square of the sensors' constants over their prior standard deviations, or of the
         errors of their position if that is larger, at least one. ``std`` is widened by it: effects
@@ -408,7 +409,7 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int, delay_std: float) -> 
     nd = fit.layout.n_derivatives
     covariance: Any = np.linalg.inv(sums.information)
     if not converged:
-        covariance = without_estimate(fit.x - fit.parameters.mean, prior_std)
+        covariance = unfinished_covariance(fit, covariance)
     misfit = 1.0
     if not fit.is_known:
         misfit = misfit_of_sensors(fit)

@@ -189,7 +189,10 @@ def _whole_flight(
     inputs = interpolate_missing(sensors.time, logged)
     surfaces = inputs[:, :n_surfaces]
     periods, surface_errors = _own_clocks(sensors.time, surfaces)
-    position = pd.DataFrame(sensors.position).median().fillna(0.0)
+    position = np.zeros(3)
+    stated = sensors.position[np.isfinite(sensors.position).all(axis=1)]
+    if len(stated):
+        position = np.median(stated, axis=0)
     return Record(
         flight=number,
         rows=flight.rows,
@@ -198,7 +201,7 @@ def _whole_flight(
         attitude=to_body.as_matrix(),
         measured=np.column_stack([inertial, air_data]),
         force=force,
-        position=position.to_numpy(),
+        position=position,
         surface_errors=surface_errors,
         inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
         periods=periods,

@@ -19,6 +19,7 @@ from skdgp.estimation._air_covariance import (
     add_model_error,
     inflate,
     misfit_of,
+    spread_of,
     without_estimate,
 )
 from skdgp.estimation._air_linearization import (
@@ -385,6 +386,11 @@ def test_error_of_a_slope_covers_its_attenuation():
     seen = (measured @ motion) / (measured @ measured)
     wide = add_attenuation(covariance, np.array([seen]), np.array([100.0]), fraction)
     assert abs(seen - 1) < 1.05 * np.sqrt(wide)
+
+
+def test_a_search_that_still_moves_has_the_spread_of_its_last_passes():
+    path = [np.array([1.0, 5.0]), np.array([3.0, 1.0]), np.array([2.0, 3.0])]
+    assert_allclose(spread_of(path), np.array([[2.0, -4.0], [-4.0, 8.0]]) / 3)
 
 
 EPS = 1e-6

@@ -44,15 +44,7 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
     time = np.concatenate([topic.time for topic in topics.values()])
     rows = np.argsort(order, kind="stable")
     rows = rows[_is_near_others(time[rows])]
-    stamps = time[rows]
-    restarts = np.flatnonzero(np.diff(stamps) < -RESTART_STEP) + 1
-    shifts = []
-    end = 0.0
-    for run in slices(restarts, len(stamps)):
-        if run.start:
-            shifts.append(end - stamps[run].min() + RESTART_PAUSE)
-            stamps[run] += shifts[-1]
-        end = stamps[run].max()
+    stamps, shifts = _behind_pauses(time[rows])
     continued = np.full(len(time), np.nan)
     continued[rows] = stamps
     ends = np.cumsum([len(topic) for topic in topics.values()])
@@ -83,6 +75,20 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
         wrong = f"{n_wrong.total()} of {len(time)} messages have a time that cannot be"
         remarks.append(f"{wrong} ({most} of {name})")
     return sound, remarks
+
+
+def _behind_pauses(stamps: Vector) -> tuple[Vector, list[float]]:
+    """Return times that go on behind a pause where the clock was set back, and how much later they are then [s]."""
+    restarts = np.flatnonzero(np.diff(stamps) < -RESTART_STEP) + 1
+    continued = stamps.copy()
+    shifts = []
+    end = 0.0
+    for run in slices(restarts, len(stamps)):
+        if run.start:
+            shifts.append(end - stamps[run].min() + RESTART_PAUSE)
+            continued[run] += shifts[-1]
+        end = continued[run].max()
+    return continued, shifts
 
 
 def _is_near_others(time: Vector) -> Mask:

@@ -340,6 +340,14 @@ class TestEnsembles:
             alone = fly(glider.model(slopes[k]), duration=1.0)
             assert_allclose(path[STATES], alone[STATES], atol=1e-10)
 
+    def test_each_path_flies_in_a_wind_that_changes(self, fly):
+        wind = pd.DataFrame({"time": [0.0, 1.0]}).assign(
+            wind_north=[3.0, 5.0], wind_east=-2.0, wind_down=0.5
+        )
+        paths = fly(duration=1.0, n_paths=3, air=Air(wind=wind, gusts=None))
+        for _, path in paths.groupby("path"):
+            assert_allclose(path["wind_north"], 3.0 + 2.0 * path["time"], atol=1e-9)
+
     def test_paths_that_are_curved_follow_the_equations(self, fly, glider):
         """Errors are of second order in the step, whatever bends: stall, damping, an elevator that jumps."""
 

@@ -243,10 +243,11 @@ def _spectrum(column: Vector, time: Vector, runs: list[Indices]) -> Spectrum | N
 
 
 def noise_power(spectrum: Spectrum) -> float:
-    """Return the white noise power: the flat part of the upper three quarters of a spectrum.
+    """Return the white noise power: the flat part of the upper three quarters of a spectrum, or of its upper half.
 
-    The upper half alone does not tell noise from signal: of 500 samples of white noise it was "none" in a third of
-    the cases. It counts where that part is stronger than the upper end, as of a resonance in a slow log.
+    The upper half of a short record does not tell noise from a falling spectrum: of 500 samples of white noise
+    a third had none. It is used where the flat part of three quarters is stronger than the upper end, as
+    beyond a resonance in a slow log.
     """
     quarter = len(spectrum.power) // 4
     noise = _flat_part(spectrum, quarter)

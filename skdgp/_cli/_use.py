@@ -460,18 +460,15 @@ def fly(run: Run) -> None:
         ready=ready,
     )
     rate = flown.steps / max(flown.computing, 1e-9)
-    duration, outside = 0.0, 0.0
+    duration = 0.0
     if len(flown.table):
         duration = flown.table.groupby("flight")["time"].max().sum()
-        outside = (flown.table["beyond"] != "").mean()
     lines = [f"{flown.reason}: {duration:.1f} s of flight, {rate:.0f} steps a second were possible"]
-    if outside:
-        lines.append(f"{outside:.0%} of the flight is outside of what the model was learned from")
     numbers = {
         "seconds": duration,
         "steps": flown.steps,
         "steps_per_second": rate,
-        "outside": outside,
+        "outside": flown.outside,
         "reason": flown.reason,
     }
     run.finish(lines, numbers, {"flight.csv": csv_writer(flown.table)})

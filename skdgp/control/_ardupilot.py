@@ -212,6 +212,11 @@ class Flown(NamedTuple):
     computing: float  #: Time that the steps took [s]
     reason: str  #: Why the flight is over
 
+    @property
+    def outside(self) -> float:
+        """Fraction of the flight outside of what the model was learned from."""
+        return float((self.table["beyond"] != "").mean()) if len(self.table) else 0.0
+
 
 def fly(
     model: Aerodynamics | BaseEstimator,
@@ -286,7 +291,7 @@ def fly(
     UserWarning
         If other bytes come, which are ignored.
     SimulationWarning
-        When the flight leaves the training range of a regressor, once a second at most.
+        If the flight left the training range of a regressor.
     """
     check_number("height", height, unit="m")
     check_number("wait", wait, unit="s")
@@ -312,7 +317,14 @@ def fly(
                 f"Got no packet at {address}:{port} for {wait:g} s, but expected ArduPilot: start "
                 "sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1."
             )
-    return Flown(pd.DataFrame(flights.rows), flights.n_steps, flights.computing, reason)
+    flown = Flown(pd.DataFrame(flights.rows), flights.n_steps, flights.computing, reason)
+    if flown.outside:
+        warn(
+            f"{flown.outside:.0%} of the flight is outside of what the model was learned from: the column beyond says "
+            "where. A stall that was not flown is not in the model.",
+            SimulationWarning,
+        )
+    return flown
 
 
 class _Flights:
@@ -341,9 +353,6 @@ class _Flights:
         """Put the aircraft at its trim, heading north."""
         self.channels = self.simulator.reset(self.steady, random_state=self.path)
         self._row_time = -np.inf  # of the last row of this flight [s]
-        # Regressor that was warned of last since all were in their ranges, and when [s]
-        self._told = ""
-        self._told_time = -np.inf
 
     def serve(self, link: socket.socket, wait: float, seconds: float) -> str:
         """Answer packets; return why the flight is over."""
@@ -386,25 +395,7 @@ class _Flights:
             self._row_time = now
             name = {"flight": self.n_starts - 1}
             self.rows.append(name | self.channels | commands | {"beyond": self.simulator.beyond})
-        self._warn_of_beyond()
         return ""
-
-    def _warn_of_beyond(self) -> None:
-        """Warn when a regressor leaves what was learned, once a second at most."""
-        beyond, now = self.simulator.beyond, self.simulator.time
-        if beyond == "":
-            self._told = ""
-        if beyond == self._told or now < self._told_time + 1.0:
-            return
-        self._told = beyond
-        self._told_time = now
-        motion = self.simulator.motion
-        low, high = motion.aerodynamics.limits[:, motion.regressors.index(beyond)]
-        warn(
-            f"After {now:.1f} s the flight is outside of what the model was learned from, in {beyond} (learned from "
-            f"{low:.3g} to {high:.3g}): the column beyond says where. A stall that was not flown is not in the model.",
-            SimulationWarning,
-        )
 
     def _readings(self) -> str:
         """Return the line of JSON that ArduPilot reads; it knows no space behind a colon."""

@@ -72,9 +72,8 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
         Rows (loop, quantity) with the quantities ``gain`` [dB], ``phase`` [deg], ``sensitivity`` and
         ``crossover`` [rad/s]; columns ``value``, of the mean, ``lower`` and ``upper``, which hold 90 % of the
         paths, ``probability`` that the gain margin is at least 6 dB, the phase margin 45 deg, and the
-        sensitivity at most 2. ``attrs["unstable"]`` has the growing modes of the closed loops, with the
-        fractions of the paths, or of the mean: a mode of the aircraft by its name where the loops do not
-        stabilise it, others by their frequency and growth.
+        sensitivity at most 2. ``attrs["unstable"]`` has the loops whose motion, along or across the plane of symmetry,
+        has a growing mode, with the fraction of the paths, or of the mean.
 
     Raises
     ------
@@ -105,8 +104,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     _check(linear, loops)
     s: Any = 1j * _frequencies(N_FREQUENCIES)
     transfer = _of_loops(_responses(linear, _models(linear), loops, s), linear, loops, s)
-    stability = _Stability(linear, loops, N_FREQUENCIES)
-    unstable = stability.unstable(loops)
+    unstable = _Stability(linear, loops, N_FREQUENCIES).unstable(loops)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _margins_of(transfer[..., k], s.imag)
@@ -115,8 +113,15 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
                 values[unstable[:, k]] = OF_UNSTABLE[quantity]
             rows.append({"loop": loop.name, "quantity": quantity} | _spread(quantity, values))
     table = pd.DataFrame(rows).set_index(["loop", "quantity"])
-    table.attrs["unstable"] = stability.growing_modes(loops)
+    table.attrs["unstable"] = _fractions(unstable, loops)
     return table
+
+
+def _fractions(unstable: Mask, loops: Sequence[Loop]) -> dict[str, float]:
+    """Return the loops of growing modes, and in which fraction of the paths, or of the mean, these grow."""
+    first = min(1, len(unstable) - 1)  # the mean where there are no paths
+    fractions = unstable[first:].mean(axis=0).tolist()
+    return {loop.name: part for loop, part in zip(loops, fractions, strict=True) if part}
 
 
 def suggest_gains(
@@ -234,13 +239,13 @@ class _GainSearch(NamedTuple):
         return best
 
     def none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
-        modes = self.stability.growing_modes(loops)
+        name = loops[k].name
+        part = _fractions(self.stability.unstable(loops), loops).get(name, 0.0)
         unstable = ""
-        if modes:
-            parts = [f"by the {name} in {part:.0%} of the paths" for name, part in modes.items()]
-            unstable = f" With the gains given, the closed loops are unstable {', '.join(parts)}."
+        if part:
+            unstable = f" With the gains given, it is unstable in {part:.0%} of the paths."
         return ValueError(
-            f"Got no gains of the {loops[k].name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
+            f"Got no gains of the {name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
             f"in {self.probability:.0%} of the paths.{unstable} Lower the wanted margins, shorten the delay, start "
             "from gains that are stable, or fly manoeuvres that tell the derivatives."
         )
@@ -359,16 +364,16 @@ class _Axis(NamedTuple):
     """Motion along or across the plane of symmetry, or both, of the mean and of each path, and its loops."""
 
     loops: list[int]  #: Their numbers
-    roots: Array  #: Of the aircraft without loops, (1 + n_paths, m)
     aircraft: Array  #: det(s I - A) / (s + 1)^m on the curve, (1 + n_paths, n)
     responses: Array  #: To the commands of the loops, (1 + n_paths, n, n_outputs, n_loops)
 
-    def logarithm(self, K: Array) -> Array:
-        """Return log(det(s I - A) det(I + M) / (s + 1)^m) on the curve, of loops closed by K, (1 + n_paths, n)."""
+    def grows(self, K: Array) -> Mask:
+        """Return whether the mean and each path have a mode that grows, with loops closed by K, (1 + n_paths,)."""
         M = -K[:, self.loops] @ self.responses
         characteristic = self.aircraft * np.linalg.det(np.eye(len(self.loops)) + M)
         angle = np.unwrap(np.angle(characteristic), axis=-1)
-        return np.log(np.abs(characteristic)) + 1j * angle
+        # half a turn for each root, as the curve is the upper half
+        return angle[:, 0] - angle[:, -1] > 0.5 * np.pi
 
 
 class _Stability:
@@ -384,7 +389,7 @@ class _Stability:
         self.linear = linear
         beyond = FREQUENCIES[1] * np.geomspace(1.0, 10.0, n_frequencies // 5)[1:]
         w = np.concatenate([[0.0], _frequencies(n_frequencies), beyond])
-        self.s: Any = _bound(w) + 1j * w
+        self.s: Any = GROWTH / (1.0 + w**2) + 1j * w
         self.axes: list[_Axis] = []
         for others in (LATERAL, LONGITUDINAL, ()):
             numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] not in others]
@@ -400,93 +405,21 @@ class _Stability:
         s = self.s[:, None]
         aircraft = np.prod((s - roots[:, None, :]) / (s + 1.0), axis=-1)
         responses = _responses(self.linear, models, loops, self.s, unused)[..., numbers]
-        return _Axis(numbers, roots, aircraft, responses)
+        return _Axis(numbers, aircraft, responses)
 
-    def growing(self, loops: Sequence[Loop]) -> list[tuple[_Axis, Array, Vector]]:
-        """Return each axis, its logarithm (1 + n_paths, n), and how many of its modes grow (1 + n_paths,).
+    def unstable(self, loops: Sequence[Loop]) -> Mask:
+        """Return whether the mean and each path are unstable by the axis of each loop, (1 + n_paths, n_loops).
 
         Modes of both axes together count where neither alone has one.
         """
         K = _gains(self.linear, loops, self.s)
-        growing: list[tuple[_Axis, Array, Vector]] = []
+        unstable = np.zeros((len(self.axes[0].aircraft), len(loops)), dtype=bool)
         for axis in self.axes:
-            logarithm = axis.logarithm(K)
-            turns = (logarithm[:, 0] - logarithm[:, -1]).imag / np.pi
-            number = np.maximum(np.round(turns), 0.0)
-            if len(growing) == 2:
-                number[growing[0][2] + growing[1][2] > 0] = 0.0
-            growing.append((axis, logarithm, number))
-        return growing
-
-    def unstable(self, loops: Sequence[Loop]) -> Mask:
-        """Return whether the mean and each path are unstable by the axis of each loop, (1 + n_paths, n_loops)."""
-        unstable = np.zeros((len(self.axes[0].roots), len(loops)), dtype=bool)
-        for axis, _, number in self.growing(loops):
-            unstable[:, axis.loops] |= (number > 0)[:, None]
+            grows = axis.grows(K)
+            if len(axis.loops) == len(loops):
+                grows &= ~unstable.any(axis=1)
+            unstable[:, axis.loops] |= grows[:, None]
         return unstable
-
-    def growing_modes(self, loops: Sequence[Loop]) -> dict[str, float]:
-        """Return the growing modes of the closed loops, and the fractions of the paths, or of the mean.
-
-        A mode near a growing one of the aircraft without loops has its name, by the mean's nearest mode. Of others the
-        fastest growing oscillation and divergence of an axis have the medians of their frequency and growth.
-        """
-        modes = self.linear.modes()["eigenvalue"]
-        n_models = len(self.axes[0].roots)
-        first = min(1, n_models - 1)  # the mean where there are no paths
-        fractions: dict[str, float] = {}
-        for axis, logarithm, number in self.growing(loops):
-            named: dict[str, dict[int, complex]] = {}
-            for path in (first + np.flatnonzero(number[first:] > 0)).tolist():
-                own = axis.roots[path]
-                own = own[own.real > _bound(own.imag)]
-                for root in _roots(self.s, logarithm[path], int(number[path])):
-                    name = "oscillation" if root.imag else "divergence"
-                    if (np.abs(root - own) < np.abs(own) / 2).any():
-                        name = str(abs(modes - root).idxmin())
-                    named.setdefault(name, {})[path] = root
-            for name, roots in named.items():
-                text = name if name in modes else _in_words([*roots.values()])
-                fractions[text] = fractions.get(text, 0.0) + len(roots) / (n_models - first)
-        return fractions
-
-
-def _roots(s: Vector, logarithm: Vector, number: int) -> Array:
-    r"""Return the roots to the right of a curve s (n,) above the real axis, by the logarithm of their function (n,).
-
-    The sums of the powers of 1 / (a + r) over the roots are integrals (Delves & Lyness 1967), and by Newton's
-    identities the coefficients of a polynomial,
-
-    .. math:: p_k = -\frac{1}{\pi} \Im \int \frac{d \log f}{(a + s)^k}, \quad k c_k = -\sum_{i=1}^k c_{k-i} p_i.
-
-    They are exact to some 0.1 % with a scale a near their size. The fastest growing root is the last.
-    """
-    between = 0.5 * (s[1:] + s[:-1])
-    change = np.diff(logarithm)
-    roots = np.ones(number)
-    for _ in range(3):
-        scale = np.exp(np.log(np.abs(roots)).mean())
-        powers = (scale + between) ** -np.arange(1.0, number + 1.0)[:, None]
-        sums = -(powers @ change).imag / np.pi
-        coefficients = np.ones(1)
-        for k in range(1, number + 1):
-            c = -coefficients[::-1] @ sums[:k] / k
-            coefficients = np.append(coefficients, c)
-        roots = 1.0 / np.roots(coefficients) - scale
-    above = roots[roots.imag >= 0.0]
-    return above[np.argsort(above.real)]
-
-
-def _in_words(roots: Sequence[complex]) -> str:
-    """Return the median frequency and growth of a mode."""
-    growth, frequency = np.median(np.real(roots)), np.median(np.imag(roots))
-    name = f"oscillation of {frequency:.2g} rad/s" if frequency else "divergence"
-    return f"{name} that grows by {growth:.2g} 1/s"
-
-
-def _bound(w: Array) -> Array:
-    """Return the growth [1/s] that a mode of a frequency [rad/s] may have, half of it at 1 rad/s."""
-    return GROWTH / (1.0 + w**2)
 
 
 def _margins_of(transfer: Matrix, w: Vector) -> dict[str, Vector]:

@@ -1,7 +1,7 @@
 """Parameters of PX4 and ArduPilot Plane: their files, the firmwares' defaults, and the loops that they describe.
 
 The names and defaults are those of PX4 1.14 and ArduPilot Plane 4.5. Filters of the rates are those of PX4's
-``VehicleAngularVelocity``, and of ArduPilot's ``HarmonicNotchFilter``, ``NotchFilter`` and ``AP_NotchFilter_params``.
+``VehicleAngularVelocity``, and of ArduPilot's ``HarmonicNotchFilter`` and ``NotchFilter``.
 """
 
 from __future__ import annotations
@@ -43,8 +43,6 @@ ARDUPILOT_DEFAULTS = {
 # fmt: on
 # Harmonic notch filters of ArduPilot's gyros
 HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")
-# Tracking modes of a harmonic notch: of a fixed frequency, and by the throttle
-FIXED, BY_THROTTLE = 0, 1
 # Parameters that divide
 POSITIVE = {
     *("FW_AIRSPD_TRIM", "FW_AIRSPD_STALL", "FW_AIRSPD_MAX", "FW_R_TC", "FW_P_TC"),
@@ -61,7 +59,7 @@ VEHICLE = re.compile(r"(\d+)\s+\d+\s+[A-Z]")
 # Beginnings of the names that control laws use
 OF_LAWS = (
     *("FW_", "IMU_", "RLL", "PTCH", "YAW", "SCALING_SPEED", "SCHED_LOOP_RATE", "AIRSPEED_M"),
-    *("ARSPD_FBW_M", "KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH", "FILT"),
+    *("ARSPD_FBW_M", "KFF_RDDRMIX", "MIXING_", "INS_GYRO_FILTER", "INS_HNTC", "INS_NOTCH"),
 )
 OF_PX4 = ("FW_RR_", "FW_PR_", "FW_YR_")
 OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
@@ -217,7 +215,7 @@ def autopilot_loops(
         ``FW_RLL_TO_YAW_FF``, filters ``IMU_GYRO_*``, airspeeds ``FW_AIRSPD_*``. ArduPilot Plane 4.1 and newer:
         ``RLL_RATE_*``, ``PTCH_RATE_*``, ``RLL2SRV_TCONST``, ``PTCH2SRV_TCONST``, ``YAW2SRV_*``, ``KFF_RDDRMIX``,
         the rate of its filter ``SCHED_LOOP_RATE``,
-        filters ``FILTn_*``, ``INS_GYRO_FILTER``, ``INS_HNTCH_*`` and ``INS_HNTC2_*``, airspeeds
+        filters ``INS_GYRO_FILTER``, ``INS_HNTCH_*`` and ``INS_HNTC2_*``, airspeeds
         ``SCALING_SPEED``, ``AIRSPEED_MIN`` and ``AIRSPEED_MAX``, and for elevons and V-tails ``SERVOn_FUNCTION`` and
         ``MIXING_GAIN``.
     full : mapping of str to float
@@ -391,15 +389,15 @@ def _ardupilot_loops(
     }
     unit = np.rad2deg(1.0) / ARDUPILOT_FULL
     loops = []
-    prefixes = ["INS_NOTCH_ENABLE", "MIXING_OFFSET"]  # notches before 4.2
+    prefixes = ["INS_NOTCH_ENABLE", "MIXING_OFFSET", *others]  # notches before 4.2
     for name, rate, angle in (("roll", "RLL_RATE", "RLL2SRV"), ("pitch", "PTCH_RATE", "PTCH2SRV")):
         if LOOP_AXES[name][2] not in full:
             continue
         prefixes += [f"{rate}_", f"{angle}_"]
         settings = {
             "time_constant": value(f"{angle}_TCONST"),
-            "of_error": (*value.low_pass(f"{rate}_FLTE"), *_numbered_notch(value, f"{rate}_NEF")),
-            "of_target": (*value.low_pass(f"{rate}_FLTT"), *_numbered_notch(value, f"{rate}_NTF")),
+            "of_error": value.low_pass(f"{rate}_FLTE"),
+            "of_target": value.low_pass(f"{rate}_FLTT"),
             "of_derivative": value.low_pass(f"{rate}_FLTD"),
             "has_ardupilot_rate_law": True,
         }
@@ -409,7 +407,7 @@ def _ardupilot_loops(
     if "rudder" in full:
         prefixes.append("YAW2SRV_")
         loops += _ardupilot_yaw_damper(value, full, unit, common)
-    return loops, value.unread(tuple(prefixes)) | others
+    return loops, value.unread(tuple(prefixes))
 
 
 def output_factor(value: Parameters, control: str) -> float:
@@ -438,52 +436,28 @@ def servo_functions(given: Mapping[str, float]) -> dict[int, int]:
     return {n: int(given.get(f"SERVO{n}_FUNCTION", USUAL_FUNCTIONS.get(n, 0))) for n in numbers}
 
 
-def _gyro_notches(value: Parameters) -> tuple[tuple[Notch, ...], dict[str, float]]:
+def _gyro_notches(value: Parameters) -> tuple[list[Notch], list[str]]:
     """Return the notches of ArduPilot's gyros, one at each harmonic, and the settings that make them others.
 
-    Notches whose frequency follows the engine are taken at their lowest frequency, where their phase lag is largest.
+    A notch of a width [Hz] and an attenuation [dB] is that of ArduPilot's ``NotchFilter``.
     """
     notches: list[Notch] = []
-    others: dict[str, float] = {}
+    others: list[str] = []
     for name in HARMONIC_NOTCHES:
         width = value(f"{name}_BW", default=40.0) if value(f"{name}_ENABLE") else 0.0
         if not width > 0:
             continue
+        others += [f"{name}_REF", f"{name}_OPTS"]
         # ArduPilot keeps the whole notch above zero
         frequency = max(value(f"{name}_FREQ", default=80.0), 0.52 * width)
-        lowest = frequency
-        mode = value(f"{name}_MODE", default=1.0) if value(f"{name}_REF") else FIXED
-        if mode == BY_THROTTLE:
-            lowest = max(frequency * value(f"{name}_FM_RAT", default=1.0), 0.52 * width)
-        options = value(f"{name}_OPTS")
-        others |= {f"{name}_MODE": mode, f"{name}_OPTS": options}
-        (of_all,) = _notch(frequency, width, value(f"{name}_ATT", default=40.0))
+        ratio = frequency / (frequency - 0.5 * width)
+        depth = 10 ** (-value(f"{name}_ATT", default=40.0) / 20)
+        of_all = Notch(frequency, ratio / (ratio**2 - 1), depth)
         harmonics = int(value(f"{name}_HMNCS", default=3.0))
         for k in range(16):
             if harmonics >> k & 1:
-                notches.append(of_all._replace(frequency=(k + 1) * lowest))
-    return tuple(notches), {name: number for name, number in others.items() if number}
-
-
-def _numbered_notch(value: Parameters, name: str) -> tuple[Notch, ...]:
-    """Return the notch of ``FILTn_*`` whose number a parameter is, if there is one."""
-    n = int(value(name))
-    if not n or value(f"FILT{n}_TYPE") != 1:
-        return ()
-    frequency = value(f"FILT{n}_NOTCH_FREQ")
-    quality = value(f"FILT{n}_NOTCH_Q", default=2.0)
-    attenuation = value(f"FILT{n}_NOTCH_ATT", default=40.0)
-    if not (frequency > 0 and quality > 0 and attenuation > 0):
-        return ()
-    return tuple(_notch(frequency, frequency / quality, attenuation))
-
-
-def _notch(frequency: float, width: float, attenuation: float) -> list[Notch]:
-    """Return ArduPilot's ``NotchFilter`` of a width [Hz] and an attenuation [dB], none if it is too wide."""
-    if not frequency > 0.5 * width > 0:
-        return []
-    ratio = frequency / (frequency - 0.5 * width)
-    return [Notch(frequency, ratio / (ratio**2 - 1), 10 ** (-attenuation / 20))]
+                notches.append(of_all._replace(frequency=(k + 1) * frequency))
+    return notches, others
 
 
 def _ardupilot_yaw_damper(

@@ -62,19 +62,16 @@ def test_of_a_roll_mode_are_those_of_the_closed_form(P, delay, glider):
     assert margins(linear, [beyond])["value"]["roll"]["gain"] == -np.inf
 
 
-@pytest.mark.parametrize("damping", [-0.4, 0.03])
-def test_a_growing_mode_of_closed_loops_is_their_root(damping, glider):
-    """s - a + g exp(-s T) = 0; a mode that grows without loops, and not with them, is not named."""
+@pytest.mark.parametrize(("damping", "factor"), [(-0.4, 1.0), (0.03, 1.0), (-0.4, -0.4)])
+def test_a_growing_mode_of_a_closed_loop_is_told(damping, factor, glider):
+    """s - a + g exp(-s T) = 0 has a root that grows: of too high gains, or of a turned sign."""
     linear = only_roll(glider, damping)
     (loop,) = autopilot_loops(UNFILTERED | {"FW_RR_P": 6.0}, {"aileron": 0.4})
     a, g = linear.A.loc["p", "p"], 0.4 * 6.0 * linear.B.loc["p", "aileron"]
-    assert (a > 0.5) == (damping > 0)
-    root = newton(lambda s: s - a + g * np.exp(-s * DELAY), 10 + 40j)
-    name = f"oscillation of {root.imag:.2g} rad/s that grows by {root.real:.2g} 1/s"
-    assert margins(linear, [loop]).attrs["unstable"] == {name: 1.0}
-    reversed_root = newton(lambda s: s - a - 0.4 * g * np.exp(-s * DELAY), 10.0)
-    name = f"divergence that grows by {reversed_root:.2g} 1/s"
-    assert margins(linear, [loop.scaled(-0.4)]).attrs["unstable"] == {name: 1.0}
+    root = newton(lambda s: s - a + factor * g * np.exp(-s * DELAY), 10 + 40j * (factor > 0))
+    assert root.real > 1.0
+    assert margins(linear, [loop.scaled(factor)]).attrs["unstable"] == {"roll": 1.0}
+    assert margins(linear, [loop.scaled(0.1)]).attrs["unstable"] == {}
 
 
 def test_bands_hold_the_errors_of_the_servos(glider):
@@ -131,17 +128,15 @@ def test_a_spiral_does_not_count_where_the_roll_loop_is_open(with_spiral):
     assert suggest_gains(with_spiral, pitch)[0].P > 0.0
 
 
-def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_named_and_is_not_the_pitch_loops(
-    with_spiral,
-):
+def test_a_mode_that_a_loop_moves_and_leaves_unstable_is_not_the_pitch_loops(with_spiral):
     """The elevator does not move the spiral."""
     weak = PX4 | {"FW_RR_P": 1e-4, "FW_RR_I": 0.0, "FW_RR_FF": 0.0}
     roll, pitch, _ = autopilot_loops(weak, FULL)
     table = margins(with_spiral, [roll, pitch])
     assert table["value"]["roll"]["gain"] == -np.inf
     assert np.isfinite(table["value"]["pitch"]).all()
-    assert table.attrs["unstable"] == {"spiral": pytest.approx(1.0)}
-    with pytest.raises(ValueError, match="unstable by the spiral in 100% of the paths"):
+    assert table.attrs["unstable"] == {"roll": 1.0}
+    with pytest.raises(ValueError, match="it is unstable in 100% of the paths"):
         suggest_gains(with_spiral, [roll])
 
 
@@ -341,12 +336,6 @@ def response(loop, frequency, of):
             12.5,  # 15 Hz less half of 10 Hz, and as much above in octaves: 10 to 22.5 Hz
             0.01,
         ),
-        (
-            {"RLL_RATE_P": 0.1, "PTCH_RATE_P": 0.1},
-            {"RLL_RATE_NEF": 2, "FILT2_TYPE": 1, "FILT2_NOTCH_FREQ": 15.0, "FILT2_NOTCH_Q": 1.5},
-            12.5,
-            0.01,
-        ),
     ],
 )
 def test_static_notches_are_in_the_loop(firmware, notch, width, depth):
@@ -462,8 +451,7 @@ def test_too_high_gains_of_pitch_are_not_the_roll_loops(with_spiral):
     table = margins(with_spiral, [roll, pitch.scaled(30.0)])
     assert np.isfinite(table["value"]["roll"]).all()
     assert table["value"]["pitch"]["gain"] == -np.inf
-    (mode,) = table.attrs["unstable"]
-    assert "oscillation of" in mode
+    assert table.attrs["unstable"] == {"pitch": 1.0}
 
 
 def test_parameters_that_do_not_count_are_no_errors():
@@ -508,19 +496,8 @@ HARMONIC = {"RLL_RATE_P": 0.1, "INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 20.0}
     [
         ({"INS_HNTCH_BW": 10.0, "INS_HNTCH_HMNCS": 5}, [20.0, 60.0]),
         ({"INS_HNTCH_BW": 0}, []),
-        # of one that follows the engine the lowest frequency
-        (
-            {
-                "INS_HNTCH_BW": 20.0,
-                "INS_HNTCH_MODE": 1,
-                "INS_HNTCH_REF": 0.3,
-                "INS_HNTCH_FM_RAT": 0.7,
-            },
-            [14.0, 28.0],
-        ),
     ],
 )
-@pytest.mark.filterwarnings("ignore:.*INS_HNTCH_MODE 1")
 def test_harmonics_of_ardupilot_are_notches(notch, frequencies):
     (loop,) = autopilot_loops(HARMONIC | notch, {"aileron": 0.4})
     _, *notches = loop.of_gyro
@@ -530,21 +507,14 @@ def test_harmonics_of_ardupilot_are_notches(notch, frequencies):
 
 def test_a_notch_that_follows_the_engine_or_is_double_is_named():
     follows = {"INS_HNTCH_BW": 20.0, "INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_OPTS": 1}
-    with pytest.warns(UserWarning, match="INS_HNTCH_MODE 1, INS_HNTCH_OPTS 1"):
+    with pytest.warns(UserWarning, match="INS_HNTCH_REF 0.3, INS_HNTCH_OPTS 1"):
         autopilot_loops(HARMONIC | follows, {"aileron": 0.4})
+    autopilot_loops(HARMONIC | {"INS_HNTCH_MODE": 1, "INS_HNTCH_BW": 20.0}, {"aileron": 0.4})
 
 
-@pytest.mark.parametrize(
-    ("notch", "lacking"),
-    [
-        ({"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 50.0}, "INS_HNTCH_BW 40, INS_HNTCH_ATT 40"),
-        (
-            {"RLL_RATE_NEF": 2, "FILT2_TYPE": 1, "FILT2_NOTCH_FREQ": 15.0},
-            "FILT2_NOTCH_Q 2, FILT2_NOTCH_ATT 40",
-        ),
-    ],
-)
-def test_settings_that_a_notch_lacks_are_told(notch, lacking):
+def test_settings_that_a_notch_lacks_are_told():
+    notch = {"INS_HNTCH_ENABLE": 1, "INS_HNTCH_FREQ": 50.0}
+    lacking = "INS_HNTCH_BW 40, INS_HNTCH_ATT 40"
     with pytest.warns(UserWarning, match=f"The parameters lack .*{lacking}"):
         autopilot_loops({"RLL_RATE_P": 0.1} | notch, {"aileron": 0.4})
 
@@ -554,6 +524,7 @@ def test_settings_that_a_notch_lacks_are_told(notch, lacking):
     [
         ({"RLL_RATE_PDMX": 0.1, "RLL_RATE_SMAX": 150.0}, "RLL_RATE_PDMX 0.1, RLL_RATE_SMAX 150"),
         ({"RLL_RATE_NEW": 0.1}, "RLL_RATE_NEW 0.1"),
+        ({"RLL_RATE_NEF": 2.0}, "RLL_RATE_NEF 2"),
         ({"MIXING_OFFSET": 50.0}, "MIXING_OFFSET 50"),
     ],
 )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from skdgp._compute.files import Writer, write_together
 from skdgp._compute.messages import extra
 from skdgp.export._model import Part, PortableModel, Term
 
@@ -79,12 +80,13 @@ def _functions(ca: Any, z: Any, term: Term) -> Any:
 
 
 def write_casadi(folder: Path, model: PortableModel) -> list[Path]:
-    """Save both functions of a model; ``casadi.Function.load`` reads them, in Python, C++ and MATLAB."""
+    """Save both functions of a model, all or none; ``casadi.Function.load`` reads them, in Python, C++ and MATLAB."""
     functions = [casadi_function(model, mean_only=mean_only) for mean_only in (False, True)]
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for function in functions:
-        path = folder / f"{function.name()}.casadi"
-        function.save(str(path))
-        paths.append(path)
-    return paths
+    writers = {f"{function.name()}.casadi": _writer(function) for function in functions}
+    write_together(folder, writers)
+    return [folder / name for name in writers]
+
+
+def _writer(function: Any) -> Writer:
+    """Return the writer of a function."""
+    return lambda path: function.save(str(path))

@@ -56,6 +56,8 @@ JUMP = 4.0
 COMMANDS = "throttle"
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
+# a source that ends so much behind it [s] has late time stamps, as a log ends for all; a guess
+LATEST_END = 5.0
 
 
 NONE = np.empty(0)
@@ -297,7 +299,25 @@ def find_sources(
             sources.append(surface)
         else:
             remarks.append(surface.remark)
-    return sources, remarks
+    return sources, remarks + _late(sources)
+
+
+def _late(sources: list[Source]) -> list[str]:
+    """Return a remark on the sources that end behind the one whose clock the table follows."""
+    if not sources:
+        return []
+    leader = _leader(sources)
+    behind = {}
+    for source in sources:
+        seconds = source.time[-1] - leader.time[-1]
+        if seconds > LATEST_END:
+            behind[source.words] = f"{seconds:.1f} s"
+    if not behind:
+        return []
+    late = ", ".join(f"{words} by {seconds}" for words, seconds in behind.items())
+    return [
+        f"{leader.words} ends first: either it was lost, or time stamps of others are late ({late})"
+    ]
 
 
 def _is_clearly_faster(source: Source, first: Source) -> bool:

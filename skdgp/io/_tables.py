@@ -275,8 +275,8 @@ INDEX = re.compile(r"__index_level_\d+__")
 def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
     """Return the table of a Parquet file; an index that pandas wrote into it is a column if it has a name.
 
-    ``rename`` is not needed, as names have no units. Raise FlightReadError if it is damaged,
-    ImportError without pyarrow.
+    ``rename`` is not needed, as names have no units. Raise FlightReadError if it is damaged or a column has lists or
+    records, ImportError without pyarrow.
     """
     parquet = extra("pyarrow.parquet", "parquet")
     try:
@@ -286,6 +286,13 @@ def read_parquet(path: Path, rename: Mapping[str, str]) -> pd.DataFrame:
         raise FlightReadError(
             f"Got a file that is not a whole parquet file ({reason}), but expected one: copy or export it again."
         ) from error
+    is_nested = extra("pyarrow.types", "parquet").is_nested
+    nested = {field.name: str(field.type) for field in table.schema if is_nested(field.type)}
+    if nested:
+        raise FlightReadError(
+            f"Got columns of lists or records, {nested}, but expected one number, text or time in each cell: write a "
+            "column for each element, or leave them out."
+        )
     names = [name for name in table.column_names if not INDEX.match(name)]
     check_names(name.strip() for name in names)
     return table.select(names).replace_schema_metadata(None).to_pandas()

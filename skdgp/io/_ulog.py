@@ -40,7 +40,7 @@ from skdgp.io._log import (
 from skdgp.io._tables import FlightReadError
 
 HEADER = b"ULog\x01\x12\x35"
-# microseconds from sampling to publishing, at most
+# spread of the delays from sampling to publishing [us], and delay that is told; guesses
 LATEST = 1_000_000
 TAILSITTERS = (19, 20, 23)
 MAV_TYPES = {
@@ -204,12 +204,19 @@ def read_ulog(path: Path) -> Log:
     """
     log = _parsed(path.read_bytes())
     topics = {}
+    remarks = ["parts of the file could not be read and were skipped"] * log.file_corruption
     for data_set in log.data_list:
         if "timestamp" in data_set.data:
             name = instance_name(data_set.name, data_set.multi_id)
             fields = numeric_fields(data_set.data)
+            delay = _delay(data_set.name, fields)
+            late = np.median(delay)
+            if late > LATEST:
+                remarks.append(
+                    f"{name} is published {1e-6 * late:.1f} s after it was sampled, which counts"
+                )
             # PX4's clock is not set back: wrong times are known among those of all topics
-            time = 1e-6 * sampled(data_set.name, fields)
+            time = 1e-6 * (fields["timestamp"] - delay)
             # which would be in place at the beginning
             time[1:][time[1:] == 0] = np.nan
             topics[name] = Topic(time, time, fields)
@@ -221,7 +228,6 @@ def read_ulog(path: Path) -> Log:
     lifting = LIFTING if is_vtol else ()
     tilts = is_vtol and parameters.get("VT_TYPE") == TILTROTOR
     surfaces = _surfaces(topics, parameters)
-    damage = ["parts of the file could not be read and were skipped"] * log.file_corruption
     return Log(
         kind="PX4 ULog",
         topics=topics,
@@ -229,7 +235,7 @@ def read_ulog(path: Path) -> Log:
         parameters=parameters,
         firmware=f"{log.msg_info_dict.get('sys_name', 'PX4')} {log.get_version_info_str() or 'development'}",
         vehicle=vehicle,
-        remarks=tuple(damage),
+        remarks=tuple(remarks),
         landed=(("vehicle_land_detected", "landed", 1.0, 1.0),),
         outputs=OUTPUTS,
         naming=NAMING,
@@ -270,14 +276,23 @@ def _in_body_axes(rules: tuple[Rule, ...], parameters: Mapping[str, float]) -> t
     return turned(rules, rotation, BY_BOARD, OF_BOARD)
 
 
-def sampled(name: str, fields: Mapping[str, Vector]) -> Vector:
-    """Return when something was sampled, or if that is not logged or an output, published [us]."""
-    published = fields["timestamp"]
-    if "timestamp_sample" not in fields or name.startswith("actuator"):
-        return published
-    sampled = fields["timestamp_sample"]
-    believed = (sampled > 0) & (sampled <= published) & (published - sampled < LATEST)
-    return np.where(believed, sampled, published)
+def _delay(name: str, fields: Mapping[str, Vector]) -> Vector:
+    """Return how long after it was sampled each message was published [us], (n,).
+
+    Zero where that is not logged or no time near the others' delay, and of outputs, which count from when they are
+    sent.
+    """
+    published = fields["timestamp"].astype(float)
+    sampled = fields.get("timestamp_sample", published).astype(float)
+    delay = published - sampled
+    is_told = (sampled > 0) & (delay >= 0)
+    if name.startswith("actuator") or not is_told.any():
+        return np.zeros(len(published))
+    usual = np.median(delay[is_told])
+    is_steady = np.abs(delay - usual) < LATEST
+    if not is_steady[is_told].mean() > 0.5:
+        return np.zeros(len(published))
+    return np.where(is_told & is_steady, delay, 0.0)
 
 
 def _parameters(log: Any, topics: Mapping[str, Topic]) -> dict[str, float]:

@@ -116,6 +116,28 @@ class TestChoices:
         assert_allclose(table.p, np.sin(table.time), atol=1e-3)
         assert_allclose(table.throttle, np.sin(table.time) ** 2, atol=1e-3)
 
+    @pytest.mark.parametrize("late", [1.5, 20.0, 1000.0])
+    @pytest.mark.parametrize("is_told", [True, False])
+    def test_a_topic_that_is_wholly_late(self, told, ulog, late, is_told):
+        """It counts from when it was sampled, where the log says so; one that ends behind the gyros is told."""
+        t = self.t
+        sampled = {"timestamp_sample": ("uint64_t", np.round(t * 1e6))} if is_told else {}
+        log = ulog().gyros(t, np.sin(t))
+        log.topic("airspeed", t + late, true_airspeed_m_s=18 + np.sin(t), **sampled)
+        if is_told:
+            words = f"airspeed is published {late} s after it was sampled"
+            airspeed = told(words, log, airborne=False).set_index("time").airspeed[0.5:]
+            assert_allclose(airspeed[:12], 18 + np.sin(airspeed[:12].index), atol=1e-3)
+        elif late > 5.0:
+            told("ends first: .* time stamps of others are late .airspeed", log, airborne=False)
+
+    def test_a_time_of_sampling_that_stands_still_is_none(self, whole, ulog):
+        """As of a field that nobody writes to."""
+        t = self.t
+        stuck = {"timestamp_sample": ("uint64_t", np.full(len(t), 1e6))}
+        table = whole(ulog().gyros(t, np.sin(t), **stuck))
+        assert_allclose(table.p, np.sin(table.time), atol=2e-3)
+
     def test_signs_of_quaternions_do_not_matter(self, whole, ulog):
         half = 0.1 * self.t
         signs = default_rng(1).choice([-1.0, 1.0], (600, 1))

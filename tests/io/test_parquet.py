@@ -63,13 +63,24 @@ NO_NUMBER = r"in column 'alpha' at row 0 \(3 rows are not numbers\)"
 REFUSED = {
     "timestamp": ("alpha", pa.array([NOON] * 3), NO_NUMBER),
     "text": ("alpha", pa.array(["high"] * 3), NO_NUMBER),
-    "list": ("alpha", pa.array([[1.0, 2.0]] * 3), NO_NUMBER),
-    "list of flights": ("flight", pa.array([["a"]] * 3), "unhashable"),
+}
+NESTED = {
+    "list": pa.array([[1.0, 2.0]] * 3),
+    "record": pa.array([{"x": 1.0}] * 3),
+    "map": pa.array([[("x", 1)]] * 3, pa.map_(pa.string(), pa.int64())),
 }
 
 
 @pytest.mark.parametrize(("name", "values", "message"), REFUSED.values(), ids=REFUSED)
 def test_types_that_are_refused(read, name, values, message):
+    with pytest.raises(FlightReadError, match=message):
+        read(**{name: values})
+
+
+@pytest.mark.parametrize("name", ["alpha", "time", "flight", "of_no_flight_table"])
+@pytest.mark.parametrize("values", NESTED.values(), ids=NESTED)
+def test_cells_of_several_values_are_refused(read, name, values):
+    message = rf"lists or records, .*'{name}': .{str(values.type)[:4]}.*a column for each element"
     with pytest.raises(FlightReadError, match=message):
         read(**{name: values})
 

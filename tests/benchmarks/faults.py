@@ -18,7 +18,15 @@ from functools import partial
 import numpy as np
 from _common import Kept, finish, parser_of
 from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
-from log_errors import GRAVITY, elsewhere, late, without_gravity
+from log_errors import (
+    GRAVITY,
+    elsewhere,
+    exchange,
+    late,
+    scale,
+    without,
+    without_gravity,
+)
 from numpy.random import default_rng
 from scipy import signal
 from uav_flight import AIRCRAFT, AIRS, EVERY, SENSORS, STEP, fly, logged
@@ -64,38 +72,24 @@ def thinned(table):
     return table.iloc[::10].reset_index(drop=True)
 
 
-def without(table, *names):
-    return table.drop(columns=[*names])
-
-
 def ways(table, span):
     """Return the sound ways to record a flight, by name."""
     moved = elsewhere(table, (ARM * span, 0, 0))
+    no_beta = without("beta")
+    no_vanes = without("alpha", "beta")
     return {
         "as logged": table,
         "smoothed": smoothed(table),
         "sensors ahead": moved,
-        "without beta": without(table, "beta"),
-        "without vanes": without(table, "alpha", "beta"),
-        "ahead, without beta": without(moved, "beta"),
-        "ahead, without vanes": without(moved, "alpha", "beta"),
-        "smoothed, ahead, without beta": without(smoothed(moved), "beta"),
+        "without beta": no_beta(table),
+        "without vanes": no_vanes(table),
+        "ahead, without beta": no_beta(moved),
+        "ahead, without vanes": no_vanes(moved),
+        "smoothed, ahead, without beta": no_beta(smoothed(moved)),
         "5 Hz, smoothed": thinned(smoothed(table)),
         "GPS late by 0.2 s": late(table, 0.2, VELOCITY),
-        "without position": without(table, "north", "east", "altitude"),
+        "without position": without("north", "east", "altitude")(table),
     }
-
-
-def scaled(table, factor, names):
-    """Return a table with channels multiplied."""
-    changed = table.copy()
-    changed[names] *= factor
-    return changed
-
-
-def exchanged(table, first, second):
-    """Return a table with two channels exchanged."""
-    return table.rename(columns={first: second, second: first})
 
 
 def from_east(table):
@@ -103,26 +97,19 @@ def from_east(table):
 
 
 SIGNED = ["alpha", "beta", *RATES, *FORCES, *EULER, *VELOCITY, "altitude", *SURFACES]
-EXCHANGED = [
-    ("p", "q"),
-    ("q", "r"),
-    ("ax", "az"),
-    ("ay", "az"),
-    ("phi", "theta"),
-    ("v_north", "v_east"),
-]
-EXCHANGED += [("elevator", "aileron"), ("alpha", "beta")]
+EXCHANGED = ["p q", "q r", "ax az", "ay az", "phi theta", "v_north v_east"]
+EXCHANGED += ["elevator aileron", "alpha beta"]
 SCALED = {
-    "alpha in deg": (DEGREES, ["alpha"]),
-    "beta in deg": (DEGREES, ["beta"]),
-    "attitude in deg": (DEGREES, EULER),
-    "rates in deg/s": (DEGREES, RATES),
-    "forces in g": (1 / GRAVITY, FORCES),
-    "airspeed in kt": (1 / KNOT, ["airspeed"]),
-    "airspeed in km/h": (3.6, ["airspeed"]),
-    "velocity in ft/s": (1 / FOOT, VELOCITY),
-    "altitude in ft": (1 / FOOT, ["altitude"]),
-    "p at half scale": (0.5, ["p"]),
+    "alpha in deg": (DEGREES, "alpha"),
+    "beta in deg": (DEGREES, "beta"),
+    "attitude in deg": (DEGREES, "phi theta psi"),
+    "rates in deg/s": (DEGREES, "p q r"),
+    "forces in g": (1 / GRAVITY, "ax ay az"),
+    "airspeed in kt": (1 / KNOT, "airspeed"),
+    "airspeed in km/h": (3.6, "airspeed"),
+    "velocity in ft/s": (1 / FOOT, "v_north v_east v_down"),
+    "altitude in ft": (1 / FOOT, "altitude"),
+    "p at half scale": (0.5, "p"),
 }
 LATE = {"p": 0.8, "theta": 0.8, "v_down": 0.8, "az": 0.8, "airspeed": 2.0}
 
@@ -131,12 +118,12 @@ def faults():
     """Return by name what puts a fault into a table, and the channels that are wrong then."""
     puts = {}
     for name in SIGNED:
-        puts[f"sign of {name}"] = (partial(scaled, factor=-1.0, names=[name]), [name])
-    for first, second in EXCHANGED:
-        put = partial(exchanged, first=first, second=second)
-        puts[f"{first} and {second} exchanged"] = (put, [first, second])
-    for name, (factor, channels) in SCALED.items():
-        puts[name] = (partial(scaled, factor=factor, names=channels), channels)
+        puts[f"sign of {name}"] = (scale({name: -1.0}), [name])
+    for names in EXCHANGED:
+        first, second = names.split()
+        puts[f"{first} and {second} exchanged"] = (exchange(first, second), [first, second])
+    for name, (factor, names) in SCALED.items():
+        puts[name] = (scale({names: factor}), names.split())
     for name, seconds in LATE.items():
         puts[f"{name} late by {seconds} s"] = (partial(late, seconds=seconds, names=[name]), [name])
     puts["gravity removed"] = (without_gravity, FORCES)
@@ -190,7 +177,7 @@ def main(words=None):
             if all(table[name].nunique() > 1 for name in wrong):
                 kept.run(key | {"case": fault, "kind": "fault"}, score, put(table), wrong)
         if table["rudder"].nunique() > 1:
-            wrong = scaled(recorded["ahead, without beta"], -1.0, ["rudder"])
+            wrong = scale({"rudder": -1.0})(recorded["ahead, without beta"])
             case = "sign of rudder, ahead, without beta"
             kept.run(key | {"case": case, "kind": "fault"}, score, wrong, ["rudder"])
     runs = kept.table

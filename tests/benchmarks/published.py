@@ -16,8 +16,6 @@ from a mean, see ``Case``. FOLDER holds:
 - ``jura/jura_prediction.csv`` and ``jura/jura_validation.csv``, from the R package gstat: scored by
   the mean absolute error of cadmium.
 
-The Friedman cases need no file: complete outputs, where methods differ in time alone.
-
 No setting is chosen by a hidden value.
 """
 
@@ -29,7 +27,6 @@ import numpy as np
 import pandas as pd
 from _common import Kept, contest, finish, parser_of
 from _peers import Process
-from numpy.random import default_rng
 from scipy.io import loadmat
 from sklearn.experimental import enable_iterative_imputer  # noqa: F401 - makes it importable
 from sklearn.impute import IterativeImputer, SimpleImputer
@@ -106,17 +103,6 @@ def eeg(folder):
     return case_of(np.arange(256) / 256, voltages, gaps, by_hidden=True)
 
 
-def friedman(folder, n):
-    """Return three mixtures of two functions of Friedman (1991, equation 61), at n samples with noise and 1000 more."""
-    rng = default_rng(0)
-    X = rng.uniform(size=(n + 1000, 5))
-    a, b, c, d, e = np.stack([X.T, np.roll(X.T, 2, axis=0)], axis=1)
-    first, second = 10 * np.sin(np.pi * a * b) + 20 * (c - 0.5) ** 2 + 10 * d + 5 * e
-    truth = np.column_stack([first, second, first - 0.5 * second])
-    gaps = {f"output {k + 1}": (k, slice(n, None)) for k in range(3)}
-    return case_of(X[:, 0], truth + 0.1 * rng.normal(size=truth.shape), gaps)._replace(X=X)
-
-
 def jura(folder, logarithms=False):
     """Return cadmium, nickel and zinc in Swiss Jura; cadmium is hidden at the last 100 of 359 sites."""
     parts = [
@@ -136,8 +122,16 @@ CASES = {
     "EEG, 7 electrodes": eeg,
     "Jura": jura,
     "Jura, logarithms": partial(jura, logarithms=True),
-    **{f"Friedman, {n}": partial(friedman, n=n) for n in (500, 2000)},
 }
+
+
+def toy(folder):
+    """Return two outputs, one with a gap, for a run that only shows that the script runs."""
+    x = np.arange(40.0)
+    outputs = np.column_stack([np.sin(x / 5), np.cos(x / 5)])
+    return case_of(x, outputs, {"second": (1, slice(10, 20))})
+
+
 PUBLISHED = {
     "exchange rates, 13": "0.2125, COGP",
     "air temperature, 4 stations": "0.1077, COGP",
@@ -222,11 +216,9 @@ def lcm(case):
     return scaler.inverse_transform(mean), std * scaler.scale_
 
 
-PREDICT = "skdgp, `predict`"
-ALONE = "scikit-learn's process, each output alone"
 PROCESS = partial(Process, searches=3)
 METHODS = {
-    PREDICT: predicted,
+    "skdgp, `predict`": predicted,
     "skdgp on regressors and other outputs": partial(
         by_output, make=partial(DependentGPRegressor, random_state=0), include_noise=True
     ),
@@ -236,7 +228,7 @@ METHODS = {
     "Bayesian ridge on the other outputs": partial(by_output, make=BayesianRidge, regressors=False),
     "scikit-learn's process on regressors and other outputs": partial(by_output, make=PROCESS),
     "the same, one width": partial(by_output, make=partial(PROCESS, one_width=True)),
-    ALONE: partial(by_output, make=PROCESS, others=False),
+    "scikit-learn's process, each output alone": partial(by_output, make=PROCESS, others=False),
 }
 
 
@@ -262,33 +254,21 @@ def scored(case, method):
     return result
 
 
-def tables(runs):
-    """Return a row for each method, error and percentage in the band of each case; and complete outputs."""
-    is_complete = runs["case"].str.startswith("Friedman")
-    cells = contest(runs[~is_complete], "case")
-    cells.loc["published figures"] = pd.Series(PUBLISHED)
-    complete = {}
-    for run in runs[is_complete].itertuples():
-        row = complete.setdefault(run.case, {"n": run.case.split()[-1]})
-        row[run.method] = f"{run.error:.2g}, {run.seconds:.3g} s"
-    errors = cells.reset_index(names="method").to_dict("records")
-    return {"errors": errors, "complete": [*complete.values()]}
-
-
 def main(words=None):
     parser = parser_of(__doc__, data=True, smoke=True)
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     options = parser.parse_args(words)
     others = {name for name in METHODS if not name.startswith("skdgp")}
     kept = Kept(options, "published", others=others)
-    for name, load in ({"toy": partial(friedman, n=60)} if options.smoke else CASES).items():
+    for name, load in ({"toy": toy} if options.smoke else CASES).items():
         case = load(options.data)._replace(name=name)
-        everything = len(case.tested) == case.Y.shape[1]
-        methods = [m for m in options.methods if not everything or m in (PREDICT, ALONE)]
-        for method in methods:
+        for method in options.methods:
             # kept runs of other methods are named with their seed
             kept.run({"case": name, "method": method, "seed": 0}, scored, case, method)
-    finish(options, "published", **tables(kept.table))
+    cells = contest(kept.table, "case")
+    cells.loc["published figures"] = pd.Series(PUBLISHED)
+    errors = cells.reset_index(names="method").to_dict("records")
+    finish(options, "published", errors=errors)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 import uav_flight
 from flight_columns import EULER, FORCES, RATES, SURFACES, VELOCITY
+from log_errors import exchange, scale, without
 from made_flights import flight_of_motion, lasting
 from numpy.random import default_rng
 from scipy import signal
@@ -80,18 +81,8 @@ def channels_of(table):
 # What is done to a flight
 
 
-def scale(factors):
-    """Multiply channels by factors, by name or names."""
-    by_name = {name: factor for names, factor in factors.items() for name in names.split()}
-    return lambda flight: flight.assign(**{name: by_name[name] * flight[name] for name in by_name})
-
-
 def turn(names):
     return scale({names: -1.0})
-
-
-def without(*names):
-    return lambda flight: flight.drop(columns=[*names])
 
 
 def late(seconds, *names):
@@ -101,10 +92,6 @@ def late(seconds, *names):
 def replaced(**channels):
     """Replace channels by functions of the flight."""
     return lambda flight: flight.assign(**channels)
-
-
-def exchange(first, second):
-    return lambda flight: flight.rename(columns={first: second, second: first})
 
 
 def then(*changes):

@@ -9,6 +9,20 @@ from skdgp.dynamics import euler_to_matrix
 GRAVITY = 9.80665
 
 
+def scale(factors):
+    """Return a function that multiplies channels of a table by factors, by name or names."""
+    by_name = {name: factor for names, factor in factors.items() for name in names.split()}
+    return lambda table: table.assign(**{name: by_name[name] * table[name] for name in by_name})
+
+
+def without(*names):
+    return lambda table: table.drop(columns=[*names])
+
+
+def exchange(first, second):
+    return lambda table: table.rename(columns={first: second, second: first})
+
+
 def elsewhere(table, place, spin=None):
     """Return a table whose accelerometers are at a place (3,) from the centre of gravity [m].
 

@@ -24,7 +24,6 @@ from skdgp.kernels import (
     inducing_features,
     prior_paths,
 )
-from skdgp.kernels._paths import summed
 
 
 def coregionalized(kernel, **parameters):
@@ -308,7 +307,7 @@ class TestUse:
         larger = kernel.rescaled(factor)
         scaled = prior_paths(larger, 6, 8, np.random.RandomState(1))
         member = default_rng(1).integers(0, 2, (6, kernel.n_outputs))
-        mixed = summed([one.times(1.0 - member), other.times(1.0 * member)])
+        mixed = one.times(1.0 - member) + other.times(1.0 * member)
         for points in (X, X[:1]):
             values, slopes = one.each(points), one.gradient(points)
             equal(scaled.each(points), values * factor)

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from numpy.random import default_rng
+from made_flights import SPEED, circling
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
@@ -13,29 +13,6 @@ from skdgp.estimation import (
     airspeed_scale,
     without_airspeed_error,
 )
-
-SPEED = 22.0
-
-
-def circling(scale=0.0, heading_error=0.0, gust=0.0, turns=2.0, seed=3):
-    """Return a level flight of some turns in wind and gusts, whose nose points into its motion through the air."""
-    time = np.arange(0, 120, 0.1)
-    psi = 2 * np.pi * turns * time / time[-1]
-    gusts = gust * default_rng(seed).standard_normal((2, len(time)))
-    return pd.DataFrame(
-        {
-            "time": time,
-            "airspeed": (1 + scale) * SPEED,
-            "alpha": 0.05,
-            "beta": 0.0,
-            "phi": 0.0,
-            "theta": 0.05,
-            "psi": psi + heading_error,
-            "v_north": SPEED * np.cos(psi) + 6.0 + gusts[0],
-            "v_east": SPEED * np.sin(psi) - 3.0 + gusts[1],
-            "v_down": 0.0,
-        }
-    )
 
 
 @pytest.mark.parametrize("heading_error", [0.0, 0.1])

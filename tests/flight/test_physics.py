@@ -26,6 +26,7 @@ from skdgp._flight.physics import (
     find_contradictions,
     question_of_sizes,
 )
+from skdgp._flight.physics._equations import thrust
 from skdgp._flight.physics._laws import EQUAL
 from skdgp._flight.physics._list import ALPHA, OFFSETS, PITCH
 from skdgp._flight.physics._signals import Signals, signals_of
@@ -636,6 +637,16 @@ def test_a_late_vane_in_strong_gusts_is_accused_and_confirms_nothing():
     assert contradiction.lag[0] == 0.4
     assert contradiction.slope.correlation < 0.5
     assert not is_equal
+
+
+def test_parasitic_and_induced_drag_are_no_thrust():
+    """CX = CT - CD0 - k CZ^2, beside a part of the lift in ax."""
+    noise = default_rng(0).normal(size=(3, 600))
+    airspeed, az, force = 20.0 + 2.0 * noise[0], -9.8 + 3.0 * noise[1], 50.0 + 10.0 * noise[2]
+    ax = force / 45.0 - 2e-3 * airspeed**2 + 0.05 * az - 0.7 * az**2 / airspeed**2
+    channels = {"airspeed": airspeed, "az": az, "ax": ax, "thrust_x": force}
+    found = thrust(Signals(channels, np.zeros(600, int), 0.05), "thrust_x")
+    assert estimated_slope(found).value == pytest.approx(1 / 45.0)
 
 
 def test_a_faster_flight_is_averaged_by_its_own_rate():

@@ -16,6 +16,7 @@ GLIDER = Aircraft(mass=2.0, inertia=np.diag([0.2, 0.3, 0.4]), wing_area=0.5, spa
 TURBULENCE = Turbulence(np.array([0.5, 0.5, 0.35]), np.array([150.0, 150.0, 60.0]))
 SENSED = [*FORCES, *RATES, *EULER, *AIR, *VELOCITY]
 STEP = 1e-4  # of the differences of a motion [s]
+SPEED = 22.0  # of a flight in circles, through the air [m/s]
 
 
 def make_flight(channels, n=2400, step=0.025, *, width=20, seed=0):
@@ -47,6 +48,27 @@ def flight_of_motion(time, attitude, velocity, wind=0.0, gravity=GRAVITY):
     air = air_data(now.inv().apply(over_ground - wind))
     sensed = np.column_stack([force, rates, now.as_euler("ZYX")[:, ::-1], *air, over_ground])
     return pd.DataFrame(sensed, columns=SENSED).assign(time=time)
+
+
+def circling(scale=0.0, heading_error=0.0, gust=0.0, turns=2.0, seed=3):
+    """Return a level flight of some turns in wind and gusts, whose nose points into its motion through the air."""
+    time = np.arange(0, 120, 0.1)
+    psi = 2 * np.pi * turns * time / time[-1]
+    gusts = gust * default_rng(seed).standard_normal((2, len(time)))
+    return pd.DataFrame(
+        {
+            "time": time,
+            "airspeed": (1 + scale) * SPEED,
+            "alpha": 0.05,
+            "beta": 0.0,
+            "phi": 0.0,
+            "theta": 0.05,
+            "psi": psi + heading_error,
+            "v_north": SPEED * np.cos(psi) + 6.0 + gusts[0],
+            "v_east": SPEED * np.sin(psi) - 3.0 + gusts[1],
+            "v_down": 0.0,
+        }
+    )
 
 
 def lasting(rng, shape, memory):

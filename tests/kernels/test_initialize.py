@@ -94,6 +94,14 @@ def test_slopes_of_a_trend_are_not_nearly_certain_to_be_zero(n, d, least):
     assert_allclose(bounds["slope_scale"][..., 0], least)
 
 
+@pytest.mark.parametrize(("n", "is_removed"), [(6, False), (7, True)])
+def test_a_line_through_few_values_is_left_in_them(n, is_removed):
+    """Two values for each of its three weights tell too little of it."""
+    X = default_rng(0).normal(size=(n, 2))
+    Y = 1.0 + X @ [[2.0], [3.0]]
+    assert_allclose(LinearTrend().residual(X, Y), 0.0 if is_removed else Y, atol=1e-12)
+
+
 class TestRefused:
     @pytest.mark.parametrize(
         ("parameters", "message"),

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from flight_columns import VELOCITY
 from log_errors import held as sampled
-from made_flights import GLIDER, make_flight
+from made_flights import GLIDER, circling, make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from pandas.testing import assert_frame_equal
@@ -181,6 +181,15 @@ class TestClock:
         table.loc[1000:, "time"] += (steps - 1) * STEP
         assert faults(table) == found
         assert_frame_equal(FlightCheck().fit_transform(table), table)
+
+
+@pytest.mark.filterwarnings("ignore:Faults in the log")
+def test_the_error_of_the_airspeed_is_told_with_its_deviation_and_corrected():
+    flight = circling(0.05, gust=1.0)
+    flight["airspeed"] += default_rng(0).normal(0.0, 0.1, len(flight))
+    with pytest.warns(UserWarning, match=r"an error of \+5\.?\d* ± 0\.2 %"):
+        out = FlightCheck().fit_transform(flight)
+    assert_allclose(out["airspeed"], flight["airspeed"] / 1.05, rtol=0.005)
 
 
 class TestDownstream:

@@ -163,9 +163,6 @@ class Rule(NamedTuple):
         Fields that, where the log has them, are within these limits where the others are valid.
     used : tuple of Use
         Where the log says which instance the autopilot used; the first that is logged counts.
-    preferred : str
-        Field that is larger of an instance that is preferred among healthy ones: a flag, or a
-        confidence from 0 to 1.
     resets : str
         Counters of an estimator's resets.
     engines : int
@@ -173,7 +170,7 @@ class Rule(NamedTuple):
         root mean square of speeds, with which thrust goes, and the mean of commands.
     uses : str
         Parameters by which the autopilot uses an instance, by its number: always (1), or under
-        conditions (2), which the ``preferred`` flag then tells.
+        conditions (2), which the flag ``U`` then tells.
     """
 
     columns: str
@@ -184,7 +181,6 @@ class Rule(NamedTuple):
     note: str = ""
     within: tuple[tuple[str, float, float], ...] = ()
     used: tuple[Use, ...] = ()
-    preferred: str = ""
     resets: str = ""
     uses: str = ""
     engines: int = 0

@@ -60,6 +60,10 @@ LEADERS = ("p", "ax", "qw")
 LATEST_END = 5.0
 
 
+# field that says whether ArduPilot uses a sensor whose parameter says that it may (2)
+IN_USE = "U"
+# field of PX4's airspeed, from 0 to 1 by errors and age of the readings
+CONFIDENCE = "confidence"
 NONE = np.empty(0)
 
 
@@ -91,19 +95,20 @@ class Candidate(NamedTuple):
     valid: Mask
     # which of the valid ones the autopilot used
     used: Mask
-    # mean of a flag, or of a confidence from 0 to 1
-    confidence: float
 
     @property
     def rows(self) -> Mask:
         """The messages that count, (n,)."""
         return self.used if self.used.any() else self.valid
 
-    def merit(self, duration: float) -> tuple[int, float, bool, float]:
-        """Order of instances in a log of some duration [s]: used, valid, moving, preferred by the autopilot."""
-        fraction = self.valid.mean() * np.ptp(self.instance.topic.time) / duration
+    @property
+    def merit(self) -> tuple[int, float, bool, float]:
+        """Order of instances: messages that were used, whole seconds of valid ones, whether they move, confidence."""
+        topic = self.instance.topic
+        seconds = self.valid.mean() * np.ptp(topic.time)
         moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
-        return int(self.used.sum()), round(fraction, 2), bool(moves), self.confidence
+        confidence = np.nan_to_num(topic.fields.get(CONFIDENCE, NONE)).sum()
+        return int(self.used.sum()), round(seconds), bool(moves), float(confidence)
 
 
 # -- topics by rules
@@ -122,15 +127,9 @@ def choose(log: Log, rule: Rule) -> Source | None:
     if not instances:
         return None
     use = _use(log, rule, instances)
-    return _source_of(rule, [_candidate(log, instance, rule, use) for instance in instances], use)
-
-
-def _source_of(rule: Rule, candidates: list[Candidate], use: Use | None) -> Source:
-    """Return the source by the best of the instances."""
-    duration = np.ptp([candidate.instance.topic.time[[0, -1]] for candidate in candidates])
-    best = max(candidates, key=lambda candidate: candidate.merit(duration))
+    candidates = [_candidate(log, instance, rule, use) for instance in instances]
+    best = max(candidates, key=lambda candidate: candidate.merit)
     number, name, topic = best.instance
-    time = topic.time[best.rows]
     values = best.values[best.rows]
     if rule.columns == QUATERNION:
         values = without_sign_changes(values)
@@ -141,18 +140,11 @@ def _source_of(rule: Rule, candidates: list[Candidate], use: Use | None) -> Sour
     words = f"{name}.{rule.fields}"
     if notes:
         words += f" ({', '.join(notes)})"
-    remarks = [_unmeasured(rule, best)]
-    unused = (best.valid & ~best.rows).mean()
-    if use and unused:
-        remarks.append(
-            f"{rule.words} of {name}: {100 * unused:.0f} % of the messages are left out, as the autopilot used another "
-            f"({use.words})"
-        )
-    if best is not candidates[0]:
-        remarks.insert(0, f"{rule.words} of {words}")
-    remark = "; ".join(filter(None, remarks))
-    cuts = _resets(rule, topic.select(best.rows), values)
-    return Source(tuple(rule.columns.split()), words, time, values, remark, cuts, number)
+    first = f"{rule.words} of {words}" if best is not candidates[0] else ""
+    remark = "; ".join(filter(None, [first, *_left_out(rule, best, use)]))
+    topic = topic.select(best.rows)
+    cuts = _resets(rule, topic, values)
+    return Source(tuple(rule.columns.split()), words, topic.time, values, remark, cuts, number)
 
 
 def _resets(rule: Rule, topic: Topic, values: Matrix) -> Vector:
@@ -222,17 +214,14 @@ def _candidate(log: Log, instance: Instance, rule: Rule, use: Use | None) -> Can
         used = valid & (_numbers(log, use, topic.time) == number + use.first)
         if use.is_measurement:
             valid = used
-    confidence = 0.0
-    if rule.preferred in topic:
-        confidence = float(np.clip(np.nan_to_num(topic[rule.preferred]), 0.0, 1.0).mean())
-    return Candidate(instance, values, valid, used, confidence)
+    return Candidate(instance, values, valid, used)
 
 
 def _is_used(log: Log, rule: Rule, instance: Instance) -> bool:
     """Return whether the autopilot uses an instance, by its parameter if it has one."""
     parameter = dict(enumerate(rule.uses.split())).get(instance.number, "")
     use = whole(log.parameters.get(parameter, 1.0))
-    return use == 1 or (use > 1 and rule.preferred in instance.topic)
+    return use == 1 or (use > 1 and IN_USE in instance.topic)
 
 
 def _use(log: Log, rule: Rule, instances: list[Instance]) -> Use | None:
@@ -255,19 +244,27 @@ def _numbers(log: Log, use: Use, times: Vector) -> Vector:
     return NONE
 
 
-def _unmeasured(rule: Rule, candidate: Candidate) -> str:
-    """Return a remark on messages of a source that the log does not call measurements, with the fields that say so."""
+def _left_out(rule: Rule, candidate: Candidate, use: Use | None) -> list[str]:
+    """Return remarks on messages of a source that the autopilot did not use, or that the log calls no measurements."""
     number, name, topic = candidate.instance
-    missing = 100 * (1 - candidate.valid.mean())
-    if missing == 0 or (missing < 100 and not rule.within):
-        return ""
-    fields = [field for field in rule.valid.split() if field in topic]
-    fields += rule.uses.split()[number : number + 1]
-    for field, _, _ in rule.within:
-        if field in topic:
-            fields.append(f"{field} {np.unique(topic[field]).astype(int).tolist()}")
-    why = " ".join(fields) or "no number"
-    return f"{rule.words} of {name}: {missing:.0f} % of the messages are no measurement and are left out ({why})"
+    remarks = []
+    missing = 1 - candidate.valid.mean()
+    if missing == 1 or (missing and rule.within):
+        fields = [field for field in rule.valid.split() if field in topic]
+        fields += rule.uses.split()[number : number + 1]
+        for field, _, _ in rule.within:
+            if field in topic:
+                fields.append(f"{field} {np.unique(topic[field]).astype(int).tolist()}")
+        why = " ".join(fields) or "no number"
+        remarks.append(
+            f"{100 * missing:.0f} % of the messages are no measurement and are left out ({why})"
+        )
+    unused = (candidate.valid & ~candidate.rows).mean()
+    if use and unused:
+        remarks.append(
+            f"{100 * unused:.0f} % of the messages are left out, as the autopilot used another ({use.words})"
+        )
+    return [f"{rule.words} of {name}: {remark}" for remark in remarks]
 
 
 # -- all sources of a log

@@ -112,7 +112,7 @@ RULES = (
         valid="airspeed_sensor_measurement_valid",
         within=MEASURED,
     ),
-    Rule("airspeed", "airspeed", "true_airspeed_m_s", used=PITOT, preferred="confidence"),
+    Rule("airspeed", "airspeed", "true_airspeed_m_s", used=PITOT),
     Rule("alpha", "airflow_aoa", "aoa_rad"),
     Rule("beta", "airflow_slip", "slip_rad"),
     Rule(

@@ -12,13 +12,16 @@ from pathlib import Path
 from typing import Any
 
 from skdgp._cli import _learn, _use
-from skdgp._cli._shared import Commands, Console, Run, add_command
+from skdgp._cli._options import Commands, add_command
+from skdgp._cli._shared import Console, Run
 
 __all__ = ["main"]
 
 DONE, FAILED, INTERRUPTED = 0, 1, 130
 EXPECTED = (ValueError, TypeError, OSError, ImportError, MemoryError)
 COMMANDS: Commands = {**_learn.COMMANDS, **_use.COMMANDS}
+# where a command writes without being told
+FOLDERS = {"identify": "skdgp-results", "demo": "skdgp-demo"}
 DESCRIPTION = """\
 Learn an aircraft's six aerodynamic coefficients from flight logs.
 
@@ -64,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _folder(options: argparse.Namespace) -> Path | None:
     """Return the folder of the outputs, if any; raise OSError if it cannot be written to."""
-    output = vars(options).get("output")
+    output = vars(options).get("output") or FOLDERS.get(options.command)
     if output is None:
         return None
     folder = Path(output).parent if options.command == "predict" else Path(output)

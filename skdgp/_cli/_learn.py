@@ -7,30 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from skdgp._cli._shared import (
-    AIRCRAFT,
-    FLIGHT,
-    HORIZON,
-    LOG,
-    MODEL,
-    OUTPUT,
-    SEED,
-    Commands,
-    Run,
-    changed,
-    factors,
-    number,
-    option,
-    reading,
-    regressors,
-    size,
-)
+from skdgp._cli._options import Commands, reading
+from skdgp._cli._shared import Run
 from skdgp._cli._use import read_model
 from skdgp._compute.files import without_nones
 from skdgp._compute.messages import listening
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import KINDS, Aircraft, Propeller
+from skdgp.dynamics import Aircraft, Propeller
 from skdgp.identification import Identification
 from skdgp.identification import identify as identify_flights
 from skdgp.identification import validate as validate_flights
@@ -207,106 +191,19 @@ def validate(run: Run) -> None:
         _finish(run, result)
 
 
-LEARNING = [
-    option(
-        "--samples",
-        metavar="N",
-        type=number(2, kind=int),
-        help="rows to learn from (default: all, at most 30,000)",
-    ),
-    option(
-        "--regressors",
-        type=regressors,
-        default="quasi-steady",
-        help="quasi-steady (alpha, beta, rates, controls), classical (alpha_dot, beta_dot "
-        "too), paper (accelerations too), or columns such as "
-        "alpha,beta,q_hat,elevator (default: quasi-steady)",
-    ),
-    option(
-        "--max-iter",
-        type=number(1, kind=int),
-        help="largest number of steps of the fit from each start (default: 300)",
-    ),
-    SEED,
-]
-SIZE_OPTIONS = [
-    option("--mass", type=size, help="[kg]"),
-    option("--span", type=size, help="of the wing [m]"),
-    option("--wing-area", type=size, help="[m^2]"),
-    option("--chord", type=size, help="mean chord of the wing [m]"),
-    option("--length", type=size, help="from nose to tail [m]"),
-    option(
-        "--kind",
-        choices=list(KINDS),
-        help="kind of the aircraft, for the estimates (default: conventional)",
-    ),
-]
-LEARNED_AIRCRAFT = changed(AIRCRAFT, help="the aircraft, JSON or TOML (or --mass and --span)")
+LEARNING = "samples regressors max-iter seed"
 
 COMMANDS: Commands = {
     inspect: {
-        "": [option("log", metavar="LOG", help="the log"), *LOG],
-        "the aircraft": [LEARNED_AIRCRAFT, *SIZE_OPTIONS],
+        "": "log servos rename airborne",
+        "the aircraft": "aircraft mass span wing-area chord length kind",
     },
-    demo: {
-        "": [
-            HORIZON,
-            changed(OUTPUT, default="skdgp-demo", help="folder (default: skdgp-demo)"),
-        ],
-        "model": LEARNING,
-    },
+    demo: {"": "horizon output", "model": LEARNING},
     identify: {
-        "": [
-            option("train", metavar="TRAIN", nargs="+", help="flights to learn from"),
-            LEARNED_AIRCRAFT,
-            option(
-                "--test",
-                metavar="TEST",
-                nargs="+",
-                help="flights to judge the model on (default: the last of several, or the last "
-                "quarter of one, is held out)",
-            ),
-            option(
-                "--thrust",
-                choices=["auto", "none"],
-                default="auto",
-                help="what gives the thrust; none: a glider, or an unknown thrust that becomes part of "
-                "the coefficients",
-            ),
-            *LOG,
-            HORIZON,
-            changed(
-                OUTPUT,
-                default="skdgp-results",
-                help="folder for the outputs (default: skdgp-results)",
-            ),
-        ],
-        "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": [
-            *SIZE_OPTIONS,
-            option(
-                "--propeller",
-                metavar="AxB",
-                type=factors,
-                help="diameter x pitch in inches, as printed on it, such as 10x5: the usual thrust of "
-                "this size",
-            ),
-            option(
-                "--motor",
-                metavar="AxB",
-                type=factors,
-                help="rpm per volt x volts in flight, such as 900x11.1: the propeller's speed where it "
-                "was not logged",
-            ),
-            option(
-                "--sensor-position",
-                metavar=("X", "Y", "Z"),
-                nargs=3,
-                type=number(),
-                help="of the inertial sensors from the centre of gravity, forward, right, down [m], "
-                "to about 1 cm",
-            ),
-        ],
+        "": "train aircraft test thrust servos rename airborne horizon output",
+        "an aircraft without a file; 3.2+-0.05 is a size and its standard deviation": "mass span "
+        "wing-area chord length kind propeller motor sensor-position",
         "model": LEARNING,
     },
-    validate: {"": [MODEL, FLIGHT, AIRCRAFT, *LOG, HORIZON, OUTPUT]},
+    validate: {"": "model flights aircraft servos rename airborne horizon output"},
 }

@@ -1,9 +1,7 @@
-"""What commands share: options and the types of their values; output, progress, and files, all or none."""
+"""What commands share: output, progress, and files, all or none."""
 
 from __future__ import annotations
 
-import argparse
-import math
 import os
 import shutil
 import sys
@@ -11,171 +9,14 @@ import threading
 import time
 import warnings
 from argparse import Namespace
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
-from inspect import getdoc
 from pathlib import Path
-from typing import Any, TextIO, TypeAlias
+from typing import Any, TextIO
 
 from skdgp._compute.files import Writer, json_text, text_writer, write_together
 from skdgp._compute.messages import FindingWarning, Progress
-from skdgp._flight.channels import REGRESSOR_SETS
 from skdgp._regressor import FitCode
-
-Option: TypeAlias = tuple[tuple[str, ...], dict[str, Any]]
-# Functions of commands, with their options by groups
-Commands: TypeAlias = dict[Callable, dict[str, list[Option]]]
-TRUST = "loading runs code that is in it, so open only files that you trust"
-
-
-def option(*names: str, **keywords: Any) -> Option:
-    """Return an option of a command, with the arguments of ``add_argument``."""
-    return names, keywords
-
-
-def changed(known: Option, **keywords: Any) -> Option:
-    """Return an option with other arguments."""
-    names, arguments = known
-    return names, arguments | keywords
-
-
-def checked(
-    expected: str, read: Callable[[str], Any], accept: Callable[[Any], bool] = lambda value: True
-) -> Callable[[str], Any]:
-    """Return a type of argparse that reads and checks a value; its error names the expected one."""
-
-    def value(text: str) -> Any:
-        with suppress(ValueError, OverflowError):
-            result = read(text)
-            if accept(result):
-                return result
-        raise argparse.ArgumentTypeError(f"got {text}, but expected {expected}")
-
-    return value
-
-
-def number(
-    least: float = -math.inf, *words: str, kind: type = float
-) -> Callable[[str], float | str]:
-    """Return the type of finite numbers that are not below ``least``, or of some words."""
-    bound = "" if least == -math.inf else f" >= {least:g}"
-    expected = f"a {'whole number' if kind is int else 'number'}{bound}"
-    return checked(
-        ", or ".join([expected, *words]),
-        lambda text: text if text in words else kind(text),
-        lambda value: value in words or least <= float(value) < math.inf,
-    )
-
-
-def _pair(text: str, separator: str, first: type = float, second: type = float) -> tuple[Any, Any]:
-    before, after = text.split(separator)
-    return first(before), second(after)
-
-
-table_file = checked("a name that ends in .csv", str, lambda text: Path(text).suffix == ".csv")
-axis_value = checked("AXIS=NUMBER such as elevator=0.4", lambda text: _pair(text, "=", str))
-renaming = checked("OLD=NEW such as de=elevator", lambda text: _pair(text, "=", str, str))
-size = checked(
-    "a number > 0, or with its standard deviation such as 3.2+-0.05",
-    lambda text: _pair(text if "+-" in text else f"{text}+-0", "+-"),
-    lambda pair: 0 < pair[0] < math.inf and 0 <= pair[1] < math.inf,
-)
-factors = checked(
-    "two numbers > 0 such as 10x5",
-    lambda text: _pair(text, "x"),
-    lambda pair: min(pair) > 0 and max(pair) < math.inf,
-)
-POSITIVE = checked("a number > 0", float, lambda value: 0 < value < math.inf)
-n_paths = checked(
-    "0, or 2 or more: one path has no spread", int, lambda value: value >= 0 and value != 1
-)
-
-
-def regressors(text: str) -> str | list[str]:
-    """Return a set of regressors by its name, or a list of columns."""
-    return text if text in REGRESSOR_SETS else [name.strip() for name in text.split(",")]
-
-
-# Options that several commands have. `reading` reads logs by these:
-LOG = [
-    option(
-        "--servos",
-        help="TOML for logs of autopilots: servos and angles, see docs/logs.md",
-    ),
-    option(
-        "--rename",
-        metavar="OLD=NEW",
-        nargs="+",
-        type=renaming,
-        default=[],
-        help="names of a flight table for columns of tables, such as de=elevator for 'de' or 'de [deg]'",
-    ),
-    option(
-        "--airborne",
-        metavar="V|all",
-        type=number(0.0, "all"),
-        help="airspeed [m/s] above which logs of autopilots are flights, or all of a log "
-        "(default: estimated)",
-    ),
-]
-MODEL = option("model", metavar="MODEL", help=f"the model.joblib that identify wrote; {TRUST}")
-FLIGHT = option("flight", metavar="FLIGHT", nargs="+", help="flights, as of identify")
-AIRCRAFT = option(
-    "--aircraft",
-    help="the aircraft, JSON or TOML, as with another mass (default: the model's)",
-)
-HORIZON = option(
-    "--horizon",
-    type=POSITIVE,
-    default=10.0,
-    help="seconds after which simulations start again (default: 10)",
-)
-SEED = option("--seed", type=number(0, kind=int), default=0, help="of random numbers (default: 0)")
-OUTPUT = option("-o", "--output", help="folder for the outputs")
-AIRSPEED = option("--airspeed", type=POSITIVE, required=True, help="of the trim [m/s]")
-ALTITUDE = option("--altitude", type=number(), default=0.0, help="of the trim [m] (default: 0)")
-PATHS = option(
-    "--paths",
-    type=n_paths,
-    default=200,
-    help="aircraft of the posterior (default: 200)",
-)
-FULL = option(
-    "--full",
-    metavar="AXIS=X",
-    type=axis_value,
-    nargs="+",
-    default=[],
-    help="deflections [rad] at full output (default: of the aircraft file)",
-)
-# of every command
-JSON = option("--json", action="store_true", help="print JSON instead of text")
-
-
-def add_command(commands: Any, run: Callable, groups: Mapping[str, Sequence[Option]]) -> None:
-    """Add a command, whose help is the docstring of ``run``, with its options by groups."""
-    parser = commands.add_parser(
-        run.__name__,
-        description=getdoc(run),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
-    parser.set_defaults(run=run, parser=parser)
-    for title, options in {**groups, "every command": [JSON]}.items():
-        target = parser.add_argument_group(title) if title else parser
-        for names, keywords in options:
-            target.add_argument(*names, **keywords)
-
-
-def reading(options: argparse.Namespace, model: Mapping | None = None) -> dict:
-    """Return the keywords of ``skdgp.io.read_flight``; surfaces of logs in the unit of the model."""
-    airborne = {None: True, "all": False}.get(options.airborne, options.airborne)
-    servos = options.servos
-    if model is not None and servos is None:
-        servos = model.get("options", {}).get("servos")
-    return {"servos": servos, "airborne": airborne, "rename": dict(options.rename)}
-
 
 CLEAR = "\r\x1b[K"
 BAR = 10  # characters

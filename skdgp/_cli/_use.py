@@ -10,29 +10,10 @@ import numpy as np
 import pandas as pd
 from sklearn.utils import Bunch
 
-from skdgp._cli._shared import (
-    AIRCRAFT,
-    AIRSPEED,
-    ALTITUDE,
-    FLIGHT,
-    FULL,
-    LOG,
-    MODEL,
-    OUTPUT,
-    PATHS,
-    POSITIVE,
-    Commands,
-    Run,
-    axis_value,
-    changed,
-    number,
-    option,
-    reading,
-    table_file,
-)
+from skdgp._cli._options import Commands, reading
+from skdgp._cli._shared import Run
 from skdgp._compute.files import Writer, csv_writer, text_writer
 from skdgp._compute.messages import can_draw, listening, report, warn
-from skdgp._flight.excitation import AXES
 from skdgp._flight.findings import Code, Finding
 from skdgp.control import (
     Loop,
@@ -54,7 +35,7 @@ from skdgp.dynamics import (
     stability_derivatives,
     trim,
 )
-from skdgp.export import FORMATS, export_model, portable_model
+from skdgp.export import export_model, portable_model
 from skdgp.identification import (
     FlightMechanics,
     check_identified,
@@ -63,11 +44,6 @@ from skdgp.identification import (
     usable_flights_of_model,
 )
 
-PARAMETERS = option(
-    "--params",
-    help="parameters of the autopilot, for SERVOn_* (default: servos 1 to 4 are aileron, "
-    "elevator, throttle, rudder, 1100 to 1900 us)",
-)
 # Gusts [m/s] above which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C
 CALM_GUSTS = 0.5
 # Least height of gusts [m], which vanish at the ground
@@ -312,7 +288,8 @@ def export(run: Run) -> None:
 
     portable  model.npz: arrays and JSON, no code; examples/read_portable.py reads it with NumPy alone
     c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
-    jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives its full deflections
+    jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives deflections at a command of 1
+              (1 of controls in parts of their full throw), and thrust [N] without a propeller
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi
 
     All files are written into DIR, or none.
@@ -490,178 +467,17 @@ def _gusts_of(options: Any, model: Any) -> Turbulence | None:
 
 
 COMMANDS: Commands = {
-    predict: {
-        "": [
-            MODEL,
-            FLIGHT,
-            *LOG,
-            option(
-                "--include-noise",
-                action="store_true",
-                help="standard deviations of new measurements, not of the coefficients themselves",
-            ),
-            changed(OUTPUT, metavar="FILE", type=table_file, required=True, help="the table, .csv"),
-        ],
-    },
-    derivatives: {
-        "": [
-            MODEL,
-            AIRCRAFT,
-            ALTITUDE,
-            OUTPUT,
-            changed(AIRSPEED, nargs="+", help="of the trims [m/s]"),
-            changed(PATHS, help="of the posterior; 0: no standard deviations (default: 200)"),
-        ],
-    },
+    predict: {"": "model flights servos rename airborne include-noise table!"},
+    derivatives: {"": "model aircraft altitude output airspeeds! paths"},
     plan: {
-        "": [
-            MODEL,
-            AIRCRAFT,
-            changed(OUTPUT, required=True),
-            AIRSPEED,
-            option(
-                "--seconds",
-                type=POSITIVE,
-                required=True,
-                help="of all flights together",
-            ),
-            option("--axes", choices=AXES, nargs="+", required=True, help="controls to move"),
-            option(
-                "--goal",
-                nargs="+",
-                help="derivatives such as Cm_q Cn_rudder (default: all)",
-            ),
-            changed(ALTITUDE, default=None, help="[m] (default: the highest that was flown)"),
-            changed(
-                FULL, help="deflections [rad] at the ends of the servos' ranges, for the script"
-            ),
-        ],
-        "limits": [
-            option(
-                "--limits",
-                metavar="AXIS=X",
-                type=axis_value,
-                nargs="+",
-                default=[],
-                help="largest deviations from trim [rad] (default: as flown)",
-            ),
-            option(
-                "--growth",
-                type=number(0.0),
-                default=0.2,
-                help="part of its range by which a quantity may leave its range in training "
-                "(default: 0.2)",
-            ),
-        ],
+        "": "model aircraft output! airspeed! seconds! axes! goal flown-altitude full",
+        "limits": "limits growth",
     },
-    export: {
-        "": [
-            MODEL,
-            AIRCRAFT,
-            changed(OUTPUT, required=True),
-            option("--to", choices=list(FORMATS), required=True, help="the format"),
-            changed(
-                FULL,
-                help="of jsbsim: deflections [rad] at a command of 1 (default: of the aircraft "
-                "file, and 1 of controls in parts of their full throw), thrust [N] without a propeller",
-            ),
-        ],
-    },
+    export: {"": "model aircraft output! to! full"},
     margins: {
-        "": [
-            MODEL,
-            AIRCRAFT,
-            AIRSPEED,
-            ALTITUDE,
-            PATHS,
-            OUTPUT,
-            changed(
-                PARAMETERS,
-                required=True,
-                help="parameters of PX4 or ArduPilot Plane, as a ground station saves them",
-            ),
-            changed(
-                FULL,
-                required=True,
-                help="deflections [rad] with the servos at their ends (PX4: at an output of 1)",
-            ),
-            option(
-                "--delay",
-                type=number(0.0),
-                default=0.02,
-                help="of the commands before they are logged [s], from sampling and computing; the delay of the "
-                "servos and the hold of the commands, which the flights show, come on top (default: 0.02)",
-            ),
-            option(
-                "--slopes",
-                choices=["flown", "local"],
-                default="flown",
-                help="over the motion flown, or of small oscillations (default: flown)",
-            ),
-            option(
-                "--gain-margin",
-                type=POSITIVE,
-                default=6.0,
-                help="wanted (default: 6)",
-            ),
-            option(
-                "--phase-margin",
-                type=POSITIVE,
-                default=45.0,
-                help="wanted (default: 45)",
-            ),
-        ],
+        "": "model aircraft airspeed! altitude paths output params! full! delay slopes gain-margin phase-margin",
     },
     fly: {
-        "": [
-            MODEL,
-            AIRCRAFT,
-            AIRSPEED,
-            FULL,
-            OUTPUT,
-            PARAMETERS,
-            option(
-                "--path",
-                type=number(0, kind=int),
-                help="seed of one aircraft of the posterior, and of the gusts (default: the mean flies)",
-            ),
-            option(
-                "--height",
-                type=POSITIVE,
-                default=100.0,
-                help="of the start above the ground [m] (default: 100)",
-            ),
-            changed(ALTITUDE, help="of the ground [m] (default: 0)"),
-            option(
-                "--wind",
-                metavar=("NORTH", "EAST", "DOWN"),
-                type=number(),
-                nargs=3,
-                help="velocity of the air [m/s] (default: 0 0 0)",
-            ),
-            option(
-                "--gusts",
-                metavar="W|flown",
-                type=number(0.0, "flown"),
-                help="gusts as in this wind [m/s] 6 m above ground, or as in the training flights (default: calm)",
-            ),
-            option(
-                "--seconds",
-                type=POSITIVE,
-                help="of flight (default: until the autopilot is silent)",
-            ),
-            option(
-                "--wait",
-                type=POSITIVE,
-                default=60.0,
-                help="longest silence of the autopilot [s] (default: 60)",
-            ),
-            option(
-                "--port",
-                type=number(1, kind=int),
-                default=9002,
-                help="UDP port (default: 9002)",
-            ),
-        ],
+        "": "model aircraft airspeed! full output params path height altitude wind gusts seconds wait port",
     },
 }

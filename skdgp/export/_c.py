@@ -9,7 +9,6 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from sklearn.utils import gen_batches
 
 from skdgp._compute.files import text_writer, write_together
 from skdgp._compute.typing import Array
@@ -18,8 +17,6 @@ from skdgp.export._model import PortableModel, inertia_entries
 # Tolerances of the self-test, relative to the largest value; deviations are small differences of large sums
 TOLERANCE = 1e-9
 STD_TOLERANCE = 1e-5
-# Numbers in a line
-PER_LINE = 8
 # Arrays of the portable file that the source has, too
 SHARED = (
     "shift",
@@ -188,17 +185,8 @@ def _array(name: str, values: Any, kind: str = "") -> str:
         values = np.zeros((1, *values.shape[1:]))
     number = "double" if values.dtype.kind == "f" else "int"
     shape = "".join(f"[{n}]" for n in values.shape)
-    return f"{kind or f'static const {number}'} {name}{shape} = {_braces(values)};"
-
-
-def _braces(values: Array) -> str:
-    if values.ndim > 1:
-        lines = [_braces(row) for row in values]
-    else:
-        numbers = list(map(repr, values.tolist()))
-        batches = gen_batches(len(numbers), PER_LINE)
-        lines = [", ".join(numbers[batch]) for batch in batches]
-    return "{" + ",\n".join(lines) + "}"
+    numbers = str(values.tolist()).replace("[", "{").replace("]", "}").replace(", ", ",\n")
+    return f"{kind or f'static const {number}'} {name}{shape} = {numbers};"
 
 
 def _structs(declaration: str, rows: list[str]) -> str:

@@ -30,8 +30,6 @@ NO_PULSE = 500.0
 NOT_FLYING_ON_WINGS = (
     "multicopter", "helicopter", "rover", "boat", "submarine", "airship", "antenna tracker", "tailsitter",
 )  # fmt: skip
-# mean speed of an engine that runs, over that of the fastest; a guess
-LEAST_SPEED = 0.1
 
 
 @dataclass(frozen=True)
@@ -352,19 +350,6 @@ def turned(
 def _turned(convert: Callable[[Matrix], Matrix], rotation: Matrix, fields: Matrix) -> Matrix:
     """Return converted fields (n, 3) in other axes."""
     return convert(fields) @ rotation.T
-
-
-def fastest(speeds: Mapping[str, Vector]) -> tuple[str, ...]:
-    """Return the names of engines that run, by their speeds while no rotor lifts the aircraft.
-
-    A motor that only spins down after hover and transition is slower on average than `LEAST_SPEED`
-    times the fastest.
-    """
-    means = {}
-    for name, speed in speeds.items():
-        means[name] = np.abs(np.nan_to_num(speed)).sum() / max(len(speed), 1)
-    least = LEAST_SPEED * max(means.values(), default=0.0)
-    return tuple(name for name, mean in means.items() if mean > least)
 
 
 def scaling(factor: float) -> Callable[[Array], Array]:

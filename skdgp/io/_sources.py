@@ -37,7 +37,6 @@ from skdgp.io._log import (
     Rule,
     Topic,
     Use,
-    fastest,
     last_before,
     whole,
 )
@@ -48,6 +47,8 @@ LEAST_RATE = 5.0
 LEAST_RATIO = 1.5
 # of the clock, which follows the gyros [Hz]: rigid aircraft and surfaces move slower than 20 Hz
 HIGHEST_RATE = 50.0
+# mean speed of an engine that runs, over that of the fastest; a guess
+LEAST_SPEED = 0.1
 # corner of the smoothing of accelerations by velocities, in parts of the sampling rate
 VELOCITY_CUTOFF = 0.2
 # a reset of an estimator is a step beyond so many times what 95 % of the steps are; a guess
@@ -163,33 +164,37 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
 
     It is at the times of the first of these, and left out where one of them tells nothing, before its
     first message or after its last. Of speeds it is the root of the mean square, and empty where none
-    of several engines runs, or no speed is valid.
+    of several engines runs, or no speed is valid. A motor that only spins down after hover and transition is slower
+    on average than `LEAST_SPEED` times the fastest.
     """
     engines = {}
     for _, name, topic in instances:
         for field in rule.fields.split():
             if field in topic:
-                values = rule.convert(topic[field])
+                values = pd.Series(rule.convert(topic[field]), topic.time)
                 rows = is_valid(topic, rule) & np.isfinite(values)
-                engines[f"{name}.{field}"] = topic.time[rows], values[rows]
-    driving = {name: values[~log.lifts(time)] for name, (time, values) in engines.items()}
-    # the only one stands in a glide
-    names = fastest(driving) if len(engines) > 1 else tuple(engines)
-    are_commands = rule.columns == COMMANDS
-    if not engines or (are_commands and len(names) < rule.engines):
+                engines[f"{name}.{field}"] = values[rows]
+    if not engines:
         return None
-    time, values = engines[names[0]] if names else (NONE, NONE)
-    if not len(values):
+    table = pd.DataFrame(engines)
+    names = [*table]
+    if len(names) > 1:  # the only one stands in a glide
+        means = table[~log.lifts(table.index.to_numpy())].abs().mean()
+        names = [name for name in names if means[name] > LEAST_SPEED * means.max()]
+    are_commands = rule.columns == COMMANDS
+    if are_commands and len(names) < rule.engines:
+        return None
+    if table[names].empty:
         remark = f"{rule.topic}: no engine has valid speeds above zero"
-        return Source((rule.columns,), rule.topic, time, values[:, None], remark)
-    columns = [np.interp(time, *engines[name], left=np.nan, right=np.nan) for name in names]
-    kind, power = ("mean", 1) if are_commands else ("root mean square", 2)
-    mean = np.mean(np.power(columns, power), axis=0) ** (1 / power)
-    is_finite = np.isfinite(mean)
+        return Source((rule.columns,), rule.topic, NONE, NONE[:, None], remark)
+    power = 1 if are_commands else 2
+    known = table[names].interpolate("index", limit_area="inside").pow(power)
+    mean = known.mean(axis=1, skipna=False).pow(1 / power)
+    mean = mean[engines[names[0]].index].dropna()
     words = " and ".join(names[:3])
     if len(names) > 1:
-        words += f" ({kind} of {len(names)} engines)"
-    return Source((rule.columns,), words, time[is_finite], mean[is_finite, None])
+        words += f" ({'mean' if are_commands else 'root mean square'} of {len(names)} engines)"
+    return Source((rule.columns,), words, mean.index.to_numpy(), mean.to_numpy()[:, None])
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:

@@ -76,6 +76,8 @@ POSSIBLE = {
 # Constants of the search without another source are guesses.
 # Impossible values more frequent than this fraction are of another unit, which other checks name
 RARE = 0.05
+# Rows a second that show the fast modes
+SLOWEST = 8.0
 # Least number of samples to estimate the usual length of runs, and of leaps
 ENOUGH = 50
 NOT_MEASURED = (Code.STUCK, Code.IMPOSSIBLE, Code.SPIKE, Code.CLIPPED)
@@ -378,6 +380,13 @@ def usual_spacing(values: Vector) -> float:
     if sampled.size < 2:
         return 1.0
     return float(np.quantile(np.diff(sampled), 0.9))
+
+
+def slow_log(flights: FlightTable) -> list[Finding]:
+    """Return the finding of the slowest flight if its rows are too few to show the fast modes, else none."""
+    steps = [np.diff(flights.time[rows]) for rows in flights.clock.rows.values()]
+    longest = max((float(np.median(step)) for step in steps if len(step)), default=0.0)
+    return [Finding(Code.SLOW_LOG, rate=1 / longest)] if longest > 1 / SLOWEST else []
 
 
 def on_ground(flights: FlightTable) -> Mask:

@@ -27,7 +27,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.clock import n_rows
 from skdgp._flight.copies import without_copies
-from skdgp._flight.faults import FlightDataWarning, without_ground
+from skdgp._flight.faults import FlightDataWarning, slow_log, without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import (
@@ -45,7 +45,6 @@ from skdgp.io import FlightReadError, is_log, read_flight
 from skdgp.preprocessing import clean
 
 Flights = dict[str, FlightTable]
-SLOWEST = 8.0  # rows a second that show the fast modes; a guess
 # elevons may stand for elevator and aileron, and the other way round
 INTERCHANGEABLE = (*MIXED, *ELEVONS)
 # steps that an evaluation of a model reads
@@ -63,9 +62,8 @@ def train_and_test(
     that, of slow logs, and of copies.
     """
     train = named_flights(flights, needed=needed, **reading)
-    steps = [np.median(np.diff(flight.time)) for flight in train.values() if len(flight.time) > 1]
-    if max(steps, default=0.0) > 1 / SLOWEST:
-        report(Finding(Code.SLOW_LOG, rate=float(1 / max(steps))))
+    for finding in slow_log(FlightTable.together(train.values())):
+        report(finding)
     tested: Flights = {}
     if test is not None:
         tested = named_flights(test, default="test flight", needed=needed, **reading)

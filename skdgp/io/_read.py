@@ -18,7 +18,13 @@ from skdgp._compute.messages import report, warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.clock import LONGEST_STEP, flight_codes, runs_between, unrounded
-from skdgp._flight.faults import FlightDataWarning, find_faults, without_faults, without_ground
+from skdgp._flight.faults import (
+    FlightDataWarning,
+    find_faults,
+    slow_log,
+    without_faults,
+    without_ground,
+)
 from skdgp._flight.findings import Code, Finding, texts_of
 from skdgp._flight.physics import confirmed_channels, find_contradictions
 from skdgp._flight.tables import (
@@ -444,8 +450,9 @@ def _faults(table: pd.DataFrame, aircraft: Aircraft | None) -> list[str]:
 
     There is no contradiction if the clocks are too irregular to filter.
     """
-    found = find_faults(FlightTable.of(table))
-    faults = list(texts_of(fault.finding for fault in found))
+    flights = FlightTable.of(table)
+    found = find_faults(flights)
+    faults = list(texts_of([*slow_log(flights), *(fault.finding for fault in found)]))
     measured = FlightTable.of(without_faults(table, found))
     try:
         contradictions = find_contradictions(measured)

@@ -507,6 +507,13 @@ def test_flights_of_jsbsim_have_none(jsbsim_flight, jsbsim_maker, air):
     assert contradictions(vibrating(table)) == []
 
 
+@pytest.mark.parametrize("every", [10, 20, 40])
+def test_rows_that_miss_the_motion_between_them_accuse_no_channel(flights, every):
+    """At 2 Hz the trapezoidal rule loses half of a roll or pitch rate, even that of a sound gyro."""
+    for flight in flights.values():
+        assert contradictions(flight.iloc[::every].reset_index(drop=True)) == []
+
+
 def test_a_wrong_scale_beside_noise_and_a_turned_sign_beside_gaps_are_found(flight):
     assert channels_of(then(noisy, scale({"ax ay az": 1 / FOOT}))(flight)) & {*FORCES}
     assert channels_of(turn("v_down")(slow_gps(flight))) == {"v_down"}

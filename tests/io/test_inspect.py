@@ -82,6 +82,14 @@ class TestSummary:
         assert "(1700000004.02 to 1700000005.20 s, 60 samples)" in remark
         assert remark[:30] in str(summary)
 
+    def test_rows_too_slow_for_the_fast_modes(self, write):
+        """Those of telemetry; a recorder on board has more."""
+        for rate, n_remarks in ((4.0, 1), (20.0, 0)):
+            table = make_flight({"airspeed": (20, 1, 0.1)}, 100, 1 / rate)
+            remarks = inspect_log(write(table)).remarks
+            assert len(remarks) == n_remarks
+            assert all("only 4 rows a second" in remark for remark in remarks)
+
     def test_a_table_of_many_short_records(self, write):
         still = "alpha beta q r elevator aileron"
         record = make_flight({"airspeed": (5, 1, 0), "p": (0, 1, 0), still: (0.1, 0, 0)}, 150, 0.01)

@@ -79,8 +79,8 @@ class Law:
         return {*self.channels, *self.uses}
 
     def slopes(self, signals: Signals) -> dict[float, Slope]:
-        """Return the slopes by lag [s], where the rows determine them; empty where a channel is missing."""
-        if not self.needs <= signals.channels.keys():
+        """Return the slopes by lag [s], where the rows determine them; empty of slow rows and missing channels."""
+        if signals.rate < PHYSICS.slowest or not self.needs <= signals.channels.keys():
             return {}
         y, x, others = self.regression(signals)
         slopes: dict[float, Slope] = {}

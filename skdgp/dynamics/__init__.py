@@ -55,7 +55,6 @@ from skdgp.dynamics._rigid_body import rigid_body_derivative as rigid_body_deriv
 from skdgp.dynamics._rigid_body import rk4_step as rk4_step
 from skdgp.dynamics._rigid_body import thrust_control as thrust_control
 from skdgp.dynamics._servos import Servos
-from skdgp.dynamics._servos import limited_change as limited_change
 from skdgp.dynamics._servos import ramp_weights as ramp_weights
 from skdgp.dynamics._simulate import Simulator, simulate
 from skdgp.dynamics._sizes import KINDS as KINDS

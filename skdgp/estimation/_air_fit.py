@@ -25,7 +25,7 @@ from skdgp._compute.typing import Matrix, Vector
 from skdgp.estimation._air_linearization import RATE_STATES, Expansion, Layout
 from skdgp.estimation._air_noise import NoiseSearch
 from skdgp.estimation._air_parameters import WINDS, Parameters, Sums
-from skdgp.estimation._air_records import Record, n_samples
+from skdgp.estimation._air_records import Record, n_samples, shortened
 from skdgp.estimation._air_start import (
     add_airspeed,
     steady_derivatives,
@@ -78,7 +78,7 @@ class AirFit:
         noises: Parameters,
         settings: AirSettings,
     ) -> None:
-        self.records = records
+        self.all_records = records
         self.layout = layout
         self.parameters = parameters
         self.noise_search = NoiseSearch(noises, layout.aircraft.span)
@@ -94,8 +94,15 @@ class AirFit:
             self.x[parameters.places_of(flight, WINDS[:2])] = pitot[1:]
         if not self.is_known:
             self.x = steady_derivatives(records, layout, parameters, self.x)
-        # rates as measured, without gusts
+        # far from the solution a part of long flights is enough
+        few = settings.most_samples // 4
+        self._begin(shortened(records, few) if n_samples(records) > 2 * few else records)
+
+    def _begin(self, records: list[Record]) -> None:
+        """Set records, and their states: rates as measured, without gusts."""
         before = ((0, 0), (RATE_STATES.start, 0))
+        self.is_part = n_samples(records) < n_samples(self.all_records)
+        self.records = records
         self.states = [np.pad(record.rates, before) for record in records]
 
     @property
@@ -109,7 +116,8 @@ class AirFit:
         The first ``n_before`` passes use no instruments. Raise LinAlgError if the search diverges. It may
         end far below the likelihood of an earlier pass, as instruments are weak far from the solution,
         and their equations have other solutions there. Then parameters and noises are those of the
-        earlier pass, and the search did not converge.
+        earlier pass, and the search did not converge. The first passes of long flights are over a part of
+        their samples.
         """
         keep_freed_memory()
         last_step = np.zeros(len(self.x) - self.parameters.n_held)
@@ -147,10 +155,14 @@ class AirFit:
             is_small = sums.squared_length(step) < 0.5
             # squared length of the last step of the noises
             is_still = was_small and is_small and noise_length < 5.0
+            was_small = is_small
             converged = is_still and number > n_before
+            if self.is_part and (converged or number == max_passes // 6):
+                self._begin(self.all_records)
+                best = -np.inf, *best[1:]
+                converged = False
             if converged:
                 break
-            was_small = is_small
         # log likelihood for each sample that a solution may lie below the best pass: sound ones of simulated flights
         # lie up to 0.65 below, of a log 0.59, false ones 0.25 and 1.6
         lost = n_samples(self.records)

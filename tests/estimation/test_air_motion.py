@@ -316,6 +316,15 @@ def test_flights_that_are_shortened_to_learn_from_have_angles_throughout():
     assert np.isfinite(out["alpha"]).all()
 
 
+def test_a_search_that_begins_with_a_part_of_the_flight_ends_where_others_end():
+    flight = in_gusts()
+    begun_with_a_part = flight.estimate(settings=AirSettings(most_samples=len(flight.table)))
+    value, std, *_ = flight.recovered(begun_with_a_part)
+    usual, *_ = flight.compared(found_in_gusts())
+    assert np.mean(((value - usual) / std) ** 2) < 0.5**2
+    assert np.isfinite(begun_with_a_part.air["alpha"]).all()
+
+
 def test_slopes_of_a_model_are_the_derivatives_with_their_covariance():
     found = found_in_gusts()
     value, errors = found.slopes(["CX", "Cm"], ["alpha", "q_hat", "throttle"])

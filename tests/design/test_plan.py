@@ -18,7 +18,6 @@ from sklearn.preprocessing import StandardScaler
 from skdgp import DependentGPRegressor
 from skdgp.design import Envelope, plan
 from skdgp.dynamics import (
-    Air,
     linearize,
     simulate,
     stability_derivatives,
@@ -132,17 +131,8 @@ def test_the_figure_shows_each_manoeuvre_at_its_time(planned):
 
 
 @pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
-def test_aircraft_of_the_posterior_stay_inside_in_calm_air(planned, table, model, uav):
-    assert (planned.manoeuvres["scale"] < 1).any()  # alpha was the limit
-    paths = simulate(
-        model, uav, planned.trim, table, 0.04, n_paths=200, random_state=7, air=Air(gusts=None)
-    )
-    is_inside = paths["alpha"].between(*ALPHA) & (paths["ended"] == "")
-    assert is_inside.groupby(paths["path"]).all().mean() >= 0.95
-
-
-@pytest.mark.filterwarnings("ignore::skdgp.dynamics.SimulationWarning")
 def test_an_aircraft_that_responds_more_within_the_margin_stays_inside(planned, table, glider):
+    assert (planned.manoeuvres["scale"] < 1).any()  # alpha was the limit
     stronger = glider.slopes.copy()
     stronger[:, 5] *= 1.0 + LIMITED.margin
     at_trim = (stronger - glider.slopes)[:, 5] * planned.trim.controls["elevator"]

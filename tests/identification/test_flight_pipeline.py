@@ -38,7 +38,7 @@ def flights(first_minute):
 
 @pytest.fixture(scope="module")
 def model(flights, cut_short):
-    train = flights.train.groupby("flight", observed=True).head(600).reset_index(drop=True)
+    train = flights.train.groupby("flight", observed=True).head(400).reset_index(drop=True)
     targets = thin_targets(aerodynamic_coefficients(train, flights.aircraft), 60)
     pipeline = make_identification_pipeline(
         flights.aircraft, regressor=DependentGPRegressor(**QUICK)
@@ -49,9 +49,9 @@ def model(flights, cut_short):
 
 @pytest.fixture(scope="module")
 def few(flights):
-    """Return a few seconds of each flight, and their coefficients."""
+    """Return a few seconds of each flight, and some of their coefficients."""
     rows = flights.train.groupby("flight", observed=True).head(300).reset_index(drop=True)
-    return rows, aerodynamic_coefficients(rows, flights.aircraft)
+    return rows, thin_targets(aerodynamic_coefficients(rows, flights.aircraft), 100)
 
 
 @pytest.fixture(scope="module")

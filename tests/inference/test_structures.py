@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from made_outputs import SHIFTS, noisy_copies, translated
+from made_outputs import SHIFTS, translated
 from numpy.random import default_rng
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import SearchOptions, search, structure_weights
@@ -49,20 +47,6 @@ def test_outputs_that_are_not_translated_have_no_shift():
     F = np.column_stack([np.sin(2 * X[:, 0]), -2.0 * np.sin(2 * X[:, 0])])
     model = DependentGPRegressor(random_state=0).fit(X, F + 0.1 * rng.normal(size=F.shape))
     assert not process_of(model).value("shift").any()
-
-
-@pytest.mark.slow
-def test_noisy_copies_learn_from_the_exact_one():
-    """Widths that copies share make the others as exact."""
-    X, Y, points, truth = noisy_copies(default_rng(2))
-    model = DependentGPRegressor(random_state=0).fit(X, Y)
-    alone = []
-    for y in Y.T:
-        kernel = ConstantKernel() * RBF(np.ones(3)) + WhiteKernel()
-        gp = GaussianProcessRegressor(kernel, normalize_y=True, random_state=0)
-        alone.append(gp.fit(X, y).predict(points))
-    joint = error_over_spread(model.predict(points), truth)
-    assert joint < 0.7 * error_over_spread(np.column_stack(alone), truth)
 
 
 def test_a_kernel_is_at_least_as_likely_as_one_that_it_contains():

@@ -59,17 +59,6 @@ class TestDamage:
         assert times(log) == list(range(1, 5000))
         assert log.remarks == SKIPPED
 
-    def test_a_wrong_length_costs_what_stands_before_the_next_mark(self, read, ticks, ulog):
-        """PX4 writes marks for this case all along the file."""
-        mark = ulog.message("S", bytes.fromhex("2f731320250cbb12"))
-        parts = ticks(*range(1, 5004)).parts()
-        head, data = parts[:-5003], parts[-5003:]
-        data[2] = b"\xff\x04D" + data[2][3:]
-        marked = [mark + b"".join(data[k : k + 100]) for k in range(103, 5003, 100)]
-        log = read(*head, *data[:103], *marked)
-        assert times(log) == [1, 2, *range(104, 5004)]
-        assert log.remarks == SKIPPED
-
     def test_cut_off_anywhere(self, parse, ticks):
         log = ticks(1, 2, 3, 4)
         whole = bytes(log)
@@ -92,10 +81,6 @@ class TestDamage:
     def test_messages_of_no_topic(self, read, ticks, ulog):
         datum = ulog.message("D", struct.pack("<HQ", 9, 3))
         assert read(*ticks(1, 2).parts(), datum).remarks == SKIPPED
-
-    def test_messages_out_of_order_stay_in_the_order_of_the_file(self, read, ticks):
-        *head, first, second, third = ticks(1, 2, 3).parts()
-        assert times(read(*head, third, first, second)) == [3, 1, 2]
 
 
 def with_bad(log, text):

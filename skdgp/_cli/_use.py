@@ -18,7 +18,6 @@ from skdgp._flight.findings import Code, Finding
 from skdgp.control import (
     Loop,
     autopilot_loops,
-    full_outputs,
     read_parameters,
     suggest_gains,
 )
@@ -411,8 +410,6 @@ def fly(run: Run) -> None:
     parameters = read_parameters(options.params) if options.params else None
     model = read_model_to_fly(options)
     warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
-    given = {**(model.aircraft.full_deflections or {}), **dict(options.full)}
-    full = full_outputs(model.pipeline, model.aircraft, given, model.pipeline.thrust)
     gusts = _gusts_of(options, model)
     steady = trimmed(model, options.airspeed, options.altitude + options.height)
 
@@ -424,7 +421,7 @@ def fly(run: Run) -> None:
         model.pipeline,
         model.aircraft,
         steady,
-        full,
+        dict(options.full),
         parameters=parameters,
         height=options.height,
         path=options.path,

@@ -137,7 +137,7 @@ def full_outputs(
     full: Mapping[str, float],
     thrust: str | None = "auto",
 ) -> dict[str, float]:
-    """Return the values at full output of the controls that an autopilot moves; a throttle is 1 if not given.
+    """Return the values at full output of the controls that an autopilot moves, by default of the aircraft and 1.
 
     Raises ValueError if a value is missing, of another control, or no number > 0.
     """
@@ -145,9 +145,12 @@ def full_outputs(
     controls = {*Motion(model, aircraft, thrust=thrust).controls, engine}
     moved = (*RAISED, engine or "throttle")
     known = [name for name in moved if name in controls]
-    if engine in (None, "throttle"):
-        full = {"throttle": 1.0, **full}
-    full = check_full_deflections(full, dict.fromkeys([*known, "throttle"]))
+    defaults = {"throttle": 1.0} if engine in (None, "throttle") else {}
+    full = (
+        defaults
+        | (aircraft.full_deflections or {})
+        | check_full_deflections(full, [*known, "throttle"])
+    )
     lacking = [name for name in known if name not in full]
     if lacking:
         raise ValueError(
@@ -250,7 +253,8 @@ def fly(
         Its altitude [m] is that of the start.
     full : mapping of str to float
         Values with the servos at their ends: deflections [rad] of aileron, elevator and rudder, in the unit of the
-        control; ``thrust`` [N] or ``propeller_speed`` [rad/s] where that sets the thrust. Pulses of elevons and
+        control, by default those of the aircraft; ``thrust`` [N] or ``propeller_speed`` [rad/s] where that sets the
+        thrust. Pulses of elevons and
         V-tails contain ArduPilot's MIXING_GAIN.
     parameters : mapping of str to float, optional
         ``SERVOn_FUNCTION``, ``_MIN``, ``_TRIM``, ``_MAX``, ``_REVERSED`` of the autopilot, see

@@ -57,8 +57,8 @@ JUMP = 4.0
 COMMANDS = "throttle"
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
-# a source that ends so much behind it [s] has late time stamps, as a log ends for all; a guess
-LATEST_END = 5.0
+# a source that ends so much behind it [s] has late time stamps, as a log ends for all: in three logs 0.02 s at most
+LATEST_END = 0.5
 
 
 # field that says whether ArduPilot uses a sensor whose parameter says that it may (2)

@@ -1,4 +1,4 @@
-"""Servos of ArduPilot: what an output moves, by the number of SERVOn_FUNCTION (SRV_Channel.h)."""
+"""Servos of ArduPilot: what an output moves, by the number of SERVOn_FUNCTION (SRV_Channel.h), and how it is mixed."""
 
 from __future__ import annotations
 
@@ -44,3 +44,39 @@ class ServoFunction(IntEnum):
     VTAIL_LEFT = 79
     VTAIL_RIGHT = 80
     AIRBRAKE = 110
+
+
+# Functions whose command, up or right, turns a surface against the sign of a flight table
+TURNED = (
+    ServoFunction.ELEVATOR,
+    ServoFunction.RUDDER,
+    ServoFunction.ELEVON_LEFT,
+    ServoFunction.ELEVON_RIGHT,
+    ServoFunction.VTAIL_LEFT,
+    ServoFunction.VTAIL_RIGHT,
+)
+# Weights of the outputs of servos in a control (ArduPlane/servos.cpp): left = pitch - roll, right = pitch + roll of
+# elevons; left = pitch + yaw, right = pitch - yaw of V-tails; left = roll + flap, right = roll - flap of flaperons
+WEIGHTS: dict[str, dict[int, float]] = {
+    "aileron": {
+        ServoFunction.AILERON: 1.0,
+        ServoFunction.ELEVON_LEFT: -0.5,
+        ServoFunction.ELEVON_RIGHT: 0.5,
+        ServoFunction.FLAPERON_LEFT: 0.5,
+        ServoFunction.FLAPERON_RIGHT: 0.5,
+    },
+    "elevator": {
+        ServoFunction.ELEVATOR: 1.0,
+        ServoFunction.ELEVON_LEFT: 0.5,
+        ServoFunction.ELEVON_RIGHT: 0.5,
+        ServoFunction.VTAIL_LEFT: 0.5,
+        ServoFunction.VTAIL_RIGHT: 0.5,
+    },
+    "rudder": {
+        ServoFunction.RUDDER: 1.0,
+        ServoFunction.VTAIL_LEFT: 0.5,
+        ServoFunction.VTAIL_RIGHT: -0.5,
+    },
+    "flap": {ServoFunction.FLAPERON_LEFT: 0.5, ServoFunction.FLAPERON_RIGHT: -0.5},
+    "throttle": {ServoFunction.THROTTLE: 1.0},
+}

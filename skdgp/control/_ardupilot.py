@@ -26,10 +26,10 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, standard_density
-from skdgp._flight.servo_functions import ServoRange
+from skdgp._flight.servo_functions import WEIGHTS, ServoRange
 from skdgp._flight.tables import check_full_deflections, check_number
 from skdgp.control._margins import effect_of
-from skdgp.control._parameters import WEIGHTS, servo_functions
+from skdgp.control._parameters import servo_functions
 from skdgp.dynamics import (
     ATTITUDE,
     REASONS,

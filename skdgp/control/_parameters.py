@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from skdgp._compute.messages import warn
-from skdgp._flight.servo_functions import ServoFunction
+from skdgp._flight.servo_functions import WEIGHTS, ServoFunction
 from skdgp._flight.tables import as_floats, check_full_deflections
 from skdgp.control._loops import GAINS, LOOP_AXES, Loop, LowPass, Notch
 
@@ -68,30 +68,6 @@ OF_ARDUPILOT = ("RLL_RATE_", "PTCH_RATE_")
 WITHOUT_EFFECT = re.compile(
     r".*_(IMAX|RMAX|RMAX_UP|RMAX_DN|RMX)|PTCH2SRV_RLL|IMU_GYRO_(RATEMAX|CAL_EN|FFT_.*|DNF_(BW|HMC|MIN))"
 )
-# Weights of the outputs of servos in a control: elevons and V-tails are mixed by the autopilot,
-# left = pitch - roll, right = pitch + roll; left = pitch + yaw, right = pitch - yaw
-WEIGHTS = {
-    "aileron": {
-        ServoFunction.AILERON: 1.0,
-        ServoFunction.ELEVON_LEFT: -0.5,
-        ServoFunction.ELEVON_RIGHT: 0.5,
-        ServoFunction.FLAPERON_LEFT: 0.5,
-        ServoFunction.FLAPERON_RIGHT: 0.5,
-    },
-    "elevator": {
-        ServoFunction.ELEVATOR: 1.0,
-        ServoFunction.ELEVON_LEFT: 0.5,
-        ServoFunction.ELEVON_RIGHT: 0.5,
-        ServoFunction.VTAIL_LEFT: 0.5,
-        ServoFunction.VTAIL_RIGHT: 0.5,
-    },
-    "rudder": {
-        ServoFunction.RUDDER: 1.0,
-        ServoFunction.VTAIL_LEFT: 0.5,
-        ServoFunction.VTAIL_RIGHT: -0.5,
-    },
-    "throttle": {ServoFunction.THROTTLE: 1.0},
-}
 # Servos that the autopilot mixes, with MIXING_GAIN
 MIXED = {
     *(ServoFunction.ELEVON_LEFT, ServoFunction.ELEVON_RIGHT),

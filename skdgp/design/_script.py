@@ -11,23 +11,22 @@ import numpy as np
 import pandas as pd
 
 from skdgp._flight.excitation import ROUNDING, Steps, Wavetrain
-from skdgp._flight.servo_functions import ServoFunction
+from skdgp._flight.servo_functions import TURNED, ServoFunction
 from skdgp._flight.tables import check_full_deflections, check_number
 
 SCRIPT = Path(__file__).with_name("replay.lua")
 
 
-# ArduPilot's functions of servos, and the sign of a command that moves the control as in docs/notation.md: positive
-# commands raise the nose, roll and yaw right, move elevons and halves of a V-tail up
+# ArduPilot's functions of servos
 ARDUPILOT = {
-    "elevator": (ServoFunction.ELEVATOR, -1.0),
-    "aileron": (ServoFunction.AILERON, 1.0),
-    "rudder": (ServoFunction.RUDDER, -1.0),
-    "throttle": (ServoFunction.THROTTLE, 1.0),
-    "elevon_left": (ServoFunction.ELEVON_LEFT, -1.0),
-    "elevon_right": (ServoFunction.ELEVON_RIGHT, -1.0),
-    "vtail_left": (ServoFunction.VTAIL_LEFT, -1.0),
-    "vtail_right": (ServoFunction.VTAIL_RIGHT, -1.0),
+    "elevator": ServoFunction.ELEVATOR,
+    "aileron": ServoFunction.AILERON,
+    "rudder": ServoFunction.RUDDER,
+    "throttle": ServoFunction.THROTTLE,
+    "elevon_left": ServoFunction.ELEVON_LEFT,
+    "elevon_right": ServoFunction.ELEVON_RIGHT,
+    "vtail_left": ServoFunction.VTAIL_LEFT,
+    "vtail_right": ServoFunction.VTAIL_RIGHT,
 }
 # Surfaces that several axes move
 MIXES = {
@@ -150,12 +149,12 @@ def _surface(
     name: str, full: float, mix: Mapping[str, float], axes: Iterable[str]
 ) -> dict[str, Any]:
     """Return the commands of a surface for the script."""
-    function, sign = ARDUPILOT[name]
+    function = ARDUPILOT[name]
     is_throttle = name == "throttle"
     return {
         "name": name,
         "servo": function,
-        "full": sign * full,
+        "full": -full if function in TURNED else full,
         "range": is_throttle,  # from 0 to 1, not from -1 to 1
         "scale": 100.0 if is_throttle else 4500.0,  # percent, centidegrees of a range of 45 degrees
         "parts": [mix.get(axis, 0.0) for axis in axes],

@@ -19,7 +19,7 @@ import numpy as np
 from skdgp._compute.typing import Matrix
 from skdgp._flight.channels import HIGH_LIFT
 from skdgp._flight.frames import euler_to_matrix, euler_to_quaternion
-from skdgp._flight.servo_functions import ServoFunction, ServoRange
+from skdgp._flight.servo_functions import TURNED, WEIGHTS, ServoFunction, ServoRange
 from skdgp.io._log import (
     DOWN,
     EQUIVALENT,
@@ -154,13 +154,6 @@ SURFACES: dict[int, str] = {
     ServoFunction.AUTOMATIC_FLAP: "flap",
     ServoFunction.AIRBRAKE: "spoiler",
 }
-# functions whose command turns a surface against our sign
-TURNED = (
-    ServoFunction.ELEVATOR,
-    ServoFunction.RUDDER,
-    ServoFunction.ELEVON_LEFT,
-    ServoFunction.ELEVON_RIGHT,
-)
 NAMING = "the parameters SERVOn_FUNCTION"
 # that are logged
 MOST_SERVOS = 16
@@ -171,14 +164,13 @@ TWIN = (ServoFunction.THROTTLE_LEFT, ServoFunction.THROTTLE_RIGHT)
 LIFT_MOTORS = (*range(33, 41), *range(82, 86), *range(160, 180))
 # angles [rad] of the vehicle against the board: roll, pitch, heading
 TRIM = ("AHRS_TRIM_X", "AHRS_TRIM_Y", "AHRS_TRIM_Z")
-# Weights of mixed servos, left and right (ArduPlane/servos.cpp). Flaperons: aileron + flap, aileron - flap. V-tails:
-# elevator + rudder, elevator - rudder of commands that go up and right
-MIXES: dict[str, dict[int, float]] = {
-    "aileron": {ServoFunction.FLAPERON_LEFT: 0.5, ServoFunction.FLAPERON_RIGHT: 0.5},
-    "flap": {ServoFunction.FLAPERON_LEFT: 0.5, ServoFunction.FLAPERON_RIGHT: -0.5},
-    "elevator": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: -0.5},
-    "rudder": {ServoFunction.VTAIL_LEFT: -0.5, ServoFunction.VTAIL_RIGHT: 0.5},
-}
+# mixed to one control each; elevons are surfaces of their own
+MIXED = (
+    ServoFunction.FLAPERON_LEFT,
+    ServoFunction.FLAPERON_RIGHT,
+    ServoFunction.VTAIL_LEFT,
+    ServoFunction.VTAIL_RIGHT,
+)
 # functions of differential spoilers, which are not read
 SPOILERS = {16, 17, 86, 87}
 # numbers of the modes QSTABILIZE to QACRO and LOITER_ALT_QLAND, in which rotors lift a VTOL (ArduPlane/mode.h)
@@ -420,9 +412,10 @@ def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> 
     controls: dict[str, Control] = {}
     for function in sorted(servos.keys() & SURFACES):
         controls[SURFACES[function]] = (servos[function],)
-    for control, weights in MIXES.items():
-        if weights.keys() <= servos.keys():
-            controls[control] = tuple(servos[key].times(weight) for key, weight in weights.items())
+    for control, weights in WEIGHTS.items():
+        mixed = {key: weight for key, weight in weights.items() if key in MIXED}
+        if mixed and mixed.keys() <= servos.keys():
+            controls[control] = tuple(servos[key].times(weight) for key, weight in mixed.items())
     commands = {}
     if servos.keys() >= {*TWIN}:
         left, right = (servos[function] for function in TWIN)

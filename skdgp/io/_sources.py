@@ -108,7 +108,7 @@ class Candidate(NamedTuple):
         topic = self.instance.topic
         seconds = self.valid.mean() * np.ptp(topic.time)
         moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
-        confidence = np.nan_to_num(topic.fields.get(CONFIDENCE, NONE)).sum()
+        confidence = np.clip(np.nan_to_num(topic.fields.get(CONFIDENCE, NONE)), 0.0, 1.0).sum()
         return int(self.used.sum()), round(seconds), bool(moves), float(confidence)
 
 

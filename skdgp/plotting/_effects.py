@@ -67,19 +67,14 @@ class EffectsDisplay(Display):
 
     @property
     def keys(self) -> list[tuple[str, str]]:
-        """Output and regressor."""
-        return [(output, name) for output in self.outputs for name in self._largest(output)]
+        """Outputs, and for each the regressors along which it changes most."""
+        changes = pd.DataFrame(np.ptp(self.mean, axis=1), list(self.values), self.outputs)
+        return [(name, k) for name in self.outputs for k in changes[name].nlargest(SHOWN).index]
 
     @property
     def n_columns(self) -> int:
         """A row for each output."""
         return len(self.keys) // len(self.outputs)
-
-    def _largest(self, output: str) -> list[str]:
-        """Return the regressors along which an output changes most."""
-        k = self.outputs.index(output)
-        changes = pd.Series(np.ptp(self.mean[:, :, k], axis=1), index=self.values.columns)
-        return list(changes.nlargest(SHOWN).index)
 
     def draw(self, ax: Any, key: tuple[str, str]) -> None:
         """Draw the slice of an output along a regressor."""
@@ -132,15 +127,13 @@ class EffectsDisplay(Display):
         point.update(pd.Series(dict(at or {}), dtype=float))
         low, high = X.quantile(RANGE[0]), X.quantile(RANGE[1])
         values = pd.DataFrame(np.linspace(low, high, POINTS), columns=X.columns)
-        slices = []
-        for name in X.columns:
-            along = pd.DataFrame([point] * POINTS, values.index)
-            along[name] = values[name]
-            slices.append(along)
-        points = pd.concat(slices, ignore_index=True)
+        d = X.shape[1]
+        slices = np.tile(point, (d, POINTS, 1))
+        slices[range(d), :, range(d)] = values.T
+        points = pd.DataFrame(slices.reshape(-1, d), columns=X.columns)
         # the regressors of a slice are exact
         predicted = estimator.predict(points, return_std=True, include_input_noise=False)
-        mean, std = np.reshape(predicted, (2, len(slices), POINTS, -1))
+        mean, std = np.reshape(predicted, (2, d, POINTS, -1))
         outputs = tuple(regressor.output_names_)
         display = cls(outputs=outputs, samples=X, at=point, values=values, mean=mean, std=std)
         return display.plot(ax)

@@ -18,6 +18,7 @@ from skdgp._flight.findings import Code, Finding
 from skdgp.control import (
     Loop,
     autopilot_loops,
+    full_outputs,
     read_parameters,
     suggest_gains,
 )
@@ -410,6 +411,8 @@ def fly(run: Run) -> None:
     parameters = read_parameters(options.params) if options.params else None
     model = read_model_to_fly(options)
     warn_unfit(model, "simulate", "Its flights are unlike those of the aircraft.")
+    thrust = model.pipeline.thrust
+    full = full_outputs(model.pipeline, model.aircraft, dict(options.full), thrust)
     gusts = _gusts_of(options, model)
     steady = trimmed(model, options.airspeed, options.altitude + options.height)
 
@@ -421,13 +424,13 @@ def fly(run: Run) -> None:
         model.pipeline,
         model.aircraft,
         steady,
-        dict(options.full),
+        full,
         parameters=parameters,
         height=options.height,
         path=options.path,
         wind=options.wind,
         gusts=gusts,
-        thrust=model.pipeline.thrust,
+        thrust=thrust,
         port=options.port,
         wait=options.wait,
         seconds=options.seconds or np.inf,

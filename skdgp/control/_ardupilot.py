@@ -146,11 +146,8 @@ def full_outputs(
     moved = (*RAISED, engine or "throttle")
     known = [name for name in moved if name in controls]
     defaults = {"throttle": 1.0} if engine in (None, "throttle") else {}
-    full = (
-        defaults
-        | (aircraft.full_deflections or {})
-        | check_full_deflections(full, [*known, "throttle"])
-    )
+    given = check_full_deflections(full, [*known, "throttle"])
+    full = {**defaults, **(aircraft.full_deflections or {}), **given}
     lacking = [name for name in known if name not in full]
     if lacking:
         raise ValueError(

@@ -38,7 +38,7 @@ AFTER_THE_MODEL = {
     "design": "_compute _flight dynamics preprocessing plotting",
     "control": "_compute _flight dynamics",
     "export": "_compute _flight dynamics io kernels inference _regressor",
-    "_cli": "_compute _flight dynamics io datasets _regressor report identification export design control",
+    "_cli": "_compute _flight dynamics io datasets _regressor report identification export design control plotting",
 }
 ROOT_MODULES = {
     "__main__": "_cli",

@@ -43,6 +43,8 @@ from skdgp.identification import (
     named_flights,
     usable_flights_of_model,
 )
+from skdgp.plotting import units_shown
+from skdgp.report import derivative_table, mode_table, steady_flight
 
 # Gusts [m/s] above which derivatives by rates lose notably: two thirds of light turbulence of MIL-F-8785C
 CALM_GUSTS = 0.5
@@ -124,7 +126,7 @@ def derivatives(run: Run) -> None:
     """Print stability and control derivatives and modes of the model, in level flight at each airspeed.
 
     CL_alpha, Cm_q, Cn_rudder ..., rates non-dimensional: pb/2V, qc/2V, rb/2V; each with its
-    standard deviation, whose parts are in derivatives.csv. With -o writes derivatives.csv,
+    standard deviation. All, and the parts of their deviations, are in derivatives.csv. With -o writes derivatives.csv,
     modes.csv and derivatives.json into DIR, all or none.
 
     For example:
@@ -152,8 +154,10 @@ def derivatives(run: Run) -> None:
         "derivatives.csv": csv_writer(_joined(airspeeds, slopes, "derivative")),
         "modes.csv": csv_writer(_joined(airspeeds, [point.modes for point in points], "mode")),
     }
-    text = "\n\n".join(map(_derivatives_text, points))
-    run.finish([text, ""], {"points": points}, files, "derivatives.json")
+    with units_shown(model.pipeline.control_units or {}):
+        text = "\n\n".join(map(_derivatives_text, points))
+    lines = [text, "", "± one standard deviation; ▼: the 95 % band holds both signs", ""]
+    run.finish(lines, {"points": points}, files, "derivatives.json")
 
 
 def _joined(airspeeds: list[float], tables: list[Any], name: str) -> pd.DataFrame:
@@ -169,28 +173,14 @@ def trimmed(model: Bunch, airspeed: float, altitude: float) -> Trim:
     return trim(model.pipeline, model.aircraft, airspeed, **given)
 
 
-def _derivatives_text(mechanics: FlightMechanics) -> str:
-    """Return trim, derivatives with their standard deviations, and modes."""
-    point: Any = mechanics.trim
-    modes: Any = mechanics.modes
-    table = mechanics.derivatives.replace({"regressor": {"": "at trim"}})
-    cells = table["value"].map("{:z.4f}".format)
-    if "std" in table:
-        cells += table["std"].map(" +- {:.2g}".format)
-    wide = cells.set_axis([table["regressor"], table["coefficient"]]).unstack(sort=False)
-    controls = "".join(f", {name} {value:.4g}" for name, value in point.controls.items())
-    return "\n".join(
-        [
-            f"{point.airspeed:g} m/s at {point.altitude:.4g} m, in air of {point.density:.4g} kg/m^3: "
-            f"alpha {np.rad2deg(point.alpha):.3g} deg{controls}",
-            "values, +- one standard deviation",
-            "",
-            wide.rename_axis(index=None, columns=None).to_string(),
-            "",
-            "modes, in rad/s and s",
-            _table(modes.drop(columns="eigenvalue")),
-        ]
-    )
+def _derivatives_text(mechanics: Any) -> str:
+    """Return trim, derivatives and modes as the report shows them."""
+    tables = [
+        pd.DataFrame({"": steady_flight(mechanics.trim)}),
+        derivative_table(mechanics.derivatives),
+        mode_table(mechanics.modes),
+    ]
+    return "\n\n".join(table.to_string(na_rep="") for table in tables)
 
 
 def plan(run: Run) -> None:

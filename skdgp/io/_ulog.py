@@ -9,9 +9,10 @@ import io
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from skdgp._compute.messages import extra
 from skdgp._compute.typing import Vector
@@ -175,6 +176,7 @@ MOST_SURFACES = 8  # of control allocation
 MOST_IMUS = 4
 # Parameters of the position of the IMUs, the same for all (ekf2_params)
 IMU_POSITIONS = ("EKF2_IMU_POS",) * MOST_IMUS
+SURFACE_PARAMETERS = ("TYPE", "FLAP", "TRQ_R", "TRQ_P", "TRQ_Y")
 # CA_SV_CSn_TYPE of surfaces that turn the aircraft:
 # ailerons, elevator, rudder, elevons, V-tail; custom, A-tail, a single servo of both ailerons. No
 # flaps, airbrakes, wheels, spoilers (ActuatorEffectivenessControlSurfaces.hpp).
@@ -314,58 +316,48 @@ def _vehicle(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> st
     return "tailsitter" if is_tailsitter else vehicle
 
 
-Surfaces: TypeAlias = dict[int, dict[str, float]]
-"""The parameters CA_SV_CSn_ of surfaces of control allocation, by the number n of their output."""
+def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> pd.DataFrame:
+    """Return the surfaces of control allocation whose outputs are logged: their parameters CA_SV_CSn_, zero if absent.
 
-
-def _surfaces(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> Surfaces:
-    """Return the surfaces of control allocation whose outputs are logged."""
+    A row for each, by the number n of its output.
+    """
     outputs = topics.get("actuator_servos", NOTHING)
     count = whole(parameters.get("CA_SV_CS_COUNT", MOST_SURFACES))
-    surfaces = {}
-    for n in range(min(count, MOST_SURFACES)):
-        if f"control[{n}]" in outputs:
-            prefix = f"CA_SV_CS{n}_"
-            surfaces[n] = {
-                name.removeprefix(prefix): value
-                for name, value in parameters.items()
-                if name.startswith(prefix)
-            }
+    logged = [n for n in range(min(count, MOST_SURFACES)) if f"control[{n}]" in outputs]
+    surfaces = pd.DataFrame(index=logged, columns=SURFACE_PARAMETERS, dtype=float)
+    for name in surfaces:
+        surfaces[name] = [parameters.get(f"CA_SV_CS{n}_{name}", 0.0) for n in logged]
     return surfaces
 
 
-def _servo(number: int, inputs: tuple[float, ...], throws: tuple[float, ...]) -> Servo:
+def _servo(number: Any, inputs: tuple[float, ...], throws: tuple[float, ...]) -> Servo:
     """Return the servo of a surface with deflections at some values of its output."""
     return Servo(f"actuator_servos.control[{number}]", inputs, throws)
 
 
-def _mixed_controls(surfaces: Surfaces) -> dict[str, Control]:
+def _mixed_controls(surfaces: pd.DataFrame) -> dict[str, Control]:
     """Return the controls that several surfaces share, weighted by their torques about axes, with a sign."""
     controls: dict[str, Control] = {}
+    mixed = surfaces[surfaces["TYPE"].isin(MIXED_TYPES)]
     for control, (axis, sign) in TORQUES.items():
-        torques = {}
-        for number, surface in surfaces.items():
-            if whole(surface.get("TYPE", 0.0)) in MIXED_TYPES and surface.get(axis):
-                torques[number] = sign * surface[axis]
-        total = np.abs([*torques.values()]).sum()
+        torques = sign * mixed[axis][mixed[axis] != 0.0]
+        total = torques.abs().sum()
         if 0 < total < np.inf:
-            controls[control] = tuple(
-                _servo(number, UP, UP).times(torque / total) for number, torque in torques.items()
-            )
+            weights = (torques / total).items()
+            controls[control] = tuple(_servo(n, UP, UP).times(weight) for n, weight in weights)
     return controls
 
 
-def _flaps(surfaces: Surfaces) -> dict[str, Control]:
+def _flaps(surfaces: pd.DataFrame) -> dict[str, Control]:
     """Return the mean f of the flaps, 0 to 1, whose outputs are (2 f - 1) CA_SV_CSn_FLAP.
 
     See ActuatorEffectivenessControlSurfaces.cpp; versions without the parameter have none.
     """
+    scales = surfaces["FLAP"][surfaces["TYPE"].isin(FLAPS) & (surfaces["FLAP"] != 0.0)]
     servos = []
-    for number, surface in surfaces.items():
-        scale = surface.get("FLAP")
-        if whole(surface.get("TYPE", 0.0)) in FLAPS and scale:
-            throws = OPENING if scale > 0 else OPENING[::-1]
-            servos.append(_servo(number, (-abs(scale), abs(scale)), throws))
+    for number, scale in scales.items():
+        throws = OPENING if scale > 0 else OPENING[::-1]
+        servos.append(_servo(number, (-abs(scale), abs(scale)), throws))
     return {"flap": scaled(tuple(servos), 1 / len(servos))} if servos else {}
 
 
@@ -385,13 +377,12 @@ def _fixed_controls(topics: Mapping[str, Topic]) -> dict[str, Control]:
 def _commands(topics: Mapping[str, Topic], parameters: Mapping[str, float]) -> dict[str, Control]:
     """Return the mean throttle of the left less that of the right engines of a fixed wing, by CA_ROTORn_PY."""
     outputs = topics.get("actuator_motors", NOTHING)
-    left: list[Servo] = []
-    right: list[Servo] = []
+    sides: dict[bool, list[Servo]] = {True: [], False: []}
     for n, channel in enumerate(MOTOR_FIELDS):
         place = parameters.get(f"CA_ROTOR{n}_PY", 0.0)
         if place and channel in outputs and np.isfinite(outputs[channel]).any():
-            side = left if place < 0 else right
-            side.append(Servo(f"actuator_motors.{channel}", OPENING, OPENING))
+            sides[place < 0].append(Servo(f"actuator_motors.{channel}", OPENING, OPENING))
+    left, right = sides.values()
     if not (left and right):
         return {}
     more_left = scaled(tuple(left), 1 / len(left))

@@ -20,7 +20,7 @@ from skdgp._compute.files import text_writer
 from skdgp._compute.messages import can_draw, notify
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._flight.channels import MIRRORED
-from skdgp.dynamics import as_aerodynamics
+from skdgp.dynamics import Trim, as_aerodynamics
 from skdgp.identification import (
     THRESHOLDS,
     Changes,
@@ -242,20 +242,26 @@ def _mechanics(mechanics: FlightMechanics) -> str:
     parts = [paragraphs(note.text for note in mechanics.notes)]
     trim = mechanics.trim
     if trim is not None:
-        flight = {name: vars(trim)[name] for name in TRIM}
-        shown = {}
-        for name, value in (flight | trim.controls).items():
-            factor, unit = display_unit("theta" if name == "climb" else name)
-            shown[name] = f"{number(factor * value, '.4g')} {unit}"
-        parts += [paragraphs(["Steady flight in the middle of the training range:"]), facts(shown)]
+        parts.append(paragraphs(["Steady flight in the middle of the training range:"]))
+        parts.append(facts(steady_flight(trim)))
     if len(mechanics.derivatives):
-        parts.append(table(_derivatives(mechanics.derivatives), DERIVATIVES))
+        parts.append(table(derivative_table(mechanics.derivatives), DERIVATIVES))
     if mechanics.modes is not None:
-        parts.append(table(_modes(mechanics.modes), MODES))
+        parts.append(table(mode_table(mechanics.modes), MODES))
     return section("Trim, derivatives and modes", *parts)
 
 
-def _derivatives(table: pd.DataFrame) -> pd.DataFrame:
+def steady_flight(trim: Trim) -> dict[str, str]:
+    """Return state and controls of steady flight with their units, as text."""
+    flight = {name: vars(trim)[name] for name in TRIM}
+    shown = {}
+    for name, value in (flight | trim.controls).items():
+        factor, unit = display_unit("theta" if name == "climb" else name)
+        shown[name] = f"{number(factor * value, '.4g')} {unit}"
+    return shown
+
+
+def derivative_table(table: pd.DataFrame) -> pd.DataFrame:
     """Return derivatives of each plane by the regressors that move in it, as text."""
     is_lateral = table["regressor"].isin(MIRRORED)
     is_of_plane = table["coefficient"].isin(ASYMMETRIC) == is_lateral
@@ -269,7 +275,7 @@ def _derivatives(table: pd.DataFrame) -> pd.DataFrame:
     return shown.assign(per=table["per"]).dropna(axis=1, how="all")
 
 
-def _modes(modes: pd.DataFrame) -> pd.DataFrame:
+def mode_table(modes: pd.DataFrame) -> pd.DataFrame:
     """Return frequency, damping and time constant of each mode as text."""
     shown = {}
     names = ("frequency", "damping", "time_constant")

@@ -261,6 +261,13 @@ class TestDerivatives:
         assert point["modes"]["Dutch roll"]["frequency_std"] > 0
         assert files(tmp_path / "out") == {"derivatives.csv", "modes.csv", "derivatives.json"}
 
+    def test_are_shown_as_in_the_report(self, command, path, capsys):
+        assert command(["derivatives", path, "--airspeed", "35", "--paths", "10"]) == 0
+        shown = capsys.readouterr().out
+        assert re.search(r"^airspeed +35 m/s$", shown, re.M)
+        assert re.search(r"^Cm_alpha .*\d ± \d.* rad$", shown, re.M)
+        assert re.search(r"^Dutch roll .*\d ± \d", shown, re.M)
+
     def test_thrust_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):
         pipeline = copy(model.pipeline).set_params(thrust=None)
         pipeline.turbulence_ = Turbulence.low_altitude(height=100.0, wind_at_6m=15.0)

@@ -10,7 +10,7 @@ with the response G of the linear model, the laws K of all loops and the delay t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -172,19 +172,31 @@ def suggest_gains(
     if not 0 < probability < 1:
         raise ValueError(f"Got probability={probability!r}, but expected a number between 0 and 1.")
     s: Any = 1j * _frequencies(N_SEARCHED)
-    search = _GainSearch(
-        s=s,
-        responses=_responses(linear, _models(linear)[1:], loops, s),
-        stability=_Stability(linear, loops, N_SEARCHED),
-        gain_margin=gain_margin,
-        phase_margin=phase_margin,
-        probability=probability,
-    )
+    responses = _responses(linear, _models(linear)[1:], loops, s)
+    stability = _Stability(linear, loops, N_SEARCHED)
+
+    def is_enough(rises: Vector, k: int) -> bool:
+        """Return whether enough paths have both margins of loop k, and are stable, with rises of all gains [dB]."""
+        risen = _risen(loops, rises)
+        found = _margins_of(_of_loops(responses, linear, risen, s)[..., k], s.imag)
+        is_good = (found["gain"] >= gain_margin) & (found["phase"] >= phase_margin)
+        if np.mean(is_good) < probability:
+            return False
+        unstable = stability.unstable(risen)[1:, k]
+        return bool(np.mean(is_good & ~unstable) >= probability)
+
     rises = np.zeros(len(loops))  # dB, of the gains given
     for _ in range(ROUNDS):
         before = rises.copy()
-        for k in range(len(loops)):
-            rises[k] = search.largest(loops, rises, k)
+        for k, loop in enumerate(loops):
+            rises[k] = _largest_rise(is_enough, rises, k)
+            if np.isnan(rises[k]):
+                part = np.mean(stability.unstable(loops)[1:, k])
+                raise ValueError(
+                    f"Got no gains of the {loop.name} loop with {gain_margin:g} dB and {phase_margin:g} deg in "
+                    f"{probability:.0%} of the paths; the gains given are unstable in {part:.0%}. Lower the wanted "
+                    "margins, shorten the delay, start from stable gains, or fly manoeuvres that tell the derivatives."
+                )
         if np.array_equal(rises, before):
             suggested = _risen(loops, rises)
             _warn_of_ranges(suggested)
@@ -194,6 +206,24 @@ def suggest_gains(
         f"Got gains of {changing} that still change after {ROUNDS} rounds over the loops, but expected that they "
         "settle: lower the wanted margins, or suggest gains of fewer loops."
     )
+
+
+def _largest_rise(is_enough: Callable[[Vector, int], bool], rises: Vector, k: int) -> float:
+    """Return the largest rise [dB] of the gains of loop k that is enough beside those of the others, NaN if none is."""
+    coarse, fine = STEPS
+    trial = rises.copy()
+    trial[k] = LARGEST_FACTOR
+    while not is_enough(trial, k):
+        trial[k] -= coarse
+        if trial[k] < -LARGEST_FACTOR:
+            return np.nan
+    best = trial[k]
+    while best < LARGEST_FACTOR:
+        trial[k] = best + fine
+        if not is_enough(trial, k):
+            break
+        best = trial[k]
+    return float(best)
 
 
 def _warn_of_ranges(loops: Sequence[Loop]) -> None:
@@ -209,59 +239,6 @@ def _warn_of_ranges(loops: Sequence[Loop]) -> None:
             f"The firmware's documentation has smaller values of {', '.join(above)}: a linear model has no limits of "
             "rates and deflections. Raise these parameters in steps, or ask for larger margins."
         )
-
-
-class _GainSearch(NamedTuple):
-    """Responses and stability at the frequencies of a search for gains, and the wanted margins [dB], [deg]."""
-
-    s: Vector
-    responses: Array  # (n_paths, n, n_outputs, n_loops)
-    stability: _Stability
-    gain_margin: float
-    phase_margin: float
-    probability: float
-
-    def largest(self, loops: Sequence[Loop], rises: Vector, k: int) -> float:
-        """Return the largest rise [dB] of the gains of loop k with the margins; ValueError if there is none.
-
-        The other loops have the gains given, with the ``rises`` (n_loops,).
-        """
-        others = np.where(np.arange(len(loops)) == k, 0.0, rises)
-        risen = _risen(loops, others)
-        coarse, fine = STEPS
-        best = LARGEST_FACTOR
-        while not self.is_enough(best, risen, k):
-            best -= coarse
-            if best < -LARGEST_FACTOR:
-                raise self.none_found(loops, k)
-        while best < LARGEST_FACTOR and self.is_enough(best + fine, risen, k):
-            best += fine
-        return best
-
-    def none_found(self, loops: Sequence[Loop], k: int) -> ValueError:
-        name = loops[k].name
-        part = _fractions(self.stability.unstable(loops), loops).get(name, 0.0)
-        unstable = ""
-        if part:
-            unstable = f" With the gains given, it is unstable in {part:.0%} of the paths."
-        return ValueError(
-            f"Got no gains of the {name} loop with {self.gain_margin:g} dB and {self.phase_margin:g} deg "
-            f"in {self.probability:.0%} of the paths.{unstable} Lower the wanted margins, shorten the delay, start "
-            "from gains that are stable, or fly manoeuvres that tell the derivatives."
-        )
-
-    def is_enough(self, decibels: float, loops: list[Loop], k: int) -> bool:
-        """Return whether enough paths have both margins, and are stable, with a rise of the gains of loop k."""
-        risen = [*loops]
-        risen[k] = loops[k].scaled(_factor(decibels), FEEDBACK)
-        transfer = _of_loops(self.responses, self.stability.linear, risen, self.s)[..., k]
-        loop_margins = _margins_of(transfer, self.s.imag)
-        has_gain = loop_margins["gain"] >= self.gain_margin
-        is_good = has_gain & (loop_margins["phase"] >= self.phase_margin)
-        if np.mean(is_good) < self.probability:
-            return False
-        unstable = self.stability.unstable(risen)[1:, k]
-        return bool(np.mean(is_good & ~unstable) >= self.probability)
 
 
 def _risen(loops: Sequence[Loop], rises: Vector) -> list[Loop]:

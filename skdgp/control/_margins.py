@@ -11,7 +11,7 @@ with the response G of the linear model, the laws K of all loops and the delay t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -104,7 +104,7 @@ def margins(linear: LinearModel, loops: Sequence[Loop]) -> pd.DataFrame:
     _check(linear, loops)
     s: Any = 1j * _frequencies(N_FREQUENCIES)
     transfer = _of_loops(_responses(linear, _models(linear), loops, s), linear, loops, s)
-    unstable = _Stability(linear, loops, N_FREQUENCIES).unstable(loops)
+    unstable = _stability(linear, loops, N_FREQUENCIES)(loops)
     rows = []
     for k, loop in enumerate(loops):
         loop_margins = _margins_of(transfer[..., k], s.imag)
@@ -173,7 +173,7 @@ def suggest_gains(
         raise ValueError(f"Got probability={probability!r}, but expected a number between 0 and 1.")
     s: Any = 1j * _frequencies(N_SEARCHED)
     responses = _responses(linear, _models(linear)[1:], loops, s)
-    stability = _Stability(linear, loops, N_SEARCHED)
+    unstable = _stability(linear, loops, N_SEARCHED)
 
     def is_enough(rises: Vector, k: int) -> bool:
         """Return whether enough paths have both margins of loop k, and are stable, with rises of all gains [dB]."""
@@ -182,8 +182,7 @@ def suggest_gains(
         is_good = (found["gain"] >= gain_margin) & (found["phase"] >= phase_margin)
         if np.mean(is_good) < probability:
             return False
-        unstable = stability.unstable(risen)[1:, k]
-        return bool(np.mean(is_good & ~unstable) >= probability)
+        return bool(np.mean(is_good & ~unstable(risen)[1:, k]) >= probability)
 
     rises = np.zeros(len(loops))  # dB, of the gains given
     for _ in range(ROUNDS):
@@ -191,7 +190,7 @@ def suggest_gains(
         for k, loop in enumerate(loops):
             rises[k] = _largest_rise(is_enough, rises, k)
             if np.isnan(rises[k]):
-                part = np.mean(stability.unstable(loops)[1:, k])
+                part = np.mean(unstable(loops)[1:, k])
                 raise ValueError(
                     f"Got no gains of the {loop.name} loop with {gain_margin:g} dB and {phase_margin:g} deg in "
                     f"{probability:.0%} of the paths; the gains given are unstable in {part:.0%}. Lower the wanted "
@@ -337,66 +336,59 @@ def _of_loops(responses, linear, loops, s):
     return np.einsum("...ii->...i", M @ S) / np.einsum("...ii->...i", S)
 
 
-class _Axis(NamedTuple):
-    """Motion along or across the plane of symmetry, or both, of the mean and of each path, and its loops."""
+def _stability(
+    linear: LinearModel, loops: Sequence[Loop], n_frequencies: int
+) -> Callable[[Sequence[Loop]], Mask]:
+    r"""Return a function of loops that tells whether a closed mode grows faster than a bound, (1 + n_paths, n_loops).
 
-    loops: list[int]  #: Their numbers
-    aircraft: Array  #: det(s I - A) / (s + 1)^m on the curve, (1 + n_paths, n)
-    responses: Array  #: To the commands of the loops, (1 + n_paths, n, n_outputs, n_loops)
-
-    def grows(self, K: Array) -> Mask:
-        """Return whether the mean and each path have a mode that grows, with loops closed by K, (1 + n_paths,)."""
-        M = -K[:, self.loops] @ self.responses
-        characteristic = self.aircraft * np.linalg.det(np.eye(len(self.loops)) + M)
-        angle = np.unwrap(np.angle(characteristic), axis=-1)
-        # half a turn for each root, as the curve is the upper half
-        return angle[:, 0] - angle[:, -1] > 0.5 * np.pi
-
-
-class _Stability:
-    r"""Whether a mode of closed loops grows faster than a bound, by the argument principle.
-
-    :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each root to
-    the right of the curve :math:`s = g / (1 + w^2) + j w`, as it is one at infinity: g is the
-    growth that a slow mode may have. Motions along and across the plane of symmetry are judged apart, and then
-    together: a pitch loop does not move the spiral.
+    By the argument principle :math:`\det(s I - A) \det(I + M)` over :math:`(s + 1)^n` turns once around zero for each
+    root to the right of the curve :math:`s = g / (1 + w^2) + j w`, as it is one at infinity: g is the growth that a
+    slow mode may have. Motions along and across the plane of symmetry are judged apart, each by its loops, as a pitch
+    loop does not move the spiral. Modes of both together count where neither alone has one.
     """
+    beyond = FREQUENCIES[1] * np.geomspace(1.0, 10.0, n_frequencies // 5)[1:]
+    w = np.concatenate([[0.0], _frequencies(n_frequencies), beyond])
+    s: Any = GROWTH / (1.0 + w**2) + 1j * w
+    axes = _axes(linear, loops, s)
 
-    def __init__(self, linear: LinearModel, loops: Sequence[Loop], n_frequencies: int) -> None:
-        self.linear = linear
-        beyond = FREQUENCIES[1] * np.geomspace(1.0, 10.0, n_frequencies // 5)[1:]
-        w = np.concatenate([[0.0], _frequencies(n_frequencies), beyond])
-        self.s: Any = GROWTH / (1.0 + w**2) + 1j * w
-        self.axes: list[_Axis] = []
-        for others in (LATERAL, LONGITUDINAL, ()):
-            numbers = [k for k, loop in enumerate(loops) if LOOP_AXES[loop.name][0] not in others]
-            if numbers and all(numbers != axis.loops for axis in self.axes):
-                self.axes.append(self._axis(loops, {*UNUSED, *others}, numbers))
-
-    def _axis(self, loops: Sequence[Loop], unused: set[str], numbers: list[int]) -> _Axis:
-        """Return the motion without some states, and its loops."""
-        models = _models(self.linear)
-        kept = [k for k, name in enumerate(self.linear.A.index) if name not in unused]
-        A = np.array([model[0] for model in models])
-        roots = np.linalg.eigvals(A[:, kept, :][..., kept])
-        s = self.s[:, None]
-        aircraft = np.prod((s - roots[:, None, :]) / (s + 1.0), axis=-1)
-        responses = _responses(self.linear, models, loops, self.s, unused)[..., numbers]
-        return _Axis(numbers, aircraft, responses)
-
-    def unstable(self, loops: Sequence[Loop]) -> Mask:
-        """Return whether the mean and each path are unstable by the axis of each loop, (1 + n_paths, n_loops).
-
-        Modes of both axes together count where neither alone has one.
-        """
-        K = _gains(self.linear, loops, self.s)
-        unstable = np.zeros((len(self.axes[0].aircraft), len(loops)), dtype=bool)
-        for axis in self.axes:
-            grows = axis.grows(K)
-            if len(axis.loops) == len(loops):
+    def unstable(closed: Sequence[Loop]) -> Mask:
+        K = _gains(linear, closed, s)
+        unstable = np.zeros((len(_models(linear)), len(loops)), dtype=bool)
+        for numbers, (aircraft, responses) in axes.items():
+            M = -K[:, numbers] @ responses
+            angle = np.angle(aircraft * np.linalg.det(np.eye(len(numbers)) + M))
+            angle = np.unwrap(angle, axis=-1)
+            # half a turn for each root, as the curve is the upper half
+            grows = angle[:, 0] - angle[:, -1] > 0.5 * np.pi
+            if len(numbers) == len(loops):
                 grows &= ~unstable.any(axis=1)
-            unstable[:, axis.loops] |= grows[:, None]
+            unstable[:, numbers] |= grows[:, None]
         return unstable
+
+    return unstable
+
+
+def _axes(
+    linear: LinearModel, loops: Sequence[Loop], s: Array
+) -> dict[tuple[int, ...], tuple[Array, Array]]:
+    """Return motions along and across the plane of symmetry, and both together, by the numbers of their loops.
+
+    For the mean and each path det(s I - A) / (s + 1)^n of the aircraft without loops, (1 + n_paths, n), and its
+    responses to the commands of the loops, (1 + n_paths, n, n_outputs, n_loops).
+    """
+    models = _models(linear)
+    A = np.array([model[0] for model in models])
+    axes: dict[tuple[int, ...], tuple[Array, Array]] = {}
+    for others in (LATERAL, LONGITUDINAL, ()):
+        moved = [LOOP_AXES[loop.name][0] not in others for loop in loops]
+        numbers = tuple(np.flatnonzero(moved).tolist())
+        if numbers and numbers not in axes:
+            unused = {*UNUSED, *others}
+            kept = ~linear.A.index.isin(unused)
+            roots = np.linalg.eigvals(A[:, kept][:, :, kept])
+            aircraft = np.prod((s[:, None] - roots[:, None, :]) / (s[:, None] + 1.0), axis=-1)
+            axes[numbers] = aircraft, _responses(linear, models, loops, s, unused)[..., numbers]
+    return axes
 
 
 def _margins_of(transfer: Matrix, w: Vector) -> dict[str, Vector]:

@@ -11,7 +11,6 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +60,7 @@ TYPES = {
 }  # fmt: skip
 SCALE = {**dict.fromkeys("cCeE", 1e-2), "L": 1e-7}
 # messages that describe the log, and are no topics
-DEFINITIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG")
+DEFINITIONS = {"FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG"}
 # fields that number instances
 INSTANCES = ("I", "Instance", "C", "chan")
 # of a program by its parameter FRAME_CLASS (AP_Motors_Class.h, GCS_MAVLINK_Rover)
@@ -188,38 +187,42 @@ def read_dataflash(path: Path) -> Log:
             "binary log of ArduPilot: is it empty, in text, or of another kind? A log of PX4 is named .ulg, one of "
             "ArduPilot .bin."
         )
-    file = _File(data)
-    topics = _topics(file)
+    messages, remarks = _scan(data)
+    topics: dict[str, Topic] = {}
+    for name in messages.keys() - DEFINITIONS:
+        topics |= messages[name].topics()
     if not topics:
         raise FlightReadError(
             f"Got a DataFlash log of {len(data)} bytes in which no message has a TimeUS, "
             "but expected messages: was it cut off, or written before 2015?"
         )
-    return _log(topics, file)
+    return _log(dict(sorted(topics.items())), messages, remarks)
 
 
 class Messages:
-    """Messages of one type: name, letters of the types of their columns, and their places in the file."""
+    """Messages of one type: name, letters of the types of their columns, and their places in a file."""
 
-    def __init__(self, name: str, codes: str, columns: list[str]):
+    def __init__(self, data: bytes, name: str, codes: str, columns: list[str]):
+        self.data = data
         self.name = name
         self.codes = dict(zip(columns, codes, strict=True))
         self.dtype = np.dtype([(column, TYPES[code]) for column, code in self.codes.items()])
         self.starts: list[int] = []
 
-    def columns(self, data: bytes) -> dict[str, np.ndarray]:
+    def columns(self) -> dict[str, np.ndarray]:
         """Return the columns (n,) by name; integers with a scale as numbers, texts as bytes."""
         size = self.dtype.itemsize
-        records = np.frombuffer(b"".join(data[k : k + size] for k in self.starts), self.dtype)
+        content = b"".join(self.data[k : k + size] for k in self.starts)
+        records = np.frombuffer(content, self.dtype)
         columns = {}
         for column, code in self.codes.items():
             values = records[column]
             columns[column] = SCALE[code] * values if code in SCALE else values
         return columns
 
-    def topics(self, data: bytes) -> dict[str, Topic]:
+    def topics(self) -> dict[str, Topic]:
         """Return the topic of each instance by name, none without a time; texts are left out."""
-        fields = numeric_fields(self.columns(data))
+        fields = numeric_fields(self.columns())
         if "TimeUS" not in fields:
             return {}
         time = fields["TimeUS"] * 1e-6
@@ -235,23 +238,25 @@ class Messages:
         return topics
 
 
-def _topics(file: _File) -> dict[str, Topic]:
-    """Return the topics of all messages with a time, by name and instance."""
-    topics: dict[str, Topic] = {}
-    for name, messages in file.messages.items():
-        if name not in DEFINITIONS:
-            topics |= messages.topics(file.data)
-    return dict(sorted(topics.items()))
+def _rows(messages: Mapping[str, Messages], name: str, *columns: str) -> list[tuple]:
+    """Return some columns of the messages of a type, row by row; none without one of them."""
+    if name not in messages:
+        return []
+    of_type = messages[name].columns()
+    cells = [of_type.get(column, np.empty(0)).tolist() for column in columns]
+    return list(zip(*cells, strict=False))
 
 
-def _log(topics: dict[str, Topic], file: _File) -> Log:
-    """Return the log of a file with these topics."""
+def _log(
+    topics: dict[str, Topic], messages: Mapping[str, Messages], remarks: tuple[str, ...]
+) -> Log:
+    """Return the log of a file with these topics, and remarks on its damage."""
     changes = []
-    for time, name, value in file.rows("PARM", "TimeUS", "Name", "Value"):
+    for time, name, value in _rows(messages, "PARM", "TimeUS", "Name", "Value"):
         if isinstance(time, int) and isinstance(value, int | float):
             changes.append((1e-6 * time, _text(name), value))
     parameters = in_force(changes, topics)
-    texts = [_text(message) for (message,) in file.rows("MSG", "Message")]
+    texts = [_text(message) for (message,) in _rows(messages, "MSG", "Message")]
     # the program tells its name and version in the first texts
     firmware = next((text for text in texts if text.split(" ")[0] in VEHICLES), "ArduPilot")
     program = firmware.split(" ")[0]
@@ -265,7 +270,7 @@ def _log(topics: dict[str, Topic], file: _File) -> Log:
         parameters=parameters,
         firmware=firmware,
         vehicle=vehicle_of(kind, parameters),
-        remarks=(*damage(file.skipped, file.cut), *of_ratio),
+        remarks=(*remarks, *of_ratio),
         landed=(("STAT", "isFlying", 0.0, 0.0),),
         naming=NAMING,
         aliases=ALIASES,
@@ -340,63 +345,45 @@ def _lifting(servos: Mapping[int, Servo], parameters: Mapping[str, float]) -> St
     return tuple(motors)
 
 
-class _File:
-    """Types of messages by number, with the places of all messages, and the damage."""
-
-    def __init__(self, data: bytes):
-        self.data = data
-        columns = ["Type", "Length", "Name", "Format", "Columns"]
-        self.types = {FMT: Messages("FMT", "BBnNZ", columns)}
-        self.skipped = 0
-        self.cut = False
-        position = 0
-        while position + HEAD <= len(data):
-            position = self._step(position)
-
-    def _step(self, position: int) -> int:
-        """Note what begins at a position, a message or damage; return where it ends."""
+def _scan(data: bytes) -> tuple[dict[str, Messages], tuple[str, ...]]:
+    """Return the messages of a file by the name of their type, of several the first, and remarks on damage."""
+    columns = ["Type", "Length", "Name", "Format", "Columns"]
+    types = {FMT: Messages(data, "FMT", "BBnNZ", columns)}
+    skipped = 0
+    cut = False
+    position = 0
+    while position + HEAD <= len(data):
         start = position + HEAD
-        is_message = self.data.startswith(MARK, position) and self.data[start - 1] in self.types
-        if is_message:
-            kind = self.types[self.data[start - 1]]
-            end = start + kind.dtype.itemsize
-            if end <= len(self.data):
-                kind.starts.append(start)
-                if kind is self.types[FMT]:
-                    self._define(self.data[start:end])
-                return end
-        following = self.data.find(MARK, position + 1)
+        kind = types.get(data[start - 1]) if data.startswith(MARK, position) else None
+        end = start + kind.dtype.itemsize if kind else start
+        if kind and end <= len(data):
+            kind.starts.append(start)
+            if kind is types[FMT]:
+                _define(types, data[start:end])
+            position = end
+            continue
+        following = data.find(MARK, position + 1)
         if following < 0:
-            following = len(self.data)
-        if is_message and following == len(self.data):
-            self.cut = True
-        elif self.data[position:following].strip(FILLING):
-            self.skipped += following - position
-        return following
+            following = len(data)
+        if kind and following == len(data):
+            cut = True
+        elif data[position:following].strip(FILLING):
+            skipped += following - position
+        position = following
+    used = [kind for kind in types.values() if kind.starts]
+    return {kind.name: kind for kind in reversed(used)}, damage(skipped, cut)
 
-    def _define(self, message: bytes) -> None:
-        """Add a type, unless its definition makes no sense: its messages are then skipped."""
-        (definition,) = np.frombuffer(message, self.types[FMT].dtype)
-        number, length, *texts = definition.tolist()
-        with suppress(KeyError, ValueError, TypeError):
-            name, codes, columns = (text.decode("ascii") for text in texts)
-            new = Messages(name, codes, columns.split(",") if columns else [])
-            if re.fullmatch(r"\w+", name) and new.dtype.itemsize == length - HEAD:
-                self.types.setdefault(number, new)
 
-    @cached_property
-    def messages(self) -> dict[str, Messages]:
-        """The messages by the name of their type, of several the first."""
-        used = [kind for kind in self.types.values() if kind.starts]
-        return {kind.name: kind for kind in reversed(used)}
-
-    def rows(self, name: str, *columns: str) -> list[tuple]:
-        """Return some columns of the messages of a type, row by row; none without one of them."""
-        if name not in self.messages:
-            return []
-        of_type = self.messages[name].columns(self.data)
-        cells = [of_type.get(column, np.empty(0)).tolist() for column in columns]
-        return list(zip(*cells, strict=False))
+def _define(types: dict[int, Messages], message: bytes) -> None:
+    """Add a type, unless its definition makes no sense: its messages are then skipped."""
+    formats = types[FMT]
+    (definition,) = np.frombuffer(message, formats.dtype)
+    number, length, *texts = definition.tolist()
+    with suppress(KeyError, ValueError, TypeError):
+        name, codes, columns = (text.decode("ascii") for text in texts)
+        new = Messages(formats.data, name, codes, columns.split(",") if columns else [])
+        if re.fullmatch(r"\w+", name) and new.dtype.itemsize == length - HEAD:
+            types.setdefault(number, new)
 
 
 def by_parameters(log: Log, channel: str, modes: States, hover: States = ()) -> Log:

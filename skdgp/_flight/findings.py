@@ -200,11 +200,16 @@ class Code(Kind):
         NOTE,
     )
     CHANGE_UNKNOWN = (
-        "flight {flight}: too short to tell whether the aircraft has changed",
+        "flight {flight}: whether the aircraft has changed is not known, as it or the training flights are too short",
         "",
         NOTE,
     )
-    NO_CHANGE = "flight {flight}: no change found (p = {p:.2g})", "", NOTE
+    NO_CHANGE = (
+        "flight {flight}: no change found (p = {p:.2g})[; smaller changes of controls than these would not show: "
+        "{hidden:.0%}]",
+        "",
+        NOTE,
+    )
 
     # transformers
     AIRSPEED_CORRECTED = (
@@ -245,6 +250,12 @@ class Code(Kind):
         DOUBT,
     )
     NO_AIRCRAFT = "no sensor measures alpha and beta, and no aircraft is given"
+    LAG_UNKNOWN = (
+        "surfaces are taken for deflections on the clock of the inertial unit, as flights do not show their lag"
+        "[ (± {std:.2g} s)]",
+        "Move each surface in steps, log 20 rows a second or more, or give the lag to LagCorrector.",
+        ASSUMPTION,
+    )
     LAGS_CORRECTED = (
         "lags against the inertial unit, positive where late, are corrected: {lags:+.3f} [s]",
         "[{commands:The logged surfaces are commands of slower servos.}]",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,12 +15,12 @@ from scipy.stats import false_discovery_control
 from sklearn.pipeline import Pipeline
 
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.statistics import autocorrelation_time
+from skdgp._compute.statistics import autocorrelation_time, half_width
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, VANES
 from skdgp._flight.findings import Code, Finding
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
-from skdgp.identification._evaluate import Evaluation
+from skdgp.identification._evaluate import CONTROL_DERIVATIVES, THRESHOLDS, Evaluation
 from skdgp.identification._log_errors import dynamic_load
 from skdgp.identification._pipeline import (
     FlightPipeline,
@@ -49,6 +49,7 @@ UNLEARNED_SLOPE = 10.0
 # Variance of a correlation between -1 and 1 of which nothing is known
 CORRELATION_VARIANCE = 1 / 3
 FORCES = "forces"
+CHANGE = ["change", "std"]
 # CY and CZ, which thrust and drag do not change
 LIFT = (1, 2)
 # Relative standard deviation of mass over dynamic pressure and wing area, from flight to flight: fuel, and a
@@ -92,7 +93,7 @@ class Changes:
         weights at least as far from zero if the aircraft has not changed; NaN where the flight is too short.
     derivatives : DataFrame
         By flight and derivative such as Cm_alpha, or coefficient such as CX, at the mean regressors of
-        the flight: the likely ``change`` and its ``std``; "forces": c and its std.
+        the flight: the likely ``change`` and its ``std``, and the model's ``value``; "forces": c, its std and 1.
     """
 
     p_values: pd.DataFrame
@@ -107,13 +108,17 @@ class Changes:
         """Return what a flight shows, with the most certain changes of the coefficients that have changed."""
         if np.isnan(p[WHOLE]):
             return Finding(Code.CHANGE_UNKNOWN, flight=flight)
-        if p[WHOLE] >= LEVEL:
-            return Finding(Code.NO_CHANGE, flight=flight, p=p[WHOLE])
         table: Any = self.derivatives.loc[flight]
-        forces = tuple(table.loc[FORCES]) if p[FORCES] < LEVEL else None
+        if p[WHOLE] >= LEVEL:
+            controls = table.reindex(CONTROL_DERIVATIVES).dropna()
+            hidden = half_width(0.95) * controls["std"] / controls["value"].abs()
+            return Finding(
+                Code.NO_CHANGE, flight=flight, p=p[WHOLE], hidden=hidden.to_dict() or None
+            )
+        forces = tuple(table.loc[FORCES, CHANGE]) if p[FORCES] < LEVEL else None
         table = table[table.index.str[:2].isin(p.index[p < LEVEL])]
         certain = (table["change"] / table["std"]).abs().nlargest(MOST_NAMED).index
-        likely = {name: tuple(table.loc[name]) for name in certain}
+        likely = {name: tuple(table.loc[name, CHANGE]) for name in certain}
         return Finding(Code.CHANGED, flight=flight, p=p[WHOLE], forces=forces, likely=likely)
 
 
@@ -147,7 +152,11 @@ def changes_in_flights(
             float(flight.noise_ratio.mean()),
             pipeline.errors_by_air(named, flight.table, pipeline.turbulence_),
         )
-    return changes_of(pipeline, compared, pipeline.log_errors_)
+    changes = changes_of(pipeline, compared, pipeline.log_errors_)
+    if pipeline.seconds_ is not None and pipeline.seconds_ < THRESHOLDS.flown:
+        # whose uses are not judged either: bands of short records are too narrow
+        return replace(changes, p_values=changes.p_values * np.nan)
+    return changes
 
 
 def changes_of(
@@ -190,14 +199,15 @@ def _changes_of_flight(
         covariance[i, :, i] += scatter
         p[coefficient] = _p_value(weights[i], covariance[i, :, i], freedom)
     stds = np.sqrt(np.einsum("ikik->ik", covariance))
-    columns = {"change": (weights / units).ravel(), "std": (stds / units).ravel()}
-    table = pd.DataFrame(columns, names)
     expected = np.linalg.pinv(Q) @ pipeline[-1].predict(X)
+    by_derivative = {"change": weights, "std": stds, "value": expected.T}
+    columns = {name: (values / units).ravel() for name, values in by_derivative.items()}
+    table = pd.DataFrame(columns, names)
     known = [i for i in LIFT if fits[i][2]]
     factor, variance = _factor_of_forces(weights, covariance, expected.T, known)
     freedom = min((fits[i][2] for i in known), default=0.0)
     p[FORCES] = _p_value(np.array([factor]), np.array([[variance]]), freedom)
-    table.loc[FORCES] = factor, variance**0.5
+    table.loc[FORCES] = factor, variance**0.5, 1.0
     return p | {WHOLE: combined([*p.values()])}, table
 
 

@@ -35,6 +35,7 @@ from skdgp.metrics import (
     normalized_rmse,
 )
 
+CONTROL_DERIVATIVES = ("Cm_elevator", "Cl_aileron", "Cn_rudder")
 MOST_STD_ROWS = 3000  # rows of a flight at which standard deviations are computed
 # scores by the names of their columns in summary and report
 SHOWN = {

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from sklearn.base import clone
 from sklearn.utils import Bunch
 
@@ -34,7 +35,7 @@ from skdgp.dynamics import (
     check_aircraft,
 )
 from skdgp.identification._changed import changes_in_flights
-from skdgp.identification._evaluate import evaluate
+from skdgp.identification._evaluate import THRESHOLDS, evaluate
 from skdgp.identification._flights import (
     are_in_full_throws,
     named_flights,
@@ -49,6 +50,7 @@ from skdgp.identification._identification import Identification
 from skdgp.identification._pipeline import (
     FlightPipeline,
     make_identification_pipeline,
+    reconstruction_of,
     regressor_names,
     step_of,
 )
@@ -57,6 +59,8 @@ from skdgp.preprocessing import FlightPathReconstruction, LagCorrector
 
 # columns that the coefficients follow from
 MEASURED = ("airspeed", "density", *SPECIFIC_FORCE, *RATES)
+# Standard deviation [s] of a lag of surfaces that is known; lags of servos are 0.02 to 0.09 s
+LARGEST_STD = 0.05
 #: Units of the controls of a log without their scale
 FULL_THROW_UNITS = dict.fromkeys((*ALL_SURFACES, *HIGH_LIFT), FULL_THROW)
 
@@ -186,6 +190,8 @@ def identify(
             lags = fit.lags_corrected
             is_late = "servos" in lags or lags.get("surfaces", 0.0) < 0
             report(Finding(Code.LAGS_CORRECTED, lags=lags, commands=is_late))
+        for finding in _unknown_lag(model):
+            report(finding)
         chosen = _options(model) | {"thrust": thrust, "horizon": horizon}
         if units is not None:
             chosen["servos"] = reading.get("servos") or FULL_THROW
@@ -200,6 +206,24 @@ def identify(
         evaluations=evaluations,
         findings=(*assumed_sizes(aircraft, model.errors_), *_named_once(findings)),
     )
+
+
+def _unknown_lag(model: FlightPipeline) -> list[Finding]:
+    """Return the finding of surfaces whose lag the flights do not show, none where a filter estimates it.
+
+    Of flights too short for a judgement it says nothing new.
+    """
+    corrector = step_of(model, LagCorrector)
+    reconstruction = reconstruction_of(model)
+    by_filter = reconstruction is not None and reconstruction.air_motion_ is not None
+    is_short = (model.seconds_ or 0.0) < THRESHOLDS.flown
+    if corrector is None or not isinstance(corrector.lags, str) or by_filter or is_short:
+        return []
+    surfaces = corrector.lags_.loc["surfaces"]
+    if surfaces["applied"] or surfaces["std"] <= LARGEST_STD:
+        return []
+    std = surfaces["std"] if np.isfinite(surfaces["std"]) else None
+    return [Finding(Code.LAG_UNKNOWN, std=std)]
 
 
 def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list[Finding]:

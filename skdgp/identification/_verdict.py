@@ -18,7 +18,12 @@ from skdgp._compute.statistics import half_width
 from skdgp._flight.channels import ACCELERATION_LENGTHS, HAT, SPECIFIC_FORCE
 from skdgp._flight.findings import Code, Finding, with_codes
 from skdgp._regressor import FitCode
-from skdgp.identification._evaluate import THRESHOLDS, Evaluation, scores
+from skdgp.identification._evaluate import (
+    CONTROL_DERIVATIVES,
+    THRESHOLDS,
+    Evaluation,
+    scores,
+)
 from skdgp.identification._mechanics import FlightMechanics
 
 # Signs of derivatives of a conventional stable aircraft (docs/notation.md)
@@ -26,7 +31,6 @@ USUAL_SIGNS = {
     "CZ_alpha": -1, "CY_beta": -1, "Cm_alpha": -1, "Cn_beta": 1, "Cl_beta": -1, "Cl_p": -1,
     "Cm_q": -1, "Cn_r": -1, "Cm_elevator": -1, "Cl_aileron": 1, "Cn_rudder": -1,
 }  # fmt: skip
-CONTROL_DERIVATIVES = ("Cm_elevator", "Cl_aileron", "Cn_rudder")
 # Vanes without which a coefficient is predicted from angles that its own accelerometer gave
 VANES_OF = {"CZ": "alpha", "CY": "beta"}
 # Kinds of modes that a controller of attitude works in

@@ -115,7 +115,12 @@ def test_a_change_is_found_in_its_coefficient_and_its_size_is_within_its_band(mo
     assert finding.numbers["p"] == p_values["whole"]
     assert finding.numbers["likely"]["Cm_alpha"] == (row["change"], row["std"])
     unchanged = changes(model, {"same": flight(100, 0.02)})
-    assert [found.code.name for found in unchanged.findings] == ["NO_CHANGE"]
+    (finding,) = unchanged.findings
+    assert finding.code.name == "NO_CHANGE"
+    row = unchanged.derivatives.loc[("same", "Cm_elevator")]
+    assert row["value"] == pytest.approx(SLOPES[2, 4], rel=0.1)
+    hidden = 1.96 * row["std"] / abs(row["value"])  # half of the 95 % band
+    assert finding.numbers["hidden"]["Cm_elevator"] == pytest.approx(hidden, rel=1e-3)
 
 
 def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
@@ -311,7 +316,7 @@ def test_one_factor_of_all_forces_is_found_with_its_size(model, factor, drift):
     row = result.derivatives.xs("forces", level="derivative")
     assert row["change"].mean() == pytest.approx(factor - 1, abs=0.02)
     found = next(finding for finding in result.findings if finding.code.name == "CHANGED")
-    assert found.numbers["forces"] == tuple(row.loc[found.flight])
+    assert found.numbers["forces"] == tuple(row.loc[found.flight, ["change", "std"]])
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):

@@ -251,6 +251,19 @@ class TestIdentify:
         path = save_model(tmp_path / "model.joblib", model, aircraft)
         again = validate(load_model(path), test, horizon=1.0)
         assert np.isfinite(again.verdict.least_squares_error)
+        # 12 s to learn from tell neither uses nor changes
+        assert {found.code.name for found in again.changes.findings} == {"CHANGE_UNKNOWN"}
+
+    @pytest.mark.filterwarnings("ignore")
+    def test_says_that_a_lag_is_unknown(self, first_minute):
+        """Records of 18 s, longer than a judgement needs in all, have no pieces to compare."""
+        example = first_minute()
+        short = example.train[example.train["time"] < 18.0]
+        found = identify(short, example.aircraft, test=short, regressor=QUICK, samples=40)
+        (lag,) = of_code(found, "LAG_UNKNOWN")
+        assert found.fit.lags["applied"]["surfaces"] == 0.0
+        assert not found.fit.lags["std"]["surfaces"] < 0.05
+        assert "do not show their lag" in lag.text
 
     def test_names_tables_that_have_no_names(self, example):
         bare = example[2].drop(columns="flight")

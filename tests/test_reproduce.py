@@ -11,19 +11,7 @@ from pathlib import Path
 import pytest
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "shared" / "reproduce"
-SERVOS = "gives Aerodynamics servo_lag, which is servos=Servos(lag=...)"
-# Scripts that a change of the package has left behind, and what they use
-LEFT_BEHIND = {
-    "regressor/rough_functions.py": "sets search.batch_values, which is gone",
-    "control/true_model.py": SERVOS,
-    "control/delay_is_no_lag.py": SERVOS,
-    "control/filters_ignored.py": SERVOS,
-    "control/mixing_gain.py": SERVOS,
-    "control/spiral_blocks_pitch.py": SERVOS,
-    "logs/airspeed_use.py": "reads the source of an airspeed that no flight has now",
-    "flights/ground_time.py": "counts rows on the ground, which read_flight leaves out",
-}
-# Of the others those that take seconds; they end with an error where the package has one
+# Those that take seconds; they end with an error where the package has one
 SHORT = [
     *("all_fixed", "constant_regressors", "fixed_kernel", "units"),
     *("ahrs_trim", "airspeed_ratio", "ardupilot_flaperons_and_spoilers", "mass_and_flaps"),
@@ -60,7 +48,7 @@ def scripts(shared_data):
 def test_names_that_scripts_import_exist(scripts):
     wrong = {}
     for name, path in scripts.items():
-        if name not in LEFT_BEHIND and (names := missing_names(path)):
+        if names := missing_names(path):
             wrong[name] = names
     assert wrong == {}
 

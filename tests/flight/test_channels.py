@@ -12,6 +12,7 @@ from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 
+from skdgp._flight.channels import by_elevons
 from skdgp._flight.clock import uniform_grid, unrounded
 from skdgp._flight.copies import without_copies
 from skdgp._flight.findings import Code
@@ -22,6 +23,13 @@ from skdgp._flight.holds import (
 )
 from skdgp._flight.smoothing import band_limited, motion_band_of, vibrates_beyond
 from skdgp._flight.tables import FlightTable
+from skdgp.preprocessing import ElevonSplitter
+
+
+def test_elevons_are_what_the_transformer_splits_them_into():
+    elevons = make_flight({"elevon_left elevon_right": (0, 0.1, 0)}, 40)
+    for name, values in by_elevons(elevons).items():
+        assert_allclose(ElevonSplitter().fit_transform(elevons)[name], values)
 
 
 def test_the_grid_of_uneven_samples_is_uniform():

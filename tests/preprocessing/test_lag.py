@@ -247,10 +247,10 @@ class TestTransform:
         changed = [name for name in latlon if not latlon[name].equals(there[name])]
         assert sorted(changed) == ["airspeed", "alpha", "beta", "psi"]
 
-    @pytest.mark.parametrize(("surfaces", "delay"), [(-0.06, 0.06), (0.03, 0.0)])
-    def test_surfaces_that_are_late_are_no_servos_that_lead(self, surfaces, delay):
-        given = LagCorrector({"surfaces": surfaces, "servos": 0.04}).fit(linear_aircraft(0))
-        assert given.servos_ == Servos(lag=0.04, delay=delay)
+    @pytest.mark.parametrize(("surfaces", "lag", "delay"), [(-0.06, 0.04, 0.06), (0.03, 0.0, 0.0)])
+    def test_surfaces_that_are_late_are_no_servos_that_lead(self, surfaces, lag, delay):
+        given = LagCorrector({"surfaces": surfaces, "servos": lag}).fit(linear_aircraft(0))
+        assert given.servos_ == Servos(lag=lag, delay=delay)
 
     @pytest.mark.parametrize("lag", [0.0675, -0.0675])
     def test_a_line_is_shifted_exactly(self, lag):

@@ -11,7 +11,7 @@ from skdgp._cli._options import Commands, reading
 from skdgp._cli._shared import Run
 from skdgp._cli._use import read_model
 from skdgp._compute.files import without_nones
-from skdgp._compute.messages import listening
+from skdgp._compute.messages import listening, notify
 from skdgp._regressor import DependentGPRegressor
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import Aircraft, Propeller
@@ -134,8 +134,9 @@ def demo(run: Run) -> None:
       skdgp demo
       skdgp demo --samples 250 -o quick
     """
-    run.console.stage("simulating the example flights")
-    example = load_example_flights()
+    with listening(run.console.progress):
+        notify("simulating the example flights")
+        example = load_example_flights()
     _identify(run, example.train, example.aircraft, example.test)
 
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from sklearn.utils import Bunch, check_random_state
 
 from skdgp._compute.files import read_toml
+from skdgp._compute.messages import Progress, notify
 from skdgp._compute.sklearn_compat import Interval, validate_params
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import (
@@ -180,6 +181,8 @@ SETTLING = 8.0
 FIELD_ELEVATION = 60.0
 # at which the gusts are crossed [m/s]
 AIRSPEED = 36.0
+# between two notes of the progress
+STEPS_TOLD = 100
 # of the fixed point of alpha_dot and beta_dot in the truth; each brings it 70 times nearer
 PASSES = 8
 DEGREE = np.pi / 180.0
@@ -455,6 +458,8 @@ class FlightControls:
         """Return the controls (n_flights,) by name at a stage, two to a step."""
         if k != self.now:
             self.now = k
+            if k % STEPS_TOLD == 0:
+                notify(Progress("steps", k, len(self.manoeuvres)))
             self.begin = self.end
             command = self._command(observe(), k)
             self.target, self.throttle = _targets(self.manoeuvres[k] + command)

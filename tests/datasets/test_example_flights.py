@@ -15,6 +15,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from skdgp import listening
 from skdgp.datasets import load_example_flights
 from skdgp.dynamics import (
     LocalAir,
@@ -209,3 +210,12 @@ class TestGusts:
         as_gust = settled(met(0, self.STATE))
         assert_allclose(as_gust.derivative, as_wind.derivative, atol=1e-12)
         assert_allclose(as_gust.implicit, as_wind.implicit, atol=1e-12)
+
+
+def test_the_steps_of_the_simulation_are_told():
+    """Before each hundredth one, of flights that are not kept from before."""
+    told = []
+    with listening(lambda stage, *_: told.append((stage.done, stage.total))):
+        load_example_flights(duration=7.0, random_state=123)
+    total = round((7.0 + 8.0) / 0.025)  # with the time before the log begins
+    assert told == [(done, total) for done in range(0, total, 100)]

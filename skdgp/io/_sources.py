@@ -128,7 +128,11 @@ def choose(log: Log, rule: Rule) -> Source | None:
     if not instances:
         return None
     use = _use(log, rule, instances)
-    candidates = [_candidate(log, instance, rule, use) for instance in instances]
+    return _source_of(rule, [_candidate(log, instance, rule, use) for instance in instances], use)
+
+
+def _source_of(rule: Rule, candidates: list[Candidate], use: Use | None) -> Source:
+    """Return the source by the best of the instances."""
     best = max(candidates, key=lambda candidate: candidate.merit)
     number, name, topic = best.instance
     values = best.values[best.rows]

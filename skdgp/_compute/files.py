@@ -21,7 +21,6 @@ import pandas as pd
 from skdgp._compute.findings import Finding, Kind
 
 Writer: TypeAlias = "Callable[[Path], object]"  # fills a file
-LARGEST_SIZE = 2**24  # bytes of a file that people write; a larger one is another file
 
 
 def write_atomically(path: str | os.PathLike[str], write: Writer) -> Path:
@@ -113,31 +112,16 @@ def json_text(value: Any) -> str:
 def read_json(path: str | os.PathLike[str]) -> Any:
     """Return the content of a JSON file; raise OSError if it cannot be read.
 
-    Raises ValueError if it is not UTF-8 or not JSON, names a key twice, is nested too deeply,
-    larger than 16 MB or no regular file.
+    Raises ValueError if it is not UTF-8 or not JSON, names a key twice, or is nested too deeply.
     """
     with _refusing(f"{path} is not a JSON file"):
-        return json.loads(_text(path), object_pairs_hook=_unique_keys)
+        return json.loads(Path(path).read_text("utf-8-sig"), object_pairs_hook=_unique_keys)
 
 
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the content of a TOML file; errors as of `read_json`."""
     with _refusing(f"{path} is not a TOML file"):
-        return tomllib.loads(_text(path))
-
-
-def _text(path) -> str:
-    """Return the text of a file that people write."""
-    path = Path(path)
-    if path.exists() and not path.is_file():
-        raise ValueError(f"Got {path}, which is a folder or a device, but expected a file")
-    if path.stat().st_size > LARGEST_SIZE:
-        size = path.stat().st_size / 1e6
-        raise ValueError(f"Got {size:.0f} MB, but expected a file of at most 16 MB")
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"it is not a text in UTF-8 ({error})") from error
+        return tomllib.loads(Path(path).read_text("utf-8-sig"))
 
 
 @contextmanager

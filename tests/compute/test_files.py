@@ -94,9 +94,12 @@ class TestReading:
             ("toml", b"mass = 1\nmass = 2", "not a TOML file: Cannot overwrite"),
             ("json", b"1" * 5000, "not a JSON file: Exceeds the limit"),
             ("json", b"", "not a JSON file: Expecting value"),
-            ("json", b"\xff\xfe{\x00}\x00", "not a text in UTF-8"),
-            ("toml", "name = 'Jäger'".encode("latin-1"), "not a text in UTF-8"),
-            ("json", b" " * (2**24 + 1), "17 MB, but expected a file of at most 16 MB"),
+            ("json", b"\xff\xfe{\x00}\x00", "not a JSON file: 'utf-8' codec can't decode"),
+            (
+                "toml",
+                "name = 'Jäger'".encode("latin-1"),
+                "not a TOML file: 'utf-8' codec can't decode",
+            ),
         ],
     )
     def test_refused(self, suffix, content, message, tmp_path):
@@ -108,7 +111,7 @@ class TestReading:
     @pytest.mark.parametrize("suffix", ["json", "toml"])
     def test_no_file(self, suffix, tmp_path):
         (tmp_path / f"folder.{suffix}").mkdir()
-        with pytest.raises(ValueError, match="which is a folder or a device, but expected a file"):
+        with pytest.raises(IsADirectoryError):
             Aircraft.from_file(tmp_path / f"folder.{suffix}")
         with pytest.raises(FileNotFoundError):
             Aircraft.from_file(tmp_path / f"absent.{suffix}")

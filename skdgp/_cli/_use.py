@@ -225,7 +225,14 @@ def plan(run: Run) -> None:
             envelope=Envelope(growth=options.growth),
             thrust=model.pipeline.thrust,
         )
-    numbers = {"seconds": planned.seconds, **planned.to_dict()}
+    numbers = {
+        "aircraft": model.aircraft.name,
+        "seconds": planned.seconds,
+        "trim": planned.trim,
+        "manoeuvres": planned.manoeuvres.to_dict("records"),
+        "limits": planned.limits,
+        "errors": planned.errors,
+    }
     writers = _plan_writers(planned, full)
     folder = Path(options.output)
     was_planned = (folder / "plan.json").is_file()

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 from sklearn.base import BaseEstimator
 
-from skdgp._compute.files import plain
 from skdgp._compute.messages import notify, warn
 from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Matrix, Vector
@@ -89,9 +88,6 @@ class Plan:
         no posterior, or does not hold its rows.
     limits : DataFrame
         ``low`` and ``high`` limits of all manoeuvres: see :meth:`Envelope.bounds`.
-    aircraft : Aircraft
-    margin : float
-        Of the responses to the limits: see `Envelope`.
     """
 
     train: Wavetrain
@@ -100,8 +96,6 @@ class Plan:
     flight: pd.DataFrame
     errors: pd.DataFrame
     limits: pd.DataFrame
-    aircraft: Aircraft
-    margin: float
 
     @property
     def seconds(self) -> float:
@@ -121,17 +115,6 @@ class Plan:
             estimate="expected",
         )
         return display.plot(ax)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the plan as plain values, SI units and radians."""
-        return {
-            "aircraft": self.aircraft.name,
-            "trim": plain(vars(self.trim)),
-            "manoeuvres": self.manoeuvres.to_dict("records"),
-            "margin": self.margin,
-            "limits": self.limits.to_dict("index"),
-            "errors": self.errors.to_dict("index"),
-        }
 
 
 def plan(
@@ -250,8 +233,6 @@ def plan(
         flight=pd.concat(flights, ignore_index=True),
         errors=errors.reindex(goal),
         limits=pd.DataFrame(bounds, ["low", "high"]).T,
-        aircraft=aircraft,
-        margin=envelope.margin,
     )
 
 

@@ -311,7 +311,7 @@ class TestPlan:
             <= min(table["time"].iloc[-1] + 3.0, 10.0)
         )
         assert json.loads((tmp_path / "out" / "plan.json").read_text()) == said
-        assert said["margin"] == 0.3
+        assert said["limits"]["rudder"]["high"] > said["trim"]["controls"]["rudder"]
         errors = said["errors"]["Cn_rudder"]
         known = run("derivatives", "--airspeed", "35", "--altitude", "300", "--paths", "500")
         known = known["points"][0]["derivatives"]["Cn_rudder"]  # to the scatter of 500 draws

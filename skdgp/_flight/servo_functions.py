@@ -10,6 +10,10 @@ from typing import NamedTuple
 USUAL_PULSES = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0}
 
 
+# pulses shorter than this [us] move no servo: an output that is switched off
+NO_PULSE = 500.0
+
+
 class ServoRange(NamedTuple):
     """Pulses [us] of a servo at its ends and at trim."""
 

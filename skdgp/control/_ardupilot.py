@@ -26,7 +26,7 @@ from skdgp._compute.typing import Vector
 from skdgp._flight.channels import EARTH_VELOCITY, EULER, SPECIFIC_FORCE
 from skdgp._flight.channels import RATES as RATE_NAMES
 from skdgp._flight.frames import SEA_LEVEL_DENSITY, standard_density
-from skdgp._flight.servo_functions import WEIGHTS, ServoRange
+from skdgp._flight.servo_functions import NO_PULSE, WEIGHTS, ServoRange
 from skdgp._flight.tables import check_full_deflections, check_number
 from skdgp.control._margins import effect_of
 from skdgp.control._parameters import servo_functions
@@ -56,8 +56,6 @@ RAISED = {"aileron": "p", "elevator": "q", "rudder": "r"}
 LONGEST_STEP = 0.01
 # Longest time that a packet asks for [s]: ArduPilot ignores longer ones
 LONGEST_FRAME = 0.09
-# Pulses [us] below this are none
-NO_PULSE = 500
 # Time between two rows of the table [s]
 ROW_STEP = 0.0199
 

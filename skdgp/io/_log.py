@@ -17,6 +17,7 @@ from skdgp._compute.typing import Array, ArrayLike, Indices, Mask, Matrix, Vecto
 from skdgp._flight.channels import ALL_SURFACES, EULER, HIGH_LIFT
 from skdgp._flight.frames import SEA_LEVEL_DENSITY as DENSITY
 from skdgp._flight.frames import SEA_LEVEL_PRESSURE as PRESSURE
+from skdgp._flight.servo_functions import NO_PULSE
 from skdgp.io._tables import FlightReadError
 
 # of a rule for attitude: body to north-east-down, any length
@@ -25,8 +26,6 @@ QUATERNION = "qw qx qy qz"
 INERTIAL = ("p q r", "ax ay az")
 # of a rule for equivalent airspeed; the table gets the true one
 EQUIVALENT = "equivalent_airspeed"
-# pulses shorter than this [us] move no servo: an output that is switched off
-NO_PULSE = 500.0
 NOT_FLYING_ON_WINGS = (
     "multicopter", "helicopter", "rover", "boat", "submarine", "airship", "antenna tracker", "tailsitter",
 )  # fmt: skip

@@ -21,36 +21,32 @@ def _libraries() -> list[Any]:
     return ThreadpoolController().select(user_api="blas").lib_controllers
 
 
-class _OneThread:
+_lock = Lock()
+# of each caller that asks for one thread: the libraries, and their numbers of threads before the first
+_holders: list[list[tuple[Any, int]]] = []
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
     """Keep BLAS on one thread while any caller asks for it; the last to leave restores the former numbers.
 
     It takes some microseconds, a tenth of ``threadpool_limits``: a simulation enters it at each
     stage of a step.
     """
-
-    def __init__(self):
-        self._lock, self._holders = Lock(), 0
-        self._before: list[tuple[Any, int]] = []
-
-    @contextmanager
-    def __call__(self) -> Iterator[None]:
-        with self._lock:
-            if self._holders == 0:
-                self._before = [(library, library.num_threads) for library in _libraries()]
-                for library, _ in self._before:
-                    library.set_num_threads(1)
-            self._holders += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self._holders -= 1
-                if self._holders == 0:
-                    for library, number in self._before:
-                        library.set_num_threads(number)
-
-
-one_blas_thread = _OneThread()
+    with _lock:
+        if not _holders:
+            before = [(library, library.num_threads) for library in _libraries()]
+            for library, _ in before:
+                library.set_num_threads(1)
+        _holders.append(_holders[0] if _holders else before)
+    try:
+        yield
+    finally:
+        with _lock:
+            before = _holders.pop()
+            if not _holders:
+                for library, number in before:
+                    library.set_num_threads(number)
 
 
 def n_threads() -> int:

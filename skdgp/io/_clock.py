@@ -59,6 +59,13 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
             # in order of time, each time once
             increasing, first = np.unique(times[valid], return_index=True)
             sound[name] = replace(topic.select(valid[first]), time=increasing)
+    return sound, _remarks(shifts, falls, n_wrong, len(time))
+
+
+def _remarks(
+    shifts: list[float], falls: dict[str, float], n_wrong: Counter[str], n_messages: int
+) -> list[str]:
+    """Return remarks on a clock that was set back, on topics in which it goes back, and on wrong times."""
     remarks = []
     if shifts:
         later = ", ".join(f"{shift:.1f} s" for shift in shifts)
@@ -72,9 +79,9 @@ def with_sound_times(topics: dict[str, Topic]) -> tuple[dict[str, Topic], list[s
         )
     if n_wrong.total():
         name, most = n_wrong.most_common(1)[0]
-        wrong = f"{n_wrong.total()} of {len(time)} messages have a time that cannot be"
+        wrong = f"{n_wrong.total()} of {n_messages} messages have a time that cannot be"
         remarks.append(f"{wrong} ({most} of {name})")
-    return sound, remarks
+    return remarks
 
 
 def _behind_pauses(stamps: Vector) -> tuple[Vector, list[float]]:

@@ -171,13 +171,7 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
     of several engines runs, or no speed is valid. A motor that only spins down after hover and transition is slower
     on average than `LEAST_SPEED` times the fastest.
     """
-    engines = {}
-    for _, name, topic in instances:
-        for field in rule.fields.split():
-            if field in topic:
-                values = pd.Series(rule.convert(topic[field]), topic.time)
-                rows = is_valid(topic, rule) & np.isfinite(values)
-                engines[f"{name}.{field}"] = values[rows]
+    engines = _engine_values(rule, instances)
     if not engines:
         return None
     table = pd.DataFrame(engines)
@@ -199,6 +193,18 @@ def _engines(log: Log, rule: Rule, instances: list[Instance]) -> Source | None:
     if len(names) > 1:
         words += f" ({'mean' if are_commands else 'root mean square'} of {len(names)} engines)"
     return Source((rule.columns,), words, mean.index.to_numpy(), mean.to_numpy()[:, None])
+
+
+def _engine_values(rule: Rule, instances: list[Instance]) -> dict[str, pd.Series]:
+    """Return the valid speeds or commands of each engine by its times [s]."""
+    engines = {}
+    for _, name, topic in instances:
+        for field in rule.fields.split():
+            if field in topic:
+                values = pd.Series(rule.convert(topic[field]), topic.time)
+                rows = is_valid(topic, rule) & np.isfinite(values)
+                engines[f"{name}.{field}"] = values[rows]
+    return engines
 
 
 def is_valid(topic: Topic, rule: Rule) -> Mask:

@@ -36,7 +36,7 @@ from skdgp.estimation._air_parameters import (
     stacked,
 )
 from skdgp.estimation._air_records import Record
-from skdgp.estimation._kalman import parameter_slopes, smoothed, surface_covariance
+from skdgp.estimation._kalman import parameter_slopes, smoothed
 
 ESTIMATED = (*AIR_DATA, *RATES, *WIND)
 """Smoothed columns, each with its standard deviation."""
@@ -52,6 +52,17 @@ def with_variances(covariance: Matrix, variance: Vector) -> Matrix:
     """Return the covariance with other variances (p,), and its own correlations."""
     scale = np.sqrt(variance / np.diag(covariance))
     return scale[:, None] * covariance * scale
+
+
+def sandwich(information: Matrix, variation: Matrix) -> Matrix:
+    r"""Return the covariance of estimates whose score has the covariance :math:`B`, and not the information A.
+
+    The variances are those of :math:`A^{-1} B A^{-1}` (White 1982), or of :math:`A^{-1}` where these are larger: a
+    model that lacks an effect has innovations that repeat while it acts.
+    """
+    covariance: Any = np.linalg.inv(information)
+    varied = covariance @ variation @ covariance
+    return with_variances(covariance, np.maximum(np.diag(covariance), np.diag(varied)))
 
 
 def without_estimate(offset: Vector, prior_std: Vector) -> Matrix:
@@ -144,25 +155,6 @@ def unfinished_covariance(fit: AirFit, covariance: Matrix) -> Matrix:
     return with_variances(covariance, variance)
 
 
-def surface_factor(fit: AirFit, fitted: list[FittedRecord]) -> float:
-    r"""Return the factor of standard deviations by errors of surfaces between samples of slow clocks.
-
-    With the part :math:`S_{e,k}` of the innovations' covariance :math:`S_k` by these errors, whitened
-    innovations have an error of squared length :math:`l^2 = \sum_k \operatorname{tr} S_k^{-1} S_{e,k}`.
-    A small correlation :math:`\rho` with the motion by the surfaces does not average out: it moves a
-    parameter by :math:`\rho \, l` of its standard deviations.
-    """
-    squared_length = 0.0
-    for item in fitted:
-        if np.any(item.record.periods > 0):
-            by_errors = surface_covariance(item.linear, fit.noise_search.noise(item.record))
-            fractions = np.linalg.solve(item.filter_pass.innovation_covariance, by_errors)
-            squared_length += np.einsum("nii->", fractions)
-    # correlation of errors of surfaces between samples with the motion by the surfaces; trials on two
-    # aircraft with surfaces at 10 Hz, 0.05 in one
-    return np.sqrt(1 + 0.03**2 * squared_length)
-
-
 def misfit_of_sensors(fit: AirFit) -> float:
     """Return the misfit of the sensors' constants, or of their position if that is larger."""
     offset = (fit.x - fit.parameters.mean) / fit.parameters.std
@@ -170,10 +162,9 @@ def misfit_of_sensors(fit: AirFit) -> float:
     return max(misfit_of(offset[places]) for places in groups)
 
 
-def widened(covariance: Matrix, fit: AirFit, fitted: list[FittedRecord], misfit: float) -> Matrix:
-    """Return the covariance with the misfit of sensors, and errors of surfaces, by vibration and of the model."""
+def widened(covariance: Matrix, fit: AirFit, misfit: float) -> Matrix:
+    """Return the covariance with the misfit of sensors, and errors by vibration and of the model."""
     covariance = inflate(covariance, misfit)
-    covariance = inflate(covariance, surface_factor(fit, fitted))
     if fit.vibrates:
         # factor of the standard deviations where flights vibrate; trials on these flights
         covariance = inflate(covariance, 1.5)

@@ -6,7 +6,7 @@ at given gains and the projection P on instruments, a pass sums score and inform
 .. math:: g = \sum_k Z_k^T L_k^{-1} e_k + \Lambda (\theta - \theta_0), \quad
           A = \sum_k Z_k^T L_k^{-1} D_k + \Lambda, \quad Z_k = P (L_k^{-1} D_k),
 
-(as P is a projection, :math:`Z^T L^{-1} D` is also :math:`Z^T Z`, the covariance of the score)
+(as P is a projection, :math:`Z^T L^{-1} D` is also :math:`Z^T Z`, the covariance of the score of a right model)
 
 and a damped Gauss-Newton step solves :math:`A\,\Delta\theta = -g` (Jategaonkar 2015, chapter 5; instrumental
 variables: Soderstrom & Stoica 1989, chapter 8). Noises move by Fisher scoring (``_air_noise.py``).
@@ -222,15 +222,15 @@ class AirFit:
             filter_pass = filtered(linear, noise)
             L_inverse = np.linalg.inv(np.linalg.cholesky(filter_pass.innovation_covariance))
             e = matrix_vector(L_inverse, filter_pass.innovations)
-            weighted: Any = 0.0
+            scores = []  # of some steps each
             products: Any = 0.0
             for steps, by_parameters, _ in parameter_slopes(linear, filter_pass, slopes):
                 whitened = L_inverse[steps] @ by_parameters
                 rows = whitened.reshape(-1, whitened.shape[2])
-                weighted = weighted + rows.T @ e[steps].ravel()
+                scores.append(rows.T @ e[steps].ravel())
                 products = products + rows.T @ rows
             has_instruments = by_instruments and not self.is_known
-            self._add_scores(sums, record.flight, weighted, products, has_instruments)
+            self._add_scores(sums, record.flight, np.array(scores), products, has_instruments)
             if has_instruments:
                 # for the instruments of the next pass
                 record = record.with_answers(e)
@@ -240,24 +240,24 @@ class AirFit:
         return sums, fitted
 
     def _add_scores(
-        self, sums: Sums, flight: int, weighted: Vector, products: Matrix, has_instruments: bool
+        self, sums: Sums, flight: int, scores: Matrix, products: Matrix, has_instruments: bool
     ) -> None:
         """Add score and information of a record.
 
         With slopes S of whitened innovations e by the estimated parameters of a flight and, behind these, by the
-        instruments, ``weighted`` is S^T e (q,), and ``products`` S^T S.
+        instruments, ``scores`` are S^T e of some steps each (k, q), and ``products`` S^T S of all.
         """
         places = self.parameters.free_places(flight)
         n = len(places)
-        score = weighted[:n]
+        own = scores[:, :n]
         information = products[:n, :n]
         if has_instruments:
             used = slice(self.layout.n_derivatives, None)
             of_own = products[used, :n]
             weights = _projection(products[used, used], of_own)
-            score = weights.T @ weighted[used]
+            own = scores[:, used] @ weights
             information = weights.T @ of_own
-        sums.add(places, score, information)
+        sums.add(places, own.sum(axis=0), information, own.T @ own)
 
 
 def _projection(squares: Matrix, products: Matrix) -> Matrix:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -43,6 +42,7 @@ from skdgp.estimation._air_covariance import (
     add_delay_error,
     error_fractions,
     misfit_of_sensors,
+    sandwich,
     smoothed_air,
     unfinished_covariance,
     widened,
@@ -239,8 +239,9 @@ def estimate_air_motion(
     ailerons, or Cm by thrust over dynamic pressure and wing area, have narrow priors around zero, as
     of a symmetric aircraft without offset of the thrust line. Elevator and rudder may become stronger
     with thrust, in the slipstream of a propeller. The covariance is
-    :math:`(Z^T Z + \Lambda)^{-1}` times the square of `AirMotion.misfit`. It is larger where errors of surfaces between
-    samples of a slow clock make much of the innovations, and where vibration shakes the inertial sensors.
+    :math:`A^{-1} = (Z^T Z + \Lambda)^{-1}` times the square of `AirMotion.misfit`; variances are those of
+    :math:`A^{-1} B A^{-1}` where these are larger, with the sum B of squares of the scores of some steps each
+    (White 1982). It is larger where vibration shakes the inertial sensors.
     Readings in its two directions then count as noise. For nonlinear effects 4 % of each derivative are
     added. A delay of the servos beside their lag, of 0 ± 5 ms or, where it is
     larger, ``servo_delay_std``, moves all parameters.
@@ -407,13 +408,13 @@ def _air_motion(fit: AirFit, converged: bool, n_rows: int, delay_std: float) -> 
     names = fit.parameters.names
     prior_std = fit.parameters.std
     nd = fit.layout.n_derivatives
-    covariance: Any = np.linalg.inv(sums.information)
+    covariance = sandwich(sums.information, sums.variation)
     if not converged:
         covariance = unfinished_covariance(fit, covariance)
     misfit = 1.0
     if not fit.is_known:
         misfit = misfit_of_sensors(fit)
-        covariance = widened(covariance, fit, fitted, misfit)
+        covariance = widened(covariance, fit, misfit)
         place = names.index("servo_delay")
         covariance = add_delay_error(covariance, sums.information, place, delay_std)
     # the air has the errors of the estimates; those of flattened slopes are added below

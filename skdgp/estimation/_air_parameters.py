@@ -129,19 +129,27 @@ class Parameters(NamedTuple):
 
 
 class Sums:
-    """Score and information of parameters x: of the prior, and of what is added."""
+    """Score, information and variation of the score of parameters x: of the prior, and of what is added."""
 
     def __init__(self, x: Vector, parameters: Parameters) -> None:
         precision = parameters.std**-2.0
         self.free = slice(parameters.n_held, None)
         self.score = (x - parameters.mean) * precision
         self.information = np.diag(precision)
+        self.variation = np.diag(precision)
 
-    def add(self, places: Indices, score: Vector, information: Matrix) -> None:
-        """Add sums over samples for the parameters at some places."""
+    def add(
+        self,
+        places: Indices,
+        score: Vector,
+        information: Matrix,
+        variation: Matrix | None = None,
+    ) -> None:
+        """Add sums over samples for the parameters at some places; by default the score varies as the model says."""
         block = np.ix_(places, places)
         self.score[places] += score
         self.information[block] += information
+        self.variation[block] += information if variation is None else variation
 
     def damped(self, damping: float) -> tuple[Matrix, Vector]:
         """Return information and score of the estimated parameters, with a larger diagonal (Levenberg 1944)."""

@@ -182,12 +182,6 @@ def _covariances(linear: Linearization, noise: Noise) -> tuple[Array, Array, Arr
     return Q, R, R + _step_noise(L, linear.D, density) + through_end
 
 
-def surface_covariance(linear: Linearization, noise: Noise) -> Array:
-    """Return the part (n - 1, m, m) of the innovations' covariance that errors of the surfaces cause."""
-    of_surfaces = noise._replace(density=0.0 * noise.density, sensor=0.0 * noise.sensor)
-    return _covariances(linear, of_surfaces)[2][:, :, 0]
-
-
 def _step_noise(late: Array, early: Array, variance: Array) -> Array:
     """Return the covariances (n - 1, k, s, k) that a step's white noise of ``variance`` (n - 1, s, N) makes.
 

@@ -258,6 +258,14 @@ def test_improbable_constants_of_sensors_widen_all_bands():
     assert wider.median() > 0.8 * found.misfit
 
 
+def test_bands_hold_a_derivative_whose_surface_is_logged_wrongly_for_a_while():
+    flight = flown("calm", 16.0)
+    table = flight.table.copy()
+    table.loc[table["time"] > 8.0, "aileron"] *= 0.5
+    found = flight._replace(table=table).estimate().derivatives.loc["Cl_aileron"]
+    assert abs(found["value"] - flight.truth["Cl_aileron"]) < 1.96 * found["std"]
+
+
 def test_logged_deflections_are_not_late():
     """A lag of zero is at the edge of what a lag can be: the search stays there, and ends."""
     found = flown(GUSTY, 6.0, deflections=True).estimate()

@@ -14,7 +14,7 @@ def short(fly, truth, aircraft, train, seconds, seed):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.usefixtures("few_manoeuvres")
+@pytest.mark.usefixtures("few_manoeuvres", "short_fits")
 def test_it_runs(example, first_minute, monkeypatch, tmp_path, capsys):
     """With the aircraft of the shared flights."""
     monkeypatch.setattr(datasets, "load_example_flights", lambda turbulence: first_minute())

@@ -139,7 +139,7 @@ def test_derivatives_lie_inside_their_bands():
 @pytest.mark.slow
 def test_a_stated_position_of_sensors_half_a_metre_ahead_narrows_the_bands():
     """To less than half of those without it (0.26 and 0.40 of them with two seeds)."""
-    flight = flown(GUSTY, 18.0, arm=(0.5, 0.05, -0.1))
+    flight = flown(GUSTY, 12.0, arm=(0.5, 0.05, -0.1))
     found = flight.estimate()
     _, std, *_ = flight.recovered(found)
     unknown = flight._replace(aircraft=replace(flight.aircraft, sensor_position=None))
@@ -153,7 +153,7 @@ def test_a_stated_position_of_sensors_half_a_metre_ahead_narrows_the_bands():
 @pytest.mark.slow
 def test_a_wrong_position_of_the_sensors_is_told_and_widens_all_bands():
     """Stated 20 cm above where they are."""
-    flight = flown(GUSTY, 18.0, arm=(0.0, 0.0, 0.0))
+    flight = flown(GUSTY, 12.0, arm=(0.0, 0.0, 0.0))
     wrong = replace(flight.aircraft, sensor_position=(0.0, 0.0, -0.2))
     with pytest.warns(UserWarning, match="inertial sensors are 0.[12]"):
         motion = FlightPathReconstruction(aircraft=wrong).fit(flight.table).air_motion_
@@ -197,7 +197,7 @@ def test_rows_without_a_sample_tell_nothing_of_the_noise():
 @pytest.mark.slow
 def test_derivatives_of_a_flight_that_vibrates():
     """All inertial sensors feel the propeller, by 15 and 6 times their noise, at frequencies that follow its speed."""
-    flight = flown(GUSTY, 40.0)
+    flight = flown(GUSTY, 25.0)
     table = flight.table
     shake = uav_flight.vibration(default_rng(2), table["throttle"].to_numpy(), 0.02)
     table[FORCES + RATES] += shake

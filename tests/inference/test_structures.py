@@ -7,7 +7,7 @@ from numpy.random import default_rng
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import SearchOptions, search, structure_weights
-from skdgp.kernels import ConvolvedGaussian
+from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 
 def process_of(model):
@@ -80,6 +80,16 @@ def test_hyperparameters_without_effect_have_no_price():
     assert [found.price for found in search([kernel] * 2, X, Y, options)] == pytest.approx(
         [8 * 60 / 51] * 2
     )
+
+
+def test_slopes_by_constant_regressors_have_no_price():
+    X, Y = default_rng(0).normal(size=(2, 30, 2))
+    options = SearchOptions(optimizer="fmin_l_bfgs_b", max_iter=1, random_state=0)
+    prices = []
+    for regressors in (X, np.column_stack([X, np.ones(30)])):
+        prices += [found.price for found in search([LinearTrend()] * 2, regressors, Y, options)]
+    assert prices[0] > 0
+    assert prices == pytest.approx(prices[:1] * 4)
 
 
 def test_weights_are_those_of_akaike():

@@ -125,22 +125,22 @@ class Record(NamedTuple):
 def _sums_around(innovation: Matrix, step: float, period: float) -> Matrix:
     """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample.
 
-    And of a ``period`` [s] later: a surface between samples of a slow clock follows from the next
-    one, too. Periods of less than four rows are not recognised, so four rows are the least.
+    And of a ``period`` [s] later, if any: a surface between samples of a slow clock follows from the next one,
+    too. Another surface causes what comes later, and does not answer it.
     """
     n = len(innovation) + 1
     # longest delay of the surfaces' answers to gusts [s]
     longest = max(8.0 / step, 2.0)
-    # bins of these delays, wider the longer
-    past = np.geomspace(1, longest, 16).round()
-    # longest period of the samples of surfaces that their values do not show [rows]
-    period_ahead = max(period / step, 4.0)
-    # two bins of the period after a sample: surfaces between samples of a slow clock look ahead
-    ahead = np.linspace(-period_ahead, 0, 3).round()
-    edges = np.unique(np.concatenate([ahead, past]).astype(int))  # of the bins, delays in samples
+    # bins of these delays, wider the longer; many would explain inputs by chance
+    edges = np.geomspace(1, longest, 7).round()
+    if period > 0:
+        # two bins of the period after a sample: surfaces between samples of a slow clock look ahead
+        ahead = np.linspace(-period / step, 0, 3).round()
+        edges = np.concatenate([ahead, edges])
+    edges = np.unique(edges.astype(int))  # of the bins, delays in samples
     # sums over bins are differences of the cumulative sum, with zeros beyond the record
     earlier = np.zeros((edges[-1] + 2, innovation.shape[1]))
-    later = np.zeros((-edges[0], innovation.shape[1]))
+    later = np.zeros((max(-edges[0], 0), innovation.shape[1]))
     total = np.cumsum(np.concatenate([earlier, innovation, later]), axis=0)
     places = np.arange(n) + edges[-1] + 1
     sums = [total[places - near] - total[places - far] for near, far in pairwise(edges)]

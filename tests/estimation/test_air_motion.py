@@ -266,6 +266,20 @@ def test_bands_hold_a_derivative_whose_surface_is_logged_wrongly_for_a_while():
     assert abs(found["value"] - flight.truth["Cl_aileron"]) < 1.96 * found["std"]
 
 
+@pytest.mark.slow
+def test_motion_that_follows_a_surface_is_no_answer_to_gusts():
+    """Of a wing whose autopilot holds its attitude in rough air; slopes by alpha were half of the truth."""
+    rng = default_rng([1, *map(ord, "flying wingmoderatereal")])
+    plane = uav_flight.AIRCRAFT["flying wing"]
+    lag = rng.uniform(0.02, 0.08)
+    true = uav_flight.fly(plane, uav_flight.AIRS["1 m/s, 2 s"], rng, 60.0, lag)
+    table = uav_flight.logged(true, rng, "real").drop(columns="alpha_true")
+    found = estimate_air_motion(table, uav_flight.aircraft_of(plane)).derivatives
+    slopes = found.loc[["CZ_alpha", "Cm_alpha"]]
+    assert_array_less(abs(slopes["value"] - [-3.5, -0.5]), 2.5 * slopes["std"])
+    assert_array_less(slopes["std"], [0.8, 0.15])
+
+
 def test_logged_deflections_are_not_late():
     """A lag of zero is at the edge of what a lag can be: the search stays there, and ends."""
     found = flown(GUSTY, 6.0, deflections=True).estimate()

@@ -219,8 +219,9 @@ class TestDownstream:
         assert believed.notna().all(axis=None)
 
     def test_regressors_that_never_moved_are_named(self):
-        """The elevator is still where there are targets."""
+        """The elevator is still where there are targets; alpha moves, in whatever unit."""
         table = log().assign(rudder=0.01)
+        table["alpha"] *= 1e-6
         targets = np.where(table.time < 0.9, 1.0, np.nan)
         words = r"\['elevator', 'rudder'\] never change.*cannot learn"
         with pytest.warns(FlightDataWarning, match=words):

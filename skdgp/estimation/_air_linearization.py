@@ -387,7 +387,8 @@ class Expansion(RecordModel):
         """
         jump = np.diff(self.inputs.surfaces, axis=0)
         between_samples = means_of_neighbours(self.record.surface_errors)
-        error = np.where(self.record.periods > 0, between_samples, jump)
+        is_slow = self.record.surface_errors.any(axis=0)
+        error = np.where(is_slow, between_samples, jump)
         error = error * means_of_neighbours(self.surface_effect)
         rates_by_errors = self.by_start[:, BODY_RATES, COEFFICIENT_ERRORS]
         push = rates_by_errors @ self.model.by_surfaces * error[:, None]

@@ -50,7 +50,6 @@ class Record(NamedTuple):
     position: Vector  # (3,) of the inertial sensors, zero if unknown [m]
     surface_errors: Matrix  # (n, k) size between samples of a slow clock, zero at these [rad]
     inputs: Inputs  # as logged
-    periods: Vector  # (k,) of the samples of the surfaces, zero of the record's own clock [s]
     vibration: Matrix  # (6, 6) covariance of what all inertial sensors share and is no motion [SI]
     answers: Matrix  # (n, k + 1) part of surfaces and thrust that answers gusts (autopilot)
 
@@ -78,7 +77,7 @@ class Record(NamedTuple):
         inputs = np.column_stack([self.inputs.surfaces, self.inputs.thrust[:, 0]])
         inputs -= inputs.mean(axis=0)
         answers = np.empty_like(inputs)
-        X = _sums_around(innovation, self.median_step, self.periods.max(initial=0.0))
+        X = _sums_before(innovation, self.median_step)
         squares = X.T @ X
         # by the normal equations, as rows are many
         for k, surface in enumerate(inputs.T):
@@ -122,26 +121,19 @@ class Record(NamedTuple):
         return np.any(np.isfinite(self.measured[1:]), axis=0)
 
 
-def _sums_around(innovation: Matrix, step: float, period: float) -> Matrix:
+def _sums_before(innovation: Matrix, step: float) -> Matrix:
     """Return sums (n, bins m) of innovations (n - 1, m) over bins of the past of each sample.
 
-    And of a ``period`` [s] later, if any: a surface between samples of a slow clock follows from the next one,
-    too. Another surface causes what comes later, and does not answer it.
+    What comes later is the effect of a surface, and no cause of its motion.
     """
     n = len(innovation) + 1
     # longest delay of the surfaces' answers to gusts [s]
     longest = max(8.0 / step, 2.0)
-    # bins of these delays, wider the longer; many would explain inputs by chance
-    edges = np.geomspace(1, longest, 7).round()
-    if period > 0:
-        # two bins of the period after a sample: surfaces between samples of a slow clock look ahead
-        ahead = np.linspace(-period / step, 0, 3).round()
-        edges = np.concatenate([ahead, edges])
-    edges = np.unique(edges.astype(int))  # of the bins, delays in samples
-    # sums over bins are differences of the cumulative sum, with zeros beyond the record
+    # bins of these delays in samples, wider the longer; many would explain inputs by chance
+    edges = np.unique(np.geomspace(1, longest, 7).round().astype(int))
+    # sums over bins are differences of the cumulative sum, with zeros before the record
     earlier = np.zeros((edges[-1] + 2, innovation.shape[1]))
-    later = np.zeros((max(-edges[0], 0), innovation.shape[1]))
-    total = np.cumsum(np.concatenate([earlier, innovation, later]), axis=0)
+    total = np.cumsum(np.concatenate([earlier, innovation]), axis=0)
     places = np.arange(n) + edges[-1] + 1
     sums = [total[places - near] - total[places - far] for near, far in pairwise(edges)]
     return np.concatenate(sums, axis=1)
@@ -188,7 +180,6 @@ def _whole_flight(
     vibration = vibration_covariance(inertial, estimate.off_path, rate)
     inputs = interpolate_missing(sensors.time, logged)
     surfaces = inputs[:, :n_surfaces]
-    periods, surface_errors = _own_clocks(sensors.time, surfaces)
     position = np.zeros(3)
     stated = sensors.position[np.isfinite(sensors.position).all(axis=1)]
     if len(stated):
@@ -202,24 +193,21 @@ def _whole_flight(
         measured=np.column_stack([inertial, air_data]),
         force=force,
         position=position,
-        surface_errors=surface_errors,
+        surface_errors=_errors_between_samples(sensors.time, surfaces),
         inputs=Inputs(surfaces, inputs[:, n_surfaces:-1], inputs[:, -1]),
-        periods=periods,
         vibration=vibration,
         answers=np.zeros((len(inputs), n_surfaces + 1)),
     )
 
 
-def _own_clocks(time: Vector, surfaces: Matrix) -> tuple[Vector, Matrix]:
-    """Return periods (k,) and errors (n, k) of surfaces between the samples of slow clocks, zero of others."""
-    periods = np.zeros(surfaces.shape[1])
+def _errors_between_samples(time: Vector, surfaces: Matrix) -> Matrix:
+    """Return errors (n, k) of surfaces between the samples of slow clocks, zero of others."""
     errors = np.zeros_like(surfaces)
     for k, surface in enumerate(surfaces.T):
         samples = interpolated_rows(time, surface)
         if samples is not None:
-            periods[k] = np.median(np.diff(time[samples]))
             errors[:, k] = error_between_samples(time, surface, samples)
-    return periods, errors
+    return errors
 
 
 def n_samples(records: list[Record]) -> int:

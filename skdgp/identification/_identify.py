@@ -190,7 +190,7 @@ def identify(
             lags = fit.lags_corrected
             is_late = "servos" in lags or lags.get("surfaces", 0.0) < 0
             report(Finding(Code.LAGS_CORRECTED, lags=lags, commands=is_late))
-        for finding in _unknown_lag(model):
+        for finding in _unknown_lag(model, fit):
             report(finding)
         chosen = _options(model) | {"thrust": thrust, "horizon": horizon}
         if units is not None:
@@ -208,22 +208,20 @@ def identify(
     )
 
 
-def _unknown_lag(model: FlightPipeline) -> list[Finding]:
+def _unknown_lag(model: FlightPipeline, fit: Bunch) -> list[Finding]:
     """Return the finding of surfaces whose lag the flights do not show, none where a filter estimates it.
 
     Of flights too short for a judgement it says nothing new.
     """
-    corrector = step_of(model, LagCorrector)
     reconstruction = reconstruction_of(model)
     by_filter = reconstruction is not None and reconstruction.air_motion_ is not None
-    is_short = (model.seconds_ or 0.0) < THRESHOLDS.flown
-    if corrector is None or not isinstance(corrector.lags, str) or by_filter or is_short:
+    is_estimated = fit.lags is not None and "surfaces" in fit.lags.index
+    if by_filter or not is_estimated or fit.flown < THRESHOLDS.flown:
         return []
-    surfaces = corrector.lags_.loc["surfaces"]
-    if surfaces["applied"] or surfaces["std"] <= LARGEST_STD:
+    std, applied = fit.lags.loc["surfaces", ["std", "applied"]]
+    if applied or std <= LARGEST_STD:
         return []
-    std = surfaces["std"] if np.isfinite(surfaces["std"]) else None
-    return [Finding(Code.LAG_UNKNOWN, std=std)]
+    return [Finding(Code.LAG_UNKNOWN, std=std if np.isfinite(std) else None)]
 
 
 def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list[Finding]:

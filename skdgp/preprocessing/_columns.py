@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
+from skdgp._compute.linalg import constant_columns
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
 from skdgp._flight.channels import (
@@ -284,9 +285,8 @@ class RegressorSelector(TableTransformer):
         known = [name for name in table if name in CHANNELS or name in self.regressors_]
         limits = table[known].select_dtypes("number").dropna(axis=1, how="all").agg(["min", "max"])
         self.ranges_ = {name: tuple(limits[name].astype(float)) for name in limits}
-        # by less than a billionth of themselves
-        is_still = limits.loc["max"] - limits.loc["min"] <= 1e-9 * limits.abs().max()
-        names = [name for name in self.regressors_ if is_still.get(name)]
+        is_still = constant_columns(values[used])
+        names = [name for name, still in zip(self.regressors_, is_still, strict=True) if still]
         if y is not None and names:
             report(Finding(Code.CONSTANT_REGRESSORS, names=names), FlightDataWarning)
         return self

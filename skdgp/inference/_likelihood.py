@@ -313,7 +313,7 @@ class Likelihood(NamedTuple):
 
     value: float
     gradient: Vector
-    #: Average information (n, n), see `log_likelihood`
+    #: Average information (n, n), and curvature that it does not see, see `log_likelihood`
     information: Matrix
 
 
@@ -335,7 +335,8 @@ def log_likelihood(
 
     is the mean of the observed and the expected information where K is linear in z (Gilmour,
     Thompson & Cullis 1995, "Average information REML"): the curvature of the likelihood, for the
-    price of a product of the derivatives with one vector.
+    price of a product of the derivatives with one vector. Where first derivatives do not show the
+    curvature, `MultiOutputKernel.add_curvature` adds it.
 
     Parameters
     ----------
@@ -372,21 +373,30 @@ def log_likelihood(
         _add_noise_products(products[:, kernel.n_dims :], noise, data, alpha)
         half = triangular_solve(L, products)
         minus_W = _minus_W(L, alpha)
-        by_theta = _gradient(pairs, evaluated, minus_W, kernel.n_dims)
+        slopes = _slopes(pairs, evaluated, minus_W, kernel.n_dims)
+        by_theta = np.sum(list(slopes.values()), axis=0)
         by_noise = noise_gradient(minus_W, noise, data)
         gradient = -np.concatenate([by_theta, by_noise])
-        return Likelihood(value, gradient, 0.5 * half.T @ half)
+        information = 0.5 * half.T @ half
+        for (i, j), of_outputs in slopes.items():
+            of_theta = information[: kernel.n_dims, : kernel.n_dims]
+            kernel.add_curvature(of_theta, i, j, -of_outputs)
+        return Likelihood(value, gradient, information)
 
 
-def _gradient(pairs, evaluated, W, n_dims):
-    """Return sum(W * dK / dtheta), (n_theta,), from tiles on and above the diagonal."""
+def _slopes(pairs, evaluated, W, n_dims):
+    """Return sum(W * dK_ij / dtheta), (n_theta,), of each pair of outputs, from tiles on and above the diagonal."""
 
     def of_pair(k):
         slopes = np.zeros(n_dims)
         evaluated[k].add_gradient(slopes, _weights(W, *pairs[k]))
         return slopes
 
-    return np.sum(thread_map(of_pair, range(len(pairs))), axis=0)
+    of_outputs: dict[tuple[int, int], Vector] = {}
+    for (a, b), slopes in zip(pairs, thread_map(of_pair, range(len(pairs))), strict=True):
+        of_outputs.setdefault((a.output, b.output), np.zeros(n_dims))
+        of_outputs[a.output, b.output] += slopes
+    return of_outputs
 
 
 def _add_products(products, pairs, evaluated, alpha):

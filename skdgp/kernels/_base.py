@@ -400,6 +400,17 @@ class MultiOutputKernel(Kernel):
             np.add.at(total, places[free], gradients[name][free])
         return total
 
+    def add_curvature(self, total: Matrix, i: int, j: int, slopes: Vector) -> None:
+        """Add second derivatives of -sum(W * K_ij) by theta that first derivatives do not show.
+
+        Parameters
+        ----------
+        total : ndarray (n_theta, n_theta)
+        i, j : int
+        slopes : ndarray (n_theta,)
+            sum(W * dK_ij / dtheta).
+        """
+
     def theta_places(self) -> dict[str, Indices]:
         """Return the place in theta of each entry of each parameter, -1 where it is fixed."""
         places = {}
@@ -559,6 +570,12 @@ class Sum(_SklearnSum, MultiOutputKernel):
 
     def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]
+
+    def add_curvature(self, total: Matrix, i: int, j: int, slopes: Vector) -> None:
+        n_first = self.k1.n_dims
+        for term, places in ((self.k1, slice(n_first)), (self.k2, slice(n_first, None))):
+            if term.couples(i, j):
+                term.add_curvature(total[places, places], i, j, slopes[places])
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))

@@ -1,5 +1,6 @@
 """A problem small enough for naive references: three outputs, each observed at samples of its own."""
 
+from itertools import combinations, pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -37,6 +38,27 @@ def assert_gradient(central_difference):
             assert_allclose(gradient @ direction, slope, rtol=rtol, atol=atol)
 
     return check
+
+
+@pytest.fixture(scope="session")
+def information():
+    """Return the average information, half of the products dK alpha (n, N) in K^-1, and the kernel's curvature."""
+
+    def expected(kernel, data, K, y, products):
+        inverse = np.linalg.inv(K)
+        alpha = inverse @ y
+        found = 0.5 * products @ inverse @ products.T
+        W = np.multiply.outer(alpha, alpha) - inverse
+        ends = np.cumsum([0, *map(len, data.X)])
+        rows = [slice(*pair) for pair in pairwise(ends)]
+        of_theta = found[: kernel.n_dims, : kernel.n_dims]
+        for i, j in combinations(range(len(rows)), 2):
+            of_outputs = W[rows[i], rows[j]]
+            slopes = kernel.block_gradient(i, j, data.X[i], data.X[j], of_outputs)
+            kernel.add_curvature(of_theta, i, j, slopes)
+        return found
+
+    return expected
 
 
 def noise_covariance(Y, noise, loading=None):

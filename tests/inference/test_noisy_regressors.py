@@ -25,7 +25,7 @@ def test_loadings_are_slopes_times_deviations(one_problem, central_difference):
 
 
 def test_likelihood_of_learned_variances_and_its_derivatives(
-    noisy_problem, noise_of, assert_gradient, central_difference
+    noisy_problem, noise_of, assert_gradient, central_difference, information
 ):
     """By the kernel, the noise of outputs and the variance of each regressor's noise."""
     kernel, noise, data = noisy_problem.kernel, noisy_problem.noise, noisy_problem.data
@@ -48,10 +48,8 @@ def test_likelihood_of_learned_variances_and_its_derivatives(
     assert found.value == pytest.approx(expected, rel=1e-10)
     assert at(theta) == pytest.approx(expected, rel=1e-10)
     assert_gradient(found.gradient, at, theta, rtol=1e-7, atol=1e-7)
-    # dK alpha, of which the average information is the half square in K^-1
     products = central_difference(
         lambda theta: covariance_at(theta) @ np.linalg.solve(K, noisy_problem.y), theta
     )
-    assert_allclose(
-        found.information, 0.5 * products.T @ np.linalg.solve(K, products), rtol=1e-6, atol=1e-7
-    )
+    expected = information(kernel, data, K, noisy_problem.y, products.T)
+    assert_allclose(found.information, expected, rtol=1e-6, atol=1e-7)

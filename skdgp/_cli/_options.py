@@ -179,7 +179,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     # what is written
     "output": {
         "flags": "-o --output",
-        "help": "folder for the outputs (default: skdgp-results of identify, skdgp-demo of demo, else none)",
+        "help": "folder for the outputs (by default skdgp-results for identify, skdgp-demo for demo)",
     },
     "table": {
         "flags": "-o --output",
@@ -203,7 +203,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "altitude": {
         "type": number(),
         "default": 0.0,
-        "help": "of the trim, or the ground [m] (default: 0)",
+        "help": "of the trim (fly: of the ground) [m] (default: 0)",
     },
     "flown-altitude": {
         "flags": "--altitude",
@@ -221,7 +221,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
         "type": axis_value,
         "nargs": "+",
         "default": [],
-        "help": "deflections [rad] with the servos at their ends (default: of the aircraft file), see above",
+        "help": "deflections [rad] with the servos at their ends, see above",
     },
     "params": {
         "help": "parameters of the autopilot, as a ground station saves them (fly: SERVOn_*, by default servos 1 to 4 "
@@ -230,7 +230,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     # plan
     "seconds": {
         "type": positive,
-        "help": "of flight (fly: until the autopilot is silent by default)",
+        "help": "of all flights together (fly: by default until the autopilot is silent)",
     },
     "axes": {"choices": AXES, "nargs": "+", "help": "controls to move"},
     "goal": {"nargs": "+", "help": "derivatives such as Cm_q Cn_rudder (default: all)"},

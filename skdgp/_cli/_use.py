@@ -156,7 +156,8 @@ def derivatives(run: Run) -> None:
     }
     with units_shown(model.pipeline.control_units or {}):
         text = "\n\n".join(map(_derivatives_text, points))
-    lines = [text, "", "± one standard deviation; ▼: the 95 % band holds both signs", ""]
+    units = "frequency in rad/s, time constant in s"
+    lines = [text, "", f"{units}; ± one standard deviation; ▼: the 95 % band holds both signs", ""]
     run.finish(lines, {"points": points}, files, "derivatives.json")
 
 
@@ -286,7 +287,8 @@ def export(run: Run) -> None:
     portable  model.npz: arrays and JSON, no code; examples/read_portable.py reads it with NumPy alone
     c         aero.h, aero.c: mean, deviation, slopes and limits in C99; "make test" compares them with the model
     jsbsim    aircraft/NAME/NAME.xml: an aircraft that flies the mean; --full gives deflections at a command of 1
-              (1 of controls in parts of their full throw), and thrust [N] without a propeller
+              (by default of the aircraft file; 1 of controls in parts of their full throw), and thrust [N] without a
+              propeller
     casadi    aero.casadi: mean, deviation and Jacobian as a Function, aero_mean.casadi: the mean alone; needs CasADi
 
     All files are written into DIR, or none.
@@ -397,8 +399,8 @@ def fly(run: Run) -> None:
 
     Start the simulator beside it: sim_vehicle.py -v ArduPlane --model JSON:127.0.0.1. The aircraft begins at its
     trim, 100 m or --height above the ground, where the flight is over. --full gives deflections [rad] at full output,
-    and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o writes flight.csv; each start of
-    the simulator is a flight in it.
+    by default those of the aircraft file, and thrust [N] or propeller_speed [rad/s] where that sets the thrust. With -o
+    writes flight.csv; each start of the simulator is a flight in it.
 
     For example:
       skdgp fly results/model.joblib --airspeed 20 --full aileron=0.42 elevator=0.42 rudder=0.35

@@ -57,7 +57,8 @@ JUMP = 4.0
 COMMANDS = "throttle"
 # the clock of a table follows the first of these
 LEADERS = ("p", "ax", "qw")
-# a source that ends so much behind it [s] has late time stamps, as a log ends for all: in three logs 0.02 s at most
+# a source that ends so much and a step behind it [s] has late time stamps, as a log ends for all: in three logs 0.02 s
+# at most
 LATEST_END = 0.5
 
 
@@ -102,14 +103,18 @@ class Candidate(NamedTuple):
         """The messages that count, (n,)."""
         return self.used if self.used.any() else self.valid
 
-    @property
-    def merit(self) -> tuple[int, float, bool, float]:
-        """Order of instances: messages that were used, whole seconds of valid ones, whether they move, confidence."""
+    def merit(self, duration: float) -> tuple[int, float, bool, float]:
+        """Return the order of instances in a log of some duration [s].
+
+        By messages that were used, the part of the log with valid ones, whether they move, and the mean of a flag or a
+        confidence.
+        """
         topic = self.instance.topic
-        seconds = self.valid.mean() * np.ptp(topic.time)
+        part = self.valid.mean() * np.ptp(topic.time) / duration
         moves = self.valid.any() and np.ptp(self.values[self.valid]) > 0
-        confidence = np.clip(np.nan_to_num(topic.fields.get(CONFIDENCE, NONE)), 0.0, 1.0).sum()
-        return int(self.used.sum()), round(seconds), bool(moves), float(confidence)
+        told = [topic[field] for field in (IN_USE, CONFIDENCE) if field in topic]
+        preference = np.clip(np.nan_to_num(told), 0.0, 1.0).sum() / len(topic)
+        return int(self.used.sum()), round(part, 2), bool(moves), float(preference)
 
 
 # -- topics by rules
@@ -133,7 +138,8 @@ def choose(log: Log, rule: Rule) -> Source | None:
 
 def _source_of(rule: Rule, candidates: list[Candidate], use: Use | None) -> Source:
     """Return the source by the best of the instances."""
-    best = max(candidates, key=lambda candidate: candidate.merit)
+    duration = np.ptp([candidate.instance.topic.time[[0, -1]] for candidate in candidates])
+    best = max(candidates, key=lambda candidate: candidate.merit(duration))
     number, name, topic = best.instance
     values = best.values[best.rows]
     if rule.columns == QUATERNION:
@@ -319,10 +325,11 @@ def _late(sources: list[Source]) -> list[str]:
     if not sources:
         return []
     leader = _leader(sources)
+    latest = LATEST_END + 1.0 / leader.rate
     behind = {}
     for source in sources:
         seconds = source.time[-1] - leader.time[-1]
-        if seconds > LATEST_END:
+        if seconds > latest:
             behind[source.words] = f"{seconds:.1f} s"
     if not behind:
         return []

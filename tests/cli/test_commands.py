@@ -267,6 +267,7 @@ class TestDerivatives:
         assert re.search(r"^airspeed +35 m/s$", shown, re.M)
         assert re.search(r"^Cm_alpha .*\d ± \d.* rad$", shown, re.M)
         assert re.search(r"^Dutch roll .*\d ± \d", shown, re.M)
+        assert "frequency in rad/s, time constant in s" in shown
 
     def test_thrust_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):
         pipeline = copy(model.pipeline).set_params(thrust=None)

@@ -131,6 +131,15 @@ class TestChoices:
         else:
             told("ends first: .* time stamps of others are late .airspeed", log, airborne=False)
 
+    def test_slow_gyros_end_up_to_a_step_earlier(self, whole, ulog):
+        """Which is no lateness of others: nothing is told."""
+        slow = np.arange(10, 39.9, 1 / 1.5)
+        fast = np.arange(10, 40, 0.05)
+        assert fast[-1] - slow[-1] > 0.6
+        log = ulog().gyros(slow, np.sin(slow)).topic("airspeed", fast, true_airspeed_m_s=fast)
+        table = whole(log)
+        assert_allclose(table.airspeed, table.time, atol=1e-3)
+
     def test_a_time_of_sampling_that_stands_still_is_none(self, whole, ulog):
         """As of a field that nobody writes to."""
         t = self.t

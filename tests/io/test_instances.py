@@ -153,6 +153,19 @@ class TestArduPilot:
         table = told(r"p q r of IMU#1\.", log, "log.bin", airborne=False)
         assert_wave(table[10:-10], "p", 1.0, mean=1.0)
 
+    @pytest.mark.filterwarnings("ignore:.*of 2, the healthiest")
+    @pytest.mark.parametrize("in_use", [0, 1, "blended"])
+    def test_of_two_receivers_the_one_in_use_counts(self, read, plane, in_use):
+        """Where ArduPilot blends both, the flag U says of neither that it is in use."""
+        log = plane()
+        for number in range(2):
+            fields = {"I": ("B", number), "Status": ("B", 3), "U": ("B", number == in_use)}
+            velocity = {"Spd": 20.0 + number, "GCrs": 0.0, "VZ": np.sin(SLOW)}
+            log.topic("GPS", SLOW + 1e-3 * number, **fields, **velocity)
+        table = read(log, airborne=False)[10:-10]
+        assert_allclose(table.v_north, 21.0 if in_use == 1 else 20.0)
+        assert_wave(table, "v_down", 1.0, atol=0.02)
+
 
 class TestPX4:
     @pytest.mark.parametrize("field", ["airspeed_source", "selected_airspeed_index"])
@@ -199,6 +212,15 @@ class TestPX4:
         log.topic("airspeed", SLOW, instance=1, **fields)
         table = told(r"airspeed#1\..* \(of 2, the healthiest\)", log, airborne=False)
         assert_is_the_true_airspeed(table)
+
+    def test_a_sensor_that_stands_still_and_begins_a_little_earlier(self, told, ulog):
+        time = np.arange(0, 400, 0.2)
+        log = ulog().gyros(time, np.sin(time))
+        log.topic("airspeed", time, true_airspeed_m_s=18.0)
+        later = time[time > 1.5]
+        log.topic("airspeed", later, instance=1, true_airspeed_m_s=18 + np.sin(later))
+        table = told(r"airspeed#1\..* \(of 2, the healthiest\)", log, airborne=False)
+        assert_is_the_true_airspeed(table[table.time > 1.5])
 
 
 class TestResets:

@@ -319,7 +319,7 @@ def fly(
     flown = Flown(pd.DataFrame(flights.rows), flights.n_steps, flights.computing, reason)
     if flown.outside:
         warn(
-            f"{flown.outside:.0%} of the flight is outside of what the model was learned from: the column beyond says "
+            f"{flown.outside:.1%} of the flight is outside of what the model was learned from: the column beyond says "
             "where. A stall that was not flown is not in the model.",
             SimulationWarning,
         )

@@ -43,6 +43,8 @@ ARDUPILOT_DEFAULTS = {
 # fmt: on
 # Harmonic notch filters of ArduPilot's gyros
 HARMONIC_NOTCHES = ("INS_HNTCH", "INS_HNTC2")
+# INS_HNTCH_MODE of a notch that follows no engine, whatever its INS_HNTCH_REF
+FIXED = 0
 # Parameters that divide
 POSITIVE = {
     *("FW_AIRSPD_TRIM", "FW_AIRSPD_STALL", "FW_AIRSPD_MAX", "FW_R_TC", "FW_P_TC"),
@@ -423,7 +425,9 @@ def _gyro_notches(value: Parameters) -> tuple[list[Notch], list[str]]:
         width = value(f"{name}_BW", default=40.0) if value(f"{name}_ENABLE") else 0.0
         if not width > 0:
             continue
-        others += [f"{name}_REF", f"{name}_OPTS"]
+        others.append(f"{name}_OPTS")
+        if value.given.get(f"{name}_MODE") != FIXED:
+            others.append(f"{name}_REF")
         # ArduPilot keeps the whole notch above zero
         frequency = max(value(f"{name}_FREQ", default=80.0), 0.52 * width)
         ratio = frequency / (frequency - 0.5 * width)

@@ -509,7 +509,8 @@ def test_a_notch_that_follows_the_engine_or_is_double_is_named():
     follows = {"INS_HNTCH_BW": 20.0, "INS_HNTCH_MODE": 1, "INS_HNTCH_REF": 0.3, "INS_HNTCH_OPTS": 1}
     with pytest.warns(UserWarning, match="INS_HNTCH_REF 0.3, INS_HNTCH_OPTS 1"):
         autopilot_loops(HARMONIC | follows, {"aileron": 0.4})
-    autopilot_loops(HARMONIC | {"INS_HNTCH_MODE": 1, "INS_HNTCH_BW": 20.0}, {"aileron": 0.4})
+    for fixed in ({"INS_HNTCH_MODE": 1}, {"INS_HNTCH_MODE": 0, "INS_HNTCH_REF": 0.3}):
+        autopilot_loops(HARMONIC | {"INS_HNTCH_BW": 20.0} | fixed, {"aileron": 0.4})
 
 
 def test_settings_that_a_notch_lacks_are_told():

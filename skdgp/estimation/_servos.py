@@ -39,9 +39,9 @@ def servo_output(commands: Matrix, lag: float, step: float, rate_limit: float = 
 
 
 def without_lag(
-    time: Vector, values: Vector, lag: float, flight: Any = None, *, repeats: bool
+    time: Vector, values: Vector, lag: float, flight: Any = None, *, noisy: bool, repeats: bool
 ) -> Vector:
-    """Return a channel (n,) without its lag [s], by cubic splines, on the rows where it was sampled.
+    """Return a channel (n,) without its lag [s], on the rows where it was sampled.
 
     Parameters
     ----------
@@ -51,6 +51,9 @@ def without_lag(
         Positive if late [s].
     flight : array-like (n,), optional
         Identifiers of flights.
+    noisy : bool
+        Whether a channel on a uniform clock is shifted in the frequency domain, which keeps white
+        noise white. Otherwise by cubic splines.
     repeats : bool
         Whether the last value stands beyond the end of a segment. Otherwise NaN.
 
@@ -63,14 +66,33 @@ def without_lag(
     names = None if flight is None else np.asarray(flight)[rows]
     for run in Clock.of(time[rows], names).segments:
         run_rows = rows[run]
-        if len(run_rows) < 2:
+        n = len(run_rows)
+        if n < 2:
             continue
         grid, jittered = uniform_grid(time[run_rows])
         clock = time[run_rows] if jittered else grid
         later = clock + lag
-        inside = np.clip(later, clock[0], clock[-1])
-        shifted = CubicSpline(clock, values[run_rows])(inside)
-        if not repeats:
-            shifted[later != inside] = np.nan
+        if noisy and not jittered:
+            rate = (n - 1) / (grid[-1] - grid[0])
+            shifted = _advanced(values[run_rows], lag * rate)
+        else:
+            shifted = CubicSpline(clock, values[run_rows])(np.clip(later, clock[0], clock[-1]))
+        shifted[later > clock[-1]] = values[run_rows[-1]] if repeats else np.nan
+        shifted[later < clock[0]] = values[run_rows[0]] if repeats else np.nan
         out[run_rows] = shifted
     return out
+
+
+def _advanced(values: Vector, steps: float) -> Vector:
+    """Return equidistant values a fraction of steps later: every frequency's phase is shifted, white noise stays white.
+
+    Less the line through both ends, which is shifted by itself, they are continued oddly beyond these, so
+    that the periodic signal is continuous (Oppenheim & Schafer 2010, section 4.5).
+    """
+    line = np.linspace(values[0], values[-1], len(values))
+    rest = values - line
+    periodic = np.concatenate([rest, -rest[-2:0:-1]])
+    n = len(periodic)
+    phase = np.exp(2j * np.pi * np.fft.rfftfreq(n) * steps)
+    shifted = np.fft.irfft(np.fft.rfft(periodic) * phase, n)
+    return shifted[: len(line)] + line + steps * (line[1] - line[0])

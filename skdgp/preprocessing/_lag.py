@@ -45,6 +45,8 @@ GROUPS = {
     "attitude": EULER,
     "gps": (*EARTH_VELOCITY, *POSITION),
 }
+# channels without noise, where steps are common
+CONTROLS = (*ALL_SURFACES, "throttle", "propeller_speed")
 # channels that are unknown beyond the end of a segment
 KINEMATIC = (*GROUPS["attitude"], *GROUPS["gps"])
 
@@ -54,8 +56,9 @@ class LagCorrector(TableTransformer):
 
     A channel with lag tau shows at t its value at t - tau, so it is replaced by its value at t +
     tau, segment by segment. Beyond the end of a segment attitude and GPS are NaN, and the last value
-    of others is repeated. Values between samples are of cubic splines. Use full-rate flights, before
-    smoothing.
+    of others is repeated. Sensors are shifted in the frequency domain, which keeps white noise white
+    for :class:`FlightSmoother`; controls, and channels of a jittered clock, by cubic splines. Use
+    full-rate flights, before smoothing.
 
     Surfaces that are early are commands. They become the deflections :math:`\delta` of servos with
     a first-order lag T, :math:`T \dot\delta = c - \delta`, of commands c with a delay. Without vanes
@@ -184,8 +187,9 @@ class LagCorrector(TableTransformer):
         for group, lag in lags[lags != 0].drop("servos", errors="ignore").items():
             for name in present(_columns_of([group]), table):
                 values = unwrapped(fresh, [name])[:, 0]
+                noisy = name not in CONTROLS
                 repeats = name not in KINEMATIC
-                new[name] = without_lag(time, values, lag, flight, repeats=repeats)
+                new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
         if lags.get("servos"):
             moved = table.assign(**new)
             new |= deflections(moved, lags["servos"], self.rate_limit_)

@@ -383,9 +383,9 @@ def usual_spacing(values: Vector) -> float:
 
 
 def slow_log(flights: FlightTable) -> list[Finding]:
-    """Return the finding of rows that are too few to show the fast modes, else none."""
-    steps = np.diff(flights.time)
-    step = float(np.median(steps)) if len(steps) else 0.0
+    """Return the finding of the slowest flight if its rows are too few to show the fast modes, else none."""
+    times = [flight.time for flight in flights.flights.values() if len(flight.time) > 1]
+    step = float(max((np.median(np.diff(time)) for time in times), default=0.0))
     return [Finding(Code.SLOW_LOG, rate=1 / step)] if step > 1 / SLOWEST else []
 
 

@@ -90,6 +90,12 @@ class TestSummary:
             assert len(remarks) == n_remarks
             assert all("only 4 rows a second" in remark for remark in remarks)
 
+    def test_a_slow_flight_among_faster_ones(self, write):
+        slow, fast = (make_flight({"airspeed": (20, 1, 0.1)}, n, 25 / n) for n in (100, 500))
+        both = pd.concat([slow.assign(flight="slow"), fast.assign(flight="fast")])
+        (remark,) = inspect_log(write(both)).remarks
+        assert "only 4 rows a second" in remark
+
     def test_a_table_of_many_short_records(self, write):
         still = "alpha beta q r elevator aileron"
         record = make_flight({"airspeed": (5, 1, 0), "p": (0, 1, 0), still: (0.1, 0, 0)}, 150, 0.01)

@@ -246,13 +246,13 @@ def noise_power(spectrum: Spectrum) -> float:
     """Return the white noise power: the flat part of the upper three quarters of a spectrum, or of its upper half.
 
     The upper half of a short record does not tell noise from a falling spectrum: of 500 samples of white noise
-    a third had none. It is used where the flat part of three quarters is stronger than the upper end, as
+    a third had none. It is used where the flat part of three quarters is much stronger than the upper end, as
     beyond a resonance in a slow log.
     """
     quarter = len(spectrum.power) // 4
     noise = _flat_part(spectrum, quarter)
-    # factor by which the mean of an end of white noise is hardly too small; guess
-    if noise > 1.2 * np.mean(spectrum.power[3 * quarter : -1]):
+    # of real stalls this is 1.2 to 2.6, where errors are smaller by three quarters; of a resonance, from 4 on
+    if noise > 3.0 * np.mean(spectrum.power[3 * quarter : -1]):
         noise = _flat_part(spectrum, 2 * quarter)
     return noise
 

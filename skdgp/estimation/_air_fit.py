@@ -94,9 +94,7 @@ class AirFit:
             self.x[parameters.places_of(flight, WINDS[:2])] = pitot[1:]
         if not self.is_known:
             self.x = steady_derivatives(records, layout, parameters, self.x)
-        # far from the solution a part of long flights is enough
-        few = settings.most_samples // 4
-        self._begin(shortened(records, few) if n_samples(records) > 2 * few else records)
+        self._begin(records)
 
     def _begin(self, records: list[Record]) -> None:
         """Set records, and their states: rates as measured, without gusts."""
@@ -117,9 +115,13 @@ class AirFit:
         end far below the likelihood of an earlier pass, as instruments are weak far from the solution,
         and their equations have other solutions there. Then parameters and noises are those of the
         earlier pass, and the search did not converge. The first passes of long flights are over a part of
-        their samples.
+        their samples, unless ``n_before``: the part alone may diverge, or lead elsewhere.
         """
         keep_freed_memory()
+        # far from the solution a part of long flights is enough
+        few = self.settings.most_samples // 4
+        if not n_before and n_samples(self.records) > 2 * few:
+            self._begin(shortened(self.records, few))
         last_step = np.zeros(len(self.x) - self.parameters.n_held)
         damping = self.settings.first_damping  # over the information
         fraction = 1.0  # of a step that is taken
@@ -160,7 +162,8 @@ class AirFit:
             if self.is_part and (converged or number == max_passes // 6):
                 self._begin(self.all_records)
                 best = -np.inf, *best[1:]
-                converged = False
+                # no step over all samples was small
+                was_small = converged = False
             if converged:
                 break
         # log likelihood for each sample that a solution may lie below the best pass: sound ones of simulated flights

@@ -135,7 +135,7 @@ def identify(
     >>> from skdgp import DependentGPRegressor
     >>> from skdgp.datasets import load_example_flights
     >>> from skdgp.identification import identify
-    >>> example = load_example_flights(duration=20.0)
+    >>> example = load_example_flights(duration=12.0)
     >>> result = identify(
     ...     example.train,
     ...     example.aircraft,

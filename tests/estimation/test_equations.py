@@ -73,7 +73,6 @@ def flight_of_sines(n=30):
         np.array([0.3, -0.1, 0.2]),
         np.zeros((n, 3)),
         inputs,
-        np.zeros(3),
         np.zeros((6, 6)),
         np.zeros((n, 4)),
     )

@@ -126,8 +126,8 @@ class TestChoices:
         log.topic("airspeed", t + late, true_airspeed_m_s=18 + np.sin(t), **sampled)
         if is_told:
             words = f"airspeed is published {late} s after it was sampled"
-            airspeed = told(words, log, airborne=False).set_index("time").airspeed[0.5:]
-            assert_allclose(airspeed[:12], 18 + np.sin(airspeed[:12].index), atol=1e-3)
+            airspeed = told(words, log, airborne=False).set_index("time").airspeed.loc[0.5:]
+            assert_allclose(airspeed.loc[:12], 18 + np.sin(airspeed.loc[:12].index), atol=1e-3)
         else:
             told("ends first: .* time stamps of others are late .airspeed", log, airborne=False)
 

@@ -25,12 +25,13 @@ ROLES = {
     "truth": "#D55E00",
 }
 
+# Without accents: as text of an SVG they are drawn beside their letter
 _SYMBOLS = {
     "CX": "C_X", "CY": "C_Y", "CZ": "C_Z", "Cl": "C_l", "Cm": "C_m",
     "Cn": "C_n", "alpha": r"\alpha", "beta": r"\beta", "phi": r"\phi", "theta": r"\theta",
-    "psi": r"\psi", "alpha_dot": r"\dot{\alpha}", "beta_dot": r"\dot{\beta}", "p": "p", "q": "q",
-    "r": "r", "u": "u", "v": "v", "w": "w", "p_dot": r"\dot{p}",
-    "q_dot": r"\dot{q}", "r_dot": r"\dot{r}", "p_hat": r"\hat{p}", "q_hat": r"\hat{q}", "r_hat": r"\hat{r}",
+    "psi": r"\psi", "alpha_dot": r"d\alpha/dt", "beta_dot": r"d\beta/dt", "p": "p", "q": "q",
+    "r": "r", "u": "u", "v": "v", "w": "w", "p_dot": "dp/dt",
+    "q_dot": "dq/dt", "r_dot": "dr/dt", "p_hat": r"p\,b/2V", "q_hat": r"q\,c/2V", "r_hat": r"r\,b/2V",
     "ax": "a_x", "ay": "a_y", "az": "a_z", "v_north": "v_N", "v_east": "v_E",
     "v_down": "v_D", "airspeed": "V", "altitude": "h",
 }  # fmt: skip

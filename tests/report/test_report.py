@@ -1,6 +1,8 @@
 """The report: whole, self-contained, readable, true to the numbers it is given."""
 
 import re
+import unicodedata
+from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
 from types import SimpleNamespace
@@ -95,7 +97,7 @@ def result(n=800, **changes):
 @pytest.fixture(scope="module")
 def effects():
     """Return the effects of a model of three regressors."""
-    X = pd.DataFrame(default_rng(0).normal(size=(30, 3)), columns=["alpha", "beta", "elevator"])
+    X = pd.DataFrame(default_rng(0).normal(size=(30, 3)), columns=["alpha", "q_hat", "elevator"])
     Y = pd.DataFrame(np.sin(X @ np.ones((3, 2))).to_numpy(), columns=["CZ", "Cm"])
     model = DependentGPRegressor(structure="joint", n_latent=1, optimizer=None, random_state=0)
     return EffectsDisplay.from_estimator(model.fit(X, Y), X, ax=False)
@@ -165,6 +167,11 @@ class TestPage:
         assert not {"link", "script", "iframe", "object"} & set(page.tags)
         assert "default-src 'none'; style-src 'unsafe-inline'; img-src data:" in html
         assert "://" not in re.sub(r'src="[^"]*"', "", html)
+
+    def test_pictures_have_no_accents_apart_from_their_letters(self, html):
+        pictures = [b64decode(load.partition(",")[2]).decode() for load in Page(html).loads]
+        assert pictures
+        assert not any(map(unicodedata.combining, "".join(pictures)))
 
     def test_a_second_time_gives_the_same_bytes_and_leaves_pyplot_alone(self):
         before = plt.get_fignums()

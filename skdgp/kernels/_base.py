@@ -401,12 +401,15 @@ class MultiOutputKernel(Kernel):
         return total
 
     def add_curvature(self, total: Matrix, i: int, j: int, slopes: Vector) -> None:
-        """Add second derivatives of -sum(W * K_ij) by theta that first derivatives do not show.
+        """Add the second derivatives of -sum(W * K_ij) by theta that matter where first derivatives are zero.
+
+        By default there are none.
 
         Parameters
         ----------
         total : ndarray (n_theta, n_theta)
         i, j : int
+            Outputs.
         slopes : ndarray (n_theta,)
             sum(W * dK_ij / dtheta).
         """

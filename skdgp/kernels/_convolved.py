@@ -283,14 +283,15 @@ class ConvolvedGaussian(EstimatedKernel):
         return thread_map(evaluated, pairs)
 
     def add_curvature(self, total: Matrix, i: int, j: int, slopes: Vector) -> None:
-        r"""Add the curvature of the factors of equation 16 by the widths of different outputs.
+        r"""Add the curvature of the factors c of equation 16 by the widths of two outputs.
 
-        A factor is largest at equal widths, where its first derivative is zero and its second one is
+        A factor is largest at equal widths, where its slope is zero. Its curvature is
 
         .. math:: \frac{\partial^2 \log c}{\partial (\log \ell_i - \log \ell_j)^2} = -\frac{1}{2}
-                  \left(\frac{2 \ell_i \ell_j}{\ell_i^2 + \ell_j^2}\right)^2.
+                  \left(\frac{2 \ell_i \ell_j}{\ell_i^2 + \ell_j^2}\right)^2
 
-        Only positive terms are added.
+        for each latent and regressor. Terms that would make the sum less positive are left out, as the
+        average information is positive semi-definite. Nothing is added where amplitudes are fixed.
         """
         filters = self.filters
         latents = filters.latents(i, j)
@@ -299,9 +300,8 @@ class ConvolvedGaussian(EstimatedKernel):
         if i == j or (by_amplitude < 0).any():
             return
         li, lj = filters.length_scale[latents, i], filters.length_scale[latents, j]
-        weighted = (
-            filters.amplitude[latents, i] * slopes[by_amplitude]
-        )  # sum(W * K_ij) of each latent
+        # sum(W * K_ij) of each latent, as K_ij is linear in the amplitude of output i
+        weighted = filters.amplitude[latents, i] * slopes[by_amplitude]
         curvature = 0.5 * weighted[:, None] * (2.0 * li * lj / (li**2 + lj**2)) ** 2
         first, second = places["length_scale"][latents, i], places["length_scale"][latents, j]
         adds = (curvature > 0) & (first >= 0) & (first != second)

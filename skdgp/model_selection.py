@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.files import column_names
-from skdgp._compute.typing import Array
+from skdgp._compute.typing import Array, Mask
 
 __all__ = ["thin_targets"]
 
@@ -46,9 +46,16 @@ def thin_targets(Y: Any, n_samples: int) -> Any:
     observed = np.flatnonzero(~np.isnan(np.atleast_2d(values.T)).all(axis=0))
     if n_samples < len(observed):  # the middles of equal parts stay
         middles = (np.arange(n_samples) + 0.5) * len(observed) / n_samples
-        chosen = np.zeros(len(values), dtype=bool)
-        chosen[observed[middles.astype(int)]] = True
-        values[~chosen] = np.nan
+        observed = observed[middles.astype(int)]
+    is_chosen = np.zeros(len(values), dtype=bool)
+    is_chosen[observed] = True
+    return observed_at(Y, is_chosen)
+
+
+def observed_at(Y: Any, rows: Mask) -> Any:
+    """Return targets (n,) or (n, P) that are observed at some rows (n,); the others are NaN."""
+    values = np.array(Y, dtype=float)
+    values[~rows] = np.nan
     return _like(Y, values)
 
 

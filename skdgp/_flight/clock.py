@@ -109,6 +109,14 @@ class Clock:
         return slices(starts, len(self.time))
 
     @property
+    def elapsed(self) -> Vector:
+        """Time since the beginning of each row's segment [s], (n,)."""
+        starts = np.concatenate(
+            [np.full(n_rows(run), self.time[run.start]) for run in self.segments]
+        )
+        return self.time - starts
+
+    @property
     def segments_by_flight(self) -> list[list[slice]]:
         """The segments of each flight."""
         runs: dict[int, list[slice]] = {}

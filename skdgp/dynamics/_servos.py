@@ -77,6 +77,11 @@ class Servos:
         return self == IDEAL
 
     @property
+    def settling_time(self) -> float:
+        """Time [s] after which less than a hundredth is left of an unknown deflection."""
+        return self.delay + 5.0 * self.lag
+
+    @property
     def words(self) -> str:
         """Lag, delay and, if there is one, rate limit as text."""
         lag, lag_std, delay, delay_std = (

@@ -16,7 +16,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.statistics import r2_of_observed
-from skdgp._compute.typing import Matrix, Vector
+from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, RATES, SENSOR_GUST
 from skdgp._flight.findings import Code, with_codes
 from skdgp._flight.tables import FlightTable, has_values
@@ -42,7 +42,7 @@ from skdgp.inference import (
     linear_weights,
 )
 from skdgp.metrics import check_scored
-from skdgp.model_selection import thin_targets
+from skdgp.model_selection import observed_at, thin_targets
 from skdgp.preprocessing import (
     ElevonSplitter,
     FlightCheck,
@@ -347,7 +347,6 @@ class FlightPipeline(Pipeline):
             y = pd.DataFrame(y, columns=[*COEFFICIENTS])
         self.n_observed_ = _n_observed(y)
         y = self._thinned(y)
-        self.n_learned_ = _n_observed(y)
         position_of(self, "regressorselector")  # asked for before the flights take their time
         n_first = len(self.checking)
         first, others = self[:n_first], self[n_first:-1]
@@ -355,6 +354,8 @@ class FlightPipeline(Pipeline):
         regressors = np.asarray(others.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
         self.steps = [*first.steps, *others.steps, self.steps[-1]]
+        y = observed_at(y, self._servos_settled(flights))
+        self.n_learned_ = _n_observed(y)
         self._learn_flights(flights)
         name, last = self.steps[-1]
         parameters = {key.removeprefix(f"{name}__"): value for key, value in params.items()}
@@ -393,6 +394,14 @@ class FlightPipeline(Pipeline):
         is_exact = isinstance(last, DependentGPRegressor) and last.inference == "exact"
         most = MOST_EXACT if is_exact else MOST_SPARSE
         return thin_targets(y, most if self.samples is None else self.samples)
+
+    def _servos_settled(self, flights: pd.DataFrame) -> Mask:
+        """Return whether deflections of flights are known, (n,): not until servos forget the time before a segment."""
+        steps = (step_of(self, LagCorrector), reconstruction_of(self))
+        seconds = sum(step.servos_.settling_time for step in steps if step is not None)
+        if not seconds:
+            return np.ones(len(flights), dtype=bool)
+        return FlightTable.of(flights).clock.elapsed > seconds
 
     def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
         """Return the slopes that the motion of the air shows, None with vanes.

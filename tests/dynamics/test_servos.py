@@ -70,3 +70,16 @@ def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, followed, la
         time = table["time"].to_numpy()
         expected = followed(lambda t: steps_of(t, 0.3), time, lag, 0.03, 5.0)
         assert_allclose(table["aileron"], expected, atol=2e-3)
+
+
+def test_an_unknown_deflection_is_forgotten_in_the_settling_time(glider, level):
+    """One of 0.05 rad before commands of zero."""
+    servos = Servos(lag=0.04, delay=0.03)
+
+    def law(t, state):
+        return level.controls | {"aileron": 0.05 if t < 0.5 - 1e-6 else 0.0}
+
+    table = flown(glider, level, servos, law)
+    later = table["time"] >= 0.5 + servos.settling_time
+    assert table["aileron"][~later].iloc[-3] > 0.0005
+    assert_allclose(table["aileron"][later], 0.0, atol=0.0005)

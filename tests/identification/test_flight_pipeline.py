@@ -144,6 +144,19 @@ class TestPredict:
         assert fitted.seconds_ == pytest.approx(130, rel=1e-3)
 
 
+def test_nothing_is_learned_before_the_servos_forget_what_was_not_logged(flights, few):
+    """A deflection follows from the commands of five time constants behind the delay."""
+    rows, _ = few
+    pipeline = make_identification_pipeline(
+        flights.aircraft,
+        reconstruction="passthrough",
+        lags={"servos": 0.05, "surfaces": -0.03},
+        regressor=DependentGPRegressor(structure="trend", max_iter=2),
+    ).fit(rows, aerodynamic_coefficients(rows, flights.aircraft))
+    since = rows["time"] - rows.groupby("flight", observed=True)["time"].transform("min")
+    assert pipeline.n_learned_ == (since > 0.28).sum() < pipeline.n_observed_
+
+
 def test_the_scaler_may_be_left_out_or_another(model, few, test_flight):
     """Least squares beside the model are in units, and the same."""
     rows, targets = few

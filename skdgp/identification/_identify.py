@@ -196,6 +196,8 @@ def identify(
         if units is not None:
             chosen["servos"] = reading.get("servos") or FULL_THROW
         evaluations = [evaluate(name, flight, model, aircraft) for name, flight in tests.items()]
+    # the pipeline names constant regressors, which the last step numbers
+    named = [found for found in findings if found.code is not FitCode.CONSTANT_INPUTS]
     return Identification(
         title=f"{aircraft.name}: aerodynamic coefficients",
         aircraft=aircraft,
@@ -204,7 +206,7 @@ def identify(
         fit=fit,
         train={name: flight.table for name, flight in train.items()},
         evaluations=evaluations,
-        findings=(*assumed_sizes(aircraft, model.errors_), *_named_once(findings)),
+        findings=(*assumed_sizes(aircraft, model.errors_), *named),
     )
 
 
@@ -325,7 +327,7 @@ def validate(
         train={},
         evaluations=evaluations,
         changes=changes,
-        findings=_named_once(findings),
+        findings=tuple(findings),
     )
 
 
@@ -387,8 +389,3 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
 
 def _by_coefficient(values: Vector) -> dict[str, float]:
     return dict(zip(COEFFICIENTS, values, strict=True))
-
-
-def _named_once(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings without the numbers of constant regressors, which the pipeline names."""
-    return tuple(found for found in findings if found.code is not FitCode.CONSTANT_INPUTS)

@@ -11,7 +11,6 @@ from copy import copy, deepcopy
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from flight_columns import COEFFICIENTS
@@ -99,18 +98,6 @@ class TestPredict:
         assert not output.parent.exists()
         assert capsys.readouterr().err == "stopped\n"
 
-    def test_rows_that_were_not_sampled_are_left_out(self, command, path, tmp_path, capsys):
-        holes = str(tmp_path / "holes.csv")
-        out = str(tmp_path / "out.csv")
-        table = pd.read_csv("test.csv")
-        table.loc[100:109, "alpha"] = np.nan
-        table.to_csv(holes, index=False)
-        assert command(["predict", path, holes, "-o", out]) == 0
-        said = capsys.readouterr()
-        assert "10 of 300 rows are left out" in said.err
-        assert "290 rows of flight two_altitudes" in said.out
-        assert len(pd.read_csv(out)) == 290
-
 
 class Stopped(DependentGPRegressor):
     """A model during whose predictions someone presses Ctrl-C."""
@@ -145,17 +132,6 @@ class TestValidate:
         assert json.loads((tmp_path / "out" / "metrics.json").read_text()) == said
         report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
         assert "a model on other flights" in report
-
-    def test_needs_no_folder_and_no_facts(self, command, model, tmp_path, capsys):
-        bare = save_model(tmp_path / "bare.joblib", model.pipeline, model.aircraft)
-        assert command(["validate", str(bare), "test.csv", "--horizon", "1"]) == 0
-        said = capsys.readouterr()
-        # but for the stages that take long, and that the fit had stopped
-        stopped, *stages = said.err.splitlines()
-        assert "The fit stopped at max_iter=3 before it converged" in stopped
-        assert all("evaluating " in line for line in stages)
-        assert "brumby: fitted in " in said.out
-        assert files(tmp_path) == {"bare.joblib"}
 
     def test_of_what_it_learned_from_is_remarked_on(self, command, path, capsys):
         assert command(["validate", path, "latlon.csv", "--horizon", "1"]) == 0
@@ -260,14 +236,6 @@ class TestDerivatives:
         assert {"short period", "phugoid", "Dutch roll"} <= set(point["modes"])
         assert point["modes"]["Dutch roll"]["frequency_std"] > 0
         assert files(tmp_path / "out") == {"derivatives.csv", "modes.csv", "derivatives.json"}
-
-    def test_are_shown_as_in_the_report(self, command, path, capsys):
-        assert command(["derivatives", path, "--airspeed", "35", "--paths", "10"]) == 0
-        shown = capsys.readouterr().out
-        assert re.search(r"^airspeed +35 m/s$", shown, re.M)
-        assert re.search(r"^Cm_alpha .*\d ± \d.* rad$", shown, re.M)
-        assert re.search(r"^Dutch roll .*\d ± \d", shown, re.M)
-        assert "frequency in rad/s, time constant in s" in shown
 
     def test_thrust_and_gusts_that_are_not_flown(self, command, model, tmp_path, capsys):
         pipeline = copy(model.pipeline).set_params(thrust=None)

@@ -166,15 +166,6 @@ class TestIdentify:
         assert "constant over the samples" not in said  # it is said once, by name
         assert "'latlon' repeats training flight 'latlon' (its rows or its attitude)" in said
 
-    def test_several_test_flights_are_scored_together_too(self, metrics_of):
-        metrics = metrics_of("--test", "lateral.csv", "test.csv")
-        apart = [flight["coefficients"]["measured"]["CY"] for flight in metrics["test"].values()]
-        together = metrics["test_together"]["coefficients"]
-        lateral, test = (of["interval_coverage"] for of in apart)
-        expected = (400 * lateral + 300 * test) / 700
-        assert together["measured"]["CY"]["interval_coverage"] == pytest.approx(expected)
-        assert "truth" not in together  # the lateral flight does not know it
-
 
 class Pressing(io.StringIO):
     """A terminal at which someone presses Ctrl-C when it shows some words."""

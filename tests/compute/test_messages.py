@@ -50,25 +50,6 @@ def test_parts_of_a_text_whose_values_are_unknown_are_left_out():
     assert text == f"flight a: {begin}{lag}: a magnetic heading?{end}."
 
 
-@pytest.mark.parametrize(
-    ("numbers", "told"),
-    [
-        (
-            {"forces": (-0.1, 0.02), "likely": {}},
-            ", likely all forces -10 % ± 2 % (mass, wing area or airspeed?)",
-        ),
-        (
-            {"forces": None, "likely": {"Cm_alpha": (0.12, 0.02), "CX": (-0.02, 0.004)}},
-            ", likely Cm_alpha +0.12 ± 0.02, CX -0.02 ± 0.004",
-        ),
-    ],
-)
-def test_changes_have_signs_and_only_those_that_were_found_are_told(numbers, told):
-    found = Finding(Code.CHANGED, "iced", p=0.001, **numbers)
-    begin = "flight iced: the aircraft has changed (p = 0.001; ± one standard deviation)"
-    assert found.clause == begin + told
-
-
 def test_findings_of_one_kind_are_one_clause_with_the_channels_of_the_others():
     found = [
         Finding(Code.NEVER_MEASURED, channel=name, start=0.0, end=1.0, samples=2)

@@ -412,6 +412,11 @@ class TestEnsembles:
         expected = np.nanquantile(airspeed, [0.5, 0.025, 0.975], axis=0).T
         assert_allclose(bands[["airspeed", "airspeed_low", "airspeed_high"]], expected)
 
+    def test_bands_of_headings_to_either_side_of_south_are_narrow(self):
+        paths = pd.DataFrame({"start": 0, "path": [0, 1], "time": 0.0, "psi": [3.1, -3.1]})
+        bands = trajectory_bands(paths.assign(ended=""), level=1.0)
+        assert_allclose(bands[["psi_low", "psi_high"]], [[3.1, 2 * np.pi - 3.1]])
+
 
 class TestSimulator:
     @pytest.mark.parametrize("servos", [Servos(), Servos(0.1), Servos(0.04, 0.033, 2.0)], ids=str)

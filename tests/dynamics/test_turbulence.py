@@ -136,12 +136,6 @@ class TestSimulate:
         held = flown(known, air=wind.assign(wind_north=3.0, wind_east=0.0, wind_down=0.0))
         assert held.query("time == 1.0")["p"].std() < 1e-6  # no gusts
 
-    def test_a_wind_may_have_missing_values(self):
-        wind = gusty_wind()
-        whole = flown(learned(), air=wind)
-        wind.loc[100, "wind_east"] = np.nan
-        assert_allclose(flown(learned(), air=wind)["p"].std(), whole["p"].std(), rtol=0.05)
-
     def test_what_is_not_said_is_as_in_the_training_flights(self):
         known = learned(turbulence=TURBULENCE)
         for wind in (None, [0.0, 0.0, 0.0], WIND_OF_A_SECOND):

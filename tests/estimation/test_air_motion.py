@@ -20,7 +20,6 @@ from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.design import three_two_one_one
 from skdgp.dynamics import Aircraft, Servos, aerodynamic_coefficients, stability_derivatives
 from skdgp.estimation import AirSettings, estimate_air_motion, flights_of, servo_output
-from skdgp.estimation._kalman import filtered
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import FlightCheck, FlightDataWarning, FlightPathReconstruction
 
@@ -346,25 +345,6 @@ def test_a_search_that_begins_with_a_part_of_the_flight_ends_where_others_end():
     usual, *_ = flight.compared(found_in_gusts())
     assert np.mean(((value - usual) / std) ** 2) < 0.5**2
     assert np.isfinite(begun_with_a_part.air["alpha"]).all()
-
-
-def test_all_samples_are_searched_where_a_part_of_them_diverges(monkeypatch):
-    flight = flown(GUSTY, 6.0, seed=8)
-    usual = flight.estimate(known=found_in_gusts())
-    n_filtered = []
-
-    def diverges(linear, noise):
-        n_filtered.append(len(linear.time_step))
-        if n_filtered[-1] < 100:
-            raise np.linalg.LinAlgError
-        return filtered(linear, noise)
-
-    monkeypatch.setattr("skdgp.estimation._air_fit.filtered", diverges)
-    found = flight.estimate(known=found_in_gusts(), settings=AirSettings(most_samples=400))
-    assert min(n_filtered) < 100  # the part of 100 samples
-    assert found.converged
-    error = (found.air["alpha"] - usual.air["alpha"]) / usual.air["alpha_std"]
-    assert_array_less(abs(error), 0.2)
 
 
 def test_slopes_of_a_model_are_the_derivatives_with_their_covariance():

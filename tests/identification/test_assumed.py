@@ -15,7 +15,6 @@ from skdgp import DependentGPRegressor
 from skdgp.dynamics import Aircraft, propulsive_loads, stability_derivatives, trim
 from skdgp.export import export_model, portable_model
 from skdgp.identification import identify, load_model, validate
-from skdgp.preprocessing import ElevonSplitter
 
 LINE = DependentGPRegressor(structure="trend", random_state=0)
 QUICK = clone(LINE).set_params(max_iter=2, input_noise=None)
@@ -136,17 +135,6 @@ def test_an_engine_that_no_regressor_explains():
     assert engine.numbers["names"] == ["throttle", "propeller_speed"]
     assert "Name regressors with throttle or " in engine.text
     assert found.options["thrust"] is None
-
-
-@pytest.mark.usefixtures("no_mechanics")
-def test_surfaces_may_have_a_mixing_of_their_own():
-    flight = table()
-    elevator = flight.pop("elevator")
-    flight = flight.assign(tail_left=elevator, tail_right=elevator)
-    v_tail = ElevonSplitter({"elevator": {"tail_left": 0.5, "tail_right": 0.5}})
-    names = ["alpha", "q_hat", "elevator"]
-    found = briefly(flight, UNKNOWN, regressors=names, pipeline={"mixer": v_tail})
-    assert list(found.fit.regressors) == names
 
 
 @pytest.mark.usefixtures("no_mechanics")

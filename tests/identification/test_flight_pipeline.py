@@ -9,12 +9,10 @@ import pytest
 from flight_columns import FORCES, RATES, SURFACES
 from log_errors import shake
 from made_flights import make_flight
-from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.decomposition import PCA
 from sklearn.linear_model import LinearRegression
-from sklearn.metrics import r2_score
 from sklearn.model_selection import LeaveOneGroupOut, cross_validate
 from sklearn.preprocessing import RobustScaler, StandardScaler
 
@@ -276,36 +274,6 @@ class TestLeastSquares:
         assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("throttle", "moves", "expected"),
-    [(0.0, False, set()), (0.6, False, {"airspeed"}), (0.0, True, {"throttle", "airspeed"})],
-)
-def test_a_throttle_brings_the_airspeed_among_the_regressors(throttle, moves, expected):
-    """One that stands still above zero too: the thrust depends on the airspeed."""
-    rng = default_rng(0)
-    names = "alpha beta p q r elevator aileron rudder"
-    flight = make_flight({names: (0, 1, 0)}, 250, 0.05, width=0)
-    slow = {"airspeed": (20, 1, 0), "throttle": (throttle, float(moves), 0)}
-    flight[[*slow]] = make_flight(slow, 250, 0.05)[[*slow]]
-    effects = rng.normal(size=(8, 6))
-    Y = pd.DataFrame(flight[names.split()] @ effects + 0.1 * rng.normal(size=(250, 6)))
-    Y[0] += 20 * flight["throttle"] + 10 * (flight["airspeed"] - 20) * bool(expected)
-    model = make_identification_pipeline(
-        Aircraft.estimate(3.0, 1.8),
-        reconstruction="passthrough",
-        cutoff=None,
-        lags=None,
-        regressor=DependentGPRegressor(structure="trend", max_iter=15, random_state=0),
-        thrust=None,
-    ).set_params(flightcheck="passthrough", flightsmoother="passthrough")
-    model.fit(flight, Y)
-    chosen = model["regressorselector"].regressors_
-    assert {"throttle", "airspeed"} & {*chosen} == expected
-    assert len(chosen) == 8 + len(expected)
-    slopes = model[-1].predict_gradient(np.zeros((1, len(chosen))))[0, :, 8:]
-    assert (np.abs(slopes[0]) > 1).all()
-
-
 @pytest.mark.parametrize("missing", ["flightcheck", "regressorselector"])
 def test_a_step_that_flights_need_is_asked_for(missing, flights):
     train = flights.train[:200]
@@ -353,30 +321,3 @@ def test_vibration_does_not_bias_slopes_of_the_pipeline(flights):
     # in the band of the fit, a flight that vibrates is predicted as one that does not
     steady, moved = (pipeline.predict(f) for f in (flights.test[:400], shaken(flights.test[:400])))
     assert normalized_rmse(steady, moved) < 0.1
-
-
-def test_an_airspeed_that_reads_too_much_is_corrected_by_the_pipeline(flights):
-    """Legs of several headings show it; non-dimensional rates are then those of the right airspeed."""
-    too_much = flights.train.assign(airspeed=1.04 * flights.train["airspeed"])
-    Y = thin_targets(aerodynamic_coefficients(flights.train, flights.aircraft), 100)
-    regressor = DependentGPRegressor(structure="trend", max_iter=1, random_state=0)
-    pipeline = make_identification_pipeline(
-        flights.aircraft, regressor=regressor, reconstruction="passthrough", lags=None
-    )
-    with pytest.warns(UserWarning, match="airspeed"):
-        pipeline.fit(too_much, Y)
-    assert pipeline["flightcheck"].airspeed_scale_.removable() == pytest.approx(0.04, abs=0.005)
-    right = clone(pipeline).fit(flights.train, Y)
-    assert right["flightcheck"].airspeed_scale_.removable() == 0.0
-    rate = list(pipeline["regressorselector"].regressors_).index("p_hat")
-    deviation, expected = (model["standardscaler"].scale_[rate] for model in (pipeline, right))
-    assert deviation == pytest.approx(expected, rel=0.005)
-    found = pipeline.predict(too_much)
-    wanted = right.predict(flights.train)
-    assert normalized_rmse(wanted, found) < 1e-3
-    is_measured = Y.notna().all(axis=1)
-    weights = np.linspace(0.0, 1.0, len(Y))
-    expected = r2_score(
-        Y[is_measured], np.asarray(found)[is_measured], sample_weight=weights[is_measured]
-    )
-    assert pipeline.score(too_much, Y, sample_weight=weights) == pytest.approx(expected)

@@ -261,18 +261,6 @@ def test_what_no_aircraft_has_is_the_first_warning():
     assert found.findings[0].numbers["values"] == {"Cm_q": 7.5}
 
 
-DIVERGED = Finding(Code.PATHS_NOT_CONVERGED, flights=["a"])
-
-
-@pytest.mark.parametrize("fit", [{}, {"doubts": [DIVERGED]}])
-def test_with_a_reconstruction_that_did_not_converge_nothing_is_yes(fit):
-    found = verdict(findings=[ALONE["a"], DIVERGED], fit=fit)
-    assert found.findings[0] == DIVERGED
-    assert "yes" not in {use.judgement for use in found.uses}
-    assert found.findings[1:] == (ALONE["a"],)
-    assert use(found, CONTROL) == ("no", {"PATHS_NOT_CONVERGED"})
-
-
 def still(flight, *outputs):
     """Return a flight in which outputs vary by a thousandth of their noise, and the model errs by as much as that."""
     noise = 0.1
@@ -292,13 +280,6 @@ class TestCoefficientsThatDoNotVary:
         assert "without Cn" in found.compared()
         (not_varying,) = [one for one in found.findings if one.code is Code.NOT_VARYING]
         assert not_varying.numbers["names"] == ["Cn"]
-
-    def test_a_band_that_is_too_wide_is_told_of_one_that_does_not_vary(self):
-        calm = still(evaluation(), 5)
-        wide = replace(calm, prediction_std=calm.prediction_std * [1, 1, 1, 1, 1, 10])
-        found = verdict([wide])
-        (too_wide,) = [one for one in found.findings if one.code is Code.BANDS_TOO_WIDE]
-        assert too_wide.numbers["coverages"]["Cn"] == 1.0
 
     def test_of_none_there_is_no_error(self):
         found = verdict([still(evaluation(), *range(6))])
@@ -358,6 +339,7 @@ BLIND = replace(errors(0.7), table=errors().table[["time"]])
 HIDDEN = SHORT.assign(wind_known=False)
 LITTLE = {"flown": 5.0}
 SLOW = Finding(Code.SLOW_LOG, rate=4.0)
+DIVERGED = Finding(Code.PATHS_NOT_CONVERGED, flights=["a"])
 BEYOND = replace(mechanics().trim, beyond={"alpha": (0.3, 0.0, 0.2)})
 RATES = {"regressors": ["p_hat", "elevator"]}
 USES = [
@@ -401,6 +383,8 @@ USES = [
     (CONTROL, {"fit": AX}, "partly", "ACCELERATIONS_AS_REGRESSORS"),
     (CONTROL, {"trim": BEYOND}, "no", "TRIM_BEYOND"),
     (CONTROL, {"findings": [SLOW]}, "no", "SLOW_LOG"),
+    (CONTROL, {"fit": {"doubts": [DIVERGED]}}, "no", "PATHS_NOT_CONVERGED"),
+    (PREDICT, {"findings": [DIVERGED]}, "partly", "PATHS_NOT_CONVERGED"),
     (CONTROL, {"trim": None, "notes": (NO_TRIM,)}, "no", "NO_TRIM"),
     (CONTROL, {"trim": None}, "no", "CONTROLS_MISSING"),
 ]  # fmt: skip
@@ -409,13 +393,6 @@ USES = [
 @pytest.mark.parametrize(("purpose", "parts", "judgement", "codes"), USES)
 def test_what_a_model_may_be_used_for_and_why(purpose, parts, judgement, codes):
     assert use(verdict(**parts), purpose) == (judgement, {*codes.split()})
-
-
-def test_how_wide_a_band_is_is_told():
-    (_, _, control) = verdict(derivatives=WIDE).uses
-    (uncertain,) = control.findings
-    assert uncertain.numbers["widths"] == {"Cm_elevator": pytest.approx(0.98, abs=0.01)}
-    assert "Cm_elevator 98 %" in control.reason
 
 
 class TestMechanics:
@@ -439,12 +416,6 @@ class TestMechanics:
         assert found.modes is None
         assert [note.code for note in found.notes] == [Code.NO_TRIM]
         assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
-
-    def test_without_trim_and_derivatives_both_are_told(self, flight):
-        heavy = replace(AIRCRAFT, mass=500)
-        found = mechanics_of(flight, train=flight.drop(columns="elevator"), aircraft=heavy)
-        assert found.derivatives.empty
-        assert [note.code for note in found.notes] == [Code.NO_TRIM, Code.NO_DERIVATIVES]
 
 
 def test_of_little_flown_a_large_error_says_nothing():

@@ -70,6 +70,15 @@ def test_further_errors_add_to_the_covariance_and_the_paths_in_units_of_the_outp
         assert_allclose(drawn, np.sqrt(np.diag(after)[::3]), rtol=WITHIN)
 
 
+def test_errors_in_other_units_are_those_of_the_same_function():
+    rng = default_rng(2)
+    errors = FunctionErrors(rng.normal(size=(3, 3, 2)), np.array([0.3, -2.0]))
+    shift, scale, outputs = np.array([1.0, -3.0]), np.array([0.1, 20.0]), np.array([5.0, 0.2])
+    X = rng.normal(size=(4, 2))
+    found = errors.in_units(shift, scale, outputs).variance(shift + scale * X)
+    assert_allclose(found, outputs**2 * errors.variance(X))
+
+
 @pytest.mark.parametrize("truth", [[-0.4, 0.2], [1.0, 0.0], [-0.4, 0.8]])
 @pytest.mark.parametrize("common", [0.0, 0.3])
 def test_errors_by_noise_of_a_regressor_hold_what_it_takes_from_slopes(truth, common):

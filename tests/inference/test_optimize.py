@@ -5,9 +5,8 @@ from threading import Event
 import numpy as np
 import pytest
 from numpy.random import default_rng
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
-from skdgp import listening
 from skdgp.inference import Data, Likelihood, Objective, maximize
 from skdgp.kernels import ConvolvedGaussian
 
@@ -142,22 +141,3 @@ def failing(error):
 def test_a_start_where_nothing_is_defined_is_an_error():
     with pytest.raises(np.linalg.LinAlgError):
         maximize(failing(np.linalg.LinAlgError), np.zeros(2), BOUNDS, Event(), max_iter=5)
-
-
-class TestInterrupt:
-    def test_keeps_the_best_point_where_it_is_wanted(self):
-        points = []
-
-        def interrupted(theta):
-            if len(points) == 9:
-                raise KeyboardInterrupt
-            points.append((ridge(theta).value, theta.copy()))
-            return ridge(theta)
-
-        stop = Event()
-        with listening(print, keep_best=True):
-            best = maximize(interrupted, np.array([-1.2, 1.0]), BOUNDS, stop, max_iter=100)
-        assert stop.is_set()
-        value, theta = max(points, key=lambda point: point[0])
-        assert best.value == value
-        assert_array_equal(best.theta, theta)

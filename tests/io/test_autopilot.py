@@ -279,10 +279,6 @@ class TestRefusals:
     def test_options_that_make_no_sense(self, refused, px4, tmp_path, options, message):
         assert str(tmp_path / "log.ulg") in refused(message, px4, **options)
 
-    def test_a_servo_file_for_a_log_without_outputs(self, refused, ulog):
-        log = ulog().gyros(self.t, 0.0).topic("airspeed", self.t, true_airspeed_m_s=20.0)
-        refused(r"expected one of \['.*actuator_outputs'", log, servos=self.ABSENT)
-
 
 class TestWithoutAnAccelerometer:
     @pytest.fixture

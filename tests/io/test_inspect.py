@@ -59,19 +59,6 @@ class TestSummary:
         assert "elevon_left" in summary.columns.index
         assert 30 < summary.flights.airspeed.item() < 31
 
-    def test_columns_of_unknown_names_are_one_line(self, write):
-        names = ["ias", "de", "gx_dps", *(f"sensor_{k}" for k in range(66))]
-        path = write(
-            pd.DataFrame(0.0, 0.02 * np.arange(20), names).rename_axis("time").reset_index()
-        )
-        words = r"'ias' \(did you mean 'airspeed' \[m/s\]\?\), 'de' \(.* 'elevator' \[rad\]\?\), 'gx_dps' \(.* 'p'"
-        with pytest.warns(UserWarning, match=words):
-            (remark,) = inspect_log(path).remarks
-        assert "columns of unknown names: 'ias' (did you mean 'airspeed' [m/s]?)" in remark
-        assert "sensor_0, sensor_1" in remark
-        found = inspect_log(path, rename={"ias": "airspeed", "de": "elevator", "gx_dps": "p"})
-        assert set(found.columns.index) == {"airspeed", "elevator", "p"}
-
     def test_the_faults_of_a_table_at_its_own_times(self, write):
         table = make_flight({"alpha": (0.1, 0.0, 0.01)}, 500, 0.02).assign(flight="a")
         table["time"] += 1.7e9
@@ -81,14 +68,6 @@ class TestSummary:
         assert "flight a: alpha is stuck at" in remark
         assert "(1700000004.02 to 1700000005.20 s, 60 samples)" in remark
         assert remark[:30] in str(summary)
-
-    def test_rows_too_slow_for_the_fast_modes(self, write):
-        """Those of telemetry; a recorder on board has more."""
-        for rate, n_remarks in ((4.0, 1), (20.0, 0)):
-            table = make_flight({"airspeed": (20, 1, 0.1)}, 100, 1 / rate)
-            remarks = inspect_log(write(table)).remarks
-            assert len(remarks) == n_remarks
-            assert all("only 4 rows a second" in remark for remark in remarks)
 
     def test_a_slow_flight_among_faster_ones(self, write):
         slow, fast = (make_flight({"airspeed": (20, 1, 0.1)}, n, 25 / n) for n in (100, 500))

@@ -109,17 +109,6 @@ def test_a_name_twice(read, name):
         read(pa.Table.from_arrays(columns, names=["time", "alpha", name]))
 
 
-def test_nothing_in_a_column(read):
-    assert read(beta=pa.nulls(3)).beta.isna().all()
-
-
-@pytest.mark.parametrize(
-    "words", ["{}", "{x", '{"index_columns": ["none"], "columns": [], "column_indexes": []}']
-)
-def test_what_pandas_is_told_does_not_matter(read, words):
-    assert read(TABLE.replace_schema_metadata({"pandas": words})).alpha.tolist() == ALPHA
-
-
 def test_the_damage_that_pyarrow_tells_in_its_own_words(tmp_path):
     pq.write_table(TABLE, tmp_path / "log.parquet")
     raw = (tmp_path / "log.parquet").read_bytes()

@@ -126,13 +126,3 @@ def test_a_dead_inertial_sensor_gives_way_to_the_second(told, mavlink, vehicle, 
 
     table = told("SCALED_IMU2", with_sent("ATTITUDE", sensors, without="RAW_IMU"))
     assert table.p.dropna().between(0.1, 0.106).all()
-
-
-def test_a_vehicle_that_is_started_again_flies_again(told, read, tlog):
-    """The link lasts, as where a battery is changed, and the clock of the vehicle begins anew."""
-    table = told("clock was set back", [*tlog, *tlog])
-    once = read(tlog)
-    first, second = (flight for _, flight in table.groupby("flight"))
-    assert_frame_equal(first[:-5], once[: len(first) - 5])
-    assert len(second) == pytest.approx(len(once), abs=5)
-    assert_allclose(second[[*ERRORS]].std(), once[[*ERRORS]].std(), rtol=0.02)

@@ -48,6 +48,16 @@ def test_named_sets(name, columns):
     assert_frame_equal(selector.transform(EVERY), EVERY[columns])
 
 
+@pytest.mark.parametrize(
+    ("throttle", "expected"),
+    [(0.0, set()), (0.6, {"airspeed"}), (np.arange(6), {"throttle", "airspeed"})],
+)
+def test_an_engine_brings_the_airspeed_among_the_regressors(throttle, expected):
+    """One that stands still above zero too: its thrust depends on the airspeed."""
+    selector = RegressorSelector(engine=True).fit(EVERY.assign(throttle=throttle))
+    assert {"throttle", "airspeed"} & {*selector.regressors_} == expected
+
+
 def test_nondimensional_rates_take_the_place_of_rates():
     table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(EVERY)
     chosen = RegressorSelector("classical").fit(table).regressors_

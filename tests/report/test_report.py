@@ -231,23 +231,6 @@ class TestWords:
         assert "Cl_aileron 0.3 ± 0.1" in words
         assert "Cm_throttle ▼ 0.1 ± 0.3" in words
 
-    def test_modes_and_how_long_a_simulation_follows(self, no_pictures):
-        columns = ["frequency", "frequency_std", "damping", "damping_std", "time_constant"]
-        rows = [[7.0, 0.1, 0.5, 0.02, 0.25], [0.01, 0.01, 1.0, 0.5, 90.0]]
-        modes = pd.DataFrame(rows, index=["short period", "spiral"], columns=columns).assign(
-            time_constant_lower=[0.2, 50.0], time_constant_upper=[0.3, np.inf], eigenvalue=1j
-        )
-        numbers = {"spread": 0.1, "limit": 0.05, "error": 0.08, "horizon": 9.8}
-        simulation = pd.DataFrame(
-            {**numbers, "lasts": [3.2, 9.8], "wind_known": True}, index=["theta", "p"]
-        )
-        words = words_of(mechanics=FlightMechanics(modes=modes, simulation=simulation))
-        assert "short period 7 ± 0.1 0.5 ± 0.02 0.25" in words
-        assert "spiral 0.01 ± 0.01 1 ± 0.5 ▼ 90" in words  # it may diverge
-        assert "spread limit error horizon lasts wind_known" in words
-        assert "theta [deg] 5.73 2.86 4.58 9.8 3.2 True" in words
-        assert "p [deg/s] 5.73 2.86 4.58 9.8 9.8 True" in words
-
     def test_tables_hold_every_score(self, html):
         flight = result()
         words = Page(html).words
@@ -268,10 +251,6 @@ class TestWords:
         assert "▼" not in words.replace("▼ covers", "")
         assert "no band promises" in words
 
-    def test_effects_and_inputs(self, html):
-        assert "For each coefficient the regressors along which it changes most" in html
-        assert "Inputs of train (train)" in html
-
     def test_escapes_what_comes_from_outside(self):
         """Markup, and dollars, which are no templates and no mathematics."""
         evil = '<script>alert("&")</script> $title $$ ${body} $x^{'
@@ -291,9 +270,6 @@ class TestWords:
         moments = flight.measured, flight.mean, flight.prediction_std
         held, *_ = interval_coverage(*moments, multioutput="raw_values")
         assert f" {mark} {held:.3g} CY " in words_of(evaluations=[flight])
-
-    def test_says_when_nothing_went_wrong(self, no_pictures):
-        assert "No warning arose" in words_of(verdict=verdict(findings=()))
 
 
 class TestPoorContent:

@@ -126,9 +126,9 @@ def _exchange_in(signals: Signals) -> Mistake | None:
 
 
 def _n_contradicted(signals: Signals) -> int:
-    """Return the number of laws that signals break, with exchanges."""
+    """Return the number of laws that signals break."""
     contradictions, _ = _contradictions_in(signals)
-    return len(contradictions) + sum(mistake.is_shown(signals) for mistake in EXCHANGES)
+    return len(contradictions)
 
 
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:

@@ -137,21 +137,26 @@ class Finding:
 
 
 def texts_of(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """Return the text of each finding; of several of one kind and channel the longest, and the others' number.
+    """Return the text of each finding; of several of one kind and its channels the longest, and the others' number.
 
     Examples
     --------
     >>> texts_of(Finding(PlainText.MESSAGE, text="late") for _ in range(2))
     ('late. (1 more of this kind)',)
     """
-    groups = _groups(findings, lambda finding: (finding.channel, finding.numbers.get("text")))
+    groups = _groups(findings, lambda finding: (finding.channel, *_named(finding)))
     return tuple(longest.text + others for longest, others in groups)
 
 
 def clauses_of(findings: Iterable[Finding]) -> str:
     """Return clauses as one sentence without its stop; of several of one kind the longest, and the others' channels."""
-    groups = _groups(findings, lambda finding: finding.numbers.get("text"))
+    groups = _groups(findings, _named)
     return "; ".join(longest.clause + others for longest, others in groups)
+
+
+def _named(finding: Finding) -> tuple[Any, str]:
+    """Return the text and the channels that a finding of a kind may be told apart by."""
+    return finding.numbers.get("text"), str(finding.numbers.get("channels"))
 
 
 def _groups(

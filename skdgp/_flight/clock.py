@@ -178,7 +178,7 @@ def true_runs(mask: Mask) -> list[slice]:
 def unrounded(time: Vector) -> tuple[Vector, float]:
     """Return the times of a run on a uniform clock if they are rounded from one, and the resolution, 0 if they are not.
 
-    Rounded steps have two sizes, one resolution apart, and no time is off the clock by more than half of it. Fewer
+    Rounded steps have two sizes, one resolution apart, and times less the clock have a range of one resolution. Fewer
     than 50 steps do not tell them from jitter, and a resolution of less than a twentieth of a step disturbs no rate.
     """
     steps = np.diff(time)
@@ -190,7 +190,7 @@ def unrounded(time: Vector) -> tuple[Vector, float]:
     if resolution < 0.05 * np.median(steps) or between.any():
         return time, 0.0
     line = _line(time)
-    if np.abs(time - line).max() > 0.6 * resolution:
+    if np.ptp(time - line) > 1.2 * resolution:
         return time, 0.0
     return line, resolution
 

@@ -82,6 +82,7 @@ class Code(Kind):
         "[; late by about {lag:.2g} s: {late:, }]"
         "[; as in axes {axes}]",
         "[{is_frame:Body axes are forward, right, down, those of the earth north, east, down.}]"
+        "[{is_turned: A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas.}]"
         "[{from_east: The heading counts from north to the right: write pi/2 - psi.}]"
         "[{is_late:Bring the columns to one clock: numpy.interp(time + delay, time, column).}]",
     )
@@ -146,8 +147,8 @@ class Code(Kind):
         ASSUMPTION,
     )
     SIZES_QUESTIONED = (
-        "no aeroplane has these sizes: {laws}",
-        "Check these sizes and their units: {asked}.",
+        "no aeroplane has these sizes",
+        "Outside of the limits: {laws}. Check these sizes and their units: {asked}.",
         DOUBT,
     )
     BROKEN_LAW = "{channel} is {value:.3g}, but of aeroplanes {least:g} to {most:g}"
@@ -157,7 +158,7 @@ class Code(Kind):
         "Their part in errors of derivatives is std_aircraft.",
         ASSUMPTION,
     )
-    SIZES_SOURCES = "estimated by: {sources}", "", ASSUMPTION
+    SIZES_SOURCES = "sources of estimates: {sources}", "", ASSUMPTION
     THRUST_IN_COEFFICIENTS = (
         "neither columns (thrust, or thrust_x, thrust_y, thrust_z) nor a propeller and its speed give the "
         "thrust, so it is part of the coefficients: CX is thrust less drag, which the model does not tell apart",
@@ -171,10 +172,14 @@ class Code(Kind):
         "If it is this one, its errors say nothing about others.",
     )
     HELD_OUT_FLIGHT = (
-        "no test flight was named: the last flight, {flight}, is held out and tested on"
+        "no test flight was named: the last flight, {flight}, is held out and tested on",
+        "",
+        ASSUMPTION,
     )
     HELD_OUT_QUARTER = (
-        "no test flight was named: the last quarter of {flight} is held out and tested on"
+        "no test flight was named: the last quarter of {flight} is held out and tested on",
+        "",
+        ASSUMPTION,
     )
     OTHER_VERSIONS = (
         "got {path}, written with {differences}: its predictions may differ",
@@ -213,7 +218,7 @@ class Code(Kind):
 
     # transformers
     AIRSPEED_CORRECTED = (
-        "the airspeed has an error of {percent:+.2g} ± {std_percent:.2g} %, by the velocity over the ground "
+        "the airspeed has an error of {percent:+.3g} ± {std_percent:.2g} %, by the velocity over the ground "
         "in a steady wind, and is corrected",
         "Calibrate the pitot tube, or check the density.",
         NOTE,
@@ -228,6 +233,7 @@ class Code(Kind):
         "[Channels contradict each other: {contradictions}.]"
         "[{agrees:The channels agree by physics. Give longer flights with inputs of every surface, and look at "
         "vibration of the accelerometers, and whether velocity and attitude are of one estimator.}]",
+        NOTE,
     )
     AIR_NOT_ESTIMATED = "{error}"
     SENSORS_ELSEWHERE = (

@@ -225,7 +225,7 @@ def propulsive_loads(
         lacking = "no propeller_speed [rad/s]" if aircraft.propeller else "no propeller"
         raise ValueError(
             "The thrust is unknown: there is neither thrust_x, thrust_y, thrust_z nor thrust [N], and "
-            f"{lacking}. Add them, or Propeller.from_size(diameter, pitch) to the aircraft and "
+            f"{lacking}. Add them, or Propeller.from_size(diameter, pitch) (--propeller 10x5) to the aircraft and "
             "propeller_speed, or throttle with speed_range=(idle, full); or say thrust=None "
             "(--thrust none) for a glider, or to leave an unknown thrust in the coefficients."
         )

@@ -202,14 +202,14 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     for name, (value, std) in factors.items():
         is_estimate = name not in given
         powers = _powers(values, name, "length" in given)
-        text = f"{RATIOS[name]} {value:g}, {source}" if is_estimate else "given"
+        text = f"{source}: {RATIOS[name]} {value:g}" if is_estimate else "given"
         if std > 0 and powers:
             deviations[name] = ScaleFactor(std, powers, text, is_estimate=is_estimate)
     derived = _sizes(values, "length" in given)
     if inertia is None:
         inertia = np.diag([derived.pop(moment) for moment in MOMENTS])
         deviations["product of inertia"] = ScaleFactor(
-            PRODUCT_STD, {PRODUCT: 1.0}, f"none, {source}", is_estimate=True
+            PRODUCT_STD, {PRODUCT: 1.0}, f"{source}: no product of inertia", is_estimate=True
         )
     return derived | {"inertia": inertia, "deviations": deviations}
 

@@ -147,7 +147,7 @@ class AirMotion:
         parts = [
             f"gusts {gust:.1f} m/s rms, {length:.0f} m",
             f"wind {np.hypot(north, east):.1f} m/s from {wind_origin(north, east):.0f} deg",
-            f"servos {1e3 * servo['value']:.0f} ± {1e3 * servo['std']:.0f} ms late",
+            f"servos {1e3 * servo['value']:z.0f} ± {1e3 * servo['std']:.0f} ms late",
         ]
         if self.vibrates:
             parts.append("inertial sensors vibrate: bands wider by half")

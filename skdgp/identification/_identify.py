@@ -240,14 +240,14 @@ def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list
             sizes[label] = value, std * value
     if sizes:
         findings.append(Finding(Code.SIZES_ESTIMATED, sizes=sizes))
-    factors = {**(aircraft.deviations or {}), **errors}
-    sources = {
-        name: factor.source
-        for name, factor in factors.items()
-        if factor.source not in ("", "given")
-    }
+    sources: dict[str, list[str]] = {}
+    for name, factor in {**(aircraft.deviations or {}), **errors}.items():
+        source, _, quantity = factor.source.partition(": ")
+        if source not in ("", "given"):
+            sources.setdefault(source, []).append(quantity or name)
     if sources:
-        findings.append(Finding(Code.SIZES_SOURCES, sources=sources))
+        texts = [f"{source} ({', '.join(names)})" for source, names in sources.items()]
+        findings.append(Finding(Code.SIZES_SOURCES, sources=texts))
     return findings
 
 

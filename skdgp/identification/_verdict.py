@@ -46,8 +46,8 @@ NRMSE = "normalized_rmse"
 LINEAR_NRMSE = "least_squares_normalized_rmse"
 COVERAGE = "interval_coverage"
 
-# Alpha and beta are wrong, or all coefficients
-FAILURES = (Code.AIR_NOT_CONVERGED, Code.SIZES_QUESTIONED)
+# Faults of a log that other findings follow from
+CAUSES = (Code.CONTRADICTION, Code.CHANNELS_TOGETHER, Code.WRONG_CLOCK, Code.SLOW_LOG)
 DOUBTS = (Code.GUSTS_UNKNOWN, Code.PATHS_NOT_CONVERGED)
 # For each use its limits, judgement and kinds of findings: the first that has a finding decides. A
 # "yes" needs a finding too; without any the judgement is "unknown".
@@ -57,7 +57,7 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("unknown", (Code.TOO_LITTLE_FLOWN, Code.TESTED_ON_COPY)),
         ("no", (Code.DIVERGING,)),
         ("unknown", (Code.NOTHING_JUDGED,)),
-        ("no", (Code.ALL_ERRORS_TOO_LARGE, *FAILURES)),
+        ("no", (Code.ALL_ERRORS_TOO_LARGE, Code.AIR_NOT_CONVERGED)),
         ("partly", (Code.ERRORS_TOO_LARGE, Code.BY_CONSTRUCTION, Code.NOT_VARYING, *DOUBTS)),
         ("yes", (Code.ERRORS_SMALL,)),
     ),
@@ -65,16 +65,16 @@ LIMITS: dict[str, tuple[tuple[str, tuple[Code, ...]], ...]] = {
         ("no", (Code.ACCELERATIONS_AS_REGRESSORS, Code.SIZES_QUESTIONED)),
         ("unknown", (Code.TOO_LITTLE_FLOWN, Code.TESTED_ON_COPY)),
         ("unknown", (Code.NOT_SIMULATED, Code.GUSTS_HIDE_ERRORS)),
-        ("no", (Code.FOLLOWS_TOO_SHORTLY, *FAILURES)),
+        ("no", (Code.FOLLOWS_TOO_SHORTLY, Code.AIR_NOT_CONVERGED)),
         ("partly", (Code.FOLLOWS_SHORTLY, *DOUBTS)),
         ("yes", (Code.FOLLOWS,)),
     ),
     "design a controller": (
         ("no", (Code.SIZES_QUESTIONED,)),
         ("unknown", (Code.TOO_LITTLE_FLOWN,)),
-        ("no", (*DOUBTS, *FAILURES, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN)),
+        ("no", (*DOUBTS, Code.SLOW_LOG, Code.WRONG_SIGNS, Code.SIGNS_UNKNOWN)),
         ("no", (Code.NO_TRIM, Code.NO_DERIVATIVES)),
-        ("no", (Code.CONTROLS_MISSING, Code.SLOW_LOG)),
+        ("no", (Code.CONTROLS_MISSING,)),
         ("no", (Code.CONTROLS_TOO_UNCERTAIN, Code.BANDS_DO_NOT_HOLD, Code.TRIM_BEYOND)),
         ("partly", (Code.TESTED_ON_COPY, Code.MOMENTS_UNEXPLAINED, Code.FOLLOWS_TOO_SHORTLY)),
         ("partly", (Code.ACCELERATIONS_AS_REGRESSORS,)),
@@ -152,11 +152,17 @@ def judge(
     table = scores(evaluations)["measured"]
     unvarying = _not_varying(evaluations, table, fit)
     varying = table.drop(index=unvarying)
-    warnings = [finding for finding in findings if finding.severity is Severity.WARNING]
+    causes = with_codes(findings, *CAUSES)
+    warnings = [
+        finding
+        for finding in findings
+        if finding.severity is Severity.WARNING and finding.code not in CAUSES
+    ]
     warnings.sort(key=lambda finding: not isinstance(finding.code, FitCode))
     # the costliest first
     every = [
         *_doubts(fit, findings),
+        *causes,
         *_sign_findings(mechanics.derivatives),
         *_against_least_squares(varying),
         *_band_findings(table),

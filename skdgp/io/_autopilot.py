@@ -112,7 +112,7 @@ def _flown(
     jumps = attitude_jumps(FlightTable.of(table))
     cuts = np.unique(np.concatenate([jumps, *(source.cuts for source in sources)]))
     if len(cuts):
-        times = " ".join(f"{cut:.1f}" for cut in cuts)
+        times = ", ".join(f"{cut:.1f}" for cut in cuts)
         remarks.append(
             "a jump of the attitude or a reset of the estimator, so a new flight begins, at "
             f"{times} s"
@@ -233,7 +233,7 @@ def _no_flight_because(
     if np.isfinite(speeds).any():
         channel = "airspeed" if "airspeed" in table else "no valid airspeed, ground speed"
         facts = f"{channel} up to {np.nanmax(speeds):.3g} m/s, where a flight stays above {least:.3g} m/s"
-    for state, rows in (("reports to be landed", landed), ("is lifted by rotors", lifted)):
+    for state, rows in (("reports to be on the ground", landed), ("is lifted by rotors", lifted)):
         if rows.any():
             facts += f", {state} in {100 * rows.mean():.0f} % of the rows"
     return facts

@@ -271,14 +271,16 @@ def _left_out(rule: Rule, candidate: Candidate, use: Use | None) -> list[str]:
     remarks = []
     missing = 1 - candidate.valid.mean()
     if missing == 1 or (missing and rule.within):
-        fields = [field for field in rule.valid.split() if field in topic]
+        fields = [
+            field for field in rule.valid.split() if field in topic and topic[field].min() <= 0
+        ]
         fields += rule.uses.split()[number : number + 1]
         for field, _, _ in rule.within:
             if field in topic:
                 fields.append(f"{field} {np.unique(topic[field]).astype(int).tolist()}")
         why = " ".join(fields) or "no number"
         remarks.append(
-            f"{100 * missing:.0f} % of the messages are no measurement and are left out ({why})"
+            f"{100 * missing:.0f} % of the messages are left out, as the log calls them no measurement ({why})"
         )
     unused = (candidate.valid & ~candidate.rows).mean()
     if use and unused:

@@ -293,6 +293,20 @@ def test_where_the_air_was_estimated_wrongly_nothing_is_even_partly_of_use():
     doubt = Finding(Code.GUSTS_UNKNOWN, cause=cause)
     found = verdict([evaluation(error=[0.1, 0.1, 0.1, 0.1, 0.1, 0.7])], findings=[doubt])
     assert {use.judgement for use in found.uses} == {"no"}
+    told = " ".join([*found.warnings, *(use.reason for use in found.uses)])
+    assert told.count(cause.clause) == 1 + len(found.uses)
+
+
+def test_contradictions_of_several_channels_are_told_first_and_each():
+    numbers = {"y": "p", "x": "q", "slope": -1.0, "std": 0.1, "expected": "1", "t": 20.0}
+    numbers |= {"correlation": 0.9, "effective_samples": 100.0}
+    contradictions = [
+        Finding(Code.CONTRADICTION, channels=[name], **numbers) for name in ("p", "elevator")
+    ]
+    copied = Finding(Code.ALREADY_LEARNED, flight="monday")
+    found = verdict(findings=[copied, *contradictions])
+    assert found.findings == (*contradictions, copied)
+    assert [text.split()[0] for text in found.warnings[:2]] == ["p", "elevator"]
 
 
 def test_bands_that_hold_everything_are_too_wide():

@@ -471,7 +471,7 @@ class TestOnTheGround:
         return log.topic("vehicle_land_detected", [0.0, 15.0], landed=("bool", [1, 1]))
 
     def test_what_the_autopilot_says_comes_first(self, refused, log):
-        refused("reports to be landed in 100 % of the rows", log)
+        refused("reports to be on the ground in 100 % of the rows", log)
 
     def test_a_speed_finds_the_flight_of_the_summary_too(self, write, log):
         path = write(log)

@@ -303,6 +303,7 @@ class Mistake:
             lag=self.lag,
             is_late=bool(self.late),
             is_frame=not {*self.turned} <= {*ELEVONS},
+            is_turned=bool(self.turned),
             axes=self.axes,
             from_east=self.from_east,
         )

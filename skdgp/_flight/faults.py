@@ -8,7 +8,8 @@ noise-free channel has long runs without a fault: it is stuck only if it jumps a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from skdgp._compute.typing import Indices, Mask, Vector
 from skdgp._flight.channels import (
     ALL_SURFACES,
     BODY_VELOCITY,
+    CHANNELS,
     EARTH_VELOCITY,
     EULER,
     HIGH_LIFT,
@@ -32,7 +34,8 @@ from skdgp._flight.channels import (
 from skdgp._flight.clock import LONGEST_STEP, n_rows, true_runs
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import wrapped
-from skdgp._flight.tables import FlightTable
+from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
+from skdgp._flight.tables import FlightTable, unwrapped, wrap_near
 from skdgp._flight.units import ANGLE_NOISE, MOST_THROTTLE
 
 # of one sensor
@@ -76,6 +79,9 @@ POSSIBLE = {
 # Constants of the search without another source are guesses.
 # Impossible values more frequent than this fraction are of another unit, which other checks name
 RARE = 0.05
+# Longest gap that is interpolated [s]
+LONGEST_BRIDGE = 0.25
+BRIDGED = [name for name in CHANNELS if name not in ("time", "flight")]
 # Rows a second that show the fast modes
 SLOWEST = 8.0
 # Least number of samples to estimate the usual length of runs, and of leaps
@@ -131,6 +137,50 @@ def without_faults(table: pd.DataFrame, faults: Iterable[Fault]) -> pd.DataFrame
             values[fault.rows] = np.nan
             table[fault.channel] = values
     return table
+
+
+def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
+    """Return flights without faults and with short gaps interpolated, and what was found."""
+    faults = find_faults(flights, ignore)
+    # gaps in time are no error
+    faulty = [fault.finding for fault in faults if fault.code is not Code.GAP]
+    measured = replace(flights, table=without_faults(flights.table, faults))
+    controls = find_holds(measured, CONTROL_GROUPS)
+    holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
+    findings = []
+    if faulty:
+        findings.append(Finding(Code.FAULTS_BRIDGED, faults=faulty, longest_bridge=LONGEST_BRIDGE))
+    if holds:
+        rates = {", ".join(hold.names): hold.rate for hold in holds}
+        findings.append(Finding(Code.SLOW_CHANNELS, rates=rates))
+    new = _bridged(measured, ignore) | between_samples(measured, controls)
+    table = measured.table.assign(**new)
+    return replace(flights, table=table, findings=tuple(findings))
+
+
+def _bridged(flights: FlightTable, ignore: Sequence[str]) -> dict[str, Vector]:
+    """Return the channels that have missing values, with short gaps interpolated."""
+    new = {}
+    for name, values in flights.numeric_channels(BRIDGED).items():
+        if name in ignore or not np.isnan(values).any():
+            continue
+        filled = unwrapped(flights.table, [name])[:, 0]
+        for segment in flights.segments:
+            filled[segment] = _interpolated(flights.time[segment], filled[segment])
+        new[name] = filled
+    wrap_near(new, flights.table[[name for name in WRAPPED if name in new]].ffill().bfill())
+    return new
+
+
+def _interpolated(time: Vector, values: Vector) -> Vector:
+    """Return values with short gaps interpolated, if nearly every row has a sample."""
+    observed = np.isfinite(values)
+    if observed.sum() < 2 or usual_spacing(values) > 1:
+        return values
+    sampled = pd.Series(np.where(observed, time, np.nan))
+    gap = sampled.bfill() - sampled.ffill()  # NaN before the first sample and after the last
+    filled = np.interp(time, time[observed], values[observed])
+    return np.where(gap <= LONGEST_BRIDGE + 1e-9, filled, values)
 
 
 def _faults_of_flight(flight: FlightTable, names: list[str]) -> Iterator[Fault]:

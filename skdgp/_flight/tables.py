@@ -20,6 +20,7 @@ from skdgp._flight.channels import (
     WRAPPED,
 )
 from skdgp._flight.clock import Clock
+from skdgp._flight.frames import wrapped_near
 
 # Names in other programs and textbooks, in lower case
 OTHER_NAMES = {
@@ -152,6 +153,13 @@ def unwrapped(table: pd.DataFrame, names: Iterable[str]) -> Matrix:
             sampled = np.isfinite(values[:, j])
             values[sampled, j] = np.unwrap(values[sampled, j])
     return values
+
+
+def wrap_near(new: dict[str, Vector], table: pd.DataFrame, names: Sequence[str] = WRAPPED) -> None:
+    """Shift the angles among new columns by multiples of 2 pi to less than pi from those of the table."""
+    for name in [name for name in names if name in new]:
+        reference = table[name].to_numpy(float, na_value=np.nan)
+        new[name] = wrapped_near(new[name], reference)
 
 
 def by_name(names: Sequence[str], values: Array) -> dict[str, Array]:

@@ -112,10 +112,10 @@ def aerodynamic_coefficients(
     {'CX': 0.014, 'CY': 0.0, 'CZ': -0.454, 'Cl': 0.0, 'Cm': 0.0, 'Cn': 0.0}
     """
     flight = check_flight(_measured(flight, ignore), NEEDED).table
+    mass = _mass(flight, aircraft)
     measured, rate_derivatives = _smoothed(flight, cutoff)
     thrust_force, thrust_moment = propulsive_loads(measured, aircraft, thrust)
     rates = numeric(measured, RATES)
-    mass = _mass(flight, aircraft)
     position = np.nan_to_num(sensor_position(with_sensor_position(flight, aircraft)))
     of_sensors = acceleration_by_rotation(rate_derivatives, rates, position)
     specific_force = numeric(measured, SPECIFIC_FORCE) - of_sensors
@@ -144,11 +144,11 @@ def numbers_in_flight(
     with suppress(ValueError, KeyError):  # unknown, or without airspeed
         thrust, _ = propulsive_loads(table, aircraft)
     std = aircraft.propeller.load_std if aircraft.propeller else 0.0
+    speed = propeller_speed_of(aircraft.propeller, table)
     numbers, stds = sizes_in_flight(flights, aircraft.mass, aircraft.wing_area, thrust, std)
     for name in numbers.keys() & {"CL", "CZ_alpha"}:
         of_area = abs(numbers[name]) * aircraft.relative_std("wing_area")
         stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
-    speed = propeller_speed_of(aircraft.propeller, table)
     turning = np.empty(0) if speed is None else speed[speed > 0]
     if turning.size:
         numbers["propeller_speed"] = float(np.quantile(turning, 0.95))

@@ -27,7 +27,7 @@ from skdgp._flight.channels import (
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.clock import n_rows
 from skdgp._flight.copies import without_copies
-from skdgp._flight.faults import FlightDataWarning, slow_log, without_ground
+from skdgp._flight.faults import FlightDataWarning, clean, slow_log, without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.tables import (
@@ -42,7 +42,6 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, numbers_in_flight, propeller_speed_of, with_sensor_position
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FlightReadError, is_log, read_flight
-from skdgp.preprocessing import clean
 
 Flights = dict[str, FlightTable]
 # elevons may stand for elevator and aileron, and the other way round
@@ -188,9 +187,9 @@ def usable_flights(
     surfaces = [name for name in SURFACES if name in regressors]
     checked = {}
     for name, flight in flights.items():
+        _check_surfaces(name, flight.table, in_radians)
+        _warn_of_positions(name, flight.table, aircraft)
         cleaned = clean(flight)
-        _check_surfaces(name, cleaned.table, in_radians)
-        _warn_of_positions(name, cleaned.table, aircraft)
         check_flight(cleaned.table, needed)
         check_spelling(cleaned.table, surfaces)
         for finding in cleaned.findings or ():

@@ -11,7 +11,6 @@ Each also has ``n_features_in_`` and ``feature_names_in_``, the columns seen in 
 
 from skdgp._flight.faults import FlightDataWarning
 from skdgp.preprocessing._cleaning import FlightCheck, FlightSmoother, inspect_flight
-from skdgp.preprocessing._cleaning import clean as clean
 from skdgp.preprocessing._columns import ElevonSplitter, RateNondimensionalizer, RegressorSelector
 from skdgp.preprocessing._flight_path import FlightPathReconstruction
 from skdgp.preprocessing._lag import LagCorrector

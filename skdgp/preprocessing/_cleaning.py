@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from numbers import Real
 from typing import Any
 
@@ -13,25 +12,16 @@ from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.messages import report
 from skdgp._compute.sklearn_compat import Interval, StrOptions
-from skdgp._compute.typing import Vector
 from skdgp._flight.channels import (
     AIR_DATA,
     ALL_SURFACES,
     AUXILIARY,
-    CHANNELS,
     RATES,
     SPECIFIC_FORCE,
     VANES,
-    WRAPPED,
 )
-from skdgp._flight.faults import (
-    FlightDataWarning,
-    find_faults,
-    usual_spacing,
-    without_faults,
-)
+from skdgp._flight.faults import BRIDGED, FlightDataWarning, clean, find_faults
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.holds import CONTROL_GROUPS, SENSOR_GROUPS, between_samples, find_holds
 from skdgp._flight.smoothing import (
     angles_by_motion,
     band_limited,
@@ -39,13 +29,17 @@ from skdgp._flight.smoothing import (
     smooth,
     vibration_band,
 )
-from skdgp._flight.tables import FlightTable, by_name, check_columns, numeric, unwrapped
+from skdgp._flight.tables import (
+    FlightTable,
+    by_name,
+    check_columns,
+    numeric,
+    unwrapped,
+    wrap_near,
+)
 from skdgp._flight.units import check_airspeed, check_radians
 from skdgp.estimation import airspeed_scale, without_airspeed_error
-from skdgp.preprocessing._table import TableTransformer, present, wrap_near
-
-LONGEST_BRIDGE = 0.25  # longest gap that is interpolated [s]
-BRIDGED = [name for name in CHANNELS if name not in ("time", "flight")]
+from skdgp.preprocessing._table import TableTransformer, present
 
 
 def inspect_flight(flight: pd.DataFrame, *, ignore: Iterable[str] = ()) -> pd.DataFrame:
@@ -171,50 +165,6 @@ class FlightCheck(TableTransformer):
     def _transform_table(self, flights):
         check_airspeed(flights.column("airspeed"))
         return without_airspeed_error(flights.table, self.airspeed_scale_.removable())
-
-
-def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
-    """Return flights without faults and with short gaps interpolated, and what was found, as of `FlightCheck`."""
-    faults = find_faults(flights, ignore)
-    # gaps in time are no error
-    faulty = [fault.finding for fault in faults if fault.code is not Code.GAP]
-    measured = replace(flights, table=without_faults(flights.table, faults))
-    controls = find_holds(measured, CONTROL_GROUPS)
-    holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
-    findings = []
-    if faulty:
-        findings.append(Finding(Code.FAULTS_BRIDGED, faults=faulty, longest_bridge=LONGEST_BRIDGE))
-    if holds:
-        rates = {", ".join(hold.names): hold.rate for hold in holds}
-        findings.append(Finding(Code.SLOW_CHANNELS, rates=rates))
-    new = _bridged(measured, ignore) | between_samples(measured, controls)
-    table = measured.table.assign(**new)
-    return replace(flights, table=table, findings=tuple(findings))
-
-
-def _bridged(flights: FlightTable, ignore: Sequence[str]) -> dict[str, Vector]:
-    """Return the channels that have missing values, with short gaps interpolated."""
-    new = {}
-    for name, values in flights.numeric_channels(BRIDGED).items():
-        if name in ignore or not np.isnan(values).any():
-            continue
-        filled = unwrapped(flights.table, [name])[:, 0]
-        for segment in flights.segments:
-            filled[segment] = _interpolated(flights.time[segment], filled[segment])
-        new[name] = filled
-    wrap_near(new, flights.table[present(WRAPPED, new)].ffill().bfill())
-    return new
-
-
-def _interpolated(time: Vector, values: Vector) -> Vector:
-    """Return values with short gaps interpolated, if nearly every row has a sample."""
-    observed = np.isfinite(values)
-    if observed.sum() < 2 or usual_spacing(values) > 1:
-        return values
-    sampled = pd.Series(np.where(observed, time, np.nan))
-    gap = sampled.bfill() - sampled.ffill()  # NaN before the first sample and after the last
-    filled = np.interp(time, time[observed], values[observed])
-    return np.where(gap <= LONGEST_BRIDGE + 1e-9, filled, values)
 
 
 SMOOTHED = (

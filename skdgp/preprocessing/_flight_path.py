@@ -23,7 +23,7 @@ from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
 from skdgp._flight.sensor_position import at_centre_of_gravity
-from skdgp._flight.tables import FlightTable, by_name, has_values
+from skdgp._flight.tables import FlightTable, by_name, has_values, wrap_near
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
@@ -50,7 +50,6 @@ from skdgp.preprocessing._lag import deflections
 from skdgp.preprocessing._table import (
     TableTransformer,
     with_names,
-    wrap_near,
 )
 
 EstimatedFlight: TypeAlias = tuple[NamedFlight, PathEstimate]

@@ -27,6 +27,7 @@ from skdgp._flight.tables import (
     interpolate_missing,
     numeric,
     unwrapped,
+    wrap_near,
 )
 from skdgp.dynamics import Aircraft, Servos, with_sensor_position
 from skdgp.estimation import (
@@ -36,7 +37,7 @@ from skdgp.estimation import (
     servo_output,
     without_lag,
 )
-from skdgp.preprocessing._table import TableTransformer, present, with_names, wrap_near
+from skdgp.preprocessing._table import TableTransformer, present, with_names
 
 GROUPS = {
     "air": AIR_DATA,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable
 from typing import Any, Self
 
 import numpy as np
@@ -12,9 +12,6 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from skdgp._compute.sklearn_compat import check_feature_names_in, fit_context
-from skdgp._compute.typing import Vector
-from skdgp._flight.channels import WRAPPED
-from skdgp._flight.frames import wrapped_near
 from skdgp._flight.tables import FlightTable, check_table
 
 
@@ -99,10 +96,3 @@ def present(names: Iterable[str], columns: Container[str]) -> list[str]:
 def with_names(names: Iterable[str], added: Iterable[str]) -> list[str]:
     """Return the names followed by the added ones that are new."""
     return list(dict.fromkeys([*names, *added]))
-
-
-def wrap_near(new: dict[str, Vector], table: pd.DataFrame, names: Sequence[str] = WRAPPED) -> None:
-    """Shift the angles among new columns by multiples of 2 pi to less than pi from those of the table."""
-    for name in present(names, new):
-        reference = table[name].to_numpy(float, na_value=np.nan)
-        new[name] = wrapped_near(new[name], reference)

@@ -78,12 +78,12 @@ PULSE = {0.0: doublet(1.0, 0.1)}
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: orthogonal_multisines({"elevator": 0.0}, 4.0, (0.5, 2.0)), "limit of the elevator=0.0"),
-        (lambda: Steps([1.0], [0.1, 0.2]), "expected 1 finite number\\."),
+
+
         (lambda: Steps([], []), "no durations of steps"),
         (lambda: orthogonal_multisines({"elevator": 0.1}, 4.0, (0.3, 0.4)), "fly longer"),
         (lambda: Wavetrain({"elevater": PULSE}), "nearest: 'elevator'"),
-        (lambda: Wavetrain({"elevator": PULSE}, {"flaps": 0.1}), "flaps"),
+
         (lambda: Wavetrain({"elevator": PULSE}, {"elevator": 0.05}), "elevator with a peak"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(0.1, 0.1)}}).table(25.0), "at least 50 Hz"),
         (lambda: Wavetrain({"elevator": PULSE}).table(50.0, trim={"rudder": 0.0}), "elevator"),

@@ -103,7 +103,6 @@ ELEVONS = dict.fromkeys(("elevon_left", "elevon_right"), 0.15)
     ("inputs", "full", "words"),
     [
         ({"thrust": {0.0: doublet(1, 5.0)}}, FULL, "that move with the thrust: add"),
-        ({"rudder": PULSE}, {"rudder": np.nan}, "expected a number > 0"),
         ({"rudder": PULSE}, {"rudder": 0.0}, "expected a number > 0"),
         ({"elevator": PULSE}, {"flap": 1.0}, "full deflection of 'flap'.*expected some of"),
         (

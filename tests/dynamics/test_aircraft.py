@@ -72,22 +72,15 @@ def test_sizes_must_be_positive_numbers(name, value):
     ("values", "words"),
     [
         (without(inertia=[1.0, 2.0, 3.0]), "3 x 3"),
-        (without(inertia=[[1, 0, 0], [0, np.nan, 0], [0, 0, 1]]), "finite"),
-        (without(inertia=[[10**400]]), "Got inertia .*, but expected 3 x 3 numbers"),
         (without(inertia=[[1, 0, 0.2], [0, 2, 0], [0, 0, 2.5]]), "not symmetric"),
         (without(inertia=[[1, 0, 2.0], [0, 2, 0], [2.0, 0, 2.5]]), "not positive definite"),
         (without("wing_area", wingarea=3.6), "unknown key 'wingarea'.*did you mean 'wing_area'"),
-        (without(thrust_line={"directions": [1, 0, 0]}), "unknown key 'directions' in thrust_line"),
         (without("chord"), r"lacks \['chord'\]"),
         (None, "the aircraft lacks"),
         (without(thrust_line=[1, 0, 0]), "Got list for thrust_line, but expected ThrustLine"),
         (
             without(full_deflections={"elevatr": 0.4}),
             "deflection of 'elevatr' .nearest: 'elevator'",
-        ),
-        (
-            without(full_deflections={"rudder": -0.4}),
-            r"rudder=-0.4, but expected a number > 0 \[rad",
         ),
     ],
 )

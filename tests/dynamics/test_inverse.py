@@ -144,20 +144,16 @@ def test_nan_rows_give_nan_there_and_nowhere_else(simulated, aircraft, name, cut
     [
         (lambda f: f.drop(columns="density"), "lacks the columns 'density'"),
         (lambda f: f.rename(columns={"airspeed": "air_speed"}), "'airspeed' .nearest: 'air_speed'"),
-        (lambda f: f.rename(columns={"airspeed": "aispd"}), "'airspeed' .nearest: 'aispd'"),
         (
             lambda f: f.assign(airspeed=f["airspeed"].where(f.index < 7, 0.0)),
             "airspeed 0 m/s at row 7 and .* rows",
         ),
         (lambda f: f.assign(time=f["time"].where(f.index != 7, 0.0)), "expected time to increase"),
         (lambda f: f.assign(density=1.1e-3), "Got a density of 0.0011"),
-        (lambda f: f.assign(ax="fast"), "columns of type .*'ax': .* expected numbers"),
         (
             lambda f: f.drop(columns=["thrust_x", "thrust_y", "thrust_z"]),
             "thrust is unknown",
         ),
-        (lambda f: f.iloc[:0], "no rows"),
-        (lambda f: f.assign(az=f["az"].where(f.index != 7, np.inf)), "infinite"),
     ],
 )
 def test_flights_that_cannot_be(simulated, aircraft, change, words):

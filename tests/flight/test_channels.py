@@ -171,12 +171,6 @@ def doublets():
     return flights
 
 
-def test_doublets_of_different_surfaces_at_one_trim_are_no_copies(doublets):
-    flights = {name: FlightTable.of(table) for name, table in doublets.items()}
-    kept, *_ = without_copies(flights, {})
-    assert {*kept} == {*flights}
-
-
 def test_another_flight_on_the_same_course_is_no_copy(doublets):
     flights = {}
     for name, phase in {"first": 0.0, "second": np.pi / 2}.items():
@@ -204,14 +198,6 @@ def with_another_recorder(table):
     noise = default_rng(3).normal(0.0, 0.001, (len(table), len(SENSORS)))
     again = table.assign(**(table[SENSORS] + noise))
     return {"log": FlightTable.of(table), "again": FlightTable.of(again)}
-
-
-def test_a_copy_with_steps_of_two_seconds_is_found(doublets):
-    table = doublets["elevator"]
-    table["theta"] += 0.1 * np.sin(table.index)
-    flights = with_another_recorder(table.assign(time=2.0 * table.index))
-    _, _, (copy,) = without_copies(flights, {})
-    assert copy.flight == "again"
 
 
 @pytest.mark.parametrize(("n", "attitude"), [(12, 0.1), (1000, np.nan)])
@@ -245,3 +231,18 @@ def test_of_a_chain_of_copies_the_longest_is_kept(ranges, kept, doublets):
     found, _, copies = without_copies(flights, {})
     assert [*found] == kept
     assert {copy.flight for copy in copies} == {*flights} - {*kept}
+
+
+@pytest.mark.parametrize(
+    ("names", "kept", "code"),
+    [
+        (["elevator", "rudder"], ["rudder"], Code.COPY_LEFT_OUT),
+        (["elevator"], ["elevator"], Code.TESTED_ON_COPY),
+    ],
+)
+def test_of_test_flights_copies_are_left_out_where_others_stay(names, kept, code, doublets):
+    flights = {name: FlightTable.of(table) for name, table in doublets.items()}
+    train = {"first": flights["elevator"]}
+    _, tests, (copy,) = without_copies(train, {name: flights[name] for name in names})
+    assert [*tests] == kept
+    assert (copy.code, copy.flight, copy.numbers) == (code, "elevator", {"other": "first"})

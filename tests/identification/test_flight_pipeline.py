@@ -6,8 +6,6 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
-from flight_columns import FORCES, RATES, SURFACES
-from log_errors import shake
 from made_flights import make_flight
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
@@ -19,7 +17,6 @@ from sklearn.preprocessing import RobustScaler, StandardScaler
 from skdgp import DependentGPRegressor, make_identification_pipeline
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification import flight_regressors, identify
-from skdgp.metrics import normalized_rmse
 from skdgp.model_selection import thin_targets
 from skdgp.preprocessing import ElevonSplitter
 
@@ -122,11 +119,9 @@ class TestPredict:
         fit = reconstruction.gust_std_
         assert_allclose(ratio, (gust**2 + 0.1**2) / (fit**2 + 0.1**2), rtol=1e-9)
         assert not np.allclose(ratio, 1.0, rtol=0.02)  # another flight, other air
-        _, std = model.predict(test_flight, return_std=True)
-        _, exact = model.predict(test_flight, return_std=True, include_input_noise=False)
-        slopes = model[-1].predict_gradient(X)
-        carried = np.einsum("npd,de,npe->np", slopes, model[-1].input_covariance_, slopes)
-        assert_allclose(std**2 - exact**2, ratio[:, None] * carried, rtol=1e-6, atol=1e-12)
+        found = model.predict(test_flight, return_std=True)
+        expected = model[-1].predict(X, return_std=True, include_input_noise=ratio)
+        assert_array_equal(found, expected)
 
     def test_flights_of_different_rates_last_as_long_as_each_of_them(self, delta):
         levels = {"alpha": (0, 0.1, 0), "airspeed": (20, 0, 0), "p q r": (0, 0, 0)}
@@ -267,11 +262,6 @@ class TestLeastSquares:
         linear = LinearRegression().fit(X[rows], targets[rows])
         (evaluation,) = result.evaluations
         assert_allclose(evaluation.baseline, linear.predict(Xt), rtol=1e-8, atol=1e-12)
-        measured = aerodynamic_coefficients(test, flights.aircraft)
-        expected = normalized_rmse(measured, evaluation.baseline, multioutput="raw_values")
-        (of_flight,) = result.metrics["test"].values()
-        of = pd.DataFrame(of_flight["coefficients"]["measured"]).T
-        assert_allclose(of["least_squares_normalized_rmse"], expected, rtol=1e-7)
 
 
 @pytest.mark.parametrize("missing", ["flightcheck", "regressorselector"])
@@ -289,35 +279,3 @@ def test_steps_pass_pandas_and_no_polars(flights):
     model = make_identification_pipeline(flights.aircraft).set_output(transform="polars")
     with pytest.raises(TypeError, match=r"Got .*polars.* but expected a pandas .*set_output"):
         model.fit(train, aerodynamic_coefficients(train, flights.aircraft))
-
-
-NAMES = ["alpha", "beta", *RATES, *SURFACES]
-
-
-def shaken(flight):
-    """Return a flight whose accelerometers feel a vibration of 8 m/s^2, of 8 to 14 Hz."""
-    time = flight["time"].to_numpy()
-    forces = {name: flight[name] + 8 * shake(time, k) for k, name in enumerate(FORCES)}
-    return flight.assign(**forces)
-
-
-def test_vibration_does_not_bias_slopes_of_the_pipeline(flights):
-    train = flights.train[flights.train["flight"] == "latlon"][:1200]
-    Y = aerodynamic_coefficients(shaken(train), flights.aircraft)
-    regressor = DependentGPRegressor(structure="trend", max_iter=5, random_state=0)
-    pipeline = make_identification_pipeline(flights.aircraft, regressor=regressor)
-    with pytest.warns(UserWarning, match="vibrate beyond"):
-        pipeline.fit(shaken(train), thin_targets(Y, 150))
-    regressors = pipeline["regressorselector"].regressors_
-    at_mean = np.zeros((1, len(regressors)))
-    found = pipeline[-1].predict_gradient(at_mean)[0] / pipeline["standardscaler"].scale_
-    found = pd.DataFrame(found, pipeline[-1].output_names_, regressors)
-    true = [f"{name}_true" for name in NAMES[:5]] + NAMES[5:]
-    expected = LinearRegression().fit(train[true], train[["CY_true", "CZ_true"]]).coef_
-    expected = pd.DataFrame(expected, ["CY", "CZ"], NAMES)
-    for coefficient, name in (("CZ", "alpha"), ("CY", "beta"), ("CY", "rudder")):
-        slope = expected.loc[coefficient, name]
-        assert found.loc[coefficient, name] == pytest.approx(slope, rel=0.1)
-    # in the band of the fit, a flight that vibrates is predicted as one that does not
-    steady, moved = (pipeline.predict(f) for f in (flights.test[:400], shaken(flights.test[:400])))
-    assert normalized_rmse(steady, moved) < 0.1

@@ -138,12 +138,3 @@ def test_what_is_wrong_is_said(learning, pipeline, fitted, rows, airspeed, words
     for use in (lambda: clone(pipeline).fit(wrong, Y[:rows]), lambda: fitted.predict(wrong)):
         with pytest.raises(ValueError, match=words):
             use()
-
-
-def test_the_order_of_flights_decides_nothing(learning, pipeline, plain):
-    table, Y = learning
-    rows = np.r_[120:240, 0:120]
-    turned = table.iloc[rows]
-    model = clone(pipeline)
-    got = model.fit(turned, Y.iloc[rows]).predict(turned, return_std=True)
-    assert_allclose(got, np.stack(plain)[:, rows], rtol=1e-6)

@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from flight_columns import FORCES
+from log_errors import shake
 from made_flights import make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
@@ -217,6 +219,24 @@ def test_a_flight_of_jsbsim(jsbsim_flight):
     assert (left < [0.65, 0.5, 0.5, 0.9, 0.75] * rms(measured - truth)).all()
     change = smooth(truth, table.time) - truth
     assert (change.std(axis=0) < 0.01 * truth.std(axis=0)).all()
+
+
+def test_vibration_is_removed_with_all_that_is_beyond_the_motion():
+    """Of forces, whose spectra show it as a signal, and of the controls."""
+    levels = {"alpha beta p q r ax ay az elevator": (0, 0.1, 0.001)}
+    table = make_flight(levels, 4800, 1 / RATE, width=4, seed=2)
+    shaken = table.copy()
+    for k, name in enumerate(FORCES):
+        shaken[name] += 0.3 * shake(table["time"], k)
+    shaken["elevator"] += 0.1 * shake(table["time"])
+    smoother = FlightSmoother()
+    with pytest.warns(UserWarning, match="vibrate beyond"):
+        smoother.fit(shaken)
+    assert 5.0 <= smoother.band_ < 8.0
+    out = smoother.transform(shaken)
+    for name in (*FORCES, "elevator"):
+        assert rms(out[name] - table[name]) < 0.15 * rms(shaken[name] - table[name])
+    assert FlightSmoother().fit(table).band_ == np.inf
 
 
 def test_degrees_are_refused_in_fit_and_transform():

@@ -368,19 +368,18 @@ def log_likelihood(
         L = jittered_cholesky(lambda: _assembled(pairs, block, noise, data))
         value = _value(L, y)
         alpha = cholesky_solve(L, y)
-        products = np.zeros((len(y), kernel.n_dims + len(noise)), order="F")
-        _add_products(products[:, : kernel.n_dims], pairs, evaluated, alpha)
-        _add_noise_products(products[:, kernel.n_dims :], noise, data, alpha)
+        n_dims = kernel.n_dims
+        products = np.zeros((len(y), n_dims + len(noise)), order="F")
+        _add_products(products[:, :n_dims], pairs, evaluated, alpha)
+        _add_noise_products(products[:, n_dims:], noise, data, alpha)
         half = triangular_solve(L, products)
         minus_W = _minus_W(L, alpha)
-        slopes = _slopes(pairs, evaluated, minus_W, kernel.n_dims)
+        slopes = _slopes(pairs, evaluated, minus_W, n_dims)
         by_theta = np.sum(list(slopes.values()), axis=0)
         by_noise = noise_gradient(minus_W, noise, data)
         gradient = -np.concatenate([by_theta, by_noise])
         information = 0.5 * half.T @ half
-        of_theta = information[: kernel.n_dims, : kernel.n_dims]
-        for (i, j), of_outputs in slopes.items():
-            kernel.add_curvature(of_theta, i, j, -of_outputs)
+        kernel.add_curvature(information[:n_dims, :n_dims], slopes)
         return Likelihood(value, gradient, information)
 
 

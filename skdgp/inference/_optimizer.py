@@ -127,7 +127,7 @@ def maximize(
             if damping > largest:
                 is_flat = _is_flat(theta, point, curvature, bounds, settings)
                 return Optimum(theta, point.value, n_iter, is_flat)
-            is_hopeless = point.value + _prospect(values, settings) < least(theta)
+            is_hopeless = _is_hopeless(theta, values, least, settings)
             if n_iter == max_iter or is_hopeless or stop.is_set():
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
@@ -159,11 +159,12 @@ def maximize(
     return Optimum(theta, point.value, n_iter, True)
 
 
-def _prospect(values: list[float], settings: OptimizerSettings) -> float:
-    """Return how far the likelihood may still rise, from its ``values`` after each step."""
+def _is_hopeless(theta, values, least, settings):
+    """Return whether the likelihood, with these ``values`` after each step, will hardly reach the least that counts."""
     if len(values) <= settings.recent:
-        return np.inf
-    return settings.spare + settings.times * (values[-1] - values[-1 - settings.recent])
+        return False
+    rise = values[-1] - values[-1 - settings.recent]
+    return values[-1] + settings.spare + settings.times * rise < least(theta)
 
 
 def _counted(stage: str, n_iter: int, max_iter: int) -> str:

@@ -7,7 +7,6 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property
 from inspect import signature
 from typing import Any, NamedTuple, Protocol
 
@@ -45,15 +44,15 @@ class FreeParameter:
             )
         return isinstance(self.bounds, str)
 
-    @cached_property
+    @property
     def free(self) -> Mask:
         """Whether an entry is free, in the shape of the array."""
         return np.zeros(self.index.shape, dtype=bool) if self.fixed else self.index >= 0
 
-    @cached_property
+    @property
     def n_elements(self) -> int:
         """Number of entries of theta for this parameter."""
-        return int(self.index[self.free].max(initial=-1)) + 1
+        return 0 if self.fixed else int(self.index.max(initial=-1)) + 1
 
     def elements(self, values: Array) -> Array:
         """Return the value of each element, (n_elements, ...), from an array of the values of all entries."""
@@ -330,8 +329,8 @@ class MultiOutputKernel(Kernel):
         theta = self._check_theta(theta)
         values = self.values()
         for f in self.free_parameters():
-            elements, theta = np.split(theta, [f.n_elements])
-            if f.n_elements:
+            elements, theta = theta[: f.n_elements], theta[f.n_elements :]
+            if len(elements):
                 elements = np.exp(elements) if f.log else elements
                 setattr(self, f.name, f.with_elements(values[f.name], elements))
 
@@ -400,18 +399,16 @@ class MultiOutputKernel(Kernel):
             np.add.at(total, places[free], gradients[name][free])
         return total
 
-    def add_curvature(self, total: Matrix, i: int, j: int, slopes: Vector) -> None:
-        """Add the second derivatives of -sum(W * K_ij) by theta that matter where first derivatives are zero.
+    def add_curvature(self, total: Matrix, slopes: Mapping[tuple[int, int], Vector]) -> None:
+        """Add the second derivatives of sum(W * K) by theta that matter where first derivatives are zero.
 
         By default there are none.
 
         Parameters
         ----------
         total : ndarray (n_theta, n_theta)
-        i, j : int
-            Outputs.
-        slopes : ndarray (n_theta,)
-            sum(W * dK_ij / dtheta).
+        slopes : mapping
+            sum(W * dK_ij / dtheta), (n_theta,), of each pair of outputs (i, j).
         """
 
     def theta_places(self) -> dict[str, Indices]:
@@ -574,11 +571,11 @@ class Sum(_SklearnSum, MultiOutputKernel):
     def free_parameters(self) -> list[FreeParameter]:
         return [*self.k1.free_parameters(), *self.k2.free_parameters()]
 
-    def add_curvature(self, total: Matrix, i: int, j: int, slopes: Vector) -> None:
+    def add_curvature(self, total: Matrix, slopes: Mapping[tuple[int, int], Vector]) -> None:
         n_first = self.k1.n_dims
         for term, places in ((self.k1, slice(n_first)), (self.k2, slice(n_first, None))):
-            if term.couples(i, j):
-                term.add_curvature(total[places, places], i, j, slopes[places])
+            of_term = {pair: of_pair[places] for pair, of_pair in slopes.items()}
+            term.add_curvature(total[places, places], of_term)
 
     def rescaled(self, factor: Vector) -> MultiOutputKernel:
         return Sum(self.k1.rescaled(factor), self.k2.rescaled(factor))

@@ -282,7 +282,7 @@ class ConvolvedGaussian(EstimatedKernel):
 
         return thread_map(evaluated, pairs)
 
-    def add_curvature(self, total: Matrix, i: int, j: int, slopes: Vector) -> None:
+    def add_curvature(self, total: Matrix, slopes: Mapping[tuple[int, int], Vector]) -> None:
         r"""Add the curvature of the factors c of equation 16 by the widths of two outputs.
 
         A factor is largest at equal widths, where its slope is zero. Its curvature is
@@ -294,22 +294,23 @@ class ConvolvedGaussian(EstimatedKernel):
         average information is positive semi-definite. Nothing is added where amplitudes are fixed.
         """
         filters = self.filters
-        latents = filters.latents(i, j)
         places = self.theta_places()
-        by_amplitude = places["amplitude"][latents, i]
-        if i == j or (by_amplitude < 0).any():
-            return
-        li, lj = filters.length_scale[latents, i], filters.length_scale[latents, j]
-        # sum(W * K_ij) of each latent, as K_ij is linear in the amplitude of output i
-        weighted = filters.amplitude[latents, i] * slopes[by_amplitude]
-        curvature = 0.5 * weighted[:, None] * (2.0 * li * lj / (li**2 + lj**2)) ** 2
-        first, second = places["length_scale"][latents, i], places["length_scale"][latents, j]
-        adds = (curvature > 0) & (first >= 0) & (first != second)
-        a, b, added = first[adds], second[adds], curvature[adds]
-        total[a, a] += added
-        total[b, b] += added
-        total[a, b] -= added
-        total[b, a] -= added
+        for (i, j), of_outputs in slopes.items():
+            latents = filters.latents(i, j)
+            by_amplitude = places["amplitude"][latents, i]
+            if i == j or (by_amplitude < 0).any():
+                continue
+            # sum(W * K_ij) of each latent, as K_ij is linear in the amplitude of output i
+            weighted = filters.amplitude[latents, i] * of_outputs[by_amplitude]
+            li, lj = filters.length_scale[latents, i], filters.length_scale[latents, j]
+            curvature = -0.5 * weighted[:, None] * (2.0 * li * lj / (li**2 + lj**2)) ** 2
+            first, second = places["length_scale"][latents, i], places["length_scale"][latents, j]
+            adds = (curvature > 0) & (first >= 0) & (first != second)
+            a, b, added = first[adds], second[adds], curvature[adds]
+            total[a, a] += added
+            total[b, b] += added
+            total[a, b] -= added
+            total[b, a] -= added
 
     def is_stationary(self) -> bool:
         """Return True: the covariance depends only on the separation."""

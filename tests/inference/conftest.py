@@ -51,11 +51,11 @@ def information():
         W = np.multiply.outer(alpha, alpha) - inverse
         ends = np.cumsum([0, *map(len, data.X)])
         rows = [slice(*pair) for pair in pairwise(ends)]
-        of_theta = found[: kernel.n_dims, : kernel.n_dims]
+        slopes = {}
         for i, j in combinations(range(len(rows)), 2):
-            of_outputs = W[rows[i], rows[j]]
-            slopes = kernel.block_gradient(i, j, data.X[i], data.X[j], of_outputs)
-            kernel.add_curvature(of_theta, i, j, slopes)
+            of_outputs = -W[rows[i], rows[j]]
+            slopes[i, j] = kernel.block_gradient(i, j, data.X[i], data.X[j], of_outputs)
+        kernel.add_curvature(found[: kernel.n_dims, : kernel.n_dims], slopes)
         return found
 
     return expected

@@ -36,7 +36,7 @@ def test_curvature_by_equal_widths_is_the_second_derivative_of_the_variance(cent
     of_widths = kernel.theta_places()["length_scale"][:2, :2].ravel()
     assert slopes(kernel.theta)[of_widths] == pytest.approx(0.0, abs=1e-15)
     found = np.zeros((kernel.n_dims,) * 2)
-    kernel.add_curvature(found, 0, 1, slopes(kernel.theta))
+    kernel.add_curvature(found, {(0, 1): -slopes(kernel.theta)})
     exact = -central_difference(slopes, kernel.theta)
     places = np.ix_(of_widths, of_widths)
     assert found[places] == pytest.approx(exact[places], abs=1e-9)

@@ -21,6 +21,8 @@ JITTER_FIRST = 1e-10  # of the diagonal
 JITTER_LAST = 1e-4
 # spread of a constant column over its largest value: sums of equal numbers are rounded
 CONSTANT = 1e-14
+# least singular value, over the largest, of columns that rounding has not made independent
+COLLINEAR = 1e-9
 
 
 class JitterWarning(UserWarning):
@@ -243,8 +245,9 @@ def consecutive(parts: Sequence[Sized]) -> list[slice]:
 def least_squares(Q: Matrix, y: Vector) -> Vector:
     """Return the weights (k,) of columns Q (n, k) by least squares of the rows where y (n,) is finite."""
     rows = np.isfinite(y)
-    weights: Any = np.linalg.lstsq(Q[rows], y[rows], rcond=None)[0]
-    return weights
+    scale = column_scale(Q)
+    weights: Any = np.linalg.lstsq(Q[rows] / scale, y[rows], rcond=COLLINEAR)[0]
+    return weights / scale
 
 
 def unexplained_variance(prior: Array, explained: Array) -> Array:

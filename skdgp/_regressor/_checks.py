@@ -390,7 +390,7 @@ def warn_of_outliers(
     """
     outliers = []
     for name, of_output, white in zip(names, added.T, noise, strict=True):
-        outliers += [f"{name} of row {row}" for row in rows[of_output > white]]
+        outliers += [f"{name} of row {row}" for row in np.sort(rows[of_output > white])]
     if outliers:
         report(Finding(FitCode.OUTLIERS_FOUND, count=len(outliers), outliers=outliers))
 

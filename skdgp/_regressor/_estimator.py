@@ -25,6 +25,7 @@ from skdgp.inference import (
     Paths,
     check_spread,
     errors_by_input_noise,
+    order_of_rows,
     residual_drift,
 )
 from skdgp.kernels import as_multi_output, has_prior_paths
@@ -342,15 +343,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
                 "input_noise=np.sqrt(np.diag(model.input_covariance_))."
             )
         used = np.flatnonzero(np.isfinite(Y).any(axis=1))
-        if clock is not None:  # errors of neighbours in time are correlated
+        _checks.check_observed(Y, self.output_names_)
+        _checks.check_magnitudes(X[used], self._regressor_names(), "regressors", *_checks.X_RANGE)
+        _checks.check_magnitudes(Y[used], self.output_names_, "targets", *_checks.Y_RANGE)
+        if clock is None:
+            used = used[order_of_rows(X[used], Y[used])]
+        else:  # errors of neighbours in time are correlated
             used = used[np.lexsort(clock[used].T)]
         X = X[used]
         Y = Y[used]
         clock = None if clock is None else clock[used]
         noise = noise._replace(input_std=input_std).of_rows(used)
-        _checks.check_observed(Y, self.output_names_)
-        _checks.check_magnitudes(X, self._regressor_names(), "regressors", *_checks.X_RANGE)
-        _checks.check_magnitudes(Y, self.output_names_, "targets", *_checks.Y_RANGE)
         _checks.warn_of_samples(X, Y, self._regressor_names(), self.output_names_)
         return X, Y, clock, noise, used
 
@@ -363,7 +366,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
         fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
-        self._warn_of_fit(fit, X, Z, known_noise, rows)
+        recorded = np.argsort(rows) if clock is None else np.arange(len(rows))
+        self._warn_of_fit(fit, X[recorded], Z[recorded], known_noise, rows)
         self._set_noise(fit, X, Z, clock)
         self.posterior_ = self._with_errors(fit, errors, recipe.time_series)
 
@@ -391,7 +395,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.interrupted_ = learned.interrupted
 
     def _warn_of_fit(self, fit, X, Z, known, rows):
-        """Warn of a search that did not converge, of values at their bounds, of outliers, and of few rows."""
+        """Warn of a search that did not converge, of values at their bounds, of outliers, and of few rows.
+
+        X (n, d) and Z (n, P) are in recording order, ``rows`` (n,) those of the fit.
+        """
         ended = _checks.search_ended(self, X, self._regressor_names())
         if ended is not None:
             report(ended, _checks.SearchWarning)

@@ -23,6 +23,7 @@ from skdgp.inference._average import stacked as stacked
 from skdgp.inference._blocks import BlockSettings as BlockSettings
 from skdgp.inference._blocks import blocks_of_rows as blocks_of_rows
 from skdgp.inference._blocks import leaves as leaves
+from skdgp.inference._blocks import order_of_rows as order_of_rows
 from skdgp.inference._drift import residual_drift as residual_drift
 from skdgp.inference._errors import FunctionErrors, KnownSlopes
 from skdgp.inference._errors import attenuation as attenuation

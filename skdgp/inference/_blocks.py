@@ -23,12 +23,14 @@ class BlockSettings:
     #: Most values of a block, and most blocks: the time of a fit grows with values^3 and blocks
     values: int = 1000
     most: int = 3
-    #: Most rows of a leaf (trials with 64 and 200 were alike)
+    #: Most rows of a leaf (trials with 64 and 200 were alike), and fewest leaves of a block
     leaf_rows: int = 64
+    leaves: int = 8
 
 
 SETTINGS = BlockSettings()
 ROUNDING = 1e-9  # skewness up to which a regressor is symmetric
+EQUAL = 6  # decimals of values, in standard deviations, beyond which they count as equal
 
 
 def blocks_of_rows(
@@ -54,21 +56,22 @@ def blocks_of_rows(
     list of ndarray of int
         In ascending order.
     """
-    n_parts = -(-int(np.isfinite(Y).sum()) // settings.values)
-    leaf = np.arange(len(X)) if time_series else leaves(X, settings.leaf_rows, n_parts)
+    n_parts = max(1, -(-int(np.isfinite(Y).sum()) // settings.values))
+    most = min(settings.leaf_rows, len(X) // (settings.leaves * n_parts))
+    leaf = np.arange(len(X)) if time_series else leaves(X, most)
     n_blocks = min(n_parts, settings.most)
     chosen = np.arange(n_blocks) * n_parts // n_blocks
     return [np.flatnonzero(leaf % n_parts == part) for part in chosen]
 
 
-def leaves(X: Matrix, most: int, n_parts: int = 1) -> Indices:
-    """Return the number of the leaf of each row (n,), of a k-d tree with at most so many rows in a leaf.
+def leaves(X: Matrix, most: int) -> Indices:
+    """Return the number of the leaf of each row (n,), of a k-d tree with at most so many rows in a leaf, or one.
 
-    There are at least 8 leaves for each of ``n_parts``. Each step halves a leaf along the regressor
-    in which it is widest. The order of the rows does not matter.
+    Each step halves a leaf along the regressor in which it is widest. The order of the rows does not
+    matter.
     """
     leaf = np.empty(len(X), dtype=int)
-    for number, part in enumerate(_parts(X, max(1, min(most, len(X) // (8 * n_parts))))):
+    for number, part in enumerate(_parts(X, max(1, most))):
         leaf[part] = number
     return leaf
 
@@ -79,19 +82,33 @@ def spread_rows(X: Matrix, most: int) -> Indices:
     return np.sort([part[len(part) // 2] for part in parts])
 
 
+def order_of_rows(X: Matrix, Y: Matrix) -> Indices:
+    """Return the rows of a table, X (n, d) and Y (n, P) with NaN, in an order that depends on their values alone.
+
+    They are sorted by their distances from the mean, whose rounding, signs and order of columns do not matter.
+    """
+    distances = []
+    for Z in (X, Y):
+        off = (Z - np.nanmean(Z, axis=0)) / column_scale(Z)
+        distances.append(np.nansum(np.abs(off), axis=1).round(EQUAL))
+    return np.lexsort(distances)
+
+
 def _parts(X, most):
     """Return the rows of each leaf, in the order of the tree.
 
-    They are the same for mirrored regressors, unless these are symmetric.
+    They are the same for mirrored regressors, unless these are symmetric, and for regressors that
+    differ by rounding: rows with equal values keep their order.
     """
     scaled = (X - X.mean(axis=0)) / column_scale(X)
     scaled[:, np.mean(scaled**3, axis=0) < -ROUNDING] *= -1.0
+    scaled = scaled.round(EQUAL)
     parts = [np.arange(len(X))]
     while max(map(len, parts)) > most:
         halves = []
         for part in parts:
             widest = int(np.ptp(scaled[part], axis=0).argmax())
-            order = np.lexsort((*scaled[part].T, scaled[part, widest]))
+            order = np.argsort(scaled[part, widest], kind="stable")
             halves += np.array_split(part[order], 2)
         parts = [half for half in halves if len(half)]
     return parts

@@ -16,19 +16,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 from scipy.stats import norm
-from sklearn.neighbors import NearestNeighbors
 
-from skdgp._compute.linalg import column_scale
 from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._blocks import leaves
 
 
 @dataclass(frozen=True)
 class OutlierSettings:
     """How outliers are found."""
 
-    #: Neighbours whose median is compared with a value, before any fit
-    neighbours: int = 8
+    #: Most rows of a leaf of a k-d tree, whose median is compared with its values before any fit
+    leaf_rows: int = 16
     #: Distance from this median, in standard deviations by the median absolute one, of an outlier, and
     #: least ratio of the two standard deviations: near kinks and jumps errors are up to five times as large
     distance: float = 6.0
@@ -46,14 +46,14 @@ SETTINGS = OutlierSettings()
 
 
 def gross_outliers(X: Matrix, y: Vector, settings: OutlierSettings = SETTINGS) -> Vector:
-    """Return the squared distance (n,) of values far from their neighbours' median, zero for the others.
+    """Return the squared distance (n,) of values far from the median of their leaf, zero for the others.
 
     X (n, d) are the regressors, y (n,) the values.
     """
-    if len(y) <= 2 * settings.neighbours:
+    if len(y) <= settings.leaf_rows:
         return np.zeros(len(y))
-    neighbours = NearestNeighbors(n_neighbors=settings.neighbours).fit(X / column_scale(X))
-    distance = y - np.median(y[neighbours.kneighbors(return_distance=False)], axis=1)
+    leaf = leaves(X, settings.leaf_rows)
+    distance = y - ndimage.median(y, leaf, leaf)
     std = np.median(np.abs(distance)) / norm.ppf(0.75)
     is_far = np.abs(distance) > settings.distance * std
     return np.where(is_far & (std > 0), distance**2, 0.0)

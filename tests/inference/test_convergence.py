@@ -47,11 +47,18 @@ FORMS = {
 }
 
 
-@pytest.fixture(scope="module")
-def usual():
+def levels(X):
+    """Return regressors of few levels, of which two add up to a third one: rows and neighbours are equally far."""
+    X = np.round(X)
+    X[:, 2] = X[:, 0] + X[:, 1]
+    return X
+
+
+@pytest.fixture(scope="module", params=[np.array, levels], ids=["continuous", "levels"])
+def usual(request):
     """Return a table, and what is predicted from it of its rows."""
     rng = default_rng(3)
-    X = rng.normal(size=(50, 3))
+    X = request.param(rng.normal(size=(50, 3)))
     Y = np.column_stack([np.sin(X[:, 0]) + X[:, 1], X[:, 0] * X[:, 2]])
     Y += rng.normal(0, 0.1, Y.shape)
     return X, Y, *DependentGPRegressor(random_state=0).fit(X, Y).predict(X, return_std=True)

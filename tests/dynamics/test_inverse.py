@@ -53,32 +53,6 @@ def test_sensors_half_a_metre_ahead_give_the_same_coefficients(
     assert relative(got, true_coefficients).max() < 3e-3
 
 
-def test_smoothing_takes_sensor_noise_out_of_every_coefficient(
-    simulated, aircraft, true_coefficients
-):
-    flight = simulated.drop(columns=SPIN)
-    rng = default_rng(1)
-    noisy = flight.copy()
-    for name, std in {
-        "airspeed": 0.3,
-        "ax": 0.05,
-        "ay": 0.05,
-        "az": 0.05,
-        "p": 0.002,
-        "q": 0.002,
-        "r": 0.002,
-    }.items():
-        noisy[name] += rng.normal(0, std, len(noisy))
-    raw = relative(aerodynamic_coefficients(noisy, aircraft, cutoff=None), true_coefficients)
-    smoothed = relative(aerodynamic_coefficients(noisy, aircraft), true_coefficients)
-    butterworth = relative(aerodynamic_coefficients(noisy, aircraft, cutoff=4.0), true_coefficients)
-    # Six seconds may be too short for a spectrum to prove a channel's noise; then it is left as it
-    # is.
-    assert (smoothed <= 1.01 * raw).all(), (smoothed, raw)
-    assert smoothed.mean() < 0.7 * raw.mean()
-    assert (butterworth < 0.7 * raw).all(), (butterworth, raw)
-
-
 FORCE = 0.5 * 1.2 * 12.0**2 * 0.5  # dynamic pressure and wing area of `surge` [N]
 
 

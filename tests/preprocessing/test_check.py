@@ -160,12 +160,12 @@ def test_a_dead_sensor_among_living_ones():
 
 class TestBridging:
     def test_short_gaps_are_interpolated_and_long_ones_stay(self):
-        """9 steps between the samples around, 0.225 s, and 0.275 s."""
-        table = spoilt("alpha", [*range(500, 508), *range(900, 910)], np.nan)
+        """10 steps between the samples around, 0.25 s, and 0.275 s."""
+        table = spoilt("alpha", [*range(500, 509), *range(900, 910)], np.nan)
         out = checked(table, r"alpha has no value in 2 gap\(s\)")
         assert out.index[out.alpha.isna()].tolist() == list(range(900, 910))
-        line = np.interp(table.time[500:508], table.time[[499, 508]], table.alpha[[499, 508]])
-        assert_allclose(out.alpha[500:508], line)
+        line = np.interp(table.time[500:509], table.time[[499, 509]], table.alpha[[499, 509]])
+        assert_allclose(out.alpha[500:509], line)
 
     def test_not_across_a_gap_in_time_nor_into_another_flight(self):
         both = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)

@@ -1,7 +1,6 @@
 """The example flights: reproducible, consistent, known to the truth; noise of sensors, gusts."""
 
 import re
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +8,6 @@ import pytest
 from flight_columns import COEFFICIENTS, WIND
 from numpy.random import RandomState
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, WhiteKernel
-from sklearn.linear_model import LinearRegression
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from skdgp import listening
 from skdgp.datasets import load_example_flights
@@ -26,7 +20,6 @@ from skdgp.dynamics import (
     gusty_air,
     ned_to_body,
 )
-from skdgp.metrics import normalized_rmse
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 
@@ -97,26 +90,6 @@ def test_gusts_hide_from_gyros_but_not_from_vanes(data):
     error = (data.aerodynamics(regressors(data.test, data)) - truth).std(axis=0) / truth.std(axis=0)
     assert error[0] < 1e-9
     assert ((error[1:] > 1e-3) & (error[1:] < 0.4)).all()
-
-
-def test_learnable_and_still_hard(data):
-    """Least squares explains the training flights but for a residue that a Gaussian process finds and it cannot."""
-    X = regressors(data.train, data)
-    X_test = regressors(data.test, data)
-    Y = true(data.train, *COEFFICIENTS)
-    Y_test = true(data.test, *COEFFICIENTS)
-    errors = partial(normalized_rmse, multioutput="raw_values")
-    line = LinearRegression().fit(X, Y)
-    residue = Y - line.predict(X)
-    assert (residue.var(axis=0) < 0.1 * Y.var(axis=0)).all()
-    kernel = RBF(5.0) + WhiteKernel(0.1)
-    process = GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True)
-    curve = make_pipeline(StandardScaler(), process).fit(X[::12], residue[::12])
-    linear = line.predict(X_test)
-    straight = errors(Y_test, linear)
-    bent = errors(Y_test, linear + curve.predict(X_test))
-    assert (bent < straight).all()
-    assert bent.mean() < 0.75 * straight.mean()
 
 
 def test_shape_clock_and_names(data):

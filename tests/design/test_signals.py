@@ -53,6 +53,8 @@ def test_a_multisine_has_its_power_in_its_harmonics_alone():
     signal = Multisine(20.0, harmonics, amplitudes, np.arange(10.0))
     found = abs(np.fft.rfft(signal(np.arange(2000) * 0.01))) ** 2 / 2000**2
     assert_allclose(2 * found[harmonics], 0.03**2 * power / power.sum(), rtol=1e-9)
+    angles = 2 * np.pi * harmonics * 3.7 / 20.0 + np.arange(10.0)
+    assert_allclose(signal(3.7), amplitudes @ np.sin(angles))
     assert np.delete(found, harmonics).max() < 1e-20
 
 

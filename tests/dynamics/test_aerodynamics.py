@@ -123,18 +123,13 @@ def test_slopes_over_the_flown_perturbation_are_expected_local_ones(fitted, X):
     assert_allclose(found / largest, expected / largest, atol=1e-5)
 
 
-def test_outputs_come_in_the_order_of_the_house_whatever_the_table_had(
-    flight, targets, X, central_difference
-):
+def test_outputs_come_in_the_order_of_the_house_whatever_the_table_had(flight, targets, X):
     turned = targets[COEFFICIENTS[::-1]]
     regressor = DependentGPRegressor(n_latent=1, optimizer=None, random_state=0)
     model = pipeline(StandardScaler(), regressor).fit(flight, turned)
     aerodynamics = as_aerodynamics(model)
     direct = model[3:].predict(pd.DataFrame(X, columns=REGRESSORS))[:, ::-1]
     assert_allclose(aerodynamics(X), direct, atol=1e-12)
-    drawn, at = aerodynamics.sample(2), np.stack([X, X])
-    slopes = central_difference(lambda move: drawn(at + move), np.zeros(4), 1e-5)
-    assert_allclose(drawn.gradient(at), slopes, atol=1e-3)
 
 
 def test_sampled_functions_are_those_of_the_regressor(fitted, X):

@@ -228,13 +228,10 @@ class TestControls:
 
     @pytest.mark.parametrize(("controls", "options", "match"), [
         (table_of(1.0), {"duration": 2.0}, "ends after 1 s, but the simulation lasts 2 s"),
-
         (table_of(1.0).drop(columns="thrust"), {}, "thrust is unknown"),
-
         ({"elevator": 0.0}, {}, "Got no duration"),
         ([table_of(1.0)] * 3, {}, "3 tables as controls for 1 starts"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),
-
         (table_of(1.0).assign(time=pd.Timestamp("2026-01-01")), {}, "expected seconds"),
     ])  # fmt: skip
     def test_mistakes_are_told_at_the_door(self, controls, options, match, fly):
@@ -274,7 +271,6 @@ class TestStarts:
     @pytest.mark.parametrize(("start", "match"), [
         ({"phi": 0.1}, "lack 'airspeed'"),
         ({"airspeed": 20.0, "u": 19.0, "v": 1.0, "w": 3.0}, "lack 'alpha', 'beta'"),
-
         ({"airspeed": 20.0, "aplha": 0.1}, "did you mean 'alpha'"),
         ({"airspeed": 20.0, "phi": 30.0}, "expected radians"),
         (np.zeros(13), r"expected names and values, a table of them, or trims"),

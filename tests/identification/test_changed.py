@@ -295,9 +295,6 @@ def test_more_drag_alone_is_found(model):
     assert result.p_values.loc["pod", "whole"] < 0.01
     row = result.derivatives.loc[("pod", "CX")]
     assert row["change"] == pytest.approx(-0.02, abs=3 * row["std"])
-    (finding,) = result.findings
-    assert finding.numbers["likely"]["CX"] == (row["change"], row["std"])
-    assert finding.numbers["forces"] is None
 
 
 @pytest.mark.parametrize(("factor", "drift"), [(0.9, 0.0), (1.1, 0.0), (1.1, 0.1)])
@@ -315,8 +312,7 @@ def test_one_factor_of_all_forces_is_found_with_its_size(model, factor, drift):
     assert alarms(result, "forces") > 0.8
     row = result.derivatives.xs("forces", level="derivative")
     assert row["change"].mean() == pytest.approx(factor - 1, abs=0.02)
-    found = next(finding for finding in result.findings if finding.code.name == "CHANGED")
-    assert found.numbers["forces"] == tuple(row.loc[found.flight, ["change", "std"]])
+    assert "CHANGED" in {finding.code.name for finding in result.findings}
 
 
 def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):

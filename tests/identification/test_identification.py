@@ -29,7 +29,7 @@ from skdgp.identification import (
     named_flights,
     save_model,
 )
-from skdgp.metrics import SCORERS, normalized_rmse
+from skdgp.metrics import SCORERS
 from skdgp.model_selection import thin_targets
 from skdgp.report import save_report
 
@@ -146,10 +146,6 @@ BARE = pd.DataFrame({"time": [0.0, 0.1], "flight": "bare", "alpha": 0.0})
 @pytest.mark.usefixtures("short_fits", "no_mechanics")
 class TestIdentify:
     def test_gives_a_model_its_scores_and_its_facts(self, result):
-        (evaluation,) = result.evaluations
-        of = result.metrics["test"]["two_altitudes"]["coefficients"]["measured"]["CZ"]
-        errors = normalized_rmse(evaluation.measured, evaluation.mean, multioutput="raw_values")
-        assert of["normalized_rmse"] == pytest.approx(errors[2])
         assert result.fit.samples == result.options["samples"] == 40
         assert {name: len(flight) for name, flight in result.train.items()} == {
             "lateral": 400,
@@ -221,13 +217,6 @@ class TestIdentify:
         assert list(weights) == ["joint", "trend"]
         for name in COEFFICIENTS:
             assert sum(of[name] for of in weights.values()) == pytest.approx(1.0)
-
-    def test_says_if_the_fit_has_not_converged(self, result, stopped):
-        assert result.metrics["fit"]["converged"] is result.pipeline[-1].converged_
-        found, folder = stopped
-        words = f"not converged after {result.fit.iterations} iterations: raise max_iter"
-        assert words in found.summary()
-        assert words in (folder / "report.html").read_text(encoding="utf-8")
 
     def test_bands_of_the_truth_have_the_errors_of_the_log(self, result, example):
         (flight,) = result.evaluations

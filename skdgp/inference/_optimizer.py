@@ -187,7 +187,7 @@ def _is_stationary(theta, point, bounds, settings):
 
 def _is_flat(theta, point, curvature, bounds, settings):
     """Return whether a step promises nothing, though rounding hides whether the likelihood rises."""
-    step = _step(theta, point, curvature, bounds, settings.damping[0], settings.longest)
+    step = _step(theta, point, curvature, bounds, settings.damping[0], settings)
     return bool(0.5 * step @ point.gradient < settings.gradient)
 
 
@@ -196,7 +196,7 @@ def _proposed(theta, point, curvature, bounds, damping, settings, origin):
 
     Grids lie about the ``origin``, where the search began, so that units of the regressors do not matter.
     """
-    step = _step(theta, point, curvature, bounds, damping, settings.longest)
+    step = _step(theta, point, curvature, bounds, damping, settings)
     promised = _predicted_rise(step, point, curvature)
     if promised <= 0.0:
         return theta + step, promised
@@ -210,15 +210,17 @@ def _proposed(theta, point, curvature, bounds, damping, settings, origin):
     return theta + step, promised
 
 
-def _step(theta, point, curvature, bounds, damping, longest):
-    """Return the damped step inside the bounds, of which none is longer than ``longest``.
+def _step(theta, point, curvature, bounds, damping, settings):
+    """Return the damped step inside the bounds, of which none is longer than ``settings.longest``.
 
     Hyperparameters that the step would take beyond these limits end there, and the others follow.
-    Where the curvature is not positive definite the damping is larger.
+    Where the curvature is not positive definite the damping is larger. A hyperparameter by whose unit the
+    likelihood hardly changes keeps its value, as rounding errors would move it.
     """
-    free = _free(theta, point.gradient, bounds)
+    moves = np.abs(point.gradient) + np.diag(point.information) > settings.gradient
+    free = _free(theta, point.gradient, bounds) & moves
     step = np.zeros(len(theta))
-    lowest, highest = np.clip((bounds - theta[:, None]).T, -longest, longest)
+    lowest, highest = np.clip((bounds - theta[:, None]).T, -settings.longest, settings.longest)
     unit = np.diag(point.information) + 1.0
     while free.any():
         gradient = point.gradient - curvature @ step

@@ -80,6 +80,20 @@ def test_information_that_is_wrong_by_a_factor_takes_a_few_more_steps():
     assert_allclose(best.theta, [1.0, -2.0], atol=1e-3)
 
 
+def test_what_rounding_alone_would_move_stays():
+    rounding = default_rng(0)
+
+    def flat(theta):
+        value, slope, information = ridge(theta[:2])
+        gradient = np.append(slope, 1e-5 * rounding.standard_normal())
+        return Likelihood(value, gradient, np.pad(information, (0, 1)))
+
+    bounds = np.tile([-5.0, 5.0], (3, 1))
+    best = maximize(flat, np.array([-1.2, 1.0, 0.3]), bounds, Event(), max_iter=200)
+    assert best.converged
+    assert best.theta[2] == 0.3
+
+
 def test_shifts_have_the_unit_of_their_length_scale():
     """A function of regressors in other units has the same steps: derivatives by log l, w and mu / l."""
     rng = default_rng(0)

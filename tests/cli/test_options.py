@@ -116,11 +116,6 @@ def test_commands_and_code_of_the_page_run(folder, tmp_path, monkeypatch, comman
         exec(compile(block, PAGE.name, "exec"), names)
 
 
-def test_every_command_is_on_the_page():
-    section = PAGE.read_text("utf-8").partition("\n## Use the model\n")[2].partition("\n## ")[0]
-    assert sorted(re.findall(r"^\| `(\w+)", section, flags=re.MULTILINE)) == sorted(NAMES)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_help_explains_every_option(name, help_of):
     text = help_of(name)

@@ -297,10 +297,10 @@ class Code(Kind):
     )
 
     # fit and scores
-    BANDS_TOO_NARROW = "95 % bands are too narrow: they hold {coverages:.0%} of the measured values"
+    BANDS_TOO_NARROW = "95 % bands are too narrow: they hold {coverages:.1%} of the measured values"
     BANDS_TOO_WIDE = "95 % bands are too wide: they hold {coverages:.1%} of the measured values"
     BANDS_DO_NOT_HOLD = (
-        "the bands do not hold on the test flights: {coverages:.0%} of the measured values",
+        "the bands do not hold on the test flights: {coverages:.1%} of the measured values",
         "",
         NOTE,
     )
@@ -313,7 +313,7 @@ class Code(Kind):
     ERRORS_SMALL = "errors are {smallest:.2f} to {largest:.2f} of the spread", "", NOTE
     ERRORS_TOO_LARGE = (
         "[only {good: }. ]{poor: } too large or uncertain[: errors {errors:.2f} of the spread]"
-        "[: 95 % bands hold {coverages:.0%}]",
+        "[: 95 % bands hold {coverages:.1%}]",
         "",
         NOTE,
     )

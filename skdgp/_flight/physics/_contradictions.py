@@ -27,7 +27,7 @@ from skdgp._flight.physics._signals import PHYSICS, Signals, signals_of
 from skdgp._flight.tables import FlightTable
 
 LONG_FLIGHT = 30.0
-"""Shorter flights [s] are judged together with others only."""
+"""Shorter flights [s] are judged together with others only, and show no scale or zero: gusts last as long."""
 
 
 def find_contradictions(flights: FlightTable) -> list[Finding]:
@@ -139,7 +139,8 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
     """
     contradictions: list[Contradiction] = []
     confirmed: set[str] = set()
-    for laws in (JUDGED_FIRST, EQUALITIES, SIGNS, OFFSETS):
+    is_long = signals.step * len(signals.segment) >= LONG_FLIGHT
+    for laws in (JUDGED_FIRST, EQUALITIES, SIGNS, OFFSETS if is_long else ()):
         of_group = []
         for law in laws:
             contradiction, is_equal = law.judge(signals)

@@ -133,10 +133,7 @@ class Law:
         usual = self._of_usual_lags(slopes)
         if best_lag in usual or not is_clear:
             return None
-        explained = max((slope.explained for slope in usual.values()), default=0.0)
-        # likelihood ratio: t^2 = n log of the ratio of unexplained variances
-        ratio = (1 + best.explained) / (1 + explained)
-        t = float(np.sqrt(best.n_effective * np.log(ratio)))
+        t = best.t_over(usual.values())
         if t < self.least_lag_t:
             return None
         # a uniform distribution between the lags that are tried, where they are farthest apart
@@ -310,13 +307,11 @@ class Mistake:
 
 
 def _is_clearer(slopes: dict[float, Slope], others: dict[float, Slope]) -> bool:
-    """Return whether the best of some slopes is no chance and explains more than the best of others."""
+    """Return whether the best of some slopes is no chance and surely explains more than the best of others."""
     best = most_explained(slopes)
-    if best is None:
+    if best is None or best.explained <= PHYSICS.least_explained:
         return False
-    explained = [slope.explained for slope in others.values()]
-    least = max([PHYSICS.least_explained, *explained])
-    return best.explained > least and abs(best.t(0.0, 0.0)) >= PHYSICS.least_t
+    return min(best.t_over(others.values()), abs(best.t(0.0, 0.0))) >= PHYSICS.least_t
 
 
 def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:

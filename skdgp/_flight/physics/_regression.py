@@ -12,6 +12,7 @@ autocorrelation time of the products x e, :math:`1 + 2 \sum \rho_x \rho_e` (Bart
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +49,15 @@ class Slope(NamedTuple):
         """Ratio of explained to unexplained variance."""
         squared = self.correlation**2
         return squared / max(1 - squared, 1e-12)
+
+    def t_over(self, others: Iterable[Slope]) -> float:
+        """Return the t by which it explains y better than the best of other slopes, 0 if it does not.
+
+        By the likelihood ratio: t^2 = n log of the ratio of unexplained variances.
+        """
+        explained = max((slope.explained for slope in others), default=0.0)
+        ratio = (1 + self.explained) / (1 + explained)
+        return float(np.sqrt(self.n_effective * np.log(max(ratio, 1.0))))
 
     def t(self, least: float, most: float) -> float:
         """Return how far the slope is outside of an interval, in standard deviations, 0 inside."""

@@ -126,6 +126,6 @@ def _banded(blocks: Array) -> Matrix:
     """Return blocks (n, 2 s, s), each a diagonal one over the one below, in the lower banded storage of LAPACK."""
     n, height, s = blocks.shape
     band = np.zeros((height, n, s))
-    i, j = np.nonzero(np.tri(height, s))  # entry (i, j) stands in row i - j
-    band[i - j, :, j] = blocks[:, i, j].T
+    for j in range(s):  # entry (i, j) stands in row i - j
+        band[: height - j, :, j] = blocks[:, j:, j].T
     return band.reshape(height, n * s)

@@ -8,8 +8,9 @@ of a channel in n samples, and the covariance P of the path,
 
 A step of it multiplies the variance by the ratio of the two sides to the power of ``stride``. The initial
 noise of a sensor counts as some samples in numerator and denominator. Three numbers scale a step:
-``fraction`` is of the step of the path, halved where the constants overshoot; ``pace`` is of the step of
-the noise, ever less in late steps; ``stride`` is ``pace`` over one minus the slope of the plain iteration.
+``fraction`` is of the step of the path, halved where the constants overshoot and doubled where they lag;
+``pace`` is of the step of the noise, ever less in late steps; ``stride`` is ``pace`` over one minus the slope
+of the plain iteration.
 At the fixed point the gradient of the marginal likelihood is zero (Searle, Casella & McCulloch 1992,
 section 8.3). The traces are estimated from draws of the posterior.
 """
@@ -152,9 +153,10 @@ def estimate_path(
 
         # the full step of the constants, in standard deviations
         step = posterior.constants[places] / np.sqrt(np.diag(posterior.covariance))
-        # fraction of a step that the next one takes back, above which steps are halved; trials
-        if step @ last_step < -0.5 * last_step @ last_step:
-            fraction /= 2
+        # fraction of a step that the next one takes back or repeats, above which steps are halved or doubled; trials
+        repeated = step @ last_step
+        if abs(repeated) > 0.5 * last_step @ last_step:
+            fraction = min(1.0, fraction * 2.0 ** np.sign(repeated))
         last_step = step
         path = path.moved(fraction * posterior.states, fraction * posterior.constants)
 

@@ -33,6 +33,7 @@ from skdgp._flight.physics._list import ALPHA, OFFSETS, PITCH
 from skdgp._flight.physics._signals import Signals, signals_of
 from skdgp._flight.physics._sizes import LAWS, usual_lift_slope
 from skdgp._flight.tables import FlightTable
+from skdgp.datasets import load_example_flights
 from skdgp.design import doublet
 from skdgp.dynamics import (
     Aircraft,
@@ -509,6 +510,16 @@ def test_rows_that_miss_the_motion_between_them_accuse_no_channel(flights, every
     """At 2 Hz the trapezoidal rule loses half of a roll or pitch rate, even that of a sound gyro."""
     for flight in flights.values():
         assert contradictions(flight.iloc[::every].reset_index(drop=True)) == []
+
+
+def test_seconds_of_a_flight_accuse_no_channel(flights):
+    """What explains a response a little better by chance is no exchange, a gust that lasts no error of alpha."""
+    in_light_gusts = load_example_flights(duration=6.0, turbulence=0.3).train
+    lateral = in_light_gusts[in_light_gusts["flight"] == "lateral"].reset_index(drop=True)
+    assert not contradictions(lateral[:180])
+    for table in flights.values():
+        for begin in range(0, len(table), 240):
+            assert not contradictions(table[begin : begin + 240].reset_index(drop=True))
 
 
 def test_a_wrong_scale_beside_noise_and_a_turned_sign_beside_gaps_are_found(flight):

@@ -9,7 +9,6 @@ from skdgp.estimation._air_fit import AirSettings
 from skdgp.estimation._air_motion import AirMotion, estimate_air_motion
 from skdgp.estimation._air_parameters import prior_deviations as prior_deviations
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
-from skdgp.estimation._airspeed_scale import without_airspeed_error as without_airspeed_error
 from skdgp.estimation._lags import Lag, estimate_lags
 from skdgp.estimation._lags import removable as removable
 from skdgp.estimation._path import CALIBRATED as CALIBRATED

@@ -53,13 +53,6 @@ class AirspeedScale(NamedTuple):
 UNKNOWN_SCALE = AirspeedScale(0.0, np.inf)
 
 
-def without_airspeed_error(table: pd.DataFrame, scale: float) -> pd.DataFrame:
-    """Return flights without a relative error ``scale`` of their airspeed."""
-    if not scale or "airspeed" not in table:
-        return table
-    return table.assign(airspeed=table["airspeed"] / (1 + scale))
-
-
 def airspeed_scale(table: pd.DataFrame) -> AirspeedScale:
     r"""Return the relative error of the airspeed of flights.
 

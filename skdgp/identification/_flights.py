@@ -189,13 +189,20 @@ def usable_flights(
     for name, flight in flights.items():
         _check_surfaces(name, flight.table, in_radians)
         _warn_of_positions(name, flight.table, aircraft)
-        cleaned = clean(flight)
+        located = replace(flight, table=with_sensor_position(flight.table, aircraft))
+        cleaned = clean(located)
         check_flight(cleaned.table, needed)
         check_spelling(cleaned.table, surfaces)
         for finding in cleaned.findings or ():
             report(finding, FlightDataWarning)
-        checked[name] = replace(cleaned, table=with_sensor_position(cleaned.table, aircraft))
-    _warn_of_contradictions(checked, aircraft)
+        checked[name] = cleaned
+    together = FlightTable.together(checked.values())
+    for contradiction in find_contradictions(together):  # in all flights
+        only = next(iter(checked)) if len(checked) == 1 else None
+        report(contradiction.of_flight(contradiction.flight or only), FlightDataWarning)
+    question = aircraft.question_of_sizes(*numbers_in_flight(together, aircraft))
+    if question is not None:
+        report(question)
     return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
 
 
@@ -220,17 +227,6 @@ def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft) -> 
     distance = float(np.linalg.norm(stated - np.array(aircraft.sensor_position or np.zeros(3))))
     if stated.any() and distance > POSITION_TOLERANCE:
         report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, distance=distance))
-
-
-def _warn_of_contradictions(flights: Flights, aircraft: Aircraft) -> None:
-    """Warn of channels, and of sizes of the aircraft, that contradict others by physics, in all flights together."""
-    together = FlightTable.together(flights.values())
-    only = next(iter(flights)) if len(flights) == 1 else None
-    for contradiction in find_contradictions(together):
-        report(contradiction.of_flight(contradiction.flight or only), FlightDataWarning)
-    question = aircraft.question_of_sizes(*numbers_in_flight(together, aircraft))
-    if question is not None:
-        report(question)
 
 
 def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str]) -> FlightTable:

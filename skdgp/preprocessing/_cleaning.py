@@ -38,7 +38,7 @@ from skdgp._flight.tables import (
     wrap_near,
 )
 from skdgp._flight.units import check_airspeed, check_radians
-from skdgp.estimation import airspeed_scale, without_airspeed_error
+from skdgp.estimation import airspeed_scale
 from skdgp.preprocessing._table import TableTransformer, present
 
 
@@ -164,7 +164,10 @@ class FlightCheck(TableTransformer):
 
     def _transform_table(self, flights):
         check_airspeed(flights.column("airspeed"))
-        return without_airspeed_error(flights.table, self.airspeed_scale_.removable())
+        table, scale = flights.table, self.airspeed_scale_.removable()
+        if not scale or "airspeed" not in table:
+            return table
+        return table.assign(airspeed=table["airspeed"] / (1 + scale))
 
 
 SMOOTHED = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from made_flights import SPEED, circling
+from made_flights import circling
 from numpy.testing import assert_allclose
 from scipy.stats import norm
 
@@ -11,7 +11,6 @@ from skdgp.estimation import (
     AIR_SENSOR_ERRORS,
     AirspeedScale,
     airspeed_scale,
-    without_airspeed_error,
 )
 
 
@@ -22,12 +21,6 @@ def test_a_steady_wind_shows_the_error(scale, heading_error):
     assert got.value == pytest.approx(scale, abs=1e-9)
     assert got.removable() == got.value
     assert_allclose(got.left(), 0.0, atol=1e-9)
-
-
-def test_the_error_that_is_found_can_be_removed():
-    flight = without_airspeed_error(circling(0.02), 0.02)
-    assert_allclose(flight["airspeed"], SPEED)
-    assert without_airspeed_error(flight, 0.0) is flight
 
 
 def test_each_flight_has_its_own_wind():

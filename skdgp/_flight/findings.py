@@ -82,9 +82,9 @@ class Code(Kind):
         "[; late by about {lag:.2g} s: {late:, }]"
         "[; as in axes {axes}]",
         "[{is_frame:Body axes are forward, right, down, those of the earth north, east, down.}]"
-        "[{is_turned: A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas.}]"
+        "[ Signs of {turned:, } in a table are turned by table.NAME *= -1 and table.to_csv of pandas.]"
         "[{from_east: The heading counts from north to the right: write pi/2 - psi.}]"
-        "[{is_late:Bring the columns to one clock: numpy.interp(time + delay, time, column).}]",
+        "[Bring {late:, } to the clock of the others: numpy.interp(time + delay, time, column).]",
     )
     WRONG_CLOCK = (
         "[flight {flight}: ]time is probably wrong: rows come at {rate:.3g} Hz by time, "

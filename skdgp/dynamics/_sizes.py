@@ -157,14 +157,6 @@ KINDS: dict[str, dict[str, tuple[float, float]]] = {
         "yaw inertia": (0.44, 0.35),
     },
 }
-RATIOS = {
-    "aspect ratio": "b^2 / S",
-    "length": "length over span",
-    "mean aerodynamic chord": "chord over S / b",
-    "roll inertia": "radius of gyration over half the span",
-    "pitch inertia": "radius of gyration over half the length",
-    "yaw inertia": "radius of gyration over half the mean of span and length",
-}
 # Root mean square of Ixz / sqrt(Ixx Izz) of eight published aircraft: Aerosonde 0.100, Ultra Stick
 # 25e 0.134, Zagi 0.011, Cessna 172 0, Draken 0.075, F-16 0.040, F-4 0.037, ADMIRE 0.054
 # (tests/dynamics/test_estimate.py).
@@ -199,17 +191,18 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     values = {name: value**2 if name in INERTIAS else value for name, (value, _) in factors.items()}
     source = f"usual of {kind} aircraft"
     deviations = {}
-    for name, (value, std) in factors.items():
+    for name, (_, std) in factors.items():
         is_estimate = name not in given
         powers = _powers(values, name, "length" in given)
-        text = f"{source}: {RATIOS[name]} {value:g}" if is_estimate else "given"
         if std > 0 and powers:
-            deviations[name] = ScaleFactor(std, powers, text, is_estimate=is_estimate)
+            deviations[name] = ScaleFactor(
+                std, powers, source if is_estimate else "given", is_estimate=is_estimate
+            )
     derived = _sizes(values, "length" in given)
     if inertia is None:
         inertia = np.diag([derived.pop(moment) for moment in MOMENTS])
         deviations["product of inertia"] = ScaleFactor(
-            PRODUCT_STD, {PRODUCT: 1.0}, f"{source}: no product of inertia", is_estimate=True
+            PRODUCT_STD, {PRODUCT: 1.0}, source, is_estimate=True
         )
     return derived | {"inertia": inertia, "deviations": deviations}
 

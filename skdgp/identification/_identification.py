@@ -24,7 +24,7 @@ from skdgp._compute.files import (
     text_writer,
     write_together,
 )
-from skdgp._compute.findings import Severity
+from skdgp._compute.findings import Severity, clauses_of
 from skdgp._flight.findings import Finding
 from skdgp.dynamics import Aircraft
 from skdgp.identification._changed import Changes
@@ -178,18 +178,19 @@ class Identification:
     def facts(self) -> dict[str, str]:
         """What was done, as text."""
         paths = self.fit.reconstruction
+        notes = [found for found in self.findings if found.severity is Severity.NOTE]
         return {
             "aircraft": repr(self.aircraft),
             "regressors": ", ".join(self.fit.regressors),
             "flight paths": "" if paths is None else paths.clause,
             "fit": self.fit.summary,
-            "lags [s]": _listed(pd.Series(self.fit.lags_corrected, dtype=float).round(3)),
+            "notes": clauses_of(notes),
             "options": _listed(self.options),
             "versions": _listed(software_versions()),
         }
 
 
-def _listed(values: Mapping[str, Any] | pd.Series) -> str:
+def _listed(values: Mapping[str, Any]) -> str:
     """Return values with their names."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 

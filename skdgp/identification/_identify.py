@@ -242,9 +242,8 @@ def assumed_sizes(aircraft: Aircraft, errors: Mapping[str, ScaleFactor]) -> list
         findings.append(Finding(Code.SIZES_ESTIMATED, sizes=sizes))
     sources: dict[str, list[str]] = {}
     for name, factor in {**(aircraft.deviations or {}), **errors}.items():
-        source, _, quantity = factor.source.partition(": ")
-        if source not in ("", "given"):
-            sources.setdefault(source, []).append(quantity or name)
+        if factor.source not in ("", "given"):
+            sources.setdefault(factor.source, []).append(name)
     if sources:
         texts = [f"{source} ({', '.join(names)})" for source, names in sources.items()]
         findings.append(Finding(Code.SIZES_SOURCES, sources=texts))

@@ -10,7 +10,7 @@ import numpy as np
 
 from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES
 from skdgp._flight.findings import Code, Finding
-from skdgp._flight.physics._laws import Contradiction, Mistake, stuck_surface
+from skdgp._flight.physics._laws import Contradiction, Law, Mistake, stuck_surface
 from skdgp._flight.physics._list import (
     CHANNELS,
     EQUALITIES,
@@ -60,7 +60,7 @@ def _findings_of(flights: FlightTable) -> list[Finding]:
         findings.append(exchanged.finding)
     contradictions, confirmed = _contradictions_in(signals)
     for cause, corrected in _candidates(signals, contradictions):
-        if _n_contradicted(corrected) == 0:
+        if not any(law.judge(corrected)[0] for laws in _groups(corrected) for law in laws):
             return [*findings, cause]
     has_elevons = {*ELEVONS} <= {*flights.table.columns}
     for contradiction in _causes(contradictions, confirmed):
@@ -122,13 +122,18 @@ def _may_be_of_clock(contradiction: Contradiction) -> bool:
 def _exchange_in(signals: Signals) -> Mistake | None:
     """Return the exchange after which the fewest laws are broken, None if none shows."""
     shown = [mistake for mistake in EXCHANGES if mistake.is_shown(signals)]
-    return min(shown, key=lambda mistake: _n_contradicted(mistake.undone(signals)), default=None)
+    return min(shown, key=lambda mistake: _n_broken(mistake.undone(signals)), default=None)
 
 
-def _n_contradicted(signals: Signals) -> int:
+def _n_broken(signals: Signals) -> int:
     """Return the number of laws that signals break."""
-    contradictions, _ = _contradictions_in(signals)
-    return len(contradictions)
+    return len(_contradictions_in(signals)[0])
+
+
+def _groups(signals: Signals) -> list[tuple[Law, ...]]:
+    """Return the laws in the order of their judgement; of short flights without scales and zeros."""
+    groups = [JUDGED_FIRST, EQUALITIES, SIGNS, OFFSETS]
+    return groups if signals.step * len(signals.segment) >= LONG_FLIGHT else groups[:-1]
 
 
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:
@@ -139,8 +144,7 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
     """
     contradictions: list[Contradiction] = []
     confirmed: set[str] = set()
-    is_long = signals.step * len(signals.segment) >= LONG_FLIGHT
-    for laws in (JUDGED_FIRST, EQUALITIES, SIGNS, OFFSETS if is_long else ()):
+    for laws in _groups(signals):
         of_group = []
         for law in laws:
             contradiction, is_equal = law.judge(signals)

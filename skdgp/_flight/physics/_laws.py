@@ -298,9 +298,7 @@ class Mistake:
             exchanged=[" and ".join(pair) for pair in self.exchanged] or None,
             late=list(self.late) or None,
             lag=self.lag,
-            is_late=bool(self.late),
             is_frame=not {*self.turned} <= {*ELEVONS},
-            is_turned=bool(self.turned),
             axes=self.axes,
             from_east=self.from_east,
         )

@@ -145,6 +145,7 @@ def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
     # gaps in time are no error
     faulty = [fault.finding for fault in faults if fault.code is not Code.GAP]
     measured = replace(flights, table=without_faults(flights.table, faults))
+    new = _bridged(measured, ignore)
     controls = find_holds(measured, CONTROL_GROUPS)
     holds = [*controls, *find_holds(measured, SENSOR_GROUPS)]
     findings = []
@@ -153,8 +154,7 @@ def clean(flights: FlightTable, ignore: Sequence[str] = ()) -> FlightTable:
     if holds:
         rates = {", ".join(hold.names): hold.rate for hold in holds}
         findings.append(Finding(Code.SLOW_CHANNELS, rates=rates))
-    new = _bridged(measured, ignore) | between_samples(measured, controls)
-    table = measured.table.assign(**new)
+    table = measured.table.assign(**new | between_samples(measured, controls))
     return replace(flights, table=table, findings=tuple(findings))
 
 

@@ -448,13 +448,13 @@ class Coefficients:
         return Drift(variance[self.order], memory[self.order])
 
 
-def flown_perturbation(rows: Array, seconds: float | None, window: float = 20.0) -> Array:
+def flown_perturbation(rows: Array, seconds: float | None) -> Array:
     """Return the standard deviations (d,) of regressors (n, d) in recording order around their trims.
 
-    They are about the means of windows [s], in which a trim lasts, while each axis moves in some.
+    They are about the means of windows of 20 s, in which a trim lasts, while each axis moves in some.
     Without a duration there is one window.
     """
-    n_windows = 1 if seconds is None else max(1, round(seconds / window))
+    n_windows = 1 if seconds is None else max(1, round(seconds / 20.0))
     parts = np.array_split(rows, min(n_windows, max(1, len(rows) // 10)))
     deviations = np.concatenate([part - part.mean(axis=0) for part in parts])
     return deviations.std(axis=0)

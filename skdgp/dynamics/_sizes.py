@@ -207,13 +207,12 @@ def estimated(kind: str, inertia: Any, **sizes: Any) -> dict[str, Any]:
     return derived | {"inertia": inertia, "deviations": deviations}
 
 
-def _powers(
-    values: Mapping[str, Any], name: str, is_length_given: bool, step: float = 1e-20
-) -> dict[str, float]:
+def _powers(values: Mapping[str, Any], name: str, is_length_given: bool) -> dict[str, float]:
     """Return the powers of a factor in each size, d log(size) / d log(factor), by a complex step.
 
     A complex step has no error of cancellation, so it can be tiny.
     """
+    step = 1e-20
     stepped = {**values, name: values[name] * (1.0 + step * 1j)}
     powers = {}
     for size, value in _sizes(stepped, is_length_given).items():

@@ -79,7 +79,6 @@ def maximize(
     max_iter: int,
     stage: str = "fit",
     least: Callable[[Vector], float] = lambda theta: -np.inf,
-    settings: OptimizerSettings = SETTINGS,
 ) -> Optimum:
     """Return the end of a search that starts at ``theta``.
 
@@ -100,7 +99,6 @@ def maximize(
     least : callable
         theta -> the value that the end must reach to count. The search ends, not converged, where
         its recent steps do not promise that.
-    settings : OptimizerSettings
 
     Returns
     -------
@@ -118,20 +116,20 @@ def maximize(
     origin = theta
     point = objective(theta)
     correction = np.zeros_like(point.information)
-    damping, smallest, largest = settings.damping
+    damping, smallest, largest = SETTINGS.damping
     values = [point.value]
     n_iter = 0
     try:
-        while not _is_stationary(theta, point, bounds, settings):
+        while not _is_stationary(theta, point, bounds):
             curvature = point.information + correction
             if damping > largest:
-                is_flat = _is_flat(theta, point, curvature, bounds, settings)
+                is_flat = _is_flat(theta, point, curvature, bounds)
                 return Optimum(theta, point.value, n_iter, is_flat)
-            is_hopeless = _is_hopeless(theta, values, least, settings)
+            is_hopeless = _is_hopeless(theta, values, least)
             if n_iter == max_iter or is_hopeless or stop.is_set():
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
-            end, predicted = _proposed(theta, point, curvature, bounds, damping, settings, origin)
+            end, predicted = _proposed(theta, point, curvature, bounds, damping, origin)
             step = end - theta
             other = _evaluated(objective, end) if predicted > 0 else None
             values.append(point.value)
@@ -139,13 +137,13 @@ def maximize(
                 damping *= 4.0
                 continue
             rise = other.value - point.value
-            is_taken = rise > settings.accepted * predicted
+            is_taken = rise > SETTINGS.accepted * predicted
             information = other.information if is_taken else point.information
             change = point.gradient - other.gradient
             correction = _corrected(correction, information, step, change)
-            if rise < settings.poor * predicted:
+            if rise < SETTINGS.poor * predicted:
                 damping *= 4.0
-            elif rise > settings.good * predicted:
+            elif rise > SETTINGS.good * predicted:
                 damping = max(smallest, damping / 3.0)
             if is_taken:
                 theta, point = end, other
@@ -159,12 +157,12 @@ def maximize(
     return Optimum(theta, point.value, n_iter, True)
 
 
-def _is_hopeless(theta, values, least, settings):
+def _is_hopeless(theta, values, least):
     """Return whether the likelihood, with these ``values`` after each step, will hardly reach the least that counts."""
-    if len(values) <= settings.recent:
+    if len(values) <= SETTINGS.recent:
         return False
-    rise = values[-1] - values[-1 - settings.recent]
-    return values[-1] + settings.spare + settings.times * rise < least(theta)
+    rise = values[-1] - values[-1 - SETTINGS.recent]
+    return values[-1] + SETTINGS.spare + SETTINGS.times * rise < least(theta)
 
 
 def _counted(stage: str, n_iter: int, max_iter: int) -> str:
@@ -179,48 +177,48 @@ def _free(theta: Vector, gradient: Vector, bounds: Matrix) -> Mask:
     return ~(below | above)
 
 
-def _is_stationary(theta, point, bounds, settings):
+def _is_stationary(theta, point, bounds):
     free = _free(theta, point.gradient, bounds)
     error = _standard_errors(point.information)
-    return bool(np.all(np.abs(point.gradient * error)[free] <= settings.gradient))
+    return bool(np.all(np.abs(point.gradient * error)[free] <= SETTINGS.gradient))
 
 
-def _is_flat(theta, point, curvature, bounds, settings):
+def _is_flat(theta, point, curvature, bounds):
     """Return whether a step promises nothing, though rounding hides whether the likelihood rises."""
-    step = _step(theta, point, curvature, bounds, settings.damping[0], settings)
-    return bool(0.5 * step @ point.gradient < settings.gradient)
+    step = _step(theta, point, curvature, bounds, SETTINGS.damping[0])
+    return bool(0.5 * step @ point.gradient < SETTINGS.gradient)
 
 
-def _proposed(theta, point, curvature, bounds, damping, settings, origin):
+def _proposed(theta, point, curvature, bounds, damping, origin):
     """Return the end of a step on the coarsest grid that keeps most of its predicted rise, and this rise.
 
     Grids lie about the ``origin``, where the search began, so that units of the regressors do not matter.
     """
-    step = _step(theta, point, curvature, bounds, damping, settings)
+    step = _step(theta, point, curvature, bounds, damping)
     promised = _predicted_rise(step, point, curvature)
     if promised <= 0.0:
         return theta + step, promised
-    spacing = settings.grid * _standard_errors(point.information)
+    spacing = SETTINGS.grid * _standard_errors(point.information)
     for _ in range(GRIDS):
         end = _on_grid(theta + step, spacing, bounds, origin)
         predicted = _predicted_rise(end - theta, point, curvature)
-        if predicted > settings.kept * promised:
+        if predicted > SETTINGS.kept * promised:
             return end, predicted
         spacing /= 3.0
     return theta + step, promised
 
 
-def _step(theta, point, curvature, bounds, damping, settings):
-    """Return the damped step inside the bounds, of which none is longer than ``settings.longest``.
+def _step(theta, point, curvature, bounds, damping):
+    """Return the damped step inside the bounds, of which none is longer than ``SETTINGS.longest``.
 
     Hyperparameters that the step would take beyond these limits end there, and the others follow.
     Where the curvature is not positive definite the damping is larger. A hyperparameter by whose unit the
     likelihood hardly changes keeps its value, as rounding errors would move it.
     """
-    moves = np.abs(point.gradient) + np.diag(point.information) > settings.gradient
+    moves = np.abs(point.gradient) + np.diag(point.information) > SETTINGS.gradient
     free = _free(theta, point.gradient, bounds) & moves
     step = np.zeros(len(theta))
-    lowest, highest = np.clip((bounds - theta[:, None]).T, -settings.longest, settings.longest)
+    lowest, highest = np.clip((bounds - theta[:, None]).T, -SETTINGS.longest, SETTINGS.longest)
     unit = np.diag(point.information) + 1.0
     while free.any():
         gradient = point.gradient - curvature @ step

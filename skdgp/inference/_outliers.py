@@ -45,27 +45,27 @@ class OutlierSettings:
 SETTINGS = OutlierSettings()
 
 
-def gross_outliers(X: Matrix, y: Vector, settings: OutlierSettings = SETTINGS) -> Vector:
+def gross_outliers(X: Matrix, y: Vector) -> Vector:
     """Return the squared distance (n,) of values far from the median of their leaf, zero for the others.
 
     X (n, d) are the regressors, y (n,) the values.
     """
-    if len(y) <= settings.leaf_rows:
+    if len(y) <= SETTINGS.leaf_rows:
         return np.zeros(len(y))
-    leaf = leaves(X, settings.leaf_rows)
+    leaf = leaves(X, SETTINGS.leaf_rows)
     distance = y - ndimage.median(y, leaf, leaf)
     std = np.median(np.abs(distance)) / norm.ppf(0.75)
-    is_far = np.abs(distance) > settings.distance * std
+    is_far = np.abs(distance) > SETTINGS.distance * std
     return np.where(is_far & (std > 0), distance**2, 0.0)
 
 
-def contaminated_variances(squares: Vector, settings: OutlierSettings = SETTINGS) -> Vector | None:
+def contaminated_variances(squares: Vector) -> Vector | None:
     """Return the noise variance of each value (n,) by the expected squares of the errors; None for normal ones."""
     error = np.sqrt(squares)
     small, large, fraction = np.median(squares), squares.max(), 1.0 / len(squares)
     if small <= 0.0:
         return None
-    for _ in range(settings.steps):
+    for _ in range(SETTINGS.steps):
         of_small = np.log1p(-fraction) + norm.logpdf(error, scale=np.sqrt(small))
         of_large = np.log(fraction) + norm.logpdf(error, scale=np.sqrt(large))
         likelihood = np.logaddexp(of_small, of_large)
@@ -73,9 +73,9 @@ def contaminated_variances(squares: Vector, settings: OutlierSettings = SETTINGS
         fraction = np.clip(outlying.mean(), 1e-9, 0.5)
         small = np.average(squares, weights=1.0 - outlying + 1e-12)
         large = max(np.average(squares, weights=outlying + 1e-300), small)
-    if large < settings.distance**2 * small:
+    if large < SETTINGS.distance**2 * small:
         return None  # errors where the function is rough
     of_normal = norm.logpdf(error, scale=np.sqrt(squares.mean()))
-    if likelihood.sum() <= of_normal.sum() + settings.least_rise:
+    if likelihood.sum() <= of_normal.sum() + SETTINGS.least_rise:
         return None
     return 1.0 / ((1.0 - outlying) / small + outlying / large)

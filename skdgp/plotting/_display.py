@@ -94,10 +94,10 @@ class Display(ABC):
         return self
 
 
-def segments(time: Vector, values: Array, longest: float = 5.0) -> Matrix:
+def segments(time: Vector, values: Array) -> Matrix:
     """Return time and columns of values (n, ...), rows with NaN where a line breaks.
 
-    Rows that are not known are left out. A line breaks at a gap longer than ``longest`` times the usual step, and when
+    Rows that are not known are left out. A line breaks at a gap longer than five times the usual step, and when
     time goes back.
 
     >>> segments(np.array([0.0, 1.0, 2.0, 9.0]), np.array([5.0, 6.0, 7.0, 8.0]))[1]
@@ -108,7 +108,7 @@ def segments(time: Vector, values: Array, longest: float = 5.0) -> Matrix:
     step = np.diff(rows[:, 0])
     forward = step[step > 0]
     usual = np.median(forward) if forward.size else np.inf
-    cut = ~((step > 0) & (step <= longest * usual))
+    cut = ~((step > 0) & (step <= 5.0 * usual))
     return np.insert(rows, np.flatnonzero(cut) + 1, np.nan, axis=0).T
 
 

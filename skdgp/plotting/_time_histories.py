@@ -192,11 +192,11 @@ def _interpolated(flown: pd.DataFrame, time: Vector, names: list[str], start: Ve
     return values + 2 * np.pi * turns
 
 
-def _fit_to_lines(ax: Any, widening: float = 0.6) -> None:
-    """Fit the vertical axis to the lines; a band may widen it by a fraction of their range, and is cut off there."""
+def _fit_to_lines(ax: Any) -> None:
+    """Fit the vertical axis to the lines; a band may widen it by 0.6 of their range, and is cut off there."""
     shown = np.concatenate([line.get_ydata() for line in ax.lines])
     shown = shown[np.isfinite(shown)]
     if shown.size and np.ptp(shown) > 0:
-        room = widening * np.ptp(shown)
+        room = 0.6 * np.ptp(shown)
         low, high = ax.get_ylim()
         ax.set_ylim(max(low, shown.min() - room), min(high, shown.max() + room))

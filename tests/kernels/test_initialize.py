@@ -45,6 +45,14 @@ class TestOpenKernels:
         assert np.isfinite(found(X[:4])).all()
 
 
+def test_outputs_that_go_together_start_with_half_of_their_variance_shared():
+    """Also with opposite signs and other sizes; the shared latent is wider than those of one output."""
+    x = default_rng(0).normal(size=(200, 1))
+    kernel = ConvolvedGaussian(1).initialize(x, np.sin(x) * [1.0, -3.0], 0)
+    assert_allclose(kernel(x[:1]) / kernel.diag([x[:1], x[:1]])[0], [[1.0, -1.5], [-1.5, 9.0]])
+    assert kernel.length_scale[0].min() > kernel.length_scale[1:].max()
+
+
 class TestGivenValues:
     def test_stay(self, uneven):
         amplitude = [[1.0, 2.0, 3.0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]

@@ -75,7 +75,8 @@ class Code(Kind):
         "[the slope of {y} over {x} is {slope:.3g} ± {std:.2g}, but expected {expected}]"
         "[{y} is {lag:.2g} ± {std:.2g} s late against {x}][: {causes: or }?]"
         " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)",
-        "[{is_turned:A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas.}]",
+        "[{is_turned:A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas, of surfaces "
+        "of an autopilot's log by servos 'full throw, reversed NAME'.}]",
     )
     CHANNELS_TOGETHER = (
         "[flight {flight}: ]channels are wrong together[; other sign: {turned:, }][; exchanged: {exchanged:, }]"

@@ -314,7 +314,7 @@ class Code(Kind):
     ERRORS_SMALL = "errors are {smallest:.2f} to {largest:.2f} of the spread", "", NOTE
     ERRORS_TOO_LARGE = (
         "[only {good: }. ]{poor: } too large or uncertain[: errors {errors:.2f} of the spread]"
-        "[: 95 % bands hold {coverages:.1%}]",
+        "[; 95 % bands hold {coverages:.1%}]",
         "",
         NOTE,
     )

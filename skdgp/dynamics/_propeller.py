@@ -158,7 +158,7 @@ class Propeller:
         (array([7.8, 5.1]), 0.23)
         """
         ratio = check_number("pitch", pitch) / check_number("diameter", diameter)
-        _warn_beyond("diameter", diameter, DIAMETERS)
+        _warn_beyond("diameter [m]", diameter, DIAMETERS)
         _warn_beyond("pitch / diameter", ratio, PITCH_RATIOS)
         speed_range = None
         std = USUAL_STD

@@ -22,11 +22,11 @@ from skdgp.control._loops import FEEDBACK, LOOP_AXES, Loop
 from skdgp.dynamics import (
     LATERAL,
     LONGITUDINAL,
-    UNUSED,
     LinearModel,
-    transfer,
 )
 
+# States that neither loads nor outputs of interest depend on: their modes are at zero
+UNUSED = ("north", "east", "down", "psi")
 # Range [rad/s] and number of frequencies, and their number in a search for gains
 FREQUENCIES = (0.02, 1000.0)
 N_FREQUENCIES = 1400
@@ -307,12 +307,15 @@ def _responses(linear, models, loops, s, unused=UNUSED) -> Array:
     They are without the motion of ``unused`` states.
     """
     inputs = _inputs(linear, loops)
+    kept = [k for k, name in enumerate(linear.A.index) if name not in unused]
     responses = []
     # one by one: the resolvents of all would fill the memory
-    for A, B, C, D, delay in models:
+    for *matrices, delay in models:
+        A, B, C, D = map(np.asarray, matrices)
         late = np.exp(-s * (linear.delay + delay))[:, None, None]
-        B, D = np.asarray(B) @ inputs, np.asarray(D) @ inputs
-        responses.append(transfer(A, B, C, D, linear.A.index, s, unused) * late)
+        resolvent = s[:, None, None] * np.eye(len(kept)) - A[np.ix_(kept, kept)]
+        states = np.linalg.solve(resolvent, (B @ inputs)[None, kept])
+        responses.append((C[:, kept] @ states + D @ inputs) * late)
     return np.array(responses)
 
 

@@ -33,9 +33,7 @@ from skdgp.dynamics._integrate import channels as channels
 from skdgp.dynamics._integrate import fly_record as fly_record
 from skdgp.dynamics._inverse import aerodynamic_coefficients
 from skdgp.dynamics._inverse import numbers_in_flight as numbers_in_flight
-from skdgp.dynamics._linearize import UNUSED as UNUSED
 from skdgp.dynamics._linearize import LinearModel, linearize
-from skdgp.dynamics._linearize import transfer as transfer
 from skdgp.dynamics._modes import LATERAL as LATERAL
 from skdgp.dynamics._modes import LONGITUDINAL as LONGITUDINAL
 from skdgp.dynamics._motion import Instant as Instant

@@ -9,7 +9,7 @@ angles; u (..., k) the inputs, z = (x, u), and C (..., 6) the coefficients.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any, NamedTuple, TypeAlias
@@ -50,8 +50,6 @@ EULER_ANGLES = slice(6, 9)  # Places of phi, theta, psi in `LINEAR_STATES`
 
 # Step of the differences of the mechanics over 1 + the size of a quantity, in SI units
 STEP = 1e-3
-# States that neither loads nor outputs of interest depend on: their modes are at zero
-UNUSED = ("north", "east", "down", "psi")
 
 
 # Rates of the air angles, and the rotations with similar slopes, in the same order
@@ -374,19 +372,6 @@ def check_paths(n_paths: int) -> None:
         raise ValueError(
             f"Got n_paths={n_paths!r}, but expected 0 or at least 2: one path has no spread."
         )
-
-
-def transfer(
-    A: Any, B: Any, C: Any, D: Any, states: Any, s: Array, unused: Collection[str] = UNUSED
-) -> Array:
-    """Return C (s I - A)^-1 B + D at s (n,), (n, n_outputs, n_inputs), without ``unused`` states.
-
-    A, B, C, D are tables or arrays; ``states`` are the names of the rows of A.
-    """
-    kept = [k for k, name in enumerate(states) if name not in unused]
-    A, B, C, D = map(np.asarray, (A, B, C, D))
-    resolvent = s[:, None, None] * np.eye(len(kept)) - A[np.ix_(kept, kept)]
-    return C[:, kept] @ np.linalg.solve(resolvent, B[None, kept]) + D
 
 
 def unsteady_terms(motion: Motion, now: Instant, slopes: Array) -> UnsteadyTerms:

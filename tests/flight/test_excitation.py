@@ -80,12 +80,9 @@ PULSE = {0.0: doublet(1.0, 0.1)}
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-
-
         (lambda: Steps([], []), "no durations of steps"),
         (lambda: orthogonal_multisines({"elevator": 0.1}, 4.0, (0.3, 0.4)), "fly longer"),
         (lambda: Wavetrain({"elevater": PULSE}), "nearest: 'elevator'"),
-
         (lambda: Wavetrain({"elevator": PULSE}, {"elevator": 0.05}), "elevator with a peak"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(0.1, 0.1)}}).table(25.0), "at least 50 Hz"),
         (lambda: Wavetrain({"elevator": PULSE}).table(50.0, trim={"rudder": 0.0}), "elevator"),

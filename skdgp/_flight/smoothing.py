@@ -26,19 +26,15 @@ import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy import interpolate, ndimage, optimize, signal, special
-from scipy.integrate import cumulative_trapezoid
 from scipy.signal.windows import hann
 
 from skdgp._compute.messages import warn
 from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
-from skdgp._flight.channels import AIR_DATA, ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
+from skdgp._flight.channels import ALL_SURFACES, RATES, SPECIFIC_FORCE, VANES
 from skdgp._flight.clock import Clock, uniform_grid
-from skdgp._flight.frames import air_velocity, flow_angle_rates
 from skdgp._flight.tables import (
-    FlightTable,
     check_number,
     has_values,
-    interpolate_missing,
     numeric,
     unwrapped,
 )
@@ -49,8 +45,6 @@ TOO_SHORT = (
     f"A flight has no gap-free stretch of {LEAST_SAMPLES} samples: too short to tell "
     "noise from signal, so cutoff='auto' leaves it unsmoothed. Give a longer log or a cutoff in Hz."
 )
-MOTION = (*AIR_DATA, *SPECIFIC_FORCE, *RATES, "phi", "theta")
-"""Channels that show the motion through steady air."""
 LowPass: TypeAlias = Callable[[Vector, float], Vector]
 """Filter of an equidistant channel (n,) of a rate [Hz]."""
 
@@ -329,29 +323,6 @@ def _convolved(values: Vector, response: Vector) -> Vector:
     """Return values (n,), continued oddly beyond their ends, filtered by a response (l,)."""
     padded = np.pad(values, len(response) // 2, mode="reflect", reflect_type="odd")
     return signal.oaconvolve(padded, response, mode="valid")
-
-
-def angles_by_motion(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the changes of alpha and beta (n, 2) by the motion through steady air [rad], from zero in each segment.
-
-    Zero where a segment lacks airspeed, a vane, attitude or an inertial sensor.
-    """
-    flights = FlightTable.of(table)
-    changes = np.zeros((len(table), 2))
-    for rows in flights.segments:
-        part = table.iloc[rows]
-        if not has_values(part, *MOTION):
-            continue
-        time = flights.time[rows]
-        values = interpolate_missing(time, unwrapped(part, MOTION))
-        air, force, rates, attitude = np.split(values, [3, 6, 9], axis=1)
-        airspeed, alpha, beta = air.T
-        # speed below which rates of the angles diverge [m/s]
-        slow = max(0.1 * np.median(airspeed), 1.0)
-        velocity = air_velocity(airspeed, alpha, beta)
-        of_angles = flow_angle_rates(velocity, force, rates, attitude, slow)
-        changes[rows] = cumulative_trapezoid(of_angles, time, axis=0, initial=0)
-    return pd.DataFrame(changes, table.index, VANES)
 
 
 def vibration_band(table: pd.DataFrame) -> float:

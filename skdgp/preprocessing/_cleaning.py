@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.integrate import cumulative_trapezoid
 from sklearn.utils.validation import check_is_fitted
 
 from skdgp._compute.messages import report
@@ -22,8 +23,8 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.faults import BRIDGED, FlightDataWarning, clean, find_faults
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.frames import air_velocity, flow_angle_rates
 from skdgp._flight.smoothing import (
-    angles_by_motion,
     band_limited,
     differentiate,
     smooth,
@@ -33,6 +34,8 @@ from skdgp._flight.tables import (
     FlightTable,
     by_name,
     check_columns,
+    has_values,
+    interpolate_missing,
     numeric,
     unwrapped,
     wrap_near,
@@ -182,6 +185,8 @@ SMOOTHED = (
 )
 CONTROLS = (*ALL_SURFACES, *AUXILIARY, "throttle", "propeller_speed")
 IN_RADIANS = (*VANES, *RATES)
+# Channels that show the motion through steady air
+MOTION = (*AIR_DATA, *SPECIFIC_FORCE, *RATES, "phi", "theta")
 
 
 class FlightSmoother(TableTransformer):
@@ -292,6 +297,29 @@ class FlightSmoother(TableTransformer):
         values = unwrapped(table, names)
         if self.cutoff != "auto":
             return by_name(names, operation(values, cutoff=self.cutoff, **clock))
-        motion = angles_by_motion(table).reindex(columns=names, fill_value=0.0).to_numpy()
+        motion = _angles_by_motion(table).reindex(columns=names, fill_value=0.0).to_numpy()
         rest = operation(values - motion, cutoff="auto", **clock)
         return by_name(names, rest + operation(motion, cutoff=None, **clock))
+
+
+def _angles_by_motion(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the changes of alpha and beta (n, 2) by the motion through steady air [rad], from zero in each segment.
+
+    Zero where a segment lacks airspeed, a vane, attitude or an inertial sensor.
+    """
+    flights = FlightTable.of(table)
+    changes = np.zeros((len(table), 2))
+    for rows in flights.segments:
+        part = table.iloc[rows]
+        if not has_values(part, *MOTION):
+            continue
+        time = flights.time[rows]
+        values = interpolate_missing(time, unwrapped(part, MOTION))
+        air, force, rates, attitude = np.split(values, [3, 6, 9], axis=1)
+        airspeed, alpha, beta = air.T
+        # speed below which rates of the angles diverge [m/s]
+        slow = max(0.1 * np.median(airspeed), 1.0)
+        velocity = air_velocity(airspeed, alpha, beta)
+        of_angles = flow_angle_rates(velocity, force, rates, attitude, slow)
+        changes[rows] = cumulative_trapezoid(of_angles, time, axis=0, initial=0)
+    return pd.DataFrame(changes, table.index, VANES)

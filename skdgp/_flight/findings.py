@@ -187,7 +187,7 @@ class Code(Kind):
         "Compare a few, fit it again, or install those versions.",
     )
     FLIGHT_TWICE = (
-        "flight {flight!r} repeats flight {other!r} (its rows or its attitude), and is left out"
+        "flight {flight!r} repeats flight {other!r} (its rows or its attitude), and counts once"
     )
     COPY_LEFT_OUT = (
         "test flight {flight!r} repeats training flight {other!r} (its rows or its attitude), "

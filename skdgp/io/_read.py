@@ -18,6 +18,7 @@ from skdgp._compute.messages import report, warn
 from skdgp._flight.channels import CHANNELS
 from skdgp._flight.channels import FULL_THROW as IN_FULL_THROWS
 from skdgp._flight.clock import LONGEST_STEP, flight_codes, runs_between, unrounded
+from skdgp._flight.copies import without_copies
 from skdgp._flight.faults import (
     FlightDataWarning,
     find_faults,
@@ -455,7 +456,8 @@ def _faults(table: pd.DataFrame, aircraft: Aircraft | None) -> list[str]:
     faults = list(texts_of([*slow_log(flights), *(fault.finding for fault in found)]))
     measured = FlightTable.of(without_faults(table, found))
     try:
-        contradictions = find_contradictions(measured)
+        _, _, copies = without_copies(measured.flights, {})
+        contradictions = [*copies, *find_contradictions(measured)]
         question = None
         if aircraft is not None:
             question = aircraft.question_of_sizes(*numbers_in_flight(measured, aircraft))

@@ -143,3 +143,13 @@ def test_servos_that_were_switched_off(bench):
     commands = {"elevator": {"channel": "AETR.Elev", "points": [[-4500, 0.35], [4500, -0.35]]}}
     elevator = inspect_log(bench, servos=commands).columns.loc["elevator"]
     assert elevator["rate"] == pytest.approx(25, rel=0.01)
+
+
+def test_a_flight_that_is_in_a_table_twice(write):
+    """As where one was downloaded again, on another clock."""
+    time = 0.05 * np.arange(800)
+    noise = 0.1 * default_rng(0).normal(size=(800, 6))
+    monday = pd.DataFrame(noise, columns=[*RATES, *FORCES]).assign(time=time, flight="monday")
+    tuesday = monday.assign(time=time + 1000.0, flight="tuesday")
+    remarks = inspect_log(write(pd.concat([monday, tuesday]), "twice.csv")).remarks
+    assert any("'tuesday' repeats flight 'monday'" in remark for remark in remarks)

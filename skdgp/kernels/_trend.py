@@ -127,7 +127,7 @@ class LinearTrend(EstimatedKernel):
         unit = y_scale[:, None] / x_scale
         n_rows = np.isfinite(Y).sum(axis=0).max()
         least = SETTINGS.least_slope(n_rows, int(np.sum(~constant_columns(X))))
-        slope = np.maximum(unit, least * unit)
+        slope = unit
         bounds: Any = np.multiply.outer(unit, (least, SETTINGS.slope_bounds[1]))
         if len(x_scale) > len(X):  # too few rows for a scale of each slope: one for all
             slope = ridge_scale(X, Y)[:, None] / x_scale

@@ -124,10 +124,3 @@ def test_help_explains_every_option(name, help_of):
     assert set(re.findall(r"--[\w-]+", usage)) <= {*explained}
     reads_a_model = "MODEL" in usage
     assert ("loading runs code" in " ".join(text.split())) == reads_a_model
-
-
-def test_version(command, capsys):
-    with pytest.raises(SystemExit) as end:
-        command(["--version"])
-    assert end.value.code == 0
-    assert re.fullmatch(r"skdgp \d+\.\d+\.\d+\n", capsys.readouterr().out)

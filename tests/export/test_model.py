@@ -19,9 +19,7 @@ from sklearn.preprocessing import (
 )
 
 from skdgp import DependentGPRegressor
-from skdgp.dynamics import as_aerodynamics
 from skdgp.export import export_model, portable_model
-from skdgp.inference import SparsePosterior
 from skdgp.preprocessing import RegressorSelector
 
 
@@ -31,29 +29,10 @@ def test_equals_the_pipeline(case, noise, read):
     case.with_noise(noise).assert_moments(read(case.model).predict(case.X, noise))
 
 
-def test_limits_are_those_of_the_simulation(case):
-    simulated = as_aerodynamics(case.pipeline)
-    assert case.model.regressor_names == simulated.regressors
-    assert_allclose(case.model.limits, simulated.limits, rtol=1e-9)
-
-
 def test_regressors_are_those_of_the_pipeline(fitted, portable_of, flight, read):
     pipeline = fitted("trend").pipeline
     expected = np.asarray(pipeline[:-2].transform(flight))
     assert_allclose(read(portable_of("trend")).regressors(flight), expected, rtol=1e-12)
-
-
-def test_the_model_of_identify_has_all_that_an_export_could_miss(case_of):
-    """Members of an average, errors of the function, noise, unequal scales."""
-    case = case_of("identified")
-    learned = case.pipeline[-1]
-    posterior = learned.posterior_
-    assert isinstance(posterior.members[0], SparsePosterior)
-    assert posterior.mixture.shape == (2, 6)
-    assert posterior.mixture.sum(axis=0) == pytest.approx(np.ones(6))
-    assert np.abs(posterior.errors.weights).max() > 0.001
-    assert learned.scale_.max() > 3 * learned.scale_.min()
-    assert (np.diag(learned.input_covariance_) > 0).all()
 
 
 def test_parts_of_weight_zero_have_no_functions(fitted):

@@ -104,13 +104,6 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
 
 
 class TestPredict:
-    def test_a_slice_predicts_from_its_own_inputs(self, model, test_flight):
-        X, _, _ = flight_regressors(model, test_flight)
-        assert_array_equal(model[-1:].predict(X), model[-1].predict(X))
-        scaler = model["standardscaler"]
-        selected = pd.DataFrame(scaler.inverse_transform(X), columns=scaler.feature_names_in_)
-        assert_allclose(model[-2:].predict(selected), model[-1].predict(X), rtol=1e-9, atol=1e-12)
-
     def test_the_band_knows_how_rough_the_air_was(self, model, test_flight):
         """The variance that regressors carry is multiplied by the gusts of the flight over those of the fit."""
         X, ratio, _ = flight_regressors(model, test_flight)

@@ -65,10 +65,10 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         values are estimated from the data. None: for a time series ``ConvolvedGaussian(n_latent,
         covariance_type="tied")`` with ``parameter_bounds={"length_scale": "spacing"}``. For other
         data and ``structure="average"``, independent outputs, length scales that the outputs share,
-        and ``ConvolvedGaussian(n_latent)`` are compared, the likeliest also with shifts where separate
-        fits of the outputs show them; their mixture has Akaike weights (docs/theory.md, structures). A
-        kernel of scikit-learn is wrapped in ``Coregionalized``; with ``optimizer=None`` it is the
-        covariance of each output, as it stands.
+        without and with private latents, and ``ConvolvedGaussian(n_latent)`` are compared, the
+        likeliest also with shifts where separate fits of the outputs show them; their mixture has
+        Akaike weights (docs/theory.md, structures). A kernel of scikit-learn is wrapped in
+        ``Coregionalized``; with ``optimizer=None`` it is the covariance of each output, as it stands.
     n_latent : int or None
         Number of latent processes that all outputs share; each output also has a private one. Not
         together with ``kernel``, which has its own. None: two, or without ``time`` and with missing

@@ -108,8 +108,9 @@ class Recipe:
     def _processes(self, X, Z):
         """Return the processes of each structure that is compared, simple ones first.
 
-        Independent outputs, outputs that share length scales, and all length scales. Of a time series
-        one: outputs that share length scales, beside a process of each alone.
+        Independent outputs, outputs that share all processes, the same beside a process of each alone,
+        both with the same length scales for all outputs, and with all length scales. Of a time series
+        the third.
         """
         n_latent = self._number_of_latents(Z)
         if self.time_series:
@@ -121,8 +122,9 @@ class Recipe:
             return [kernel]
         if Z.shape[1] == 1:
             return [independent, kernel]
-        tied = ConvolvedGaussian(n_latent, private_latents=False, covariance_type="tied")
-        return [independent, tied, kernel]
+        shared = ConvolvedGaussian(n_latent, private_latents=False, covariance_type="tied")
+        tied = ConvolvedGaussian(n_latent, covariance_type="tied")
+        return [independent, shared, tied, kernel]
 
     def _number_of_latents(self, Z):
         """Return the number of shared latents, more where they can fill missing targets."""

@@ -28,8 +28,6 @@ class StartSettings:
     #: Largest width of a start beside shared latents, in standard deviations of the regressor: from
     #: wider ones, where the likelihood is flat, a search does not come back
     widest: float = 10.0
-    #: Private amplitudes beside the filters of a simpler kernel, over their starting values
-    private_beside: float = 0.1
     #: Ratios of the widths of the latents of one output in different starts: equal ones are one
     #: process, a saddle (trials with a sum of kinks and jumps: 2 to 4 end highest)
     apart: tuple[float, ...] = (2.0, 4.0)
@@ -77,7 +75,7 @@ def single_output(kernel: MultiOutputKernel) -> MultiOutputKernel | None:
 
 
 def from_simpler(start: MultiOutputKernel, fitted: MultiOutputKernel) -> MultiOutputKernel:
-    """Return a start with small private latents beside the shared ones of a fitted kernel, which has no others."""
+    """Return a start with the values of a fitted kernel that it contains."""
     return _of_terms(_from_simpler, start, fitted)
 
 
@@ -138,16 +136,8 @@ def _narrowed(factor, term, start):
 
 
 def _from_simpler(term, fitted):
-    if isinstance(term, LinearTrend):
-        values = fitted.values()
-        names = ("intercept_scale", "slope_scale")
-        return clone(term).set_params(**{name: values[name] for name in names})
-    n = fitted.n_latent
-    amplitude = SETTINGS.private_beside * term.filters.amplitude
-    amplitude[:n] = fitted.filters.amplitude
-    lengths = term.filters.length_scale
-    lengths[:n] = fitted.filters.length_scale
-    return clone(term).set_params(amplitude=amplitude, length_scale=lengths)
+    values = fitted.values()
+    return clone(term).set_params(**{name: values[name] for name in term.needed})
 
 
 def _from_singles(X, apart, term, start, *singles):

@@ -57,15 +57,15 @@ def has_shared_latents(kernel: MultiOutputKernel) -> bool:
 
 
 def contains(kernel: MultiOutputKernel, simpler: MultiOutputKernel) -> bool:
-    """Return whether a kernel without values has private latents beside as many shared ones as a simpler one alone.
+    """Return whether a kernel without values has the latents of a simpler one, whose outputs share length scales.
 
     Both have the same terms for one output.
     """
     for term, other in zip(kernel.summands(), simpler.summands(), strict=True):
         if not isinstance(term, ConvolvedGaussian):
             continue
-        is_shared_alone = other.n_latent > 0 and not other.private_latents
-        if not (is_shared_alone and term.private_latents and term.n_latent == other.n_latent):
+        is_alike = (other.n_latent, other.private_latents) == (term.n_latent, term.private_latents)
+        if not is_alike or other.covariance_type != "tied":
             return False
     return has_shared_latents(kernel)
 

@@ -1,15 +1,11 @@
 """CSV files as people and programs write them: the table of the page, case by case."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from skdgp.io import FlightReadError, read_flight
 
-PAGE = (Path(__file__).parents[2] / "docs/api/skdgp.io.md").read_text(encoding="utf-8")
 RIGHT = {"time": [0.0, 0.02], "alpha": [0.1, 0.2]}
 DEGREE = np.pi / 180
 
@@ -156,11 +152,6 @@ def test_case(tmp_path, text, expected):
             assert found[name].tolist() == values
         else:
             assert_allclose(found[name], values, rtol=1e-15, atol=1e-10)
-
-
-def test_the_page_has_these_cases():
-    section = PAGE.partition("\n## CSV files\n")[2].partition("\n## ")[0]
-    assert re.findall(r"^\| ([^|]+?) \|", section, flags=re.MULTILINE) == ["in a CSV", *CASES]
 
 
 @pytest.mark.parametrize(

@@ -153,6 +153,12 @@ def test_what_no_aircraft_has_is_impossible(channel, possible, impossible):
     assert fault in faults(spoilt(channel, [500], impossible, table))
 
 
+def test_channels_that_are_ignored_stay_as_they_are():
+    table = spoilt("q", [900, 901], 7.0)
+    assert inspect_flight(table, ignore=["q"]).empty
+    assert_frame_equal(FlightCheck(ignore=["q"]).fit_transform(table), table)
+
+
 def test_a_dead_sensor_among_living_ones():
     assert faults(log().assign(ay=0.0)) == [["ay", "constant"]]
     assert faults(log().assign(ax=0.0, ay=0.0, az=-9.8)) == []  # a simulation may be so

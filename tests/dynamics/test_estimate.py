@@ -1,6 +1,7 @@
 """An aircraft of a mass and a span: its inertia is of the right size, and its errors scale what is computed with it."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -85,6 +86,16 @@ class TestPublishedAircraft:
     def test_every_kind_is_a_body(self, kind):
         """No principal moment exceeds the sum of the others (a warning, here an error)."""
         Aircraft.estimate(3.0, 2.0, kind=kind)
+
+
+def test_the_page_has_the_ratios_of_the_kinds():
+    page = Path(__file__).parents[2] / "docs" / "identification.md"
+    lines = [line.strip("| ").split(" | ") for line in page.read_text("utf-8").splitlines()]
+    (head,) = [line[1:] for line in lines if line[0] == "kind"]
+    for kind, ratios in KINDS.items():
+        (cells,) = [line[1:] for line in lines if line[0] == kind]
+        shown = {name: cell for name, cell in zip(head, cells, strict=True) if cell != "-"}
+        assert shown == {name: f"{x:g} ± {100 * std:g} %" for name, (x, std) in ratios.items()}
 
 
 SIZES = {"mass": 3.0, "span": 1.8}

@@ -4,6 +4,7 @@ import re
 import warnings
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import log_errors
 import numpy as np
@@ -30,7 +31,7 @@ from skdgp._flight.physics._equations import thrust
 from skdgp._flight.physics._laws import EQUAL
 from skdgp._flight.physics._list import ALPHA, OFFSETS, PITCH
 from skdgp._flight.physics._signals import Signals, signals_of
-from skdgp._flight.physics._sizes import usual_lift_slope
+from skdgp._flight.physics._sizes import LAWS, usual_lift_slope
 from skdgp._flight.tables import FlightTable
 from skdgp.datasets import load_example_flights
 from skdgp.design import doublet
@@ -781,6 +782,12 @@ def asked_for(question):
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_published_aircraft_break_no_law(name):
     assert question_of_sizes(published(name), {}) is None
+
+
+def test_the_page_has_the_laws_of_sizes_with_their_limits():
+    page = (Path(__file__).parents[2] / "docs" / "logs.md").read_text("utf-8")
+    rows = [f"| {law.text} | {law.least:g} to {law.most:g} | {law.source} |\n" for law in LAWS]
+    assert "".join(rows) in page
 
 
 @pytest.mark.parametrize(("span", "slope"), [(0.1, np.pi * 0.01 / 2), (1e3, 2 * np.pi)])

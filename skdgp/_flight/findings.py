@@ -156,7 +156,7 @@ class Code(Kind):
     ASKED_SIZE = "{channel} {value:.4g} {si_unit}[ ({given:.4g} {unit})]"
     SIZES_ESTIMATED = (
         "sizes of the aircraft, with standard deviations: {sizes:.3g}",
-        "Their part in errors of derivatives is std_aircraft.",
+        "Their part in errors of derivatives: the column ± of aircraft (std_aircraft).",
         ASSUMPTION,
     )
     SIZES_SOURCES = "sources of estimates: {sources}", "", ASSUMPTION

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -15,9 +16,8 @@ from skdgp._flight.physics._list import (
     CHANNELS,
     EQUALITIES,
     EXCHANGES,
-    JUDGED_FIRST,
+    LAWS,
     MISTAKES,
-    OFFSETS,
     RESPONSES,
     SAME,
     SIGNS,
@@ -60,7 +60,7 @@ def _findings_of(flights: FlightTable) -> list[Finding]:
         findings.append(exchanged.finding)
     contradictions, confirmed = _contradictions_in(signals)
     for cause, corrected in _candidates(signals, contradictions):
-        if not any(law.judge(corrected)[0] for laws in _groups(corrected) for law in laws):
+        if not any(law.judge(corrected)[0] for law in chain(*_groups(corrected))):
             return [*findings, cause]
     has_elevons = {*ELEVONS} <= {*flights.table.columns}
     for contradiction in _causes(contradictions, confirmed):
@@ -130,10 +130,9 @@ def _n_broken(signals: Signals) -> int:
     return len(_contradictions_in(signals)[0])
 
 
-def _groups(signals: Signals) -> list[tuple[Law, ...]]:
+def _groups(signals: Signals) -> tuple[tuple[Law, ...], ...]:
     """Return the laws in the order of their judgement; of short flights without scales and zeros."""
-    groups = [JUDGED_FIRST, EQUALITIES, SIGNS, OFFSETS]
-    return groups if signals.step * len(signals.segment) >= LONG_FLIGHT else groups[:-1]
+    return LAWS if signals.step * len(signals.segment) >= LONG_FLIGHT else LAWS[:-1]
 
 
 def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]:

@@ -395,8 +395,9 @@ OFFSETS = (
     _scale_of_vane(BETA),
 )
 
-LAWS: tuple[Law, ...] = (*JUDGED_FIRST, *EQUALITIES, *SIGNS, *OFFSETS)
-CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[law.needs for law in LAWS]))
+LAWS = (JUDGED_FIRST, EQUALITIES, SIGNS, OFFSETS)
+"""Groups of laws in the order of their judgement."""
+CHANNELS = sorted({*ALL_SURFACES, "throttle"}.union(*[law.needs for laws in LAWS for law in laws]))
 """Channels that the laws use."""
 
 

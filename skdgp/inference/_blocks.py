@@ -56,7 +56,7 @@ def blocks_of_rows(
     list of ndarray of int
         In ascending order.
     """
-    n_parts = max(1, -(-int(np.isfinite(Y).sum()) // settings.values))
+    n_parts = -(-int(np.isfinite(Y).sum()) // settings.values)
     most = min(settings.leaf_rows, len(X) // (settings.leaves * n_parts))
     leaf = np.arange(len(X)) if time_series else leaves(X, most)
     n_blocks = min(n_parts, settings.most)

@@ -305,11 +305,11 @@ class Mistake:
 
 
 def _is_clearer(slopes: dict[float, Slope], others: dict[float, Slope]) -> bool:
-    """Return whether the best of some slopes is no chance and surely explains more than the best of others."""
+    """Return whether the best of some slopes surely explains more than the best of others."""
     best = most_explained(slopes)
     if best is None or best.explained <= PHYSICS.least_explained:
         return False
-    return min(best.t_over(others.values()), abs(best.t(0.0, 0.0))) >= PHYSICS.least_t
+    return best.t_over(others.values()) >= PHYSICS.least_t
 
 
 def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:

@@ -12,6 +12,7 @@ import numpy as np
 from skdgp._flight.channels import (
     ALL_SURFACES,
     EARTH_VELOCITY,
+    ELEVONS,
     EULER,
     RATES,
     SPECIFIC_FORCE,
@@ -417,8 +418,7 @@ def _exchange(first: str, second: str, *laws: Law) -> Mistake:
 
 
 EXCHANGES = (
-    Mistake(turned=("elevon_left",), laws=BY_ELEVONS),
-    Mistake(turned=("elevon_right",), laws=BY_ELEVONS),
+    *[Mistake(turned=(name,), laws=BY_ELEVONS) for name in ELEVONS],
     _exchange("p", "q", ROLL, PITCH),
     _exchange("p", "r", ROLL, YAW),
     _exchange("q", "r", PITCH, YAW),

@@ -361,24 +361,17 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         """Set the fitted attributes."""
         recipe = Recipe(self, time_series=clock is not None)
         _check_memory(recipe, int(np.isfinite(Y).sum()))
-        Z = self._normalised(X, Y, slopes, noise.weights)
+        Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None, noise.weights)
+        self._slopes = None if slopes is None else slopes.scaled(1 / self.scale_[:, None])
         known_noise = noise.in_units(self.scale_)
         kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
-        fit = recipe.fit(kernels, X, Z, known_noise)
+        corrected = Z if self._slopes is None else self._slopes.corrected(X, Z)
+        fit = recipe.fit(kernels, X, Z, known_noise, corrected)
         self._set_hyperparameters(fit)
         recorded = np.argsort(rows) if clock is None else np.arange(len(rows))
-        self._warn_of_fit(fit, X[recorded], Z[recorded], known_noise, rows)
-        self._set_noise(fit, X, Z, clock)
+        self._warn_of_fit(fit, X[recorded], corrected[recorded], known_noise, rows)
+        self._set_noise(fit, X, corrected, clock)
         self.posterior_ = self._with_errors(fit, errors, recipe.time_series)
-
-    def _normalised(self, X, Y, slopes, weights):
-        """Return the centred and scaled targets, with known slopes."""
-        Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None, weights)
-        self._slopes = None
-        if slopes is None:
-            return Z
-        self._slopes = slopes.scaled(1 / self.scale_[:, None])
-        return self._slopes.corrected(X, Z)
 
     def _set_hyperparameters(self, fit):
         """Set the attributes that the search has found."""

@@ -160,11 +160,17 @@ class Recipe:
         return self.given.input_noise == "learned" or self.time_series
 
     def fit(
-        self, kernels: Sequence[MultiOutputKernel], X: Matrix, Z: Matrix, known: KnownNoise
+        self,
+        kernels: Sequence[MultiOutputKernel],
+        X: Matrix,
+        Z: Matrix,
+        known: KnownNoise,
+        corrected: Matrix,
     ) -> Fit:
         """Return the fit to X (n, d) and centred and scaled targets Z (n, P).
 
-        ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
+        ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets. Hyperparameters are
+        learned from Z; the posterior is that of ``corrected`` targets (n, P), whose slopes are known.
         """
         settings = self.settings
         random_state = check_random_state(self.given.random_state)
@@ -187,13 +193,13 @@ class Recipe:
         found = search(kernels, X, Z, request, known=known)
         if known.loading is None and found[0].loading is not None:  # of outliers
             known = known._replace(loading=found[0].loading)
-            data = Data.from_table(X, Z, known.loading)
+        data = Data.from_table(X, corrected, known.loading)
         weights = structure_weights([learned.score() for learned in found])
         likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
         fits = []
         for k in likeliest:
             rng = check_random_state(seeds[1])  # the same inducing inputs for all
-            samples = _Samples(X, Z, data, known)
+            samples = _Samples(X, corrected, data, known)
             if is_exact:
                 fit = fit_exact(found[k], data, self.time_series, known)
             else:

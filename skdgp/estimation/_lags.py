@@ -449,6 +449,7 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
     of_lags, losses = np.transpose([best_delay(lag) for lag in lags])
     lag_std = _std_of_profile(lags - lag, losses, surfaces.std)
     delay_std = _std_of_profile(of_lags - delay, losses, surfaces.std)
+    sum_std = _std_of_profile(lags + of_lags - lag - delay, losses, surfaces.std)
 
     alone, loss_alone = _least(lambda lag: loss_of(lag)(0.0), lags)
     removed, removed_delay = lag, removable(Lag(delay, surfaces.std))
@@ -470,7 +471,7 @@ def _most_likely_servos(segments: list[_Segment], surfaces: Lag) -> tuple[Lag, L
         removed, removed_delay = shorter, delay
         lag, rate_limit = shorter, float(limit)
     servos = Lag(lag, lag_std, removed, rate_limit, delay_std)
-    return servos, Lag(-delay, surfaces.std, -removed_delay)
+    return servos, Lag(-delay, sum_std, -removed_delay)
 
 
 def _loss_by_delay(

@@ -26,12 +26,13 @@ from skdgp._flight.tables import has_values, numeric, sensor_position
 from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
+    Servos,
     Turbulence,
     dynamic_pressure,
     gust_rate_lags,
     propulsive_loads,
 )
-from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM
+from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM, servo_output
 from skdgp.inference import FunctionErrors, attenuation, errors_of_slopes, linear_weights
 
 # Standard deviation of the time of a channel against the inertial sensors, by its motion between
@@ -61,7 +62,7 @@ def regression_calibration(weights: Matrix, X: Matrix, noise_ratio: Vector) -> M
 
     Regressors of a logged row are estimates. The mean of y, given an estimate x, is not the
     function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With the weights b and A
-    (1 + d, P) by least squares of the residuals of the training rows, it is
+    (1 + d, P) of what known slopes have taken from the targets, it is
 
     .. math:: \mathrm{E}[y \mid x] = f(x) + \rho \, (b + A^T x),
 
@@ -78,19 +79,20 @@ def learned_errors(
     regressors: pd.DataFrame,
     linear: pd.DataFrame,
     lags: pd.DataFrame | None,
+    servos: Servos,
     airspeed_std: float,
 ) -> FunctionErrors:
     """Return the errors of coefficients that a model of regressors (n, d) learns from flights, by errors of the log.
 
     Errors are the times of surfaces and vanes, after the removal of ``lags`` (`LagCorrector.lags_`),
-    the position of the inertial sensors, the airspeed, of relative error ``airspeed_std``, and the
-    angles between the inertial sensors and the axes of the attitude. Without vanes all but the last
-    are parameters of the filter. The model learns each change of the coefficients as the nearest
-    linear function.
+    lag and delay of ``servos``, the position of the inertial sensors, the airspeed, of relative error
+    ``airspeed_std``, and the angles between the inertial sensors and the axes of the attitude. Without
+    vanes all but the last are parameters of the filter. The model learns each change of the
+    coefficients as the nearest linear function.
     """
     changes = _by_accelerations(flights, aircraft)
     if has_values(flights, *VANES):
-        changes += _by_clocks(flights, regressors, linear, lags)
+        changes += _by_clocks(flights, regressors, linear, lags, servos)
         changes.append(airspeed_std * _by_airspeed(regressors, linear))
     return learned_as(changes, regressors)
 
@@ -197,18 +199,35 @@ def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionE
 
 
 def _by_clocks(
-    table: pd.DataFrame, regressors: pd.DataFrame, linear: pd.DataFrame, lags: pd.DataFrame | None
+    table: pd.DataFrame,
+    regressors: pd.DataFrame,
+    linear: pd.DataFrame,
+    lags: pd.DataFrame | None,
+    servos: Servos,
 ) -> list[Matrix]:
-    """Return the changes (n, 6) by one standard deviation of the time of each group of channels."""
+    r"""Return the changes (n, 6) by one standard deviation of the time of each group of channels, and of the servos.
+
+    A deflection has the transfer function :math:`e^{-\tau s} / (1 + T s)` from its command. An error of T and the
+    opposite one of :math:`\tau` change it by
+
+    .. math:: \dot\delta \, \sigma_\tau - \frac{\dot\delta}{1 + T s} \sigma_T.
+    """
     time = table["time"].to_numpy(float)
     flight = table.get("flight")
-    step = median_step(time, Clock.of(time, flight).segments)
+    segments = Clock.of(time, flight).segments
+    step = median_step(time, segments)
     rates = differentiate(regressors.to_numpy(), time, flight=flight, cutoff=None)
     changes = []
     for group, names in CHANNELS_OF_CLOCK.items():
         is_of_group = np.isin(regressors.columns, names)
         slopes = linear.loc[regressors.columns[is_of_group]].to_numpy()
         changes.append(clock_std(lags, group, step) * rates[:, is_of_group] @ slopes)
+    if servos.lag_std:
+        surfaces = regressors.columns.isin(ALL_SURFACES)
+        of_surfaces = rates[:, surfaces]
+        late = [servo_output(of_surfaces[run], servos.lag, step) for run in segments]
+        error = servos.delay_std * of_surfaces - servos.lag_std * np.concatenate(late)
+        changes.append(error @ linear.loc[regressors.columns[surfaces]].to_numpy())
     return changes
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import reduce
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,11 +23,13 @@ from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
+    Servos,
     Turbulence,
     check_aircraft,
     with_sensor_position,
 )
 from skdgp.estimation import prior_deviations
+from skdgp.identification._instruments import by_instruments
 from skdgp.identification._log_errors import (
     errors_by_air,
     fit_least_squares,
@@ -259,12 +260,12 @@ class FlightPipeline(Pipeline):
 
     - ``fit`` learns from some of the rows (``samples``), which keep the clock of the flights;
     - a :class:`skdgp.DependentGPRegressor` at the end gets ``time`` and ``flight`` of each row, and
-      the slopes that the motion of the air shows without vanes;
+      slopes that noise of the regressors does not flatten: of flights without vanes those that the
+      motion of the air shows, else those by earlier controls as instruments (docs/theory.md);
     - ``predict(flight, return_std=True)`` includes the noise of the regressors, which is larger in
       rougher air: by the ratio of the variances of the gusts.
 
-    A ``Pipeline`` of the same steps is without these, and its bands lack the errors of the log and
-    those by the rates of the air.
+    A ``Pipeline`` of the same steps is without these, and its bands lack the errors of the log.
 
     Parameters
     ----------
@@ -301,10 +302,11 @@ class FlightPipeline(Pipeline):
     log_errors_ : FunctionErrors or None
         Errors of the log among the errors of the last step's function. Coefficients measured by the same
         sensors have them, too.
+    slopes_ : KnownSlopes or None
+        Slopes by the regressors of the last step that are not those of the samples.
     calibration_ : ndarray (1 + d, P) or None
         Intercept and slopes of `regression_calibration`, which ``predict`` adds to the function of the
-        last step where its slopes were estimated apart from the samples, as in flights without vanes.
-        Simulations, derivatives and exports use the function.
+        last step where there are such slopes. Simulations, derivatives and exports use the function.
     """
 
     steps: list[tuple[str, Any]]
@@ -362,24 +364,23 @@ class FlightPipeline(Pipeline):
         named = named_regressors(self, regressors)
         self.least_squares_ = fit_least_squares(named, y)
         self._learn_errors_by_log(flights, named)
-        slopes = None
+        self.slopes_: KnownSlopes | None = None
         if isinstance(last, DependentGPRegressor):
-            slopes = self._slopes_of_air(regressors, y)
-            errors = [] if slopes is not None else self.errors_by_air(named, flights)
-            if self.log_errors_ is not None:
-                errors.append(self.log_errors_)
+            self.slopes_ = self._known_slopes(regressors, y, flights)
             facts = {
                 "time": flights.get("time"),
                 "flight": flights.get("flight"),
-                "slopes": slopes,
-                "errors": reduce(FunctionErrors.joined, errors) if errors else None,
+                "slopes": self.slopes_,
+                "errors": self.log_errors_,
             }
             parameters = facts | parameters
         last.fit(regressors, y, **parameters)
         self.calibration_ = None
-        if slopes is not None:
-            residuals = np.asarray(y, dtype=float) - last.predict(regressors)
-            self.calibration_ = linear_weights(regressors, residuals)
+        if self.slopes_ is not None:
+            targets = np.asarray(y, dtype=float)
+            learned = np.isfinite(targets).any(axis=1)
+            X, Y = regressors[learned], targets[learned]
+            self.calibration_ = linear_weights(X, Y - self.slopes_.corrected(X, Y))
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
 
@@ -403,22 +404,25 @@ class FlightPipeline(Pipeline):
             return np.ones(len(flights), dtype=bool)
         return FlightTable.of(flights).clock.elapsed > seconds
 
-    def _slopes_of_air(self, X: Matrix, y: Any) -> KnownSlopes | None:
-        """Return the slopes that the motion of the air shows, None with vanes.
+    def _known_slopes(self, X: Matrix, y: Any, flights: pd.DataFrame) -> KnownSlopes | None:
+        """Return slopes that noise of the regressors X (n, d) does not flatten, None where flights do not show them.
 
-        Where gusts are not known, least squares with the deviations of small aircraft in general.
+        Without vanes those that the motion of the air shows, or where gusts are not known by least
+        squares with the deviations of small aircraft in general. Else those by instruments.
         """
-        reconstruction = reconstruction_of(self)
-        if reconstruction is None:
-            return None
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
-        names = outputs, regressor_names(self)
+        names = regressor_names(self)
         _, scale = scaling_of(self)
-        if reconstruction.air_motion_ is not None:
-            return KnownSlopes(*reconstruction.air_motion_.slopes(*names)).scaled(scale)
-        if with_codes(reconstruction.doubts_, Code.GUSTS_UNKNOWN):
-            return KnownSlopes.of_samples(X, y, prior_deviations(*names) * scale)
-        return None
+        reconstruction = reconstruction_of(self)
+        if reconstruction is not None and reconstruction.air_motion_ is not None:
+            slopes = reconstruction.air_motion_.slopes(outputs, names)
+            return KnownSlopes(*slopes).scaled(scale)
+        if reconstruction is not None and with_codes(reconstruction.doubts_, Code.GUSTS_UNKNOWN):
+            deviations = prior_deviations(outputs, names)
+            return KnownSlopes.of_samples(X, y, deviations * scale)
+        if "time" not in flights:
+            return None
+        return by_instruments(pd.DataFrame(X, columns=names), y, FlightTable.of(flights).clock)
 
     def _learn_errors_by_log(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> None:
         """Learn errors of the function by the log and by the thrust, of coefficients of a known aircraft."""
@@ -438,6 +442,7 @@ class FlightPipeline(Pipeline):
             regressors,
             self.least_squares_.reindex(columns=COEFFICIENTS, fill_value=0.0),
             None if corrector is None else corrector.lags_,
+            Servos() if corrector is None else corrector.servos_,
             0.0 if check is None else check.airspeed_scale_.left(),
         )
         places = [COEFFICIENTS.index(name) for name in outputs]

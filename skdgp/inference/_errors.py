@@ -140,6 +140,7 @@ class KnownSlopes(NamedTuple):
 
     value: Matrix  # (P, d)
     errors: Array  # (P, d, k), sums of the last axis times independent standard normal numbers
+    of_noise: bool = True  #: Whether the errors contain those by noise of the regressors
 
     @classmethod
     def of_samples(cls, X: Matrix, Y: Matrix, deviations: Matrix) -> KnownSlopes:
@@ -159,7 +160,8 @@ class KnownSlopes(NamedTuple):
 
     def scaled(self, factor: Array) -> KnownSlopes:
         """Return the slopes times ``factor``, which broadcasts to (P, d)."""
-        return KnownSlopes(self.value * factor, self.errors * np.asarray(factor)[..., None])
+        errors = self.errors * np.asarray(factor)[..., None]
+        return self._replace(value=self.value * factor, errors=errors)
 
     def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
         """Return Y (n, P) plus a linear function of X (n, d) that gives it the known slopes."""
@@ -173,10 +175,10 @@ class KnownSlopes(NamedTuple):
         return Y
 
     def replaced(self, errors: FunctionErrors) -> FunctionErrors:
-        """Return the errors of a function whose known slopes have the errors of their source."""
-        is_learned = np.logical_not(self.known[..., 0]).T
+        """Return the errors by noise of a function whose known slopes have the errors of their source."""
         weights = errors.weights.copy()
-        weights[:, 1:] *= is_learned
+        if self.of_noise:
+            weights[:, 1:] *= np.logical_not(self.known[..., 0]).T
         others = errors._replace(weights=weights)
         return others.joined(errors_of_slopes(self.errors, errors.centre))
 

@@ -52,11 +52,13 @@ from skdgp.model_selection import thin_targets
 EVERY = 10  # rows of a flight per row that is scored
 FIRST = ["Camel", "F4N", "OV10", "MD11"]
 WHOLE = "as it is"
+WITHOUT_INSTRUMENTS = "without instruments"
 # Rows a second that are learned from, None: all; parameters of the regressor
 FITS = {
     WHOLE: (None, {}),
     "ten rows a second": (10.0, {}),
     "without noise of regressors": (None, {"input_noise": None}),
+    WITHOUT_INSTRUMENTS: (None, {}),
 }
 
 
@@ -82,6 +84,7 @@ class Prepared(NamedTuple):
     clock: dict
     asked: dict
     derivatives: dict  #: Aircraft, place, airspeed and known derivatives
+    slopes: object  #: By instruments
     errors: object  #: Of the function, which the samples do not show
 
 
@@ -98,10 +101,9 @@ def prepared(name, _commit):
     clock = {"time": log["time"].to_numpy(float), "flight": log["flight"].to_numpy(str)}
     asked = {air: rows_of(pipeline, flight, aircraft) for air, flight in flown.items()}
     X = np.asarray(pipeline[:-1].transform(log))
-    learned = pipeline[-1].function_errors()  # by learned noise of each regressor first
-    errors = learned._replace(weights=learned.weights[X.shape[1] :])
     derivatives = derivatives_of(name, aircraft, flown["calm"])
-    return Prepared(pipeline, X, Y, clock, asked, derivatives, errors)
+    slopes, errors = pipeline.slopes_, pipeline.log_errors_
+    return Prepared(pipeline, X, Y, clock, asked, derivatives, slopes, errors)
 
 
 def rows_of(pipeline, flight, aircraft):
@@ -128,13 +130,15 @@ def derivatives_of(name, aircraft, flight):
 # -- models
 
 
-def fitted(flights, rate, options):
+def fitted(flights, label):
     """Return the regressor of a variant."""
+    rate, options = FITS[label]
+    slopes = None if label == WITHOUT_INSTRUMENTS else flights.slopes
     Y = flights.Y
     if rate is not None:
         Y = thin_targets(Y, int(np.ceil(rate * np.ptp(flights.clock["time"]))))
     model = DependentGPRegressor(random_state=0, **options)
-    return model.fit(flights.X, Y, **flights.clock, errors=flights.errors)
+    return model.fit(flights.X, Y, **flights.clock, slopes=slopes, errors=flights.errors)
 
 
 def with_posterior(model, posterior):
@@ -144,14 +148,14 @@ def with_posterior(model, posterior):
     return model
 
 
-def without_errors(model):
-    """Yield the name of each source of error, and the model without it."""
+def without_errors(model, n_slopes):
+    """Yield the name of each source of error, and the model without it; errors of slopes are ``n_slopes``."""
     posterior = model.posterior_
     d = model.n_features_in_
     sources = {
         "attenuation": slice(0, d),
-        "rates of the air": slice(d, 3 * d),
-        "errors of the log": slice(3 * d, None),
+        "errors of slopes": slice(d, d + n_slopes),
+        "errors of the log": slice(d + n_slopes, None),
         "errors of the function": slice(None),
     }
     for source, place in sources.items():
@@ -226,11 +230,12 @@ def measured(name, label, cache):
     """Return the scores of a fit, and of what is taken out of it."""
     flights = cache(name, commit())
     start = time.process_time()
-    model = fitted(flights, *FITS[label])
+    model = fitted(flights, label)
     seconds = time.process_time() - start
     scores = {label: scored(model, flights) | {"CPU": seconds}}
     if label == WHOLE:
-        for part, other in [*without_errors(model), *with_weights(model)]:
+        n_slopes = flights.slopes.errors.shape[-1]
+        for part, other in [*without_errors(model, n_slopes), *with_weights(model)]:
             scores[part] = scored(other, flights)
     return {"scores": scores}
 

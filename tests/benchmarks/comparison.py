@@ -51,7 +51,7 @@ def moments_of(model, flight):
         model[-1].predict(some, return_std=True, include_noise=noise, **words)[1]
         for noise in (False, True)
     ]
-    return model[-1].predict(X), bands
+    return model.predict_rows(X, ratio), bands
 
 
 def peer(make, all_samples=True):

@@ -8,17 +8,20 @@ from log_errors import placed
 from made_flights import GLIDER, make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
+from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LinearRegression
 
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
+    Servos,
     Turbulence,
     aerodynamic_coefficients,
     as_aerodynamics,
     dryden_gusts,
 )
+from skdgp.estimation import servo_output
 from skdgp.identification import make_identification_pipeline
 from skdgp.identification._log_errors import (
     CLOCK,
@@ -69,8 +72,8 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
     """Sensors whose nose is 0.03 rad low read less of gravity forward; a log that states the tilt adds nothing."""
     table, X, slopes = flown
     known = least_squares_of(X, X.to_numpy() @ slopes)
-    without = learned_errors(table, GLIDER, X, known, None, 0.0)
-    errors = learned_errors(table.assign(sensor_tilt=0.03), GLIDER, X, known, None, 0.0)
+    without = learned_errors(table, GLIDER, X, known, None, Servos(), 0.0)
+    errors = learned_errors(table.assign(sensor_tilt=0.03), GLIDER, X, known, None, Servos(), 0.0)
     assert len(errors.weights) == len(without.weights) + 2  # roll and pitch
     turned = Rotation.from_euler("y", 0.03).apply(table[FORCES])
     tilted = table.assign(**dict(zip(FORCES, turned.T, strict=True)))
@@ -88,7 +91,7 @@ def test_tilted_sensors_change_forces_by_what_is_added(flown):
 def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k):
     table, X, slopes = flown
     Y = X.to_numpy() @ slopes
-    errors = learned_errors(table, GLIDER, X, least_squares_of(X, Y), None, 0.0)
+    errors = learned_errors(table, GLIDER, X, least_squares_of(X, Y), None, Servos(), 0.0)
     late = 1e-4  # s
     later = X.copy()
     for name in channels:
@@ -99,10 +102,33 @@ def test_late_channels_change_slopes_by_what_is_added(flown, group, channels, k)
     assert_allclose(change, expected, atol=0.03 * np.abs(expected).max())
 
 
+def test_a_servo_that_is_slower_and_less_late_changes_slopes_by_what_is_added(flown):
+    table, commands, slopes = flown
+    servos = Servos(lag=0.05, lag_std=0.02, delay_std=0.01)
+
+    def behind(lag, delay):
+        """Return the regressors with deflections behind their commands."""
+        time = table["time"].to_numpy()
+        early = CubicSpline(time, commands[SURFACES])(time - delay)
+        return commands.assign(**dict(zip(SURFACES, servo_output(early, lag, STEP).T, strict=True)))
+
+    X = behind(servos.lag, 0.0)
+    Y = X.to_numpy() @ slopes
+    known = least_squares_of(X, Y)
+    without = learned_errors(table, GLIDER, X, known, None, Servos(), 0.0)
+    errors = learned_errors(table, GLIDER, X, known, None, servos, 0.0)
+    assert len(errors.weights) == len(without.weights) + 1
+    small = 0.1
+    slower = behind(servos.lag + small * servos.lag_std, -small * servos.delay_std)
+    change = LinearRegression().fit(X, (slower - X).to_numpy() @ slopes).predict(X) / small
+    got = errors.linear(X.to_numpy())[5]
+    assert np.std(got - change) < 0.05 * np.std(change)
+
+
 def test_sensors_elsewhere_change_slopes_by_what_is_added(flown):
     table, X, _ = flown
     Y = aerodynamic_coefficients(table, GLIDER, thrust=None, cutoff=None)
-    errors = learned_errors(table, GLIDER, X, least_squares_of(X, Y), None, 0.0)
+    errors = learned_errors(table, GLIDER, X, least_squares_of(X, Y), None, Servos(), 0.0)
     above = placed(table, (0.0, 0.0, 0.03))
     there = aerodynamic_coefficients(above, GLIDER, thrust=None, cutoff=None)
     change = LinearRegression().fit(X, there - Y).coef_
@@ -139,7 +165,7 @@ def test_an_airspeed_that_is_too_large_scales_coefficients_and_slopes(flown):
     rates = X.columns.isin(["p_hat", "q_hat", "r_hat"])
     later = X / np.where(rates, 1 + error, 1.0)
     change = least_squares_of(later, Y / (1 + error) ** 2) - fitted
-    added = learned_errors(table, GLIDER, X, fitted, None, error).weights[-1]
+    added = learned_errors(table, GLIDER, X, fitted, None, Servos(), error).weights[-1]
     assert_allclose(added[1:], change.loc[REGRESSORS], rtol=1e-3)
     assert_allclose(added[0], -2 * error * Y.mean(axis=0), atol=error * 0.01)
 
@@ -158,7 +184,7 @@ def test_a_model_has_them_in_its_band(flown):
     )
     model.set_params(flightcheck="passthrough", flightsmoother="passthrough").fit(table, Y)
     named = named_regressors(model, model[:-1].transform(table))
-    expected = learned_errors(table, GLIDER, named, model.least_squares_, None, 0.0)
+    expected = learned_errors(table, GLIDER, named, model.least_squares_, None, Servos(), 0.0)
     found = as_aerodynamics(model).learned.function_errors
     at = named.to_numpy()[:9]
     assert (found.variance(at) >= expected.variance(at) * (1 - 1e-6)).all()

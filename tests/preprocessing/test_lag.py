@@ -115,8 +115,8 @@ class TestEstimate:
         assert corrector.servos_.lag == pytest.approx(servos, abs=0.01)
         assert corrector.servos_.delay == pytest.approx(delay, abs=0.01)
         assert 0.0 < corrector.servos_.delay_std < corrector.servos_.lag_std < 0.02
-        # the time of both together is known better than either
-        assert corrector.lags_["std"]["surfaces"] < corrector.servos_.delay_std
+        # the time of both together is known better than the lag
+        assert corrector.lags_["std"]["surfaces"] < corrector.servos_.lag_std
         error = (out.elevator - truth.elevator)[40:-40].std()
         assert error < 0.2 * (table.elevator - truth.elevator)[40:-40].std()
 

@@ -362,16 +362,21 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         recipe = Recipe(self, time_series=clock is not None)
         _check_memory(recipe, int(np.isfinite(Y).sum()))
         Z, self.center_, self.scale_ = _checks.standardize(Y, self.trend is not None, noise.weights)
-        self._slopes = None if slopes is None else slopes.scaled(1 / self.scale_[:, None])
         known_noise = noise.in_units(self.scale_)
         kernels = [kernel.rescaled(1 / self.scale_) for kernel in recipe.make_kernels(X, Z)]
-        corrected = Z if self._slopes is None else self._slopes.corrected(X, Z)
-        fit = recipe.fit(kernels, X, Z, known_noise, corrected)
+        fit = recipe.fit(kernels, X, Z, known_noise)
         self._set_hyperparameters(fit)
         recorded = np.argsort(rows) if clock is None else np.arange(len(rows))
-        self._warn_of_fit(fit, X[recorded], corrected[recorded], known_noise, rows)
-        self._set_noise(fit, X, corrected, clock)
-        self.posterior_ = self._with_errors(fit, errors, recipe.time_series)
+        self._warn_of_fit(fit, X[recorded], Z[recorded], known_noise, rows)
+        self._set_noise(fit, X, Z, clock)
+        if slopes is not None:
+            slopes = slopes.scaled(1 / self.scale_[:, None])
+        std = fit.learned.input_std if recipe.time_series else None
+        self.posterior_ = fit.posterior
+        if recipe.time_series or slopes is not None or errors is not None:
+            self.posterior_ = fit.posterior.with_errors(
+                self._errors_of(fit.posterior, X, Z, std, slopes, errors)
+            )
 
     def _set_hyperparameters(self, fit):
         """Set the attributes that the search has found."""
@@ -418,19 +423,19 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.drift_variance_ = variance * self.scale_**2
         self.drift_memory_ = memory
 
-    def _with_errors(self, fit, further, time_series):
-        """Return the posterior with errors of the function: by noise, of known slopes, and further ones."""
-        posterior, learned = fit
-        if not time_series and self._slopes is None and further is None:
-            return posterior
-        std = learned.input_std if time_series else None
-        errors = errors_by_input_noise(posterior.data.X, posterior.mean_function, std)
-        if self._slopes is not None:
-            errors = self._slopes.replaced(errors)
+    def _errors_of(self, posterior, X, Z, std, slopes, further):
+        """Return the errors of the function: by noise of the regressors, of known slopes, and further ones."""
+        function = posterior.mean_function
+        if slopes is not None:
+            known = slopes.function_errors(X, Z)
+            function = function + known.mean_path()
+        errors = errors_by_input_noise(posterior.data.X, function, std)
+        if slopes is not None:
+            errors = slopes.left_of(errors).joined(known)
         if further is not None:
             unscaled = np.zeros(self.n_features_in_), np.ones(self.n_features_in_)
             errors = errors.joined(further.in_units(*unscaled, 1 / self.scale_))
-        return posterior.with_errors(errors)
+        return errors
 
     # -- predictions: y = center_ + scale_ z for the normalised outputs z
     # ------------------------------------

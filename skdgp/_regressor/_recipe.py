@@ -160,17 +160,11 @@ class Recipe:
         return self.given.input_noise == "learned" or self.time_series
 
     def fit(
-        self,
-        kernels: Sequence[MultiOutputKernel],
-        X: Matrix,
-        Z: Matrix,
-        known: KnownNoise,
-        corrected: Matrix,
+        self, kernels: Sequence[MultiOutputKernel], X: Matrix, Z: Matrix, known: KnownNoise
     ) -> Fit:
         """Return the fit to X (n, d) and centred and scaled targets Z (n, P).
 
-        ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets. Hyperparameters are
-        learned from Z; the posterior is that of ``corrected`` targets (n, P), whose slopes are known.
+        ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
         """
         settings = self.settings
         random_state = check_random_state(self.given.random_state)
@@ -193,13 +187,13 @@ class Recipe:
         found = search(kernels, X, Z, request, known=known)
         if known.loading is None and found[0].loading is not None:  # of outliers
             known = known._replace(loading=found[0].loading)
-        data = Data.from_table(X, corrected, known.loading)
+            data = Data.from_table(X, Z, known.loading)
         weights = structure_weights([learned.score() for learned in found])
         likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
         fits = []
         for k in likeliest:
             rng = check_random_state(seeds[1])  # the same inducing inputs for all
-            samples = _Samples(X, corrected, data, known)
+            samples = _Samples(X, Z, data, known)
             if is_exact:
                 fit = fit_exact(found[k], data, self.time_series, known)
             else:

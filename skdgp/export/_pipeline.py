@@ -205,20 +205,23 @@ def _parts(posterior: SinglePosterior, errors: FunctionErrors | None) -> list[Pa
     variance = np.zeros(posterior.kernel.n_outputs)
     for kernel in kernels:
         variance += (kernel.value("amplitude") ** 2).sum(axis=0)
+    added = np.zeros(roots.shape[:2])
     if errors is not None:
-        linear = _moved_trend(errors.centre).T @ errors.weights.T
+        moved = _moved_trend(errors.centre).T
+        linear = moved @ errors.weights.T
         priors = [_square_root(np.hstack(pair)) for pair in zip(priors, linear, strict=True)]
+        added = (moved @ errors.mean_path().weights[0]).T
     if isinstance(posterior, ExactPosterior):
         learned = _exact(posterior, kernels, roots)
     else:
         learned = _sparse(cast(SparsePosterior, posterior), roots)
     parts = []
-    for of_output, R, a in zip(learned, priors, variance.tolist(), strict=True):
+    for of_output, R, a, mean in zip(learned, priors, variance.tolist(), added, strict=True):
         terms, readout, weights, trend_root = of_output
         if not terms:
             readout = NO_FUNCTIONS
             trend_root = _square_root(trend_root)
-        parts.append(Part(tuple(terms), readout, weights, trend_root, R, a))
+        parts.append(Part(tuple(terms), readout, weights + mean, trend_root, R, a))
     return parts
 
 

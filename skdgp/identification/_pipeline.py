@@ -40,7 +40,6 @@ from skdgp.identification._log_errors import (
 from skdgp.inference import (
     FunctionErrors,
     KnownSlopes,
-    linear_weights,
 )
 from skdgp.metrics import check_scored
 from skdgp.model_selection import observed_at, thin_targets
@@ -380,7 +379,8 @@ class FlightPipeline(Pipeline):
             targets = np.asarray(y, dtype=float)
             learned = np.isfinite(targets).any(axis=1)
             X, Y = regressors[learned], targets[learned]
-            self.calibration_ = linear_weights(X, Y - self.slopes_.corrected(X, Y))
+            added = self.slopes_.function_errors(X, Y).mean_path()
+            self.calibration_ = -added.about(np.zeros(X.shape[1])).weights[0]
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
 

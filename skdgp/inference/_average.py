@@ -169,6 +169,8 @@ class Posterior:
             member.mean_function.times(weights)
             for member, weights in zip(self.members, self.mixture, strict=True)
         ]
+        if self.errors is not None:
+            weighted.append(self.errors.mean_path())
         return reduce(add, weighted)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -177,15 +179,19 @@ class Posterior:
     def predict(self, Xs: Matrix, return_variance: bool = False) -> Any:
         """Return the mean and, with ``return_variance``, the variance of the functions at Xs (n, d): (n, P) each."""
         predictions = [member.predict(Xs, return_variance) for member in self.members]
+        added = 0.0 if self.errors is None else self.errors.mean_path().each(Xs)[0]
         if not return_variance:
-            return mixture_mean(self.mixture, predictions)
+            return mixture_mean(self.mixture, predictions) + added
         mean, variance = mixture_moments(self.mixture, predictions)
-        return mean, variance if self.errors is None else variance + self.errors.variance(Xs)
+        if self.errors is not None:
+            variance = variance + self.errors.variance(Xs)
+        return mean + added, variance
 
     def gradient(self, Xs: Matrix, spread: Vector | None = None) -> Array:
         """Return d mean / d x at Xs, (n, P, d), or expected over each regressor alone with ``spread`` (d,)."""
         slopes = [member.gradient(Xs, spread) for member in self.members]
-        return mixture_mean(self.mixture, slopes)
+        added = 0.0 if self.errors is None else self.errors.mean_path().gradient(Xs[None])[0]
+        return mixture_mean(self.mixture, slopes) + added
 
     def covariance(self, Xs: Matrix) -> np.ndarray:
         """Return the joint covariance at Xs, (P n, P n), output-major."""

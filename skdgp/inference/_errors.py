@@ -33,6 +33,8 @@ class FunctionErrors(NamedTuple):
     weights: Array
     #: c, (d,)
     centre: Vector
+    #: Weights of their mean, (d + 1, P), or zero
+    mean: Any = 0.0
 
     def linear(self, X: Matrix) -> Array:
         """Return the linear functions at X (n, d), (K, n, P)."""
@@ -51,7 +53,11 @@ class FunctionErrors(NamedTuple):
     def paths(self, n_paths: int, random_state: Seed) -> PathBundle:
         """Return draws of the errors."""
         z = check_random_state(random_state).standard_normal((n_paths, len(self.weights)))
-        return LinearPaths(np.tensordot(z, self.weights, axes=1), self.centre)
+        return LinearPaths(np.tensordot(z, self.weights, axes=1) + self.mean, self.centre)
+
+    def mean_path(self) -> LinearPaths:
+        """Return the mean, as a single path."""
+        return LinearPaths(np.zeros((1, *self.weights.shape[1:])) + self.mean, self.centre)
 
     def slopes(self) -> Array:
         """Return the slopes, (P, d, K)."""
@@ -59,18 +65,25 @@ class FunctionErrors(NamedTuple):
 
     def joined(self, other: FunctionErrors) -> FunctionErrors:
         """Return these and other errors, about the centre of these."""
-        weights = other.weights.copy()
-        weights[:, 0] += np.tensordot(self.centre - other.centre, weights[:, 1:], axes=(0, 1))
-        return self._replace(weights=np.concatenate([self.weights, weights]))
+        weights, mean = (
+            LinearPaths(each, other.centre).about(self.centre).weights
+            for each in (other.weights, other.mean_path().weights)
+        )
+        return FunctionErrors(
+            np.concatenate([self.weights, weights]), self.centre, self.mean + mean[0]
+        )
 
     def in_units(self, shift: Vector, scale: Vector, output_scale: Vector) -> FunctionErrors:
         """Return the errors of outputs times ``output_scale``, as a function of shift + scale x."""
         factor = np.concatenate([[1.0], 1.0 / scale])[:, None] * output_scale
-        return FunctionErrors(self.weights * factor, shift + scale * self.centre)
+        return FunctionErrors(
+            self.weights * factor, shift + scale * self.centre, self.mean * factor
+        )
 
     def of_outputs(self, outputs: Any) -> FunctionErrors:
         """Return the errors of some outputs."""
-        return self._replace(weights=self.weights[..., outputs])
+        mean = self.mean_path().weights[0]
+        return self._replace(weights=self.weights[..., outputs], mean=mean[..., outputs])
 
 
 def linear_basis(x: Array) -> Array:
@@ -163,24 +176,27 @@ class KnownSlopes(NamedTuple):
         errors = self.errors * np.asarray(factor)[..., None]
         return self._replace(value=self.value * factor, errors=errors)
 
-    def corrected(self, X: Matrix, Y: Matrix) -> Matrix:
-        """Return Y (n, P) plus a linear function of X (n, d) that gives it the known slopes."""
-        Y = Y.copy()
+    def added(self, X: Matrix, Y: Matrix) -> Matrix:
+        """Return the weights (d + 1, P) of the linear function of X (n, d), about its mean, that Y (n, P) lacks."""
         Q = linear_basis(X - X.mean(axis=0))
+        columns = []
         for y, value in zip(Y.T, self.value, strict=True):
             weights = np.append(0.0, np.nan_to_num(value))
             free = np.append(True, np.isnan(value))
             weights[free] = least_squares(Q[:, free], y - Q @ weights)
-            y -= Q @ least_squares(Q, y - Q @ weights)
-        return Y
+            columns.append(weights - least_squares(Q, y))
+        return np.column_stack(columns)
 
-    def replaced(self, errors: FunctionErrors) -> FunctionErrors:
-        """Return the errors by noise of a function whose known slopes have the errors of their source."""
+    def function_errors(self, X: Matrix, Y: Matrix) -> FunctionErrors:
+        """Return the errors of slopes, and as their mean what slopes of Y (n, P) by X (n, d) lack."""
+        return errors_of_slopes(self.errors, X.mean(axis=0))._replace(mean=self.added(X, Y))
+
+    def left_of(self, errors: FunctionErrors) -> FunctionErrors:
+        """Return what is left of errors by noise of the regressors."""
         weights = errors.weights.copy()
         if self.of_noise:
             weights[:, 1:] *= np.logical_not(self.known[..., 0]).T
-        others = errors._replace(weights=weights)
-        return others.joined(errors_of_slopes(self.errors, errors.centre))
+        return errors._replace(weights=weights)
 
 
 def linear_weights(X: Matrix, Y: Any) -> Matrix:

@@ -26,14 +26,15 @@ KNOWN = KnownSlopes(
 )
 
 
-def test_least_squares_of_corrected_targets_has_the_known_slopes():
+def test_least_squares_has_the_known_slopes_with_what_it_lacks():
     X, Y = samples()
-    found = LinearRegression().fit(X, KNOWN.corrected(X, Y))
+    lacking = KNOWN.function_errors(X, Y).mean_path().each(X)[0]
+    found = LinearRegression().fit(X, Y + lacking)
     assert_allclose(found.coef_[KNOWN.known[..., 0]], [1.5, 0.7, -2.5])
     free = LinearRegression().fit(X[:, [1]], Y[:, 0] - X[:, [0, 2]] @ [1.5, 0.7])
     assert_allclose(found.coef_[0, 1], free.coef_[0])
     assert_allclose(found.intercept_[0], free.intercept_)
-    assert_allclose(KNOWN.corrected(X, Y).mean(axis=0), Y.mean(axis=0))
+    assert_allclose(lacking.mean(axis=0), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("log", "trend"), [(True, "linear"), (False, None)])
@@ -48,7 +49,14 @@ def test_model_has_the_known_slopes_and_their_errors(log, trend):
     assert_allclose(model.predict_gradient(X[:1])[0][known], [1.5, 0.7, -2.5], atol=0.01)
     least = np.linalg.norm(KNOWN.errors, axis=-1)[known]
     assert_allclose(np.linalg.norm(model.function_errors().slopes(), axis=-1)[known], least)
-    drawn = model.sample_paths(1500, random_state=0).gradient(X[:1])
+    # in every form of the mean
+    mean, _ = model.predict(X[:5], return_std=True)
+    assert_allclose(model.predict(X[:5]), mean)
+    assert_allclose(model.mean_path()(X[:5])[0], mean)
+    paths = model.sample_paths(1500, random_state=0)
+    spread = paths(X[:5]).std(axis=0) / np.sqrt(1500)
+    assert np.all(np.abs(paths(X[:5]).mean(axis=0) - mean) < 5 * spread)
+    drawn = paths.gradient(X[:1])
     assert np.all(drawn[:, 0].std(axis=0)[known] > 0.92 * least)
 
 

@@ -277,8 +277,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             of that name, so groups of a splitter need no request.
         slopes : KnownSlopes or None
             Slopes by the regressors that another source knows better than these samples. A linear
-            function is added to the targets, so that their slopes by least squares are these; with
-            the errors of the source.
+            function is added to the mean, so that its slopes over the samples are these, with the
+            errors of the source.
         errors : FunctionErrors or None
             Errors of the function that these samples do not show, in units of X and y. They add to
             its covariance.
@@ -375,7 +375,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.posterior_ = fit.posterior
         if recipe.time_series or slopes is not None or errors is not None:
             self.posterior_ = fit.posterior.with_errors(
-                self._errors_of(fit.posterior, X, Z, std, slopes, errors)
+                self._errors_of(fit.posterior, X, std, slopes, errors)
             )
 
     def _set_hyperparameters(self, fit):
@@ -423,11 +423,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.drift_variance_ = variance * self.scale_**2
         self.drift_memory_ = memory
 
-    def _errors_of(self, posterior, X, Z, std, slopes, further):
+    def _errors_of(self, posterior, X, std, slopes, further):
         """Return the errors of the function: by noise of the regressors, of known slopes, and further ones."""
         function = posterior.mean_function
         if slopes is not None:
-            known = slopes.function_errors(X, Z)
+            known = slopes.function_errors(X, posterior.predict(X))
             function = function + known.mean_path()
         errors = errors_by_input_noise(posterior.data.X, function, std)
         if slopes is not None:

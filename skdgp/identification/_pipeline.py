@@ -376,11 +376,8 @@ class FlightPipeline(Pipeline):
         last.fit(regressors, y, **parameters)
         self.calibration_ = None
         if self.slopes_ is not None:
-            targets = np.asarray(y, dtype=float)
-            learned = np.isfinite(targets).any(axis=1)
-            X, Y = regressors[learned], targets[learned]
-            added = self.slopes_.function_errors(X, Y).mean_path()
-            self.calibration_ = -added.about(np.zeros(X.shape[1])).weights[0]
+            added = last.function_errors().mean_path()
+            self.calibration_ = -added.about(np.zeros(regressors.shape[1])).weights[0]
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
 

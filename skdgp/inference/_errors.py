@@ -188,7 +188,7 @@ class KnownSlopes(NamedTuple):
         return np.column_stack(columns)
 
     def function_errors(self, X: Matrix, Y: Matrix) -> FunctionErrors:
-        """Return the errors of slopes, and as their mean what slopes of Y (n, P) by X (n, d) lack."""
+        """Return the errors of slopes, and as their mean what a function lacks that is Y (n, P) at X (n, d)."""
         return errors_of_slopes(self.errors, X.mean(axis=0))._replace(mean=self.added(X, Y))
 
     def left_of(self, errors: FunctionErrors) -> FunctionErrors:

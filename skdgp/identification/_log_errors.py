@@ -29,7 +29,6 @@ from skdgp.dynamics import (
     Servos,
     Turbulence,
     dynamic_pressure,
-    gust_rate_lags,
     propulsive_loads,
 )
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM, servo_output
@@ -39,7 +38,6 @@ from skdgp.inference import FunctionErrors, attenuation, errors_of_slopes, linea
 # samples [steps of the log], and prior of this time [s] (guess)
 CLOCK_STEPS = 0.1
 CLOCK = 0.01
-MOMENTS = COEFFICIENTS[3:]
 CHANNELS_OF_CLOCK = {"surfaces": ALL_SURFACES, "air": VANES}
 """Regressors by their group in `LagCorrector.lags_`."""
 
@@ -121,73 +119,25 @@ def thrust_errors(
 
 
 def errors_by_air(
-    regressors: pd.DataFrame,
-    linear: pd.DataFrame,
-    turbulence: Turbulence,
-    aircraft: Aircraft,
-    density: float,
+    regressors: pd.DataFrame, linear: pd.DataFrame, turbulence: Turbulence, aircraft: Aircraft
 ) -> FunctionErrors:
-    r"""Return the errors by rates of the air, noise of regressors (n, d) whose size follows from the gusts.
+    """Return the errors by rates of the air, noise of regressors (n, d) whose size follows from the gusts.
 
-    Gyros show it as far as the aircraft follows the air, and the angles of the flow by the gusts w that
-    cause it: a rate q_g of variance :math:`\sigma_q^2` that lags behind the slope of w by T has, at the
-    airspeed V,
-
-    .. math:: \mathrm{cov}(w / V, q_g) = T \sigma_q^2.
-
-    The horizontal axes of gusts are those of the mean wind in MIL-F-8785C, at low altitude, and those
-    of the flight in a frozen field. With every angle between them equally likely, rolling and pitching
-    both have the mean of their variances, and half of the squared covariance with w. The covariance
-    of sideslip and yaw rate is not halved: in simulations with the gusts' axes along the flight it was
-    1.3 to 1.7 times :math:`T \sigma_r^2`.
+    The axes of gusts lie along the mean wind in MIL-F-8785C, at low altitude, and along the flight in
+    a frozen field. With every angle between them equally likely, rolling and pitching both have the
+    mean of their variances.
     """
     airspeed: Any = turbulence.airspeed  # of flights it is known
     roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
     horizontal = (roll + pitch) / 2
-    lags = gust_rate_lags(airspeed, aircraft.span)
-    names = regressors.columns
-    rates = [name if name in names else f"{name}{HAT}" for name in RATES]
-    is_hat = [name.endswith(HAT) for name in rates]
-    unit = np.where(is_hat, aircraft.moment_lengths / (2 * airspeed), 1.0)
-    followed = rates_followed(linear, aircraft, airspeed, density, lags)
-    variances = followed * [horizontal, horizontal, yaw] * unit**2
-    by_pitch = np.sqrt(0.5) * pitch
-    flow = lags * unit * [[by_pitch, by_pitch, 0.0], [0.0, 0.0, yaw]]
+    unit = aircraft.moment_lengths / (2 * airspeed)
+    rates = [f"{name}{HAT}" for name in RATES]
+    noise = pd.Series(unit**2 * [horizontal, horizontal, yaw], rates)
+    noise = noise.reindex(regressors.columns, fill_value=0.0)
     X = regressors.to_numpy()
-    slopes = linear.loc[names].to_numpy().T
-    errors = []
-    for covariance in (
-        pd.DataFrame(np.diag(variances), rates, rates),
-        pd.DataFrame(flow, VANES, rates),
-    ):
-        noise = covariance.reindex(index=names, columns=names, fill_value=0.0).to_numpy()
-        errors.append([attenuation(X, noise, of_output) for of_output in slopes])
-    return errors_of_slopes(np.concatenate(errors, axis=-1), X.mean(axis=0))
-
-
-def rates_followed(
-    linear: pd.DataFrame, aircraft: Aircraft, airspeed: float, density: float, gust_time: Any
-) -> Vector:
-    r"""Return the fraction (3,) of the variance of the rates of the air by which the aircraft's vary with them.
-
-    By the damping d of an axis, :math:`\dot p = -d (p - p_g)`, and gusts of the correlation time T,
-
-    .. math:: \frac{\mathrm{cov}(p, p_g)}{\mathrm{var}\, p_g} = \frac{d\, T}{1 + d\, T}.
-
-    It is 1 where the estimated damping is not positive, or the moment is no target.
-    In pitch static stability lets the aircraft follow less: there the fraction is an upper bound (0.68
-    instead of 0.07 for the Camel).
-    """
-    load = dynamic_pressure(airspeed, density) * aircraft.wing_area
-    lengths = aircraft.moment_lengths
-    by_hat, by_rate = (
-        linear.reindex(index=names, columns=MOMENTS, fill_value=0.0)
-        for names in ([f"{name}{HAT}" for name in RATES], RATES)
-    )
-    slopes = np.diag(by_hat) * lengths / (2 * airspeed) + np.diag(by_rate)
-    damping = -load * lengths / np.diag(aircraft.inertia) * slopes
-    followed = np.maximum(damping, 0.0) * gust_time
-    return np.where(followed > 0, followed / (1 + followed), 1.0)
+    slopes = linear.loc[regressors.columns].to_numpy().T
+    errors = [attenuation(X, np.diag(noise), of_output) for of_output in slopes]
+    return errors_of_slopes(np.stack(errors), X.mean(axis=0))
 
 
 def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionErrors:

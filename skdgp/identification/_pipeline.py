@@ -446,7 +446,7 @@ class FlightPipeline(Pipeline):
         self.log_errors_ = self._of_last_step(errors.of_outputs(places))
 
     def errors_by_air(
-        self, regressors: pd.DataFrame, flights: pd.DataFrame, beyond: Turbulence | None = None
+        self, regressors: pd.DataFrame, flights: pd.DataFrame, beyond: Turbulence | None
     ) -> list[FunctionErrors]:
         """Return the errors of a function of named regressors by the rates of the air of checked flights.
 
@@ -455,9 +455,8 @@ class FlightPipeline(Pipeline):
         turbulence = self._turbulence_of(flights)
         if turbulence is None:
             return []
-        density = float(flights["density"].median()) if "density" in flights else 0.0
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
-        errors = errors_by_air(regressors, self.least_squares_, turbulence, aircraft, density)
+        errors = errors_by_air(regressors, self.least_squares_, turbulence, aircraft)
         if beyond is not None:
             ratio = np.sum(beyond.intensity**2) / np.sum(turbulence.intensity**2)
             errors = errors._replace(weights=max(0.0, 1.0 - ratio) * errors.weights)

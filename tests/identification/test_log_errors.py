@@ -9,7 +9,6 @@ from made_flights import GLIDER, make_flight
 from numpy.random import default_rng
 from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
-from scipy.linalg import solve_continuous_lyapunov
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LinearRegression
 
@@ -19,7 +18,6 @@ from skdgp.dynamics import (
     Turbulence,
     aerodynamic_coefficients,
     as_aerodynamics,
-    dryden_gusts,
 )
 from skdgp.estimation import servo_output
 from skdgp.identification import make_identification_pipeline
@@ -29,7 +27,6 @@ from skdgp.identification._log_errors import (
     clock_std,
     errors_by_air,
     learned_errors,
-    rates_followed,
     regression_calibration,
 )
 from skdgp.identification._pipeline import named_regressors
@@ -38,6 +35,7 @@ from skdgp.preprocessing import LagCorrector
 
 REGRESSORS = ["alpha", "beta", "p_hat", "q_hat", "r_hat", *SURFACES]
 STEP = 0.02
+HATS = ["p_hat", "q_hat", "r_hat"]
 
 
 @pytest.fixture(scope="module")
@@ -206,51 +204,17 @@ def test_linear_residuals_are_added_in_proportion_to_the_noise():
     assert_allclose(found, expected, atol=1e-12)
 
 
-def test_an_aircraft_follows_the_rolling_air_by_its_damping():
-    """Of p' = d (p_g - p) in gusts of a first-order process, cov(p, p_g) over the variance of p_g.
-
-    All of it where the damping is unknown.
-    """
-    airspeed, density = 20.0, 1.2
-    slopes = np.diag([-0.4, 0.0, 0.1])
-    linear = pd.DataFrame(slopes, ["p_hat", "q_hat", "r_hat"], COEFFICIENTS[3:])
-    load = 0.5 * density * airspeed**2 * GLIDER.wing_area
-    d = 0.4 * load * GLIDER.span**2 / (2 * airspeed * GLIDER.inertia[0, 0])
-    gust_time = 4 * GLIDER.span / (np.pi * airspeed)
-    dynamics = np.array([[-d, d], [0.0, -1 / gust_time]])  # of p and p_g
-    covariance = solve_continuous_lyapunov(dynamics, -np.diag([0.0, 1.0]))
-    followed = rates_followed(linear, GLIDER, airspeed, density, gust_time)
-    assert_allclose(followed, [covariance[0, 1] / covariance[1, 1], 1.0, 1.0])
-
-
-def test_rates_of_the_air_change_slopes_of_the_angles_of_the_flow():
-    """Mean square of the errors of least squares, over the directions of the horizontal axes of the gusts."""
+def test_rates_of_the_air_flatten_slopes_by_what_is_added():
+    """Rolling and pitching have the mean of their variances."""
     airspeed, rng = 20.0, default_rng(0)
     turbulence = Turbulence(np.ones(3), np.full(3, 200.0), airspeed)
-    gusts = dryden_gusts(
-        50_000, STEP, airspeed, turbulence.length[None], np.ones((1, 3)), GLIDER.span, rng
-    )
-    lags = np.array([1.0, 3.0, 4.0]) * GLIDER.span / (np.pi * airspeed)
-    wind = (gusts.velocity + lags * gusts.acceleration)[:, 0]  # at a point, not over the span
-    X = rng.normal(scale=[0.01, 0.01, 0.1, 0.1, 0.1], size=(len(wind), 5))
-    X[:, :2] += wind[:, [2, 1]] / airspeed
-    slopes = np.zeros((5, 6))
-    slopes[2:, 3:] = np.diag([-0.4, -8.0, -0.1])
-    squares = []
-    for angle in np.radians([0, 45, 90, 135]):
-        turned = Rotation.from_euler("z", angle).apply(gusts.rates[:, 0])
-        felt = X.copy()
-        felt[:, 2:] -= turned * GLIDER.moment_lengths / (2 * airspeed)
-        found = LinearRegression().fit(X, felt @ slopes).coef_
-        squares.append((found - slopes.T)[:, :2] ** 2)
-    regressors = pd.DataFrame(X, columns=REGRESSORS[:5])
-    linear = least_squares_of(regressors, felt @ slopes)
-    errors = errors_by_air(regressors, linear, turbulence, GLIDER, density=0.0)
-    stated = np.sum(errors.slopes() ** 2, axis=2)[:, :2]
-    assert_allclose(np.sqrt(stated), np.sqrt(np.mean(squares, axis=0)), rtol=0.1, atol=3e-4)
-    per_unit = np.append([1.0, 1.0], 2 * airspeed / GLIDER.moment_lengths)
-    measured = pd.DataFrame(X * per_unit, columns=["alpha", "beta", *RATES])
-    in_units = least_squares_of(measured, felt @ slopes)
-    of_rates = errors_by_air(measured, in_units, turbulence, GLIDER, density=1.2)
-    of_hats = errors_by_air(regressors, linear, turbulence, GLIDER, density=1.2)
-    assert_allclose(of_rates.slopes() * per_unit[:, None], of_hats.slopes(), atol=1e-9)
+    roll, pitch, yaw = turbulence.rates(airspeed, GLIDER.span)
+    of_air = [np.hypot(roll, pitch) / np.sqrt(2)] * 2 + [yaw]
+    unit = GLIDER.moment_lengths / (2 * airspeed)
+    felt = 0.5 * unit * rng.normal(size=(50_000, 3))
+    X = pd.DataFrame(felt + unit * rng.normal(scale=of_air, size=felt.shape), columns=HATS)
+    slopes = np.hstack([np.zeros((3, 3)), np.diag([-0.4, -8.0, -0.1])])
+    linear = least_squares_of(X, felt @ slopes)
+    errors = errors_by_air(X, linear, turbulence, GLIDER)
+    found = linear.loc[HATS].T + errors.slopes().sum(axis=-1)
+    assert_allclose(np.diag(found[3:]), [-0.4, -8.0, -0.1], rtol=0.02)

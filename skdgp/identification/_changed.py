@@ -129,7 +129,7 @@ class Compared(NamedTuple):
     residuals: Matrix  #: Measured less predicted coefficients (n, 6), NaN where unknown
     by_acceleration: Vector  #: Force coefficients of an acceleration of 1 m/s² (n,)
     noise_ratio: float = 1.0  #: Variance of the noise of the regressors over that in the fit
-    by_air: Sequence[FunctionErrors] = ()  #: Errors by the rates of its air beyond those of the fit
+    by_air: FunctionErrors | None = None  #: Errors by the rates of its air beyond those of the fit
 
 
 def changes_in_flights(
@@ -277,8 +277,8 @@ def _covariance(
     K = K + np.einsum("nij,mlj->inlm", effects, effects)
     fitting = np.linalg.pinv(Q[rows])  # G Q^T
     covariance = np.einsum("ka,iajb,lb->ikjl", fitting, K, fitting, optimize=True)
-    for errors in flight.by_air:
-        weights = fitting @ errors.linear(at)
+    if flight.by_air is not None:
+        weights = fitting @ flight.by_air.linear(at)
         np.einsum("ikik->ik", covariance)[:] += np.sum(weights**2, axis=0).T
     return covariance
 

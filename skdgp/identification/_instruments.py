@@ -68,7 +68,7 @@ def by_instruments(regressors: pd.DataFrame, Y: Any, clock: Clock) -> KnownSlope
     root = np.sqrt(variance)[:, None, None] * eigen_root(covariance)[:, -n_noisy:]
     # of each output by itself
     errors = np.einsum("pdk,pq->pdqk", root, np.eye(len(root)))
-    return KnownSlopes(value, errors.reshape(*value.shape, -1), of_noise=False)
+    return KnownSlopes(value, errors.reshape(*value.shape, -1), includes_noise=False)
 
 
 def _earlier(controls: Matrix, clock: Clock, delay: float) -> Matrix:

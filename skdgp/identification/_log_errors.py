@@ -59,8 +59,8 @@ def regression_calibration(weights: Matrix, X: Matrix, noise_ratio: Vector) -> M
     r"""Return what is added to a function at X (n, d) for the mean coefficients of logged rows (n, P).
 
     Regressors of a logged row are estimates. The mean of y, given an estimate x, is not the
-    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With the weights b and A
-    (1 + d, P) of what known slopes have taken from the targets, it is
+    function f(x) (regression calibration: Carroll et al. 2006, chapter 4). With b and A (1 + d, P), what
+    known slopes have added to the function with its sign changed, it is
 
     .. math:: \mathrm{E}[y \mid x] = f(x) + \rho \, (b + A^T x),
 
@@ -123,9 +123,9 @@ def errors_by_air(
 ) -> FunctionErrors:
     """Return the errors by rates of the air, noise of regressors (n, d) whose size follows from the gusts.
 
-    The axes of gusts lie along the mean wind in MIL-F-8785C, at low altitude, and along the flight in
-    a frozen field. With every angle between them equally likely, rolling and pitching both have the
-    mean of their variances.
+    Regressors are non-dimensional rates. The axes of gusts lie along the mean wind in MIL-F-8785C, at
+    low altitude, and along the flight in a frozen field. With every angle between them equally likely,
+    rolling and pitching both have the mean of their variances.
     """
     airspeed: Any = turbulence.airspeed  # of flights it is known
     roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2

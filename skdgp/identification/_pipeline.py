@@ -447,20 +447,20 @@ class FlightPipeline(Pipeline):
 
     def errors_by_air(
         self, regressors: pd.DataFrame, flights: pd.DataFrame, beyond: Turbulence | None
-    ) -> list[FunctionErrors]:
+    ) -> FunctionErrors | None:
         """Return the errors of a function of named regressors by the rates of the air of checked flights.
 
         They are of the power that gusts have ``beyond`` another turbulence. None where flights do not show theirs.
         """
         turbulence = self._turbulence_of(flights)
         if turbulence is None:
-            return []
+            return None
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
         errors = errors_by_air(regressors, self.least_squares_, turbulence, aircraft)
         if beyond is not None:
             ratio = np.sum(beyond.intensity**2) / np.sum(turbulence.intensity**2)
             errors = errors._replace(weights=max(0.0, 1.0 - ratio) * errors.weights)
-        return [self._of_last_step(errors)]
+        return self._of_last_step(errors)
 
     def _turbulence_of(self, flights: pd.DataFrame) -> Turbulence | None:
         """Return the turbulence of flights of a known aircraft, where they show it."""

@@ -153,7 +153,7 @@ class KnownSlopes(NamedTuple):
 
     value: Matrix  # (P, d)
     errors: Array  # (P, d, k), sums of the last axis times independent standard normal numbers
-    of_noise: bool = True  #: Whether the errors contain those by noise of the regressors
+    includes_noise: bool = True  #: Whether errors by noise of the regressors are among these
 
     @classmethod
     def of_samples(cls, X: Matrix, Y: Matrix, deviations: Matrix) -> KnownSlopes:
@@ -192,9 +192,9 @@ class KnownSlopes(NamedTuple):
         return errors_of_slopes(self.errors, X.mean(axis=0))._replace(mean=self.added(X, Y))
 
     def left_of(self, errors: FunctionErrors) -> FunctionErrors:
-        """Return what is left of errors by noise of the regressors."""
+        """Return what these slopes leave of errors by noise of the regressors."""
         weights = errors.weights.copy()
-        if self.of_noise:
+        if self.includes_noise:
             weights[:, 1:] *= np.logical_not(self.known[..., 0]).T
         return errors._replace(weights=weights)
 

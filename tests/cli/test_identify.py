@@ -122,7 +122,8 @@ class TestIdentify:
         progress, _, rest = said.partition("warning: ")
         assert re.search(r"fit · all outputs \[[#-]+\] \d+ of \d+", progress)
         assert "\n" not in progress
-        assert progress.count("\r\x1b[K") > 3
+        drawn = [line.split(" · ")[0] for line in progress.split("\r\x1b[K")[1:-1]]
+        assert list(dict.fromkeys(drawn)) == ["reading", "transforming", "fit"]
         assert "The fit was interrupted" in rest
         assert said.endswith("\r\x1b[K")
         assert "brumby: interrupted in" in capsys.readouterr().out

@@ -191,7 +191,7 @@ def test_slopes_that_rougher_air_flattens_are_no_change():
     for name, compared in steady.items():
         rough[name] = compared._replace(noise_ratio=9.0)
         errors = np.stack([attenuation(compared.regressors, noise, slope) for slope in slopes])
-        rates[name] = compared._replace(by_air=[errors_of_slopes(errors, np.zeros(3))])
+        rates[name] = compared._replace(by_air=errors_of_slopes(errors, np.zeros(3)))
     assert alarms(changes_of(model, steady)) > 0.8
     assert alarms(changes_of(model, rough)) < 0.2
     assert alarms(changes_of(model, rates)) < 0.2

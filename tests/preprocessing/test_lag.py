@@ -116,7 +116,9 @@ class TestEstimate:
         assert corrector.servos_.delay == pytest.approx(delay, abs=0.01)
         assert 0.0 < corrector.servos_.delay_std < corrector.servos_.lag_std < 0.02
         # the time of both together is known better than the lag
-        assert corrector.lags_["std"]["surfaces"] < corrector.servos_.lag_std
+        std = corrector.lags_["std"]["surfaces"]
+        together = corrector.servos_.lag + corrector.servos_.delay
+        assert abs(together - servos - delay) < 2 * std < 2 * corrector.servos_.lag_std
         error = (out.elevator - truth.elevator)[40:-40].std()
         assert error < 0.2 * (table.elevator - truth.elevator)[40:-40].std()
 

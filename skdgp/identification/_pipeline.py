@@ -310,6 +310,7 @@ class FlightPipeline(Pipeline):
 
     steps: list[tuple[str, Any]]
     # a slice has learned nothing itself
+    slopes_: KnownSlopes | None = None
     calibration_: Matrix | None = None
     turbulence_: Turbulence | None = None
     seconds_: float | None = None
@@ -363,7 +364,7 @@ class FlightPipeline(Pipeline):
         named = named_regressors(self, regressors)
         self.least_squares_ = fit_least_squares(named, y)
         self._learn_errors_by_log(flights, named)
-        self.slopes_: KnownSlopes | None = None
+        self.slopes_ = None
         if isinstance(last, DependentGPRegressor):
             self.slopes_ = self._known_slopes(regressors, y, flights)
             facts = {
@@ -506,8 +507,10 @@ class FlightPipeline(Pipeline):
         if isinstance(self[-1], DependentGPRegressor):
             params = {"include_input_noise": noise_ratio} | params
         predicted = self[-1].predict(regressors, **params)
-        if self.calibration_ is None:
+        if self.slopes_ is None or self.calibration_ is None:
             return predicted
+        if not self.slopes_.includes_noise:  # by instruments, beside samples of the same sensors
+            noise_ratio = np.ones(len(regressors))
         added = regression_calibration(self.calibration_, regressors, noise_ratio)
         if isinstance(predicted, tuple):
             return predicted[0] + added, predicted[1]

@@ -141,6 +141,21 @@ def test_nothing_is_learned_before_the_servos_forget_what_was_not_logged(flights
     assert pipeline.n_learned_ == (since > 0.28).sum() < pipeline.n_observed_
 
 
+def test_logged_rows_are_predicted_as_the_samples_say_in_any_air(flights, test_flight):
+    """Their regressors have the noise of those of the fit; the function has steeper slopes."""
+    rows = flights.train
+    Y = thin_targets(aerodynamic_coefficients(rows, flights.aircraft), 1500)
+    regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
+    pipeline = make_identification_pipeline(flights.aircraft, regressor=regressor).fit(rows, Y)
+    X, ratio, _ = flight_regressors(pipeline, test_flight)
+    assert not np.allclose(ratio, 1.0, rtol=0.02)
+    learned, _, _ = flight_regressors(pipeline, rows)
+    alone = clone(regressor).fit(learned, Y, time=rows["time"], flight=rows["flight"]).predict(X)
+    size = np.std(alone, axis=0)
+    assert_allclose(pipeline.predict(test_flight) / size, alone / size, atol=1e-6)
+    assert np.abs((pipeline[-1].predict(X) - alone) / size).max() > 0.01
+
+
 def test_the_scaler_may_be_left_out_or_another(model, few, test_flight):
     """Least squares beside the model are in units, and the same."""
     rows, targets = few

@@ -48,11 +48,9 @@ class OptimizerSettings:
     accepted: float = 1e-4
     poor: float = 0.25
     good: float = 0.75
-    #: A climb may still rise by so many times the rise of its recent steps, and by so many nats more,
-    #: as it may rest at a saddle (with twice and three times as much, two of 50 fits differ, none is better
-    #: by more than 0.5 %, and searches take a quarter longer)
-    recent: int = 10
-    times: float = 5.0
+    #: A climb may still rise by so many times what its quadratic model promises (of 30 climbs at most 10
+    #: times from the start, where half rise by less than 2.5 times), and by so many nats from a saddle
+    times: float = 10.0
     spare: float = 3.0
 
 
@@ -98,7 +96,8 @@ def maximize(
         Name of the stage for progress listeners.
     least : callable
         theta -> the value that the end must reach to count. The search ends, not converged, where
-        its recent steps do not promise that.
+        its quadratic model does not promise that: from the optimum of a simpler model this is the
+        score test of the hyperparameters that are added (Rao 1948).
 
     Returns
     -------
@@ -117,22 +116,21 @@ def maximize(
     point = objective(theta)
     correction = np.zeros_like(point.information)
     damping, smallest, largest = SETTINGS.damping
-    values = [point.value]
     n_iter = 0
     try:
         while not _is_stationary(theta, point, bounds):
             curvature = point.information + correction
             if damping > largest:
-                is_flat = _is_flat(theta, point, curvature, bounds)
+                # rounding hides whether the likelihood rises, but it would hardly
+                is_flat = _promise(theta, point, bounds) < SETTINGS.gradient
                 return Optimum(theta, point.value, n_iter, is_flat)
-            is_hopeless = _is_hopeless(theta, values, least)
+            is_hopeless = _is_hopeless(theta, point, bounds, least)
             if n_iter == max_iter or is_hopeless or stop.is_set():
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
             end, predicted = _proposed(theta, point, curvature, bounds, damping, origin)
             step = end - theta
             other = _evaluated(objective, end) if predicted > 0 else None
-            values.append(point.value)
             if other is None:
                 damping *= 4.0
                 continue
@@ -147,7 +145,6 @@ def maximize(
                 damping = max(smallest, damping / 3.0)
             if is_taken:
                 theta, point = end, other
-                values[-1] = point.value
             notify(_counted(stage, n_iter, max_iter), n_iter, point.value)
     except KeyboardInterrupt:
         if not keeps_best():
@@ -157,12 +154,10 @@ def maximize(
     return Optimum(theta, point.value, n_iter, True)
 
 
-def _is_hopeless(theta, values, least):
-    """Return whether the likelihood, with these ``values`` after each step, will hardly reach the least that counts."""
-    if len(values) <= SETTINGS.recent:
-        return False
-    rise = values[-1] - values[-1 - SETTINGS.recent]
-    return values[-1] + SETTINGS.spare + SETTINGS.times * rise < least(theta)
+def _is_hopeless(theta, point, bounds, least):
+    """Return whether the likelihood will hardly reach the least that counts."""
+    missing = least(theta) - point.value - SETTINGS.spare
+    return missing > 0.0 and SETTINGS.times * _promise(theta, point, bounds) < missing
 
 
 def _counted(stage: str, n_iter: int, max_iter: int) -> str:
@@ -183,10 +178,10 @@ def _is_stationary(theta, point, bounds):
     return bool(np.all(np.abs(point.gradient * error)[free] <= SETTINGS.gradient))
 
 
-def _is_flat(theta, point, curvature, bounds):
-    """Return whether a step promises nothing, though rounding hides whether the likelihood rises."""
-    step = _step(theta, point, curvature, bounds, SETTINGS.damping[0])
-    return bool(0.5 * step @ point.gradient < SETTINGS.gradient)
+def _promise(theta, point, bounds):
+    """Return the rise of the likelihood that its damped quadratic model promises, without a correction."""
+    step = _step(theta, point, point.information, bounds, SETTINGS.damping[0])
+    return 0.5 * float(step @ point.gradient)
 
 
 def _proposed(theta, point, curvature, bounds, damping, origin):

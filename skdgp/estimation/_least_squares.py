@@ -11,7 +11,8 @@ The normal equations are, with border B and corner C of the constants,
           - \begin{pmatrix} g \\ h \end{pmatrix}.
 
 A is block-tridiagonal, of half bandwidth 2 s - 1, so that :math:`A = L L^T` takes O(n s^3), and c
-follows from the Schur complement (Golub & Van Loan 2013, section 4.3).
+follows from the Schur complement (Golub & Van Loan 2013, section 4.3). Products are of some samples
+at a time, as fresh memory for all of a long flight would take as long as the computation.
 """
 
 from __future__ import annotations
@@ -19,9 +20,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
+from scipy.linalg import cholesky_banded, lapack
+from scipy.linalg.blas import dgemm
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
+
+# Whose products fit into the cache of a processor (guess)
+SAMPLES_AT_A_TIME = 128
 
 
 class Equations:
@@ -42,11 +47,21 @@ class Equations:
         """Divide the equations by their noise, (n, m)."""
         self.columns /= noise[..., None]
 
-    def changes(self, states: Array, constants: Matrix) -> Array:
-        """Return the changes of the residuals (n, m, k), by k sets of states (n, s, k) and constants (c, k)."""
-        total = self.d_state @ states + self.d_constants @ constants
-        total[:-1] += self.d_next[:-1] @ states[1:]
-        return total
+    @property
+    def parts(self) -> list[slice]:
+        """Samples that are computed together."""
+        starts = range(0, len(self.columns), SAMPLES_AT_A_TIME)
+        return [slice(start, start + SAMPLES_AT_A_TIME) for start in starts]
+
+    def changes(self, samples: slice, states: Array, constants: Matrix) -> Array:
+        """Return the changes of the residuals of some samples (l, m, k).
+
+        They are by k sets of states of all samples (n, s, k) and constants (c, k).
+        """
+        change = self.d_state[samples] @ states[samples] + self.d_constants[samples] @ constants
+        later = states[samples.start + 1 : samples.stop + 1]
+        change[: len(later)] += self.d_next[samples][: len(later)] @ later
+        return change
 
 
 class GaussianPrior(NamedTuple):
@@ -71,61 +86,69 @@ class Posterior(NamedTuple):
 def solve(equations: Equations, prior: GaussianPrior, free: Indices, draws: Matrix) -> Posterior:
     """Return the least-squares solution of the equations for the states and the ``free`` constants.
 
-    ``draws`` are standard normal numbers e, (n s + f, k). With c from the inverse of the Schur
-    complement C - B^T A^-1 B, the states L^-T e - A^-1 B c are samples from the posterior.
+    ``draws`` are standard normal numbers e, (n s + f, k). With V = L^-1 B and c from the inverse of the
+    Schur complement C - V^T V, the states L^-T (e - V c) are samples from the posterior.
     """
     band, border, corner = _normal_equations(equations, prior)
-    B = border[:, free]
     C = corner[np.ix_(free, free)]
-    g = border[:, -1:]
     h = corner[free, -1]
     L = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
-    solved = cho_solve_banded((L, True), np.hstack([B, g]), check_finite=False)
-    inner = solved[:, :-1]  # A^-1 B
-    shift = solved[:, -1]  # A^-1 g
-    covariance = np.linalg.inv(C - B.T @ inner)
+    of_free = border[[*free, -1]].reshape(len(free) + 1, -1).T
+    solved = lapack.dtbtrs(L, of_free, uplo="L", overwrite_b=1)[0]
+    V = solved[:, :-1]
+    covariance = np.linalg.inv(C - V.T @ V)
     covariance = (covariance + covariance.T) / 2
-    constants = covariance @ (B.T @ shift - h)
-    states = -shift - inner @ constants
-    constant_draws = np.linalg.cholesky(covariance) @ draws[len(B) :]
-    free_draws = lapack.dtbtrs(L, draws[: len(B)], uplo="L", trans="T")[0]  # L^-T e
-    state_draws = free_draws - inner @ constant_draws
+    constants = covariance @ (V.T @ solved[:, -1] - h)
+    n_values = len(V)
+    constant_draws = np.linalg.cholesky(covariance) @ draws[n_values:]
+    weights = np.column_stack([np.append(constants, 1.0), np.pad(constant_draws, ((0, 1), (0, 0)))])
+    # of the solution, -L^-1 g - V c, and of the draws
+    right = dgemm(-1.0, solved, weights)
+    right[:, 1:] += draws[:n_values]
+    states = lapack.dtbtrs(L, right, uplo="L", trans="T", overwrite_b=1)[0]
     shape = prior.states.shape
     spread = np.eye(len(prior.constants))[:, free]
     return Posterior(
-        states=states.reshape(shape),
+        states=states[:, 0].reshape(shape),
         constants=spread @ constants,
         covariance=covariance,
-        state_draws=state_draws.reshape(*shape, -1),
+        state_draws=states[:, 1:].reshape(*shape, -1),
         constant_draws=spread @ constant_draws,
     )
 
 
-def _normal_equations(equations: Equations, prior: GaussianPrior) -> tuple[Matrix, Matrix, Matrix]:
-    """Return A in lower banded storage, B with g in its last column, and C with h in its last column."""
+def _normal_equations(equations: Equations, prior: GaussianPrior) -> tuple[Matrix, Array, Matrix]:
+    """Return A in lower banded storage, B with g as its last column, transposed, and C with h as its last column.
+
+    Of n samples, B^T is of the shape (c + 1, n, s).
+    """
+    n, _, width = equations.columns.shape
     s = equations.n_states
     this = slice(0, s)
     after = slice(s, 2 * s)
     constants = slice(2 * s, -1)
     remaining = slice(2 * s, None)
-    J = equations.columns
-    products = J.mT @ J
-    blocks = products[:, : 2 * s, this].copy()  # of A, on and below its diagonal
-    blocks[:, this] += prior.states[:, :, None] * np.eye(s)
-    blocks[1:, this] += products[:-1, after, after]
-    border = products[:, this, remaining].copy()
-    border[1:] += products[:-1, after, remaining]
-    border[..., -1] += prior.states * prior.states_offset
-    corner = products[:, constants, remaining].sum(axis=0)
+    # in the order of LAPACK: entry (i, j) of A stands at (j, i - j)
+    band = np.zeros((n, s, 2 * s))
+    border = np.zeros((width - 2 * s, n, s))
+    corner = np.zeros((width - 2 * s - 1, width - 2 * s))
+    diagonal = np.zeros((s, s))
+    of_last = np.zeros((s, width - 2 * s))
+    for samples in equations.parts:
+        J = equations.columns[samples]
+        products = J.mT @ J
+        # what equations say of the next state is added to it
+        diagonals = np.concatenate([diagonal[None], products[:-1, after, after]])
+        beside = np.concatenate([of_last[None], products[:-1, after, remaining]])
+        products[:, this, this] += diagonals + prior.states[samples, :, None] * np.eye(s)
+        products[:, this, remaining] += beside
+        products[:, this, -1] += prior.states[samples] * prior.states_offset[samples]
+        for j in range(s):
+            band[samples, j, : 2 * s - j] = products[:, j : 2 * s, j]
+        border[:, samples] = products[:, this, remaining].transpose(2, 0, 1)
+        corner += products[:, constants, remaining].sum(axis=0)
+        diagonal = products[-1, after, after]
+        of_last = products[-1, after, remaining]
     corner[:, :-1] += np.diag(prior.constants)
     corner[:, -1] += prior.constants * prior.constants_offset
-    return _banded(blocks), border.reshape(prior.states.size, -1), corner
-
-
-def _banded(blocks: Array) -> Matrix:
-    """Return blocks (n, 2 s, s), each a diagonal one over the one below, in the lower banded storage of LAPACK."""
-    n, height, s = blocks.shape
-    band = np.zeros((height, n, s))
-    for j in range(s):  # entry (i, j) stands in row i - j
-        band[: height - j, :, j] = blocks[:, j:, j].T
-    return band.reshape(height, n * s)
+    return band.reshape(n * s, 2 * s).T, border, corner

@@ -221,10 +221,14 @@ def _residual_sums(
 
     Of squares, the trace of J P J^T, and their number.
     """
-    change = equations.changes(posterior.states[..., None], posterior.constants[:, None])
-    squares = np.sum((equations.residual + change[..., 0]) ** 2, axis=0)
-    draws = equations.changes(posterior.state_draws, posterior.constant_draws)
-    traces = np.square(draws).mean(axis=-1).sum(axis=0)
+    squares = np.zeros(len(channels))
+    traces = np.zeros(len(channels))
+    states, constants = posterior.states[..., None], posterior.constants[:, None]
+    for samples in equations.parts:
+        change = equations.changes(samples, states, constants)[..., 0]
+        squares += np.sum((equations.residual[samples] + change) ** 2, axis=0)
+        draws = equations.changes(samples, posterior.state_draws, posterior.constant_draws)
+        traces += np.einsum("lmk,lmk->m", draws, draws) / draws.shape[2]
     counts = np.any(equations.d_state != 0, axis=2).sum(axis=0)
     sums = np.column_stack([squares, traces, counts])
     by_channel = {}
@@ -263,7 +267,8 @@ def _mirrored_draws(n_states: int, free: Sequence[str], n_draws: int) -> Matrix:
 def _is_small(posterior: Posterior, tolerance: float) -> bool:
     """Return whether the mean square step of each state is below ``tolerance`` standard deviations."""
     moved = np.mean(posterior.states**2, axis=0)
-    variance = np.mean(posterior.state_draws**2, axis=(0, 2))
+    draws = posterior.state_draws
+    variance = np.einsum("nsk,nsk->s", draws, draws) / (len(draws) * draws.shape[2])
     return bool(np.all(moved < tolerance**2 * variance))
 
 

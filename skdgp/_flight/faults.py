@@ -351,13 +351,14 @@ def _is_improbable(length: Indices) -> Mask:
 
 
 def _resolution(held: Vector) -> float:
-    """Return the step that nine in ten of held values are multiples of, from any origin; 0 if there is none."""
+    """Return the step that nine in ten of the steps of held values are multiples of; 0 if there is none."""
     levels = np.unique(held)
     if len(levels) < 6:
         return 0.0
-    step = np.diff(levels).min()
-    middle = levels[len(levels) // 2]
-    multiples = (levels - middle) / step
+    steps = np.diff(levels)
+    step = steps.min()
+    # of single precision, whose error would add up over many steps
+    multiples = steps / step
     is_on_step = np.abs(multiples - np.rint(multiples)) < 0.1
     return float(step) if is_on_step.mean() > 0.9 else 0.0
 

@@ -102,6 +102,18 @@ class TestCleanLogs:
         assert faults(table) == []
         assert faults(held("airspeed", 150, 249, table)) == [["airspeed", "stuck"]]
 
+    def test_a_velocity_of_a_simulator_is_not_stuck_where_it_stays(self):
+        """Exactly along a heading until a turn; centimetres in single precision, interpolated to another clock."""
+        time = np.arange(0, 80, 0.0523)
+        clock = np.arange(0, 80, 0.053)
+        velocity = np.interp(clock, [0, 10, 20, 35, 40, 80], [0, 0, -12, -12.8, -24, -22.0])
+        is_turn = (np.abs(clock - 15) < 5) | (np.abs(clock - 37.5) < 2.5)
+        velocity += 0.2 * np.sin(10 * clock) * is_turn
+        velocity = np.interp(time, clock, velocity.round(2).astype(np.float32))
+        table = pd.DataFrame({"time": time, "v_north": velocity})
+        assert faults(table) == []
+        assert faults(held("v_north", 250, 280, table)) == [["v_north", "stuck"]]
+
 
 FAULTS = [
     ("alpha", "stuck", held("alpha", 400, 480), range(401, 481)),

@@ -28,7 +28,6 @@ from skdgp.dynamics._rigid_body import (
     POSITION,
     RATES,
     VELOCITY,
-    aerodynamic_loads,
     rk4_step,
 )
 from skdgp.dynamics._servos import Ramp
@@ -51,17 +50,6 @@ FASTEST = np.repeat([1000.0, np.inf, 60.0], [3, 4, 3])
 STAGE_LIMIT = 1e9
 
 
-# Steps from one evaluation of paths to the next, longest time between them, and time for which slopes are kept [s];
-# errors: docs/simulation.md, "Bands of a trajectory"
-STRIDE = 3
-LONGEST_STRIDE = 0.06
-SLOPES_KEPT = 0.3
-# Largest change of a control in a step, over its training range, that slopes account for, and largest change
-# until the paths are evaluated again, over the one in a step
-REACH = 0.02
-STEADY = 0.5
-
-
 def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     """Return the columns of the vocabulary that follow from states (..., 13) in a ``wind`` (..., 3), each (...)."""
     attitude = states[..., ATTITUDE]
@@ -78,55 +66,10 @@ def channels(states: Array, wind: Array | None = None) -> dict[str, Array]:
     }
 
 
-class Tangent:
-    """Coefficients of paths near regressors x_0 where they are known, C(x) = C_0 + J (x - x_0).
-
-    Where controls change by more than `REACH` of their ranges a step, as they jump, the paths are evaluated.
-    """
-
-    def __init__(self, motion: Motion, X: Array, coefficients: Array) -> None:
-        self.motion = motion
-        finite = np.isfinite(X).all(axis=-1, keepdims=True)
-        self.slopes = motion.aerodynamics.gradient(np.where(finite, X, 0.0))
-        is_control = np.isin(motion.regressors, motion.controls)
-        self.reach = np.where(is_control, REACH * motion.aerodynamics.ranges, np.inf)
-        self.age = -1  # evaluations since that of the slopes
-        self.move(X, coefficients)
-
-    def move(self, X: Array, coefficients: Array) -> None:
-        """Begin at other regressors x_0 (..., d) with coefficients C_0 (..., 6), with the same slopes."""
-        self.regressors = X
-        self.coefficients = coefficients
-        self.age += 1
-        self.steps = 0  # since the last evaluation
-
-    def __call__(self, X: Array) -> Array:
-        """Return the coefficients (..., 6) at regressors (..., d)."""
-        if self.is_beyond(X, 1 + self.steps):
-            return self.motion.evaluated(X)
-        change = X - self.regressors
-        return self.coefficients + (self.slopes @ change[..., None])[..., 0]
-
-    def is_beyond(self, X: Array, steps: float) -> bool:
-        """Return whether any controls have changed by more than their reach in some steps."""
-        return bool((np.abs(X - self.regressors) > steps * self.reach).any())
-
-
 class Integrator:
-    r"""Integration of a motion in time, step by step.
+    """Integration of a motion in time, step by step.
 
     A step has three stages: its beginning, its middle and its end, which is the beginning of the next step.
-
-    Paths are evaluated once in some steps, as they take most of the time. The stages of these steps have
-    their tangent at the beginning,
-
-    .. math:: C(x) = C_0 + J (x - x_0),
-
-    and at the last stage, :math:`x_1`, its error :math:`e = C(x_1) - C_0 - J (x_1 - x_0)` is known.
-    It grows in proportion to time. With B the derivative of d state / dt by the coefficients, the state at
-    the end of these steps of h seconds in all is corrected by :math:`h B e / 2`. The next tangent begins at
-    :math:`x_1`. Its slopes J are kept for some evaluations. Stages beyond the reach of the tangent evaluate the paths.
-    A step that ends there is corrected by the error at its middle. Steps since the last evaluation stay uncorrected.
 
     Parameters
     ----------
@@ -135,8 +78,6 @@ class Integrator:
         At the start.
     dt : float
         Time step [s].
-    n_steps : int
-        Of the flight; with one, paths are evaluated at every stage.
 
     Attributes
     ----------
@@ -149,7 +90,7 @@ class Integrator:
         At the beginning of the last step.
     """
 
-    def __init__(self, motion: Motion, state: Array, dt: float, n_steps: int = 1) -> None:
+    def __init__(self, motion: Motion, state: Array, dt: float) -> None:
         self.motion = motion
         self.state = by_components(state)
         self.dt = dt
@@ -158,13 +99,6 @@ class Integrator:
         self._surfaces = motion.surfaces
         self._servo_state: Any = None
         self._implicit: Array | None = None  # guess of the implicit regressors
-        self._tangent: Tangent | None = None
-        self._stride = max(1, min(STRIDE, round(LONGEST_STRIDE / dt)))
-        n_kept = min(n_steps, round(SLOPES_KEPT / dt))
-        self._renewal = n_kept // self._stride  # in evaluations
-        model = motion.aerodynamics
-        has_path_slopes = model.n_paths is not None and model.slopes is not None
-        self._has_tangents = has_path_slopes and n_kept > 1
 
     def begin(self, inputs: Inputs) -> None:
         """Evaluate the beginning of a step."""
@@ -176,17 +110,12 @@ class Integrator:
         self.controls = {**commands, **self._servo_state.deflections}
         self.now = self._at(self.state, self.controls, air, drift)
         self._implicit = self.now.implicit
-        if self._has_tangents and self._tangent is None:
-            coefficients = self.now.coefficients - drift
-            self._tangent = Tangent(self.motion, self.now.regressors, coefficients)
 
     def step(self, inputs: Inputs) -> None:
         """Fly the step that has begun."""
         begun = self._servo_state
-        before = self.now
 
         def rate(t: float, state: Array) -> Array:
-            nonlocal before
             if t > 0.0:
                 # what diverges within a step is ended at its end
                 within = np.clip(state, -STAGE_LIMIT, STAGE_LIMIT)
@@ -197,44 +126,16 @@ class Integrator:
                     ramp = Ramp(t, first, self._of_surfaces(commands))
                     self._servo_state = self.servos.moved(begun, ramp)
                     controls = {**commands, **self._servo_state.deflections}
-                before = self.now
                 self.now = self._at(within, controls, air, drift)
             return self.now.derivative
 
         self.state = rk4_step(rate, 0.0, self.state, self.dt)
-        if self._tangent is not None:
-            self._correct(self._tangent, before.regressors)
 
     def _at(self, state: Array, controls: Mapping, air: LocalAir, drift: Array | float) -> Instant:
-        return self.motion.at(state, controls, air, self._implicit, drift, self._tangent)
+        return self.motion.at(state, controls, air, self._implicit, drift)
 
     def _of_surfaces(self, commands: Mapping) -> dict[str, Any]:
         return {name: commands[name] for name in self._surfaces & commands.keys()}
-
-    def _correct(self, tangent: Tangent, middle: Array) -> None:
-        """Correct the states by the error of the tangent in its steps, if they are over, and begin the next one."""
-        last = self.now.regressors
-        n_steps = tangent.steps + 1
-        if n_steps < self._stride and not tangent.is_beyond(last, STEADY):
-            tangent.steps = n_steps
-            return
-        coefficients = self.motion.evaluated(last)
-        is_beyond = tangent.is_beyond(last, n_steps)
-        if is_beyond:
-            # Simpson's rule; the error is zero at the beginning, and at the end, without a tangent
-            error = self.motion.evaluated(middle) - tangent(middle)
-            seconds = 2.0 / 3.0 * self.dt
-        else:
-            error = coefficients - tangent(last)
-            seconds = 0.5 * n_steps * self.dt
-        aircraft = self.motion.aircraft
-        force, moment = aerodynamic_loads(error, self.now.airspeed, self.now.density, aircraft)
-        self.state[..., VELOCITY] += seconds * (force / aircraft.mass)
-        self.state[..., RATES] += seconds * (moment @ aircraft.inertia_inverse)
-        if is_beyond or tangent.age + 1 >= self._renewal:
-            self._tangent = Tangent(self.motion, last, coefficients)
-        else:
-            tangent.move(last, coefficients)
 
 
 class Trajectories(NamedTuple):
@@ -290,7 +191,7 @@ def fly_record(
 
         return local, motion.mixed(commands(step, stage, observe)), drifts[stage]
 
-    flight = Integrator(motion, state, float(time[1]), n_steps)
+    flight = Integrator(motion, state, float(time[1]))
     ended = np.full(state.shape[:-1], FLYING, dtype=object)
     over: list[Any] = []  # which trajectories have ended, by step
     flown: list[Any] = []

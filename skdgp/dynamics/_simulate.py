@@ -65,9 +65,8 @@ def simulate(
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them
-    from a flight, alpha_dot and beta_dot, which follow from the loads, by fixed point. Paths are evaluated in
-    every third step, with waves of single precision, and have their tangent at the stages, whose error corrects
-    the steps.
+    from a flight, alpha_dot and beta_dot, which follow from the loads, by fixed point. Paths are evaluated with
+    waves of single precision.
 
     Parameters
     ----------

@@ -72,16 +72,6 @@ def inert(glider, **options):
     return glider._replace(level=np.zeros(6)).model(0.0 * glider.slopes, **options)
 
 
-def curved(glider, bends, **options):
-    """Return a model of the glider's coefficients and squares of its regressors, whose paths are all this function."""
-
-    def values(X):
-        return glider.level + X @ glider.slopes.T + X**2 @ bends.T
-
-    one = values, lambda X: glider.slopes + 2 * bends * X[..., None, :]
-    return Aerodynamics(values, glider.names, sampler=lambda n_paths, random_state: one, **options)
-
-
 @pytest.fixture(scope="module")
 def flown(fly):
     return fly(dt=0.01, duration=4.0, air=WIND_OVER_GROUND)
@@ -343,43 +333,6 @@ class TestEnsembles:
         paths = fly(duration=1.0, n_paths=3, air=Air(wind=wind, gusts=None))
         for _, path in paths.groupby("path"):
             assert_allclose(path["wind_north"], 3.0 + 2.0 * path["time"], atol=1e-9)
-
-    def test_paths_that_are_curved_follow_the_equations(self, fly, glider):
-        """Errors are of second order in the step, whatever bends: stall, damping, an elevator that jumps."""
-
-        def inputs(t, state=None):
-            values = commands(t)
-            return {**values, "elevator": values["elevator"] + np.interp(t, [1.0, 1.04], [0, 0.05])}
-
-        bends = np.zeros((6, 8))
-        bends[2, 0], bends[4, [0, 3, 5]] = 5.0, [-2.0, -900.0, 3.0]
-        model = curved(glider, bends)
-        ends = []
-        for dt, n_paths in (
-            (0.02, 2),
-            (0.01, 2),
-            (0.002, None),
-        ):  # the last by RK4 without tangents
-            t = np.arange(0.0, 2.0 + dt / 2, dt)
-            table = pd.DataFrame({"time": t, **inputs(t)})
-            paths = fly(model, START, table, dt=dt, n_paths=n_paths, air=Air(gusts=None))
-            ends.append(paths.iloc[-1][[*VELOCITY, *RATES]].to_numpy(float))
-        coarse, fine = (
-            np.abs((end - ends[2]) / np.repeat([22.0, 1.0], 3)).max() for end in ends[:2]
-        )
-        assert fine < 1e-4
-        assert fine < coarse / 3
-
-    def test_steps_in_which_a_control_jumps_are_corrected(self, fly, glider):
-        bends = np.zeros((6, 8))
-        bends[3, 6] = 0.3
-        model = curved(glider, bends, limits=np.outer([-0.5, 0.5], np.ones(8)))
-        t = np.arange(0.0, 0.31, 0.02)
-        table = pd.DataFrame({"time": t, **REST, "aileron": np.where(t < 0.15, 0.04, -0.04)})
-        options = {"air": Air(gusts=None), "thrust": None}
-        paths = fly(model, START, table, n_paths=2, **options)
-        mean = fly(model, START, table, **options)  # by RK4 without tangents
-        assert_allclose(paths.query("path == 0")["p"], mean["p"], atol=2e-3)
 
     def test_the_spread_by_a_drift_is_that_of_an_integrated_ornstein_uhlenbeck_process(
         self, aircraft, fly, glider

@@ -8,6 +8,8 @@ Johnson 2016, section 1.7),
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -24,6 +26,9 @@ from skdgp._flight.tables import (
     with_sensors_at,
 )
 
+# farthest inertial sensors and engine from the centre of gravity [spans]; farther ones are given in mm; a guess
+FARTHEST = 2.0
+
 
 def acceleration_by_rotation(spin: Array, rates: Array, position: Array) -> Array:
     """Return the acceleration (..., 3) of a position relative to the centre of gravity [m/s^2].
@@ -31,17 +36,6 @@ def acceleration_by_rotation(spin: Array, rates: Array, position: Array) -> Arra
     ``spin`` is the angular acceleration [rad/s^2], ``rates`` are the angular rates [rad/s].
     """
     return cross(spin, position) + cross(rates, cross(rates, position))
-
-
-def rotation(table: pd.DataFrame) -> tuple[Matrix, Matrix]:
-    """Return the angular acceleration [rad/s^2] and the smoothed angular rates [rad/s], (n, 3) each."""
-    time = table["time"].to_numpy(float)
-    flight = table.get("flight")
-    measured = numeric(table, RATES)
-    rates = smooth(measured, time, flight=flight, shrink=False, is_quiet=True)
-    if {*RATE_DERIVATIVES} <= {*table.columns}:
-        return numeric(table, RATE_DERIVATIVES), rates
-    return differentiate(measured, time, flight=flight, shrink=False, is_quiet=True), rates
 
 
 def sensor_acceleration(table: pd.DataFrame) -> Matrix:
@@ -52,9 +46,16 @@ def sensor_acceleration(table: pd.DataFrame) -> Matrix:
     position = np.nan_to_num(sensor_position(table))
     if not position.any():
         return position
-    acceleration = acceleration_by_rotation(*rotation(table), position)
     time = table["time"].to_numpy(float)
     flight = table.get("flight")
+    options: dict[str, Any] = {"flight": flight, "shrink": False, "is_quiet": True}
+    measured = numeric(table, RATES)
+    if {*RATE_DERIVATIVES} <= {*table.columns}:
+        spin = numeric(table, RATE_DERIVATIVES)
+    else:
+        spin = differentiate(measured, time, **options)
+    rates = smooth(measured, time, **options)
+    acceleration = acceleration_by_rotation(spin, rates, position)
     for rows in Clock.of(time, flight).rows.values():
         acceleration[rows] = interpolate_missing(time[rows], acceleration[rows])
     return np.nan_to_num(acceleration)  # of a flight without rates
@@ -62,10 +63,36 @@ def sensor_acceleration(table: pd.DataFrame) -> Matrix:
 
 def at_centre_of_gravity(table: pd.DataFrame) -> pd.DataFrame:
     """Return flights with the specific force at the centre of gravity, by the position of their sensors."""
-    position = sensor_position(table)
-    needed = {*SPECIFIC_FORCE, *RATES}
-    if not np.nan_to_num(position).any() or not needed <= {*table.columns}:
+    if not {*SPECIFIC_FORCE, *RATES} <= {*table.columns}:
         return table
-    force = numeric(table, SPECIFIC_FORCE) - sensor_acceleration(table)
-    moved = table.assign(**by_name(SPECIFIC_FORCE, force))
-    return with_sensors_at(moved, 0.0 * position)  # unknown ones stay unknown
+    acceleration = sensor_acceleration(table)
+    if not acceleration.any():
+        return table
+    moved = table.assign(**by_name(SPECIFIC_FORCE, numeric(table, SPECIFIC_FORCE) - acceleration))
+    return with_sensors_at(moved, 0.0 * sensor_position(table))  # unknown ones stay unknown
+
+
+def with_sensor_position(table: pd.DataFrame, aircraft: Any) -> pd.DataFrame:
+    """Return flights with the position of the aircraft's inertial sensors, where they do not state theirs.
+
+    Raises ValueError if they state one that is too far from the centre of gravity.
+    """
+    if aircraft is None:
+        return table
+    stated = sensor_position(table)
+    check_distance("sensor_position", stated, aircraft.span)
+    if aircraft.sensor_position is None:
+        return table
+    position = np.where(np.isfinite(stated), stated, aircraft.sensor_position)
+    return with_sensors_at(table, position)
+
+
+def check_distance(name: str, positions: Array, span: float) -> None:
+    """Raise ValueError if a position (n, 3) is too far from the centre of gravity."""
+    distance = np.nan_to_num(np.linalg.norm(positions, axis=1))
+    if distance.max(initial=0.0) > FARTHEST * span:
+        farthest = positions[distance.argmax()].tolist()
+        raise ValueError(
+            f"Got {name} {farthest}, but expected metres: it is farther from the centre of gravity than "
+            f"{FARTHEST:g} spans of {span:g} m."
+        )

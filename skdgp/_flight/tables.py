@@ -205,8 +205,8 @@ def sensor_position(table: pd.DataFrame) -> Matrix:
     return np.where(is_whole, position, np.nan)
 
 
-def with_sensors_at(table: pd.DataFrame, position: Matrix) -> pd.DataFrame:
-    """Return the table with the position of the inertial sensors (n, 3) [m]."""
+def with_sensors_at(table: pd.DataFrame, position: Array) -> pd.DataFrame:
+    """Return the table with the position of the inertial sensors, (3,) or (n, 3) [m]."""
     return table.assign(**by_name(SENSOR_POSITION, position))
 
 

@@ -20,9 +20,9 @@ from skdgp.dynamics._aerodynamics import Mixing as Mixing
 from skdgp.dynamics._air import Air, Turbulence
 from skdgp.dynamics._air import LocalAir as LocalAir
 from skdgp.dynamics._air import gusty_air as gusty_air
+from skdgp.dynamics._air import turbulence_of_flights as turbulence_of_flights
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._aircraft import check_aircraft as check_aircraft
-from skdgp.dynamics._aircraft import with_sensor_position as with_sensor_position
 from skdgp.dynamics._derivatives import stability_derivatives
 from skdgp.dynamics._dryden import dryden_gusts as dryden_gusts
 from skdgp.dynamics._dryden import gust_rate_lags as gust_rate_lags

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -156,6 +157,14 @@ class Turbulence(NamedTuple):
         q = sigma_w * np.sqrt(3 * np.pi / (8 * span * length_w))
         r = sigma_v * np.sqrt(np.pi / (2 * span * length_v))
         return np.array([p, q, r])
+
+
+def turbulence_of_flights(flights: pd.DataFrame, aircraft: Any) -> Turbulence | None:
+    """Return the turbulence of flights of a known aircraft, None where they do not show it."""
+    if aircraft is not None:
+        with suppress(TypeError, ValueError):  # short flights, or columns that are missing
+            return Turbulence.from_flight(flights, aircraft.span)
+    return None
 
 
 def turbulence_of_winds(

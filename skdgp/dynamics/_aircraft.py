@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from skdgp._compute.files import plain, read_json, read_toml, without_nones
@@ -22,12 +21,11 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
 from skdgp._flight.findings import Finding
 from skdgp._flight.physics import question_of_sizes
+from skdgp._flight.sensor_position import check_distance
 from skdgp._flight.tables import (
     as_floats,
     check_full_deflections,
     check_numbers,
-    sensor_position,
-    with_sensors_at,
 )
 from skdgp.dynamics._propeller import Propeller, ThrustLine
 from skdgp.dynamics._sizes import (
@@ -41,8 +39,6 @@ from skdgp.dynamics._sizes import (
 )
 
 CENTRED = ThrustLine()
-# farthest inertial sensors and engine from the centre of gravity [spans]; farther ones are given in mm; a guess
-FARTHEST = 2.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -286,7 +282,7 @@ def _sensor_position(value: Any, span: float) -> tuple[float, ...] | None:
     position = check_numbers(
         "sensor_position", value, 3, unit="m forward, right, down of the centre of gravity"
     )
-    _check_distance("sensor_position", position[None], span)
+    check_distance("sensor_position", position[None], span)
     return tuple(position.tolist())
 
 
@@ -294,19 +290,8 @@ def _thrust_line(value: Any, span: float) -> ThrustLine | None:
     """Return the checked thrust line, None if it is not given."""
     line = _built(ThrustLine, value, "thrust_line")
     if line is not None:
-        _check_distance("thrust_line.position", line.position[None], span)
+        check_distance("thrust_line.position", line.position[None], span)
     return line
-
-
-def _check_distance(name: str, positions: Array, span: float) -> None:
-    """Raise ValueError if a position (n, 3) is too far from the centre of gravity."""
-    distance = np.nan_to_num(np.linalg.norm(positions, axis=1))
-    if distance.max(initial=0.0) > FARTHEST * span:
-        farthest = positions[distance.argmax()].tolist()
-        raise ValueError(
-            f"Got {name} {farthest}, but expected metres: it is farther from the centre of gravity than "
-            f"{FARTHEST:g} spans of {span:g} m."
-        )
 
 
 def _inertia_and_deviations(value: Any) -> tuple[Any, dict[str, ScaleFactor]]:
@@ -386,21 +371,6 @@ def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], w
         if "inertia" in required:
             remedy = f" Give them, or kind = one of {list(KINDS)} to estimate them."
         raise ValueError(f"{what} lacks {missing}: got only {sorted(map(str, values))}.{remedy}")
-
-
-def with_sensor_position(table: pd.DataFrame, aircraft: Aircraft | None) -> pd.DataFrame:
-    """Return flights with the position of the aircraft's inertial sensors, where they do not state theirs.
-
-    Raises ValueError if they state one that is too far from the centre of gravity.
-    """
-    if aircraft is None:
-        return table
-    stated = sensor_position(table)
-    _check_distance("sensor_position", stated, aircraft.span)
-    if aircraft.sensor_position is None:
-        return table
-    position = np.where(np.isfinite(stated), stated, aircraft.sensor_position)
-    return with_sensors_at(table, position)
 
 
 def check_aircraft(aircraft: Any) -> Aircraft:

@@ -30,6 +30,7 @@ from skdgp._flight.copies import without_copies
 from skdgp._flight.faults import FlightDataWarning, clean, slow_log, without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
+from skdgp._flight.sensor_position import with_sensor_position
 from skdgp._flight.tables import (
     FlightTable,
     check_spelling,
@@ -39,7 +40,7 @@ from skdgp._flight.tables import (
 )
 from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
-from skdgp.dynamics import Aircraft, numbers_in_flight, propeller_speed_of, with_sensor_position
+from skdgp.dynamics import Aircraft, numbers_in_flight, propeller_speed_of
 from skdgp.identification._pipeline import FlightPipeline, regressor_names
 from skdgp.io import FlightReadError, is_log, read_flight
 

@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from sklearn.base import clone
 from sklearn.utils import Bunch
 
 from skdgp._compute.messages import notify, recorded_findings, report
@@ -31,7 +29,6 @@ from skdgp.dynamics import (
     QUANTITIES,
     Aircraft,
     ScaleFactor,
-    aerodynamic_coefficients,
     check_aircraft,
 )
 from skdgp.identification._changed import changes_in_flights
@@ -83,7 +80,7 @@ def identify(
     Measured coefficients follow from inverse dynamics. A pipeline (`make_identification_pipeline`)
     learns them from the training flights, and predicts the test flights; predictions are scored, and
     the model is simulated. Listeners of `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``:
-    "reading", "coefficients", "transforming", "evaluating NAME"; stages with a number of steps, such as
+    "reading", "transforming", "evaluating NAME"; stages with a number of steps, such as
     "reconstructing paths", have ``done`` and ``total``. Ctrl-C during the fit keeps the
     best model so far.
 
@@ -178,13 +175,9 @@ def identify(
             thrust=thrust,
             **(pipeline or {}),
         )
-        notify("coefficients")  # inverse dynamics, paper eqs 3 to 8
-        # airspeed without its error, as the pipeline learns from it
-        corrected = clone(model.checking).fit_transform(learned_from)
-        checked = replace(learned_from, table=corrected)
-        Y = aerodynamic_coefficients(checked, aircraft, thrust=thrust)
-        notify("transforming")  # regressors (paper eq 22 is the set "paper"), then the fit, eq 20
-        model.fit(learned_from, Y)
+        # inverse dynamics, paper eqs 3 to 8; regressors (eq 22 is the set "paper"); the fit, eq 20
+        notify("transforming")
+        model.fit(learned_from)
         fit = fit_record(model)
         if fit.lags_corrected:
             lags = fit.lags_corrected

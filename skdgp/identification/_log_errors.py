@@ -20,9 +20,9 @@ from skdgp._flight.channels import (
     VANES,
 )
 from skdgp._flight.clock import Clock, median_step
-from skdgp._flight.sensor_position import acceleration_by_rotation, rotation
+from skdgp._flight.sensor_position import sensor_acceleration
 from skdgp._flight.smoothing import differentiate
-from skdgp._flight.tables import has_values, numeric, sensor_position
+from skdgp._flight.tables import has_values, numeric, sensor_position, with_sensors_at
 from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
@@ -225,10 +225,8 @@ def _by_accelerations(table: pd.DataFrame, aircraft: Aircraft) -> list[Matrix]:
         is_known = np.isfinite(sensor_position(table)).all()
         errors = KNOWN_ARM if is_known else AIR_SENSOR_ERRORS
         stds = [errors[f"arm_{axis}"][1] for axis in "xyz"]
-        spin, rates = rotation(table)
         for arm in np.diag(stds):
-            arms = np.broadcast_to(arm, rates.shape)
-            accelerations.append(-acceleration_by_rotation(spin, rates, arms))
+            accelerations.append(-sensor_acceleration(with_sensors_at(table, arm)))
     if has_values(table, "sensor_tilt", *SPECIFIC_FORCE):
         std = np.nanmax(table["sensor_tilt"])
         for axis in np.eye(3)[:2]:  # roll and pitch

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any, TypeVar
 
 import numpy as np
@@ -18,6 +17,7 @@ from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, RATES, SENSOR_GUST
 from skdgp._flight.findings import Code, with_codes
+from skdgp._flight.sensor_position import with_sensor_position
 from skdgp._flight.tables import FlightTable, has_values
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
@@ -25,8 +25,9 @@ from skdgp.dynamics import (
     ScaleFactor,
     Servos,
     Turbulence,
+    aerodynamic_coefficients,
     check_aircraft,
-    with_sensor_position,
+    turbulence_of_flights,
 )
 from skdgp.estimation import prior_deviations
 from skdgp.identification._instruments import by_instruments
@@ -336,23 +337,29 @@ class FlightPipeline(Pipeline):
     def fit(self, X: Any, y: Any = None, **params: Any) -> FlightPipeline:
         """Fit all steps to flights X at their full rate and coefficients y (n, P), NaN where not to be learned from.
 
-        Six targets without names are CX CY CZ Cl Cm Cn.
+        By default y follows from the checked flights by inverse dynamics of the pipeline's aircraft. Six targets
+        without names are CX CY CZ Cl Cm Cn.
         ``params`` are as of scikit-learn's ``Pipeline``.
         """
-        if y is None:
+        if y is None and self.aircraft is None:
             raise ValueError(
-                "Got no coefficients y, but expected (n, P): compute them by "
-                "skdgp.dynamics.aerodynamic_coefficients."
+                "Got neither coefficients y nor an aircraft, but expected y (n, P), or the aircraft "
+                "that they follow from by skdgp.dynamics.aerodynamic_coefficients."
             )
         began = time.monotonic()
-        if np.shape(y)[1:] == (len(COEFFICIENTS),) and not isinstance(y, pd.DataFrame):
-            y = pd.DataFrame(y, columns=[*COEFFICIENTS])
-        self.n_observed_ = _n_observed(y)
-        y = self._thinned(y)
         position_of(self, "regressorselector")  # asked for before the flights take their time
         n_first = len(self.checking)
         first, others = self[:n_first], self[n_first:-1]
         flights = first.fit_transform(X, y)
+        self.turbulence_ = turbulence_of_flights(flights, self.aircraft)
+        if y is None:
+            aircraft: Any = self.aircraft
+            checked = FlightTable.of(flights)
+            y = aerodynamic_coefficients(checked, aircraft, thrust=self.thrust)
+        elif np.shape(y)[1:] == (len(COEFFICIENTS),) and not isinstance(y, pd.DataFrame):
+            y = pd.DataFrame(y, columns=[*COEFFICIENTS])
+        self.n_observed_ = _n_observed(y)
+        y = self._thinned(y)
         regressors = np.asarray(others.fit_transform(flights, y))
         # with a ``memory``, clones of the steps were fitted
         self.steps = [*first.steps, *others.steps, self.steps[-1]]
@@ -453,7 +460,7 @@ class FlightPipeline(Pipeline):
 
         They are of the power that gusts have ``beyond`` another turbulence. None where flights do not show theirs.
         """
-        turbulence = self._turbulence_of(flights)
+        turbulence = turbulence_of_flights(flights, self.aircraft)
         if turbulence is None:
             return None
         aircraft: Any = self.aircraft  # flights of a known one show turbulence
@@ -463,24 +470,16 @@ class FlightPipeline(Pipeline):
             errors = errors._replace(weights=max(0.0, 1.0 - ratio) * errors.weights)
         return self._of_last_step(errors)
 
-    def _turbulence_of(self, flights: pd.DataFrame) -> Turbulence | None:
-        """Return the turbulence of flights of a known aircraft, where they show it."""
-        if self.aircraft is not None:
-            with suppress(TypeError, ValueError):  # short flights, or columns that are missing
-                return Turbulence.from_flight(flights, self.aircraft.span)
-        return None
-
     def _of_last_step(self, errors: FunctionErrors) -> FunctionErrors:
         """Return errors over regressors in units as those over the regressors of the last step."""
         zero, scale = scaling_of(self)  # X = (x - zero) / scale
         return errors.in_units(-zero / scale, 1 / scale, np.ones(self.least_squares_.shape[1]))
 
     def _learn_flights(self, flights: pd.DataFrame) -> None:
-        """Learn duration, conditions and turbulence of checked flights."""
+        """Learn duration and conditions of checked flights."""
         clock = FlightTable.of(flights).clock
         self.seconds_ = float(sum(np.ptp(clock.time[segment]) for segment in clock.segments))
         self.conditions_ = flights.median(numeric_only=True).astype(float).to_dict()
-        self.turbulence_ = self._turbulence_of(flights)
 
     def in_simulation(self) -> dict[str, Any]:
         """Return what the flights of the fit show for a simulation."""

@@ -20,6 +20,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.clock import Clock, median_step, n_rows
 from skdgp._flight.holds import without_repeats
+from skdgp._flight.sensor_position import with_sensor_position
 from skdgp._flight.tables import (
     by_name,
     check_columns,
@@ -29,7 +30,7 @@ from skdgp._flight.tables import (
     unwrapped,
     wrap_near,
 )
-from skdgp.dynamics import Aircraft, Servos, with_sensor_position
+from skdgp.dynamics import Aircraft, Servos
 from skdgp.estimation import (
     Lag,
     estimate_lags,

@@ -44,7 +44,7 @@ def said_of():
     """Return a function to what identify says of flights before it learns anything."""
 
     def stop(stage, *_):
-        if stage == "coefficients":
+        if stage == "transforming":
             raise Stopped
 
     def said_of(*flights, **options):

@@ -224,8 +224,8 @@ def test_the_order_and_number_of_targets_change_no_band(model, few, test_flight)
 
 
 def test_coefficients_are_asked_for(model, test_flight):
-    with pytest.raises(ValueError, match="Got no coefficients y, but expected"):
-        clone(model).fit(test_flight)
+    with pytest.raises(ValueError, match="Got neither coefficients y nor an aircraft"):
+        clone(model).set_params(aircraft=None).fit(test_flight)
 
 
 @pytest.mark.usefixtures("no_mechanics")
@@ -240,7 +240,7 @@ def test_the_fit_of_identify_is_that_of_the_pipeline(flights, test_flight):
     model = make_identification_pipeline(aircraft, **options)
     saved = pickle.loads(pickle.dumps(found))
     wanted = found.predict(test_flight, return_std=True)
-    for other in (clone(model).fit(train, Y), saved):
+    for other in (clone(model).fit(train, Y), clone(model).fit(train), saved):
         assert_array_equal(other.predict(test_flight, return_std=True), wanted)
 
 

@@ -27,6 +27,7 @@ from skdgp._compute.parallel import one_blas_thread
 from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
 from skdgp.inference._blocks import BlockSettings, blocks_of_rows
 from skdgp.inference._likelihood import Data, SampleNoise
+from skdgp.inference._noise import SETTINGS as SETTINGS_OF_NOISE
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
 from skdgp.inference._objective import Objective, climb
 from skdgp.inference._outliers import SETTINGS as SETTINGS_OF_OUTLIERS
@@ -334,23 +335,18 @@ class _Search:
         start = starting_kernel(kernel, self.X, Y, singles)
         noise, bounds = self._noise(start)
         noise = noise if alone is None else alone.noise
-        if singles is not None and len(singles) == 1:
-            of_output = {}  # one of a kernel with one latent
-            for apart in SETTINGS_OF_STARTS.apart:
-                other = starting_kernel(kernel, self.X, Y, singles, apart)
-                of_output[other.theta.tobytes()] = other, noise
-            starts = list(of_output.values())
-        else:
-            starts = [(start, noise)]
-            for end in ends if aligned is None else ():
-                if contains(kernel, end.kernel):
-                    starts.append((from_simpler(start, end.kernel), end.noise))
-            starts = [max(starts, key=self._likelihood)]
-        for _ in range(self.options.n_restarts):
-            starts.append(redrawn(start, bounds, self.random_state))
         n_iter = self.options.max_iter
         if self.options.input_noise:
             n_iter = min(n_iter, self.options.settings.exact_iterations)
+        starts = [(start, noise)]
+        if singles is not None and len(singles) == 1 and has_shared_latents(kernel):
+            starts = self._starts_apart(kernel, singles, noise, bounds, n_iter)
+        for end in ends if aligned is None else ():
+            if contains(kernel, end.kernel):
+                starts.append((from_simpler(start, end.kernel), end.noise))
+        starts = [max(starts, key=self._likelihood)]
+        for _ in range(self.options.n_restarts):
+            starts.append(redrawn(start, bounds, self.random_state))
         score = least_score([end.score() for end in ends])
         found: list[Hyperparameters] = []
         for of_kernel, of_noise in starts:
@@ -368,6 +364,20 @@ class _Search:
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)
         return best._replace(price=self._price(best.kernel) + price)
+
+    def _starts_apart(self, kernel, singles, noise, bounds, n_iter):
+        """Return where climbs by the first block end, of one output, whose latents start with widths apart."""
+        ends: list[Any] = []
+        highest = -np.inf
+        for apart in SETTINGS_OF_STARTS.apart:
+            start = starting_kernel(kernel, self.X, self.Y, singles, apart)
+            *end, optimum = climb(
+                start, noise, bounds, self.blocks[:1], n_iter, self.stop,
+                least=lambda kernel, needed=highest: needed,
+            )  # fmt: skip
+            ends.append(end)
+            highest = max(highest, optimum.value)
+        return ends
 
     def _price(self, kernel):
         n_values = sum(block.n_values for block in self.blocks)
@@ -433,6 +443,8 @@ def with_best_noise(
     the result is interrupted.
     """
     noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y), X)
+    if not learned.kernel.n_processes:  # all of the residual is noise
+        noise = np.clip(noise / SETTINGS_OF_NOISE.start, *bounds.T)
     learned = learned._replace(noise=noise)
     if known.is_fixed:
         return learned

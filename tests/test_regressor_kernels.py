@@ -77,6 +77,18 @@ class TestUnits:
             quick(given).fit(X, Y[:, 0])
 
 
+def test_a_search_that_ends_where_all_is_noise_says_so():
+    """From a length scale of 3 the waves of sin(8 x) look like noise; restarts find them."""
+    rng = default_rng(0)
+    X = rng.uniform(-2, 2, (100, 1))
+    y = np.sin(8 * X[:, 0]) + 0.1 * rng.normal(size=100)
+    model = DependentGPRegressor(RBF(3.0), trend="constant", random_state=0)
+    with pytest.warns(ConvergenceWarning, match="explains nothing of the outputs"):
+        noise = model.fit(X, y).log_marginal_likelihood_value_
+    model.set_params(n_restarts_optimizer=10).fit(X, y)
+    assert model.log_marginal_likelihood_value_ > noise + 100
+
+
 class TestBounds:
     @pytest.mark.parametrize(
         ("kernel", "told"),

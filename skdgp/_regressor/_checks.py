@@ -36,6 +36,8 @@ class WarningSettings:
     #: Distance from a bound at which a value has reached it, over the width of the bounds or, of
     #: logarithms, at most over one (guess)
     bound_tolerance: float = 1e-3
+    #: Smallest standard deviation of a process that explains some of an output, over the one of the output
+    least_process: float = 1e-3
     #: Autocorrelation time below which errors count as independent [rows] (guess)
     white: float = 2.0
 
@@ -64,6 +66,10 @@ class FitCode(Kind):
         "the outputs {names!r} are constant over the samples: nothing can be learned about them, and their "
         "stated uncertainty is not reliable",
         "Leave them out, or check the data.",
+    )
+    EXPLAINED_AS_NOISE = (
+        "the kernel explains nothing of the outputs {names!r}: all of their variance is noise",
+        "Give shorter length scales to start from, or raise n_restarts_optimizer.",
     )
     FEW_ROWS = (
         "got {rows} rows[, worth {independent:.0f} independent ones as errors last {lasting:.0f} rows,] for "
@@ -411,6 +417,18 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
     if reached:
         finding = Finding(FitCode.BOUNDS_REACHED, reached=reached)
         report(finding, SearchWarning)
+
+
+def warn_of_noise(
+    kernel: MultiOutputKernel, X: np.ndarray, names: list[str], scale: np.ndarray
+) -> None:
+    """Warn of outputs with standard deviations ``scale`` (P,) that the processes of a fitted kernel leave to the noise."""
+    processes = [term for term in kernel.summands() if term.n_processes]
+    explained = [sum(term.block_diag(i, X).mean() for term in processes) for i in range(len(names))]
+    is_noise = np.array(explained) < (SETTINGS.least_process * scale) ** 2
+    if processes and is_noise.any():
+        outputs = np.array(names)[is_noise].tolist()
+        report(Finding(FitCode.EXPLAINED_AS_NOISE, names=outputs), SearchWarning)
 
 
 def check_start(kernel: MultiOutputKernel, X: np.ndarray, Z: np.ndarray) -> None:

@@ -402,6 +402,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             report(ended, _checks.SearchWarning)
         if self.kernel is not None and self.optimizer is not None:
             _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
+            _checks.warn_of_noise(self.kernel_, X, self.output_names_, self.scale_)
         loading = fit.learned.loading
         if loading is not None and known.loading is None:
             variance = np.einsum("npp->np", loading) ** 2

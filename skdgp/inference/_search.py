@@ -29,7 +29,7 @@ from skdgp.inference._blocks import BlockSettings, blocks_of_rows
 from skdgp.inference._likelihood import Data, SampleNoise
 from skdgp.inference._noise import SETTINGS as SETTINGS_OF_NOISE
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
-from skdgp.inference._objective import Objective, climb
+from skdgp.inference._objective import Objective, Point, climb
 from skdgp.inference._outliers import SETTINGS as SETTINGS_OF_OUTLIERS
 from skdgp.inference._outliers import contaminated_variances, gross_outliers
 from skdgp.inference._posterior import ExactPosterior
@@ -367,17 +367,16 @@ class _Search:
 
     def _starts_apart(self, kernel, singles, noise, bounds, n_iter):
         """Return where climbs by the first block end, of one output, whose latents start with widths apart."""
-        ends: list[Any] = []
-        highest = -np.inf
+        ends: list[Point] = []
+
+        def highest(_):
+            return max([of_start.end.value for of_start in ends], default=-np.inf)
+
         for apart in SETTINGS_OF_STARTS.apart:
             start = starting_kernel(kernel, self.X, self.Y, singles, apart)
-            *end, optimum = climb(
-                start, noise, bounds, self.blocks[:1], n_iter, self.stop,
-                least=lambda kernel, needed=highest: needed,
-            )  # fmt: skip
-            ends.append(end)
-            highest = max(highest, optimum.value)
-        return ends
+            first = self.blocks[:1]
+            ends.append(climb(start, noise, bounds, first, n_iter, self.stop, least=highest))
+        return [(of_start.kernel, of_start.noise) for of_start in ends]
 
     def _price(self, kernel):
         n_values = sum(block.n_values for block in self.blocks)

@@ -422,7 +422,7 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
 def warn_of_noise(
     kernel: MultiOutputKernel, X: np.ndarray, names: list[str], scale: np.ndarray
 ) -> None:
-    """Warn of outputs with standard deviations ``scale`` (P,) that the processes of a fitted kernel leave to the noise."""
+    """Warn of outputs that the processes of a fitted kernel leave to the noise; ``scale`` (P,) are their deviations."""
     processes = [term for term in kernel.summands() if term.n_processes]
     explained = [sum(term.block_diag(i, X).mean() for term in processes) for i in range(len(names))]
     is_noise = np.array(explained) < (SETTINGS.least_process * scale) ** 2

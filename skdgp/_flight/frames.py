@@ -49,7 +49,7 @@ def euler_to_quaternion(phi: ArrayLike, theta: ArrayLike, psi: ArrayLike) -> np.
     q1 = s_phi * c_theta * c_psi - c_phi * s_theta * s_psi
     q2 = c_phi * s_theta * c_psi + s_phi * c_theta * s_psi
     q3 = c_phi * c_theta * s_psi - s_phi * s_theta * c_psi
-    return _vector(q0, q1, q2, q3)
+    return vector_of(q0, q1, q2, q3)
 
 
 def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
@@ -61,13 +61,13 @@ def quaternion_to_euler(quaternion: ArrayLike) -> np.ndarray:
     phi = np.arctan2(down[1], down[2])
     theta = np.arcsin(np.clip(0.0 - down[0], -1.0, 1.0))
     psi = np.arctan2(east[0], north[0])
-    return _vector(phi, theta, psi)
+    return vector_of(phi, theta, psi)
 
 
 def quaternion_to_matrix(quaternion: ArrayLike) -> np.ndarray:
     """Return the rotation matrices (..., 3, 3) that take body vectors to NED, of quaternions (..., 4)."""
     rows = rotation_rows(*components(quaternion))
-    return np.stack([_vector(*row) for row in rows], axis=-2)
+    return np.stack([vector_of(*row) for row in rows], axis=-2)
 
 
 def rotation_rows(q0: Any, e1: Any, e2: Any, e3: Any) -> tuple[tuple, tuple, tuple]:
@@ -104,13 +104,13 @@ def rotation_to_euler(attitude: Rotation) -> Matrix:
 
 def body_to_ned(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
     """Return body vectors (..., 3) in NED axes, at the attitude of ``quaternion`` (..., 4)."""
-    return _times(rotation_rows(*components(quaternion)), vector)
+    return product(rotation_rows(*components(quaternion)), vector)
 
 
 def ned_to_body(quaternion: ArrayLike, vector: ArrayLike) -> np.ndarray:
     """Return NED vectors (..., 3) in body axes, at the attitude of ``quaternion`` (..., 4)."""
     q0, q1, q2, q3 = components(quaternion)
-    return _times(rotation_rows(-q0, q1, q2, q3), vector)
+    return product(rotation_rows(-q0, q1, q2, q3), vector)
 
 
 def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
@@ -119,9 +119,9 @@ def euler_per_rotation(phi: ArrayLike, theta: ArrayLike) -> np.ndarray:
     sine = np.sin(phi)
     cosine = np.cos(phi)
     tangent = np.tan(theta)
-    roll = _vector(1.0, sine * tangent, cosine * tangent)
-    pitch = _vector(0.0, cosine, -sine)
-    yaw = _vector(0.0, sine, cosine) / np.cos(theta)[..., None]
+    roll = vector_of(1.0, sine * tangent, cosine * tangent)
+    pitch = vector_of(0.0, cosine, -sine)
+    yaw = vector_of(0.0, sine, cosine) / np.cos(theta)[..., None]
     return np.stack([roll, pitch, yaw], axis=-2)
 
 
@@ -156,9 +156,9 @@ def air_data_slopes(velocity: ArrayLike, least_speed: float = 0.0) -> np.ndarray
     airspeed = np.maximum(speed, least_speed)
     across = np.maximum(np.hypot(u, w), least_speed)
     factor = v / (airspeed**2 * across)
-    of_airspeed = _vector(u / airspeed, v / airspeed, w / airspeed)
-    of_alpha = _vector(-w / across**2, 0.0, u / across**2)
-    of_beta = _vector(-u * factor, 1 / across - v * factor, -w * factor)
+    of_airspeed = vector_of(u / airspeed, v / airspeed, w / airspeed)
+    of_alpha = vector_of(-w / across**2, 0.0, u / across**2)
+    of_beta = vector_of(-u * factor, 1 / across - v * factor, -w * factor)
     return np.stack([of_airspeed, of_alpha, of_beta], axis=-2)
 
 
@@ -168,7 +168,7 @@ def air_velocity(airspeed: ArrayLike, alpha: ArrayLike, beta: ArrayLike) -> np.n
     u = in_plane * np.cos(alpha)
     v = np.multiply(airspeed, np.sin(beta))
     w = in_plane * np.sin(alpha)
-    return _vector(u, v, w)
+    return vector_of(u, v, w)
 
 
 def flow_angle_rates(
@@ -185,7 +185,7 @@ def flow_angle_rates(
     `air_data_slopes`.
     """
     phi, theta = components(attitude)
-    down = _vector(-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta))
+    down = vector_of(-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta))
     acceleration = np.asarray(force) + STANDARD_GRAVITY * down - cross(rates, velocity)
     slopes = air_data_slopes(velocity, least_speed)[..., 1:, :]
     return np.squeeze(slopes @ acceleration[..., None], -1)
@@ -220,7 +220,7 @@ def by_components(vectors: np.ndarray) -> np.ndarray:
     return arranged
 
 
-def _vector(*components: ArrayLike) -> np.ndarray:
+def vector_of(*components: ArrayLike) -> np.ndarray:
     """Return the components as vectors (..., k)."""
     if all(isinstance(component, float) for component in components):
         return np.array(components)
@@ -230,10 +230,10 @@ def _vector(*components: ArrayLike) -> np.ndarray:
     return vector
 
 
-def _times(rows: tuple[tuple, ...], vector: ArrayLike) -> np.ndarray:
+def product(rows: tuple[tuple, ...], vector: ArrayLike) -> np.ndarray:
     """Return the products of a matrix, by its rows, and vectors (..., 3)."""
     x, y, z = components(vector)
-    return _vector(*[first * x + second * y + third * z for first, second, third in rows])
+    return vector_of(*[first * x + second * y + third * z for first, second, third in rows])
 
 
 def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
@@ -243,15 +243,15 @@ def cross(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     x = a2 * b3 - a3 * b2
     y = a3 * b1 - a1 * b3
     z = a1 * b2 - a2 * b1
-    return _vector(x, y, z)
+    return vector_of(x, y, z)
 
 
 def cross_matrix(vector: ArrayLike) -> np.ndarray:
     """Return the matrices (..., 3, 3) of the products v x, of vectors (..., 3)."""
     x, y, z = components(vector)
-    first = _vector(0.0, -z, y)
-    second = _vector(z, 0.0, -x)
-    third = _vector(-y, x, 0.0)
+    first = vector_of(0.0, -z, y)
+    second = vector_of(z, 0.0, -x)
+    third = vector_of(-y, x, 0.0)
     return np.stack([first, second, third], axis=-2)
 
 

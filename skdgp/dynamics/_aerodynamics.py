@@ -78,8 +78,7 @@ class Aerodynamics:
         Regressors (n, d) to slopes (n, 6, d); by default central differences.
     sampler : callable, optional
         (n_paths, random_state) to two callables, regressors (n_paths, n, d) to coefficients
-        (n_paths, n, 6) and to slopes (n_paths, n, 6, d), of functions drawn from the posterior;
-        perhaps followed by the same two as simulations evaluate them, faster and less exact.
+        (n_paths, n, 6) and to slopes (n_paths, n, 6, d), of functions drawn from the posterior.
         Without a sampler the model has no uncertainty.
     drift : Drift, optional
         Errors along a flight: what regressors and posterior leave unexplained.
@@ -209,11 +208,11 @@ class Aerodynamics:
         sampler = partial(self.learned.sample, perturbation=self.perturbation)
         return replace(self, slopes=slopes, sampler=sampler)
 
-    def sample(self, n_paths: int, random_state: Any = 0, *, rounded: bool = False) -> Aerodynamics:
+    def sample(self, n_paths: int, random_state: Any = 0) -> Aerodynamics:
         """Return functions drawn from the posterior, as one model; raise ValueError without a posterior.
 
         The paths are the first axis of its regressors, (n_paths, ..., d): each path has regressors
-        of its own. ``rounded`` functions are as simulations evaluate them.
+        of its own.
         """
         if self.sampler is None:
             raise ValueError(
@@ -221,9 +220,7 @@ class Aerodynamics:
                 "functions: a pipeline that ends in DependentGPRegressor, or "
                 "Aerodynamics(..., sampler=...)."
             )
-        values, slopes, *faster = self.sampler(n_paths, random_state)
-        if rounded and faster:
-            values, slopes = faster
+        values, slopes = self.sampler(n_paths, random_state)
         return replace(self, function=values, slopes=slopes, sampler=None, n_paths=n_paths)
 
     def _evaluated(self, function: Callable, X: Array, *shape: int) -> Array:
@@ -405,14 +402,9 @@ class Coefficients:
 
     def sample(
         self, n_paths: int, random_state: Any, perturbation: Array | None = None
-    ) -> tuple[Callable, ...]:
-        """Return values and slopes of functions drawn from the posterior, slopes as of `mean_function`.
-
-        Then both as simulations evaluate them, whose errors are far below those of the integration.
-        """
-        paths = self.regressor.sample_paths(n_paths, random_state)
-        rounded = paths.rounded()
-        return *self._functions(paths, perturbation), *self._functions(rounded, perturbation)
+    ) -> tuple[Callable, Callable]:
+        """Return values and slopes of functions drawn from the posterior, slopes as of `mean_function`."""
+        return self._functions(self.regressor.sample_paths(n_paths, random_state), perturbation)
 
     def _functions(self, paths: Any, perturbation: Array | None) -> tuple[Callable, Callable]:
         """Return values and slopes of functions of the posterior, at regressors (n_paths, n, d)."""

@@ -16,7 +16,15 @@ from numpy.typing import ArrayLike
 
 from skdgp._compute.typing import Array
 from skdgp._flight.channels import THRUST_FORCES, THRUST_MOMENTS
-from skdgp._flight.frames import STANDARD_GRAVITY, components, cross, empty_vectors, rotation_rows
+from skdgp._flight.frames import (
+    STANDARD_GRAVITY,
+    components,
+    cross,
+    empty_vectors,
+    product,
+    rotation_rows,
+    vector_of,
+)
 from skdgp._flight.tables import check_choice
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._propeller import Propeller
@@ -71,22 +79,20 @@ def rigid_body_derivative(
     state = np.asarray(state, dtype=float)
     force = np.asarray(force, dtype=float)
     moment = np.asarray(moment, dtype=float)
-    u, v, w, q0, e1, e2, e3, p, q, r = components(state)[3:]
+    velocity, rates = state[..., VELOCITY], state[..., RATES]
+    q0, e1, e2, e3 = components(state[..., ATTITUDE])
+    p, q, r = components(0.5 * rates)
     rows = rotation_rows(q0, e1, e2, e3)
-    down = rows[2]
-    turning = (q * w - r * v, r * u - p * w, p * v - q * u)  # omega x v
+    weight = np.asarray(gravity)[..., None] * vector_of(*rows[2])
     shape = np.broadcast(state[..., 0], force[..., 0], moment[..., 0]).shape
     derivative = empty_vectors(shape, len(STATE_NAMES))
-    for k, (x, y, z) in enumerate(rows):
-        derivative[..., k] = x * u + y * v + z * w
-    for k, f in enumerate(components(force)):
-        derivative[..., 3 + k] = f / aircraft.mass + gravity * down[k] - turning[k]
-    p, q, r = 0.5 * p, 0.5 * q, 0.5 * r
+    derivative[..., POSITION] = product(rows, velocity)
+    derivative[..., VELOCITY] = force / aircraft.mass + weight - cross(rates, velocity)
     derivative[..., 6] = -(e1 * p + e2 * q + e3 * r)
     derivative[..., 7] = q0 * p + e2 * r - e3 * q
     derivative[..., 8] = q0 * q + e3 * p - e1 * r
     derivative[..., 9] = q0 * r + e1 * q - e2 * p
-    net_moment = moment - gyroscopic_moment(state[..., RATES], aircraft)
+    net_moment = moment - gyroscopic_moment(rates, aircraft)
     derivative[..., RATES] = net_moment @ aircraft.inertia_inverse
     return derivative
 

@@ -65,8 +65,7 @@ def simulate(
     r"""Return the flight of an aircraft with learned aerodynamics: RK4 over the six degrees of freedom.
 
     At every stage the regressors are rebuilt from the simulated state as the pipeline builds them
-    from a flight, alpha_dot and beta_dot, which follow from the loads, by fixed point. Paths are evaluated with
-    waves of single precision.
+    from a flight, alpha_dot and beta_dot, which follow from the loads, by fixed point.
 
     Parameters
     ----------
@@ -168,7 +167,7 @@ def simulate(
         drift = drift_in_still_air(motion.aerodynamics) if given_air.drift else None
         if drift is not None:
             drifts = drift.draw(stages, states.shape[:-1], random_state)
-        drawn = motion.aerodynamics.sample(n_paths, random_state, rounded=True)
+        drawn = motion.aerodynamics.sample(n_paths, random_state)
         motion = motion.with_aerodynamics(drawn)
     elif len(states) == 1:
         states = states[0]  # a single start has no axis
@@ -337,7 +336,7 @@ class Simulator:
             )
         motion = self._mean_motion
         if random_state is not None:
-            drawn = motion.aerodynamics.sample(1, random_state, rounded=True)
+            drawn = motion.aerodynamics.sample(1, random_state)
             motion = motion.with_aerodynamics(drawn)
         self.motion = motion
         self.time = 0.0

@@ -149,7 +149,7 @@ def judge(
 
     ``findings`` of the identification are judged and told again with those of scores and mechanics.
     """
-    table = scores(evaluations)["measured"]
+    table = scores(evaluations)
     unvarying = _not_varying(evaluations, table, fit)
     varying = table.drop(index=unvarying)
     causes = with_codes(findings, *CAUSES)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -328,12 +327,6 @@ class Paths:
         self.scale = scale
         self.single = single
         self.feature_names = feature_names
-
-    def rounded(self) -> Paths:
-        """Return the same paths with waves of single precision, for simulations."""
-        twin = copy(self)
-        twin.bundle = self.bundle.rounded()
-        return twin
 
     def __call__(self, X) -> np.ndarray:
         """Return the values of all paths at X (n, d), (n_paths, n, P), or (n_paths, n) for one-dimensional targets."""

@@ -212,12 +212,10 @@ def deflections(table: pd.DataFrame, lag: float, rate_limit: float = np.inf) -> 
     surfaces = present(ALL_SURFACES, table)
     time = numeric(table, ["time"])[:, 0]
     commands = numeric(table, surfaces)
-    filled = interpolate_missing(time, commands)
-    late = np.empty_like(commands)
+    late = interpolate_missing(time, commands)
     for run in Clock.of(time, table.get("flight")).segments:
-        # a single sample is at rest, whatever the step
-        step = median_step(time, [run]) if n_rows(run) > 1 else 1.0
-        late[run] = servo_output(filled[run], lag, step, rate_limit)
+        if n_rows(run) > 1:  # a single sample is at rest
+            late[run] = servo_output(late[run], lag, median_step(time, [run]), rate_limit)
     late[np.isnan(commands)] = np.nan
     return by_name(surfaces, late)
 

@@ -128,6 +128,8 @@ def test_outputs_come_in_the_order_of_the_house_whatever_the_table_had(flight, t
     regressor = DependentGPRegressor(n_latent=1, optimizer=None, random_state=0)
     model = pipeline(StandardScaler(), regressor).fit(flight, turned)
     aerodynamics = as_aerodynamics(model)
+    learned = np.sort(aerodynamics.learned.training_rows(), axis=0)
+    assert_allclose(learned, np.sort(model[:3].transform(flight), axis=0), atol=1e-12)
     direct = model[3:].predict(pd.DataFrame(X, columns=REGRESSORS))[:, ::-1]
     assert_allclose(aerodynamics(X), direct, atol=1e-12)
 

@@ -9,11 +9,8 @@ from numpy.testing import assert_allclose
 
 from skdgp import DependentGPRegressor
 from skdgp.datasets import load_example_flights
-from skdgp.dynamics import (
-    Aerodynamics,
-    Motion,
-    stability_derivatives,
-)
+from skdgp.dynamics import Aerodynamics, Motion, stability_derivatives
+from skdgp.inference import FunctionErrors
 
 EXAMPLE = load_example_flights(duration=1.0)
 BRUMBY, REGRESSORS, coefficients = EXAMPLE.aircraft, EXAMPLE.regressor_names, EXAMPLE.aerodynamics
@@ -104,7 +101,8 @@ def flown():
     Y = pd.DataFrame(Y + 0.01 * rng.normal(size=Y.shape), columns=COEFFICIENTS)
     options = {"structure": "joint", "max_iter": 15, "random_state": 0}
     model = DependentGPRegressor(n_latent=1, **options)
-    return X, model.fit(X, Y, time=0.1 * np.arange(len(X)))
+    errors = FunctionErrors(0.2 * rng.normal(size=(1, 4, 6)), np.zeros(3))
+    return X, model.fit(X, Y, time=0.1 * np.arange(len(X)), errors=errors)
 
 
 @pytest.fixture

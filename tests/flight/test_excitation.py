@@ -75,6 +75,7 @@ def test_tones_are_dealt_out_over_the_band(axes, tones, more):
 
 
 PULSE = {0.0: doublet(1.0, 0.1)}
+TWO_HERTZ = Multisine(4.0, [1, 8], [0.1, 0.1], [0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -85,6 +86,7 @@ PULSE = {0.0: doublet(1.0, 0.1)}
         (lambda: Wavetrain({"elevater": PULSE}), "nearest: 'elevator'"),
         (lambda: Wavetrain({"elevator": PULSE}, {"elevator": 0.05}), "elevator with a peak"),
         (lambda: Wavetrain({"elevator": {0.0: doublet(0.1, 0.1)}}).table(25.0), "at least 50 Hz"),
+        (lambda: Wavetrain({"elevator": {0.0: TWO_HERTZ}}).table(15.0), "at least 20 Hz"),
         (lambda: Wavetrain({"elevator": PULSE}).table(50.0, trim={"rudder": 0.0}), "elevator"),
         (lambda: wavetrain({"elevator": doublet(1, 0.1)}), "expected mappings"),
     ],

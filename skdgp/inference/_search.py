@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import product
 from threading import Event
 from typing import Any, NamedTuple, cast
@@ -58,8 +59,6 @@ class SearchSettings:
     """Starting points of a search, and the values that it learns from."""
 
     blocks: BlockSettings = field(default_factory=BlockSettings)
-    #: Most values of an output alone
-    single_values: int = 1000
     #: Starting widths and noise of an output alone, over their estimates: factors of about two down
     #: to a function of many periods
     widths: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.05, 0.025, 0.012, 0.006)
@@ -292,26 +291,20 @@ class _Search:
         scale = output_scale(self.Y[:, column])
         noise, bounds = self.known.of_output(i).start(residual, scale, self.X)
         if start is None:
-            starts = {}
+            starts = []
             for width, factor in product(settings.widths, settings.noises):
-                other = narrowed(single, kernel, width)
-                of_noise = np.clip(factor * noise, *bounds.T)
-                theta = np.concatenate([other.theta, np.log(of_noise)])
-                likelihood = Objective(other, [data], 1).value(theta)
-                starts[theta.tobytes()] = likelihood, other, of_noise
-            _, kernel, noise = max(starts.values(), key=lambda candidate: candidate[0])
-        else:
-            kernel, noise = start
+                starts.append((narrowed(single, kernel, width), np.clip(factor * noise, *bounds.T)))
+            start = max(starts, key=partial(_likelihood, [data]))
         stage = Progress(f"output {i + 1}", i, self.Y.shape[1])
         max_iter = self.options.max_iter
-        fit = climb(kernel, noise, bounds, [data], max_iter, self.stop, stage=stage)
+        fit = climb(*start, bounds, [data], max_iter, self.stop, stage=stage)
         return fit, data
 
     def _observed(self, i):
-        """Return rows with values of output i: of as many blocks as have at most ``single_values``."""
+        """Return rows with values of output i: of as many blocks as have at most the values of one."""
         rows = [of_block[np.isfinite(self.Y[of_block, i])] for of_block in self.rows]
         n_values = np.cumsum([len(of_block) for of_block in rows])
-        n_blocks = max(1, int(np.sum(n_values <= self.options.settings.single_values)))
+        n_blocks = max(1, int(np.sum(n_values <= self.options.settings.blocks.values)))
         return np.sort(np.concatenate(rows[:n_blocks]))
 
     # -- one kernel
@@ -347,7 +340,7 @@ class _Search:
         for end in ends if aligned is None else ():
             if contains(kernel, end.kernel):
                 starts.append((from_simpler(start, end.kernel), end.noise))
-        starts = [max(starts, key=self._likelihood)]
+        starts = [max(starts, key=partial(_likelihood, self.blocks))]
         for _ in range(self.options.n_restarts):
             starts.append(redrawn(start, bounds, self.random_state))
         score = least_score([end.score() for end in ends])
@@ -397,11 +390,6 @@ class _Search:
         n_values = sum(block.n_values for block in self.blocks)
         return price_of(n_mattering(kernel, self.X), n_values)
 
-    def _likelihood(self, start):
-        kernel, noise = start
-        objective = Objective(kernel, self.blocks, len(noise))
-        return objective.value(np.concatenate([kernel.theta, np.log(noise)]))
-
     def _climb(self, kernel, noise, bounds, blocks, max_iter, **options) -> Hyperparameters:
         point = climb(kernel, noise, bounds, blocks, max_iter, self.stop, **options)
         return Hyperparameters(
@@ -435,6 +423,13 @@ class _Search:
         input_std = self.known.input_std if is_known else self.scale * np.sqrt(noisy.noise[P:])
         n_iter = exact.n_iter + noisy.n_iter
         return noisy._replace(noise=noisy.noise[:P], input_std=input_std, n_iter=n_iter)
+
+
+def _likelihood(blocks, start):
+    """Return the likelihood of a kernel and noise to start from."""
+    kernel, noise = start
+    objective = Objective(kernel, blocks, len(noise))
+    return objective.value(np.concatenate([kernel.theta, np.log(noise)]))
 
 
 def _data_of(X, Y, known, rows, columns=slice(None)):

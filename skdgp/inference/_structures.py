@@ -70,19 +70,17 @@ def contains(kernel: MultiOutputKernel, simpler: MultiOutputKernel) -> bool:
     return True
 
 
-def n_mattering(
-    kernel: MultiOutputKernel, X: Matrix, settings: StructureSettings = SETTINGS
-) -> int:
+def n_mattering(kernel: MultiOutputKernel, X: Matrix) -> int:
     """Return the number of hyperparameters that matter to the covariance of samples X (n, d).
 
     An amplitude that is nearly zero does not, nor does a length scale far beyond the samples or along
     a constant regressor, nor the shift of one output of a latent whose outputs all move, as only
     differences matter.
     """
-    return sum(_n_mattering(term, X, settings) for term in kernel.summands())
+    return sum(_n_mattering(term, X) for term in kernel.summands())
 
 
-def _n_mattering(term, X, settings):
+def _n_mattering(term, X):
     if isinstance(term, LinearTrend):  # a slope by a constant regressor is learned from nothing
         has_slopes = any(f.n_elements for f in term.free_parameters() if f.name == "slope_scale")
         n_constant = int(constant_columns(X).sum()) * term.n_outputs
@@ -93,8 +91,8 @@ def _n_mattering(term, X, settings):
     filters = term.filters
     size = np.abs(filters.amplitude)
     total = np.sqrt(np.sum(size**2, axis=0))
-    feeds = size > settings.amplitude * total
-    wide = (filters.length_scale > settings.length_scale * scale) | constant_columns(X)
+    feeds = size > SETTINGS.amplitude * total
+    wide = (filters.length_scale > SETTINGS.length_scale * scale) | constant_columns(X)
     matters = {
         "amplitude": feeds,
         "length_scale": feeds[..., None] & ~wide,
@@ -124,14 +122,14 @@ def price_of(n_hyperparameters: int, n_values: int) -> float:
     return p * n_values / (n_values - p - 1.0)
 
 
-def least_score(scores: Sequence[float], settings: StructureSettings = SETTINGS) -> float:
+def least_score(scores: Sequence[float]) -> float:
     """Return the score from which a structure beside others with these scores would have a weight."""
-    return max(scores, default=-np.inf) + np.log(settings.least_weight)
+    return max(scores, default=-np.inf) + np.log(SETTINGS.least_weight)
 
 
-def structure_weights(scores: Sequence[float], settings: StructureSettings = SETTINGS) -> Vector:
+def structure_weights(scores: Sequence[float]) -> Vector:
     """Return the weights (K,), which add up to one, of kernels with these scores, learned from the same values."""
     lowest = -np.finfo(float).max / 2  # of kernels without a likelihood
     weights = softmax(np.maximum(scores, lowest))
-    weights[weights < settings.least_weight] = 0.0
+    weights[weights < SETTINGS.least_weight] = 0.0
     return weights / weights.sum()

@@ -297,7 +297,8 @@ class _Search:
             start = max(starts, key=partial(_likelihood, [data]))
         stage = Progress(f"output {i + 1}", i, self.Y.shape[1])
         max_iter = self.options.max_iter
-        fit = climb(*start, bounds, [data], max_iter, self.stop, stage=stage)
+        kernel, noise = start
+        fit = climb(kernel, noise, bounds, [data], max_iter, self.stop, stage=stage)
         return fit, data
 
     def _observed(self, i):

@@ -222,8 +222,8 @@ def of_derivatives(pipeline, aircraft, at, airspeed, known):
     """Return the percentage of derivatives within two standard deviations."""
     table = learned_derivatives(pipeline[-3:], aircraft, at, airspeed, STEADY[:8])
     true = true_values(table, known)
-    off = np.abs(table["value"] - true)[np.abs(true) > 0]
-    return 100 * float((off < 2 * table["std"]).mean())
+    is_inside = np.abs(table["value"] - true) < 2 * table["std"]
+    return 100 * float(is_inside[np.abs(true) > 0].mean())
 
 
 def measured(name, label, cache):

@@ -58,6 +58,9 @@ def by_instruments(regressors: pd.DataFrame, Y: Any, clock: Clock) -> KnownSlope
     difference = ((of_controls - of_all) @ y).T
     residuals = y - x @ (of_controls @ y)
     variance = np.array([autocorrelation_time(e) * np.mean(e**2) for e in residuals.T])
+    # of what no regressor holds, surplus instruments explain more than chance (Sargan 1958)
+    n_surplus = max(W.shape[1] - 1 - x.shape[1], 1)
+    variance = np.maximum(variance, np.sum((W.T @ residuals) ** 2, axis=0) / n_surplus)
     covariance = of_controls @ of_controls.T - of_all @ of_all.T
     # a control is its own instrument: the difference has the rank of the other regressors
     precision = linalg.pinvh(covariance[np.ix_(~is_control, ~is_control)])

@@ -55,6 +55,16 @@ def test_without_noise_slopes_are_those_by_least_squares_half_of_the_time():
     assert np.mean(is_same) > 0.4
 
 
+def test_an_effect_that_regressors_lack_makes_slopes_by_instruments_less_certain():
+    """A flow that follows the aileron 0.2 s later is no noise of the rate."""
+    regressors, Y, clock = flown(0, 0.0)
+    later = Y + 0.1 * np.outer(np.roll(regressors["aileron"], 10), SLOPES[:, 1])
+    found = by_instruments(regressors, later, clock)
+    assert_allclose(found.value, LinearRegression().fit(regressors, later).coef_, rtol=1e-9)
+    errors = [np.linalg.norm(by_instruments(regressors, y, clock).errors) for y in (Y, later)]
+    assert errors[1] > 5 * errors[0]
+
+
 def test_errors_of_different_outputs_are_independent():
     errors = by_instruments(*flown(0, 0.3)).errors
     assert (np.linalg.norm(errors, axis=-1) > 0).all()

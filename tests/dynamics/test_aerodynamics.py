@@ -1,5 +1,7 @@
 """The seam: a pipeline as a function of named regressors gives the pipeline's numbers, slopes and beliefs."""
 
+import copy
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -132,6 +134,13 @@ def test_outputs_come_in_the_order_of_the_house_whatever_the_table_had(flight, t
     assert_allclose(learned, np.sort(model[:3].transform(flight), axis=0), atol=1e-12)
     direct = model[3:].predict(pd.DataFrame(X, columns=REGRESSORS))[:, ::-1]
     assert_allclose(aerodynamics(X), direct, atol=1e-12)
+
+
+def test_a_drift_of_one_output_leaves_the_others(fitted):
+    model = copy.deepcopy(fitted)
+    model[-1].drift_variance_ = np.eye(6)[2]
+    model[-1].drift_memory_ = np.where(np.eye(6)[2], 3.0, np.nan)
+    assert_array_equal(as_aerodynamics(model).drift.memory, [1, 1, 3, 1, 1, 1])
 
 
 def test_sampled_functions_are_those_of_the_regressor(fitted, X):

@@ -8,10 +8,9 @@ import pandas as pd
 from skdgp._compute.findings import Finding
 from skdgp._compute.typing import Array, Matrix
 from skdgp._flight.channels import EULER, RATES, SPECIFIC_FORCE
-from skdgp._flight.clock import median_step
 from skdgp._flight.findings import Code
 from skdgp._flight.frames import wrapped
-from skdgp._flight.tables import FlightTable, has_values, interpolated, numeric, unwrapped
+from skdgp._flight.tables import FlightTable, has_values, interpolated, unwrapped
 
 # fraction of equal rows above which a flight is a copy
 COPIED = 0.5
@@ -28,19 +27,20 @@ def without_copies(
     one stays; if all test flights are copies, they stay.
     """
     kept: dict[str, FlightTable] = {}
-    findings = []
-    for name, flight in sorted(train.items(), key=lambda item: -len(item[1].time)):
+    twice: dict[str, str] = {}
+    copied: dict[str, str] = {}
+    longest_first = sorted(train.items(), key=lambda item: -len(item[1].time))
+    for number, (name, flight) in enumerate([*longest_first, *tests.items()]):
+        is_test = number >= len(train)
         other = _original(flight, kept)
-        if other is None:
-            kept[name] = flight
-        else:
-            findings.append(Finding(Code.FLIGHT_TWICE, flight=name, other=other))
-    originals = {name: _original(flight, kept) for name, flight in tests.items()}
-    others = {name: tests[name] for name, other in originals.items() if other is None}
-    code = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
-    for name, other in originals.items():
         if other is not None:
-            findings.append(Finding(code, flight=name, other=other))
+            (copied if is_test else twice)[name] = other
+        elif not is_test:
+            kept[name] = flight
+    others = {name: flight for name, flight in tests.items() if name not in copied}
+    code = Code.COPY_LEFT_OUT if others else Code.TESTED_ON_COPY
+    findings = [Finding(Code.FLIGHT_TWICE, flight=name, other=twice[name]) for name in twice]
+    findings += [Finding(code, flight=name, other=copied[name]) for name in copied]
     return {name: train[name] for name in train if name in kept}, others or tests, findings
 
 
@@ -59,7 +59,7 @@ def _has_its_attitude(flight: FlightTable, other: FlightTable) -> bool:
     if not has_values(flight.table, *EULER) or not has_values(other.table, *EULER):
         return False
     is_inside = (flight.time >= other.time[0]) & (flight.time <= other.time[-1])
-    n_rows = max(1, round(1 / median_step(flight.time, flight.segments)))
+    n_rows = max(1, round(1 / float(np.median(np.diff(flight.time)))))
     if is_inside.mean() <= COPIED or len(is_inside) <= n_rows + 1:
         return False
     own = unwrapped(flight.table, EULER)
@@ -86,8 +86,8 @@ def _total_variance(angles: Matrix) -> float:
 
 def _motion(flight: FlightTable) -> Array:
     """Return hash values of the different rows of rates and specific force, rounded below their noise."""
-    names = [*RATES, *SPECIFIC_FORCE]
-    values = numeric(flight.table.reindex(columns=names), names)
+    channels = flight.table.reindex(columns=[*RATES, *SPECIFIC_FORCE])
+    values = channels.to_numpy(float, na_value=np.nan)
     measured = values[np.isfinite(values).all(axis=1)]
     rounded = pd.DataFrame(np.round(measured, 4) + 0.0)  # no negative zeros
     return np.unique(pd.util.hash_pandas_object(rounded, index=False))

@@ -26,9 +26,6 @@ from skdgp._flight.tables import (
     with_sensors_at,
 )
 
-# farthest inertial sensors and engine from the centre of gravity [spans]; farther ones are given in mm; a guess
-FARTHEST = 2.0
-
 
 def acceleration_by_rotation(spin: Array, rates: Array, position: Array) -> Array:
     """Return the acceleration (..., 3) of a position relative to the centre of gravity [m/s^2].
@@ -70,29 +67,3 @@ def at_centre_of_gravity(table: pd.DataFrame) -> pd.DataFrame:
         return table
     moved = table.assign(**by_name(SPECIFIC_FORCE, numeric(table, SPECIFIC_FORCE) - acceleration))
     return with_sensors_at(moved, 0.0 * sensor_position(table))  # unknown ones stay unknown
-
-
-def with_sensor_position(table: pd.DataFrame, aircraft: Any) -> pd.DataFrame:
-    """Return flights with the position of the aircraft's inertial sensors, where they do not state theirs.
-
-    Raises ValueError if they state one that is too far from the centre of gravity.
-    """
-    if aircraft is None:
-        return table
-    stated = sensor_position(table)
-    check_distance("sensor_position", stated, aircraft.span)
-    if aircraft.sensor_position is None:
-        return table
-    position = np.where(np.isfinite(stated), stated, aircraft.sensor_position)
-    return with_sensors_at(table, position)
-
-
-def check_distance(name: str, positions: Array, span: float) -> None:
-    """Raise ValueError if a position (n, 3) is too far from the centre of gravity."""
-    distance = np.nan_to_num(np.linalg.norm(positions, axis=1))
-    if distance.max(initial=0.0) > FARTHEST * span:
-        farthest = positions[distance.argmax()].tolist()
-        raise ValueError(
-            f"Got {name} {farthest}, but expected metres: it is farther from the centre of gravity than "
-            f"{FARTHEST:g} spans of {span:g} m."
-        )

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -45,6 +46,8 @@ REMEDIES = {
     "density": " skdgp.dynamics.standard_density(altitude) is the density of the standard atmosphere.",
 }
 MOST_NAMES = 8  # unknown columns that a message names
+# farthest inertial sensors and engine from the centre of gravity [spans]; farther ones are given in mm; a guess
+FARTHEST = 2.0
 HEADING_UNIT = re.compile(
     r"[\[(].*|_(deg|rad|dps|(deg|rad)_?s|mps|m_s|ms|kmh|knots|kt|g|m|s)$", re.IGNORECASE
 )
@@ -203,6 +206,21 @@ def sensor_position(table: pd.DataFrame) -> Matrix:
         )
     is_whole = np.isfinite(position).all(axis=1, keepdims=True)
     return np.where(is_whole, position, np.nan)
+
+
+def with_sensor_position(table: pd.DataFrame, aircraft: Any) -> pd.DataFrame:
+    """Return flights with the position of the aircraft's inertial sensors, where they do not state theirs.
+
+    Raises ValueError if they state one that is too far from the centre of gravity.
+    """
+    if aircraft is None:
+        return table
+    stated = sensor_position(table)
+    check_distance("sensor_position", stated, aircraft.span)
+    if aircraft.sensor_position is None:
+        return table
+    position = np.where(np.isfinite(stated), stated, aircraft.sensor_position)
+    return with_sensors_at(table, position)
 
 
 def with_sensors_at(table: pd.DataFrame, position: Array) -> pd.DataFrame:
@@ -369,6 +387,17 @@ def check_full_deflections(
                 "radians, not degrees."
             )
     return values
+
+
+def check_distance(name: str, positions: Array, span: float) -> None:
+    """Raise ValueError if a position (n, 3) is too far from the centre of gravity."""
+    distance = np.nan_to_num(np.linalg.norm(positions, axis=1))
+    if distance.max(initial=0.0) > FARTHEST * span:
+        farthest = positions[distance.argmax()].tolist()
+        raise ValueError(
+            f"Got {name} {farthest}, but expected metres: it is farther from the centre of gravity than "
+            f"{FARTHEST:g} spans of {span:g} m."
+        )
 
 
 def check_numbers(name: str, values: object, *sizes: int, unit: str = "") -> Array:

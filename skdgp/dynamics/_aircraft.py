@@ -21,12 +21,7 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import SURFACES
 from skdgp._flight.findings import Finding
 from skdgp._flight.physics import question_of_sizes
-from skdgp._flight.sensor_position import check_distance
-from skdgp._flight.tables import (
-    as_floats,
-    check_full_deflections,
-    check_numbers,
-)
+from skdgp._flight.tables import as_floats, check_distance, check_full_deflections, check_numbers
 from skdgp.dynamics._propeller import Propeller, ThrustLine
 from skdgp.dynamics._sizes import (
     INERTIAS,

@@ -26,7 +26,7 @@ from skdgp._flight.faults import (
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.frames import SEA_LEVEL_DENSITY
 from skdgp._flight.physics import sizes_in_flight
-from skdgp._flight.sensor_position import acceleration_by_rotation, with_sensor_position
+from skdgp._flight.sensor_position import acceleration_by_rotation
 from skdgp._flight.smoothing import (
     LowPass,
     differentiate,
@@ -34,7 +34,13 @@ from skdgp._flight.smoothing import (
     vibration_band,
     without_vibration,
 )
-from skdgp._flight.tables import FlightTable, by_name, numeric, sensor_position
+from skdgp._flight.tables import (
+    FlightTable,
+    by_name,
+    numeric,
+    sensor_position,
+    with_sensor_position,
+)
 from skdgp._flight.units import check_flight
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._rigid_body import (

@@ -27,8 +27,7 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.frames import wind_origin
 from skdgp._flight.holds import with_own_clocks
-from skdgp._flight.sensor_position import with_sensor_position
-from skdgp._flight.tables import FlightTable, has_values, sensor_position
+from skdgp._flight.tables import FlightTable, has_values, sensor_position, with_sensor_position
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import (
     Aircraft,

@@ -134,9 +134,7 @@ def evaluate(
     """Predict a checked flight."""
     notify(f"evaluating {name}")
     thrust = pipeline.thrust
-    checking = pipeline.checking
-    corrected = checking.transform(flight)
-    X, ratio, path = flight_regressors(pipeline[len(checking) :], corrected)
+    X, ratio, corrected, path = flight_regressors(pipeline, flight)
     checked = replace(flight, table=corrected)
     states = corrected
     if reconstruction_of(pipeline) is not None:  # beside the logged inputs

@@ -30,13 +30,13 @@ from skdgp._flight.copies import without_copies
 from skdgp._flight.faults import FlightDataWarning, clean, slow_log, without_ground
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
-from skdgp._flight.sensor_position import with_sensor_position
 from skdgp._flight.tables import (
     FlightTable,
     check_spelling,
     check_table,
     numeric,
     sensor_position,
+    with_sensor_position,
 )
 from skdgp._flight.units import check_flight
 from skdgp._regressor import DependentGPRegressor
@@ -62,15 +62,18 @@ def train_and_test(
     that, of slow logs, and of copies.
     """
     train = named_flights(flights, needed=needed, **reading)
-    for finding in slow_log(FlightTable.together(train.values())):
-        report(finding)
+    findings = slow_log(FlightTable.together(train.values()))
     tested: Flights = {}
     if test is not None:
         tested = named_flights(test, default="test flight", needed=needed, **reading)
     train, tested, copies = without_copies(train, tested)
-    for finding in copies:
+    findings += copies
+    if test is None:
+        train, tested, held_out = _without_last(train)
+        findings.append(held_out)
+    for finding in findings:
         report(finding)
-    return _without_last(train) if test is None else (train, tested)
+    return train, tested
 
 
 def are_in_full_throws(flights: Flights) -> bool:
@@ -78,20 +81,20 @@ def are_in_full_throws(flights: Flights) -> bool:
     return any(IN_FULL_THROWS in flight.table for flight in flights.values())
 
 
-def _without_last(flights: Flights) -> tuple[Flights, Flights]:
-    """Return training flights and the one that is held out, of a single one its last quarter; a finding says so."""
+def _without_last(flights: Flights) -> tuple[Flights, Flights, Finding]:
+    """Return training flights and the one that is held out, of a single one its last quarter, and the finding of it."""
     *earlier, last = flights
     flight = flights[last]
     if earlier:
-        report(Finding(Code.HELD_OUT_FLIGHT, flight=last))
-        return {name: flights[name] for name in earlier}, {last: flight}
-    report(Finding(Code.HELD_OUT_QUARTER, flight=last))
+        held_out = Finding(Code.HELD_OUT_FLIGHT, flight=last)
+        return {name: flights[name] for name in earlier}, {last: flight}, held_out
     learned, tested = f"{last}, first three quarters", f"{last}, last quarter"
     rows = np.arange(len(flight.time))
     begin = round(0.75 * len(rows))
     return (
         {learned: flight.part(rows[:begin]).named(learned)},
         {tested: flight.part(rows[begin:]).named(tested)},
+        Finding(Code.HELD_OUT_QUARTER, flight=last),
     )
 
 
@@ -204,7 +207,14 @@ def usable_flights(
     question = aircraft.question_of_sizes(*numbers_in_flight(together, aircraft))
     if question is not None:
         report(question)
-    return {name: _complete_rows(name, flight, regressors) for name, flight in checked.items()}
+    usable = {}
+    left_out: list[Finding] = []
+    for name, flight in checked.items():
+        usable[name], findings = _complete_rows(name, flight, regressors)
+        left_out += findings
+    for finding in left_out:
+        report(finding)
+    return usable
 
 
 def _check_surfaces(name: str, table: pd.DataFrame, in_radians: bool) -> None:
@@ -230,8 +240,10 @@ def _warn_of_positions(flight: str, table: pd.DataFrame, aircraft: Aircraft) -> 
         report(Finding(Code.SENSOR_POSITIONS_DIFFER, flight=flight, distance=distance))
 
 
-def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str]) -> FlightTable:
-    """Return the rows with all regressors and a neighbour, so that they have a rate of change; tell of the others."""
+def _complete_rows(
+    flight: str, flights: FlightTable, regressors: Sequence[str]
+) -> tuple[FlightTable, list[Finding]]:
+    """Return the rows with all regressors and a neighbour, so that they have a rate of change; and of the others."""
     table = flights.table
     columns = regressor_columns([table], regressors)
     missing = ~np.isfinite(numeric(table, columns))
@@ -247,18 +259,15 @@ def _complete_rows(flight: str, flights: FlightTable, regressors: Sequence[str])
             "whole, and time in seconds?"
         )
     continuous = np.concatenate(rows)
-    if len(continuous) < len(table):
-        report(
-            Finding(
-                Code.ROWS_LEFT_OUT,
-                flight=flight,
-                left_out=len(table) - len(continuous),
-                rows=len(table),
-                missing=counts,
-                alone=len(complete) - len(continuous) or None,
-            )
-        )
-    return flights.part(continuous).named(flight)
+    numbers = {
+        "left_out": len(table) - len(continuous),
+        "rows": len(table),
+        "missing": counts,
+        "alone": len(complete) - len(continuous) or None,
+    }
+    left_out = [Finding(Code.ROWS_LEFT_OUT, flight=flight, **numbers)]
+    usable = flights.part(continuous).named(flight)
+    return usable, left_out if numbers["left_out"] else []
 
 
 def usable_flights_of_model(pipeline: Pipeline, flights: Flights, aircraft: Aircraft) -> Flights:

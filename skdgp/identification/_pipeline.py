@@ -17,8 +17,7 @@ from skdgp._compute.statistics import r2_of_observed
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp._flight.channels import COEFFICIENTS, RATES, SENSOR_GUST
 from skdgp._flight.findings import Code, with_codes
-from skdgp._flight.sensor_position import with_sensor_position
-from skdgp._flight.tables import FlightTable, has_values
+from skdgp._flight.tables import FlightTable, has_values, with_sensor_position
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import (
     Aircraft,
@@ -165,8 +164,8 @@ def make_identification_pipeline(
     )
 
 
-def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector, Any]:
-    r"""Return the regressors (n, d) of the last step, how noisy they are (n,), and the flight with its path.
+def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector, Any, Any]:
+    r"""Return the regressors (n, d) of the last step, how noisy they are (n,), the checked flight, and its path.
 
     In gusts the aerodynamics feel air that no sensor sees, so the variance of noisy regressors is
     proportional to the variance of the gusts. Where `FlightPathReconstruction` reconstructs
@@ -176,18 +175,20 @@ def flight_regressors(pipeline: Pipeline, flight: Any) -> tuple[Matrix, Vector, 
 
     as ``include_input_noise`` of ``DependentGPRegressor.predict`` takes it. Elsewhere it is 1.
     """
-    path = flight
+    checked = path = flight
     for _, step in pipeline.steps[:-1]:
         if step not in (None, "passthrough"):
             flight = step.transform(flight)
+        if isinstance(step, FlightCheck):
+            checked = path = flight
         if isinstance(step, FlightPathReconstruction):
             path = flight
     X = np.asarray(flight)
     reconstruction = reconstruction_of(pipeline)
     if reconstruction is None or "gust" not in path:
-        return X, np.ones(len(X)), path
+        return X, np.ones(len(X)), checked, path
     variance = path["gust"].to_numpy() ** 2 + SENSOR_GUST**2
-    return X, variance / (reconstruction.gust_std_**2 + SENSOR_GUST**2), path
+    return X, variance / (reconstruction.gust_std_**2 + SENSOR_GUST**2), checked, path
 
 
 def regressor_names(pipeline: Pipeline) -> list[str]:
@@ -348,7 +349,7 @@ class FlightPipeline(Pipeline):
             )
         began = time.monotonic()
         position_of(self, "regressorselector")  # asked for before the flights take their time
-        n_first = len(self.checking)
+        n_first = 1 + position_of(self, "flightcheck")
         first, others = self[:n_first], self[n_first:-1]
         flights = first.fit_transform(X, y)
         self.turbulence_ = turbulence_of_flights(flights, self.aircraft)
@@ -388,11 +389,6 @@ class FlightPipeline(Pipeline):
             self.calibration_ = -added.about(np.zeros(regressors.shape[1])).weights[0]
         self.fit_time_ = round(time.monotonic() - began, 3)
         return self
-
-    @property
-    def checking(self) -> Pipeline:
-        """The steps up to the check of flights."""
-        return self[: 1 + position_of(self, "flightcheck")]
 
     def _thinned(self, y: Any) -> Any:
         """Return targets y (n, P) of which as many rows as ``samples`` says are observed."""
@@ -498,7 +494,7 @@ class FlightPipeline(Pipeline):
         ``include_input_noise`` replaces the ratio of this flight.
         """
         check_is_fitted(self)
-        regressors, noise_ratio, _ = flight_regressors(self, X)
+        regressors, noise_ratio, *_ = flight_regressors(self, X)
         return self.predict_rows(regressors, noise_ratio, **params)
 
     def predict_rows(self, regressors: Matrix, noise_ratio: Vector, **params: Any) -> Any:

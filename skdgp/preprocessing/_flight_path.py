@@ -22,8 +22,8 @@ from skdgp._flight.channels import (
 from skdgp._flight.faults import FlightDataWarning
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics import find_contradictions
-from skdgp._flight.sensor_position import at_centre_of_gravity, with_sensor_position
-from skdgp._flight.tables import FlightTable, by_name, has_values, wrap_near
+from skdgp._flight.sensor_position import at_centre_of_gravity
+from skdgp._flight.tables import FlightTable, by_name, has_values, with_sensor_position, wrap_near
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, Servos
 from skdgp.estimation import (

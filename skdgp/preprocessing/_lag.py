@@ -20,7 +20,6 @@ from skdgp._flight.channels import (
 )
 from skdgp._flight.clock import Clock, median_step, n_rows
 from skdgp._flight.holds import without_repeats
-from skdgp._flight.sensor_position import with_sensor_position
 from skdgp._flight.tables import (
     by_name,
     check_columns,
@@ -28,6 +27,7 @@ from skdgp._flight.tables import (
     interpolate_missing,
     numeric,
     unwrapped,
+    with_sensor_position,
     wrap_near,
 )
 from skdgp.dynamics import Aircraft, Servos

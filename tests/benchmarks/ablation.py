@@ -110,7 +110,7 @@ def rows_of(pipeline, flight, aircraft):
     """Return the rows of a flight that are scored."""
     some = slice(None, None, EVERY)
     log = sensed(flight)
-    X, ratio, _ = flight_regressors(pipeline, log)
+    X, ratio, *_ = flight_regressors(pipeline, log)
     measured = aerodynamic_coefficients(pipeline[:1].transform(log), aircraft).to_numpy()
     names = [name + "_hat" * (name in "pqr") for name in STEADY]
     values = exact_regressors(flight, aircraft)[some, : len(STEADY)]

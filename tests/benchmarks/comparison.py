@@ -44,7 +44,7 @@ def pipeline(task):
 
 def moments_of(model, flight):
     """Return the mean of a flight, and deviations of the function and of measurements at one row in ten."""
-    X, ratio, _ = flight_regressors(model, flight)
+    X, ratio, *_ = flight_regressors(model, flight)
     some = X[::BANDS_EVERY]
     words = {"include_input_noise": ratio[::BANDS_EVERY]}
     bands = [

@@ -104,7 +104,7 @@ def test_a_mirrored_flight_is_the_same_physics(flights, test_flight):
 class TestPredict:
     def test_the_band_knows_how_rough_the_air_was(self, model, test_flight):
         """The variance that regressors carry is multiplied by the gusts of the flight over those of the fit."""
-        X, ratio, _ = flight_regressors(model, test_flight)
+        X, ratio, *_ = flight_regressors(model, test_flight)
         reconstruction = model["flightpathreconstruction"]
         gust = reconstruction.transform(test_flight)["gust"].to_numpy()
         fit = reconstruction.gust_std_
@@ -147,9 +147,9 @@ def test_logged_rows_are_predicted_as_the_samples_say_in_any_air(flights, test_f
     Y = thin_targets(aerodynamic_coefficients(rows, flights.aircraft), 1500)
     regressor = DependentGPRegressor(structure="trend", max_iter=2, random_state=0)
     pipeline = make_identification_pipeline(flights.aircraft, regressor=regressor).fit(rows, Y)
-    X, ratio, _ = flight_regressors(pipeline, test_flight)
+    X, ratio, *_ = flight_regressors(pipeline, test_flight)
     assert not np.allclose(ratio, 1.0, rtol=0.02)
-    learned, _, _ = flight_regressors(pipeline, rows)
+    learned, *_ = flight_regressors(pipeline, rows)
     alone = clone(regressor).fit(learned, Y, time=rows["time"], flight=rows["flight"]).predict(X)
     size = np.std(alone, axis=0)
     assert_allclose(pipeline.predict(test_flight) / size, alone / size, atol=1e-6)

@@ -341,22 +341,24 @@ class _Search:
         for end in ends if aligned is None else ():
             if contains(kernel, end.kernel):
                 starts.append((from_simpler(start, end.kernel), end.noise))
-        starts = [max(starts, key=partial(_likelihood, self.blocks))]
-        for _ in range(self.options.n_restarts):
-            starts.append(redrawn(start, bounds, self.random_state))
+        starts.sort(key=partial(_likelihood, self.blocks), reverse=True)
         score = least_score([end.score() for end in ends])
         found: list[Hyperparameters] = []
+
+        def least(kernel):
+            of_others = score + self._price(kernel) + price
+            return max([of_others, *(end.log_likelihood for end in found)])
+
         for of_kernel, of_noise in starts:
-            if not found or not self.stop.is_set():
-                end = self._climb(
-                    of_kernel,
-                    of_noise,
-                    bounds,
-                    self.blocks,
-                    n_iter,
-                    least=lambda kernel: score + self._price(kernel) + price,
+            is_hopeless = found and found[0].log_likelihood < least(found[0].kernel)
+            if not is_hopeless:
+                found.append(
+                    self._climb(of_kernel, of_noise, bounds, self.blocks, n_iter, least=least)
                 )
-                found.append(end)
+        for _ in range(self.options.n_restarts):
+            if not self.stop.is_set():
+                restart = redrawn(start, bounds, self.random_state)
+                found.append(self._climb(*restart, bounds, self.blocks, n_iter, least=least))
         best = max(found, key=lambda end: end.log_likelihood)
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)

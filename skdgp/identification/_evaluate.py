@@ -11,8 +11,12 @@ import pandas as pd
 
 from skdgp._compute.messages import notify
 from skdgp._compute.typing import Matrix, Vector
-from skdgp._flight.channels import ALL_SURFACES, COEFFICIENTS
-from skdgp._flight.smoothing import without_vibration
+from skdgp._flight.channels import (
+    ALL_SURFACES,
+    COEFFICIENTS,
+    TRUTH_SUFFIX,
+)
+from skdgp._flight.smoothing import band_limited, without_vibration
 from skdgp._flight.tables import FlightTable, interpolated
 from skdgp._regressor import DependentGPRegressor
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
@@ -77,9 +81,9 @@ class Evaluation:
         The flight table, for the inputs and the path.
     states : DataFrame
         The same with states and wind of the reconstructed path, where the flight was reconstructed.
-    measured, mean : (n, 6)
+    measured, mean, std : (n, 6)
         Measured CX CY CZ Cl Cm Cn, smoothed by the flight's own spectra, or in the band of the fit where
-        that one vibrated; NaN = not observed; and estimated ones.
+        that one vibrated; NaN = not observed; estimated ones, and their deviations without noise.
     prediction_std : (n, 6)
         Standard deviations of such measurements, which have the same errors of the log.
     regressors : (n, d)
@@ -88,6 +92,8 @@ class Evaluation:
         Variance of their noise over that in the fit, see `flight_regressors`.
     baseline : (n, 6)
         Coefficients that least squares on the same rows predict.
+    truth : (n, 6), optional
+        Noise-free coefficients of a simulation.
     """
 
     name: str
@@ -95,18 +101,33 @@ class Evaluation:
     states: pd.DataFrame
     measured: Matrix
     mean: Matrix
+    std: Matrix
     prediction_std: Matrix
     regressors: Matrix
     noise_ratio: Vector
     baseline: Matrix
+    truth: Matrix | None = None
 
 
-def scores(flights: Sequence[Evaluation]) -> pd.DataFrame:
-    """Return coefficients by metrics, over all rows of the flights: errors against measured values, and coverage."""
-    true = np.concatenate([flight.measured for flight in flights])
+def scores(flights: Sequence[Evaluation]) -> dict[str, pd.DataFrame]:
+    """Return coefficients by metrics, over all rows of the flights, against "measured" and "truth" if all know it."""
+    measured = [flight.measured for flight in flights]
+    bands = [flight.prediction_std for flight in flights]
+    against = {"measured": _scores(flights, measured, bands)}
+    if all(flight.truth is not None for flight in flights):
+        true: list[Any] = [flight.truth for flight in flights]
+        against["truth"] = _scores(flights, true, [flight.std for flight in flights])
+    return against
+
+
+def _scores(
+    flights: Sequence[Evaluation], expected: Sequence[Matrix], stds: Sequence[Matrix]
+) -> pd.DataFrame:
+    """Return coefficients by metrics: errors against expected values, and how bands hold these."""
+    true = np.concatenate(expected)
     mean = np.concatenate([flight.mean for flight in flights])
     linear = np.concatenate([flight.baseline for flight in flights])
-    bands = true, mean, np.concatenate([flight.prediction_std for flight in flights])
+    bands = true, mean, np.concatenate(stds)
     each: dict[str, Any] = {"multioutput": "raw_values"}
     columns = {
         "median_relative_error": median_relative_error(true, mean, **each),
@@ -119,8 +140,15 @@ def scores(flights: Sequence[Evaluation]) -> pd.DataFrame:
 
 
 def score_table(flights: Sequence[Evaluation]) -> pd.DataFrame:
-    """Return the scores of flights as they are shown, and their means."""
-    table = scores(flights)[[*SHOWN]].rename(columns=SHOWN)
+    """Return the scores of flights as they are shown, and their means.
+
+    The truth of a simulation contains gusts that no band knows: of it there are errors only.
+    """
+    against = scores(flights)
+    table = against["measured"][[*SHOWN]].rename(columns=SHOWN)
+    if "truth" in against:
+        of_truth = against["truth"].rename(columns=SHOWN).add_suffix(" of truth")
+        table = table.join(of_truth[["rel. error of truth", "NRMSE of truth"]])
     table.loc["mean"] = table.mean()
     return table
 
@@ -139,9 +167,13 @@ def evaluate(
     states = corrected
     if reconstruction_of(pipeline) is not None:  # beside the logged inputs
         states = corrected.assign(**path.drop(columns=[*ALL_SURFACES], errors="ignore"))
-    cutoff = without_vibration(band_of(pipeline))
-    measured = aerodynamic_coefficients(checked, aircraft, cutoff=cutoff, thrust=thrust)
-    variance = _std(pipeline[-1], X, ratio) ** 2
+    band = band_of(pipeline)
+    measured = aerodynamic_coefficients(
+        checked, aircraft, cutoff=without_vibration(band), thrust=thrust
+    )
+    mean = pipeline.predict_rows(X, ratio)
+    std = _std(pipeline[-1], X, ratio)
+    variance = std**2
     if pipeline.log_errors_ is not None:  # which the measured coefficients have, too
         variance = np.maximum(variance - pipeline.log_errors_.variance(X), 0.0)
     return Evaluation(
@@ -149,10 +181,12 @@ def evaluate(
         table=corrected,
         states=states,
         measured=measured.to_numpy(),
-        mean=pipeline.predict_rows(X, ratio),
+        mean=mean,
+        std=std,
         prediction_std=np.sqrt(variance + pipeline[-1].noise_variance_),
         regressors=X,
         noise_ratio=ratio,
+        truth=_truth(corrected, band),
         baseline=by_least_squares(named_regressors(pipeline, X), pipeline.least_squares_),
     )
 
@@ -167,3 +201,11 @@ def _std(regressor: DependentGPRegressor, X: Matrix, noise_ratio: Vector) -> Mat
     rows = np.arange(step // 2, len(X), step)
     _, std = regressor.predict(X[rows], return_std=True, include_input_noise=noise_ratio[rows])
     return interpolated(every, every[rows], std)
+
+
+def _truth(table: pd.DataFrame, band: float) -> Matrix | None:
+    """Return the noise-free coefficients of a simulation in the band of the fit, where the table has them."""
+    names = [coefficient + TRUTH_SUFFIX for coefficient in COEFFICIENTS]
+    if not {*names} <= {*table}:
+        return None
+    return band_limited(table[names].to_numpy(float), table, band)

@@ -207,8 +207,8 @@ def _sampling_of(table: pd.DataFrame) -> dict[str, float]:
 
 def _score_metrics(flights: Sequence[Evaluation]) -> dict:
     """Return the scores of each coefficient, and their means."""
-    table = scores(flights)
+    tables = scores(flights)
     return {
-        "coefficients": {"measured": table},
-        "means": {"measured": table.mean().to_dict()},
+        "coefficients": tables,
+        "means": {against: table.mean().to_dict() for against, table in tables.items()},
     }

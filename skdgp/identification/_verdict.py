@@ -149,7 +149,7 @@ def judge(
 
     ``findings`` of the identification are judged and told again with those of scores and mechanics.
     """
-    table = scores(evaluations)
+    table = scores(evaluations)["measured"]
     unvarying = _not_varying(evaluations, table, fit)
     varying = table.drop(index=unvarying)
     causes = with_codes(findings, *CAUSES)

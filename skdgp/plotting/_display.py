@@ -22,6 +22,7 @@ ROLES = {
     "measured": "#8A8A8A",
     "mean": "#0072B2",
     "band": "#56B4E9",
+    "truth": "#D55E00",
 }
 
 # Without accents: as text of an SVG they are drawn beside their letter

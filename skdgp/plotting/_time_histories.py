@@ -1,4 +1,4 @@
-"""TimeHistoryDisplay: measured, estimated or simulated values with bands against time."""
+"""TimeHistoryDisplay: measured, estimated, simulated or true values with bands against time."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class TimeHistoryDisplay(Display):
     ----------
     time, names : (n,), k names
         Time of the samples [s]; outputs, or columns of a flight table.
-    measured, mean : (n, k), optional
-        Measured values, NaN = not observed; estimated ones.
+    measured, mean, truth : (n, k), optional
+        Measured values, NaN = not observed; estimated ones; noise-free ones of a simulation.
     lower, upper : (n, k), optional
         Edges of the band.
     estimate : str
@@ -55,6 +55,7 @@ class TimeHistoryDisplay(Display):
     names: tuple[str, ...]
     measured: Matrix | None = None
     mean: Matrix | None = None
+    truth: Matrix | None = None
     lower: Matrix | None = None
     upper: Matrix | None = None
     estimate: str = "estimated"
@@ -83,6 +84,7 @@ class TimeHistoryDisplay(Display):
             drawn = segments(self.time, edges)
             ax.fill_between(*drawn, label="95 % band", **style, **common)
         line("measured", self.measured, color=ROLES["measured"], linewidth=1.4)
+        line("truth", self.truth, color=ROLES["truth"], linewidth=0.9, linestyle="--")
         line(self.estimate, self.mean, color=ROLES["mean"], linewidth=0.8, zorder=2.3)
         if self.measured is not None:  # else the band is the subject of the figure
             _fit_to_lines(ax)
@@ -98,6 +100,7 @@ class TimeHistoryDisplay(Display):
         mean: ArrayLike,
         std: ArrayLike | None = None,
         *,
+        truth: ArrayLike | None = None,
         ax: Any = None,
     ) -> Self:
         """Draw predictions (n, P) and measurements.
@@ -105,7 +108,7 @@ class TimeHistoryDisplay(Display):
         Outputs are named by the columns of a DataFrame ``measured``; six unnamed ones are CX CY CZ
         Cl Cm Cn.
         """
-        check_consistent_length(time, measured, mean, std)
+        check_consistent_length(time, measured, mean, std, truth)
 
         def columns(values: ArrayLike | None) -> Any:
             return None if values is None else np.asarray(values, float).reshape(len(center), -1)
@@ -120,6 +123,7 @@ class TimeHistoryDisplay(Display):
             mean=center,
             lower=None if half is None else center - half,
             upper=None if half is None else center + half,
+            truth=columns(truth),
             names=tuple(map(str, getattr(measured, "columns", unnamed))),
         ).plot(ax)
 

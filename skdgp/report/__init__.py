@@ -71,7 +71,8 @@ SIMULATION = (
 )
 SCORES = (
     "Errors of the coefficients. ▼ covers less than 90 %: too sure. ▲ covers more than 99 %: too "
-    "wide."
+    "wide. Bands are judged against measured values alone: the true coefficients contain effects "
+    "that no sensor saw, such as gusts, which no band promises to hold."
 )
 EFFECTS = (
     "For each coefficient the regressors along which it changes most, on one scale, the others as in "
@@ -331,6 +332,7 @@ def _figures(result: Evaluation) -> str:
         result.measured[rows],
         result.mean[rows],
         result.prediction_std[rows],
+        truth=None if result.truth is None else result.truth[rows],
         ax=False,
     )
     caption = f"Coefficients of {result.name}"

@@ -210,9 +210,10 @@ class TestIdentify:
     def test_bands_of_the_truth_have_the_errors_of_the_log(self, result, example):
         (flight,) = result.evaluations
         _, std = result.pipeline.predict(example[2], return_std=True)
+        assert_allclose(flight.std, std, rtol=1e-6)
         noise = result.pipeline[-1].noise_variance_
         by_log = result.pipeline.log_errors_.variance(flight.regressors)
-        expected = np.maximum(std**2 - by_log, 0.0) + noise
+        expected = np.maximum(flight.std**2 - by_log, 0.0) + noise
         assert_allclose(flight.prediction_std**2, expected, rtol=1e-6)
 
     @pytest.mark.filterwarnings("ignore")

@@ -83,6 +83,7 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
         measured=measured,
         mean=measured + error * noise,
         baseline=measured + linear * noise,
+        std=np.sqrt(prediction_std**2 - 0.01**2),  # of the function; the noise is small
         prediction_std=prediction_std,
         table=pd.DataFrame({"time": time, "alpha": 0.0, "beta": 0.0}),
         states=pd.DataFrame({"time": time}),

@@ -30,7 +30,9 @@ def flight(n=400):
 
 def coefficients(n, ax, corrupt=lambda values: values):
     time, measured, mean, std = outputs(n)
-    return TimeHistoryDisplay.from_predictions(time, corrupt(measured), mean, std, ax=ax)
+    return TimeHistoryDisplay.from_predictions(
+        time, corrupt(measured), mean, std, truth=mean, ax=ax
+    )
 
 
 def inputs(n, ax, corrupt=lambda values: values):
@@ -90,11 +92,14 @@ class TestEveryDisplay:
 class TestCoefficients:
     def test_lines_and_bands_are_the_data(self):
         time, measured, mean, std = outputs()
-        display = TimeHistoryDisplay.from_predictions(time, measured, mean, std, ax=Figure())
+        display = TimeHistoryDisplay.from_predictions(
+            time, measured, mean, std, truth=2 * mean, ax=Figure()
+        )
         assert display.keys == list(COEFFICIENTS)
-        for label, values in {"measured": measured, "estimated": mean}.items():
+        drawn = {"measured": measured, "estimated": mean, "truth": 2 * mean}
+        for label, values in drawn.items():
             assert_array_equal(line(display, "Cm", label).get_ydata(), values[:, 4])
-        assert_array_equal(line(display, "Cm", "estimated").get_xdata(), time)
+        assert_array_equal(line(display, "Cm", "truth").get_xdata(), time)
         corners = {tuple(row) for row in band(display.axes_[1, 0]).round(5)}
         half = norm.ppf(0.975) * std[:, 1]
         for edge in (mean[:, 1] - half, mean[:, 1] + half):

@@ -77,14 +77,17 @@ def result(n=800, **changes):
     rng = default_rng(0)
     flight = table(n)
     mean = 0.1 * np.sin(np.outer(flight["time"], np.arange(1, 7))) + 0.01
+    std = np.full((n, 6), 0.01)
     given = {
         "name": "test",
         "measured": mean + 0.02 * rng.normal(size=(n, 6)),
         "mean": mean,
-        "prediction_std": np.full((n, 6), 0.02),
+        "std": std,
+        "prediction_std": 2 * std,
         "regressors": mean,
         "noise_ratio": np.ones(n),
         "baseline": mean,
+        "truth": mean + 0.01 * rng.normal(size=(n, 6)),
         "table": flight,
         "states": flight,
     }
@@ -227,10 +230,17 @@ class TestWords:
     def test_tables_hold_every_score(self, html):
         flight = result()
         words = Page(html).words
-        _, rows = words.split("in 95 % band ", 1)
-        cells = np.reshape(rows.split()[:24], (6, 4))  # name, two errors, coverage
-        errors = normalized_rmse(flight.measured, flight.mean, multioutput="raw_values")
-        assert [*cells[:, 2]] == [f"{error:.3g}" for error in errors]
+        _, rows = words.split("NRMSE of truth ")
+        cells = np.reshape(rows.split()[:36], (6, 6))  # name, two errors, coverage, two errors
+        for column, values in {2: flight.measured, 5: flight.truth}.items():
+            errors = normalized_rmse(values, flight.mean, multioutput="raw_values")
+            assert [*cells[:, column]] == [f"{error:.3g}" for error in errors]
+
+    def test_bands_are_judged_against_measured_values_alone(self, no_pictures):
+        """The standard deviations of the function do not know of gusts: none of these bands holds the truth."""
+        words = words_of(evaluations=[result(std=np.full((800, 6), 1e-9))])
+        assert "▼" not in words.replace("▼ covers", "")
+        assert "no band promises" in words
 
     def test_escapes_what_comes_from_outside(self):
         """Markup, and dollars, which are no templates and no mathematics."""
@@ -246,8 +256,8 @@ class TestWords:
 
     @pytest.mark.parametrize(("factor", "mark"), [(0.1, "▼"), (100, "▲")])
     def test_marks_dishonest_bands(self, no_pictures, factor, mark):
-        std = np.full((800, 6), 0.01 * factor)
-        words = words_of(evaluations=[result(prediction_std=std)])
+        flight = result(truth=None)
+        words = words_of(evaluations=[replace(flight, prediction_std=factor * flight.std)])
         assert re.search(rf" {mark} [0-9.]+ CY ", words)
 
 
@@ -259,7 +269,7 @@ class TestPoorContent:
         assert page.tags.count("table") == 3  # of uses, errors, and what was done
 
     def test_an_output_never_observed(self, no_pictures):
-        flight = result(400)
+        flight = result(400, truth=None)
         flight.measured[:, 3] = np.nan
         with pytest.warns(UndefinedMetricWarning, match="never observed"):
             words = words_of(evaluations=[flight])

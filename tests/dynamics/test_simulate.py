@@ -304,18 +304,18 @@ class TestMarks:
 
     def test_tells_when_and_where_it_leaves_what_was_flown(self, aircraft, fly, glider):
         limits = np.outer([-0.5, 0.5], np.ones(8))
-        limits[:, 0] = [0.0, 0.07]
-        with pytest.warns(SimulationWarning, match="in alpha .*learned from 0 to 0.07"):
+        limits[:, 1] = [-0.02, 0.05]
+        with pytest.warns(SimulationWarning, match="in beta .*learned from -0.02 to 0.05"):
             flown = fly(glider.model(limits=limits), duration=2.0)
-        outside = ~flown["alpha"].between(-0.02 * 0.07, 1.02 * 0.07)
-        assert_array_equal(flown["beyond"] == "alpha", outside)
+        low, high = -0.02 - 0.02 * 0.07, 0.05 + 0.02 * 0.07
+        outside = ~flown["beta"].between(low, high)
+        assert_array_equal(flown["beyond"] == "beta", outside)
         assert 0 < outside.mean() < 1
         simulator = Simulator(glider.model(limits=limits), aircraft, dt=0.02)
         simulator.reset(START)
         for _ in range(50):
-            seen = simulator.step(commands(0.0))
-            is_outside = not -0.02 * 0.07 <= seen["alpha"] <= 1.02 * 0.07
-            assert simulator.beyond == ("alpha" if is_outside else "")
+            is_inside = low <= simulator.step(commands(0.0))["beta"] <= high
+            assert simulator.beyond == ("" if is_inside else "beta")
 
 
 class TestEnsembles:

@@ -15,7 +15,7 @@ from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
 
 from skdgp._compute.messages import warn
-from skdgp._compute.typing import Array, Indices, Mask, Matrix, Seed, Vector
+from skdgp._compute.typing import Array, Indices, Mask, Matrix, Vector
 
 JITTER_FIRST = 1e-10  # of the diagonal
 JITTER_LAST = 1e-4
@@ -222,12 +222,12 @@ def output_scale(Y: Matrix) -> Vector:
     return np.where(np.abs(mean) > scale, np.hypot(mean, scale), scale)
 
 
-def cluster_centres(X: Matrix, scale: Vector, n: int, random_state: Seed) -> Matrix:
+def cluster_centres(X: Matrix, scale: Vector, n: int) -> Matrix:
     """Return n centres of the rows of X (m, d), in the metric of the scales (d,), by k-means."""
     with warnings.catch_warnings():
         # of rows that are alike but for rounding; KMeans has no other way to be silent
         warnings.simplefilter("ignore", ConvergenceWarning)
-        means = KMeans(n, n_init=1, random_state=random_state).fit(X / scale)
+        means = KMeans(n, n_init=1, random_state=0).fit(X / scale)
     return means.cluster_centers_ * scale
 
 

@@ -120,7 +120,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     max_iter : int
         Largest number of steps from each starting point, each with one evaluation.
     random_state : int, RandomState or None
-        Seed of restarts, and of the centres of inducing variables.
+        Seed of restarts.
 
     Attributes
     ----------

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from sklearn.base import clone
-from sklearn.utils import check_random_state
 
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import _checks
@@ -167,13 +166,11 @@ class Recipe:
         ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
         """
         settings = self.settings
-        random_state = check_random_state(self.given.random_state)
         data = Data.from_table(X, Z, known.loading)  # one copy for all
-        seeds = random_state.randint(2**31 - 1, size=2)
         request = SearchOptions(
             optimizer=self.given.optimizer,
             max_iter=self.given.max_iter,
-            random_state=check_random_state(seeds[0]),
+            random_state=self.given.random_state,
             input_noise=self.learns_input_noise(known),
             n_restarts=self.given.n_restarts_optimizer,
             shifts=len(kernels) > 1,
@@ -192,12 +189,11 @@ class Recipe:
         likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
         fits = []
         for k in likeliest:
-            rng = check_random_state(seeds[1])  # the same inducing inputs for all
             samples = _Samples(X, Z, data, known)
             if is_exact:
                 fit = fit_exact(found[k], data, self.time_series, known)
             else:
-                fit, samples = self._of_many(found[k], samples, rng)
+                fit, samples = self._of_many(found[k], samples)
             if self._averages and not fit.learned.interrupted:
                 fit = self._average(fit, samples)
             fits.append(fit)
@@ -205,7 +201,7 @@ class Recipe:
                 return fits[0].cut_short()
         return mixture_of(fits, weights[likeliest].tolist())
 
-    def _of_many(self, learned, samples, rng):
+    def _of_many(self, learned, samples):
         """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""
         settings = self.settings
         is_auto = self.given.inference == "auto"
@@ -219,7 +215,6 @@ class Recipe:
                 learned,
                 samples.data,
                 n_inducing=n_inducing,
-                random_state=rng,
                 ordered=self.time_series,
                 known=samples.known,
             )

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from sklearn.utils import check_random_state
 
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale
 from skdgp._compute.messages import keeps_best
 from skdgp._compute.statistics import autocorrelation_time
-from skdgp._compute.typing import Matrix, Seed, Vector
+from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._average import Posterior, held_out_weights, of_terms, parts_of
 from skdgp.inference._blocks import blocks_of_rows
 from skdgp.inference._likelihood import Data, sample_table
@@ -69,7 +68,6 @@ def fit_sparse(
     data: Data,
     *,
     n_inducing: int,
-    random_state: Seed,
     ordered: bool = False,
     known: KnownNoise = UNKNOWN,
 ) -> Fit:
@@ -82,7 +80,6 @@ def fit_sparse(
         With exact regressors, and known noise, as of `fit_exact`.
     n_inducing : int
         Inducing inputs of each latent process: the centres of k-means.
-    random_state : int, RandomState or None
     ordered : bool
         Whether the rows are a time series, whose neighbours have correlated errors.
     known : KnownNoise
@@ -98,7 +95,7 @@ def fit_sparse(
     """
     _, X = sample_table(data.X, data.sample)
     check_inducing(learned.kernel, X, n_inducing)
-    centres = inducing_centres(learned.kernel, X, n_inducing, check_random_state(random_state))
+    centres = inducing_centres(learned.kernel, X, n_inducing)
     features = inducing_features(learned.kernel, centres)
     return _fit(learned, data, ordered, partial(_posterior, features), known)
 
@@ -195,21 +192,18 @@ def check_inducing(kernel: MultiOutputKernel, X: Matrix, n_inducing: int) -> Non
     check_memory(size, "Sparse inference with", "Lower n_inducing.", n_matrices=8)
 
 
-def inducing_centres(
-    kernel: MultiOutputKernel,
-    X: Matrix,
-    n_inducing: int,
-    random_state: Any,
-) -> Matrix:
-    """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs."""
+def inducing_centres(kernel: MultiOutputKernel, X: Matrix, n_inducing: int) -> Matrix:
+    """Return at most n_inducing centres of the samples, (k, d), or one for a kernel whose variables need no inputs.
+
+    The samples alone decide where k-means puts them.
+    """
     if inducing_features(kernel, X[:1]).size == inducing_features(kernel, X[:2]).size:
         return X[:1]
     distinct = np.unique(X, axis=0)
     if len(distinct) <= n_inducing:
         return distinct
-    most = SAMPLES_OF_CENTRE * n_inducing
-    subset = X[random_state.permutation(len(X))[:most]]
-    return cluster_centres(subset, column_scale(X), n_inducing, random_state)
+    step = -(-len(X) // (SAMPLES_OF_CENTRE * n_inducing))
+    return cluster_centres(X[::step], column_scale(X), n_inducing)
 
 
 # -- the average

@@ -52,7 +52,7 @@ def fit_of(inference, X, Y, kernel=None):
     kernel = kernel or kernel_of_all_terms()
     (learned,) = search([kernel], X, Y, SearchOptions(optimizer=None, max_iter=5, random_state=0))
     if inference == "sparse":
-        return fit_sparse(learned, Data.from_table(X, Y), n_inducing=15, random_state=0)
+        return fit_sparse(learned, Data.from_table(X, Y), n_inducing=15)
     return fit_exact(learned, Data.from_table(X, Y))
 
 

@@ -73,3 +73,16 @@ def test_the_same_table_in_another_form_has_the_same_model(usual, form):
     found = DependentGPRegressor(random_state=1).fit(Xc, Yc).predict(Xc)
     expected, spread = (FORMS[form](X, values)[1] for values in (mean, std))
     assert np.max(np.abs(found - expected) / spread) < 0.05
+
+
+@pytest.mark.parametrize("move", [0.0, 1e-12])
+def test_inducing_inputs_are_the_same_by_any_seed(move):
+    rng = default_rng(0)
+    x = np.sort(rng.uniform(0, 8, 200))[:, None]
+    y = np.sin(2 * x[:, 0]) + rng.normal(0, 0.1, 200)
+    sparse = DependentGPRegressor(
+        inference="sparse", n_inducing=8, input_noise=None, random_state=0
+    )
+    mean, std = sparse.fit(x, y, time=x[:, 0]).predict(x, return_std=True)
+    again = sparse.set_params(random_state=1).fit(x * (1.0 + move), y, time=x[:, 0]).predict(x)
+    assert np.max(np.abs(again - mean) / std) < 0.05

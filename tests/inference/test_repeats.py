@@ -32,7 +32,7 @@ def fitted(X, Y):
     options = SearchOptions("fmin_l_bfgs_b", max_iter=30, random_state=0, time_series=True)
     (learned,) = search([ConvolvedGaussian(0)], X, Y, options)
     data = Data.from_table(X, Y)
-    return fit_sparse(learned, data, n_inducing=15, random_state=0, ordered=True)
+    return fit_sparse(learned, data, n_inducing=15, ordered=True)
 
 
 class TestSparseFit:

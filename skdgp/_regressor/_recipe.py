@@ -105,11 +105,12 @@ class Recipe:
         return [kernel if trend is None else trend + kernel for kernel in kernels]
 
     def _processes(self, X, Z):
-        """Return the processes of each structure that is compared, simple ones first.
+        """Return the processes of each structure that is compared.
 
-        Independent outputs, outputs that share all processes, the same beside a process of each alone,
-        both with the same length scales for all outputs, and with all length scales. Of a time series
-        the third.
+        Outputs that share processes beside one of each alone, with the same length scales for all outputs,
+        the shared ones and those of each alone without the others, and all of them with all length scales.
+        The first is climbed to its end, often beyond what the next two promise. Of a time series it is
+        the only one.
         """
         n_latent = self._number_of_latents(Z)
         if self.time_series:
@@ -123,7 +124,7 @@ class Recipe:
             return [independent, kernel]
         shared = ConvolvedGaussian(n_latent, private_latents=False, covariance_type="tied")
         tied = ConvolvedGaussian(n_latent, covariance_type="tied")
-        return [independent, shared, tied, kernel]
+        return [tied, shared, independent, kernel]
 
     def _number_of_latents(self, Z):
         """Return the number of shared latents, more where they can fill missing targets."""

@@ -144,7 +144,7 @@ def search(
 ) -> list[Hyperparameters]:
     """Return hyperparameters of each kernel of a list, and of one with shifts.
 
-    Simple kernels are first. With ``options.shifts`` the likeliest of those with shared latents follows
+    With ``options.shifts`` the likeliest of those with shared latents follows
     with shifts, where separate fits correlate more with shifts. Without an optimizer the first kernel
     keeps its values, and noise that is not known is estimated for it.
 
@@ -328,9 +328,6 @@ class _Search:
         singles = None if alone is None else alone.kernels
         start = starting_kernel(kernel, self.X, Y, singles)
         noise, bounds = self._noise(start)
-        if alone is not None and not has_shared_latents(kernel):
-            alone = self._by_blocks(alone, bounds)
-            start = starting_kernel(kernel, self.X, Y, alone.kernels)
         noise = noise if alone is None else alone.noise
         n_iter = self.options.max_iter
         if self.options.input_noise:
@@ -363,18 +360,6 @@ class _Search:
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)
         return best._replace(price=self._price(best.kernel) + price)
-
-    def _by_blocks(self, alone, noise_bounds):
-        """Return the fits of outputs that nothing couples, each by its values of all blocks."""
-        ends = []
-        for i, kernel in enumerate(alone.kernels):
-            column = slice(i, i + 1)
-            blocks = [self._data(rows[np.isfinite(self.Y[rows, i])], column) for rows in self.rows]
-            blocks = [block for block in blocks if block.n_values]
-            noise, bounds = alone.noise[column], noise_bounds[column]
-            ends.append(climb(kernel, noise, bounds, blocks, self.options.max_iter, self.stop))
-        noise = np.concatenate([end.noise for end in ends])
-        return _OutputsAlone([end.kernel for end in ends], noise)
 
     def _starts_apart(self, kernel, singles, noise, bounds, n_iter):
         """Return where climbs by the first block end, of one output, whose latents start with widths apart."""

@@ -133,7 +133,7 @@ class Turbulence(NamedTuple):
         flights = FlightTable.of(flight, columns)
         check_radians(flight, (*EULER, "alpha", "beta"))
         winds = [_wind_of(flight.iloc[segment][columns].dropna()) for segment in flights.segments]
-        long = [wind for wind in winds if len(wind) > 1 and np.ptp(wind["time"]) >= DURATION]
+        long = [wind for wind in winds if len(wind) and np.ptp(wind["time"]) >= DURATION]
         found = turbulence_of_winds(long, span, NOISES)
         if found is None:
             raise ValueError(
@@ -191,9 +191,8 @@ def turbulence_of_winds(
     horizontal = _likeliest(along, 0.5 * (north + east), interval, lengths, noises)
     vertical = _likeliest(across, down, interval, lengths, noises)
     intensity, length = np.transpose([horizontal, horizontal, vertical])
-    speeds = [wind["airspeed"].mean() for wind in winds]
-    durations = [np.ptp(wind["time"]) for wind in winds]
-    return Turbulence(intensity, length, float(np.average(speeds, weights=durations)))
+    airspeed = pd.concat([wind["airspeed"] for wind in winds]).mean()
+    return Turbulence(intensity, length, float(airspeed))
 
 
 def _periodogram(wind: pd.DataFrame, span: float) -> Array:

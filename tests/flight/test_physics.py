@@ -312,6 +312,7 @@ def test_exchanged_channels_are_named_as_such(flight, pair):
 def test_velocities_east_north_up_are_named_as_such(flight):
     (found,) = contradictions(then(EAST_NORTH, turn("v_down"))(flight))
     assert found.numbers["axes"] == "east, north, up"
+    assert found.numbers["exchanged"] == ["v_north and v_east"]
 
 
 def test_without_an_altitude_an_exchange_of_velocities_does_not_blame_the_third(flights):

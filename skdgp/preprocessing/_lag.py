@@ -100,8 +100,6 @@ class LagCorrector(TableTransformer):
     servos_ : Servos
         Lag, delay and, where the flights reach it, limit of the rate of the servos, for simulations and
         margins, also where they are not removed. A limit is warned of.
-    rate_limit_, delay_std_ : float
-        Of ``servos_`` [rad/s], inf where the flights do not reach it, and the standard error of the delay [s].
     left_std_ : float
         Standard error [s] of the delay that is left beside the lag, of the column ``servo_delay_std``; 0 is none.
     lags_ : DataFrame
@@ -135,26 +133,18 @@ class LagCorrector(TableTransformer):
         """Return the servos."""
         return {"servos": self.servos_}
 
-    @property
-    def servos_(self) -> Servos:
-        """Servos between the logged commands and the surfaces, ideal where surfaces are logged."""
-        lag = float(self.lags_["lag"].get("servos", 0.0))
-        early = -float(self.lags_["lag" if lag else "applied"].get("surfaces", 0.0))
-        lag_std = float(self.lags_["std"].fillna(0.0).get("servos", 0.0))
-        return Servos(lag, max(0.0, early), self.rate_limit_, lag_std, self.delay_std_)
-
     def _fit_table(self, table):
         check_columns(table, ["time"])
-        self.rate_limit_, self.delay_std_, self.left_std_ = np.inf, 0.0, 0.0
+        rate_limit, delay_std, self.left_std_ = np.inf, 0.0, 0.0
         if isinstance(self.lags, str):
             self._check_any(table, _columns_of(GROUPS))
             lags = estimate_lags(with_sensor_position(table, self.aircraft))
             rows = {group: _applied(lag) for group, lag in lags.items()}
-            self.rate_limit_, self.delay_std_ = lags["servos"].rate_limit, lags["servos"].delay_std
+            rate_limit, delay_std = lags["servos"].rate_limit, lags["servos"].delay_std
             self.left_std_ = lags["surfaces"].delay_std
-            if np.isfinite(self.rate_limit_):
+            if np.isfinite(rate_limit):
                 warn(
-                    f"The servos reach a limit of their rate, {self.rate_limit_:.2g} rad/s, in these flights: larger "
+                    f"The servos reach a limit of their rate, {rate_limit:.2g} rad/s, in these flights: larger "
                     "motions of the surfaces have less margin than linear models say."
                 )
         else:
@@ -162,6 +152,10 @@ class LagCorrector(TableTransformer):
         columns = ["lag", "std", "applied", "remark"]
         self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
         self.lags_ = self.lags_.rename_axis("group")
+        lag = float(self.lags_["lag"].get("servos", 0.0))
+        early = -float(self.lags_["lag" if lag else "applied"].get("surfaces", 0.0))
+        lag_std = float(self.lags_["std"].fillna(0.0).get("servos", 0.0))
+        self.servos_ = Servos(lag, max(0.0, early), rate_limit, lag_std, delay_std)
 
     def _given(self, table):
         """Return the given lags; raise ValueError if one is not finite, or names neither a group nor a column."""
@@ -194,7 +188,7 @@ class LagCorrector(TableTransformer):
                 new[name] = without_lag(time, values, lag, flight, noisy=noisy, repeats=repeats)
         if lags.get("servos"):
             moved = table.assign(**new)
-            new |= deflections(moved, lags["servos"], self.rate_limit_)
+            new |= deflections(moved, lags["servos"], self.servos_.rate_limit)
         wrap_near(new, table)
         if self.left_std_:  # for `estimate_air_motion`
             new["servo_delay_std"] = np.full(len(table), self.left_std_)

@@ -152,9 +152,12 @@ def numbers_in_flight(
     std = aircraft.propeller.load_std if aircraft.propeller else 0.0
     speed = propeller_speed_of(aircraft.propeller, table)
     numbers, stds = sizes_in_flight(flights, aircraft.mass, aircraft.wing_area, thrust, std)
-    for name in numbers.keys() & {"CL", "CZ_alpha"}:
-        of_area = abs(numbers[name]) * aircraft.relative_std("wing_area")
-        stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
+    # the lift slope is compared with that of a wing of the same aspect ratio, which changes with the area too: by
+    # two standard deviations of the usual one, 3.7 for 7.5, their ratio changes to the power of 0.65
+    for name, power in {"CL": 1.0, "CZ_alpha": 0.65}.items():
+        if name in numbers:
+            of_area = power * abs(numbers[name]) * aircraft.relative_std("wing_area")
+            stds[name] = float(np.hypot(stds.get(name, 0.0), of_area))
     turning = np.empty(0) if speed is None else speed[speed > 0]
     if turning.size:
         numbers["propeller_speed"] = float(np.quantile(turning, 0.95))

@@ -53,6 +53,7 @@ PLACE = ["north", "east", "altitude"]
 DEGREES = 180 / np.pi
 GRAVITY = 9.80665
 FOOT = 0.3048
+POUND = 0.45359237
 AHEAD = (1.8, 0.0, 0.0)  # of the centre of gravity [m]
 
 
@@ -362,6 +363,27 @@ def test_a_lag_is_found_beyond_what_corrections_holds_and_gusts_explain(
     assert contradictions(late(explained, name)(flight)) == []
 
 
+def test_a_vane_late_by_half_a_period_is_not_turned(flight):
+    """At one frequency alone, 1 Hz, both look alike to the motion, and forces tell them apart."""
+    band = signal.butter(2, (0.85, 1.15), "bandpass", fs=40.0, output="sos")
+    moving = [*VANES, *RATES, "ay", "az", *EULER, "aileron", "rudder"]
+    narrow = flight[["time", "airspeed"]].copy()
+    narrow[moving] = 4 * signal.sosfiltfilt(band, np.unwrap(flight[moving], axis=0), axis=0)
+    narrow["az"] -= GRAVITY
+    assert contradictions(narrow) == []
+    (found,) = contradictions(late(0.5, "beta")(narrow))
+    assert found.numbers["channels"] == ["beta"]
+    assert found.numbers["lag"] == pytest.approx(0.5)
+    (found,) = contradictions(turn("beta")(narrow))
+    assert found.numbers["is_turned"]
+
+
+def test_a_surface_that_moves_by_rounding_alone_is_not_accused(flight):
+    """Its wrong sign would be sure."""
+    rounding = flight.assign(rudder=1e-9 * flight["r"].diff().fillna(0.0))
+    assert contradictions(rounding) == []
+
+
 @pytest.mark.parametrize("rows", [4, 20])
 def test_late_vanes_are_named_and_no_surface(flight, rows):
     """Of 0.1 s at most LagCorrector corrects in silence."""
@@ -504,6 +526,13 @@ def test_flights_of_jsbsim_have_none(jsbsim_flight, jsbsim_maker, air):
     table = jsbsim_maker.sensed(jsbsim_flight("c172p", air))
     assert contradictions(table) == []
     assert contradictions(vibrating(table)) == []
+
+
+def test_a_turned_surface_that_an_autopilot_moves_is_named(jsbsim_flight, jsbsim_maker):
+    """A late one with the right sign explains the motion surely worse."""
+    table = jsbsim_maker.sensed(jsbsim_flight("J3Cub", "light"))
+    assert contradictions(table) == []
+    assert named(contradictions(turn("aileron")(table))) == {"aileron"}
 
 
 @pytest.mark.parametrize("every", [10, 20, 40])
@@ -935,6 +964,7 @@ def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):
     ("mass", "span", "factor", "asked"),
     [
         (450.0, 2.8, 1.0, "mass .* kg"),
+        (45.0 / POUND, 2.8, 1.0, r"CL_alpha over .* mass 45 kg \(99.2.* lb\)"),
         (45.0, 1.4, 1.0, r"CL_alpha over that of a wing .* span 2.8 m \(1.4 m of half the span\)"),
         (45.0, 280.0, 1.0, r"span 2.8 m \(280 cm\)"),
         (45.0, 2.8 / FOOT, 1.0, r"span 2.8 m \(9.186 ft\)"),

@@ -165,9 +165,12 @@ def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Co
     counts: Counter[str] = Counter()
     for contradiction in contradictions:
         counts.update(contradiction.channels)
+    # in a narrow band a lag looks like the other sign
+    late = {each.channels: each for each in contradictions if each.lag is not None}
     accused: set[str] = set()
     causes = []
-    for contradiction in contradictions:
+    for each in contradictions:
+        contradiction = late.get(each.channels, each)
         suspects = _suspects(contradiction, confirmed - accused, counts)
         law = contradiction.law
         uses_accused = not accused.isdisjoint((*law.uses, *law.beside))

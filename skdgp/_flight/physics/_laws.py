@@ -151,12 +151,11 @@ class Law:
     def _slopes_of_cause(
         self, slopes: dict[float, Slope], best: Slope, signals: Signals
     ) -> list[Slope]:
-        """Return the slopes at lags that explain y about as well as the best.
+        """Return the slopes at lags that explain y as well as the best, by a likelihood ratio.
 
         Under feedback a late servo turns the sign at lag zero.
         """
-        enough = best.explained / 3
-        lags = [lag for lag, slope in slopes.items() if slope.explained >= enough]
+        lags = [lag for lag, slope in slopes.items() if best.t_over([slope]) < self.least_t]
         if self.angle is not None and self.angle not in signals:
             lags = [lag for lag in lags if lag < 0] + _lags_before_angle(slopes, best)
         return [slopes[lag] for lag in lags]

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
 from skdgp._flight.channels import ALL_SURFACES, ELEVONS, EULER, POSITION, by_elevons
@@ -128,9 +127,9 @@ def signals_of(flights: FlightTable, names: Iterable[str]) -> Signals:
         for rows, clock in zip(segments, clocks, strict=True):
             parts.append(_averaged(name, flights.time[rows], values[rows], clock))
         channel = np.concatenate(parts)
-        # a surface that never moves has no effect
-        moves = pd.Series(values).nunique() > 1
-        if np.isfinite(channel).any() and (moves or name not in ALL_SURFACES):
+        is_measured = np.isfinite(channel)
+        # a surface that never moves but for rounding has no effect
+        if is_measured.any() and (name not in ALL_SURFACES or np.ptp(channel[is_measured]) > 1e-6):
             channels[name] = channel
     if {*ELEVONS} <= channels.keys():
         channels |= by_elevons(channels)

@@ -26,6 +26,8 @@ from skdgp._flight.tables import FlightTable, by_name
 Sizes: TypeAlias = Mapping[str, float]
 #: Standard deviations outside of its limits by which a derivative contradicts a law
 LEAST_T = 2.0
+# At sea level [m/s]
+SPEED_OF_SOUND = 340.0
 # Columns of the force of the engine in body axes [N]
 ENGINE = tuple(f"engine_{name}" for name in THRUST_FORCES)
 
@@ -52,9 +54,13 @@ class SizeLaw(NamedTuple):
 
 
 def usual_lift_slope(sizes: Sizes) -> float:
-    """Return CL_alpha of a wing of the aspect ratio A, 2 pi A / (2 + sqrt(4 + A^2)) (Helmbold 1942)."""
+    """Return CL_alpha of a wing of the aspect ratio A at the Mach number M, 2 pi A / (2 + sqrt(4 + A^2 (1 - M^2))).
+
+    Helmbold 1942, and the rule of Prandtl and Glauert, up to M = 0.8.
+    """
     ratio = sizes["span"] ** 2 / sizes["wing_area"]
-    return 2 * np.pi * ratio / (2 + np.sqrt(4 + ratio**2))
+    mach = min(sizes.get("airspeed", 0.0) / SPEED_OF_SOUND, 0.8)
+    return 2 * np.pi * ratio / (2 + np.sqrt(4 + ratio**2 * (1 - mach**2)))
 
 
 # Sizes that follow from others
@@ -63,7 +69,7 @@ FOLLOWING: dict[str, Callable[[Sizes], float]] = {
     "Ixx + Iyy": lambda sizes: sizes["Ixx"] + sizes["Iyy"],
     "air": lambda sizes: sizes.get("density", SEA_LEVEL_DENSITY),
     "tip speed": lambda sizes: sizes["propeller_speed"] * sizes["propeller.diameter"] / 2,
-    "speed of sound": lambda sizes: 340.0,
+    "speed of sound": lambda sizes: SPEED_OF_SOUND,
 }
 
 
@@ -100,8 +106,8 @@ LAWS = (
         "Newton's second law 1, a flight of turns 1.2", "mass_by_propeller"),
     SizeLaw("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
         "F-104 at sea level 0.07, flaps 2.2", "CL"),
-    SizeLaw("CL_alpha over that of a wing of this aspect ratio", {"CZ_alpha": 1, "usual lift slope": -1}, 0.4, 2.0,
-        "Aerosonde 0.63, JetStar at Mach 0.75 1.5", "CZ_alpha"),
+    SizeLaw("CL_alpha over that of a wing of this aspect ratio", {"CZ_alpha": 1, "usual lift slope": -1}, 0.4, 1.7,
+        "Aerosonde 0.63, JetStar at Mach 0.75 1.2", "CZ_alpha"),
     SizeLaw("Cl_p over CL_alpha of a wing of this aspect ratio", {"Cl_p": 1, "usual lift slope": -1}, 0.02, 0.3,
         "0.06 to 0.11", "Cl_p"),
     SizeLaw("Cm_q", {"Cm_q": 1}, 0.1, 150.0, "Skywalker X8 1.3, Aerosonde 38", "Cm_q"),
@@ -176,7 +182,7 @@ def question_of_sizes(
 
     It asks for sizes in these laws: at most three that would keep all laws in another unit, then the others as they
     are.
-    Sizes that were ``estimated`` follow mass and span.
+    Sizes that were ``estimated`` follow mass and span, and are asked for as they are.
     """
     # the same in all units
     relative = {name: std / max(abs(sizes[name]), 1e-12) for name, std in stds.items()}
@@ -190,13 +196,15 @@ def question_of_sizes(
     asked = []
     plausible = []
     for name in UNITS:
-        if name not in sizes or name in estimated:
+        if name not in sizes:
             continue
         # a factor of four has exact roots
         other = _in_other_unit(sizes, name, 4.0, estimated)
         if all(law.value(other) == law.value(sizes) for law in broken):
             continue
         asked.append(name)
+        if name in estimated:
+            continue
         for unit, factor in UNITS[name].items():
             changed = _in_other_unit(sizes, name, factor, estimated)
             if not _broken(changed, relative):
@@ -206,12 +214,13 @@ def question_of_sizes(
     likely += [(name, 1.0, "") for name in asked if name not in named]
     questions = []
     for name, factor, unit in likely:
+        remark = ", an estimate" if name in estimated else ""
         questions.append(
             Finding(
                 Code.ASKED_SIZE,
                 channel=name,
                 value=factor * sizes[name],
-                si_unit=SI_UNITS[name],
+                si_unit=SI_UNITS[name] + remark,
                 given=sizes[name],
                 unit=unit,
             )
@@ -220,15 +229,19 @@ def question_of_sizes(
 
 
 def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[SizeLaw]:
-    """Return the laws whose numbers are surely outside of their limits, by relative standard deviations."""
+    """Return the laws whose numbers are surely outside of their limits, by relative standard deviations.
+
+    The numbers are positive, so their logarithms have the error, which adds to half of the width of the limits as
+    independent deviations do.
+    """
     broken = []
     for law in LAWS:
-        # the numbers are positive, so their logarithms have the error
-        factor = np.exp(min(LEAST_T * relative.get(law.uncertain, 0.0), 100.0))
+        least, most = np.log([max(law.least, 1e-12), law.most])
+        width = np.hypot((most - least) / 2, LEAST_T * relative.get(law.uncertain, 0.0))
         # a law of unknown sizes is not broken
         with suppress(KeyError):
-            value = law.value(sizes)
-            if value > factor * law.most or factor * value < law.least:
+            value = np.log(max(law.value(sizes), 1e-9))
+            if abs(value - (least + most) / 2) > width:
                 broken.append(law)
     return broken
 

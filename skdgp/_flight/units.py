@@ -151,8 +151,8 @@ LIMITS_OF_MOTION = (
         _quantile_of("az"),
         -np.inf,
         3.0,
-        "The median specific force az is {value:+.2f} m/s^2, but -9.8 in level flight: change the signs "
-        "of ay and az if the sensor's z points up.",
+        "The median specific force az is {value:+.2f} m/s^2, but -9.8 in level flight: z points down in body axes, "
+        "which are forward, right, down.",
         is_error=False,
     ),
 )

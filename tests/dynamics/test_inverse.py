@@ -136,5 +136,5 @@ def test_flights_that_cannot_be(simulated, aircraft, change, words):
 
 
 def test_sensors_whose_z_points_up_are_warned_of(simulated, aircraft):
-    with pytest.warns(UserWarning, match="change the signs of ay and az"):
+    with pytest.warns(UserWarning, match="z points down in body axes"):
         aerodynamic_coefficients(simulated.assign(az=-simulated["az"]), aircraft, cutoff=None)

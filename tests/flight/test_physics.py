@@ -328,6 +328,8 @@ def test_without_an_altitude_an_exchange_of_velocities_does_not_blame_the_third(
         ("q r ay az", VANES),
         ("q r ay az theta psi v_east v_down", VANES),
         ("q r ay az theta psi beta", []),
+        ("q r ay az theta psi beta", VELOCITY),
+        ("q r ay az theta psi", [*VANES, *VELOCITY]),
         ("q r ay az theta psi v_east v_down beta", []),
     ],
 )
@@ -376,6 +378,11 @@ def test_a_vane_late_by_half_a_period_is_not_turned(flight):
     assert found.numbers["lag"] == pytest.approx(0.5)
     (found,) = contradictions(turn("beta")(narrow))
     assert found.numbers["is_turned"]
+
+
+@pytest.mark.parametrize("name", ["ax", "ay"])
+def test_one_accelerometer_in_g_is_named(flight, name):
+    assert channels_of(scale({name: 1 / GRAVITY})(flight)) == {name}
 
 
 def test_a_surface_that_moves_by_rounding_alone_is_not_accused(flight):

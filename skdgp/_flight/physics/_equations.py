@@ -180,8 +180,12 @@ def fall_through_the_air(flight: Signals) -> Regression:
 
 def _falling(flight: Signals) -> Vector:
     """Return (az + g_z) / V."""
-    down = np.cos(flight["theta"]) * np.cos(flight["phi"])
-    return (flight["az"] + STANDARD_GRAVITY * down) / flight["airspeed"]
+    return (flight["az"] + STANDARD_GRAVITY * _down(flight)) / flight["airspeed"]
+
+
+def _down(flight: Signals) -> Vector:
+    """Return the component of a vector down along the z axis, cos theta cos phi."""
+    return np.cos(flight["theta"]) * np.cos(flight["phi"])
 
 
 # -- forces: v_dot = R f + g
@@ -204,6 +208,11 @@ def force_of_one_sensor(flight: Signals, axis: int) -> Regression:
     change, x = _level_terms(flight, axis, of_sensor)
     _, others = _level_terms(flight, axis, force - of_sensor)
     return Regression.with_intercept(change - others, x)
+
+
+def weight(flight: Signals) -> Regression:
+    """Return az and cos theta cos phi, whose slope is -g on average."""
+    return Regression(flight["az"], _down(flight), [])
 
 
 def gravity(flight: Signals) -> Regression:

@@ -45,6 +45,8 @@ STEADY = Interval(-0.2, 0.2, "-0.2 to 0.2")
 MOVING = Interval(-0.3, np.inf, "no less than -0.3")
 POSITIVE = Interval(0.0, np.inf, "a positive one")
 NEGATIVE = Interval(-np.inf, 0.0, "a negative one")
+# of one accelerometer, whose part is small beside errors of the attitude; in g it has 9.8
+AT_MOST_THREE = Interval(0.0, 3.0, "a positive one, at most 3")
 # of signals of different origin
 UNALIKE = Interval(0.0, 0.0, "signals that differ")
 
@@ -281,8 +283,9 @@ def _accelerometer(name: str, axis: int) -> Law:
         y="the change of velocity less the other forces",
         x=f"the integral of {name}",
         regression=partial(equations.force_of_one_sensor, axis=axis),
-        admissible=POSITIVE,
-        noise=0.05,
+        admissible=AT_MOST_THREE,
+        # of an accelerometer in g, too
+        noise=0.008,
     )
 
 
@@ -319,6 +322,15 @@ FALL = Law(
     admissible=SMALL,
     noise=0.003,
 )
+WEIGHT = Law(
+    channels=("az",),
+    uses=("phi", "theta"),
+    y="az",
+    x="cos theta cos phi",
+    regression=equations.weight,
+    unit="m/s^2",
+    admissible=NEGATIVE,
+)
 LIFT = _response("az", ("alpha", "q", "elevator"), NEGATIVE)
 SIDEFORCE = replace(
     _response("ay", ("beta", *LATERAL_EFFECTS), NEGATIVE),
@@ -332,6 +344,7 @@ DRIVES = {name: drive_of(name, "1/kg") for name in ("thrust", "thrust_x")}
 SIGNS = (
     TURNING,
     FALL,
+    WEIGHT,
     _accelerometer("ax", axis=0),
     _accelerometer("ay", axis=1),
     LIFT,

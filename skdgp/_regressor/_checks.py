@@ -424,9 +424,9 @@ def warn_of_noise(
 ) -> None:
     """Warn of outputs that the processes of a fitted kernel leave to the noise; ``scale`` (P,) are their deviations."""
     processes = [term for term in kernel.summands() if term.n_processes]
-    explained = [sum(term.block_diag(i, X).mean() for term in processes) for i in range(len(names))]
-    is_noise = np.array(explained) < (SETTINGS.least_process * scale) ** 2
-    if processes and is_noise.any():
+    variance = sum(term.diag(X[:1]) for term in processes)
+    is_noise = variance < (SETTINGS.least_process * scale) ** 2
+    if processes and np.any(is_noise):
         outputs = np.array(names)[is_noise].tolist()
         report(Finding(FitCode.EXPLAINED_AS_NOISE, names=outputs), SearchWarning)
 

@@ -124,8 +124,8 @@ def maximize(
                 # rounding hides whether the likelihood rises, but it would hardly
                 is_flat = _promise(theta, point, bounds) < SETTINGS.gradient
                 return Optimum(theta, point.value, n_iter, is_flat)
-            is_hopeless = _is_hopeless(theta, point, bounds, least)
-            if n_iter == max_iter or is_hopeless or stop.is_set():
+            is_over = n_iter == max_iter or stop.is_set()
+            if is_over or _is_hopeless(theta, point, bounds, least):
                 return Optimum(theta, point.value, n_iter, False)
             n_iter += 1
             end, predicted = _proposed(theta, point, curvature, bounds, damping, origin)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from threading import Event
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from sklearn.utils import check_random_state
@@ -169,7 +169,7 @@ def search(
         start = starting_kernel(kernels[0], X, Y)
         learned = Hyperparameters(start, np.ones(Y.shape[1]), known.input_std, known.loading)
         return [with_best_noise(learned, X, Y, rows, known)]
-    problem = _Search(X, Y, rows, known, options, Event(), check_random_state(options.random_state))
+    problem = _Search(X, Y, rows, known, options)
     alone = problem.outputs_alone(kernels[0])
     ends: list[Hyperparameters] = []
     for kernel in kernels:
@@ -203,8 +203,6 @@ class _Search:
         rows: Sequence[Indices],
         known: KnownNoise,
         options: SearchOptions,
-        stop: Event,
-        random_state: Any,
     ) -> None:
         self.X = X
         self.Y = Y
@@ -214,8 +212,8 @@ class _Search:
             options.time_series or known.loading is not None or not np.all(known.is_learned)
         )
         self.options = options
-        self.stop = stop
-        self.random_state = random_state
+        self.stop = Event()
+        self.random_state = check_random_state(options.random_state)
         self.scale = column_scale(X)
         self.blocks = [self._data(of_block) for of_block in rows]
 
@@ -346,16 +344,16 @@ class _Search:
             of_others = score + self._price(kernel) + price
             return max([of_others, *(end.log_likelihood for end in found)])
 
-        for of_kernel, of_noise in starts:
+        climb_from = partial(
+            self._climb, bounds=bounds, blocks=self.blocks, max_iter=n_iter, least=least
+        )
+        for of_start in starts:
             is_hopeless = found and found[0].log_likelihood < least(found[0].kernel)
             if not is_hopeless:
-                found.append(
-                    self._climb(of_kernel, of_noise, bounds, self.blocks, n_iter, least=least)
-                )
+                found.append(climb_from(*of_start))
         for _ in range(self.options.n_restarts):
             if not self.stop.is_set():
-                restart = redrawn(start, bounds, self.random_state)
-                found.append(self._climb(*restart, bounds, self.blocks, n_iter, least=least))
+                found.append(climb_from(*redrawn(start, bounds, self.random_state)))
         best = max(found, key=lambda end: end.log_likelihood)
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)

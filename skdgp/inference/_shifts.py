@@ -105,19 +105,17 @@ def _gains(functions, points, k, lags) -> tuple[Matrix, Matrix]:
     moved = np.repeat(points[None], len(lags), axis=0)
     moved[:, :, k] -= lags[:, None]
     present = [_moments(function, points) for function in functions]
-    squared, explained = np.zeros((2, P, P, len(lags)))
+    both = np.zeros((2, P, P, len(lags)))  # squared correlations, and what they explain
     for i, function in enumerate(functions):
         earlier = _moments(function, moved.reshape(-1, d))
         for j in range(P):
-            squared[i, j], explained[i, j] = _correlations(earlier, present[j], len(lags))
+            both[:, i, j] = _correlations(earlier, present[j], len(lags))
     # j relative to i by a lag is i relative to j by minus the lag
-    squared = 0.5 * (squared + squared.swapaxes(0, 1)[..., ::-1])
-    explained = 0.5 * (explained + explained.swapaxes(0, 1)[..., ::-1])
+    both = 0.5 * (both + both.swapaxes(1, 2)[..., ::-1])
 
-    highest = explained.argmax(axis=2)[..., None]
+    highest = both[1].argmax(axis=2)[..., None]
     unmoved = len(lags) // 2
-    rise = np.take_along_axis(squared, highest, axis=2)[..., 0] - squared[..., unmoved]
-    gain = np.take_along_axis(explained, highest, axis=2)[..., 0] - explained[..., unmoved]
+    rise, gain = np.take_along_axis(both, highest[None], axis=3)[..., 0] - both[..., unmoved]
     return np.where(rise >= SETTINGS.rise, gain, 0.0), lags[highest[..., 0]]
 
 

@@ -130,25 +130,21 @@ def _normal_equations(equations: Equations, prior: GaussianPrior) -> tuple[Matri
     remaining = slice(2 * s, None)
     # in the order of LAPACK: entry (i, j) of A stands at (j, i - j)
     band = np.zeros((n, s, 2 * s))
+    band[..., 0] = prior.states
     border = np.zeros((width - 2 * s, n, s))
-    corner = np.zeros((width - 2 * s - 1, width - 2 * s))
-    diagonal = np.zeros((s, s))
-    of_last = np.zeros((s, width - 2 * s))
+    border[-1] = prior.states * prior.states_offset
+    offset = prior.constants * prior.constants_offset
+    corner = np.column_stack([np.diag(prior.constants), offset])
     for samples in equations.parts:
         J = equations.columns[samples]
         products = J.mT @ J
-        # what equations say of the next state is added to it
-        diagonals = np.concatenate([diagonal[None], products[:-1, after, after]])
-        beside = np.concatenate([of_last[None], products[:-1, after, remaining]])
-        products[:, this, this] += diagonals + prior.states[samples, :, None] * np.eye(s)
-        products[:, this, remaining] += beside
-        products[:, this, -1] += prior.states[samples] * prior.states_offset[samples]
+        # of the next samples, which the last one has none of
+        later = slice(samples.start + 1, samples.stop + 1)
+        of_later = products[: n - later.start]
         for j in range(s):
-            band[samples, j, : 2 * s - j] = products[:, j : 2 * s, j]
-        border[:, samples] = products[:, this, remaining].transpose(2, 0, 1)
+            band[samples, j, : 2 * s - j] += products[:, j : 2 * s, j]
+            band[later, j, : s - j] += of_later[:, s + j : 2 * s, s + j]
+        border[:, samples] += products[:, this, remaining].transpose(2, 0, 1)
+        border[:, later] += of_later[:, after, remaining].transpose(2, 0, 1)
         corner += products[:, constants, remaining].sum(axis=0)
-        diagonal = products[-1, after, after]
-        of_last = products[-1, after, remaining]
-    corner[:, :-1] += np.diag(prior.constants)
-    corner[:, -1] += prior.constants * prior.constants_offset
     return band.reshape(n * s, 2 * s).T, border, corner

@@ -104,7 +104,7 @@ LAWS = (
         "Newton's second law 1, records of ATTAS 0.80 to 0.90", "mass_by_thrust"),
     SizeLaw("mass times the slope of ax over the thrust of the propeller", {"mass_by_propeller": 1}, 0.5, 1.8,
         "Newton's second law 1, a flight of turns 1.2", "mass_by_propeller"),
-    SizeLaw("lift coefficient at the median of the flights", {"CL": 1}, 0.03, 2.5,
+    SizeLaw("lift coefficient at the median of the flights", {"CL": 1}, 0.05, 2.3,
         "F-104 at sea level 0.07, flaps 2.2", "CL"),
     SizeLaw("CL_alpha over that of a wing of this aspect ratio", {"CZ_alpha": 1, "usual lift slope": -1}, 0.4, 1.7,
         "Aerosonde 0.63, JetStar at Mach 0.75 1.2", "CZ_alpha"),

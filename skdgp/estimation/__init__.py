@@ -11,6 +11,7 @@ from skdgp.estimation._air_parameters import prior_deviations as prior_deviation
 from skdgp.estimation._airspeed_scale import AirspeedScale, airspeed_scale
 from skdgp.estimation._lags import Lag, estimate_lags
 from skdgp.estimation._lags import removable as removable
+from skdgp.estimation._path import CALIBRATED as CALIBRATED
 from skdgp.estimation._path import RECONSTRUCTED as RECONSTRUCTED
 from skdgp.estimation._path import PathEstimate, estimate_path
 from skdgp.estimation._path import air_columns as air_columns

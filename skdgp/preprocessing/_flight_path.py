@@ -27,6 +27,7 @@ from skdgp._flight.tables import FlightTable, by_name, has_values, with_sensor_p
 from skdgp._flight.units import check_radians
 from skdgp.dynamics import Aircraft, Servos
 from skdgp.estimation import (
+    CALIBRATED,
     GUSTS,
     PATH_CHANNELS,
     PATH_NOISE,
@@ -109,13 +110,17 @@ class FlightPathReconstruction(TableTransformer):
         Noise of each sensor: accelerometer, gyro, airspeed, alpha, beta, v_horizontal, v_down,
         tilt, heading.
     air_motion_ : AirMotion or None
-        Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean.
+        Of flights without vanes, where ``aircraft`` is given; its ``air`` is the mean. Then there is
+        no ``calibration_``.
     doubts_ : list of Finding
         Why gusts of flights without vanes are not known, and flights of ``fit`` whose paths did not
         converge, where their sensors may contradict one another.
     gust_std_ : float
         Change of the air's velocity in one second [m/s], root mean square over the flights of
         ``fit``; the column ``gust`` of the transformed table holds the value of each flight.
+    calibration_ : DataFrame
+        Biases of inertial sensors and mean wind of each flight of ``fit``, or of each part of a
+        long one: columns ``flight``, ``constant``, ``estimate`` and ``std``.
 
     Warns
     -----
@@ -220,6 +225,7 @@ class FlightPathReconstruction(TableTransformer):
         noise = pd.DataFrame([estimate.noise for _, estimate in parts])
         self.noise_std_ = {name: _mean_std(noise[name], samples) for name in PATH_NOISE}
         self.gust_std_ = _mean_std([_gust_std(estimate) for _, estimate in parts], samples)
+        self.calibration_ = pd.concat([_calibration(*part) for part in parts], ignore_index=True)
         found = contradictions([flight.sensors for flight, _ in parts], self.noise_std_)
         self.contradictions_ = found
         # one sensor of air data alone is probably filtered by the autopilot
@@ -382,3 +388,14 @@ def _mean_std(stds: Any, weights: Any = None) -> float:
 def _gust_std(estimate: PathEstimate) -> float:
     """Return the change of the air's velocity in one second [m/s], root mean square of the two directions."""
     return _mean_std([estimate.noise[name] for name in GUSTS])
+
+
+def _calibration(flight: NamedFlight, estimate: PathEstimate) -> pd.DataFrame:
+    """Return the estimated constants of a flight."""
+    columns = {
+        "flight": flight.name,
+        "constant": CALIBRATED,
+        "estimate": estimate.path.constant(*CALIBRATED),
+        "std": np.sqrt(np.diag(estimate.covariance)),
+    }
+    return pd.DataFrame(columns)

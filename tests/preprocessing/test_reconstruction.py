@@ -137,6 +137,10 @@ class TestRecovery:
         for name, bias in biases.items():
             table[name] += bias
         reconstruction = fitted(table)
+        found = reconstruction.calibration_.set_index("constant")
+        for name, bias in biases.items():
+            estimate, std = found.loc[f"{name}_bias", ["estimate", "std"]]
+            assert abs(estimate - bias) < 4 * std
         assert reconstruction.servos_ == Servos()  # without an aircraft it is not estimated
         out = reconstruction.transform(table)
         assert_near(table, out, {"airspeed": 0.06, "alpha": 0.002, "ax": 0.06, "r": 0.0022})

@@ -138,7 +138,7 @@ class Aircraft:
         ``numbers`` of flights (`numbers_in_flight`) or derivatives of a model, by name, tell the lift that
         carries it, its lift slope and damping, with the standard deviations ``stds``.
         """
-        sizes = self.sizes | {"Ixz": float(self.inertia[0, 2])}
+        sizes = self.sizes | {"Ixz": -float(self.inertia[0, 2])}
         sizes["thrust_line.direction"] = float(self.engine_line.direction[0])
         if self.propeller is not None:
             sizes["propeller.diameter"] = self.propeller.diameter

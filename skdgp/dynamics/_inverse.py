@@ -152,8 +152,8 @@ def numbers_in_flight(
     std = aircraft.propeller.load_std if aircraft.propeller else 0.0
     speed = propeller_speed_of(aircraft.propeller, table)
     numbers, stds = sizes_in_flight(flights, aircraft.mass, aircraft.wing_area, thrust, std)
-    # the lift slope is compared with that of a wing of the same aspect ratio, which changes with the area too: by
-    # two standard deviations of the usual one, 3.7 for 7.5, their ratio changes to the power of 0.65
+    # CL_alpha is compared with that of a wing of the same aspect ratio, which the area changes too: between the aspect
+    # ratios 7.5 and 3.7, two standard deviations of an estimated area, their ratio goes with the area to the power 0.65
     for name, power in {"CL": 1.0, "CZ_alpha": 0.65}.items():
         if name in numbers:
             of_area = power * abs(numbers[name]) * aircraft.relative_std("wing_area")

@@ -881,6 +881,13 @@ def test_moments_of_inertia_that_no_aeroplane_has(changed, law):
     assert law in {found.channel for found in question.numbers["laws"]}
 
 
+@pytest.mark.parametrize(("std", "is_asked"), [(0.01, True), (1.0, False)])
+def test_a_number_above_a_limit_is_asked_about_if_it_is_surely_there(std, is_asked):
+    """Cn_r has no lower limit, and 3 is the upper one."""
+    question = question_of_sizes(published("F-104") | {"Cn_r": 3.5}, {"Cn_r": std})
+    assert (question is not None) == is_asked
+
+
 def question_of(aircraft, table):
     """Return the question for the sizes of an aircraft that flights ask."""
     return aircraft.question_of_sizes(*numbers_in_flight(FlightTable.of(table), aircraft))

@@ -231,17 +231,17 @@ def question_of_sizes(
 def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[SizeLaw]:
     """Return the laws whose numbers are surely outside of their limits, by relative standard deviations.
 
-    The numbers are positive, so their logarithms have the error, which adds to half of the width of the limits as
-    independent deviations do.
+    The numbers are positive, so their logarithms have the error. It adds to half of the width of the limits as
+    independent deviations do, and in full to an upper limit without a lower one.
     """
     broken = []
     for law in LAWS:
-        least, most = np.log([max(law.least, 1e-12), law.most])
-        width = np.hypot((most - least) / 2, LEAST_T * relative.get(law.uncertain, 0.0))
+        half = np.log(law.most / law.least) / 2 if law.least else 0.0
+        width = np.hypot(half, LEAST_T * relative.get(law.uncertain, 0.0))
         # a law of unknown sizes is not broken
         with suppress(KeyError):
-            value = np.log(max(law.value(sizes), 1e-9))
-            if abs(value - (least + most) / 2) > width:
+            beyond = np.log(max(law.value(sizes), 1e-9) / law.most) + half
+            if beyond > width or (law.least and -beyond > width):
                 broken.append(law)
     return broken
 

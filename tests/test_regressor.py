@@ -140,38 +140,6 @@ class TestInterrupted:
             model.fit(*data)
         assert_array_equal(model.predict(new), expected)
 
-    @pytest.mark.parametrize(
-        ("inference", "stage", "n"),
-        [
-            ("exact", "output 1", 1),
-            ("exact", "fit", 3),
-            ("exact", "members", 1),
-            ("sparse", "fit", 3),
-        ],
-    )
-    def test_the_best_so_far_is_kept_where_it_is_wanted(self, data, new, inference, stage, n):
-        """Also of members of an average, whose joint search has ended: what it found is kept, alone."""
-        heard = []
-
-        def press(*news):
-            heard.append(news)
-            if [at for at, *_ in heard].count(stage) == n:
-                raise KeyboardInterrupt
-
-        model = DependentGPRegressor(
-            inference=inference, n_inducing=20, random_state=0, max_iter=60
-        )
-        told = pytest.warns(ConvergenceWarning, match=r"interrupted.*kept")
-        with listening(press, keep_best=True), told:
-            model.fit(*data)
-        assert np.isfinite(model.predict(new, return_std=True)).all()
-        pressed = [k for k, (at, *_) in enumerate(heard) if at == stage][n - 1]
-        assert len(heard) <= pressed + 5  # what still had to start did so once
-        assert list(model.weights_) == ["joint"]
-        if (inference, stage) == ("exact", "fit"):
-            best = max(value for at, _, value in heard if at == "fit")
-            assert model.log_marginal_likelihood_value_ == pytest.approx(best)
-
 
 @pytest.mark.filterwarnings("default")
 def test_a_fit_stopped_far_from_an_optimum_says_so():

@@ -79,8 +79,6 @@ def identify(run: Run) -> None:
       assumptions, their possible errors, and the next measurement to make. A log of an autopilot
       then needs no servo file and no thrust either.
 
-    Ctrl-C during the fit keeps the best model so far and goes on.
-
     For example:
       skdgp identify sortie.ulg --mass 3.2 --span 1.6
       skdgp identify train.csv --aircraft uav.json --test test.csv -o results
@@ -145,7 +143,7 @@ def _identify(run, train, aircraft, test, **loads):
     options = run.options
     parameters = without_nones({"max_iter": options.max_iter})
     regressor = DependentGPRegressor(random_state=options.seed, **parameters)
-    with listening(run.console.progress, keep_best=True):
+    with listening(run.console.progress):
         result = identify_flights(
             train,
             aircraft,

@@ -5,11 +5,9 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
-import signal
-import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from contextvars import ContextVar
 from types import FrameType
 from typing import Any, TypeAlias
@@ -81,12 +79,10 @@ def _package_of(frame: FrameType) -> str:
 Listener: TypeAlias = Callable[[str, int, float], Any]
 
 _listener: ContextVar[Listener | None] = ContextVar("skdgp_progress", default=None)
-_keeps_best: ContextVar[bool] = ContextVar("skdgp_keeps_best", default=False)
-_pressed = threading.Event()  # Ctrl-C, which the next evaluation takes
 
 
 @contextmanager
-def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
+def listening(listener: Listener) -> Iterator[None]:
     """Call ``listener(stage, n_evaluations, log_likelihood)`` during every fit inside the ``with`` block.
 
     It is called after every evaluation of the likelihood. ``stage`` is "output 1", ... where each
@@ -94,10 +90,7 @@ def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
     average learn their noise; ``n_evaluations`` counts the evaluations of a stage;
     ``log_likelihood`` is the best so far. Fits in other processes do not call it.
 
-    An error that the listener raises leaves ``fit``, as Ctrl-C does. With ``keep_best`` a
-    KeyboardInterrupt, by the listener or by Ctrl-C, ends the search instead: ``fit`` returns the
-    best model so far, with a ConvergenceWarning. Ctrl-C waits for the next evaluation or stage; a second one
-    does not wait. Do not use it around a search over candidates, whose scores would be of unfinished fits.
+    An error that the listener raises leaves ``fit``, as Ctrl-C does.
 
     Examples
     --------
@@ -110,46 +103,10 @@ def listening(listener: Listener, *, keep_best: bool = False) -> Iterator[None]:
     ('output 1', 1)
     """
     heard = _listener.set(listener)
-    token = _keeps_best.set(keep_best)
     try:
-        with _waiting_for_evaluations() if keep_best else nullcontext():
-            yield
+        yield
     finally:
-        _keeps_best.reset(token)
         _listener.reset(heard)
-
-
-@contextmanager
-def _waiting_for_evaluations() -> Iterator[None]:
-    """Let Ctrl-C wait for `notify`, where a search can end; a second one, or other threads, do not wait."""
-    is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not is_default or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def press(number, frame):
-        if _pressed.is_set():
-            _raise_if_pressed()
-        _pressed.set()
-
-    signal.signal(signal.SIGINT, press)
-    try:
-        yield
-        _raise_if_pressed()
-    finally:
-        _pressed.clear()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _raise_if_pressed() -> None:
-    if _pressed.is_set():
-        _pressed.clear()
-        raise KeyboardInterrupt
-
-
-def keeps_best() -> bool:
-    """Return whether an interrupted fit keeps the best so far, see ``listening``."""
-    return _keeps_best.get()
 
 
 class Progress(str):
@@ -168,7 +125,6 @@ class Progress(str):
 
 def notify(stage: str, n_evaluations: int = 0, log_likelihood: float = float("nan")) -> None:
     """Call the listener, if there is one; of a stage that has no evaluations, with 0 and NaN."""
-    _raise_if_pressed()
     listener = _listener.get()
     if listener is not None:
         listener(stage, n_evaluations, log_likelihood)

@@ -77,10 +77,6 @@ class FitCode(Kind):
         "the model leans on the linear trend, and standard deviations may be too small",
         "Give more rows, or name fewer regressors.",
     )
-    FIT_INTERRUPTED = (
-        "the fit was interrupted; the best hyperparameters so far are kept",
-        "Fit again to continue.",
-    )
     INDICES_DIFFER = (
         "the indices of X and y differ; rows are matched by position",
         "If rows of one were dropped or sorted, do the same to the other (y.loc[X.index]).",
@@ -373,8 +369,6 @@ def search_ended(
 
     Regressors X (n, d) of some names, where they are given, may lack scaling.
     """
-    if regressor.interrupted_:
-        return Finding(FitCode.FIT_INTERRUPTED)
     if regressor.converged_:
         return None
     if regressor.n_iter_ < regressor.max_iter:

@@ -154,8 +154,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     n_iter_ : int
         Steps of the joint search, without the fits of single outputs. At least 1, also of a search
         that starts at its optimum, and of ``optimizer=None``.
-    interrupted_ : bool
-        Whether the search was interrupted inside ``listening(..., keep_best=True)``.
     converged_ : bool
         Whether the search ended at a stationary point of the likelihood of all values that it learned
         from, with slopes of at most 0.001 nats for a standard error of each hyperparameter, or at
@@ -295,8 +293,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             two samples, values are too large or too small for double precision, or the posterior
             does not fit into memory.
         KeyboardInterrupt
-            After Ctrl-C; the estimator is as before. ``skdgp.listening(..., keep_best=True)`` keeps
-            the best model so far instead.
+            After Ctrl-C; the estimator is as before.
 
         Warns
         -----
@@ -306,8 +303,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             If there are fewer than 10 independent rows for each regressor: bands are too narrow
             then.
         ConvergenceWarning
-            If the search for hyperparameters stopped at ``max_iter`` before it converged, or was
-            interrupted and the best ones so far are kept.
+            If the search for hyperparameters stopped at ``max_iter`` before it converged.
         """
         before = dict(vars(self))
         try:
@@ -390,7 +386,6 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.log_marginal_likelihood_value_ = posterior.log_marginal_likelihood
         self.n_iter_ = max(1, learned.n_iter)
         self.converged_ = learned.converged
-        self.interrupted_ = learned.interrupted
 
     def _warn_of_fit(self, fit, X, Z, known, rows):
         """Warn of a search that did not converge, of values at their bounds, of outliers, and of few rows.
@@ -407,9 +402,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if loading is not None and known.loading is None:
             variance = np.einsum("npp->np", loading) ** 2
             _checks.warn_of_outliers(variance, fit.learned.noise, self.output_names_, rows)
-        if not fit.learned.interrupted:
-            errors = Z - likeliest_mean(fit.posterior, X)
-            _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
+        errors = Z - likeliest_mean(fit.posterior, X)
+        _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
 
     def _set_noise(self, fit, X, Z, clock):
         """Set noise and drift of the outputs."""

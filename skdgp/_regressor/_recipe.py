@@ -195,11 +195,9 @@ class Recipe:
                 fit = fit_exact(found[k], data, self.time_series, known)
             else:
                 fit, samples = self._of_many(found[k], samples)
-            if self._averages and not fit.learned.interrupted:
+            if self._averages:
                 fit = self._average(fit, samples)
             fits.append(fit)
-            if fit.learned.interrupted:
-                return fits[0].cut_short()
         return mixture_of(fits, weights[likeliest].tolist())
 
     def _of_many(self, learned, samples):
@@ -238,7 +236,7 @@ class Recipe:
 
     def _can_neglect(self, learned):
         """Return whether the variance that inducing variables neglect is known, and decides."""
-        return not (self.time_series or learned.interrupted or learned.input_std is not None)
+        return not self.time_series and learned.input_std is None
 
     def _average(self, fit, samples):
         """Return the average of the terms of the kernel of a fit."""

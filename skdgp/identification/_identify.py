@@ -81,8 +81,7 @@ def identify(
     learns them from the training flights, and predicts the test flights; predictions are scored, and
     the model is simulated. Listeners of `skdgp.listening` are called at each stage, with ``(stage, 0, nan)``:
     "reading", "transforming", "evaluating NAME"; stages with a number of steps, such as
-    "reconstructing paths", have ``done`` and ``total``. Ctrl-C during the fit keeps the
-    best model so far.
+    "reconstructing paths", have ``done`` and ``total``.
 
     Parameters
     ----------
@@ -333,7 +332,7 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
     ``regressors``                  names of the regressors of the last step
     ``log_marginal_likelihood``     at the end of the search
     ``iterations``                  of the search
-    ``converged``, ``interrupted``  whether the search converged, or was ended by Ctrl-C
+    ``converged``                   whether the search converged
     ``noise_std``                   standard deviations of the noise of coefficients
     ``doubts``                      findings that exclude the judgement "yes" of any use of the model: gusts
                                     that are not known, and paths that did not converge
@@ -352,10 +351,9 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
     if corrector is not None:
         applied = corrector.lags_.dropna(subset="std")["applied"]
         corrected = applied[applied != 0].to_dict()
-    state = "interrupted" if regressor.interrupted_ else "fitted"
     samples = f"{pipeline.n_learned_} of {pipeline.n_observed_} samples"
     likelihood = regressor.log_marginal_likelihood_value_
-    summary = f"{state} in {pipeline.fit_time_:.1f} s on {samples}, log likelihood {likelihood:.1f}"
+    summary = f"fitted in {pipeline.fit_time_:.1f} s on {samples}, log likelihood {likelihood:.1f}"
     if not regressor.converged_:
         summary += f"; not converged after {regressor.n_iter_} iterations: raise max_iter"
     return Bunch(
@@ -366,7 +364,6 @@ def fit_record(pipeline: FlightPipeline) -> Bunch:
         log_marginal_likelihood=likelihood,
         iterations=regressor.n_iter_,
         converged=regressor.converged_,
-        interrupted=regressor.interrupted_,
         noise_std=_by_coefficient(regressor.noise_variance_**0.5),
         doubts=[] if step is None else step.doubts_,
         reconstruction=None if step is None else step.finding_,

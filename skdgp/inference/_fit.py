@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from skdgp._compute.linalg import check_memory, cluster_centres, column_scale
-from skdgp._compute.messages import keeps_best
 from skdgp._compute.statistics import autocorrelation_time
 from skdgp._compute.typing import Matrix, Vector
 from skdgp.inference._average import Posterior, held_out_weights, of_terms, parts_of
@@ -36,10 +35,6 @@ class Fit(NamedTuple):
 
     posterior: Posterior
     learned: Hyperparameters
-
-    def cut_short(self) -> Fit:
-        """Return the same fit, interrupted."""
-        return self._replace(learned=self.learned._replace(interrupted=True))
 
 
 def fit_exact(
@@ -215,9 +210,6 @@ def average(
 ) -> Fit:
     """Return the average of the parts of a kernel, with its noise, at the hyperparameters of a fit.
 
-    After Ctrl-C it is the fit of the whole kernel, interrupted, where ``listening`` keeps the best
-    so far.
-
     Parameters
     ----------
     fit : Fit
@@ -237,22 +229,11 @@ def average(
     parts = parts_of(fit.posterior.kernel)
     if len(parts) == 1:
         return fit
-    try:
-        return _average(fit, X, Y, ordered, known, parts)
-    except KeyboardInterrupt:
-        if not keeps_best():
-            raise
-        return fit.cut_short()
-
-
-def _average(fit, X, Y, ordered, known, parts):
     std = fit.learned.input_std
     loading = known.loading if std is None else fit.posterior.gradient(X) * std
     fits = [fit]
     for part in parts[1:]:
         fits.append(_of_part(fit, X, Y, ordered, part, known, loading))
-    if any(component.learned.interrupted for component in fits):
-        return fit.cut_short()
     members = [component.posterior.members[0] for component in fits]
     noises = [component.learned.noise for component in fits]
     weights = held_out_weights(members, noises, X, Y, loading, ordered)

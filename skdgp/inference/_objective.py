@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from threading import Event
 from typing import NamedTuple
 
 import numpy as np
@@ -105,7 +104,6 @@ def climb(
     noise_bounds: Matrix,
     blocks: Sequence[Data],
     max_iter: int,
-    stop: Event,
     *,
     noise_alone: bool = False,
     stage: str = "fit",
@@ -126,7 +124,6 @@ def climb(
             objective.in_units,
             start / objective.unit,
             bounds / objective.unit[:, None],
-            stop,
             max_iter=max_iter,
             stage=stage,
             least=lambda z: least(objective.at(z * objective.unit)[0]),

@@ -17,13 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Event
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from skdgp._compute.messages import Progress, keeps_best, notify
+from skdgp._compute.messages import Progress, notify
 from skdgp._compute.typing import Mask, Matrix, Vector
 from skdgp.inference._likelihood import Likelihood
 
@@ -72,7 +71,6 @@ def maximize(
     objective: Callable[[Vector], Likelihood],
     theta: Vector,
     bounds: Matrix,
-    stop: Event,
     *,
     max_iter: int,
     stage: str = "fit",
@@ -87,9 +85,6 @@ def maximize(
     theta : ndarray (n,)
         Starting point; values outside the bounds move to them.
     bounds : ndarray (n, 2)
-    stop : threading.Event
-        Ends the search before the next evaluation when it is set. Ctrl-C sets it inside
-        ``listening(..., keep_best=True)``.
     max_iter : int
         Largest number of steps, each with one evaluation.
     stage : str
@@ -102,12 +97,9 @@ def maximize(
     Returns
     -------
     Optimum
-        If ``stop`` is set the best point so far; the caller warns.
 
     Raises
     ------
-    KeyboardInterrupt
-        After Ctrl-C, unless the best so far is kept.
     numpy.linalg.LinAlgError
         If the likelihood is not defined at the start.
     """
@@ -117,40 +109,33 @@ def maximize(
     correction = np.zeros_like(point.information)
     damping, smallest, largest = SETTINGS.damping
     n_iter = 0
-    try:
-        while not _is_stationary(theta, point, bounds):
-            curvature = point.information + correction
-            if damping > largest:
-                # rounding hides whether the likelihood rises, but it would hardly
-                is_flat = _promise(theta, point, bounds) < SETTINGS.gradient
-                return Optimum(theta, point.value, n_iter, is_flat)
-            is_over = n_iter == max_iter or stop.is_set()
-            if is_over or _is_hopeless(theta, point, bounds, least):
-                return Optimum(theta, point.value, n_iter, False)
-            n_iter += 1
-            end, predicted = _proposed(theta, point, curvature, bounds, damping, origin)
-            step = end - theta
-            other = _evaluated(objective, end) if predicted > 0 else None
-            if other is None:
-                damping *= 4.0
-                continue
-            rise = other.value - point.value
-            is_taken = rise > SETTINGS.accepted * predicted
-            information = other.information if is_taken else point.information
-            change = point.gradient - other.gradient
-            correction = _corrected(correction, information, step, change)
-            if rise < SETTINGS.poor * predicted:
-                damping *= 4.0
-            elif rise > SETTINGS.good * predicted:
-                damping = max(smallest, damping / 3.0)
-            if is_taken:
-                theta, point = end, other
-            notify(_counted(stage, n_iter, max_iter), n_iter, point.value)
-    except KeyboardInterrupt:
-        if not keeps_best():
-            raise
-        stop.set()
-        return Optimum(theta, point.value, n_iter, False)
+    while not _is_stationary(theta, point, bounds):
+        curvature = point.information + correction
+        if damping > largest:
+            # rounding hides whether the likelihood rises, but it would hardly
+            is_flat = _promise(theta, point, bounds) < SETTINGS.gradient
+            return Optimum(theta, point.value, n_iter, is_flat)
+        if n_iter == max_iter or _is_hopeless(theta, point, bounds, least):
+            return Optimum(theta, point.value, n_iter, False)
+        n_iter += 1
+        end, predicted = _proposed(theta, point, curvature, bounds, damping, origin)
+        step = end - theta
+        other = _evaluated(objective, end) if predicted > 0 else None
+        if other is None:
+            damping *= 4.0
+            continue
+        rise = other.value - point.value
+        is_taken = rise > SETTINGS.accepted * predicted
+        information = other.information if is_taken else point.information
+        change = point.gradient - other.gradient
+        correction = _corrected(correction, information, step, change)
+        if rise < SETTINGS.poor * predicted:
+            damping *= 4.0
+        elif rise > SETTINGS.good * predicted:
+            damping = max(smallest, damping / 3.0)
+        if is_taken:
+            theta, point = end, other
+        notify(_counted(stage, n_iter, max_iter), n_iter, point.value)
     return Optimum(theta, point.value, n_iter, True)
 
 

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from threading import Event
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -117,7 +116,6 @@ class Hyperparameters(NamedTuple):
     input_std: Vector | None = None
     loading: Array | None = None
     n_iter: int = 0
-    interrupted: bool = False
     converged: bool = True
     log_likelihood: float = -np.inf
     price: float = 0.0
@@ -183,7 +181,7 @@ def search(
             moved = with_shifts(likeliest, shift, X)
             ends.append(problem.end_of(moved, alone, ends, aligned, price_of_shifts(shift)))
     loading = problem.known.loading
-    return [end._replace(loading=loading, interrupted=problem.stop.is_set()) for end in ends]
+    return [end._replace(loading=loading) for end in ends]
 
 
 class _OutputsAlone(NamedTuple):
@@ -212,7 +210,6 @@ class _Search:
             options.time_series or known.loading is not None or not np.all(known.is_learned)
         )
         self.options = options
-        self.stop = Event()
         self.random_state = check_random_state(options.random_state)
         self.scale = column_scale(X)
         self.blocks = [self._data(of_block) for of_block in rows]
@@ -265,7 +262,7 @@ class _Search:
             before = fit.noise + added[observed]
             after = np.full(len(y), fit.noise[0]) if variances is None else variances
             added[observed] = after - after.min()
-            if np.abs(np.log(after / before)).max() < settings.tolerance or self.stop.is_set():
+            if np.abs(np.log(after / before)).max() < settings.tolerance:
                 break
             fit, data = self._alone(single, i, added, (fit.kernel, np.array([after.min()])))
         return fit, added
@@ -296,7 +293,7 @@ class _Search:
         stage = Progress(f"output {i + 1}", i, self.Y.shape[1])
         max_iter = self.options.max_iter
         kernel, noise = start
-        fit = climb(kernel, noise, bounds, [data], max_iter, self.stop, stage=stage)
+        fit = climb(kernel, noise, bounds, [data], max_iter, stage=stage)
         return fit, data
 
     def _observed(self, i):
@@ -352,8 +349,7 @@ class _Search:
             if not is_hopeless:
                 found.append(climb_from(*of_start))
         for _ in range(self.options.n_restarts):
-            if not self.stop.is_set():
-                found.append(climb_from(*redrawn(start, bounds, self.random_state)))
+            found.append(climb_from(*redrawn(start, bounds, self.random_state)))
         best = max(found, key=lambda end: end.log_likelihood)
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)
@@ -369,7 +365,7 @@ class _Search:
         for apart in SETTINGS_OF_STARTS.apart:
             start = starting_kernel(kernel, self.X, self.Y, singles, apart)
             first = self.blocks[:1]
-            ends.append(climb(start, noise, bounds, first, n_iter, self.stop, least=highest))
+            ends.append(climb(start, noise, bounds, first, n_iter, least=highest))
         return [(of_start.kernel, of_start.noise) for of_start in ends]
 
     def _price(self, kernel):
@@ -377,7 +373,7 @@ class _Search:
         return price_of(n_mattering(kernel, self.X), n_values)
 
     def _climb(self, kernel, noise, bounds, blocks, max_iter, **options) -> Hyperparameters:
-        point = climb(kernel, noise, bounds, blocks, max_iter, self.stop, **options)
+        point = climb(kernel, noise, bounds, blocks, max_iter, **options)
         return Hyperparameters(
             point.kernel,
             point.noise,
@@ -434,8 +430,7 @@ def with_best_noise(
 ) -> Hyperparameters:
     """Return the hyperparameters with the noise (P,) that is best for their kernel.
 
-    It is learned from blocks of rows of X (n, d) and Y (n, P). After Ctrl-C it is the best so far, and
-    the result is interrupted.
+    It is learned from blocks of rows of X (n, d) and Y (n, P).
     """
     noise, bounds = known.start(learned.kernel.residual(X, Y), output_scale(Y), X)
     if not learned.kernel.n_processes:  # all of the residual is noise
@@ -446,8 +441,7 @@ def with_best_noise(
     blocks = []
     for of_block in rows:
         blocks.append(learned.noisy(_data_of(X, Y, known, of_block)).with_loadings())
-    stop = Event()
     point = climb(
-        learned.kernel, noise, bounds, blocks, max_iter, stop, noise_alone=True, stage="members"
+        learned.kernel, noise, bounds, blocks, max_iter, noise_alone=True, stage="members"
     )
-    return learned._replace(noise=point.noise, interrupted=learned.interrupted or stop.is_set())
+    return learned._replace(noise=point.noise)

@@ -110,16 +110,14 @@ class TestIdentify:
         assert "held_out_quarter" in [finding["code"] for finding in metrics["findings"]]
         assert "truth" not in flight["coefficients"]
 
-    def test_an_interruption_keeps_the_best_so_far(self, metrics_of, tmp_path, capsys):
-        """On a terminal one line is rewritten, until it is removed for what was found."""
+    def test_an_interruption_leaves_nothing(self, identify, tmp_path):
+        """On a terminal one line is rewritten, until it is removed for what is said."""
         terminal = Pressing("all outputs")
         with redirect_stderr(terminal):
-            metrics = metrics_of("--test", "test.csv", "--max-iter", "200", "--samples", "100")
-        assert metrics["fit"]["interrupted"] is True
-        assert np.isfinite(metrics["fit"]["log_marginal_likelihood"])
-        assert load_model(tmp_path / "out" / "model.joblib").fit["interrupted"] is True
-        said = terminal.getvalue()
-        progress, _, rest = said.partition("warning: ")
+            assert identify("--test", "test.csv", "--max-iter", "200", "--samples", "100") == 130
+        assert not (tmp_path / "out").exists()
+        progress, _, rest = terminal.getvalue().rpartition("\r\x1b[K")
+        assert rest == "stopped\n"
         assert re.search(r"fit · all outputs \[[#-]+\] \d+ of \d+", progress)
         assert "\n" not in progress
         drawn = dict.fromkeys(line.split(" · ")[0] for line in progress.split("\r\x1b[K")[1:-1])
@@ -127,11 +125,6 @@ class TestIdentify:
         stages = ["reading", "transforming", "fit"]
         assert [*drawn] == [stage for stage in stages if stage in drawn]
         assert "fit" in drawn
-        assert "The fit was interrupted" in rest
-        assert said.endswith("\r\x1b[K")
-        assert "brumby: interrupted in" in capsys.readouterr().out
-        assert "The fit was interrupted" in (tmp_path / "out" / "report.html").read_text()
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     def test_a_mass_and_a_span_instead_of_a_file(self, command, tmp_path, capsys):
         """The aircraft is the estimate, named by the log."""

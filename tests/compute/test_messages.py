@@ -1,6 +1,5 @@
 """Warnings are recorded and silenced for one caller alone; a listener hears of a fit until its block ends."""
 
-import signal
 import threading
 from dataclasses import replace
 
@@ -124,19 +123,3 @@ class TestListening:
         assert n_calls > 0
         fit()
         assert len(calls) == n_calls
-
-    @pytest.mark.parametrize("presses", [1, 2])
-    def test_a_press_that_no_evaluation_takes_is_not_lost(self, presses):
-        """The second is raised at once, the first at the end of the block."""
-        done = []
-
-        def press():
-            with listening(lambda *news: None, keep_best=True):
-                for _ in range(presses):
-                    signal.raise_signal(signal.SIGINT)
-                done.append("block")
-
-        with pytest.raises(KeyboardInterrupt):
-            press()
-        assert done == ["block"] * (presses == 1)
-        fit()  # the next one is not interrupted

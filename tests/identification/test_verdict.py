@@ -424,7 +424,7 @@ def test_of_little_flown_a_large_error_says_nothing():
 
 
 def test_a_search_that_rounding_ends_is_not_to_go_on():
-    ended = {"interrupted_": False, "converged_": False, "max_iter": 300}
+    ended = {"converged_": False, "max_iter": 300}
     assert search_ended(Bunch(**ended, n_iter_=40)).code == FitCode.SEARCH_ROUNDED
     assert search_ended(Bunch(**ended, n_iter_=300)).code == FitCode.SEARCH_STOPPED
 

@@ -33,8 +33,7 @@ class WarningSettings:
     scaled: float = 10.0
     #: Independent rows for each regressor: with fewer bands hold under 85 %, see docs/sharp_bits.md
     least_rows: int = 10
-    #: Distance from a bound at which a value has reached it, over the width of the bounds or, of
-    #: logarithms, at most over one (guess)
+    #: Relative distance from a bound at which a value has reached it (guess)
     bound_tolerance: float = 1e-3
     #: Smallest standard deviation of a process that explains some of an output, over the one of the output
     least_process: float = 1e-3
@@ -404,10 +403,8 @@ def warn_of_bounds(given: MultiOutputKernel, kernel: MultiOutputKernel) -> None:
     terms = given.summands()
     reached = []
     for term, fitted in zip(terms, kernel.summands()[-len(terms) :], strict=True):
-        before = _at_bounds(term) if term.has_values() else {}
-        for name, text in _at_bounds(fitted).items():
-            if name not in before and not term.bounds_from_data(name[0]):
-                reached.append(text)
+        before = _at_bounds(term, term) if term.has_values() else []
+        reached += [text for text in _at_bounds(term, fitted) if text not in before]
     if reached:
         finding = Finding(FitCode.BOUNDS_REACHED, reached=reached)
         report(finding, SearchWarning)
@@ -451,22 +448,17 @@ def _check_inside(name, values, pairs):
         )
 
 
-def _at_bounds(kernel):
-    """Return texts of the elements that are at a bound, by the name, number and side of each."""
-    reached = {}
+def _at_bounds(given, kernel):
+    """Return texts of the elements of a kernel that are at a bound, unless data gave the bound of the given one."""
+    texts = []
     for f in kernel.free_parameters():
-        if not f.n_elements:
+        if not f.n_elements or given.bounds_from_data(f.name):
             continue
         values = f.elements(kernel.value(f.name))
         pairs = f.pairs()
-        scaled = np.column_stack([pairs, values])
-        low, high, value = (np.log(scaled) if f.log else scaled).T
-        width = np.minimum(high - low, 1.0) if f.log else high - low
-        tolerance = SETTINGS.bound_tolerance * width
-        distances = {"lower": np.abs(value - low), "upper": np.abs(high - value)}
-        for column, (side, distance) in enumerate(distances.items()):
-            for k in np.flatnonzero((distance <= tolerance) & (low < high)):
-                entry = np.argwhere(f.index == k)[0].tolist()
-                text = f"{f.name}{entry} = {values[k]:.3g} ({side} bound {pairs[k, column]:.3g})"
-                reached[f.name, int(k), side] = text
-    return reached
+        ends = np.isclose(values[:, None], pairs, rtol=SETTINGS.bound_tolerance, atol=0.0)
+        for k, side in np.argwhere(ends & (pairs[:, :1] < pairs[:, 1:])):
+            entry = np.argwhere(f.index == k)[0].tolist()
+            bound = f"{('lower', 'upper')[side]} bound {pairs[k, side]:.3g}"
+            texts.append(f"{f.name}{entry} = {values[k]:.3g} ({bound})")
+    return texts

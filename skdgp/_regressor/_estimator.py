@@ -28,7 +28,7 @@ from skdgp.inference import (
     order_of_rows,
     residual_drift,
 )
-from skdgp.kernels import as_multi_output, has_prior_paths
+from skdgp.kernels import as_multi_output
 
 FIT_REMEDY = (
     "Use inference='sparse' or fewer values: "
@@ -63,7 +63,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     kernel : MultiOutputKernel, scikit-learn kernel or None
         Covariance of the processes, with values and bounds in the units of the outputs. Missing
         values are estimated from the data. None: for a time series ``ConvolvedGaussian(n_latent,
-        covariance_type="tied")`` with ``parameter_bounds={"length_scale": "spacing"}``. For other
+        covariance_type="tied")`` with length scales of at least n^(-1/d) standard deviations, for n
+        samples, at most 400, in d regressors (docs/theory.md, smallest widths). For other
         data and ``structure="average"``, independent outputs, length scales that the outputs share,
         without and with private latents, and ``ConvolvedGaussian(n_latent)`` are compared, the
         likeliest also with shifts where separate fits of the outputs show them; their mixture has
@@ -327,7 +328,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         )
         input_std = _checks.check_input_noise(self.input_noise, X.shape[1])
         learns_input_noise = isinstance(self.input_noise, str) and self.input_noise == "learned"
-        if noise.loading is not None and (learns_input_noise or input_std is not None):
+        if noise.added is not None and (learns_input_noise or input_std is not None):
             raise ValueError(
                 f"Got input_noise={self.input_noise!r} and a noise_variance for each value, but "
                 "expected one of them: with known noise use input_noise=None."
@@ -398,19 +399,18 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if self.kernel is not None and self.optimizer is not None:
             _checks.warn_of_bounds(as_multi_output(self.kernel), self.kernel_)
             _checks.warn_of_noise(self.kernel_, X, self.output_names_, self.scale_)
-        loading = fit.learned.loading
-        if loading is not None and known.loading is None:
-            variance = np.einsum("npp->np", loading) ** 2
-            _checks.warn_of_outliers(variance, fit.learned.noise, self.output_names_, rows)
+        added = fit.learned.added
+        if added is not None and known.added is None:
+            _checks.warn_of_outliers(added, fit.learned.noise, self.output_names_, rows)
         errors = Z - likeliest_mean(fit.posterior, X)
         _checks.warn_of_few_rows(errors, X.shape[1], list(self.weights_))
 
     def _set_noise(self, fit, X, Z, clock):
         """Set noise and drift of the outputs."""
         white = fit.learned.noise
-        loading = fit.learned.loading
-        if loading is not None:  # a new measurement is an outlier as often as those of the fit
-            white = white + np.mean(np.einsum("npp->np", loading) ** 2, axis=0)
+        if fit.learned.added is not None:
+            # a new measurement is an outlier as often as those of the fit
+            white = white + np.mean(fit.learned.added, axis=0)
         variance, memory = np.zeros((2, len(white)))
         if clock is not None:
             variance, memory = residual_drift(fit.posterior, X, Z, clock)
@@ -562,30 +562,18 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         include_noise: bool = False,
         include_input_noise: Any = True,
     ) -> Array:
-        """Return samples of the joint distribution of all outputs at X (n, d).
+        """Return normal samples with the mean and covariance of all outputs at X (n, d).
 
-        Mean and covariance are as from ``predict(X, return_cov=True)`` with the same
-        switches. They are (n, P, n_samples), or (n, n_samples) for one-dimensional targets. A
-        kernel without sample paths has them from the joint covariance, in O(P^3 n^3) time.
+        These are as from ``predict(X, return_cov=True)`` with the same switches, and take as long:
+        O(P^3 n^3). Samples are (n, P, n_samples), or (n, n_samples) for one-dimensional targets.
+        `sample_paths` takes less time at many points.
         """
-        X = self._check_regressors(X)
         _check_number("samples", n_samples)
-        if not has_prior_paths(self.kernel_):
-            switches = {"include_noise": include_noise, "include_input_noise": include_input_noise}
-            mean, cov = self.predict(X, return_cov=True, **switches)
-            normal = check_random_state(random_state).standard_normal((len(cov), n_samples))
-            deviations = (covariance_root(cov) @ normal).reshape(-1, len(mean), n_samples)
-            return mean[..., None] + self._squeeze(deviations.swapaxes(0, 1))
-        values = self.sample_paths(n_samples, random_state)(X).reshape(n_samples, len(X), -1)
-        # other numbers than in the paths
-        seed = check_random_state(random_state).randint(2**31 - 1, size=9)
-        rng = np.random.default_rng(seed)
-        loading = self._loading(X, include_input_noise)
-        errors = rng.standard_normal((n_samples, len(X), loading.shape[2]))
-        values = values + np.einsum("npd,snd->snp", loading, errors) * self.scale_
-        if include_noise:
-            values = values + rng.standard_normal(values.shape) * np.sqrt(self.noise_variance_)
-        return self._squeeze(np.moveaxis(values, 0, -1))
+        switches = {"include_noise": include_noise, "include_input_noise": include_input_noise}
+        mean, cov = self.predict(X, return_cov=True, **switches)
+        normal = check_random_state(random_state).standard_normal((len(cov), n_samples))
+        deviations = (covariance_root(cov) @ normal).reshape(-1, len(mean), n_samples)
+        return mean[..., None] + self._squeeze(deviations.swapaxes(0, 1))
 
     def sample_paths(self, n_paths: int = 1, random_state: Seed = 0) -> Any:
         """Return sample paths of the posterior: samples that are functions of the regressors, without noise.
@@ -619,7 +607,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def mean_path(self) -> Paths:
         """Return the mean as a single path, see `sample_paths`: a simulation evaluates it at one point at a time."""
         check_is_fitted(self)
-        return self._paths(self.posterior_.mean_function.rounded(), 1)
+        return self._paths(self.posterior_.mean_function, 1)
 
     def _paths(self, bundle, n_paths):
         """Return functions of the posterior in units of the outputs."""

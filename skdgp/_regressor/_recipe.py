@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from sklearn.base import clone
 
+from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Matrix, Vector
 from skdgp._regressor import _checks
 from skdgp.inference import (
@@ -37,6 +38,10 @@ class RegressorSettings:
 
     #: Fewest and most shared latents; more take more time
     n_latent: tuple[int, int] = (2, 4)
+    #: Bounds of the widths of a time series, in standard deviations of the regressors, and most samples
+    #: that the lower one follows from
+    width_bounds: tuple[float, float] = (0.05, 1e3)
+    samples_of_widths: int = 400
     #: Most observed values for which inference="auto" is exact
     exact_values: int = 6000
     #: The same of a time series
@@ -114,17 +119,28 @@ class Recipe:
         """
         n_latent = self._number_of_latents(Z)
         if self.time_series:
-            bounds = {"length_scale": "spacing"}
+            bounds = {"length_scale": self._width_bounds(X, Z)}
             return [ConvolvedGaussian(n_latent, covariance_type="tied", parameter_bounds=bounds)]
         independent = ConvolvedGaussian(0)
         kernel = ConvolvedGaussian(n_latent)
         if not self._averages or n_latent == 0:
             return [kernel]
         if Z.shape[1] == 1:
-            return [independent, kernel]
+            return [kernel, independent]
         shared = ConvolvedGaussian(n_latent, private_latents=False, covariance_type="tied")
         tied = ConvolvedGaussian(n_latent, covariance_type="tied")
         return [tied, shared, independent, kernel]
+
+    def _width_bounds(self, X, Z):
+        """Return the bounds (d, 2) of the widths of a time series, in the units of the regressors.
+
+        n samples of an output in d regressors that vary are 3.5 n^(-1/d) standard deviations apart: a
+        process of less than n^(-1/d) is noise to them.
+        """
+        n = min(np.isfinite(Z).sum(axis=0).max(), self.settings.samples_of_widths)
+        d = max(1, int(np.sum(~constant_columns(X))))
+        least, most = self.settings.width_bounds
+        return np.multiply.outer(column_scale(X), (max(least, n ** (-1.0 / d)), most))
 
     def _number_of_latents(self, Z):
         """Return the number of shared latents, more where they can fill missing targets."""
@@ -151,7 +167,7 @@ class Recipe:
 
     def learns_input_noise(self, known: KnownNoise) -> bool:
         """Return whether the fit has noise of the regressors."""
-        if known.loading is not None:
+        if known.added is not None:
             return False
         if known.input_std is not None:
             return True
@@ -167,7 +183,7 @@ class Recipe:
         ``kernels`` have all terms, and ``known`` is the noise, of the scaled targets.
         """
         settings = self.settings
-        data = Data.from_table(X, Z, known.loading)  # one copy for all
+        data = Data.from_table(X, Z, known.added)  # one copy for all
         request = SearchOptions(
             optimizer=self.given.optimizer,
             max_iter=self.given.max_iter,
@@ -178,83 +194,68 @@ class Recipe:
             time_series=self.time_series,
             settings=settings.search,
         )
-        is_exact = self.inference_of(data.n_values) == "exact"
-        if not is_exact:
+        if self.inference_of(data.n_values) == "sparse":
             start = kernels[-1].initialize(X, Z, np.random.RandomState(0))
             check_inducing(start, X, self.given.n_inducing)
         found = search(kernels, X, Z, request, known=known)
-        if known.loading is None and found[0].loading is not None:  # of outliers
-            known = known._replace(loading=found[0].loading)
-            data = Data.from_table(X, Z, known.loading)
+        if known.added is None and found[0].added is not None:  # of outliers
+            known = known._replace(added=found[0].added)
+            data = Data.from_table(X, Z, known.added)
         weights = structure_weights([learned.score() for learned in found])
         likeliest = np.argsort(-weights, kind="stable")[: np.count_nonzero(weights)]
         fits = []
         for k in likeliest:
-            samples = _Samples(X, Z, data, known)
-            if is_exact:
-                fit = fit_exact(found[k], data, self.time_series, known)
-            else:
-                fit, samples = self._of_many(found[k], samples)
+            rows, fit = self._fit_of(found[k], X, Z, data, known)
             if self._averages:
-                fit = self._average(fit, samples)
+                some = known.of_rows(rows)
+                fit = average(fit, X[rows], Z[rows], self.time_series, some)
             fits.append(fit)
         return mixture_of(fits, weights[likeliest].tolist())
 
-    def _of_many(self, learned, samples):
-        """Return the sparse fit, or if it neglects much the exact fit of some samples, and the samples."""
-        settings = self.settings
+    def _fit_of(self, learned, X, Z, data, known):
+        """Return the rows that are learned from, and the fit to them: some where a sparse fit neglects much."""
+        every = slice(None)
+        n_exact = self.settings.exact_values
+        if self.inference_of(data.n_values) == "exact":
+            return every, fit_exact(learned, data, self.time_series, known)
+        fit, n_inducing = self._sparse_fit(learned, data, known)
+        posterior: Any = fit.posterior.members[0]
         is_auto = self.given.inference == "auto"
-        most = settings.most_neglected
-        if is_auto:
-            grown = settings.least_neglected * (samples.data.n_values / settings.exact_values) ** 2
-            most = min(grown, most)
-        for times in settings.times_inducing if is_auto else (1,):
+        if self._is_good(posterior, learned):
+            return every, fit
+        neglected = posterior.neglected_variance
+        _checks.warn_of_approximation(neglected, n_inducing, n_exact if is_auto else None)
+        if not is_auto:
+            return every, fit
+        (rows,) = blocks_of_rows(X, Z, BlockSettings(values=n_exact, most=1))
+        some = known.of_rows(rows)
+        few = Data.from_table(X[rows], Z[rows], some.added)
+        return rows, fit_exact(learned, few, self.time_series, some)
+
+    def _sparse_fit(self, learned, data, known):
+        """Return the fit with the fewest inducing inputs of those tried that neglect little, and their number."""
+        settings = self.settings
+        for times in settings.times_inducing if self.given.inference == "auto" else (1,):
             n_inducing = times * self.given.n_inducing
             fit = fit_sparse(
-                learned,
-                samples.data,
-                n_inducing=n_inducing,
-                ordered=self.time_series,
-                known=samples.known,
+                learned, data, n_inducing=n_inducing, ordered=self.time_series, known=known
             )
             posterior: Any = fit.posterior.members[0]
-            if not self._can_neglect(fit.learned):
-                return fit, samples
-            neglected = posterior.neglected_variance
-            if neglected <= most:
-                return fit, samples
-            if 2 * posterior.size > settings.exact_values:
-                break  # exact inference takes less time
-        n_exact = settings.exact_values if is_auto else None
-        _checks.warn_of_approximation(neglected, n_inducing, n_exact)
-        if not is_auto:
-            return fit, samples
-        of_exact = BlockSettings(values=settings.exact_values, most=1)
-        (rows,) = blocks_of_rows(samples.X, samples.Z, of_exact)
-        few = samples.of_rows(rows)
-        return fit_exact(fit.learned, few.data, self.time_series, few.known), few
+            # with more, exact inference takes less time
+            if self._is_good(posterior, learned) or 2 * posterior.size > settings.exact_values:
+                break
+        return fit, n_inducing
 
-    def _can_neglect(self, learned):
-        """Return whether the variance that inducing variables neglect is known, and decides."""
-        return not self.time_series and learned.input_std is None
-
-    def _average(self, fit, samples):
-        """Return the average of the terms of the kernel of a fit."""
-        return average(fit, samples.X, samples.Z, self.time_series, samples.known)
-
-
-class _Samples(NamedTuple):
-    """Inputs (n, d), targets (n, P), their observed values, and the known noise."""
-
-    X: Matrix
-    Z: Matrix
-    data: Data
-    known: KnownNoise
-
-    def of_rows(self, rows):
-        """Return some samples."""
-        X, Z, known = self.X[rows], self.Z[rows], self.known.of_rows(rows)
-        return _Samples(X, Z, Data.from_table(X, Z, known.loading), known)
+    def _is_good(self, posterior, learned):
+        """Return whether a sparse posterior neglects little, or, as of a time series, this does not decide."""
+        if self.time_series or learned.input_std is not None:
+            return True
+        settings = self.settings
+        most = settings.most_neglected
+        if self.given.inference == "auto":
+            n_values = posterior.data.n_values
+            most = min(most, settings.least_neglected * (n_values / settings.exact_values) ** 2)
+        return posterior.neglected_variance <= most
 
 
 def weights_of(posterior: Posterior) -> dict[str, Vector]:

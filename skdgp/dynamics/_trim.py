@@ -49,7 +49,9 @@ PLACES = [*ACCELERATIONS.values()]
 UNKNOWN_LIMITS = {
     "alpha": (-np.pi / 6, np.pi / 4),
     "beta": (-np.pi / 6, np.pi / 6),
-    **dict.fromkeys(("theta", "phi", "climb"), (-np.pi / 2, np.pi / 2)),
+    "theta": (-1.4, 1.4),
+    "phi": (-1.5, 1.5),
+    "climb": (-1.4, 1.4),
     "turn_rate": (-np.inf, np.inf),
     "thrust": (0.0, np.inf),
     "throttle": (0.0, 1.0),

@@ -40,7 +40,7 @@ class Regressor:
     name: str
     unit: str
     sources: tuple[str, ...]
-    factors: tuple[float, ...]
+    factors: tuple[float, ...] = (1.0,)
     length: float = 1.0
     power: int = 0
 
@@ -229,9 +229,10 @@ class PortableModel:
         return list({id(part.readout): part.readout for part in self.parts}.values())
 
     def components(self, i: int) -> list[tuple[float, Part]]:
-        """Return the components of output i: weight and part; those of weight zero have no functions."""
+        """Return the components of output i whose weight is not zero: weight and part."""
+        weights = self.mixture[:, i].tolist()
         parts = self.parts[i :: len(self.outputs)]
-        return list(zip(self.mixture[:, i].tolist(), parts, strict=True))
+        return [pair for pair in zip(weights, parts, strict=True) if pair[0] != 0.0]
 
     def head(self) -> dict[str, Any]:
         """Return names, formulas of the regressors, aircraft and provenance, as JSON knows them."""

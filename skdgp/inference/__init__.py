@@ -4,9 +4,8 @@ Terms of this folder, beside docs/notation.md:
 
 ========  =============================================================================================================
 features  the inducing variables of sparse inference; what scikit-learn calls features are the regressors here
-share     samples whose part of a sum one task computes, a chunk of the data
-loading   matrix that multiplies independent variables: G of the noise G G^T that regressors add to the outputs of a
-          sample; A, b of a posterior mean A b
+loading   A of a posterior mean A b
+added     variances of the noise of values beside the white noise of their output
 clock     time and flight number of each value, (n, 2)
 drift     the part of the noise that is correlated in time
 errors    of the function beyond the posterior: linear functions, by noise of the regressors and errors of the log
@@ -49,7 +48,6 @@ from skdgp.inference._posterior import check_spread as check_spread
 from skdgp.inference._search import SearchOptions as SearchOptions
 from skdgp.inference._search import SearchSettings as SearchSettings
 from skdgp.inference._search import search as search
-from skdgp.inference._sparse import ShareSettings as ShareSettings
 from skdgp.inference._sparse import SparsePosterior
 from skdgp.inference._starts import narrowed as narrowed
 from skdgp.inference._starts import single_output as single_output

@@ -234,7 +234,7 @@ def held_out_weights(
     noises: Sequence[Vector],
     X: Matrix,
     Y: Matrix,
-    loading: Array | None,
+    added: Matrix | None,
     ordered: bool = False,
 ) -> Matrix:
     """Return the weights (2, P) of two posteriors with these noises (P,) from their errors of held-out blocks.
@@ -248,7 +248,7 @@ def held_out_weights(
     block = np.arange(n) * n_blocks // n if ordered else leaves(X[::step], 1) % n_blocks
     predictions = []
     for member, noise in zip(members, noises, strict=True):
-        predictions.append(held_out(member, noise, X, Y, step, loading, block))
+        predictions.append(held_out(member, noise, X, Y, step, added, block))
     means, variances = np.array(predictions).swapaxes(0, 1)
     errors = (Y[::step] - means) / np.sqrt(variances.mean(axis=0))
     cost = SETTINGS.nats * np.sum(~constant_columns(X))
@@ -292,13 +292,13 @@ def held_out(
     X: Matrix,
     Y: Matrix,
     step: int = 1,
-    loading: Array | None = None,
+    added: Matrix | None = None,
     block: Indices | None = None,
 ) -> tuple[Matrix, Matrix]:
     """Return mean and variance of the values of every ``step``-th row, predicted from the other blocks, (n, P) each.
 
-    Hyperparameters are the posterior's; ``loading`` is the effect of the noise of the regressors
-    at X, if they have any, ``block`` (n,) the number of each row's block, by default contiguous ones.
+    Hyperparameters are the posterior's; ``added`` (n, P) are the variances of the noise of the values
+    beside the white noise, if any, ``block`` (n,) the number of each row's block, by default contiguous ones.
     Where outputs are observed together, whole rows are left out. A value that is missing while
     others are there is learned from these, so where an output has gaps, blocks are left out of one
     output at a time.
@@ -306,30 +306,20 @@ def held_out(
     inflation = np.maximum(posterior.noise / noise / step, 1.0)
     X = X[::step]
     Y = Y[::step]
-    inflated = None
-    if loading is not None:
-        loading = loading[::step]
-        inflated = loading * np.sqrt(inflation)[:, None]
+    added = np.zeros(Y.shape) if added is None else added[::step]
+    inflated = added * inflation
     if block is None:
         block = np.arange(len(Y)) * min(SETTINGS.n_blocks, len(Y)) // len(Y)
     mean = np.full(Y.shape, np.nan)
     variance = np.full(Y.shape, np.nan)
-    folds = list(_folds(Y, block))
-    data = Data.from_table(X, Y, inflated)
-    parts = []
-    for left_out in folds:
+    for left_out in _folds(Y, block):
         kept = Data.from_table(X, np.where(left_out, np.nan, Y), inflated)
-        parts.append((kept, Data.from_table(X, np.where(left_out, Y, np.nan), inflated)))
-    posteriors = posterior.folds(noise * inflation, data, parts)
-    for left_out, remaining in zip(folds, posteriors, strict=True):
+        remaining = posterior.of(kept, noise * inflation)
         inside = np.flatnonzero(left_out.any(axis=1))
         means, variances = remaining.predict(X[inside], return_variance=True)
         mean[left_out] = means[left_out[inside]]
         variance[left_out] = variances[left_out[inside]]
-    variance += noise
-    if loading is not None:
-        variance += np.einsum("npr,npr->np", loading, loading)
-    return mean, variance
+    return mean, variance + noise + added
 
 
 def _folds(Y, block):

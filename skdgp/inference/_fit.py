@@ -230,13 +230,15 @@ def average(
     if len(parts) == 1:
         return fit
     std = fit.learned.input_std
-    loading = known.loading if std is None else fit.posterior.gradient(X) * std
+    added = known.added
+    if std is not None:
+        added = np.sum((fit.posterior.gradient(X) * std) ** 2, axis=2)
     fits = [fit]
     for part in parts[1:]:
-        fits.append(_of_part(fit, X, Y, ordered, part, known, loading))
+        fits.append(_of_part(fit, X, Y, ordered, part, known, added))
     members = [component.posterior.members[0] for component in fits]
     noises = [component.learned.noise for component in fits]
-    weights = held_out_weights(members, noises, X, Y, loading, ordered)
+    weights = held_out_weights(members, noises, X, Y, added, ordered)
     noise = np.sum(weights * noises, axis=0)
     return Fit(Posterior(members, weights), fit.learned._replace(noise=noise))
 
@@ -269,17 +271,17 @@ def mixture_of(fits: Sequence[Fit], weights: Sequence[float]) -> Fit:
     return Fit(Posterior(members, np.concatenate(mixture)), common)
 
 
-def _of_part(whole, X, Y, ordered, part, known, loading) -> Fit:
+def _of_part(whole, X, Y, ordered, part, known, added) -> Fit:
     """Return the fit of some terms of the kernel of a fit, at its hyperparameters but for the white noise.
 
-    Noise of the regressors propagates by the slopes of the whole, with the ``loading`` at X.
+    Noise of the regressors propagates by the slopes of the whole, with the variances ``added`` at X.
     """
     learned = whole.learned._replace(kernel=of_terms(whole.posterior.kernel, part), input_std=None)
     rows = blocks_of_rows(X, Y, time_series=ordered)
-    learned = with_best_noise(learned, X, Y, rows, known._replace(loading=loading))
+    learned = with_best_noise(learned, X, Y, rows, known._replace(added=added))
     features = getattr(whole.posterior.members[0], "features", None)
     of_part = None if features is None else of_terms(features, part)
-    data = Data.from_table(X, Y, known.loading)
+    data = Data.from_table(X, Y, known.added)
     learned = learned._replace(input_std=whole.learned.input_std)
     function = whole.posterior.mean_function
     return _fit(learned, data, ordered, partial(_posterior, of_part), known, function)

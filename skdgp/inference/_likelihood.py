@@ -2,21 +2,21 @@
 
 The N x N matrix is output-major. A kernel computes one tile of one pair of outputs at a time.
 
-Noise is white noise of each output, and noise propagated from the regressors to all outputs. The
-noise of sample a has the covariance diag(sigma^2) + J_a S J_a^T, with the slopes J_a of the
-posterior mean and the covariance S of errors of the regressors (McHutchon & Rasmussen 2011). With G
-= J R and S = R diag(s) R^T this is diag(sigma^2) + G_a diag(s) G_a^T. G is called ``loading``, as
-in factor analysis.
+The noise has the covariance S = sum_k s_k N_k by its sources k, sparse matrices: white noise of each
+output, with the variance s_k and ones on the diagonal, and sources that all values of a sample feel,
+N_k = G_k G_k^T. G (N, n samples) holds the loadings of the values on the error of their sample. Those
+of regressors are the slopes of the posterior mean (McHutchon & Rasmussen 2011), as in factor analysis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import sparse
 from scipy.linalg.blas import dsyr
 from scipy.sparse.csgraph import connected_components
 
@@ -44,21 +44,17 @@ class TileSettings:
 
 
 TILES = TileSettings()
+LEAST_INFORMATION = (
+    1e-3  # about a hyperparameter that the values determine [nats for its unit squared]
+)
 SLOPE_ROWS = 512  # samples in one step of the slopes: their covariances fit the cache
 
 
-class SampleNoise(NamedTuple):
-    """For each output: the sample index of each value, (n_i,), and its loading G (n_i, r) on the regressors' noise."""
-
-    sample: Sequence[np.ndarray]
-    loading: Sequence[np.ndarray]
-
-
 class SlopeNoise(NamedTuple):
-    """A `SampleNoise` by the slopes of a function f.
+    """Loadings of values on errors of their regressors, by the slopes of a function f.
 
-    The loading of output i is d f_i / d x times ``std`` (d,) or (P, d). It is computed where it is
-    needed, from the few weights of the function: kept, it would hold P times as many numbers as X.
+    Those of output i are d f_i / d x times ``std`` (d,) or (P, d). They are computed where they are
+    needed, from the few weights of the function: kept, they would hold P times as many numbers as X.
     ``sample`` and ``X`` belong to the values.
     """
 
@@ -67,19 +63,18 @@ class SlopeNoise(NamedTuple):
     function: PathBundle
     std: np.ndarray
 
-    @property
-    def loading(self) -> list[np.ndarray]:
-        """Loadings of the values of each output, (n_i, r)."""
+    def loadings(self) -> list[np.ndarray]:
+        """Return the loadings of the values of each output on each regressor, (n_i, d)."""
         samples, X = sample_table(self.X, self.sample)
         batches = [X[start : start + SLOPE_ROWS] for start in range(0, len(X), SLOPE_ROWS)]
         with threads_for(len(X)):
             slopes = thread_map(lambda batch: self.function.slopes(batch[None])[0], batches)
-        loading = np.concatenate(slopes) * self.std
+        loadings = np.concatenate(slopes) * self.std
         of_outputs = []
         for i, sample in enumerate(self.sample):
             everywhere = len(sample) == len(samples)
             rows = slice(None) if everywhere else samples.searchsorted(sample)
-            of_outputs.append(loading[rows, i])
+            of_outputs.append(loadings[rows, i])
         return of_outputs
 
 
@@ -92,145 +87,98 @@ def sample_table(X: Sequence[Matrix], sample: Sequence[Indices]) -> tuple[Indice
     return samples, np.concatenate(X)[first]
 
 
-def noise_pairs(noise: SampleNoise | SlopeNoise) -> Iterator[tuple]:
-    """Yield (i, j, rows, columns, G_i, G_j) for each pair of outputs i <= j.
+def noise_terms(noise: Vector, data: Data) -> list[Any]:
+    """Return the noise covariance of the stacked values by each source, sparse matrices (N, N).
 
-    ``rows`` and ``columns`` are the indices among the stacked values of two values of the same
-    sample, on or above the diagonal.
+    ``noise`` is [sigma^2 (P)] or, with learned variances s (r) of the errors of samples, [sigma^2, s];
+    they are one otherwise. As the covariance is linear in them, terms are derivatives by their logarithms.
     """
-    sample = noise.sample
-    loading = noise.loading
-    start = np.cumsum([0, *map(len, sample)])
-    for i, j in combinations_with_replacement(range(len(sample)), 2):
-        _, a, b = np.intersect1d(sample[i], sample[j], assume_unique=True, return_indices=True)
-        yield i, j, start[i] + a, start[j] + b, loading[i][a], loading[j][b]
-
-
-def _white_and_scale(noise, data):
-    """Return sigma^2 (P,) and the factors s (r,) of a noise vector [sigma^2, s]; s is 1 where it is not learned."""
     P = len(data.y)
-    scale = noise[P:] if len(noise) > P else 1.0
-    return noise[:P], scale
+    terms = []
+    for variance, rows in zip(noise, consecutive(data.y), strict=False):
+        diagonal = np.zeros(data.n_values)
+        diagonal[rows] = variance
+        terms.append(sparse.diags_array(diagonal))
+    roots = noise_roots(data)
+    factors = noise[P:] if len(noise) > P else np.ones(len(roots))
+    return terms + [s * (G @ G.T) for s, G in zip(factors, roots, strict=True)]
 
 
-def add_noise(K, noise, data) -> None:
-    """Add the covariance of ``noise``, [sigma^2 (P)] or [sigma^2, s (r)], to the upper triangle of K (N, N)."""
-    white, scale = _white_and_scale(noise, data)
-    np.einsum("ii->i", K)[:] += np.repeat(white, [len(y) for y in data.y])
-    if data.sample_noise is not None:
-        for _, _, rows, columns, first, second in noise_pairs(data.sample_noise):
-            K[rows, columns] += np.einsum("nr,nr->n", first * scale, second)
+def noise_roots(data: Data) -> list[Any]:
+    """Return the loadings of the stacked values on the error of their sample, by source, sparse (N, n samples)."""
+    values = np.arange(data.n_values)
+    samples = np.concatenate([np.asarray(rows, dtype=int) for rows in data.sample])
+    loadings = np.vstack(data.loadings())
+    return [sparse.csr_array((column, (values, samples))) for column in loadings.T]
 
 
-def draw_noise(noise, data, n_draws, random_state) -> np.ndarray:
+def draw_noise(noise: Vector, data: Data, n_draws: int, random_state: Any) -> Matrix:
     """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) holds the white noise variances."""
     std = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
-    draws = std * random_state.standard_normal((n_draws, len(std)))
-    if data.sample_noise is not None:
-        loading = data.sample_noise.loading
-        n_samples = 1 + max(sample.max() for sample in data.sample_noise.sample if len(sample))
-        error = random_state.standard_normal((n_draws, n_samples, loading[0].shape[1]))
-        propagated = []
-        for sample, G in zip(data.sample_noise.sample, loading, strict=True):
-            propagated.append(np.einsum("snr,nr->sn", error[:, sample], G))
-        draws += np.hstack(propagated)
+    draws = std * random_state.standard_normal((n_draws, data.n_values))
+    for G in noise_roots(data):
+        draws += (G @ random_state.standard_normal((G.shape[1], n_draws))).T
     return draws
-
-
-def noise_gradient(W, noise, data) -> np.ndarray:
-    """Return 1/2 sum(W * dK / d log noise), in the shape of ``noise``; only the upper triangle of W is read."""
-    P = len(data.y)
-    white, scale = _white_and_scale(noise, data)
-    # an output without values contributes zero
-    outputs = np.repeat(np.arange(P), [len(y) for y in data.y])
-    by_white = 0.5 * white * np.bincount(outputs, np.einsum("ii->i", W), minlength=P)
-    if len(noise) == P:
-        return by_white
-    by_scale = np.zeros(len(noise) - P)
-    for i, j, rows, columns, first, second in noise_pairs(data.sample_noise):
-        times = 0.5 if i == j else 1.0
-        by_scale += times * np.einsum("n,nr,nr->r", W[rows, columns], first, second)
-    return np.concatenate([by_white, scale * by_scale])
 
 
 class Data(NamedTuple):
     """Observed values: inputs (n_i, d) and targets (n_i,) of each output, and their noise model.
 
-    Outputs that are observed in the same rows share the array of their inputs, which is the table's
-    where these are all. ``sample`` (n_i,) is the row of each value in the table.
+    ``noise`` are the loadings (n_i, r) of their noise beside the white noise on independent errors of
+    their samples. ``sample`` (n_i,) is the row of each value in the table.
     """
 
     X: list[np.ndarray]
     y: list[np.ndarray]
-    sample_noise: SampleNoise | SlopeNoise | None = None
+    noise: list[np.ndarray] | SlopeNoise | None = None
     sample: Sequence[np.ndarray] = ()
 
     @classmethod
-    def from_table(cls, X: Matrix, Y: Matrix, loading: Array | None = None) -> Data:
+    def from_table(cls, X: Matrix, Y: Matrix, added: Matrix | None = None) -> Data:
         """Return the observed values of X (n, d) and Y (n, P), with NaN where an output was not observed.
 
-        ``loading`` (n, P, r) describes noisy regressors, see ``SampleNoise``.
+        ``added`` (n, P) are the variances of their noise beside the white noise.
         """
-        inputs: dict[bytes, Matrix] = {}
-        samples: dict[bytes, Indices] = {}
-        keys = []
-        observed = np.isfinite(Y).T
-        for rows in observed:
-            key = rows.tobytes()
-            keys.append(key)
-            if key not in inputs:
-                inputs[key] = X if rows.all() else X[rows]
-                samples[key] = np.flatnonzero(rows)
-        sample = [samples[key] for key in keys]
-        noise = None
-        if loading is not None:
-            noise = SampleNoise(sample, [loading[rows, i] for i, rows in enumerate(observed)])
-        values = [y[rows] for y, rows in zip(Y.T, observed, strict=True)]
-        return cls([inputs[key] for key in keys], values, noise, sample)
+        inputs, values, samples, loadings = [], [], [], []
+        outputs = np.eye(Y.shape[1])  # sources of one output each
+        for i, rows in enumerate(np.isfinite(Y).T):
+            inputs.append(X if rows.all() else X[rows])
+            values.append(Y[rows, i])
+            samples.append(np.flatnonzero(rows))
+            if added is not None:
+                loadings.append(np.sqrt(added[rows]) * outputs[i])
+        return cls(inputs, values, loadings or None, samples)
+
+    def loadings(self) -> list[np.ndarray]:
+        """Return the loadings of the noise beside the white noise, (n_i, r)."""
+        if self.noise is None:
+            return [np.zeros((len(y), 0)) for y in self.y]
+        return self.noise.loadings() if isinstance(self.noise, SlopeNoise) else self.noise
 
     def with_slopes(self, function: PathBundle, std: Array) -> Data:
         """Return the values of a table with the noise of regressors that the slopes of a function propagate.
 
         ``std`` (d,) or (P, d) are the standard deviations of the regressors' noise.
         """
-        return self._replace(sample_noise=SlopeNoise(self.sample, self.X, function, std))
+        return self._replace(noise=SlopeNoise(self.sample, self.X, function, std))
 
     def with_loadings(self) -> Data:
         """Return the values with the loadings of their noise in memory, for repeated evaluations."""
-        noise = self.sample_noise
-        if noise is None:
-            return self
-        return self._replace(sample_noise=SampleNoise(noise.sample, noise.loading))
+        return self._replace(noise=self.loadings())
 
     def inflated(self, factor: Vector) -> Data:
-        """Return the values with the noise of their samples, where there is any, times ``factor`` (P,)."""
-        noise = self.sample_noise
-        if noise is None:
-            return self
-        root = np.sqrt(factor)
-        if isinstance(noise, SlopeNoise):
-            return self._replace(sample_noise=noise._replace(std=root[:, None] * noise.std))
-        loading = [r * G for r, G in zip(root, noise.loading, strict=True)]
-        return self._replace(sample_noise=noise._replace(loading=loading))
+        """Return the values with the variances of the noise beside the white noise times ``factor`` (P,)."""
+        loadings = [root * G for root, G in zip(np.sqrt(factor), self.loadings(), strict=True)]
+        return self._replace(noise=loadings)
 
     def of_outputs(self, outputs: Sequence[int]) -> Data:
         """Return the values of some outputs; the others have none."""
-        if len(outputs) == len(self.y):
-            return self
         rows = [slice(None) if i in outputs else slice(0) for i in range(len(self.y))]
-        return self._of_rows(rows)
-
-    def _of_rows(self, rows):
-        """Return some values of each output."""
 
         def chosen(parts):
             return [part[places] for part, places in zip(parts, rows, strict=True)]
 
-        noise = self.sample_noise
-        if noise is not None:
-            noise = SampleNoise(chosen(noise.sample), chosen(noise.loading))
-        sample = chosen(self.sample) if self.sample else ()
-        return Data(chosen(self.X), chosen(self.y), noise, sample)
+        return Data(chosen(self.X), chosen(self.y), chosen(self.loadings()), chosen(self.sample))
 
     @property
     def n_values(self) -> int:
@@ -241,11 +189,10 @@ class Data(NamedTuple):
 def coupled_outputs(kernel: MultiOutputKernel, data: Data) -> list[list[int]]:
     """Return the groups of outputs that have values and depend on each other by the kernel, or by noise in common."""
     outputs = [i for i, y in enumerate(data.y) if len(y)]
-    if data.sample_noise is not None:
-        return [outputs]
+    felt = [np.any(loadings, axis=0) for loadings in data.loadings()]
     depends = np.eye(len(data.y), dtype=bool)
     for i, j in combinations(outputs, 2):
-        depends[i, j] = kernel.couples(i, j)
+        depends[i, j] = kernel.couples(i, j) or np.any(felt[i] & felt[j])
     _, group = connected_components(depends, directed=False)
     members: dict[int, list[int]] = {}
     for i in outputs:
@@ -288,23 +235,25 @@ def covariance(
 ) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is as for ``add_noise``.
+    ``noise`` is as for ``noise_terms``.
     """
     pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
-    return _assembled(pairs, lambda k: kernel.block(*_inputs(data, *pairs[k])), noise, data)
+    terms = noise_terms(noise, data)
+    return _assembled(pairs, lambda k: kernel.block(*_inputs(data, *pairs[k])), terms)
 
 
-def _assembled(pairs, block, noise, data):
-    """Return Kff + noise from ``block`` (k) of each pair of tiles on and above the diagonal."""
+def _assembled(pairs, block, noise):
+    """Return Kff + noise from ``block`` (k) of each pair of tiles on and above the diagonal, and terms of the noise."""
 
     def fill(k):
         a, b = pairs[k]
         upper[a.stacked, b.stacked] = block(k)
 
     # In C order: its transpose is the lower triangle in Fortran order.
-    upper = np.zeros((data.n_values, data.n_values))
+    upper = np.zeros(noise[0].shape)
     thread_map(fill, range(len(pairs)))
-    add_noise(upper, noise, data)
+    total = sparse.coo_array(sparse.triu(sum(noise)))
+    upper[total.row, total.col] += total.data
     return upper.T
 
 
@@ -315,6 +264,11 @@ class Likelihood(NamedTuple):
     gradient: Vector
     #: Average information (n, n) and the kernel's curvature, see `log_likelihood`
     information: Matrix
+
+    @property
+    def n_determined(self) -> int:
+        """Number of hyperparameters whose change by one unit changes the likelihood."""
+        return int(np.sum(np.diag(self.information) > LEAST_INFORMATION))
 
 
 def log_likelihood(
@@ -365,18 +319,20 @@ def log_likelihood(
         def block(k):
             return evaluated[k].covariance()
 
-        L = jittered_cholesky(lambda: _assembled(pairs, block, noise, data))
+        terms = noise_terms(noise, data)
+        L = jittered_cholesky(lambda: _assembled(pairs, block, terms))
         value = _value(L, y)
         alpha = cholesky_solve(L, y)
         n_dims = kernel.n_dims
         products = np.zeros((len(y), n_dims + len(noise)), order="F")
         _add_products(products[:, :n_dims], pairs, evaluated, alpha)
-        _add_noise_products(products[:, n_dims:], noise, data, alpha)
+        for k, term in enumerate(terms[: len(noise)]):
+            products[:, n_dims + k] = term @ alpha
         half = triangular_solve(L, products)
         minus_W = _minus_W(L, alpha)
         slopes = _slopes(pairs, evaluated, minus_W, n_dims)
         by_theta = np.sum(list(slopes.values()), axis=0)
-        by_noise = noise_gradient(minus_W, noise, data)
+        by_noise = [_half_sum(minus_W, term) for term in terms[: len(noise)]]
         gradient = -np.concatenate([by_theta, by_noise])
         information = 0.5 * half.T @ half
         kernel.add_curvature(information[:n_dims, :n_dims], slopes)
@@ -406,19 +362,10 @@ def _add_products(products, pairs, evaluated, alpha):
             of_pair.add_products(products[b.stacked], alpha[a.stacked], transposed=True)
 
 
-def _add_noise_products(products, noise, data, alpha):
-    """Add dK / d log noise alpha, (N, n_noise)."""
-    white, scale = _white_and_scale(noise, data)
-    for i, rows in enumerate(consecutive(data.y)):
-        products[rows, i] += white[i] * alpha[rows]
-    if len(noise) == len(white):
-        return
-    of_regressors = products[:, len(white) :]
-    for i, j, rows, columns, first, second in noise_pairs(data.sample_noise):
-        propagated = scale * first * second
-        of_regressors[rows] += propagated * alpha[columns, None]
-        if i != j:
-            of_regressors[columns] += propagated * alpha[rows, None]
+def _half_sum(W, term):
+    """Return sum(W * term) / 2 of a symmetric sparse matrix; only the upper triangle of W is read."""
+    off = sparse.coo_array(sparse.triu(term, k=1))
+    return 0.5 * np.diag(W) @ term.diagonal() + W[off.row, off.col] @ off.data
 
 
 def _value(L, y):

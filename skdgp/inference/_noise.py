@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from skdgp._compute.linalg import constant_columns
-from skdgp._compute.typing import Array, Matrix, Vector
-from skdgp.inference._likelihood import SampleNoise
+from skdgp._compute.typing import Matrix, Vector
+from skdgp.inference._likelihood import Data
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class KnownNoise(NamedTuple):
     """Noise that is known before the fit.
 
     ``variance`` (P,) are starting values within ``bounds`` (P, 2); equal bounds keep a value. None:
-    both from the data. ``loading`` (n, P, P), or None, is a root of the noise covariance of each
-    sample that is known beside. ``input_std`` (d,), or None, are known standard deviations of the
-    noise of the regressors.
+    both from the data. ``added`` (n, P), or None, are the variances of the noise of each value
+    beside. ``input_std`` (d,), or None, are known standard deviations of the noise of the
+    regressors.
     """
 
     variance: Vector | None = None
     bounds: Matrix | None = None
-    loading: Array | None = None
+    added: Matrix | None = None
     input_std: Vector | None = None
 
     @classmethod
@@ -54,9 +54,7 @@ class KnownNoise(NamedTuple):
         The smallest variance of each output is its white noise, the rest differs between samples.
         """
         white = variance.min(axis=0)
-        root = np.sqrt(variance - white)
-        loading = root[:, :, None] * np.eye(len(white))
-        return cls(white, np.column_stack([white, white]), loading)
+        return cls(white, np.column_stack([white, white]), variance - white)
 
     @property
     def is_learned(self) -> Any:
@@ -75,13 +73,13 @@ class KnownNoise(NamedTuple):
     @property
     def weights(self) -> Matrix | None:
         """Inverse variances of the values, (n, P), where they differ between samples."""
-        if self.loading is None or self.variance is None:
+        if self.added is None or self.variance is None:
             return None
-        return 1.0 / (self.variance + np.einsum("npp->np", self.loading) ** 2)
+        return 1.0 / (self.variance + self.added)
 
     def of_rows(self, rows: Any) -> KnownNoise:
         """Return the same of some samples."""
-        return self._replace(loading=None if self.loading is None else self.loading[rows])
+        return self._replace(added=None if self.added is None else self.added[rows])
 
     def of_output(self, i: int) -> KnownNoise:
         """Return the same of output i."""
@@ -89,7 +87,7 @@ class KnownNoise(NamedTuple):
         return KnownNoise(
             None if self.variance is None else self.variance[column],
             None if self.bounds is None else self.bounds[column],
-            None if self.loading is None else self.loading[:, column],
+            None if self.added is None else self.added[:, column],
         )
 
     def in_units(self, scale: Vector) -> KnownNoise:
@@ -97,7 +95,7 @@ class KnownNoise(NamedTuple):
         return KnownNoise(
             None if self.variance is None else self.variance / scale**2,
             None if self.bounds is None else self.bounds / scale[:, None] ** 2,
-            None if self.loading is None else self.loading / scale[:, None],
+            None if self.added is None else self.added / scale**2,
             self.input_std,
         )
 
@@ -125,7 +123,7 @@ UNKNOWN = KnownNoise()
 
 def initial_input_noise(
     noise: Vector,
-    loadings: Sequence[SampleNoise],
+    blocks: Sequence[Data],
     scale: Vector,
     known: KnownNoise,
 ) -> tuple[Vector, Matrix]:
@@ -133,7 +131,7 @@ def initial_input_noise(
 
     Known standard deviations, over the ``scale`` (d,) of the regressors, keep their values. At the
     start of others, half of each output's noise comes from the regressors, with equal factors s.
-    The ``loadings`` of blocks of samples are of errors of the size of ``scale``.
+    The loadings of the values in ``blocks`` are of errors of the size of ``scale``.
     """
     least, most = SETTINGS.input_bounds
     if known.input_std is not None:
@@ -141,7 +139,7 @@ def initial_input_noise(
         return np.concatenate([noise, fixed]), np.column_stack([fixed, fixed])
     fractions = []
     for i, variance in enumerate(noise):
-        G = np.concatenate([of_block.loading[i] for of_block in loadings])
+        G = np.concatenate([block.loadings()[i] for block in blocks])
         if len(G):
             propagated = np.mean(np.sum(G**2, axis=1))
             fractions.append(variance / max(propagated, 1e-12))

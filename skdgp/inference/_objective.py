@@ -107,12 +107,12 @@ def climb(
     *,
     noise_alone: bool = False,
     stage: str = "fit",
-    least: Callable[[MultiOutputKernel], float] = lambda kernel: -np.inf,
+    least: Callable[[Likelihood], float] = lambda point: -np.inf,
 ) -> Point:
     """Return the best kernel and noise found from these, which the kernel keeps if ``noise_alone``.
 
     The likelihoods of the blocks add up. The climb ends early where their sum will hardly reach
-    ``least`` of its kernel.
+    ``least``.
     """
     objective = Objective(kernel, blocks, len(noise))
     bounds = np.concatenate([kernel.bounds, np.log(noise_bounds)])
@@ -126,6 +126,6 @@ def climb(
             bounds / objective.unit[:, None],
             max_iter=max_iter,
             stage=stage,
-            least=lambda z: least(objective.at(z * objective.unit)[0]),
+            least=least,
         )
     return Point(*objective.at(end.theta * objective.unit), end)

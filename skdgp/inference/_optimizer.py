@@ -63,6 +63,7 @@ class Optimum(NamedTuple):
 
     theta: Vector
     value: float
+    n_determined: int
     n_iter: int
     converged: bool
 
@@ -74,7 +75,7 @@ def maximize(
     *,
     max_iter: int,
     stage: str = "fit",
-    least: Callable[[Vector], float] = lambda theta: -np.inf,
+    least: Callable[[Likelihood], float] = lambda point: -np.inf,
 ) -> Optimum:
     """Return the end of a search that starts at ``theta``.
 
@@ -90,7 +91,7 @@ def maximize(
     stage : str
         Name of the stage for progress listeners.
     least : callable
-        theta -> the value that the end must reach to count. The search ends, not converged, where
+        point -> the value that the end must reach to count. The search ends, not converged, where
         its quadratic model does not promise that: from the optimum of a simpler model this is the
         score test of the hyperparameters that are added (Rao 1948).
 
@@ -114,9 +115,9 @@ def maximize(
         if damping > largest:
             # rounding hides whether the likelihood rises, but it would hardly
             is_flat = _promise(theta, point, bounds) < SETTINGS.gradient
-            return Optimum(theta, point.value, n_iter, is_flat)
+            return Optimum(theta, point.value, point.n_determined, n_iter, is_flat)
         if n_iter == max_iter or _is_hopeless(theta, point, bounds, least):
-            return Optimum(theta, point.value, n_iter, False)
+            return Optimum(theta, point.value, point.n_determined, n_iter, False)
         n_iter += 1
         end, predicted = _proposed(theta, point, curvature, bounds, damping, origin)
         step = end - theta
@@ -136,12 +137,12 @@ def maximize(
         if is_taken:
             theta, point = end, other
         notify(_counted(stage, n_iter, max_iter), n_iter, point.value)
-    return Optimum(theta, point.value, n_iter, True)
+    return Optimum(theta, point.value, point.n_determined, n_iter, True)
 
 
 def _is_hopeless(theta, point, bounds, least):
     """Return whether the likelihood will hardly reach the least that counts."""
-    missing = least(theta) - point.value - SETTINGS.spare
+    missing = least(point) - point.value - SETTINGS.spare
     return missing > 0.0 and SETTINGS.times * _promise(theta, point, bounds) < missing
 
 

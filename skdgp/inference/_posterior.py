@@ -8,7 +8,7 @@ prior, f + Kfu Kuu^-1 (u_post - u) has the mean and covariance of the posterior 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -86,16 +86,6 @@ class SinglePosterior(ABC):
     @abstractmethod
     def of(self, data: Data, noise: Vector) -> SinglePosterior:
         """Return the posterior of other values with another noise, at the same hyperparameters."""
-
-    def folds(
-        self, noise: Vector, data: Data, parts: Sequence[tuple[Data, Data]]
-    ) -> Iterator[SinglePosterior]:
-        """Yield the posteriors of the values that remain without each part of the data.
-
-        ``parts`` are the values that remain and those left out; each value is left out once.
-        """
-        for remaining, _ in parts:
-            yield self.of(remaining, noise)
 
     @abstractmethod
     def loading(self, i: int, Xs: Matrix) -> tuple[Array, Array]:
@@ -186,10 +176,11 @@ class ExactPosterior(SinglePosterior):
         """
         places = consecutive(self.data.y)
         rows, factors = [], []
-        for outputs in coupled_outputs(self.kernel, self.data):
+        data = self.data.with_loadings()
+        for outputs in coupled_outputs(self.kernel, data):
             of_outputs = [np.arange(places[i].start, places[i].stop) for i in outputs]
             rows.append(np.concatenate(of_outputs))
-            part = self.data.of_outputs(outputs)
+            part = data.of_outputs(outputs)
             with threads_for(part.n_values):
                 assemble = partial(covariance, self.kernel, self.noise, part)
                 factors.append(jittered_cholesky(assemble))

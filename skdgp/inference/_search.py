@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
@@ -24,17 +24,16 @@ from sklearn.utils import check_random_state
 from skdgp._compute.linalg import column_scale, keep_freed_memory, output_scale
 from skdgp._compute.messages import Progress
 from skdgp._compute.parallel import one_blas_thread
-from skdgp._compute.typing import Array, Indices, Matrix, Seed, Vector
+from skdgp._compute.typing import Indices, Matrix, Seed, Vector
 from skdgp.inference._blocks import BlockSettings, blocks_of_rows
-from skdgp.inference._likelihood import Data, SampleNoise
+from skdgp.inference._likelihood import Data
 from skdgp.inference._noise import SETTINGS as SETTINGS_OF_NOISE
 from skdgp.inference._noise import UNKNOWN, KnownNoise, initial_input_noise
-from skdgp.inference._objective import Objective, Point, climb
+from skdgp.inference._objective import Objective, climb
 from skdgp.inference._outliers import SETTINGS as SETTINGS_OF_OUTLIERS
 from skdgp.inference._outliers import contaminated_variances, gross_outliers
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._shifts import found_shifts, price_of_shifts
-from skdgp.inference._starts import SETTINGS as SETTINGS_OF_STARTS
 from skdgp.inference._starts import (
     from_simpler,
     narrowed,
@@ -46,7 +45,6 @@ from skdgp.inference._structures import (
     contains,
     has_shared_latents,
     least_score,
-    n_mattering,
     price_of,
     with_shifts,
 )
@@ -106,15 +104,15 @@ class Hyperparameters(NamedTuple):
     """Hyperparameters and the history of the search that found them.
 
     ``noise`` (P,) is white. ``input_std`` (d,) are the standard deviations of the regressors'
-    noise, None for exact regressors, ``loading`` (n, P, P), or None, is a root of the noise covariance
-    of each sample beside the white noise, known or of outliers. ``log_likelihood`` is of the values
-    of the search, ``price`` the price of the hyperparameters that matter, and of shifts.
+    noise, None for exact regressors, ``added`` (n, P), or None, are the noise variances of the values
+    beside the white noise, known or of outliers. ``log_likelihood`` is of the values
+    of the search, ``price`` the price of the hyperparameters that they determine, and of shifts.
     """
 
     kernel: MultiOutputKernel
     noise: Vector
     input_std: Vector | None = None
-    loading: Array | None = None
+    added: Matrix | None = None
     n_iter: int = 0
     converged: bool = True
     log_likelihood: float = -np.inf
@@ -165,7 +163,7 @@ def search(
     rows = blocks_of_rows(X, Y, options.settings.blocks, options.time_series)
     if options.optimizer is None:
         start = starting_kernel(kernels[0], X, Y)
-        learned = Hyperparameters(start, np.ones(Y.shape[1]), known.input_std, known.loading)
+        learned = Hyperparameters(start, np.ones(Y.shape[1]), known.input_std, known.added)
         return [with_best_noise(learned, X, Y, rows, known)]
     problem = _Search(X, Y, rows, known, options)
     alone = problem.outputs_alone(kernels[0])
@@ -180,8 +178,7 @@ def search(
             likeliest = kernels[max(shared, key=lambda k: ends[k].score())]
             moved = with_shifts(likeliest, shift, X)
             ends.append(problem.end_of(moved, alone, ends, aligned, price_of_shifts(shift)))
-    loading = problem.known.loading
-    return [end._replace(loading=loading) for end in ends]
+    return [end._replace(added=problem.known.added) for end in ends]
 
 
 class _OutputsAlone(NamedTuple):
@@ -207,7 +204,7 @@ class _Search:
         self.rows = rows
         self.known = known
         self.has_normal_noise = (
-            options.time_series or known.loading is not None or not np.all(known.is_learned)
+            options.time_series or known.added is not None or not np.all(known.is_learned)
         )
         self.options = options
         self.random_state = check_random_state(options.random_state)
@@ -236,8 +233,7 @@ class _Search:
             fit, added[:, i] = self._with_outliers(single, i)
             fits.append(fit)
         if added.any():
-            loading = np.sqrt(added)[:, :, None] * np.eye(len(fits))
-            self.known = self.known._replace(loading=loading)
+            self.known = self.known._replace(added=added)
             self.blocks = [self._data(of_block) for of_block in self.rows]
         noise = np.concatenate([fit.noise for fit in fits])
         return _OutputsAlone([fit.kernel for fit in fits], noise)
@@ -279,8 +275,7 @@ class _Search:
         rows = self._observed(i)
         data = self._data(rows, column)
         if added.any():
-            loading = np.sqrt(added)[rows, None, None]
-            data = Data.from_table(self.X[rows], self.Y[rows, column], loading)
+            data = Data.from_table(self.X[rows], self.Y[rows, column], added[rows, None])
         kernel = starting_kernel(single, self.X[rows], self.Y[rows, column])
         residual = kernel.residual(self.X, self.Y[:, column])
         scale = output_scale(self.Y[:, column])
@@ -328,24 +323,24 @@ class _Search:
         if self.options.input_noise:
             n_iter = min(n_iter, self.options.settings.exact_iterations)
         starts = [(start, noise)]
-        if singles is not None and len(singles) == 1 and has_shared_latents(kernel):
-            starts = self._starts_apart(kernel, singles, noise, bounds, n_iter)
         for end in ends if aligned is None else ():
             if contains(kernel, end.kernel):
                 starts.append((from_simpler(start, end.kernel), end.noise))
+        if not ends:
+            starts = [_by_one_block(start, noise, bounds, self.blocks, n_iter)]
         starts.sort(key=partial(_likelihood, self.blocks), reverse=True)
         score = least_score([end.score() for end in ends])
         found: list[Hyperparameters] = []
 
-        def least(kernel):
-            of_others = score + self._price(kernel) + price
+        def least(point):
+            of_others = score + self._price(point.n_determined) + price
             return max([of_others, *(end.log_likelihood for end in found)])
 
         climb_from = partial(
             self._climb, bounds=bounds, blocks=self.blocks, max_iter=n_iter, least=least
         )
         for of_start in starts:
-            is_hopeless = found and found[0].log_likelihood < least(found[0].kernel)
+            is_hopeless = found and found[0].score() - price < score
             if not is_hopeless:
                 found.append(climb_from(*of_start))
         for _ in range(self.options.n_restarts):
@@ -353,24 +348,10 @@ class _Search:
         best = max(found, key=lambda end: end.log_likelihood)
         if self.options.input_noise:
             best = self._with_input_noise(best, bounds)
-        return best._replace(price=self._price(best.kernel) + price)
+        return best._replace(price=best.price + price)
 
-    def _starts_apart(self, kernel, singles, noise, bounds, n_iter):
-        """Return where climbs by the first block end, of one output, whose latents start with widths apart."""
-        ends: list[Point] = []
-
-        def highest(_):
-            return max([of_start.end.value for of_start in ends], default=-np.inf)
-
-        for apart in SETTINGS_OF_STARTS.apart:
-            start = starting_kernel(kernel, self.X, self.Y, singles, apart)
-            first = self.blocks[:1]
-            ends.append(climb(start, noise, bounds, first, n_iter, least=highest))
-        return [(of_start.kernel, of_start.noise) for of_start in ends]
-
-    def _price(self, kernel):
-        n_values = sum(block.n_values for block in self.blocks)
-        return price_of(n_mattering(kernel, self.X), n_values)
+    def _price(self, n_determined):
+        return price_of(n_determined, sum(block.n_values for block in self.blocks))
 
     def _climb(self, kernel, noise, bounds, blocks, max_iter, **options) -> Hyperparameters:
         point = climb(kernel, noise, bounds, blocks, max_iter, **options)
@@ -380,6 +361,7 @@ class _Search:
             n_iter=point.end.n_iter,
             converged=point.end.converged,
             log_likelihood=point.end.value,
+            price=self._price(point.end.n_determined),
         )
 
     def _with_input_noise(self, exact: Hyperparameters, bounds: Matrix) -> Hyperparameters:
@@ -390,11 +372,11 @@ class _Search:
         """
         unit = exact._replace(input_std=self.scale)
         blocks = [unit.noisy(block).with_loadings() for block in self.blocks]
-        loadings = [cast(SampleNoise, block.sample_noise) for block in blocks]
-        noise, input_bounds = initial_input_noise(exact.noise, loadings, self.scale, self.known)
+        noise, input_bounds = initial_input_noise(exact.noise, blocks, self.scale, self.known)
         max_iter = self.options.max_iter
         all_bounds = np.concatenate([bounds, input_bounds])
-        noisy = self._climb(exact.kernel, noise, all_bounds, blocks, max_iter)
+        start, noise = _by_one_block(exact.kernel, noise, all_bounds, blocks, max_iter)
+        noisy = self._climb(start, noise, all_bounds, blocks, max_iter)
         is_known = self.known.input_std is not None
         if noisy.log_likelihood < exact.log_likelihood and not is_known:
             if exact.converged:
@@ -407,6 +389,16 @@ class _Search:
         return noisy._replace(noise=noisy.noise[:P], input_std=input_std, n_iter=n_iter)
 
 
+def _by_one_block(
+    kernel: MultiOutputKernel, noise: Vector, bounds: Matrix, blocks: Sequence[Data], max_iter: int
+) -> tuple[MultiOutputKernel, Vector]:
+    """Return where a climb by the first of several blocks ends, to save time."""
+    if len(blocks) == 1:
+        return kernel, noise
+    point = climb(kernel, noise, bounds, blocks[:1], max_iter)
+    return point.kernel, point.noise
+
+
 def _likelihood(blocks, start):
     """Return the likelihood of a kernel and noise to start from."""
     kernel, noise = start
@@ -416,8 +408,8 @@ def _likelihood(blocks, start):
 
 def _data_of(X, Y, known, rows, columns=slice(None)):
     """Return the values of some rows of X (n, d) and columns of Y (n, P), with their known noise."""
-    loading = None if known.loading is None else known.loading[rows, columns]
-    return Data.from_table(X[rows], Y[rows, columns], loading)
+    added = None if known.added is None else known.added[rows, columns]
+    return Data.from_table(X[rows], Y[rows, columns], added)
 
 
 def with_best_noise(

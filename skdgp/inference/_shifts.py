@@ -53,7 +53,7 @@ def found_shifts(
     X: Matrix,
     Y: Matrix,
 ) -> tuple[Matrix, Matrix] | None:
-    """Return the shift (P, d) of each output relative to one of them, or None where no shift correlates more.
+    """Return the shift (P, d) of each output relative to the least noisy one, None where no shift correlates more.
 
     Beside it are the outputs without their shifts at X, (n, P), as far as separate fits know them.
 
@@ -70,53 +70,35 @@ def found_shifts(
     functions = []
     for i, single in enumerate(singles):
         functions.append(_process(single, noise[i : i + 1], X, Y[:, i]))
-    P, d = len(functions), X.shape[1]
-    points = X[spread_rows(X, SETTINGS.rows)]
-    lags = np.linspace(-SETTINGS.largest, SETTINGS.largest, SETTINGS.n_lags)
-    gain = np.zeros((P, P))
-    shift = np.zeros((P, P, d))
-    ranges = np.ptp(X, axis=0)
-    widths = np.array([function.kernel.value("length_scale")[0, 0] for function in functions])
-    varies = np.sum(widths < SETTINGS.widest * ranges, axis=0) > 1
-    for k in np.flatnonzero(varies & ~constant_columns(X)):
-        higher, best = _gains(functions, points, k, ranges[k] * lags)
-        better = higher > gain
-        gain[better] = higher[better]
-        shift[better] = 0.0
-        shift[better, k] = best[better]
-    # of two that only each other's shift explains, the one that is better known, in any order of the outputs
-    reference = int(np.lexsort((-noise, gain.sum(axis=1).round(6)))[-1])
-    relative = shift[reference]
-    if not relative.any():
+    reference = functions[noise.argmin()]
+    shifts = np.array([_shift(function, reference, X) for function in functions])
+    if not shifts.any():
         return None
-    aligned = [
-        f.predict(X + of_output)[:, 0] for f, of_output in zip(functions, relative, strict=True)
-    ]
-    return relative, np.column_stack(aligned)
+    aligned = [f.predict(X + shift)[:, 0] for f, shift in zip(functions, shifts, strict=True)]
+    return shifts, np.column_stack(aligned)
 
 
-def _gains(functions, points, k, lags) -> tuple[Matrix, Matrix]:
-    """Return what shifts of one output along regressor k explain of another one, and the best shifts, (P, P) each.
-
-    Output i is compared at x - shift with output j at x. A gain is zero where the squared
-    correlation hardly rises.
-    """
-    P, d = len(functions), points.shape[1]
-    moved = np.repeat(points[None], len(lags), axis=0)
-    moved[:, :, k] -= lags[:, None]
-    present = [_moments(function, points) for function in functions]
-    both = np.zeros((2, P, P, len(lags)))  # squared correlations, and what they explain
-    for i, function in enumerate(functions):
-        earlier = _moments(function, moved.reshape(-1, d))
-        for j in range(P):
-            both[:, i, j] = _correlations(earlier, present[j], len(lags))
-    # j relative to i by a lag is i relative to j by minus the lag
-    both = 0.5 * (both + both.swapaxes(1, 2)[..., ::-1])
-
-    highest = both[1].argmax(axis=2)[..., None]
+def _shift(function, reference, X) -> Vector:
+    """Return the shift (d,) at which a function correlates most with another one, zero where it hardly gains."""
+    points = X[spread_rows(X, SETTINGS.rows)]
+    ranges = np.ptp(X, axis=0)
+    lags = np.linspace(-SETTINGS.largest, SETTINGS.largest, SETTINGS.n_lags)
     unmoved = len(lags) // 2
-    rise, gain = np.take_along_axis(both, highest[None], axis=3)[..., 0] - both[..., unmoved]
-    return np.where(rise >= SETTINGS.rise, gain, 0.0), lags[highest[..., 0]]
+    widths = [f.kernel.value("length_scale")[0, 0] for f in (function, reference)]
+    varies = np.all(widths < SETTINGS.widest * ranges, axis=0) & ~constant_columns(X)
+    present = _moments(reference, points)
+    best, highest = np.zeros(X.shape[1]), 0.0
+    for k in np.flatnonzero(varies):
+        moved = np.repeat(points[None], len(lags), axis=0)
+        moved[:, :, k] += ranges[k] * lags[:, None]
+        later = _moments(function, moved.reshape(-1, X.shape[1]))
+        squared, explained = _correlations(later, present, len(lags))
+        lag = explained.argmax()
+        gain = explained[lag] - explained[unmoved]
+        if squared[lag] - squared[unmoved] >= SETTINGS.rise and gain > highest:
+            best, highest = np.zeros(X.shape[1]), gain
+            best[k] = ranges[k] * lags[lag]
+    return best
 
 
 def _process(kernel, noise, X, y) -> SinglePosterior:
@@ -137,7 +119,7 @@ def _moments(function: SinglePosterior, X: Matrix) -> tuple[Vector, Vector]:
 
 
 def _correlations(
-    earlier: tuple[Vector, Vector],
+    later: tuple[Vector, Vector],
     present: tuple[Vector, Vector],
     n_lags: int,
 ) -> tuple[Vector, Vector]:
@@ -147,9 +129,9 @@ def _correlations(
     -n log(1 - r^2), twice the rise of the likelihood of a linear dependence: that of many samples
     counts more.
     """
-    a = earlier[0].reshape(n_lags, -1)
+    a = later[0].reshape(n_lags, -1)
     c = present[0]
-    weight = earlier[1].reshape(n_lags, -1) * present[1]
+    weight = later[1].reshape(n_lags, -1) * present[1]
     overlap = weight.sum(axis=1)
     total = np.maximum(overlap, np.finfo(float).tiny)[:, None]
     a = a - np.sum(weight * a, axis=1, keepdims=True) / total

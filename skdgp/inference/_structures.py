@@ -1,37 +1,23 @@
 """Structures of kernels that a search compares: what each one costs, and its weight.
 
 A kernel that contains another one as a special case always has the larger likelihood. So each pays
-for the hyperparameters that matter (Akaike 1974, of few values Hurvich & Tsai 1989), and the weights
+for the hyperparameters that the values determine (Akaike 1974, of few values Hurvich & Tsai 1989), and the weights
 of structures are the exponentials of what remains (Burnham & Anderson 2002, section 2.9).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import softmax
 from sklearn.base import clone
 
-from skdgp._compute.linalg import column_scale, constant_columns
 from skdgp._compute.typing import Matrix, Vector
-from skdgp.kernels import ConvolvedGaussian, LinearTrend, MultiOutputKernel, Sum
+from skdgp.kernels import ConvolvedGaussian, MultiOutputKernel, Sum
 
-
-@dataclass(frozen=True)
-class StructureSettings:
-    """Which hyperparameters matter, and which structures are kept."""
-
-    #: Smallest amplitude that counts, over the standard deviation of the process of its output
-    amplitude: float = 0.01
-    #: Largest length scale that counts, in standard deviations of the regressor
-    length_scale: float = 10.0
-    #: Smaller weights are set to zero, as those of an average
-    least_weight: float = 0.05
-
-
-SETTINGS = StructureSettings()
+#: Smaller weights are set to zero, as those of an average
+LEAST_WEIGHT = 0.05
 
 
 def with_shifts(kernel: MultiOutputKernel, shift: Matrix, X: Matrix) -> MultiOutputKernel:
@@ -70,49 +56,6 @@ def contains(kernel: MultiOutputKernel, simpler: MultiOutputKernel) -> bool:
     return True
 
 
-def n_mattering(kernel: MultiOutputKernel, X: Matrix) -> int:
-    """Return the number of hyperparameters that matter to the covariance of samples X (n, d).
-
-    An amplitude that is nearly zero does not, nor does a length scale far beyond the samples or along
-    a constant regressor, nor the shift of one output of a latent whose outputs all move, as only
-    differences matter.
-    """
-    return sum(_n_mattering(term, X) for term in kernel.summands())
-
-
-def _n_mattering(term, X):
-    if isinstance(term, LinearTrend):  # a slope by a constant regressor is learned from nothing
-        has_slopes = any(f.n_elements for f in term.free_parameters() if f.name == "slope_scale")
-        n_constant = int(constant_columns(X).sum()) * term.n_outputs
-        return term.n_dims - n_constant * has_slopes
-    if not isinstance(term, ConvolvedGaussian):
-        return term.n_dims
-    scale = column_scale(X)
-    filters = term.filters
-    size = np.abs(filters.amplitude)
-    total = np.sqrt(np.sum(size**2, axis=0))
-    feeds = size > SETTINGS.amplitude * total
-    wide = (filters.length_scale > SETTINGS.length_scale * scale) | constant_columns(X)
-    matters = {
-        "amplitude": feeds,
-        "length_scale": feeds[..., None] & ~wide,
-        "shift": np.broadcast_to(feeds[..., None], wide.shape),
-    }
-    n = 0
-    for parameter in term.free_parameters():
-        if parameter.fixed:
-            continue
-        numbers = np.broadcast_to(parameter.index, matters[parameter.name].shape)
-        free = matters[parameter.name] & (numbers >= 0)
-        if parameter.name == "shift":
-            limits = np.broadcast_to(parameter.bounds, (*free.shape, 2))
-            free = free & (limits[..., 0] < limits[..., 1])
-            all_move = free.any(axis=1) & (free == feeds[..., None]).all(axis=1)
-            n -= int(all_move.sum())
-        n += len(np.unique(numbers[free]))
-    return n
-
-
 def price_of(n_hyperparameters: int, n_values: int) -> float:
     """Return what a likelihood of n values pays for p hyperparameters, p n / (n - p - 1) nats (Hurvich & Tsai 1989).
 
@@ -124,12 +67,12 @@ def price_of(n_hyperparameters: int, n_values: int) -> float:
 
 def least_score(scores: Sequence[float]) -> float:
     """Return the score from which a structure beside others with these scores would have a weight."""
-    return max(scores, default=-np.inf) + np.log(SETTINGS.least_weight)
+    return max(scores, default=-np.inf) + np.log(LEAST_WEIGHT)
 
 
 def structure_weights(scores: Sequence[float]) -> Vector:
     """Return the weights (K,), which add up to one, of kernels with these scores, learned from the same values."""
     lowest = -np.finfo(float).max / 2  # of kernels without a likelihood
     weights = softmax(np.maximum(scores, lowest))
-    weights[weights < SETTINGS.least_weight] = 0.0
+    weights[weights < LEAST_WEIGHT] = 0.0
     return weights / weights.sum()

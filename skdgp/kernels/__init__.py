@@ -19,7 +19,6 @@ from skdgp.kernels._gaussian_filters import FilterPair as FilterPair
 from skdgp.kernels._gaussian_filters import GaussianBasis as GaussianBasis
 from skdgp.kernels._paths import LinearPaths as LinearPaths
 from skdgp.kernels._paths import PathBundle as PathBundle
-from skdgp.kernels._prior_paths import has_prior_paths as has_prior_paths
 from skdgp.kernels._prior_paths import prior_paths
 from skdgp.kernels._trend import LinearTrend
 

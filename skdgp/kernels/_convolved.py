@@ -24,7 +24,6 @@ from skdgp.kernels._base import (
 )
 from skdgp.kernels._gaussian_filters import EvaluatedPair, FilterPair
 
-SPACING = "spacing"  # for length scales alone
 COVARIANCE_TYPES = ("diag", "tied")
 ROUNDING = 1e-9  # relative difference of tied length scales that counts as rounding
 
@@ -48,8 +47,6 @@ class StartSettings:
     shared_widths: tuple[float, float] = (2.0, 0.8)
     #: Starting width of the private latents, for one regressor
     private_width: float = 1.2
-    #: Samples that count for "spacing": searches learn from a few hundred of any time series
-    most_counted: int = 400
 
 
 STARTS = StartSettings()
@@ -121,9 +118,6 @@ class ConvolvedGaussian(EstimatedKernel):
         Bounds on the values by the names ``"amplitude"``, ``"length_scale"`` and ``"shift"``: a
         pair, an array (..., 2), or "fixed". Without an entry shifts are fixed, and bounds come from
         the data, on widths 0.05 to 1000 standard deviations of the regressor.
-        ``{"length_scale": "spacing"}``: widths of at least n^(-1/d) standard deviations, for n
-        samples, at most 400, in d regressors. In many regressors, a process of smaller width is
-        noise to the samples.
 
     Examples
     --------
@@ -194,12 +188,6 @@ class ConvolvedGaussian(EstimatedKernel):
     def values(self) -> dict[str, Array]:
         return self.filters._asdict()
 
-    def given_bounds(self) -> dict[str, Any]:
-        given = super().given_bounds()
-        if is_spacing(given.get("length_scale")):
-            del given["length_scale"]
-        return given
-
     @property
     def n_outputs(self) -> int:
         """Number of outputs P."""
@@ -212,11 +200,7 @@ class ConvolvedGaussian(EstimatedKernel):
 
     def initialize(self, X: Matrix, Y: Matrix, random_state: Seed) -> MultiOutputKernel:
         feeds = self._feeds(Y.shape[1])
-        values, bounds = starting_values(feeds, X, Y, random_state)
-        if is_spacing(super().given_bounds().get("length_scale")):
-            smallest = bounds["length_scale"][..., 0]
-            np.maximum(smallest, spacing(X, Y) * column_scale(X), out=smallest)
-        return self._completed(values, bounds)
+        return self._completed(*starting_values(feeds, X, Y, random_state))
 
     def free_parameters(self) -> list[FreeParameter]:
         d = np.atleast_1d(self.length_scale).shape[-1]
@@ -317,11 +301,6 @@ class ConvolvedGaussian(EstimatedKernel):
         return True
 
 
-def is_spacing(bounds: Any) -> bool:
-    """Return whether bounds of length scales are set by the spacing of the samples."""
-    return isinstance(bounds, str) and bounds == SPACING
-
-
 @lru_cache(maxsize=64)  # all kernels of a search have the same numbers
 def numbers(
     fed: bytes, n_outputs: int, d: int, is_tied: bool, all_move: bool
@@ -384,18 +363,6 @@ def feed_matrix(n_latent: int, private_latents: bool, P: int, feeds: Any = None)
 # -- starting values from the data
 
 
-def spacing(X: Matrix, Y: Matrix) -> float:
-    """Return the smallest width n^(-1/d) for samples X (rows, columns) and targets Y (rows, P), NaN allowed.
-
-    n are the samples of the most observed output, at most ``most_counted``, d the regressors that
-    are not constant. n samples spread evenly over d regressors are 3.5
-    times as far apart, in their standard deviations.
-    """
-    n_axes = max(1, int(np.sum(~constant_columns(X))))
-    n = np.clip(np.isfinite(Y).sum(axis=0).max(), 1, STARTS.most_counted)
-    return float(n) ** (-1.0 / n_axes)
-
-
 def starting_values(
     feeds: Mask, X: Matrix, Y: Matrix, random_state: Seed
 ) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -412,7 +379,7 @@ def starting_values(
     y_scale = output_scale(Y)
     shared = feeds.sum(axis=1) > 1
     amplitude = _starting_amplitude(feeds, shared, Y, rng) * y_scale
-    lengths = _starting_lengths(shared, X, rng)
+    lengths = _starting_lengths(shared, X)
     values = {"amplitude": amplitude, "length_scale": np.repeat(lengths[:, None], P, axis=1)}
 
     largest = np.broadcast_to(STARTS.largest_amplitude * y_scale, feeds.shape)
@@ -452,20 +419,14 @@ def _starting_amplitude(feeds, shared, Y, rng):
     return np.sign(directions) * np.sqrt(variance / variance.sum(axis=0))
 
 
-def _starting_lengths(shared, X, rng):
+def _starting_lengths(shared, X):
     """Return the length scales of each latent, (M, d)."""
     # The first latents explain most of the variance and start wide, the last ones narrow.
     width = np.full(len(shared), STARTS.private_width)
     widest, narrowest = STARTS.shared_widths
     width[shared] = np.geomspace(widest, narrowest, int(shared.sum()))
-    varies = ~constant_columns(X)  # the others change nothing
-    n_varying = varies.sum()
-    scatter = np.zeros((len(shared), len(varies)))
-    drawn = rng.normal(size=(len(shared), n_varying))
-    scatter[:, varies] = drawn[:, places(X[:, varies])]
-    scatter[~shared] = 0.0
-    lengths = np.sqrt(max(1, n_varying)) * width[:, None] * column_scale(X)
-    return lengths * np.exp(0.1 * scatter)  # guess, to part shared latents
+    n_varying = int(np.sum(~constant_columns(X)))
+    return np.sqrt(max(1, n_varying)) * width[:, None] * column_scale(X)
 
 
 def _directions(Y, n_latent, rng):

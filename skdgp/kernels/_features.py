@@ -106,8 +106,7 @@ class ValueFeatures(Features):
         self, n_paths: int, n_frequencies: int, random_state: Any
     ) -> tuple[PathBundle, Matrix]:
         paths = prior_paths(self.joint, n_paths, n_frequencies, random_state)
-        # single precision is exact enough beside the white noise
-        values = paths.rounded().values(self.Z[None])[..., self.outputs.start :]
+        values = paths.values(self.Z[None])[..., self.outputs.start :]
         u = values.swapaxes(1, 2).reshape(n_paths, self.size)
         variance = np.concatenate([self.joint.block_diag(f, self.Z) for f in self.outputs])
         return paths, u + np.sqrt(JITTER * variance) * random_state.standard_normal(u.shape)

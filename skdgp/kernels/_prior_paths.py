@@ -39,12 +39,6 @@ def prior_paths(
     )
 
 
-def has_prior_paths(kernel: MultiOutputKernel) -> bool:
-    """Return whether sample paths are registered for the class of every term of a kernel."""
-    missing = prior_paths.dispatch(object)
-    return all(prior_paths.dispatch(type(term)) is not missing for term in kernel.summands())
-
-
 @prior_paths.register
 def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
     r"""Return sample paths of a ConvolvedGaussian.

@@ -172,9 +172,10 @@ class FlightPathReconstruction(TableTransformer):
     @property
     def servos_(self) -> Servos:
         """Servos between the commands and the surfaces, ideal where their lag is not estimated."""
-        if self.air_motion_ is None:
+        motion = self.air_motion_
+        if motion is None:
             return Servos()
-        return Servos(lag=float(self.air_motion_.constants["value"]["servo_lag"]))
+        return Servos(lag=max(0.0, float(motion.constants["value"]["servo_lag"])))
 
     @property
     def finding_(self) -> Finding:

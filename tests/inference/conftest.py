@@ -88,7 +88,9 @@ def make_problem(kind="diag", n_latent=2, with_trend=True, common_noise=False):
     X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, P))
     Y[rng.random(Y.shape) < 0.35] = np.nan  # some outputs are not observed here and there
     loading = default_rng(1).normal(0, 0.4, (n, P, 2)) if common_noise else None
-    data = Data.from_table(X, Y, loading)
+    data = Data.from_table(X, Y)
+    if common_noise:
+        data = data._replace(noise=[loading[rows, i] for i, rows in enumerate(np.isfinite(Y).T)])
     noise = rng.uniform(0.05, 0.3, P)
     S = noise_covariance(Y, noise, loading)
     return SimpleNamespace(

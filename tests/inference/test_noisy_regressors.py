@@ -19,7 +19,7 @@ def test_loadings_are_slopes_times_deviations(one_problem, central_difference):
     for x in one_problem.X:
         slopes.append(central_difference(lambda x: posterior.predict(x[None])[0], x))
     data = one_problem.data.with_slopes(posterior.mean_function, std)
-    for i, loading in enumerate(data.sample_noise.loading):
+    for i, loading in enumerate(data.loadings()):
         rows = np.isfinite(one_problem.Y[:, i])
         assert_allclose(loading, (slopes * std)[rows, i], atol=1e-6)
 

@@ -71,30 +71,6 @@ class TestGivenValues:
                 assert_array_equal(getattr(found, name), value)
 
 
-class TestSpacing:
-    """Bounds "spacing": no width below n^(-1/d) deviations, of the samples and regressors that count."""
-
-    @staticmethod
-    def smallest(X, Y, **parameters):
-        """Return the smallest widths (M, P, d), over the deviations of the regressors."""
-        kernel = ConvolvedGaussian(0, parameter_bounds={"length_scale": "spacing"}, **parameters)
-        least = kernel.initialize(X, Y, 0).parameter_bounds["length_scale"][..., 0]
-        std = X.std(axis=0)
-        return least / np.where(std > 0, std, 1.0)
-
-    @pytest.mark.parametrize("kind", KINDS)
-    def test_is_of_the_output_that_is_observed_most(self, uneven, kind):
-        X, Y = uneven
-        most = np.isfinite(Y).sum(axis=0).max()
-        assert_allclose(self.smallest(X, Y, covariance_type=kind), most ** (-1 / 3))
-
-    def test_constant_regressors_do_not_count(self, uneven):
-        X, Y = uneven
-        most = np.isfinite(Y).sum(axis=0).max()
-        still = np.column_stack([X, np.full(len(X), 3.0)])
-        assert_allclose(self.smallest(still, Y)[..., :3], most ** (-1 / 3))
-
-
 @pytest.mark.parametrize(
     ("n", "d", "least"),
     [(1000, 1, 1.0), (1000, 3, 1 / 9), (10, 9, 0.3), (60, 9, 0.1), (1000, 9, 0.05)],

@@ -17,7 +17,6 @@ from skdgp.kernels import (
     ConvolvedGaussian,
     Coregionalized,
     as_multi_output,
-    has_prior_paths,
 )
 
 X = default_rng(0).normal(size=(5, 2))
@@ -63,8 +62,6 @@ def test_sums_with_kernels_of_scikit_learn():
     assert kernel + RBF() == expected
     assert as_multi_output(RBF() + kernel) == Coregionalized(RBF()) + kernel
     assert as_multi_output(kernel) is kernel
-    assert has_prior_paths(kernel)
-    assert not has_prior_paths(expected)
 
 
 def test_one_output_fits_scikit_learns_regressor():

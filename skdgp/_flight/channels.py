@@ -158,8 +158,6 @@ REGRESSOR_SETS = {
         *SURFACES,
     ),
 }
-# values of ``gust`` [m/s] below this are calm air: no estimate of the gusts is smaller
-LEAST_GUST = 1e-3
 # the ``gust`` [m/s] that changes the regressors as much as sensor errors do in calm air
 SENSOR_GUST = 0.1
 

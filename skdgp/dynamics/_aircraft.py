@@ -307,7 +307,7 @@ def _inertia(value: ArrayLike) -> Array:
             f"Got inertia {value!r}, but expected 3 x 3 numbers, finite [kg m^2]: "
             "[[Ixx, -Ixy, -Ixz], [-Ixy, Iyy, -Iyz], [-Ixz, -Iyz, Izz]]."
         )
-    if not np.allclose(inertia, inertia.T, rtol=0, atol=1e-6 * abs(inertia).max()):
+    if not np.allclose(inertia, inertia.T):
         raise ValueError(
             f"Got inertia {inertia.tolist()} which is not symmetric: write each product of inertia "
             "in both places, inertia[i][j] = inertia[j][i]."
@@ -357,7 +357,7 @@ def check_keys(values: Mapping, known: Sequence[str], required: Sequence[str], w
     """Raise ValueError if a key is unknown, with the nearest known one, or a required one is missing."""
     for key in values:
         if key not in known:
-            near = get_close_matches(str(key), known, n=1, cutoff=0.5)
+            near = get_close_matches(str(key), known, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"known keys are {known}."
             raise ValueError(f"Got unknown key {key!r} in {what}: {hint}")
     missing = [name for name in required if name not in values]

@@ -133,9 +133,10 @@ class Propeller:
         With x = pitch / D, fitted to 178 propellers in the wind tunnel (UIUC Propeller Data Site;
         Brandt & Selig 2011),
 
-        .. math:: C_T = 0.048 + 0.092 x - (0.136 - 0.123 x) J - 0.104 J^2,
+        .. math:: C_T = 0.048 + 0.092 x - (0.136 - 0.123 x) J - 0.104 J^2, \quad
+            C_Q = -0.0017 + 0.0158 x - (0.0016 - 0.0057 x) J - 0.0118 J^2;
 
-        and C_Q likewise; the thrust of others is 23 % off, root mean square. Raises ValueError if a
+        the thrust of others is 23 % off, root mean square. Raises ValueError if a
         size is not positive, or of the motor's constant and the voltage there is one alone; warns
         beyond the sizes measured.
 

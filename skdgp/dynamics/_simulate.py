@@ -343,7 +343,7 @@ class Simulator:
         self.ended = FLYING
         self.beyond = ""
         self._air = self._wind
-        self._gust_step = 0.0
+        self._gust_step: float | None = None
         self._generator = separate_generator(0 if random_state is None else random_state, 5)
         if controls is None and isinstance(x0, Trim):
             controls = x0.controls

@@ -49,9 +49,7 @@ PLACES = [*ACCELERATIONS.values()]
 UNKNOWN_LIMITS = {
     "alpha": (-np.pi / 6, np.pi / 4),
     "beta": (-np.pi / 6, np.pi / 6),
-    "theta": (-1.4, 1.4),
-    "phi": (-1.5, 1.5),
-    "climb": (-1.4, 1.4),
+    **dict.fromkeys(("theta", "phi", "climb"), (-np.pi / 2, np.pi / 2)),
     "turn_rate": (-np.inf, np.inf),
     "thrust": (0.0, np.inf),
     "throttle": (0.0, 1.0),

@@ -28,7 +28,6 @@ from skdgp._flight.channels import (
     AIR_DATA,
     EARTH_VELOCITY,
     EULER,
-    LEAST_GUST,
     RATES,
     SPECIFIC_FORCE,
     WIND,
@@ -290,7 +289,7 @@ def _variance_component(name: str, std: float, sums: Vector, pace: float) -> flo
     # the initial noise of a sensor counts as some residuals; gusts have no such prior
     prior_count = 0.0
     prior_squares = 0.0
-    least = LEAST_GUST
+    least = 1e-3  # [m/s], of calm air
     if name in PATH_NOISE:
         # residuals that the initial noise of a sensor counts for, where a flight shows nothing; guess
         prior_count = 10.0

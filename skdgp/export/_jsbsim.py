@@ -34,29 +34,30 @@ THROTTLE = "fcs/throttle-cmd-norm"
 SPEED = "fcs/propeller_speed"
 AIRSPEED = "velocities/vt-fps"
 DENSITY = "atmosphere/rho-slugs_ft3"
-# Property and factor to SI units
 SOURCES = {
-    "alpha": ("aero/alpha-rad", 1.0),
-    "beta": ("aero/beta-rad", 1.0),
-    "alpha_dot": ("aero/alphadot-rad_sec", 1.0),
-    "beta_dot": ("aero/betadot-rad_sec", 1.0),
-    "p": ("velocities/p-aero-rad_sec", 1.0),
-    "q": ("velocities/q-aero-rad_sec", 1.0),
-    "r": ("velocities/r-aero-rad_sec", 1.0),
-    "airspeed": (AIRSPEED, foot),
-    "density": (DENSITY, slug / foot**3),
-    "altitude": ("position/h-sl-ft", foot),
-    "u": ("velocities/u-fps", foot),
-    "v": ("velocities/v-fps", foot),
-    "w": ("velocities/w-fps", foot),
-    "phi": ("attitude/phi-rad", 1.0),
-    "theta": ("attitude/theta-rad", 1.0),
-    "psi": ("attitude/psi-rad", 1.0),
-    "throttle": (THROTTLE, 1.0),
-    "elevator": ("fcs/elevator-pos-rad", 1.0),
-    "aileron": ("fcs/left-aileron-pos-rad", 1.0),
-    "rudder": ("fcs/rudder-pos-rad", 1.0),
+    "alpha": "aero/alpha-rad",
+    "beta": "aero/beta-rad",
+    "alpha_dot": "aero/alphadot-rad_sec",
+    "beta_dot": "aero/betadot-rad_sec",
+    "p": "velocities/p-aero-rad_sec",
+    "q": "velocities/q-aero-rad_sec",
+    "r": "velocities/r-aero-rad_sec",
+    "airspeed": AIRSPEED,
+    "density": DENSITY,
+    "altitude": "position/h-sl-ft",
+    "u": "velocities/u-fps",
+    "v": "velocities/v-fps",
+    "w": "velocities/w-fps",
+    "phi": "attitude/phi-rad",
+    "theta": "attitude/theta-rad",
+    "psi": "attitude/psi-rad",
+    "throttle": THROTTLE,
+    "elevator": "fcs/elevator-pos-rad",
+    "aileron": "fcs/left-aileron-pos-rad",
+    "rudder": "fcs/rudder-pos-rad",
 }
+# SI units of those that are in others
+UNITS = dict.fromkeys(("airspeed", "altitude", "u", "v", "w"), foot) | {"density": slug / foot**3}
 ACCELERATIONS = ("p_dot", "q_dot", "r_dot", "ax", "ay", "az")
 # Of a function: other functions, a property or a number
 Operand: TypeAlias = "Element[Any] | str | float"
@@ -253,10 +254,10 @@ def _source(regressor: Regressor, aircraft: Aircraft) -> list:
             f"Got a model with the regressor {regressor.name!r}, an acceleration, which follows "
             "from the loads: fit one with regressors='quasi-steady'."
         )
-    name, factor = SOURCES.get(source, (f"fcs/{source}", 1.0))
+    name = SOURCES.get(source, f"fcs/{source}")
     if regressor.power:
         return [name, "aero/bi2vel", regressor.length / aircraft.span]
-    return [name, factor] if factor != 1.0 else [name]
+    return [name, UNITS[source]] if source in UNITS else [name]
 
 
 def _coefficient(model: PortableModel, coefficient: str) -> list[Element]:

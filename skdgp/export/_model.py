@@ -40,7 +40,7 @@ class Regressor:
     name: str
     unit: str
     sources: tuple[str, ...]
-    factors: tuple[float, ...] = (1.0,)
+    factors: tuple[float, ...]
     length: float = 1.0
     power: int = 0
 
@@ -229,10 +229,9 @@ class PortableModel:
         return list({id(part.readout): part.readout for part in self.parts}.values())
 
     def components(self, i: int) -> list[tuple[float, Part]]:
-        """Return the components of output i whose weight is not zero: weight and part."""
-        weights = self.mixture[:, i].tolist()
+        """Return the components of output i: weight and part; those of weight zero have no functions."""
         parts = self.parts[i :: len(self.outputs)]
-        return [pair for pair in zip(weights, parts, strict=True) if pair[0] != 0.0]
+        return list(zip(self.mixture[:, i].tolist(), parts, strict=True))
 
     def head(self) -> dict[str, Any]:
         """Return names, formulas of the regressors, aircraft and provenance, as JSON knows them."""

@@ -317,9 +317,8 @@ def _angles_by_motion(table: pd.DataFrame) -> pd.DataFrame:
         values = interpolate_missing(time, unwrapped(part, MOTION))
         air, force, rates, attitude = np.split(values, [3, 6, 9], axis=1)
         airspeed, alpha, beta = air.T
-        # speed below which rates of the angles diverge [m/s]
-        slow = max(0.1 * np.median(airspeed), 1.0)
         velocity = air_velocity(airspeed, alpha, beta)
-        of_angles = flow_angle_rates(velocity, force, rates, attitude, slow)
+        # at rest the rates of the angles diverge
+        of_angles = flow_angle_rates(velocity, force, rates, attitude, least_speed=1.0)
         changes[rows] = cumulative_trapezoid(of_angles, time, axis=0, initial=0)
     return pd.DataFrame(changes, table.index, VANES)

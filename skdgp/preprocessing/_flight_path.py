@@ -172,10 +172,9 @@ class FlightPathReconstruction(TableTransformer):
     @property
     def servos_(self) -> Servos:
         """Servos between the commands and the surfaces, ideal where their lag is not estimated."""
-        motion = self.air_motion_
-        if motion is None:
+        if self.air_motion_ is None:
             return Servos()
-        return Servos(lag=max(0.0, float(motion.constants["value"]["servo_lag"])))
+        return Servos(lag=float(self.air_motion_.constants["value"]["servo_lag"]))
 
     @property
     def finding_(self) -> Finding:

@@ -152,9 +152,9 @@ class LagCorrector(TableTransformer):
         columns = ["lag", "std", "applied", "remark"]
         self.lags_ = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
         self.lags_ = self.lags_.rename_axis("group")
-        lag = float(self.lags_["lag"].get("servos", 0.0))
-        early = -float(self.lags_["lag" if lag else "applied"].get("surfaces", 0.0))
-        lag_std = float(self.lags_["std"].fillna(0.0).get("servos", 0.0))
+        known = self.lags_.drop(columns="remark").reindex(["surfaces", "servos"]).fillna(0.0)
+        (surface_lag, _, applied), (lag, lag_std, _) = known.to_numpy(float).tolist()
+        early = -(surface_lag if lag else applied)
         self.servos_ = Servos(lag, max(0.0, early), rate_limit, lag_std, delay_std)
 
     def _given(self, table):

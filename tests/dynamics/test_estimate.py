@@ -147,6 +147,7 @@ class TestFiles:
         }
         aircraft = Aircraft.from_dict(json.loads(json.dumps(values | {"chord": [0.25, 0.01]})))
         assert aircraft.relative_std("mass") == pytest.approx(0.05 / 3.2)
+        assert aircraft.relative_std("Izz") == pytest.approx(0.2)
         found = {cause: round(each.std, 4) for cause, each in aircraft.deviations.items()}
         expected = {
             "mass": 0.0156,

@@ -378,7 +378,7 @@ class TestSimulator:
 
         model, wind = glider.model(servos=servos), [1.0, 2.0, 0.0]
         at_once = fly(model, controls=law, dt=0.02, duration=1.0, air=wind)
-        simulator = Simulator(model, aircraft, dt=0.02, air=wind)
+        simulator = Simulator(model, aircraft, air=wind)
         seen = simulator.reset(START, controls=law(0.0, START))
         for row in at_once.to_dict("records"):
             for name in ("time", *STATES):
@@ -386,6 +386,16 @@ class TestSimulator:
             for name in FORCES if not gain else ():
                 assert seen[name] == pytest.approx(row[name], abs=0.01)
             seen = simulator.step(law(seen["time"], seen))
+
+    def test_a_step_three_times_as_long_is_three_steps(self, aircraft, glider):
+        states = []
+        for durations in ([0.06], [0.02] * 3):
+            simulator = Simulator(glider.model(), aircraft, dt=0.02)
+            simulator.reset(START)
+            for duration in durations:
+                simulator.step(commands(0.0), duration)
+            states.append(simulator.state)
+        assert_allclose(*states, atol=1e-12)
 
     def test_accelerometers_of_a_start_without_controls_are_unknown(self, aircraft, glider):
         seen = Simulator(glider.model(), aircraft).reset(START)

@@ -21,6 +21,7 @@ from skdgp._flight.holds import (
     find_holds,
     interpolated_rows,
 )
+from skdgp._flight.servo_functions import WEIGHTS, ServoFunction, ServoRange
 from skdgp._flight.smoothing import band_limited, motion_band_of, vibrates_beyond
 from skdgp._flight.tables import FlightTable
 from skdgp.preprocessing import ElevonSplitter
@@ -30,6 +31,34 @@ def test_elevons_are_what_the_transformer_splits_them_into():
     elevons = make_flight({"elevon_left elevon_right": (0, 0.1, 0)}, 40)
     for name, values in by_elevons(elevons).items():
         assert_allclose(ElevonSplitter().fit_transform(elevons)[name], values)
+
+
+# Outputs of ArduPilot by the commands of its loops: SRV_Channel.h and ArduPlane/servos.cpp
+OUTPUTS = {
+    "AILERON": {"aileron": 1}, "ELEVATOR": {"elevator": 1}, "RUDDER": {"rudder": 1}, "THROTTLE": {"throttle": 1},
+    "ELEVON_LEFT": {"elevator": 1, "aileron": -1}, "ELEVON_RIGHT": {"elevator": 1, "aileron": 1},
+    "VTAIL_LEFT": {"elevator": 1, "rudder": 1}, "VTAIL_RIGHT": {"elevator": 1, "rudder": -1},
+    "FLAPERON_LEFT": {"aileron": 1, "flap": 1}, "FLAPERON_RIGHT": {"aileron": 1, "flap": -1},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "kind", ["AILERON ELEVATOR RUDDER THROTTLE", "ELEVON", "VTAIL", "FLAPERON"]
+)
+def test_outputs_of_ardupilot_give_back_the_commands_that_move_them(kind):
+    commands = {"aileron": 0.3, "elevator": -0.2, "rudder": 0.1, "flap": 0.4, "throttle": 0.6}
+    of_kind = {name: parts for name, parts in OUTPUTS.items() if name.split("_")[0] in kind}
+    moved = {part for parts in of_kind.values() for part in parts}
+    found = dict.fromkeys(moved, 0.0)
+    for name, parts in of_kind.items():
+        output = sum(weight * commands[part] for part, weight in parts.items())
+        for part in moved:
+            found[part] += WEIGHTS[part].get(ServoFunction[name], 0) * output
+    assert found == pytest.approx({part: commands[part] for part in moved})
+
+
+def test_a_servo_without_parameters_has_the_defaults_of_ardupilot():
+    assert ServoRange.of({}, 1) == (1100.0, 1500.0, 1900.0, False)
 
 
 def test_the_grid_of_uneven_samples_is_uniform():

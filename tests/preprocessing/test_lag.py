@@ -237,8 +237,10 @@ class TestTransform:
 
     @pytest.mark.parametrize(("surfaces", "lag", "delay"), [(-0.06, 0.04, 0.06), (0.03, 0.0, 0.0)])
     def test_surfaces_that_are_late_are_no_servos_that_lead(self, surfaces, lag, delay):
-        given = LagCorrector({"surfaces": surfaces, "servos": lag}).fit(linear_aircraft(0))
+        lags = {"surfaces": surfaces} | ({"servos": lag} if lag else {})
+        given = LagCorrector(lags).fit(linear_aircraft(0))
         assert given.servos_ == Servos(lag=lag, delay=delay)
+        assert "servo_delay_std" not in given.get_feature_names_out()
 
     @pytest.mark.parametrize("lag", [0.0675, -0.0675])
     def test_a_line_is_shifted_exactly(self, lag):

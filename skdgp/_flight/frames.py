@@ -262,8 +262,8 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
 
 def wrapped_near(angle: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Return angles shifted by multiples of 2 pi to less than pi from a reference, where this is finite."""
-    turns = np.round((angle - reference) / (2 * np.pi))
-    return angle - 2 * np.pi * np.nan_to_num(turns, posinf=0.0, neginf=0.0)
+    near = reference + wrapped(angle - reference)
+    return np.where(np.isfinite(near), near, angle)
 
 
 def without_sign_changes(quaternions: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from skdgp._compute.typing import Array
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EARTH_VELOCITY, EULER
 from skdgp._flight.channels import POSITION as POSITION_NAMES
 from skdgp._flight.channels import RATES as RATE_NAMES
+from skdgp._flight.faults import POSSIBLE
 from skdgp._flight.frames import (
     air_data,
     body_to_ned,
@@ -45,7 +46,7 @@ REASONS = {
 # Airspeed [m/s] below which there is no angle of attack
 LEAST_AIRSPEED = 1.0
 # Velocity [m/s], attitude and rates [rad/s] beyond which a trajectory has diverged
-FASTEST = np.repeat([1000.0, np.inf, 60.0], [3, 4, 3])
+FASTEST = np.repeat([POSSIBLE["u"][1], np.inf, POSSIBLE["p"][1]], [3, 4, 3])
 # Largest state within a step: coefficients of any more may not be evaluated
 STAGE_LIMIT = 1e9
 

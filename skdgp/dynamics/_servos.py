@@ -79,7 +79,7 @@ class Servos:
     @property
     def settling_time(self) -> float:
         """Time [s] after which less than a hundredth is left of an unknown deflection."""
-        return self.delay + 5.0 * self.lag
+        return self.delay + float(np.log(100)) * self.lag
 
     @property
     def words(self) -> str:

@@ -57,22 +57,12 @@ UNKNOWN_LIMITS = {
 }
 
 
-# Largest acceleration of a trim, and one that remains where no better trim is found, which no aircraft's
-# sensor shows (guess) [m/s^2, rad/s^2]
-TOLERANCE = 1e-6
-ACCEPTED = 1e-3
-# Starts of alpha, as fractions of the range between its limits
-STARTS = (0.5, 0.25, 0.75, 0.05)
+# Largest acceleration of a trim, which no aircraft's sensor shows (guess) [m/s^2, rad/s^2]
+TOLERANCE = 1e-3
 # Weight of the flight path's slope: where there is no trim, accelerations remain, and the path is as given
 PATH_WEIGHT = 100.0
 # Least allowed excess of a control or alpha over its training range [rad]
 MARGIN = 0.1
-# Starts: alpha [rad] where its training range is not known, thrust over weight, throttle, advance ratio of
-# the propeller
-START_ALPHA = (-0.1, 0.3)
-START_THRUST = 0.15
-START_THROTTLE = 0.5
-START_ADVANCE_RATIO = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,38 +282,30 @@ class SteadyFlight:
     def solve(self) -> Array:
         """Return the values of the unknowns."""
         low, high = np.array([*self.limits.values()]).T
-        best: Any = None
-        for fraction in STARTS:
-            solution = least_squares(
-                self.residual,
-                np.clip(self._start(fraction), low, high),
-                bounds=(low, high),
-                x_scale="jac",
-                xtol=1e-15,
-                ftol=1e-15,
-                gtol=1e-15,
-                max_nfev=200,
-            )
-            if best is None or solution.cost < best.cost:
-                best = solution
-            if np.abs(best.fun).max() < TOLERANCE:
-                break
-        if np.abs(best.fun).max() > ACCEPTED:
-            raise ValueError(self._no_trim(best))
-        return best.x
+        solution = least_squares(
+            self.residual,
+            np.clip(self._start(), low, high),
+            bounds=(low, high),
+            x_scale="jac",
+            ftol=None,
+            gtol=None,
+            xtol=1e-15,
+            max_nfev=200,
+        )
+        if np.abs(solution.fun).max() > TOLERANCE:
+            raise ValueError(self._no_trim(solution))
+        return solution.x
 
-    def _start(self, fraction: float) -> Array:
-        """Return a first guess, with alpha at a fraction of its training range."""
+    def _start(self) -> Array:
+        """Return a first guess, with alpha in the middle of its training range."""
         aircraft = self.motion.aircraft
-        low, high = self.flown.get("alpha", START_ALPHA)
         start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()}
-        start["alpha"] = low + fraction * (high - low)
+        start["alpha"] = float(np.mean(self.flown.get("alpha", UNKNOWN_LIMITS["alpha"])))
         start["theta"] = start["alpha"] + self.given.get("climb", 0.0)
-        start["thrust"] = START_THRUST * aircraft.mass * self.motion.gravity
-        start["throttle"] = START_THROTTLE
+        start["throttle"] = float(np.mean(UNKNOWN_LIMITS["throttle"]))
         if aircraft.propeller is not None:
-            advance = START_ADVANCE_RATIO * aircraft.propeller.diameter
-            start["propeller_speed"] = 2.0 * np.pi * self.airspeed / advance
+            # at an advance ratio of 1
+            start["propeller_speed"] = 2 * np.pi * self.airspeed / aircraft.propeller.diameter
         return np.array([start[name] for name in self.unknowns])
 
     def at(self, x: Array) -> tuple[dict, Array, Instant]:
@@ -350,14 +332,14 @@ class SteadyFlight:
         path = -now.derivative[2] / self.airspeed - np.sin(flight["climb"])
         return np.append(now.derivative[PLACES], PATH_WEIGHT * path)
 
-    def _no_trim(self, best: Any) -> str:
+    def _no_trim(self, nearest: Any) -> str:
         """Return the error text: the accelerations that remain, and the unknowns at a limit."""
-        remaining = zip(ACCELERATIONS, best.fun, strict=False)
+        remaining = zip(ACCELERATIONS, nearest.fun, strict=False)
         accelerations = ", ".join(f"{name} = {value:.3g}" for name, value in remaining)
         given = {"airspeed": self.airspeed, **self.given}
         conditions = ", ".join(f"{name} {value:g}" for name, value in given.items())
         ends = []
-        for name, value in zip(self.unknowns, best.x, strict=True):
+        for name, value in zip(self.unknowns, nearest.x, strict=True):
             for limit in self.limits[name]:
                 if abs(value - limit) < 1e-3:
                     ends.append(f"{name} at its limit {limit:.4g}")

@@ -178,9 +178,10 @@ def _add_thrust(root: Element, aircraft: Aircraft, full: Mapping[str, float]) ->
         reactions.insert(0, _named("property", SPEED))
         thrust = _propeller(propeller, propeller.thrust_coefficients, 4, 1.0 / lbf)
         force.insert(0, _function("propulsion/thrust-lbs", thrust))
-        factor = -propeller.rotation / (lbf * foot)
-        torque = _propeller(propeller, propeller.torque_coefficients or [0.0], 5, factor)
-        _part(reactions, "moment").insert(0, _function("propulsion/torque-lbsft", torque))
+        if propeller.torque_coefficients:
+            factor = -propeller.rotation / (lbf * foot)
+            torque = _propeller(propeller, propeller.torque_coefficients, 5, factor)
+            _part(reactions, "moment").insert(0, _function("propulsion/torque-lbsft", torque))
     elif "thrust" in full:
         thrust = _apply("product", full["thrust"] / lbf, THROTTLE)
         force.insert(0, _function("propulsion/thrust-lbs", thrust))

@@ -31,7 +31,7 @@ class Regressor:
     sources, factors : tuples of str and of float
         Columns u of a flight table, and their factors c: of the mixing for a control, else 1.
     length : float
-        Reference length L [m] of a non-dimensional rate.
+        Reference length L [m] of a non-dimensional rate, 1 of others.
     power : {0, 1, 2}
         n: 0 for a column itself, 1 for a rate, 2 for an angular acceleration. V is the column
         ``airspeed`` [m/s].
@@ -41,8 +41,8 @@ class Regressor:
     unit: str
     sources: tuple[str, ...]
     factors: tuple[float, ...]
-    length: float = 1.0
-    power: int = 0
+    length: float
+    power: int
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -137,16 +137,16 @@ def _regressors(model: Aerodynamics, aircraft: Aircraft) -> tuple[Regressor, ...
     regressors = []
     for name in model.regressors:
         rate = name.removesuffix(HAT)
+        unit, length, power = "", 1.0, 0
         if name != rate and rate in LENGTHS:
-            power = 2 if rate in ACCELERATION_LENGTHS else 1
+            factors = {rate: 1.0}
             length = float(lengths[LENGTHS[rate]])
-            regressors.append(Regressor(name, "", (rate,), (1.0,), length, power))
-            continue
-        unit = CHANNELS.get(name, "")
-        factors = _factors(name, model.mixing)
-        sources = tuple(factors)
+            power = 2 if rate in ACCELERATION_LENGTHS else 1
+        else:
+            factors = _factors(name, model.mixing)
+            unit = model.units.get(name, CHANNELS.get(name, ""))
         weights = tuple(factors.values())
-        regressors.append(Regressor(name, model.units.get(name, unit), sources, weights))
+        regressors.append(Regressor(name, unit, tuple(factors), weights, length, power))
     return tuple(regressors)
 
 

@@ -19,10 +19,11 @@ from skdgp.dynamics import (
     air_velocity,
     dryden_gusts,
     euler_to_quaternion,
+    gust_rate_lags,
 )
 from skdgp.dynamics._air import turbulence_of_winds
 from skdgp.dynamics._dryden import dryden_system, rolling_gust
-from skdgp.dynamics._linearize import RELATIVE_STD, jacobian, unsteady_terms
+from skdgp.dynamics._linearize import jacobian, unsteady_terms
 from skdgp.dynamics._simulate import drift_in_still_air
 
 GLIDER = LINEAR_GLIDER.aircraft
@@ -81,14 +82,15 @@ def test_unsteady_terms_are_merged_with_the_slopes_by_rates_and_controls():
 
 
 def test_with_alpha_dot_the_rest_of_it_is_uncertain():
+    """By 0.4 times the derivatives by q, and 0.2 times those by r."""
     none = np.zeros((6, 2))
     motion = Motion(linear(["alpha_dot_hat", "beta_dot_hat"], [none]), GLIDER, thrust=None)
     slopes = np.column_stack([SLOPES, none])
     K, S, M = unsteady_terms(motion, motion.at(state_of(), HELD), slopes)
     assert not M.any()
     errors = -K[:, None] * S.T
-    assert_allclose(errors[4, 8], [RELATIVE_STD[0] * SLOPES[4, 3], 0.0])
-    assert_allclose(errors[5, 9, 1], RELATIVE_STD[1] * SLOPES[5, 4])
+    assert_allclose(errors[4, 8], [0.4 * SLOPES[4, 3], 0.0])
+    assert_allclose(errors[5, 9, 1], 0.2 * SLOPES[5, 4])
 
 
 def test_winds_of_seconds_tell_the_rates_of_gusts():
@@ -152,6 +154,12 @@ def transfer(name, omega):
 
 # Output and noise of each gust in the linear system
 ROWS = {"u": (0, 0), "v": (1, 1), "w": (2, 2), "p": (6, 3), "q": (7, 2), "r": (8, 1)}
+
+
+def test_rates_of_gusts_lag_behind_their_slopes():
+    """p and q by 4 b / (pi V), r by 3 b / (pi V)."""
+    expected = np.array([4, 4, 3]) * WING / (np.pi * AIRSPEED)
+    assert_allclose(gust_rate_lags(AIRSPEED, WING), expected)
 
 
 def test_rolling_gust_is_the_one_of_the_linear_system():

@@ -101,23 +101,6 @@ def test_a_motor_under_load_turns_at_three_quarters_of_its_free_speed():
     assert propeller.load_std == pytest.approx(np.hypot(0.23, 0.35), abs=0.005)
 
 
-@pytest.mark.parametrize(
-    ("pitch", "ratio", "thrust"),
-    [
-        (5, 0.0, 0.0975),
-        (5, 0.43, 0.0453),
-        (7, 0.353, 0.0913),
-        (7, 0.576, 0.0486),
-        (4.7, 0.0, 0.1278),
-    ],
-)
-def test_propellers_of_the_wind_tunnel(pitch, ratio, thrust):
-    """C_T of APC 10x5 and 10x7 Thin Electric and 10x4.7 Slow Flyer (UIUC, volume 1), which are among the 178."""
-    propeller = Propeller.from_size(0.254, pitch * 0.0254)
-    usual = propeller.thrust(2 * np.pi, ratio * 0.254, density=1 / 0.254**4)
-    assert_allclose(thrust, usual, rtol=2 * propeller.load_std)
-
-
 def test_an_aircraft_file_has_diameter_and_pitch():
     aircraft = Aircraft.from_dict(
         {"kind": "conventional", "mass": 2.0, "span": 1.5, "propeller": SIZE | MOTOR}

@@ -66,6 +66,7 @@ def test_a_rate_limit_holds_and_the_rest_is_followed(glider, level, followed, la
     table = flown(glider, level, servos, law, 0.005, 1.5)
     rate = np.abs(np.diff(table["aileron"])) / 0.005
     assert rate.max() == pytest.approx(5.0)
+    assert np.abs(table["aileron"]).max() <= 0.3 + 1e-12
     if lag:
         time = table["time"].to_numpy()
         expected = followed(lambda t: steps_of(t, 0.3), time, lag, 0.03, 5.0)

@@ -9,6 +9,7 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Motion,
+    quaternion_to_euler,
     simulate,
     trim,
 )
@@ -76,6 +77,8 @@ class TestSteady:
         assert found.residual < 1e-8
         assert_allclose(found.coefficients, now.coefficients, rtol=1e-6)
         assert_allclose(float(now.airspeed), 36.0)
+        assert_allclose(found.state[:3], [0.0, 0.0, -200.0])
+        assert quaternion_to_euler(found.state[6:10])[2] == pytest.approx(0.0, abs=1e-12)
         assert_allclose(-now.derivative[2], 36.0 * np.sin(found.climb), rtol=0, atol=1e-9)
         s, c = np.sin(found.theta), np.cos(found.theta)
         down = [-s, c * np.sin(found.phi), c * np.cos(found.phi)]
@@ -95,9 +98,11 @@ class TestShape:
         assert_allclose(found.beyond["elevator"], (found.controls["elevator"], 0.05, 0.2))
         assert trim(glider.model(), glider.aircraft, 20.0, **AIR).beyond == {}
 
-    def test_unknowns_at_a_limit_are_named_with_it(self, glider):
-        model = glider.model(limits=np.outer([-0.1, 0.1], np.ones(8)))
-        with pytest.raises(ValueError, match=r"with alpha at its limit 0\.3\. Ask"):
+    @pytest.mark.parametrize(("flown", "limit"), [(0.1, 0.3), (0.01, 0.11)])
+    def test_unknowns_at_a_limit_are_named_with_it(self, glider, flown, limit):
+        """As far beyond the training range as it is wide, at least 0.1 rad."""
+        model = glider.model(limits=np.outer([-flown, flown], np.ones(8)))
+        with pytest.raises(ValueError, match=rf"with .*alpha at its limit {limit}\b"):
             trim(model, glider.aircraft, 8.0, **AIR)
 
     def test_a_throttle_that_sets_no_thrust_stays_in_the_middle_of_what_was_flown(
@@ -123,11 +128,13 @@ class TestShape:
         ({"climb": 3.0}, "Got climb=3, but expected radians"),
         ({"altitude": -99999.0}, "altitude -99999 m, but expected six accelerations"),
         ({"fixed": {"ruder": 0.0}}, r"'ruder' \(nearest: 'rudder'\)"),
+        ({"climb": 0.6}, r"with throttle at its limit 1\. "),
+        ({"climb": -0.7}, r"with throttle at its limit 0\. "),
     ],
 )
 def test_what_cannot_be_asked(asked, match):
     with pytest.raises(ValueError, match=match):
-        trim(BRUMBYS, BRUMBY, 20.0, **asked)
+        trim(BRUMBYS, BRUMBY, 36.0, **asked)
 
 
 @pytest.mark.parametrize(

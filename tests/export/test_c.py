@@ -70,7 +70,9 @@ def test_equals_the_pipeline(written, read, tmp_path):
     sources = written.flight[:50][list(model.columns)]
     inputs = np.array([library("inputs", row, d)[0] for row in sources.to_numpy(float)])
     assert_allclose(inputs, read(model).regressors(sources), rtol=1e-12, atol=1e-14)
-    assert ", ".join(model.columns) in (tmp_path / "aero.h").read_text()
+    header = (tmp_path / "aero.h").read_text()
+    assert ", ".join(model.columns) in header
+    assert "AERO_SERVO_RATE 0.0\n" in header  # without a limit
 
 
 WRONG = {
@@ -84,6 +86,10 @@ WRONG = {
     "deviation": lambda model: replace(
         model,
         parts=[replace(part, prior_variance=part.prior_variance + 1e-4) for part in model.parts],
+    ),
+    "slope": lambda model: replace(
+        model,
+        reference=replace(model.reference, slopes=model.reference.slopes * (1 + 1e-8)),
     ),
     "scale": lambda model: replace(model, output_scale=model.output_scale * (1 + 1e-6)),
 }

@@ -112,7 +112,7 @@ def test_rows_that_a_shuffled_kfold_left_out_are_named_as_such():
 
 
 @pytest.mark.parametrize(
-    ("every", "late", "refused"), [(5, 0.45, False), (5, 0.55, True), (20, 0.55, False)]
+    ("every", "late", "refused"), [(9, 0.49, False), (9, 0.51, True), (11, 0.51, False)]
 )
 def test_a_tenth_of_the_steps_may_be_uneven_by_half(every, late, refused):
     steps = np.full(400, 0.02)

@@ -187,6 +187,12 @@ class TestBridging:
         line = np.interp(table.time[500:509], table.time[[499, 509]], table.alpha[[499, 509]])
         assert_allclose(out.alpha[500:509], line)
 
+    def test_a_heading_is_bridged_the_short_way_round_south(self):
+        table = log()
+        table["psi"] = np.angle(np.exp(1j * (3.0 + 0.02 * table["time"])))
+        out = checked(spoilt("psi", range(281, 286), np.nan, table))
+        assert_allclose(np.exp(1j * out["psi"]), np.exp(1j * table["psi"]), atol=1e-9)
+
     def test_not_across_a_gap_in_time_nor_into_another_flight(self):
         both = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)
         out = checked(spoilt("alpha", [2399, 2400], np.nan, both))

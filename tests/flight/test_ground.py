@@ -38,8 +38,7 @@ def read(tmp_path):
 def test_standing_and_rolling_rows_are_left_out(seconds, read):
     """However many rows stand; the roll counts up to half of the fast airspeed."""
     flown, left_out = read(taxi_and_flight(seconds))
-    assert flown.min() > -6.0
-    assert left_out.max() < -2.0
+    assert -3.4 < left_out.max() < flown.min() < -2.8
 
 
 def flown_at(slow, fast):
@@ -53,7 +52,7 @@ def with_dropout():
     return table
 
 
-@pytest.mark.parametrize("table", [flown_at(14.0, 33.0), flown_at(10.0, 20.0), with_dropout()])
+@pytest.mark.parametrize("table", [flown_at(10.5, 40.0), flown_at(10.0, 20.0), with_dropout()])
 def test_many_speeds_and_a_dropout_are_no_ground(table, read):
     _, left_out = read(table)
     assert len(left_out) == 0

@@ -67,6 +67,15 @@ def drift_of(residuals, time, flight):
     return residual_drift(Nothing(), residuals, residuals, np.column_stack([time, flight]))
 
 
+def test_an_hour_tells_a_drift_from_white_noise():
+    rng = default_rng(0)
+    n = 60_000
+    residuals = np.sqrt(0.04) * lasting(rng, n, MEMORY / STEP) + rng.normal(0, np.sqrt(0.06), n)
+    variance, memory = drift_of(residuals[:, None], STEP * np.arange(n), np.zeros(n))
+    assert variance == pytest.approx(0.04, rel=0.1)
+    assert memory == pytest.approx(MEMORY, rel=0.2)
+
+
 def test_the_end_of_a_flight_tells_nothing_of_the_next():
     """Errors that only change from flight to flight last as long as a flight can show."""
     flight = np.repeat(np.arange(40), 20)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from skdgp.inference import single_output, starting_kernel
+from skdgp.inference import KnownNoise, single_output, starting_kernel
 from skdgp.kernels import ConvolvedGaussian, LinearTrend
 
 
@@ -29,3 +29,13 @@ def test_a_search_does_not_start_where_the_likelihood_is_flat(bounds, widest, un
     wide = [alone.set_params(length_scale=500.0 * scale)] * 3
     start = starting_kernel(kernel, X, Y, wide)
     assert_allclose(np.max(start.length_scale / scale), widest)
+
+
+@pytest.mark.parametrize(("n_rows", "least"), [(1, 0.3), (4, 0.15), (100, 1e-6)])
+def test_noise_starts_at_a_fifth_of_the_residual(n_rows, least):
+    """Bounds are relative to the variance of the output; one row shows no noise, twice the weights of a plane do."""
+    X = np.random.default_rng(0).normal(size=(n_rows, 2))
+    residual = np.resize([3.0, -3.0], (n_rows, 1))
+    variance, bounds = KnownNoise().start(residual, np.array([10.0]), X)
+    assert_allclose(bounds, [[100.0 * least, 1e4]])
+    assert_allclose(variance, max(0.2 * residual.var(), 100.0 * least))

@@ -5,8 +5,9 @@ import pytest
 from numpy.random import default_rng
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
+from sklearn.gaussian_process.kernels import RBF
 
-from skdgp.kernels import ConvolvedGaussian, LinearTrend
+from skdgp.kernels import ConvolvedGaussian, Coregionalized, LinearTrend
 
 KINDS = ("diag", "tied")
 OPEN = {
@@ -80,7 +81,7 @@ def test_slopes_of_a_trend_are_not_nearly_certain_to_be_zero(n, d, least):
     rng = default_rng(0)
     X, Y = rng.normal(size=(n, d)), rng.normal(size=(n, 1))
     bounds = LinearTrend().initialize(X / X.std(axis=0), Y / Y.std(), 0).parameter_bounds
-    assert_allclose(bounds["slope_scale"][..., 0], least)
+    assert_allclose(bounds["slope_scale"][0, 0], [least, 100.0])
 
 
 @pytest.mark.parametrize(("n", "is_removed"), [(6, False), (7, True)])
@@ -130,6 +131,24 @@ class TestBounds:
         assert [h.name for h in self.kernel.hyperparameters if not h.fixed] == ["length_scale"]
         fixed = clone(self.kernel).set_params(parameter_bounds={"length_scale": "fixed"})
         assert [h.name for h in fixed.hyperparameters if not h.fixed] == ["amplitude"]
+
+    def test_of_given_values_are_far_from_any_data(self):
+        """Amplitudes have a sign, widths and deviations are free in their logarithms."""
+        widths = ConvolvedGaussian(
+            1, private_latents=False, amplitude=[[1.0]], length_scale=[[[1.0]]]
+        )
+        assert_allclose(widths.bounds, [[-1e3, 1e3], np.log([1e-3, 1e3])])
+        assert_allclose(LinearTrend([1.0], [[1.0]]).bounds, np.log([[1e-5, 1e5]] * 2))
+        amplitudes = Coregionalized(RBF(), private_latents=False, amplitude=[[1.0]])
+        assert_allclose(amplitudes.bounds[0], [-1e3, 1e3])
+
+    def test_from_the_data_are_in_its_deviations(self, uneven):
+        """Widths of 0.05 to 1000, amplitudes up to 30; where outputs have gaps, private ones from 0.2 on."""
+        X, Y = uneven
+        Y = (Y - np.nanmean(Y, axis=0)) / np.nanstd(Y, axis=0)
+        bounds = ConvolvedGaussian(1).initialize(X / X.std(axis=0), Y, 0).parameter_bounds
+        assert_allclose(bounds["length_scale"][0, 0], [[0.05, 1e3]] * 3)
+        assert_allclose(bounds["amplitude"][:2, 0], [[-30.0, 30.0], [0.2, 30.0]])
 
     @pytest.mark.parametrize(
         ("bounds", "error", "message"),

@@ -89,5 +89,5 @@ def _motion(flight: FlightTable) -> Array:
     channels = flight.table.reindex(columns=[*RATES, *SPECIFIC_FORCE])
     values = channels.to_numpy(float, na_value=np.nan)
     measured = values[np.isfinite(values).all(axis=1)]
-    rounded = pd.DataFrame(np.round(measured, 4) + 0.0)  # no negative zeros
+    rounded = pd.DataFrame(np.round(measured, 4))
     return np.unique(pd.util.hash_pandas_object(rounded, index=False))

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from skdgp._compute.typing import Array, Matrix
-from skdgp._flight.channels import RATE_DERIVATIVES, RATES, SPECIFIC_FORCE
+from skdgp._flight.channels import RATES, SPECIFIC_FORCE
 from skdgp._flight.clock import Clock
 from skdgp._flight.frames import cross
 from skdgp._flight.smoothing import differentiate, smooth
@@ -47,10 +47,7 @@ def sensor_acceleration(table: pd.DataFrame) -> Matrix:
     flight = table.get("flight")
     options: dict[str, Any] = {"flight": flight, "shrink": False, "is_quiet": True}
     measured = numeric(table, RATES)
-    if {*RATE_DERIVATIVES} <= {*table.columns}:
-        spin = numeric(table, RATE_DERIVATIVES)
-    else:
-        spin = differentiate(measured, time, **options)
+    spin = differentiate(measured, time, **options)
     rates = smooth(measured, time, **options)
     acceleration = acceleration_by_rotation(spin, rates, position)
     for rows in Clock.of(time, flight).rows.values():

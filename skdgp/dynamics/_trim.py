@@ -301,7 +301,6 @@ class SteadyFlight:
         aircraft = self.motion.aircraft
         start = {name: float(np.clip(0.0, *ends)) for name, ends in self.limits.items()}
         start["alpha"] = float(np.mean(self.flown.get("alpha", UNKNOWN_LIMITS["alpha"])))
-        start["theta"] = start["alpha"] + self.given.get("climb", 0.0)
         start["throttle"] = float(np.mean(UNKNOWN_LIMITS["throttle"]))
         if aircraft.propeller is not None:
             # at an advance ratio of 1

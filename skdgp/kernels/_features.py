@@ -131,7 +131,8 @@ class LatentFeatures(ValueFeatures):
         arrays: dict[str, Any] = {}
         for name, value in filters._asdict().items():
             added = np.zeros((len(width), len(width), *value.shape[2:]))
-            added[:] = further.get(name, 0.0)
+            if name in further:
+                added[:] = further[name]
             arrays[name] = np.concatenate([value, added], axis=1)
         super().__init__(kernel, Z, ConvolvedGaussian(**arrays))
         self.width = width

@@ -70,7 +70,7 @@ def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
         omega = normal / lengths[component]
         # (g, g') in polar coordinates: its length, and its direction, the phase
         length = random_state.rayleigh(size=(n_paths, F, 1))
-        phase = random_state.uniform(0.0, 2 * np.pi, (n_paths, F))
+        phase = random_state.uniform(high=2 * np.pi, size=(n_paths, F))
         roots = _importance_gains(omega, lengths, np.bincount(component))
         gains = np.zeros((n_paths, F, len(feeds)))
         gains[..., i] = filters.amplitude[m, i] * roots * length
@@ -79,11 +79,13 @@ def _(kernel: ConvolvedGaussian, n_paths, n_frequencies, random_state):
         delay = omega @ filters.shift[m].T
         phase -= delay[..., i[0]]
         delay -= delay[..., i[:1]].copy()
-        for turn, part in ((0.0, np.cos(delay)), (0.5 * np.pi, np.sin(delay))):
-            if turn == 0.0 or delay.any():  # no sines without shifts
-                omegas.append(omega)
-                phases.append(phase - turn)
-                all_gains.append(gains * part)
+        waves = [(phase, np.cos(delay))]
+        if delay.any():  # no sines without shifts
+            waves.append((phase - np.pi / 2, np.sin(delay)))
+        for of_wave, part in waves:
+            omegas.append(omega)
+            phases.append(of_wave)
+            all_gains.append(gains * part)
     return Waves(
         np.concatenate(omegas, axis=1).swapaxes(1, 2).copy(),
         np.concatenate(phases, axis=1)[:, None],

@@ -211,7 +211,7 @@ def ridge_scale(X: Matrix, Y: Matrix) -> Vector:
 
     The slopes are of the regressors over their standard deviations. X (n, d), Y (n, P) with NaN.
     """
-    inputs = (X - X.mean(axis=0)) / column_scale(X)
+    inputs = X / column_scale(X)
     scales = []
     for y in Y.T:
         rows = np.isfinite(y)

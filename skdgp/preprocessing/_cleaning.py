@@ -297,7 +297,7 @@ class FlightSmoother(TableTransformer):
         values = unwrapped(table, names)
         if self.cutoff != "auto":
             return by_name(names, operation(values, cutoff=self.cutoff, **clock))
-        motion = _angles_by_motion(table).reindex(columns=names, fill_value=0.0).to_numpy()
+        motion = np.nan_to_num(_angles_by_motion(table).reindex(columns=names))
         rest = operation(values - motion, cutoff="auto", **clock)
         return by_name(names, rest + operation(motion, cutoff=None, **clock))
 

@@ -219,6 +219,7 @@ class TestControls:
     @pytest.mark.parametrize(("controls", "options", "match"), [
         (table_of(1.0), {"duration": 2.0}, "ends after 1 s, but the simulation lasts 2 s"),
         (table_of(1.0).drop(columns="thrust"), {}, "thrust is unknown"),
+        (table_of(1.0).assign(rudder=np.nan), {}, r"NaN or infinite in \['rudder'\]"),
         ({"elevator": 0.0}, {}, "Got no duration"),
         ([table_of(1.0)] * 3, {}, "3 tables as controls for 1 starts"),
         (table_of(1.0), {"air": pd.DataFrame({"time": [0.0, 2.0], "wind_north": 1.0})}, "lacks the columns"),

@@ -1,5 +1,7 @@
 """Trims: known answers, steadiness when flown, and clear words where there is none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,7 @@ from skdgp.dynamics import (
     Aerodynamics,
     Air,
     Motion,
+    Propeller,
     quaternion_to_euler,
     simulate,
     trim,
@@ -88,6 +91,15 @@ class TestSteady:
             assert asked[name] is None or value == pytest.approx(asked[name])
 
 
+@pytest.mark.parametrize("climb", [-0.1, 0.2])
+def test_the_speed_of_a_propeller_trims_the_thrust(glider, climb):
+    propeller = Propeller(0.5, (0.1, -0.05, -0.08), (0.006, 0.002, -0.007))
+    powered = replace(glider.aircraft, propeller=propeller)
+    found = trim(glider.model(), powered, 20.0, climb=climb, **AIR)
+    state = found.controls["propeller_speed"], 20.0, DENSITY
+    assert found.thrust == pytest.approx(propeller.thrust(*state))
+
+
 class TestShape:
     def test_what_was_not_flown_is_said(self, glider):
         limits = np.outer([-0.2, 0.2], np.ones(8))
@@ -95,6 +107,8 @@ class TestShape:
         model = glider.model(limits=limits)
         found = trim(model, glider.aircraft, 20.0, **AIR)
         assert list(found.beyond) == ["elevator"]
+        assert (found.altitude, found.climb, found.turn_rate, found.beta) == (0.0, 0.0, 0.0, 0.0)
+        assert found.thrust == pytest.approx(found.controls["thrust"])
         assert_allclose(found.beyond["elevator"], (found.controls["elevator"], 0.05, 0.2))
         assert trim(glider.model(), glider.aircraft, 20.0, **AIR).beyond == {}
 

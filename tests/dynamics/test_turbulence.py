@@ -189,9 +189,19 @@ def test_flights_that_show_no_turbulence_are_refused(change, span, match):
         Turbulence.from_flight(change(flights(TURBULENCE, 1, 200.0, 0.2, seed=3)), span)
 
 
+def test_low_altitude_is_that_of_the_standard():
+    """MIL-F-8785C, 3.7.3.4, in feet, at 50 m in a wind of 7 m/s."""
+    h = 50.0 / 0.3048
+    found = Turbulence.low_altitude(50.0, 7.0)
+    longer = h / (0.177 + 0.000823 * h) ** 1.2
+    assert_allclose(found.length / 0.3048, [longer, longer, h])
+    stronger = 0.1 * 7.0 / (0.177 + 0.000823 * h) ** 0.4
+    assert_allclose(found.intensity, [stronger, stronger, 0.7])
+
+
 @pytest.mark.parametrize(("height", "wind", "match"), [
     (0.0, 5.0, "Got height=0"),
-    (400.0, 5.0, "at most 304.8 m"),
+    (304.9, 5.0, "at most 304.8 m"),
     (100.0, -1.0, "wind_at_6m=-1"),
 
 ])  # fmt: skip

@@ -710,7 +710,8 @@ def test_flights_shorter_than_a_block_are_judged_by_nothing(flight):
 
 
 def test_one_of_several_flights(flight):
-    wrong = turn("beta")(flight).assign(flight="wrong")
+    """Of half a minute, by itself."""
+    wrong = turn("beta")(flight).iloc[: 31 * 40].assign(flight="wrong")
     (found,) = contradictions(pd.concat([flight, wrong], ignore_index=True))
     assert (found.flight, found.numbers["channels"]) == ("wrong", ["beta"])
 

@@ -235,7 +235,7 @@ class TestTransform:
     def test_clean_flights_pass_unchanged(self, latlon):
         assert_frame_equal(corrected(latlon[:1600]), latlon[:1600])
 
-    @pytest.mark.parametrize(("surfaces", "lag", "delay"), [(-0.06, 0.04, 0.06), (0.03, 0.0, 0.0)])
+    @pytest.mark.parametrize(("surfaces", "lag", "delay"), [(-0.06, 0.005, 0.06), (0.03, 0.0, 0.0)])
     def test_surfaces_that_are_late_are_no_servos_that_lead(self, surfaces, lag, delay):
         lags = {"surfaces": surfaces} | ({"servos": lag} if lag else {})
         given = LagCorrector(lags).fit(linear_aircraft(0))

@@ -334,11 +334,11 @@ def stuck_surface(name: str, law: Law, signals: Signals) -> Finding | None:
     # large in the others where a surface is stuck, 20 and more where surfaces move one after another
     if (terms[still].std(axis=0) > 5 * terms[moving].std(axis=0)).any():
         return None
-    by_moving = np.linalg.lstsq(terms[moving], y[moving], rcond=1e-8)[0]
+    by_moving = np.linalg.lstsq(terms[moving], y[moving])[0]
     squared = (y - terms @ by_moving) ** 2
     variance = squared[moving].mean()
     ratio = float(np.sqrt(squared[still].mean() / variance))
-    by_still = np.linalg.lstsq(terms[still], y[still], rcond=1e-8)[0]
+    by_still = np.linalg.lstsq(terms[still], y[still])[0]
     # what other terms explain by themselves lacks no surface: 0.04 in a sound flight whose rudder moves in 5 % of the
     # rows, 0.6 and more where a surface is stuck
     lacking = np.var(y[still] - terms[still] @ by_still)

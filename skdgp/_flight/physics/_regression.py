@@ -88,7 +88,5 @@ def estimated_slope(regression: Regression) -> Slope | None:
 
 
 def _without(others: Matrix, xy: Matrix) -> Matrix:
-    """Return x and y (n, 2) without the other regressors (n, k), these at one scale."""
-    scale = np.sqrt(np.mean(others**2, axis=0))
-    others = others / np.where(scale > 0, scale, 1.0)
-    return xy - others @ np.linalg.lstsq(others, xy, rcond=1e-8)[0]
+    """Return x and y (n, 2) without the other regressors (n, k)."""
+    return xy - others @ np.linalg.lstsq(others, xy)[0]

@@ -142,6 +142,18 @@ def question_of(aircraft, table):
     return aircraft.question_of_sizes(*numbers_in_flight(FlightTable.of(table), aircraft))
 
 
+def test_an_error_of_the_wing_area_is_one_of_the_lift(first_minute, flight):
+    """CL goes with its inverse; CL_alpha over that of a wing with its power of 0.65, beside the error of the slope."""
+    aircraft = first_minute().aircraft
+    error = {"wing": ScaleFactor(0.1, {"wing_area": 1.0})}
+    flights = FlightTable.of(flight)
+    _, exact = numbers_in_flight(flights, replace(aircraft, deviations={}))
+    numbers, stds = numbers_in_flight(flights, replace(aircraft, deviations=error))
+    assert stds["CL"] == pytest.approx(0.1 * numbers["CL"])
+    of_area = 0.065 * abs(numbers["CZ_alpha"])
+    assert stds["CZ_alpha"] == pytest.approx(np.hypot(exact["CZ_alpha"], of_area))
+
+
 def names_asked(aircraft, table):
     question = question_of(aircraft, table)
     return set() if question is None else {channel for channel, _ in asked_for(question)}

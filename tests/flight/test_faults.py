@@ -167,6 +167,12 @@ def test_what_no_aircraft_has_is_impossible(channel, possible, impossible):
     assert fault in faults(spoilt(channel, [500], impossible, table))
 
 
+@pytest.mark.parametrize(("n", "is_rare"), [(119, True), (131, False)])
+def test_impossible_values_in_more_than_a_twentieth_are_of_another_unit(n, is_rare):
+    found = faults(spoilt("throttle", range(n), 99.0))
+    assert (["throttle", "impossible"] in found) == is_rare
+
+
 def test_channels_that_are_ignored_stay_as_they_are():
     table = spoilt("q", [900, 901], 7.0)
     assert inspect_flight(table, ignore=["q"]).empty

@@ -98,6 +98,9 @@ class TestMeaning:
         with pytest.warns(UndefinedMetricWarning, match=r"Output \[0\] is constant"):
             assert np.isnan(normalized_rmse([2.0, 2.0], [2.0, 2.1]))
 
+    def test_a_zero_target_that_is_met_has_no_error(self):
+        assert median_relative_error([0.0, 0.0, 1.0], [0.0, 0.0, 2.0]) == 0.0
+
     @pytest.mark.parametrize("level", [0.5, 0.9, 0.95])
     def test_coverage_of_honest_bands_is_their_level(self, level):
         rng = default_rng(0)

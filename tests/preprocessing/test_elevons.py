@@ -29,7 +29,10 @@ def test_more_surfaces_than_controls():
 def test_conventional_aircraft_passes_through():
     table = pd.DataFrame({"elevator": [0.1], "aileron": [0.2], "alpha": [0.05]})
     assert_frame_equal(ElevonSplitter().fit_transform(table), table)
+    assert ElevonSplitter().fit(table).in_simulation() == {}
     fitted = ElevonSplitter().fit(ELEVONS)
+    assert fitted.in_simulation()["mixing"].surfaces == ("elevon_left", "elevon_right")
+    assert list(fitted.get_feature_names_out()) == list(fitted.transform(ELEVONS))
     assert_frame_equal(fitted.transform(table), table)
     without = table[["alpha"]]
     assert_frame_equal(ElevonSplitter().fit_transform(without), without)

@@ -59,6 +59,12 @@ def test_an_engine_brings_the_airspeed_among_the_regressors(motion, expected):
     assert {"throttle", "airspeed"} & {*selector.regressors_} == expected
 
 
+@pytest.mark.parametrize(("motion", "expected"), [(0.009, []), (0.011, ["flap"])])
+def test_flaps_that_move_are_among_the_regressors(motion, expected):
+    flown = EVERY.assign(flap=motion * np.resize([1.0, -1.0], 6))
+    assert RegressorSelector().fit(flown).regressors_ == [*QUASI_STEADY, *expected]
+
+
 def test_nondimensional_rates_take_the_place_of_rates():
     table = RateNondimensionalizer(span=2.0, chord=1.0).fit_transform(EVERY)
     chosen = RegressorSelector("classical").fit(table).regressors_
@@ -73,7 +79,8 @@ def test_ranges_are_those_of_the_channels_in_rows_with_a_target():
         "flight": list("aaab"), "alpha": [0.0, 0.1, 0.3, 9.0], "phi": [-0.5, np.nan, 0.2, 9.0],
         "alpha_true": 1.0, "mine": 2.0,
     })  # fmt: skip
-    selector = RegressorSelector(["alpha"]).fit(table, [1.0, 2.0, 0.0, np.nan])
+    targets = np.column_stack([[1.0, np.nan, 0.0, np.nan], [1.0, 2.0, 0.0, np.nan]])
+    selector = RegressorSelector(["alpha"]).fit(table, targets)
     assert selector.ranges_ == {"alpha": (0.0, 0.3), "phi": (-0.5, 0.2)}
 
 

@@ -129,7 +129,7 @@ class TestPredict:
 
 
 def test_nothing_is_learned_before_the_servos_forget_what_was_not_logged(flights, few):
-    """A deflection follows from the commands of five time constants behind the delay."""
+    """A hundredth is left of an unknown deflection once the delay and ln 100 time constants passed."""
     rows, _ = few
     pipeline = make_identification_pipeline(
         flights.aircraft,
@@ -138,7 +138,7 @@ def test_nothing_is_learned_before_the_servos_forget_what_was_not_logged(flights
         regressor=DependentGPRegressor(structure="trend", max_iter=2),
     ).fit(rows, aerodynamic_coefficients(rows, flights.aircraft))
     since = rows["time"] - rows.groupby("flight", observed=True)["time"].transform("min")
-    assert pipeline.n_learned_ == (since > 0.28).sum() < pipeline.n_observed_
+    assert pipeline.n_learned_ == (since > 0.03 + 0.05 * np.log(100)).sum() < pipeline.n_observed_
 
 
 def test_logged_rows_are_predicted_as_the_samples_say_in_any_air(flights, test_flight):

@@ -307,7 +307,7 @@ def _inertia(value: ArrayLike) -> Array:
             f"Got inertia {value!r}, but expected 3 x 3 numbers, finite [kg m^2]: "
             "[[Ixx, -Ixy, -Ixz], [-Ixy, Iyy, -Iyz], [-Ixz, -Iyz, Izz]]."
         )
-    if not np.allclose(inertia, inertia.T):
+    if not np.allclose(inertia, inertia.T, rtol=0, atol=1e-6 * abs(inertia).max()):
         raise ValueError(
             f"Got inertia {inertia.tolist()} which is not symmetric: write each product of inertia "
             "in both places, inertia[i][j] = inertia[j][i]."

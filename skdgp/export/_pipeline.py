@@ -155,7 +155,7 @@ def _factors(name: str, mixing: Any) -> dict[str, float]:
     if mixing is None or name not in mixing.controls:
         return {name: 1.0}
     row = mixing.matrix[mixing.controls.index(name)].tolist()
-    return dict(zip(mixing.surfaces, row, strict=True))
+    return {surface: c for surface, c in zip(mixing.surfaces, row, strict=True) if c}
 
 
 def _trend_roots(kernel: MultiOutputKernel) -> Array:

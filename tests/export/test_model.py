@@ -20,7 +20,7 @@ from sklearn.preprocessing import (
 
 from skdgp import DependentGPRegressor
 from skdgp.export import export_model, portable_model
-from skdgp.preprocessing import RegressorSelector
+from skdgp.preprocessing import ElevonSplitter, RegressorSelector
 
 
 @pytest.mark.parametrize("noise", [1.0, 2.0, 0.0])
@@ -119,6 +119,13 @@ def test_any_scaling_is_exported(flight, portable_of, read):
     reader = read(portable)
     mean, _ = reader.predict(reader.regressors(flight))
     assert_allclose(mean, model.predict(flight), rtol=1e-9, atol=1e-9)
+
+
+def test_a_control_asks_for_the_surfaces_that_move_it_alone(flight, portable_of):
+    mixing = {"aileron": {"elevon_left": 0.5, "elevon_right": -0.5}, "elevator": {"rudder": 1.0}}
+    model = learned([ElevonSplitter(mixing), RegressorSelector(["aileron"]), START], flight)
+    (aileron,) = portable_model(model, portable_of("trend").aircraft).regressors
+    assert dict(zip(aileron.sources, aileron.factors, strict=True)) == mixing["aileron"]
 
 
 def test_the_reader_of_the_examples_imports_numpy_alone(example):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from numbers import Integral, Real
 from typing import Any
 
@@ -159,6 +160,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Whether the search ended at a stationary point of the likelihood of all values that it learned
         from, with slopes of at most 0.001 nats for a standard error of each hyperparameter, or at
         bounds. If not, ``fit`` warns.
+    slopes_ : KnownSlopes or None
+        Slopes that another source knows better than the samples.
     center_, scale_ : ndarray (P,)
         The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str
@@ -245,7 +248,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         y: Any,
         time: Any = None,
         flight: Any = None,
-        slopes: KnownSlopes | None = None,
+        slopes: KnownSlopes | Callable[..., KnownSlopes | None] | None = None,
         errors: FunctionErrors | None = None,
     ) -> DependentGPRegressor:
         """Learn the hyperparameters and compute the posterior.
@@ -274,10 +277,11 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             These are the ``groups`` of a cross-validation. With metadata routing
             ``set_fit_request(flight="groups")`` passes one array to both. ``fit`` has no parameter
             of that name, so groups of a splitter need no request.
-        slopes : KnownSlopes or None
+        slopes : KnownSlopes, callable or None
             Slopes by the regressors that another source knows better than these samples. A linear
             function is added to the mean, so that its slopes over the samples are these, with the
-            errors of the source.
+            errors of the source. A callable returns them, or None, of the
+            function learned without them, ``predict(X)``, (n, P).
         errors : FunctionErrors or None
             Errors of the function that these samples do not show, in units of X and y. They add to
             its covariance.
@@ -366,6 +370,9 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         recorded = np.argsort(rows) if clock is None else np.arange(len(rows))
         self._warn_of_fit(fit, X[recorded], Z[recorded], known_noise, rows)
         self._set_noise(fit, X, Z, clock)
+        if callable(slopes):
+            slopes = slopes(lambda X: self.center_ + self.scale_ * fit.posterior.predict(X))
+        self.slopes_ = slopes
         if slopes is not None:
             slopes = slopes.scaled(1 / self.scale_[:, None])
         std = fit.learned.input_std if recipe.time_series else None

@@ -29,7 +29,7 @@ from skdgp._flight.tables import (
     numeric,
 )
 from skdgp._flight.units import check_radians
-from skdgp.dynamics._dryden import Gusts, rolling_gust
+from skdgp.dynamics._dryden import Gusts
 
 # From a time or a stage, and states (..., 13), to the air there.
 AirAt: TypeAlias = "Callable[[Any, Array], LocalAir]"
@@ -78,8 +78,6 @@ class Turbulence(NamedTuple):
 
     intensity: Array  #: (3,) [m/s]
     length: Array  #: (3,) [m]
-    #: Mean of the flights [m/s]; None where intensity and length are given.
-    airspeed: float | None = None
 
     @classmethod
     def low_altitude(cls, height: float, wind_at_6m: float) -> Turbulence:
@@ -143,21 +141,6 @@ class Turbulence(NamedTuple):
             )
         return found
 
-    def rates(self, airspeed: float, span: float) -> Array:
-        r"""Return the standard deviations (3,) of the rates p, q, r of the air [rad/s].
-
-        p is that of `rolling_gust`; of gusts that are much longer than the span b, H_q and H_r have
-
-        .. math:: \sigma_q^2 = \frac{3 \pi \sigma_w^2}{8\, b L_w}, \quad
-                  \sigma_r^2 = \frac{\pi \sigma_v^2}{2\, b L_v}.
-        """
-        _, sigma_v, sigma_w = self.intensity
-        _, length_v, length_w = self.length
-        p, _ = rolling_gust(airspeed, span, sigma_w, length_w)
-        q = sigma_w * np.sqrt(3 * np.pi / (8 * span * length_w))
-        r = sigma_v * np.sqrt(np.pi / (2 * span * length_v))
-        return np.array([p, q, r])
-
 
 def turbulence_of_flights(flights: pd.DataFrame, aircraft: Any) -> Turbulence | None:
     """Return the turbulence of flights of a known aircraft, None where they do not show it."""
@@ -191,8 +174,7 @@ def turbulence_of_winds(
     horizontal = _likeliest(along, 0.5 * (north + east), interval, lengths, noises)
     vertical = _likeliest(across, down, interval, lengths, noises)
     intensity, length = np.transpose([horizontal, horizontal, vertical])
-    airspeed = pd.concat([wind["airspeed"] for wind in winds]).mean()
-    return Turbulence(intensity, length, float(airspeed))
+    return Turbulence(intensity, length)
 
 
 def _periodogram(wind: pd.DataFrame, span: float) -> Array:

@@ -82,8 +82,8 @@ def stability_derivatives(
         over functions drawn from the posterior, which :func:`skdgp.dynamics.simulate` flies too. Of a
         model learned from flights its square is the sum of the squares of
 
-        - ``std_errors``: how far noise of the regressors and rates of the air flatten a slope, and
-          errors of the log that its flights do not show: times of the channels, position of the
+        - ``std_errors``: how far noise of the regressors flattens a slope, errors of slopes by
+          instruments, and errors of the log that its flights do not show: times of the channels, position of the
           sensors, scale of the airspeed; without vanes errors of the filter's derivatives,
         - ``std_posterior``: the rest.
 

@@ -17,18 +17,15 @@ from sklearn.pipeline import Pipeline
 from skdgp._compute.linalg import constant_columns
 from skdgp._compute.statistics import autocorrelation_time, half_width
 from skdgp._compute.typing import Array, Indices, Matrix, Vector
-from skdgp._flight.channels import COEFFICIENTS, HAT, MIRRORED, VANES
+from skdgp._flight.channels import COEFFICIENTS, HAT, VANES
+from skdgp._flight.clock import Clock
 from skdgp._flight.findings import Code, Finding
+from skdgp._flight.tables import FlightTable
 from skdgp.dynamics import Aircraft, aerodynamic_coefficients
 from skdgp.identification._evaluate import CONTROL_DERIVATIVES, THRESHOLDS, Evaluation
+from skdgp.identification._instruments import instruments, two_stage, unexplained_by_chance
 from skdgp.identification._log_errors import dynamic_load
-from skdgp.identification._pipeline import (
-    FlightPipeline,
-    named_regressors,
-    reconstruction_of,
-    regressor_names,
-    scaling_of,
-)
+from skdgp.identification._pipeline import FlightPipeline, regressor_names, scaling_of
 from skdgp.inference import FunctionErrors
 
 WHOLE = "whole"
@@ -43,11 +40,9 @@ MOST_ROWS = 100  # at which the covariance of the function is evaluated
 # Standard deviations of constant errors, from flight to flight (guesses)
 VANE_OFFSET = 0.005  # [rad]
 ACCELEROMETER_OFFSET = 0.05  # [m/s^2]
-# Standard deviation of the slope of a regressor that did not move in the fit [1/unit] (guess; far above
-# slopes by surfaces and throttle)
+# Standard deviation of the slope of a regressor that did not move in the fit, or is not moved in the flight
+# by its controls [1/unit] (guess; far above slopes by surfaces and throttle)
 UNLEARNED_SLOPE = 10.0
-# Variance of a correlation between -1 and 1 of which nothing is known
-CORRELATION_VARIANCE = 1 / 3
 FORCES = "forces"
 CHANGE = ["change", "std"]
 # CY and CZ, which thrust and drag do not change
@@ -61,29 +56,26 @@ LOADING_STD = 0.02
 class Changes:
     r"""Test of flights for a change of the aircraft since its model was learned.
 
-    The residuals r of a coefficient, measured without smoothing less predicted, are fitted by least
-    squares on a constant and the regressors x less their means, Q: the weights :math:`w = G Q^T r`,
-    :math:`G = (Q^T Q)^{-1}`, are the likely change of the coefficient and of its derivatives. Without
-    a change their covariance is
+    The residuals r of a coefficient, measured without smoothing less the learned function, are fitted on a
+    constant and the regressors x less their means, Q, with the controls of the last 1.5 s as instruments
+    (`skdgp.identification._instruments`): noise of the regressors and rates of the air flatten slopes by least
+    squares the more, the less an aircraft moves, and not these. With their matrix A the weights
+    :math:`w = A r` are the likely change of the coefficient and of its derivatives. Without a change their
+    covariance is
 
-    .. math:: C = G Q^T (R + K + \sum_j a_j a_j^T) Q G.
+    .. math:: C = A R A^T + G Q^T (K + \sum_j a_j a_j^T) Q G, \quad G = (Q^T Q)^{-1}.
 
     R are the autocovariances of the residuals of this fit, with Bartlett's window (Newey & West
-    1987): rougher air widens it. K is the uncertainty of the function, without the errors of the log
-    that the measured coefficients have, too. The :math:`a_j` are the effects of one standard deviation
-    of a constant error of each vane, 0.3 deg, and of each accelerometer, 0.05 m/s², of the errors
-    of regressors, and of unknown slopes of regressors that did not move in the fit. Errors of
-    regressors flatten slopes J the more, the less an aircraft moves (Fuller 1987, section 1.1), by
-    :math:`(\rho S^{-1} - S_0^{-1}) E J`, where S and :math:`S_0` are the covariances of the regressors in
-    the flight and in the fit, E is that of their errors in the fit, whose correlations are unknown within
-    symmetric and within lateral regressors, and :math:`\rho \ge 1` the noise of rougher air over that of the
-    fit. Rates of rougher air, which no sensor sees, are errors, too, of each weight by itself.
+    1987): rougher air widens it, and so does what surplus instruments explain beyond chance (Sargan 1958).
+    K is the uncertainty of the function, without the errors of the log that the measured coefficients have, too.
+    The :math:`a_j` are the effects of one standard deviation of a constant error of each vane, 0.3 deg, and of
+    each accelerometer, 0.05 m/s², and of unknown slopes of regressors that did not move in the fit.
 
     With k weights, :math:`w^T C^{-1} w\, (\nu - k + 1) / (\nu k)` is compared with
     :math:`F(k, \nu - k + 1)`, where :math:`\nu` are the 3 n / 2 L degrees of freedom of autocovariances
     up to the lag L, six autocorrelation times but at most a quarter of the flight (Priestley 1981,
     table 6.2, at frequency zero). Where :math:`\nu - k + 1` is not positive, or the flight has few independent
-    samples, it is too short. The p-values of the coefficients are combined into the whole by Simes'
+    samples or no controls, it tells nothing. The p-values of the coefficients are combined into the whole by Simes'
     test, which allows for positive dependence (Simes 1986).
 
     Attributes
@@ -126,10 +118,9 @@ class Compared(NamedTuple):
     """A flight beside a model."""
 
     regressors: Matrix  #: Of the last step, (n, d)
-    residuals: Matrix  #: Measured less predicted coefficients (n, 6), NaN where unknown
+    residuals: Matrix  #: Measured coefficients less the learned function (n, 6), NaN where unknown
     by_acceleration: Vector  #: Force coefficients of an acceleration of 1 m/s² (n,)
-    noise_ratio: float = 1.0  #: Variance of the noise of the regressors over that in the fit
-    by_air: FunctionErrors | None = None  #: Errors by the rates of its air beyond those of the fit
+    clock: Clock  #: Of its rows
 
 
 def changes_in_flights(
@@ -142,15 +133,11 @@ def changes_in_flights(
         measured = aerodynamic_coefficients(
             flight.table, aircraft, cutoff=None, thrust=pipeline.thrust
         )
-        by_acceleration = aircraft.mass / dynamic_load(flight.table, aircraft)
-        residuals = measured.to_numpy() - flight.mean
-        named = named_regressors(pipeline, flight.regressors)
         compared[flight.name] = Compared(
             flight.regressors,
-            residuals,
-            by_acceleration,
-            float(flight.noise_ratio.mean()),
-            pipeline.errors_by_air(named, flight.table, pipeline.turbulence_),
+            measured.to_numpy() - pipeline[-1].predict(flight.regressors),
+            aircraft.mass / dynamic_load(flight.table, aircraft),
+            FlightTable.of(flight.table).clock,
         )
     changes = changes_of(pipeline, compared, pipeline.log_errors_)
     if pipeline.seconds_ is not None and pipeline.seconds_ < THRESHOLDS.flown:
@@ -184,14 +171,19 @@ def _changes_of_flight(
     pipeline: Pipeline, flight: Compared, log_errors: FunctionErrors | None
 ) -> tuple[dict[str, float], pd.DataFrame]:
     """Return the p-values of a flight, and its likely changes with their standard deviations, see `Changes`."""
+    regressors = pd.DataFrame(flight.regressors, columns=regressor_names(pipeline))
     endings = ["", *(f"_{name.removesuffix(HAT)}" for name in regressor_names(pipeline))]
     names = [coefficient + ending for coefficient in COEFFICIENTS for ending in endings]
     units = np.append(1.0, scaling_of(pipeline)[1])
-    rows = np.isfinite(flight.residuals).all(axis=1)
+    observed: Any = np.isfinite(flight.residuals).all(axis=1)
+    rows, W = instruments(regressors, flight.clock, observed)
+    if W is None:
+        unknown = dict.fromkeys([*COEFFICIENTS, FORCES, WHOLE], np.nan)
+        return unknown, pd.DataFrame(np.nan, [*names, FORCES], [*CHANGE, "value"])
     X = flight.regressors[rows]
     flight = flight._replace(regressors=X, by_acceleration=flight.by_acceleration[rows])
     Q = np.column_stack([np.ones(len(X)), X - X.mean(axis=0)])
-    fits = [residual_weights(Q, residual) for residual in flight.residuals[rows].T]
+    fits = [residual_weights(Q, residual, W) for residual in flight.residuals[rows].T]
     weights = np.array([fit[0] for fit in fits])
     covariance = _covariance(pipeline, flight, Q, log_errors)
     p = {}
@@ -211,10 +203,13 @@ def _changes_of_flight(
     return p | {WHOLE: combined([*p.values()])}, table
 
 
-def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float]:
-    """Return weights of residuals (n,) by columns (n, k), their covariance, and its degrees of freedom."""
+def residual_weights(Q: Matrix, residual: Vector, W: Matrix) -> tuple[Vector, Matrix, float]:
+    """Return weights of residuals (n,) by columns (n, k), their covariance, and its degrees of freedom.
+
+    W (n, m) are instruments, orthonormal.
+    """
     n, k = Q.shape
-    fitting = np.linalg.pinv(Q)  # G Q^T
+    fitting = two_stage(Q, W)
     weights = fitting @ residual
     e = residual - Q @ weights
     # a change that follows a slow motion makes the residual last longer, not e
@@ -226,6 +221,10 @@ def residual_weights(Q: Matrix, residual: Vector) -> tuple[Vector, Matrix, float
     autocovariance = correlate(e, e, method="fft")[n - 1 :] / (n - k * lasting)
     window = np.maximum(1 - np.arange(n) / longest, 0.0)
     covariance: Any = fitting @ matmul_toeplitz(autocovariance * window, fitting.T)
+    (explained,) = unexplained_by_chance(e[:, None], W, k - 1)
+    covariance *= max(1.0, explained / (lasting * np.mean(e**2)))
+    unmoved = np.eye(k) - fitting @ Q  # by the controls
+    covariance += UNLEARNED_SLOPE**2 * unmoved @ unmoved.T
     return weights, covariance, 1.5 * n / longest
 
 
@@ -276,18 +275,13 @@ def _covariance(
     K = function.reshape(*mean.T.shape, *mean.T.shape)
     K = K + np.einsum("nij,mlj->inlm", effects, effects)
     fitting = np.linalg.pinv(Q[rows])  # G Q^T
-    covariance = np.einsum("ka,iajb,lb->ikjl", fitting, K, fitting, optimize=True)
-    if flight.by_air is not None:
-        weights = fitting @ flight.by_air.linear(at)
-        np.einsum("ikik->ik", covariance)[:] += np.sum(weights**2, axis=0).T
-    return covariance
+    return np.einsum("ka,iajb,lb->ikjl", fitting, K, fitting, optimize=True)
 
 
 def _effects(pipeline: Pipeline, flight: Compared, rows: Indices) -> Array:
-    """Return the effects (n, 6, J) of J errors of sensors, regressors and slopes at n rows of a flight."""
+    """Return the effects (n, 6, J) of J errors of sensors and slopes at n rows of a flight."""
     regressor = pipeline[-1]
-    X = flight.regressors
-    at = X[rows]
+    at = flight.regressors[rows]
     by_acceleration = flight.by_acceleration[rows]
     trained = regressor.posterior_.inputs
     is_vane = np.isin(regressor_names(pipeline), VANES)
@@ -296,33 +290,4 @@ def _effects(pipeline: Pipeline, flight: Compared, rows: Indices) -> Array:
     by_accelerometers = ACCELEROMETER_OFFSET * by_acceleration[:, None, None] * np.eye(6, 3)
     unlearned = (at - trained[0]) * constant_columns(trained) * UNLEARNED_SLOPE
     by_slopes = np.kron(unlearned[:, None], np.eye(6))  # each of one output
-    rougher = max(flight.noise_ratio, 1.0)
-    moved = (at - X.mean(axis=0)) @ (rougher * _precision(X) - _precision(trained))
-    slopes = regressor.predict_gradient(trained.mean(axis=0, keepdims=True))[0]
-    by_noise = moved[:, None] * _noise_effects(pipeline, slopes)
-    return np.concatenate([by_vanes, by_accelerometers, by_slopes, by_noise], axis=-1)
-
-
-def _noise_effects(pipeline: Pipeline, slopes: Matrix) -> Matrix:
-    """Return the standard deviations (6, d) of E J for slopes J (6, d), with the sign of these.
-
-    Correlations of errors are unknown within symmetric and within lateral regressors. Their sizes are learned
-    from the residuals; angles that a filter derived from the forces agree with these, so there its own
-    count, the larger ones.
-    """
-    names = [name.removesuffix(HAT) for name in regressor_names(pipeline)]
-    std = np.sqrt(np.diag(pipeline[-1].input_covariance_))
-    reconstruction = reconstruction_of(pipeline)
-    if reconstruction is not None and reconstruction.air_motion_ is not None:
-        of_filter = [f"{name}_std" for name in regressor_names(pipeline)]
-        stated = reconstruction.air_motion_.air.mean().reindex(of_filter).to_numpy()
-        std = np.fmax(std, stated / scaling_of(pipeline)[1])
-    is_lateral = np.isin(names, [*MIRRORED])
-    correlations = np.where(is_lateral[:, None] == is_lateral, CORRELATION_VARIANCE, 0.0)
-    np.fill_diagonal(correlations, 1.0)
-    return np.copysign(np.sqrt((slopes * std) ** 2 @ correlations) * std, slopes)
-
-
-def _precision(X: Matrix) -> Matrix:
-    """Return the inverse of the covariance of regressors X (n, d), zero along directions that do not vary."""
-    return np.linalg.pinv(np.atleast_2d(np.cov(X.T)), hermitian=True)
+    return np.concatenate([by_vanes, by_accelerometers, by_slopes], axis=-1)

@@ -88,8 +88,6 @@ class Evaluation:
         Standard deviations of such measurements, which have the same errors of the log.
     regressors : (n, d)
         Inputs of the last step of the pipeline.
-    noise_ratio : (n,)
-        Variance of their noise over that in the fit, see `flight_regressors`.
     baseline : (n, 6)
         Coefficients that least squares on the same rows predict.
     truth : (n, 6), optional
@@ -104,7 +102,6 @@ class Evaluation:
     std: Matrix
     prediction_std: Matrix
     regressors: Matrix
-    noise_ratio: Vector
     baseline: Matrix
     truth: Matrix | None = None
 
@@ -185,7 +182,6 @@ def evaluate(
         std=std,
         prediction_std=np.sqrt(variance + pipeline[-1].noise_variance_),
         regressors=X,
-        noise_ratio=ratio,
         truth=_truth(corrected, band),
         baseline=by_least_squares(named_regressors(pipeline, X), pipeline.least_squares_),
     )

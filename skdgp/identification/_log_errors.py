@@ -1,4 +1,4 @@
-"""Errors of a learned function that its flights do not show: by the log, by the thrust, and by rates of the air."""
+"""Errors of a learned function that its flights do not show: by the log, and by the thrust."""
 
 from __future__ import annotations
 
@@ -27,12 +27,11 @@ from skdgp.dynamics import (
     Aircraft,
     ScaleFactor,
     Servos,
-    Turbulence,
     dynamic_pressure,
     propulsive_loads,
 )
 from skdgp.estimation import AIR_SENSOR_ERRORS, KNOWN_ARM, servo_output
-from skdgp.inference import FunctionErrors, attenuation, errors_of_slopes, linear_weights
+from skdgp.inference import FunctionErrors, linear_weights
 
 # Standard deviation of the time of a channel against the inertial sensors, by its motion between
 # samples [steps of the log], and prior of this time [s] (guess)
@@ -116,28 +115,6 @@ def thrust_errors(
     table = pd.DataFrame(weights, endings, [*COEFFICIENTS])
     added = {C + ending: table[C][ending] for C in COEFFICIENTS for ending in endings}
     return {"thrust": ScaleFactor(propeller.load_std, source="size of the propeller", added=added)}
-
-
-def errors_by_air(
-    regressors: pd.DataFrame, linear: pd.DataFrame, turbulence: Turbulence, aircraft: Aircraft
-) -> FunctionErrors:
-    """Return the errors by rates of the air, noise of regressors (n, d) whose size follows from the gusts.
-
-    Regressors are non-dimensional rates. The axes of gusts lie along the mean wind in MIL-F-8785C, at
-    low altitude, and along the flight in a frozen field. With every angle between them equally likely,
-    rolling and pitching both have the mean of their variances.
-    """
-    airspeed: Any = turbulence.airspeed  # of flights it is known
-    roll, pitch, yaw = turbulence.rates(airspeed, aircraft.span) ** 2
-    horizontal = (roll + pitch) / 2
-    unit = aircraft.moment_lengths / (2 * airspeed)
-    rates = [f"{name}{HAT}" for name in RATES]
-    noise = pd.Series(unit**2 * [horizontal, horizontal, yaw], rates)
-    noise = noise.reindex(regressors.columns, fill_value=0.0)
-    X = regressors.to_numpy()
-    slopes = linear.loc[regressors.columns].to_numpy().T
-    errors = [attenuation(X, np.diag(noise), of_output) for of_output in slopes]
-    return errors_of_slopes(np.stack(errors), X.mean(axis=0))
 
 
 def learned_as(changes: Sequence[Matrix], regressors: pd.DataFrame) -> FunctionErrors:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -31,7 +32,6 @@ from skdgp.dynamics import (
 from skdgp.estimation import prior_deviations
 from skdgp.identification._instruments import by_instruments
 from skdgp.identification._log_errors import (
-    errors_by_air,
     fit_least_squares,
     learned_errors,
     regression_calibration,
@@ -303,8 +303,6 @@ class FlightPipeline(Pipeline):
     log_errors_ : FunctionErrors or None
         Errors of the log among the errors of the last step's function. Coefficients measured by the same
         sensors have them, too.
-    slopes_ : KnownSlopes or None
-        Slopes by the regressors of the last step that are not those of the samples.
     calibration_ : ndarray (1 + d, P) or None
         Intercept and slopes of `regression_calibration`, which ``predict`` adds to the function of the
         last step where there are such slopes. Simulations, derivatives and exports use the function.
@@ -312,7 +310,6 @@ class FlightPipeline(Pipeline):
 
     steps: list[tuple[str, Any]]
     # a slice has learned nothing itself
-    slopes_: KnownSlopes | None = None
     calibration_: Matrix | None = None
     turbulence_: Turbulence | None = None
     seconds_: float | None = None
@@ -372,19 +369,18 @@ class FlightPipeline(Pipeline):
         named = named_regressors(self, regressors)
         self.least_squares_ = fit_least_squares(named, y)
         self._learn_errors_by_log(flights, named)
-        self.slopes_ = None
-        if isinstance(last, DependentGPRegressor):
-            self.slopes_ = self._known_slopes(regressors, y, flights)
+        is_dependent = isinstance(last, DependentGPRegressor)
+        if is_dependent:
             facts = {
                 "time": flights.get("time"),
                 "flight": flights.get("flight"),
-                "slopes": self.slopes_,
+                "slopes": partial(self._known_slopes, regressors, y, flights),
                 "errors": self.log_errors_,
             }
             parameters = facts | parameters
         last.fit(regressors, y, **parameters)
         self.calibration_ = None
-        if self.slopes_ is not None:
+        if is_dependent and last.slopes_ is not None:
             added = last.function_errors().mean_path()
             self.calibration_ = -added.about(np.zeros(regressors.shape[1])).weights[0]
         self.fit_time_ = round(time.monotonic() - began, 3)
@@ -405,11 +401,13 @@ class FlightPipeline(Pipeline):
             return np.ones(len(flights), dtype=bool)
         return FlightTable.of(flights).clock.elapsed > seconds
 
-    def _known_slopes(self, X: Matrix, y: Any, flights: pd.DataFrame) -> KnownSlopes | None:
+    def _known_slopes(
+        self, X: Matrix, y: Any, flights: pd.DataFrame, predict: Callable[[Matrix], Matrix]
+    ) -> KnownSlopes | None:
         """Return slopes that noise of the regressors X (n, d) does not flatten, None where flights do not show them.
 
         Without vanes those that the motion of the air shows, or where gusts are not known by least
-        squares with the deviations of small aircraft in general. Else those by instruments.
+        squares with the deviations of small aircraft in general. Else those by instruments of what ``predict`` lacks.
         """
         outputs = list(y.columns) if isinstance(y, pd.DataFrame) else list(COEFFICIENTS)
         names = regressor_names(self)
@@ -423,7 +421,8 @@ class FlightPipeline(Pipeline):
             return KnownSlopes.of_samples(X, y, deviations * scale)
         if "time" not in flights:
             return None
-        return by_instruments(pd.DataFrame(X, columns=names), y, FlightTable.of(flights).clock)
+        clock = FlightTable.of(flights).clock
+        return by_instruments(pd.DataFrame(X, columns=names), y, predict(X), clock)
 
     def _learn_errors_by_log(self, flights: pd.DataFrame, regressors: pd.DataFrame) -> None:
         """Learn errors of the function by the log and by the thrust, of coefficients of a known aircraft."""
@@ -448,23 +447,6 @@ class FlightPipeline(Pipeline):
         )
         places = [COEFFICIENTS.index(name) for name in outputs]
         self.log_errors_ = self._of_last_step(errors.of_outputs(places))
-
-    def errors_by_air(
-        self, regressors: pd.DataFrame, flights: pd.DataFrame, beyond: Turbulence | None
-    ) -> FunctionErrors | None:
-        """Return the errors of a function of named regressors by the rates of the air of checked flights.
-
-        They are of the power that gusts have ``beyond`` another turbulence. None where flights do not show theirs.
-        """
-        turbulence = turbulence_of_flights(flights, self.aircraft)
-        if turbulence is None:
-            return None
-        aircraft: Any = self.aircraft  # flights of a known one show turbulence
-        errors = errors_by_air(regressors, self.least_squares_, turbulence, aircraft)
-        if beyond is not None:
-            ratio = np.sum(beyond.intensity**2) / np.sum(turbulence.intensity**2)
-            errors = errors._replace(weights=max(0.0, 1.0 - ratio) * errors.weights)
-        return self._of_last_step(errors)
 
     def _of_last_step(self, errors: FunctionErrors) -> FunctionErrors:
         """Return errors over regressors in units as those over the regressors of the last step."""
@@ -502,9 +484,11 @@ class FlightPipeline(Pipeline):
         if isinstance(self[-1], DependentGPRegressor):
             params = {"include_input_noise": noise_ratio} | params
         predicted = self[-1].predict(regressors, **params)
-        if self.slopes_ is None or self.calibration_ is None:
+        if self.calibration_ is None:
             return predicted
-        if not self.slopes_.includes_noise:  # by instruments, beside samples of the same sensors
+        if not self[
+            -1
+        ].slopes_.includes_noise:  # by instruments, beside samples of the same sensors
             noise_ratio = np.ones(len(regressors))
         added = regression_calibration(self.calibration_, regressors, noise_ratio)
         if isinstance(predicted, tuple):

@@ -39,8 +39,10 @@ from jsbsim_flight import (
 )
 
 from skdgp import DependentGPRegressor, make_identification_pipeline
+from skdgp._flight.clock import Clock
 from skdgp.dynamics import aerodynamic_coefficients
 from skdgp.identification import flight_regressors
+from skdgp.identification._instruments import by_instruments
 from skdgp.inference import Posterior
 from skdgp.metrics import (
     interval_coverage,
@@ -84,7 +86,6 @@ class Prepared(NamedTuple):
     clock: dict
     asked: dict
     derivatives: dict  #: Aircraft, place, airspeed and known derivatives
-    slopes: object  #: By instruments
     errors: object  #: Of the function, which the samples do not show
 
 
@@ -102,8 +103,7 @@ def prepared(name, _commit):
     asked = {air: rows_of(pipeline, flight, aircraft) for air, flight in flown.items()}
     X = np.asarray(pipeline[:-1].transform(log))
     derivatives = derivatives_of(name, aircraft, flown["calm"])
-    slopes, errors = pipeline.slopes_, pipeline.log_errors_
-    return Prepared(pipeline, X, Y, clock, asked, derivatives, slopes, errors)
+    return Prepared(pipeline, X, Y, clock, asked, derivatives, pipeline.log_errors_)
 
 
 def rows_of(pipeline, flight, aircraft):
@@ -133,11 +133,16 @@ def derivatives_of(name, aircraft, flight):
 def fitted(flights, label):
     """Return the regressor of a variant."""
     rate, options = FITS[label]
-    slopes = None if label == WITHOUT_INSTRUMENTS else flights.slopes
     Y = flights.Y
     if rate is not None:
         Y = thin_targets(Y, int(np.ceil(rate * np.ptp(flights.clock["time"]))))
+    X = pd.DataFrame(flights.X, columns=flights.pipeline["regressorselector"].regressors_)
+
+    def slopes(predict):
+        return by_instruments(X, Y, predict(flights.X), Clock.of(*flights.clock.values()))
+
     model = DependentGPRegressor(random_state=0, **options)
+    slopes = None if label == WITHOUT_INSTRUMENTS else slopes
     return model.fit(flights.X, Y, **flights.clock, slopes=slopes, errors=flights.errors)
 
 
@@ -148,10 +153,11 @@ def with_posterior(model, posterior):
     return model
 
 
-def without_errors(model, n_slopes):
-    """Yield the name of each source of error, and the model without it; errors of slopes are ``n_slopes``."""
+def without_errors(model):
+    """Yield the name of each source of error, and the model without it."""
     posterior = model.posterior_
     d = model.n_features_in_
+    n_slopes = model.slopes_.errors.shape[-1]
     sources = {
         "attenuation": slice(0, d),
         "errors of slopes": slice(d, d + n_slopes),
@@ -234,8 +240,7 @@ def measured(name, label, cache):
     seconds = time.process_time() - start
     scores = {label: scored(model, flights) | {"CPU": seconds}}
     if label == WHOLE:
-        n_slopes = flights.slopes.errors.shape[-1]
-        for part, other in [*without_errors(model, n_slopes), *with_weights(model)]:
+        for part, other in [*without_errors(model), *with_weights(model)]:
             scores[part] = scored(other, flights)
     return {"scores": scores}
 

@@ -32,10 +32,16 @@ def flown(seed, gust, n=5000, split=None):
     return regressors, Y, Clock.of(STEP * np.arange(n), flight)
 
 
+def found_by(regressors, Y, clock):
+    """Return the slopes of the function that least squares learns."""
+    learned = LinearRegression().fit(regressors, Y).predict(regressors)
+    return by_instruments(regressors, Y, learned, clock)
+
+
 @pytest.mark.parametrize("split", [None, 1000])
-def test_noise_flattens_slopes_by_least_squares_and_not_by_instruments(split):
+def test_noise_flattens_slopes_by_least_squares_and_not_found_by(split):
     regressors, Y, clock = flown(0, 0.3, split=split)
-    found = by_instruments(regressors, Y, clock)
+    found = found_by(regressors, Y, clock)
     rows = clock.elapsed > 1.5
     X = np.column_stack([np.ones(rows.sum()), regressors[rows]])
     by_all = np.linalg.lstsq(X, Y[rows], rcond=None)[0][1:].T
@@ -49,7 +55,7 @@ def test_without_noise_slopes_are_those_by_least_squares_half_of_the_time():
     is_same = []
     for seed in range(20):
         regressors, Y, clock = flown(seed, 0.0)
-        found = by_instruments(regressors, Y, clock)
+        found = found_by(regressors, Y, clock)
         by_all = LinearRegression().fit(regressors, Y).coef_
         is_same += np.isclose(found.value, by_all, rtol=1e-9).all(axis=1).tolist()
     assert np.mean(is_same) > 0.4
@@ -59,21 +65,30 @@ def test_an_effect_that_regressors_lack_makes_slopes_by_instruments_less_certain
     """A flow that follows the aileron 0.2 s later is no noise of the rate."""
     regressors, Y, clock = flown(0, 0.0)
     later = Y + 0.1 * np.outer(np.roll(regressors["aileron"], 10), SLOPES[:, 1])
-    found = by_instruments(regressors, later, clock)
+    found = found_by(regressors, later, clock)
     assert_allclose(found.value, LinearRegression().fit(regressors, later).coef_, rtol=1e-9)
-    errors = [np.linalg.norm(by_instruments(regressors, y, clock).errors) for y in (Y, later)]
+    errors = [np.linalg.norm(found_by(regressors, y, clock).errors) for y in (Y, later)]
     assert errors[1] > 5 * errors[0]
 
 
+def test_a_function_that_lacks_nothing_keeps_its_slopes():
+    """Of outputs that are not linear instruments tell other slopes than least squares, too."""
+    regressors, Y, clock = flown(0, 0.3)
+    curved = Y + 0.3 * regressors.to_numpy() ** 2
+    found = by_instruments(regressors, curved, curved, clock)
+    assert_allclose(found.value, LinearRegression().fit(regressors, curved).coef_, rtol=1e-9)
+    assert_allclose(found.errors, 0.0, atol=1e-12)
+
+
 def test_errors_of_different_outputs_are_independent():
-    errors = by_instruments(*flown(0, 0.3)).errors
+    errors = found_by(*flown(0, 0.3)).errors
     assert (np.linalg.norm(errors, axis=-1) > 0).all()
     assert_allclose(errors[0] @ errors[1].T, 0.0, atol=1e-15)
 
 
 def test_a_control_and_enough_rows_are_needed():
     regressors, Y, clock = flown(0, 0.3, n=175)
-    assert by_instruments(regressors, Y, clock) is None
+    assert found_by(regressors, Y, clock) is None
     regressors, Y, clock = flown(0, 0.3)
     for name in regressors:
-        assert by_instruments(regressors[[name]], Y, clock) is None
+        assert found_by(regressors[[name]], Y, clock) is None

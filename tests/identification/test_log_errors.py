@@ -15,7 +15,6 @@ from sklearn.linear_model import LinearRegression
 from skdgp import DependentGPRegressor
 from skdgp.dynamics import (
     Servos,
-    Turbulence,
     aerodynamic_coefficients,
     as_aerodynamics,
 )
@@ -25,7 +24,6 @@ from skdgp.identification._log_errors import (
     CLOCK,
     CLOCK_STEPS,
     clock_std,
-    errors_by_air,
     learned_errors,
     regression_calibration,
 )
@@ -202,19 +200,3 @@ def test_linear_residuals_are_added_in_proportion_to_the_noise():
     expected = fraction * (intercept + points @ slopes)
     found = regression_calibration(weights, points, np.array([0.0, 0.5, 1.0, 7.0]))
     assert_allclose(found, expected, atol=1e-12)
-
-
-def test_rates_of_the_air_flatten_slopes_by_what_is_added():
-    """Rolling and pitching have the mean of their variances."""
-    airspeed, rng = 20.0, default_rng(0)
-    turbulence = Turbulence(np.ones(3), np.full(3, 200.0), airspeed)
-    roll, pitch, yaw = turbulence.rates(airspeed, GLIDER.span)
-    of_air = [np.hypot(roll, pitch) / np.sqrt(2)] * 2 + [yaw]
-    unit = GLIDER.moment_lengths / (2 * airspeed)
-    felt = 0.5 * unit * rng.normal(size=(50_000, 3))
-    X = pd.DataFrame(felt + unit * rng.normal(scale=of_air, size=felt.shape), columns=HATS)
-    slopes = np.hstack([np.zeros((3, 3)), np.diag([-0.4, -8.0, -0.1])])
-    linear = least_squares_of(X, felt @ slopes)
-    errors = errors_by_air(X, linear, turbulence, GLIDER)
-    found = linear.loc[HATS].T + errors.slopes().sum(axis=-1)
-    assert_allclose(np.diag(found[3:]), [-0.4, -8.0, -0.1], rtol=0.02)

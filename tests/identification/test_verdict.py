@@ -88,7 +88,6 @@ def evaluation(name="a", error=0.1, linear=0.2, inside=True, n=2000):
         table=pd.DataFrame({"time": time, "alpha": 0.0, "beta": 0.0}),
         states=pd.DataFrame({"time": time}),
         regressors=measured,
-        noise_ratio=np.ones(n),
     )
 
 

@@ -85,7 +85,6 @@ def result(n=800, **changes):
         "std": std,
         "prediction_std": 2 * std,
         "regressors": mean,
-        "noise_ratio": np.ones(n),
         "baseline": mean,
         "truth": mean + 0.01 * rng.normal(size=(n, 6)),
         "table": flight,

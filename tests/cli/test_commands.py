@@ -95,7 +95,7 @@ class TestPredict:
         output = tmp_path / "new" / "out.csv"
         assert command(["predict", str(stopped), "test.csv", "-o", str(output)]) == 130
         assert not output.parent.exists()
-        assert capsys.readouterr().err == "stopped\n"
+        assert capsys.readouterr().err.endswith("stopped\n")  # behind a bar on a slow machine
 
 
 class Stopped(DependentGPRegressor):

@@ -2,10 +2,10 @@
 
 The N x N matrix is output-major. A kernel computes one tile of one pair of outputs at a time.
 
-The noise has the covariance S = sum_k s_k N_k by its sources k, sparse matrices: white noise of each
-output, with the variance s_k and ones on the diagonal, and sources that all values of a sample feel,
-N_k = G_k G_k^T. G (N, n samples) holds the loadings of the values on the error of their sample. Those
-of regressors are the slopes of the posterior mean (McHutchon & Rasmussen 2011), as in factor analysis.
+The noise of two values of the outputs i and j has the covariance S = sigma_i^2 delta_ij + sum_k s_k g_k g_k'
+if they are of the same sample, zero otherwise: white noise of each output, and errors k of the sample, which
+its values feel by the loadings g_k. Those of regressors are the slopes of the posterior mean
+(McHutchon & Rasmussen 2011), as in factor analysis.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from itertools import combinations, combinations_with_replacement, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import sparse
 from scipy.linalg.blas import dsyr
 from scipy.sparse.csgraph import connected_components
 
@@ -87,37 +86,73 @@ def sample_table(X: Sequence[Matrix], sample: Sequence[Indices]) -> tuple[Indice
     return samples, np.concatenate(X)[first]
 
 
-def noise_terms(noise: Vector, data: Data) -> list[Any]:
-    """Return the noise covariance of the stacked values by each source, sparse matrices (N, N).
+class _Noise:
+    """The noise covariance S (N, N) of the stacked values.
 
     ``noise`` is [sigma^2 (P)] or, with learned variances s (r) of the errors of samples, [sigma^2, s];
-    they are one otherwise. As the covariance is linear in them, terms are derivatives by their logarithms.
+    they are one otherwise. S is linear in them, so its terms are its derivatives by their logarithms.
     """
-    P = len(data.y)
-    terms = []
-    for variance, rows in zip(noise, consecutive(data.y), strict=False):
-        diagonal = np.zeros(data.n_values)
-        diagonal[rows] = variance
-        terms.append(sparse.diags_array(diagonal))
-    roots = noise_roots(data)
-    factors = noise[P:] if len(noise) > P else np.ones(len(roots))
-    return terms + [s * (G @ G.T) for s, G in zip(factors, roots, strict=True)]
+
+    def __init__(self, noise: Vector, data: Data) -> None:
+        P = len(data.y)
+        self.learned = noise
+        self.outputs = consecutive(data.y)
+        self.G = np.vstack(data.loadings())
+        self.s = noise[P:] if len(noise) > P else np.ones(self.G.shape[1])
+        self.sample = np.concatenate([np.asarray(rows, dtype=int) for rows in data.sample])
+        self.row, self.column = _pairs_of_samples(data)
+
+    def add(self, upper: Matrix) -> None:
+        """Add S to the upper triangle of a matrix (N, N)."""
+        for variance, rows in zip(self.learned, self.outputs, strict=False):
+            np.einsum("aa->a", upper)[rows] += variance
+        scaled = self.G * self.s
+        upper[self.row, self.column] += np.einsum("pk,pk->p", scaled[self.row], self.G[self.column])
+
+    def products(self, alpha: Vector) -> Matrix:
+        """Return the products of each learned term with a vector (N,), a column each."""
+        columns = np.zeros((len(alpha), len(self.learned)))
+        for k, (variance, rows) in enumerate(zip(self.learned, self.outputs, strict=False)):
+            columns[rows, k] = variance * alpha[rows]
+        P = len(self.outputs)
+        for k in range(P, len(self.learned)):
+            g = self.G[:, k - P]
+            of_samples = np.bincount(self.sample, g * alpha)  # G^T alpha
+            columns[:, k] = self.s[k - P] * g * of_samples[self.sample]
+        return columns
+
+    def half_sums(self, W: Matrix) -> Vector:
+        """Return sum(W * term) / 2 of each learned term; only the upper triangle of W is read."""
+        diagonal = np.diag(W)
+        sums = [
+            0.5 * v * diagonal[r].sum() for v, r in zip(self.learned, self.outputs, strict=False)
+        ]
+        P = len(self.outputs)
+        if len(self.learned) > P:
+            weights = W[self.row, self.column] * np.where(self.row == self.column, 0.5, 1.0)
+            squares = self.G[self.row] * self.G[self.column]
+            sums += list(self.s * (weights @ squares))
+        return np.array(sums)
 
 
-def noise_roots(data: Data) -> list[Any]:
-    """Return the loadings of the stacked values on the error of their sample, by source, sparse (N, n samples)."""
-    values = np.arange(data.n_values)
-    samples = np.concatenate([np.asarray(rows, dtype=int) for rows in data.sample])
-    loadings = np.vstack(data.loadings())
-    return [sparse.csr_array((column, (values, samples))) for column in loadings.T]
+def _pairs_of_samples(data):
+    """Return the places (2, pairs) among the stacked values of two values of a sample, the first one first."""
+    pairs = []
+    places = consecutive(data.y)
+    for i, j in combinations_with_replacement(range(len(places)), 2):
+        _, a, b = np.intersect1d(data.sample[i], data.sample[j], True, return_indices=True)
+        pairs.append([places[i].start + a, places[j].start + b])
+    return np.concatenate(pairs, axis=1)
 
 
 def draw_noise(noise: Vector, data: Data, n_draws: int, random_state: Any) -> Matrix:
     """Return draws of the noise of the stacked values, (n_draws, N); ``noise`` (P,) holds the white noise variances."""
     std = np.repeat(np.sqrt(noise), [len(y) for y in data.y])
     draws = std * random_state.standard_normal((n_draws, data.n_values))
-    for G in noise_roots(data):
-        draws += (G @ random_state.standard_normal((G.shape[1], n_draws))).T
+    sample = np.concatenate(data.sample)
+    for g in np.vstack(data.loadings()).T:
+        errors = random_state.standard_normal((sample.max() + 1, n_draws)).T
+        draws += g * errors[:, sample]
     return draws
 
 
@@ -235,25 +270,25 @@ def covariance(
 ) -> np.ndarray:
     """Return Kff + noise, (N, N) in Fortran order; only its lower triangle is filled.
 
-    ``noise`` is as for ``noise_terms``.
+    ``noise`` is as for ``_Noise``.
     """
     pairs = _pairs(kernel, data, tiles.side, tiles.diagonal)
-    terms = noise_terms(noise, data)
-    return _assembled(pairs, lambda k: kernel.block(*_inputs(data, *pairs[k])), terms)
+    S = _Noise(noise, data)
+    return _assembled(pairs, lambda k: kernel.block(*_inputs(data, *pairs[k])), S)
 
 
-def _assembled(pairs, block, noise):
-    """Return Kff + noise from ``block`` (k) of each pair of tiles on and above the diagonal, and terms of the noise."""
+def _assembled(pairs, block, S):
+    """Return Kff + S from ``block`` (k) of each pair of tiles on and above the diagonal."""
 
     def fill(k):
         a, b = pairs[k]
         upper[a.stacked, b.stacked] = block(k)
 
     # In C order: its transpose is the lower triangle in Fortran order.
-    upper = np.zeros(noise[0].shape)
+    N = len(S.sample)
+    upper = np.zeros((N, N))
     thread_map(fill, range(len(pairs)))
-    total = sparse.coo_array(sparse.triu(sum(noise)))
-    upper[total.row, total.col] += total.data
+    S.add(upper)
     return upper.T
 
 
@@ -319,21 +354,19 @@ def log_likelihood(
         def block(k):
             return evaluated[k].covariance()
 
-        terms = noise_terms(noise, data)
-        L = jittered_cholesky(lambda: _assembled(pairs, block, terms))
+        S = _Noise(noise, data)
+        L = jittered_cholesky(lambda: _assembled(pairs, block, S))
         value = _value(L, y)
         alpha = cholesky_solve(L, y)
         n_dims = kernel.n_dims
         products = np.zeros((len(y), n_dims + len(noise)), order="F")
         _add_products(products[:, :n_dims], pairs, evaluated, alpha)
-        for k, term in enumerate(terms[: len(noise)]):
-            products[:, n_dims + k] = term @ alpha
+        products[:, n_dims:] = S.products(alpha)
         half = triangular_solve(L, products)
         minus_W = _minus_W(L, alpha)
         slopes = _slopes(pairs, evaluated, minus_W, n_dims)
         by_theta = np.sum(list(slopes.values()), axis=0)
-        by_noise = [_half_sum(minus_W, term) for term in terms[: len(noise)]]
-        gradient = -np.concatenate([by_theta, by_noise])
+        gradient = -np.concatenate([by_theta, S.half_sums(minus_W)])
         information = 0.5 * half.T @ half
         kernel.add_curvature(information[:n_dims, :n_dims], slopes)
         return Likelihood(value, gradient, information)
@@ -360,12 +393,6 @@ def _add_products(products, pairs, evaluated, alpha):
         of_pair.add_products(products[a.stacked], alpha[b.stacked])
         if a is not b:
             of_pair.add_products(products[b.stacked], alpha[a.stacked], transposed=True)
-
-
-def _half_sum(W, term):
-    """Return sum(W * term) / 2 of a symmetric sparse matrix; only the upper triangle of W is read."""
-    off = sparse.coo_array(sparse.triu(term, k=1))
-    return 0.5 * np.diag(W) @ term.diagonal() + W[off.row, off.col] @ off.data
 
 
 def _value(L, y):

@@ -34,6 +34,7 @@ from skdgp.inference._outliers import SETTINGS as SETTINGS_OF_OUTLIERS
 from skdgp.inference._outliers import contaminated_variances, gross_outliers
 from skdgp.inference._posterior import ExactPosterior
 from skdgp.inference._shifts import found_shifts, price_of_shifts
+from skdgp.inference._starts import SETTINGS as SETTINGS_OF_STARTS
 from skdgp.inference._starts import (
     from_simpler,
     narrowed,
@@ -316,18 +317,21 @@ class _Search:
         """
         Y = self.Y if aligned is None else aligned
         singles = None if alone is None else alone.kernels
-        start = starting_kernel(kernel, self.X, Y, singles)
+        is_sum = singles is not None and len(singles) == 1 and has_shared_latents(kernel)
+        ratios = SETTINGS_OF_STARTS.apart if is_sum else (1.0,)
+        of_ratios = [starting_kernel(kernel, self.X, Y, singles, ratio) for ratio in ratios]
+        start = of_ratios[0]
         noise, bounds = self._noise(start)
         noise = noise if alone is None else alone.noise
         n_iter = self.options.max_iter
         if self.options.input_noise:
             n_iter = min(n_iter, self.options.settings.exact_iterations)
-        starts = [(start, noise)]
+        starts = [(of_ratio, noise) for of_ratio in of_ratios]
         for end in ends if aligned is None else ():
             if contains(kernel, end.kernel):
                 starts.append((from_simpler(start, end.kernel), end.noise))
         if not ends:
-            starts = [_by_one_block(start, noise, bounds, self.blocks, n_iter)]
+            starts = [_by_one_block(*pair, bounds, self.blocks, n_iter) for pair in starts]
         starts.sort(key=partial(_likelihood, self.blocks), reverse=True)
         score = least_score([end.score() for end in ends])
         found: list[Hyperparameters] = []

@@ -224,10 +224,6 @@ def test_noise_questions_no_size(first_minute, train, name, factor, rows):
 def test_the_aircraft_is_judged_when_it_is_read():
     with pytest.warns(FindingWarning, match=r"Check these .*span 11 m \(1100 cm\)"):
         Aircraft.estimate(1111.0, 1100.0)
-    sizes = {"mass": 13.5, "span": 2.9, "wing_area": 0.55, "chord": 0.19}
-    inertia = 1e4 * np.diag([0.8, 1.1, 1.8])
-    with pytest.warns(FindingWarning, match="radius of gyration in roll"):
-        Aircraft.from_dict(sizes | {"inertia": inertia.tolist()})
 
 
 def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):

@@ -128,6 +128,7 @@ def test_a_size_of_another_source_is_asked_for():
 def test_moments_of_inertia_that_no_aeroplane_has(changed, law):
     question = question_of_sizes(published("F-104") | changed, {})
     assert law in {found.channel for found in question.numbers["laws"]}
+    assert {*changed} <= {channel for channel, _ in asked_for(question)}
 
 
 @pytest.mark.parametrize(("std", "is_asked"), [(0.01, True), (1.0, False)])

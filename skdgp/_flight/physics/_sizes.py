@@ -138,7 +138,8 @@ POWERS = {
     "Cn_r": {"Izz": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
 }
 # Sizes that are given together, in one unit
-TOGETHER = {"Ixx": ("Iyy", "Izz", "Ixz")}
+MOMENTS = ("Ixx", "Iyy", "Izz", "Ixz")
+TOGETHER = {"Ixx": MOMENTS[1:]}
 FOOT = 0.3048
 POUND = 0.45359237
 OF_LENGTHS = {"ft": FOOT, "cm": 0.01, "mm": 0.001, "in": FOOT / 12}
@@ -148,7 +149,7 @@ SI_UNITS = {
     "chord": "m",
     "wing_area": "m^2",
     "airspeed": "m/s",
-    "Ixx": "kg m^2",
+    **dict.fromkeys(MOMENTS, "kg m^2"),
     "thrust": "N",
     "propeller.diameter": "m",
     "propeller_speed": "rad/s",
@@ -211,6 +212,8 @@ def question_of_sizes(
                 plausible.append((name, factor, unit))
     likely = plausible[:3]
     named = {name for name, *_ in likely}
+    if _are_moments_exchanged(broken, sizes):
+        asked += [name for name in MOMENTS if name in sizes and name not in asked]
     likely += [(name, 1.0, "") for name in asked if name not in named]
     questions = []
     for name, factor, unit in likely:
@@ -226,6 +229,13 @@ def question_of_sizes(
             )
         )
     return Finding(Code.SIZES_QUESTIONED, laws=laws, asked=questions)
+
+
+def _are_moments_exchanged(broken: Collection[SizeLaw], sizes: Sizes) -> bool:
+    """Return whether a law that is broken compares moments of inertia, whatever their unit is."""
+    other = _in_other_unit(sizes, "Ixx", 4.0, ())
+    of_moments = [law for law in broken if not law.powers.keys().isdisjoint(MOMENTS)]
+    return any(law.value(other) == law.value(sizes) for law in of_moments)
 
 
 def _broken(sizes: Sizes, relative: Mapping[str, float]) -> list[SizeLaw]:

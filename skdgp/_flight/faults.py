@@ -162,13 +162,15 @@ def _bridged(flights: FlightTable, ignore: Sequence[str]) -> dict[str, Vector]:
     """Return the channels that have missing values, with short gaps interpolated."""
     new = {}
     for name, values in flights.numeric_channels(BRIDGED).items():
-        if name in ignore or not np.isnan(values).any():
+        if name in ignore or np.isfinite(values).all():
             continue
         filled = unwrapped(flights.table, [name])[:, 0]
+        filled[~np.isfinite(filled)] = np.nan
         for segment in flights.segments:
             filled[segment] = _interpolated(flights.time[segment], filled[segment])
         new[name] = filled
-    wrap_near(new, flights.table[[name for name in WRAPPED if name in new]].ffill().bfill())
+    angles = flights.table[[name for name in WRAPPED if name in new]]
+    wrap_near(new, angles.replace([np.inf, -np.inf], np.nan).ffill().bfill())
     return new
 
 

@@ -199,6 +199,14 @@ class TestBridging:
         out = checked(spoilt("psi", range(281, 286), np.nan, table))
         assert_allclose(np.exp(1j * out["psi"]), np.exp(1j * table["psi"]), atol=1e-9)
 
+    def test_infinite_headings_are_missing(self):
+        table = log()
+        table["psi"] = 0.1 * np.cos(table["time"])
+        wrong = spoilt("psi", range(800, 900), -np.inf, spoilt("psi", [281], np.inf, table))
+        assert_allclose(
+            checked(wrong)["psi"], spoilt("psi", range(800, 900), np.nan, table)["psi"], atol=1e-4
+        )
+
     def test_not_across_a_gap_in_time_nor_into_another_flight(self):
         both = pd.concat([log(), log(seed=1, name="next")], ignore_index=True)
         out = checked(spoilt("alpha", [2399, 2400], np.nan, both))

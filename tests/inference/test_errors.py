@@ -5,7 +5,7 @@ import pytest
 from made_flights import lasting
 from made_kernels import assert_covariance
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from skdgp import DependentGPRegressor
 from skdgp.inference import FunctionErrors, attenuation, linear_weights
@@ -49,7 +49,9 @@ def test_deviations_covariances_and_samples_are_of_one_distribution(
     assert_allclose(np.diag(cov), std.T.ravel() ** 2, rtol=1e-9)
     assert_allclose(cov, cov.T)
     assert np.linalg.eigvalsh(cov).min() > -1e-9 * cov.max()
-    draws = [np.moveaxis(model.sample_y(X, N_DRAWN, random_state=1, **switches), -1, 0)]
+    samples = model.sample_y(X, N_DRAWN, random_state=1, **switches)
+    assert_array_equal(model.sample_y(X, N_DRAWN, random_state=1, **switches), samples)
+    draws = [np.moveaxis(samples, -1, 0)]
     if not noise and input_noise is False:
         draws.append(model.sample_paths(N_DRAWN, 1)(X))
     for drawn in draws:

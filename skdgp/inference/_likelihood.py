@@ -87,52 +87,41 @@ def sample_table(X: Sequence[Matrix], sample: Sequence[Indices]) -> tuple[Indice
 
 
 class _Noise:
-    """The noise covariance S (N, N) of the stacked values.
+    """The noise covariance S of the stacked values, diag(``white``) + sum_k r_k r_k' for values of one sample.
 
-    ``noise`` is [sigma^2 (P)] or, with learned variances s (r) of the errors of samples, [sigma^2, s];
+    ``noise`` is [sigma^2 (P)] or, with learned variances s (n_sources) of the errors of samples, [sigma^2, s];
     they are one otherwise. S is linear in them, so its terms are its derivatives by their logarithms.
     """
 
     def __init__(self, noise: Vector, data: Data) -> None:
         P = len(data.y)
-        self.learned = noise
-        self.outputs = consecutive(data.y)
-        self.G = np.vstack(data.loadings())
-        self.s = noise[P:] if len(noise) > P else np.ones(self.G.shape[1])
+        self.n_learned = len(noise)
+        self.of_output = np.repeat(np.eye(P), [len(y) for y in data.y], axis=0)
+        self.white = self.of_output @ noise[:P]
+        G = np.vstack(data.loadings())
+        self.R = G * np.sqrt(noise[P:]) if len(noise) > P else G
         self.sample = np.concatenate([np.asarray(rows, dtype=int) for rows in data.sample])
         self.row, self.column = _pairs_of_samples(data)
 
     def add(self, upper: Matrix) -> None:
         """Add S to the upper triangle of a matrix (N, N)."""
-        for variance, rows in zip(self.learned, self.outputs, strict=False):
-            np.einsum("aa->a", upper)[rows] += variance
-        scaled = self.G * self.s
-        upper[self.row, self.column] += np.einsum("pk,pk->p", scaled[self.row], self.G[self.column])
+        np.einsum("aa->a", upper)[:] += self.white
+        of_sources = self.R[self.row] * self.R[self.column]
+        upper[self.row, self.column] += of_sources.sum(axis=1)
 
     def products(self, alpha: Vector) -> Matrix:
         """Return the products of each learned term with a vector (N,), a column each."""
-        columns = np.zeros((len(alpha), len(self.learned)))
-        for k, (variance, rows) in enumerate(zip(self.learned, self.outputs, strict=False)):
-            columns[rows, k] = variance * alpha[rows]
-        P = len(self.outputs)
-        for k in range(P, len(self.learned)):
-            g = self.G[:, k - P]
-            of_samples = np.bincount(self.sample, g * alpha)  # G^T alpha
-            columns[:, k] = self.s[k - P] * g * of_samples[self.sample]
-        return columns
+        by_white = self.of_output * (self.white * alpha)[:, None]
+        felt = np.zeros((self.sample.max() + 1, self.R.shape[1]))
+        np.add.at(felt, self.sample, self.R * alpha[:, None])
+        return np.hstack([by_white, self.R * felt[self.sample]])[:, : self.n_learned]
 
     def half_sums(self, W: Matrix) -> Vector:
         """Return sum(W * term) / 2 of each learned term; only the upper triangle of W is read."""
-        diagonal = np.diag(W)
-        sums = [
-            0.5 * v * diagonal[r].sum() for v, r in zip(self.learned, self.outputs, strict=False)
-        ]
-        P = len(self.outputs)
-        if len(self.learned) > P:
-            weights = W[self.row, self.column] * np.where(self.row == self.column, 0.5, 1.0)
-            squares = self.G[self.row] * self.G[self.column]
-            sums += list(self.s * (weights @ squares))
-        return np.array(sums)
+        by_white = 0.5 * (np.diag(W) * self.white) @ self.of_output
+        weights = W[self.row, self.column] * np.where(self.row == self.column, 0.5, 1.0)
+        of_sources = self.R[self.row] * self.R[self.column]
+        return np.concatenate([by_white, weights @ of_sources])[: self.n_learned]
 
 
 def _pairs_of_samples(data):

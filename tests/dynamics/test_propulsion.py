@@ -46,6 +46,14 @@ def test_thrust_is_the_advance_ratio_formula():
     assert_allclose(TRUE.thrust(omega, airspeed, rho), expected, rtol=1e-13)
 
 
+def test_coefficients_that_are_not_given_are_zero():
+    omega, rho = 400.0, 1.15
+    one = Propeller(0.5, (0.11,))
+    expected = rho * (omega / (2 * np.pi)) ** 2 * 0.5**4 * 0.11
+    assert_allclose(one.thrust(omega, np.array([0.0, 12.0]), rho), expected)
+    assert one.torque(omega, 12.0) == 0.0
+
+
 def test_torque_turns_the_aircraft_against_the_propeller():
     clockwise = Propeller(0.5, (0.1,), (0.01,), rotation=1)
     assert clockwise.torque(300.0, 0.0) < 0, (

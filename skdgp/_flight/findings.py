@@ -149,7 +149,7 @@ class Code(Kind):
     )
     SIZES_QUESTIONED = (
         "no aeroplane has these sizes",
-        "Outside of the limits: {laws}. Check these sizes and their units: {asked}.",
+        "Outside of the limits: {laws}. Check these sizes, their units, and that they are of this aircraft: {asked}.",
         DOUBT,
     )
     BROKEN_LAW = "{channel} is {value:.3g}, but of aeroplanes {least:g} to {most:g}"
@@ -233,7 +233,8 @@ class Code(Kind):
         "the estimate of the motion of the air did not converge",
         "[Channels contradict each other: {contradictions}.]"
         "[{agrees:The channels agree by physics. Give longer flights with inputs of every surface, and look at "
-        "vibration of the accelerometers, and whether velocity and attitude are of one estimator.}]",
+        "vibration of the accelerometers, whether velocity and attitude are of one estimator, and whether the "
+        "inertial sensors stand in the axes of the attitude (ArduPilot's AHRS_TRIM).}]",
         NOTE,
     )
     AIR_NOT_ESTIMATED = "{error}"

@@ -154,7 +154,7 @@ class AirMotion:
             parts.append("not converged: do not use")
         elif self.misfit > 1:
             wider = f"{self.misfit:.1f} times as wide"
-            parts.append(f"sensors' constants are improbable: bands {wider}")
+            parts.append(f"biases of sensors are larger than usual ones: bands {wider}")
         return "; ".join(parts)
 
     @property

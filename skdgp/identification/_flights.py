@@ -316,16 +316,17 @@ def thrust_of(
 ) -> str | None:
     """Return the thrust as an option, None where it is a part of the coefficients; warn of that.
 
-    It is where the flights have a throttle, and nothing gives the thrust that this sets. Warn, too, if
-    then an engine changes it, and no regressor tells how.
+    It is where the flights have a throttle or propeller speed, and nothing gives the thrust that this sets. Warn,
+    too, if then an engine changes it, and no regressor tells how.
     """
+    engine = [name for name in ENGINE_COLUMNS if name in flights]
     has_thrust = not {*THRUST_COLUMNS}.isdisjoint(flights)
     has_propeller = propeller_speed_of(aircraft.propeller, flights) is not None
-    if thrust == "auto" and "throttle" in flights and not (has_thrust or has_propeller):
+    if thrust == "auto" and engine and not (has_thrust or has_propeller):
         thrust = None
-        if (flights["throttle"] > 0).any():
+        if (flights[engine] > 0).any(axis=None):
             report(Finding(Code.THRUST_IN_COEFFICIENTS))
-    varied = [name for name in ENGINE_COLUMNS if name in flights and flights[name].nunique() > 1]
+    varied = [name for name in engine if flights[name].nunique() > 1]
     if thrust is None and varied and {*varied}.isdisjoint(regressors):
         report(Finding(Code.ENGINE_UNEXPLAINED, names=varied))
     return thrust

@@ -261,7 +261,8 @@ class Code(Kind):
     LAG_UNKNOWN = (
         "surfaces are taken for deflections on the clock of the inertial unit, as flights do not show their lag"
         "[ (± {std:.2g} s)]",
-        "Move each surface in steps, log 20 rows a second or more, or give the lag to LagCorrector.",
+        "Move each surface in steps, in records of 20 s or more with 20 rows a second or more, or give a measured lag "
+        "to LagCorrector.",
         ASSUMPTION,
     )
     LAGS_CORRECTED = (

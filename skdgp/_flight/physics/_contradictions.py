@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES
+from skdgp._flight.channels import EARTH_VELOCITY, ELEVONS, MIXED, RATES, VANES
 from skdgp._flight.findings import Code, Finding
 from skdgp._flight.physics._laws import Contradiction, Law, Mistake, stuck_surface
 from skdgp._flight.physics._list import (
@@ -160,7 +160,8 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
 def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
     """Return contradictions with only their suspects, without those that follow from the ones before.
 
-    A contradiction follows if it uses a suspect of an earlier one, or has no further suspect.
+    A contradiction follows if it uses a suspect of an earlier one, or a vane where another is late, or has no
+    further suspect.
     """
     counts: Counter[str] = Counter()
     for contradiction in contradictions:
@@ -168,14 +169,18 @@ def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Co
     # in a narrow band a lag looks like the other sign
     late = {each.channels: each for each in contradictions if each.lag is not None}
     accused: set[str] = set()
+    doubted: set[str] = set()
     causes = []
     for each in contradictions:
         contradiction = late.get(each.channels, each)
         suspects = _suspects(contradiction, confirmed - accused, counts)
         law = contradiction.law
-        uses_accused = not accused.isdisjoint((*law.uses, *law.beside))
-        if not uses_accused and not accused.issuperset(suspects):
+        uses_doubted = not doubted.isdisjoint((*law.uses, *law.beside))
+        if not uses_doubted and not accused.issuperset(suspects):
             accused.update(suspects)
+            doubted |= accused
+            if contradiction.lag is not None and not accused.isdisjoint(VANES):
+                doubted.update(VANES)  # both are of one computer
             causes.append(replace(contradiction, channels=suspects))
     return causes
 

@@ -174,6 +174,9 @@ UNITS = {
     "propeller_speed": {"rpm": np.pi / 30, "1/s": 2 * np.pi},
     "thrust_line.direction": {},
 }
+# Factors of slips, asked about after units, and sizes that are typed
+SLIPS = {"with a decimal place too many": 0.1, "with a decimal place too few": 10.0}
+TYPED = ("mass", "span", "chord", "wing_area")
 
 
 def question_of_sizes(
@@ -194,23 +197,22 @@ def question_of_sizes(
     for law in broken:
         numbers = {"value": law.value(sizes), "least": law.least, "most": law.most}
         laws.append(Finding(Code.BROKEN_LAW, channel=law.text, **numbers))
-    asked = []
-    plausible = []
-    for name in UNITS:
-        if name not in sizes:
-            continue
-        # a factor of four has exact roots
-        other = _in_other_unit(sizes, name, 4.0, estimated)
-        if all(law.value(other) == law.value(sizes) for law in broken):
-            continue
-        asked.append(name)
-        if name in estimated:
-            continue
-        for unit, factor in UNITS[name].items():
-            changed = _in_other_unit(sizes, name, factor, estimated)
-            if not _broken(changed, relative):
-                plausible.append((name, factor, unit))
-    likely = plausible[:3]
+    # a factor of four has exact roots
+    quadrupled = {name: _in_other_unit(sizes, name, 4.0, estimated) for name in UNITS}
+    asked = [
+        name
+        for name, other in quadrupled.items()
+        if name in sizes and any(law.value(other) != law.value(sizes) for law in broken)
+    ]
+    given = [name for name in asked if name not in estimated]
+    others = [(name, factor, unit) for name in given for unit, factor in UNITS[name].items()]
+    typed = [name for name in TYPED if name in given]
+    others += [(name, factor, slip) for name in typed for slip, factor in SLIPS.items()]
+    likely = []
+    for name, factor, unit in others:
+        changed = _in_other_unit(sizes, name, factor, estimated)
+        if len(likely) < 3 and not _broken(changed, relative):
+            likely.append((name, factor, unit))
     named = {name for name, *_ in likely}
     if _are_moments_exchanged(broken, sizes):
         asked += [name for name in MOMENTS if name in sizes and name not in asked]

@@ -769,3 +769,12 @@ NOISE = {"ax ay az": 0.05, "p q r": 0.005, "airspeed": 0.3, "alpha beta phi thet
 def test_surfaces_that_move_one_after_another_are_not_stuck(order, doublets):
     """What the other surfaces do is not known from rows where one moves alone."""
     assert contradictions(doublets(order)) == []
+
+
+def test_late_vanes_accuse_no_surface():
+    """Of a record that shows the lag of alpha alone beta is late, too, and rolling by it is no wrong aileron."""
+    flights = load_example_flights(random_state=505, duration=21.0, turbulence=0.4).test
+    record = flights[(flights["flight"] == "two_altitudes") & (flights["time"] >= 5.0)]
+    record = without(*PLACE, *VELOCITY)(record.reset_index(drop=True))
+    record[VANES] = record[VANES].shift(12)
+    assert channels_of(record[12:].reset_index(drop=True)) == {"alpha"}

@@ -208,7 +208,7 @@ def question_of_sizes(
     others = [(name, factor, unit) for name in given for unit, factor in UNITS[name].items()]
     typed = [name for name in TYPED if name in given]
     others += [(name, factor, slip) for name in typed for slip, factor in SLIPS.items()]
-    likely = []
+    likely: list[tuple[str, float, str]] = []
     for name, factor, unit in others:
         changed = _in_other_unit(sizes, name, factor, estimated)
         if len(likely) < 3 and not _broken(changed, relative):

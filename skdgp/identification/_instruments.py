@@ -6,11 +6,12 @@ section 8.1),
 
 .. math:: b_W = (X^T P X)^{-1} X^T P y, \quad P = W (W^T W)^{-1} W^T,
 
-are therefore right where those by least squares are too small, and less certain. Of the residuals y of a learned
+are therefore right where those by least squares are too small, and less certain. Of the residuals of a learned
 function they are what it lacks, less what least squares finds. Without such noise this difference D has the
 covariance :math:`S = \sigma^2 ((X^T P X)^{-1} - (X^T X)^{-1})`, and :math:`T = D^T S^{-1} D` the mean k of k noisy
 regressors (Hausman 1978). The function lacks :math:`(1 - k / T) D` if T > k (a positive part estimator: James &
-Stein 1961), known as well as D.
+Stein 1961), known as well as D. The errors :math:`\sigma` are those of the targets about their slopes, as the
+curvature of the function was learned from the same rows.
 """
 
 from __future__ import annotations
@@ -52,10 +53,10 @@ def by_instruments(
     rows, W = instruments(regressors, clock, used)
     if W is None or not n_noisy:
         return None
-    x, y = (values[rows] - values[rows].mean(axis=0) for values in (X, Y - function))
+    x, y, lacked = (values[rows] - values[rows].mean(axis=0) for values in (X, Y, Y - function))
     of_controls = two_stage(x, W)
     of_all = np.linalg.pinv(x, RANK_TOLERANCE)
-    difference = ((of_controls - of_all) @ y).T
+    difference = ((of_controls - of_all) @ lacked).T
     residuals = y - x @ (of_controls @ y)
     variance = np.array([autocorrelation_time(e) * np.mean(e**2) for e in residuals.T])
     variance = np.maximum(variance, unexplained_by_chance(residuals, W, x.shape[1]))

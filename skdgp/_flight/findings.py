@@ -76,7 +76,7 @@ class Code(Kind):
         "[{y} is {lag:.2g} ± {std:.2g} s late against {x}][: {causes: or }?]"
         " (t = {t:.1f}, correlation {correlation:.2f}, {effective_samples:.0f} effective samples)",
         "[{is_turned:A turned sign in a table is mended by table.NAME *= -1 and table.to_csv of pandas, of surfaces "
-        "of an autopilot's log by servos 'full throw, reversed NAME'.}]",
+        "of an autopilot's log by servos 'full throw, reversed NAME', or NAME = \"-25 deg\" in the servo file.}]",
     )
     CHANNELS_TOGETHER = (
         "[flight {flight}: ]channels are wrong together[; other sign: {turned:, }][; exchanged: {exchanged:, }]"

@@ -79,7 +79,7 @@ from skdgp.estimation._sensors import (
 
 DIVERGED = (
     "The estimate diverged: the flights do not tell gusts and derivatives apart. Give longer flights "
-    "with inputs of every surface, and look at the signs and units of their sensors."
+    "with inputs of every surface; what the checks of physics say of the sensors (skdgp inspect) comes first."
 )
 
 

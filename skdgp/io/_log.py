@@ -414,7 +414,7 @@ MOVED = (*ALL_SURFACES, *HIGH_LIFT, "throttle")
 # 1; with ", reversed rudder" after it, some of the other sign than the autopilot's parameters say
 FULL_THROW = "full throw"
 REVERSED = ", reversed "
-THROW = re.compile(r"(\d+\.?\d*|\.\d+) ?(deg|rad)")
+THROW = re.compile(r"(-?\d+\.?\d*|-?\.\d+) ?(deg|rad)")
 
 
 def read_servos(
@@ -570,11 +570,11 @@ def _servo(name: str, entry: Any) -> Servo | float:
 
 
 def _throw(name: str, text: str) -> float:
-    """Return the angle at full throw [rad], of a text such as "25 deg"."""
+    """Return the angle at full throw [rad], of a text such as "25 deg"; "-25 deg" turns the sign of the parameters."""
     match = THROW.fullmatch(text.strip())
     number, unit = match.groups() if match else (0, "rad")
     angle = float(number) * (np.pi / 180 if unit == "deg" else 1.0)
-    if not 0 < angle <= np.pi / 2:
+    if not 0 < abs(angle) <= np.pi / 2:
         raise FlightReadError(
             f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg".'
         )

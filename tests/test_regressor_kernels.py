@@ -4,8 +4,9 @@ import warnings
 
 import numpy as np
 import pytest
+from made_kernels import assert_covariance
 from numpy.random import default_rng
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
@@ -167,3 +168,18 @@ class TestKernelsOfScikitLearn:
     def test_what_cannot_be_meant_is_refused(self, kernel, told):
         with pytest.raises(TypeError, match=told):
             quick(kernel).fit(*waves())
+
+
+class TestSamples:
+    """Of a kernel without sample paths."""
+
+    @pytest.mark.parametrize("inference", ["exact", "sparse"])
+    def test_have_the_moments_of_the_posterior(self, inference):
+        X, Y = waves()
+        model = quick(RBF(), inference=inference, n_inducing=15, max_iter=10).fit(X, Y)
+        at = np.array([[2.2], [2.4], [15.0]])
+        samples = model.sample_y(at, 20000, random_state=1)
+        assert samples.shape == (3, 2, 20000)
+        mean, cov = model.predict(at, return_cov=True)
+        assert_covariance(samples.T.reshape(20000, -1) - mean.T.ravel(), cov)
+        assert_array_equal(model.sample_y(at, 20000, random_state=1), samples)

@@ -161,7 +161,7 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         from, with slopes of at most 0.001 nats for a standard error of each hyperparameter, or at
         bounds. If not, ``fit`` warns.
     slopes_ : KnownSlopes or None
-        Slopes that another source knows better than the samples.
+        Those of ``fit``, (P, d), in units of the outputs over those of the regressors.
     center_, scale_ : ndarray (P,)
         The normalised outputs are (y - ``center_``) / ``scale_``.
     output_names_ : list of str
@@ -280,8 +280,8 @@ class DependentGPRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         slopes : KnownSlopes, callable or None
             Slopes by the regressors that another source knows better than these samples. A linear
             function is added to the mean, so that its slopes over the samples are these, with the
-            errors of the source. A callable returns them, or None, of the
-            function learned without them, ``predict(X)``, (n, P).
+            errors of the source. A callable is given the function that is learned without them,
+            ``predict(X)``, (n, P), and returns slopes or None.
         errors : FunctionErrors or None
             Errors of the function that these samples do not show, in units of X and y. They add to
             its covariance.

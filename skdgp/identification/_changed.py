@@ -58,7 +58,7 @@ class Changes:
 
     The residuals r of a coefficient, measured without smoothing less the learned function, are fitted on a
     constant and the regressors x less their means, Q, with the controls of the last 1.5 s as instruments
-    (`skdgp.identification._instruments`): noise of the regressors and rates of the air flatten slopes by least
+    (docs/theory.md, slopes by instruments): noise of the regressors and rates of the air flatten slopes by least
     squares the more, the less an aircraft moves, and not these. With their matrix A the weights
     :math:`w = A r` are the likely change of the coefficient and of its derivatives. Without a change their
     covariance is

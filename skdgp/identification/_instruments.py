@@ -11,7 +11,7 @@ function they are what it lacks, less what least squares finds. Without such noi
 covariance :math:`S = \sigma^2 ((X^T P X)^{-1} - (X^T X)^{-1})`, and :math:`T = D^T S^{-1} D` the mean k of k noisy
 regressors (Hausman 1978). The function lacks :math:`(1 - k / T) D` if T > k (a positive part estimator: James &
 Stein 1961), known as well as D. The errors :math:`\sigma` are those of the targets about their slopes, as the
-curvature of the function was learned from the same rows.
+function has learned their curvature from the same rows.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ CONTROLS = (*ALL_SURFACES, *AUXILIARY, "throttle", "airspeed")
 def by_instruments(
     regressors: pd.DataFrame, Y: Any, function: Any, clock: Clock
 ) -> KnownSlopes | None:
-    """Return the slopes of a ``function`` (n, P) by regressors (n, d), with what it lacks of targets (n, P).
+    """Return the slopes of a ``function`` (n, P) by regressors (n, d), with what it lacks of targets Y (n, P).
 
-    None where there are no `instruments`, or all regressors are controls.
+    ``clock`` is that of the rows. None where there are no `instruments`, or all regressors are controls.
     """
     X = regressors.to_numpy()
     Y = pd.DataFrame(Y).to_numpy(float)
@@ -64,8 +64,8 @@ def by_instruments(
     # a control is its own instrument: the difference has the rank of the other regressors
     precision = linalg.pinvh(covariance[np.ix_(is_noisy, is_noisy)])
     D = difference[:, is_noisy]
-    chance = np.maximum(variance, np.finfo(float).tiny)
-    statistic = np.einsum("pj,jk,pk->p", D, precision, D) / chance
+    exact = np.finfo(float).tiny  # targets have no variance about their slopes
+    statistic = np.einsum("pj,jk,pk->p", D, precision, D) / np.maximum(variance, exact)
     weight = 1.0 - n_noisy / np.maximum(statistic, n_noisy)
     value = linear_weights(X[used], function[used])[1:].T + weight[:, None] * difference
     root = np.sqrt(variance)[:, None, None] * eigen_root(covariance)[:, -n_noisy:]

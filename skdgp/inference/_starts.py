@@ -29,7 +29,8 @@ class StartSettings:
     #: wider ones, where the likelihood is flat, a search does not come back
     widest: float = 10.0
     #: Ratios of the widths of the latents of one output, each of another start: equal ones are one process, a
-    #: saddle. On six tables the likelihood ends 3 to 26 nats higher from 4, on two 22 and 4 nats from 2
+    #: saddle. On six of eight splits of four tables the likelihood ends 3 to 26 nats higher from 4, on two 22
+    #: and 4 nats from 2
     apart: tuple[float, ...] = (2.0, 4.0)
 
 

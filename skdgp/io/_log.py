@@ -576,6 +576,7 @@ def _throw(name: str, text: str) -> float:
     angle = float(number) * (np.pi / 180 if unit == "deg" else 1.0)
     if not 0 < abs(angle) <= np.pi / 2:
         raise FlightReadError(
-            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg".'
+            f'Got {name} = {text!r}, but expected the angle at full throw, up to 90 degrees, as in {name} = "25 deg", '
+            'or "-25 deg" for the other sign than the parameters say.'
         )
     return angle

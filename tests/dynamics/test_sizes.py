@@ -83,15 +83,20 @@ def test_lift_slope_of_a_slender_and_of_an_infinite_wing(span, slope):
 
 @pytest.mark.parametrize("name", PUBLISHED)
 @pytest.mark.parametrize(
-    ("size", "unit"), [("span", FOOT), ("mass", 1e-3), ("chord", 0.01), ("wing_area", FOOT**2)]
+    ("size", "unit", "factor"),
+    [
+        ("span", "ft", FOOT),
+        ("mass", "g", 1e-3),
+        ("chord", "cm", 0.01),
+        ("wing_area", "ft^2", FOOT**2),
+    ],
 )
-def test_one_size_of_another_unit_is_asked_for(name, size, unit):
+def test_one_size_of_another_unit_is_asked_for(name, size, unit, factor):
     """It is among those that are asked for, unless the number is one that aircraft have."""
     right = sizes_of(name)
-    question = question_of_sizes(right | {size: right[size] / unit}, {})
+    question = question_of_sizes(right | {size: right[size] / factor}, {})
     assert question.code is Code.SIZES_QUESTIONED
-    values = [value for (channel, _), value in asked_for(question).items() if channel == size]
-    assert np.isclose(values, right[size]).any()
+    assert asked_for(question)[size, unit] == pytest.approx(right[size])
 
 
 @pytest.mark.parametrize(
@@ -232,6 +237,10 @@ def test_noise_questions_no_size(first_minute, train, name, factor, rows):
 def test_the_aircraft_is_judged_when_it_is_read():
     with pytest.warns(FindingWarning, match=r"Check these .*span 11 m \(1100 cm\)"):
         Aircraft.estimate(1111.0, 1100.0)
+    sizes = {"mass": 13.5, "span": 2.9, "wing_area": 0.55, "chord": 0.19}
+    inertia = 1e4 * np.diag([0.8, 1.1, 1.8])
+    with pytest.warns(FindingWarning, match="radius of gyration in roll"):
+        Aircraft.from_dict(sizes | {"inertia": inertia.tolist()})
 
 
 def test_flights_of_the_right_sizes_ask_nothing(first_minute, train):

@@ -50,6 +50,8 @@ def test_bank_and_turn_rate_are_two_ways_to_ask_for_a_turn(glider):
     assert by_bank.turn_rate < 0
     assert_allclose(by_rate.phi, -0.5)
     assert_allclose(by_rate.state, by_bank.state)
+    now = Motion(model, glider.aircraft, **AIR).at(by_bank.state, by_bank.controls)
+    assert np.abs(now.derivative[ACCELERATIONS]).max() < 1e-8
 
 
 class TestSteady:

@@ -545,7 +545,7 @@ def test_seconds_of_a_flight_accuse_no_channel(flights):
     lateral = in_light_gusts[in_light_gusts["flight"] == "lateral"].reset_index(drop=True)
     assert not contradictions(lateral[:180])
     for table in flights.values():
-        for begin in range(0, len(table), 480):
+        for begin in range(0, len(table), 240):
             assert not contradictions(table[begin : begin + 240].reset_index(drop=True))
 
 

@@ -24,13 +24,17 @@ BY_ACCELERATION = 0.04
 SLOPES = np.array([[0.3, 0.0, -4.0, 0.0, -0.5, 0.0], [0.0] * 6, [0.0] * 4 + [-0.6, 0.0]])
 
 
+def short_period(elevator):
+    """Return alpha, q and elevator (n, 3) of the motion that an elevator (n,) excites."""
+    system = [[-2.0, 1.0], [-20.0, -3.0]], [[0.0], [-20.0]], np.eye(2), np.zeros((2, 1))
+    _, response, _ = lsim(system, elevator, STEP * np.arange(len(elevator)), interp=False)
+    return np.column_stack([response, elevator])
+
+
 def flown(seed, size, n=1500):
     """Return the regressors of a short period that steps of the elevator excite, and of slow changes."""
     rng = default_rng(seed)
-    elevator = np.repeat(rng.normal(size=n // 15), 15)
-    system = [[-2.0, 1.0], [-20.0, -3.0]], [[0.0], [-20.0]], np.eye(2), np.zeros((2, 1))
-    _, response, _ = lsim(system, elevator, STEP * np.arange(n), interp=False)
-    motion = np.column_stack([response, elevator])
+    motion = short_period(np.repeat(rng.normal(size=n // 15), 15))
     motion = motion / motion.std(axis=0) + 0.3 * lasting(rng, (n, 3), 100)
     return pd.DataFrame(0.1 * size * motion, columns=NAMES)
 
@@ -149,16 +153,20 @@ def test_a_change_that_lasts_as_long_as_slow_motion_is_found(model):
     assert (other.p_values["Cm"] < 0.01).all()
 
 
-def with_noise_of_alpha(seed, size=0.3):
-    """Return a flight with motion of a ``size`` whose alpha is measured with the noise ALPHA_NOISE."""
-    X, Y = flight(seed, 0.02, size)
+def with_noise_of_alpha(seed, of_q):
+    """Return a gentle flight whose alpha is measured with the noise ALPHA_NOISE, as large as its motion.
+
+    A part of this noise, ``of_q``, is also in q.
+    """
+    X, Y = flight(seed, 0.02, 0.3)
     noise = ALPHA_NOISE * default_rng(1000 + seed).normal(size=len(X))
-    return X.assign(alpha=X["alpha"] + noise), Y
+    return X.assign(alpha=X["alpha"] + noise, q_hat=X["q_hat"] + of_q * noise), Y
 
 
-def test_slopes_that_noise_flattens_are_no_change_and_a_change_is_found(model):
-    """Least squares would have a change of 8 deviations of them: the noise is as large as the motion."""
-    flights = several(with_noise_of_alpha)
+@pytest.mark.parametrize("of_q", [0.0, -0.3])
+def test_slopes_that_noise_flattens_are_no_change_and_a_change_is_found(model, of_q):
+    """Least squares has less than three quarters of CZ_alpha."""
+    flights = several(with_noise_of_alpha, of_q)
     assert alarms(changes(model, flights)) < 0.2
     flattened = []
     for X, Y in flights.values():
@@ -175,7 +183,7 @@ def test_slopes_that_noise_flattens_are_no_change_and_a_change_is_found(model):
 
 
 def test_an_effect_that_no_regressor_holds_widens_what_instruments_tell():
-    """A flow that follows the elevator 0.2 s later is as it was in the flights of the fit."""
+    """A flow that follows the elevator 0.2 s later is neither noise nor a slope."""
 
     def unsteady(seed):
         X, Y = flight(seed, 0.002)
@@ -235,13 +243,14 @@ def test_a_short_flight_tells_nothing(model):
     assert [found.code.name for found in result.findings] == ["CHANGE_UNKNOWN"]
 
 
-def flight_with_one_pulse(seed):
+def flight_with_one_pulse(seed, change=0.0):
     """Return a flight of 160 rows whose elevator moves once, for 6 rows."""
-    X, Y = flight(seed, 0.02)
-    X = X[:160]
-    pulse = np.zeros(len(X))
-    pulse[70:76] = 0.1
-    return X.assign(elevator=pulse), Y[:160] + np.outer(pulse - X["elevator"], SLOPES[2])
+    rng = default_rng(seed)
+    motion = short_period(0.1 * np.isin(np.arange(160), range(70, 76)))
+    motion[:, :2] += 0.03 * lasting(rng, (160, 2), 100)
+    Y = motion @ SLOPES + 0.02 * lasting(rng, (160, 6), 5)
+    Y[:, 4] += change * motion[:, 2]
+    return pd.DataFrame(motion, columns=NAMES), Y
 
 
 def test_constant_errors_of_sensors_are_no_change():
@@ -286,6 +295,11 @@ def test_one_factor_of_all_forces_is_found_with_its_size(model, factor, drift):
     assert "CHANGED" in {finding.code.name for finding in result.findings}
 
 
-def test_a_control_that_moves_once_in_a_short_flight_is_no_change(model):
-    """The fit leaves no residual where a single block determines a weight, so blocks show no error."""
+def test_a_control_that_moves_once_in_a_short_flight_is_a_change_only_if_its_effect_is(model):
     assert most_alarms(changes(model, several(flight_with_one_pulse))) < 0.2
+    other = changes_of(model, residuals_of(model, several(flight_with_one_pulse, 1.0)))
+    assert alarms(other, "Cm") > 0.5
+    found = other.derivatives.xs("Cm_elevator", level="derivative")["change"]
+    assert found.mean() == pytest.approx(1.0, abs=0.1)
+    larger = changes_of(model, residuals_of(model, several(flight_with_one_pulse, 2.0)))
+    assert alarms(larger, "Cm") == 1.0

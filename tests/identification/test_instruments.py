@@ -39,7 +39,7 @@ def found_by(regressors, Y, clock):
 
 
 @pytest.mark.parametrize("split", [None, 1000])
-def test_noise_flattens_slopes_by_least_squares_and_not_found_by(split):
+def test_noise_flattens_slopes_by_least_squares_and_not_by_instruments(split):
     regressors, Y, clock = flown(0, 0.3, split=split)
     found = found_by(regressors, Y, clock)
     rows = clock.elapsed > 1.5

@@ -33,12 +33,38 @@ class TestUnitsThatNumbersGiveAway:
         refused(words, table(**degrees))
         read(table(**{name: np.deg2rad(values) for name, values in degrees.items()}))
 
-    def test_numbers_in_g_and_a_pause_beside_a_channel_alone(self, read, refused):
-        """The limits stand with the checks of units."""
+    def test_heading(self, refused):
+        degrees = np.linspace(300, 420, 50) % 360
+        refused(r"'psi'.*degrees", table(psi=degrees))
+        refused(r"'psi'.*wrapped by numpy.angle", table(psi=np.linspace(0, 40, 50)))
+
+    def test_per_cent_g_densities_and_milliseconds(self, read, refused):
+        refused("expected 0 to 1: divide it", table(throttle=55.0))
+        refused("expected air in kg/m", table(density=1.2e-3))
         refused("looks like g", table(ax=0.02, ay=0.0, az=-1.01))
+        refused("looks like milliseconds", table(time=20.0 * np.arange(50)))
+        fast = np.arange(50) / 400  # s
+        motion = {"theta": 0.2 * np.sin(30 * fast), "q": 6.0 * np.cos(30 * fast)}
+        refused("looks like milliseconds", table(time=1e3 * fast, **motion))
         slow = np.arange(50.0)
-        slow[30:] += 3600
-        read(table(time=slow, theta=0.2 * np.sin(slow)))
+        slow[30:] += 3600  # a pause
+        read(table(time=slow, theta=motion["theta"], q=0.075 * np.cos(30 * fast)))
+        read(table(time=slow, theta=motion["theta"]))
+        with pytest.warns(UserWarning, match="if this is in minutes"):
+            read(table(time=4e-4 * np.arange(50)))
+        assert read(table(ax=0.2, ay=0.0, az=-9.9)).az.mean() == pytest.approx(-9.9)
+        # gravity was removed
+        assert read(table(ax=0.2, ay=0.0, az=-0.2)).az.mean() == pytest.approx(-0.2)
+
+    def test_a_mark_of_missing_angles_is_no_angle_in_degrees(self, refused):
+        marked = np.where(np.arange(50) % 10, 0.1, -999.0)
+        refused("alpha of magnitude 999 in 5 rows.*mark of missing", table(alpha=marked))
+
+    @pytest.mark.parametrize(
+        ("name", "values"), [("elevator", [0, 5, -5]), ("flap", [0, 20]), ("alpha", [0, 12])]
+    )
+    def test_steps_of_one_size_in_degrees_are_no_mark(self, refused, name, values):
+        refused(f"'{name}'.*degrees", table(**{name: np.resize(np.repeat(values, 5), 50)}))
 
     def test_values_of_another_column(self, refused):
         """A name is missing in the header, so the airspeed stands under alpha."""
@@ -93,11 +119,14 @@ class TestRefusals:
         ("name", "content", "message"),
         [
             ("log.bin", b"", "does not begin as a DataFlash log does"),
+            ("log.bin", b"\xa3", "does not begin as a DataFlash log does"),
             ("log.bin", b"time,alpha\n", "does not begin as a DataFlash log does"),
             ("log.ulg", b"", "does not begin as a ULog does"),
+            ("log.ulg", b"ULog", "does not begin as a ULog does"),
             ("log.ulg", b"time,alpha\n", "does not begin as a ULog does"),
             ("log.tlog", b"", "without a message ATTITUDE"),
             ("log.tlog", b"text", "without a message ATTITUDE"),
+            ("log.tlog", bytes(1000), "without a message ATTITUDE"),
         ],
     )
     def test_logs_of_another_kind(self, refused, name, content, message):

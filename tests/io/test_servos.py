@@ -89,7 +89,9 @@ class TestFullThrow:
         (tmp_path / "servo.toml").write_text('elevator = "25 deg"\nrudder = "-.5 rad"\n')
         table = read(ardupilot, "log.bin", servos=tmp_path / "servo.toml")
         assert_allclose(table["elevator"], np.deg2rad(25) * parts["elevator"])
-        assert_allclose(table["rudder"], -0.5 * parts["rudder"])  # another sign than the parameters say
+        assert_allclose(
+            table["rudder"], -0.5 * parts["rudder"]
+        )  # another sign than the parameters say
         assert "aileron" not in table
         words = r"full throw of 'elevon_left', but expected surfaces .*'elevator'"
         refused(words, ardupilot, "log.bin", servos={"elevon_left": "25 deg"})

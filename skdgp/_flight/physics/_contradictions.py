@@ -160,8 +160,8 @@ def _contradictions_in(signals: Signals) -> tuple[list[Contradiction], set[str]]
 def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Contradiction]:
     """Return contradictions with only their suspects, without those that follow from the ones before.
 
-    A contradiction follows if it uses a suspect of an earlier one, or a vane where another is late, or has no
-    further suspect.
+    A contradiction follows if it uses a suspect of an earlier one, or a vane beside another that is late, or has
+    no further suspect.
     """
     counts: Counter[str] = Counter()
     for contradiction in contradictions:
@@ -178,9 +178,9 @@ def _causes(contradictions: list[Contradiction], confirmed: set[str]) -> list[Co
         uses_doubted = not doubted.isdisjoint((*law.uses, *law.beside))
         if not uses_doubted and not accused.issuperset(suspects):
             accused.update(suspects)
-            doubted |= accused
-            if contradiction.lag is not None and not accused.isdisjoint(VANES):
-                doubted.update(VANES)  # both are of one computer
+            doubted.update(suspects)
+            if contradiction.lag is not None and not doubted.isdisjoint(VANES):
+                doubted.update(VANES)  # both are read by one computer
             causes.append(replace(contradiction, channels=suspects))
     return causes
 

@@ -137,8 +137,8 @@ POWERS = {
     "Cm_q": {"Iyy": 1.0, "wing_area": -1.0, "chord": -2.0, "airspeed": -1.0},
     "Cn_r": {"Izz": 1.0, "wing_area": -1.0, "span": -2.0, "airspeed": -1.0},
 }
-# Sizes that are given together, in one unit
 MOMENTS = ("Ixx", "Iyy", "Izz", "Ixz")
+# Sizes that are given together, in one unit
 TOGETHER = {"Ixx": MOMENTS[1:]}
 FOOT = 0.3048
 POUND = 0.45359237
@@ -174,7 +174,7 @@ UNITS = {
     "propeller_speed": {"rpm": np.pi / 30, "1/s": 2 * np.pi},
     "thrust_line.direction": {},
 }
-# Factors of slips, asked about after units, and sizes that are typed
+# Factors of a slip of the decimal point, which is asked about after units, in sizes that an owner types
 SLIPS = {"with a decimal place too many": 0.1, "with a decimal place too few": 10.0}
 TYPED = ("mass", "span", "chord", "wing_area")
 
@@ -184,8 +184,8 @@ def question_of_sizes(
 ) -> Finding | None:
     """Return the finding of numbers that break a law, None if all hold.
 
-    It asks for sizes in these laws: at most three that would keep all laws in another unit, then the others as they
-    are.
+    It asks for sizes in these laws: at most three that would keep all laws in another unit or with another decimal
+    place, then the others as they are.
     Sizes that were ``estimated`` follow mass and span, and are asked for as they are.
     """
     # the same in all units
@@ -214,7 +214,7 @@ def question_of_sizes(
         if len(likely) < 3 and not _broken(changed, relative):
             likely.append((name, factor, unit))
     named = {name for name, *_ in likely}
-    if _are_moments_exchanged(broken, sizes):
+    if _compares_moments(broken, sizes):
         asked += [name for name in MOMENTS if name in sizes and name not in asked]
     likely += [(name, 1.0, "") for name in asked if name not in named]
     questions = []
@@ -233,8 +233,8 @@ def question_of_sizes(
     return Finding(Code.SIZES_QUESTIONED, laws=laws, asked=questions)
 
 
-def _are_moments_exchanged(broken: Collection[SizeLaw], sizes: Sizes) -> bool:
-    """Return whether a law that is broken compares moments of inertia, whatever their unit is."""
+def _compares_moments(broken: Collection[SizeLaw], sizes: Sizes) -> bool:
+    """Return whether a law that is broken compares moments of inertia: no unit changes their ratio."""
     other = _in_other_unit(sizes, "Ixx", 4.0, ())
     of_moments = [law for law in broken if not law.powers.keys().isdisjoint(MOMENTS)]
     return any(law.value(other) == law.value(sizes) for law in of_moments)

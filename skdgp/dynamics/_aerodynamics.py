@@ -17,7 +17,6 @@ from sklearn.preprocessing import MaxAbsScaler, MinMaxScaler, RobustScaler, Stan
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_is_fitted
 
-from skdgp._compute.differences import central_difference
 from skdgp._compute.sklearn_compat import unwrap
 from skdgp._compute.typing import Array, Predictor
 from skdgp._flight.channels import COEFFICIENTS
@@ -55,6 +54,22 @@ class Drift(NamedTuple):
         for k, r in enumerate(correlations, start=1):
             drawn[k] = r * drawn[k - 1] + np.sqrt(1 - r**2) * drawn[k]
         return drawn
+
+
+def central_difference(function: Callable[[Array], Array], z: Array, steps: Array) -> Array:
+    r"""Return the Jacobian (..., m, n) of a function of vectors (..., n) to (..., m), of fourth order in the steps.
+
+    .. math:: f'(z) \approx \frac{8 (f(z + h) - f(z - h)) - (f(z + 2h) - f(z - 2h))}{12 h}
+
+    ``steps`` h are (n,) or (..., n). The function gets arrays (..., n, n), whose row i has
+    component i moved.
+    """
+    moves = steps[..., None] * np.eye(z.shape[-1])
+    z = z[..., None, :]
+    near = function(z + moves) - function(z - moves)
+    far = function(z + 2.0 * moves) - function(z - 2.0 * moves)
+    rows = (8.0 * near - far) / (12.0 * steps[..., None])
+    return np.swapaxes(rows, -1, -2)
 
 
 def separate_generator(random_state: Any, n_words: int = 4) -> np.random.Generator:

@@ -19,7 +19,6 @@ import pandas as pd
 from scipy.linalg import block_diag
 from sklearn.base import BaseEstimator
 
-from skdgp._compute.differences import central_difference
 from skdgp._compute.linalg import matrix_vector
 from skdgp._compute.typing import Array, Seed
 from skdgp._flight.channels import AIR_DATA, BODY_VELOCITY, EULER, POSITION, SPECIFIC_FORCE
@@ -33,7 +32,12 @@ from skdgp._flight.frames import (
     quaternion_to_euler,
 )
 from skdgp._flight.tables import by_name, check_number, check_numbers
-from skdgp.dynamics._aerodynamics import Aerodynamics, as_aerodynamics, separate_generator
+from skdgp.dynamics._aerodynamics import (
+    Aerodynamics,
+    as_aerodynamics,
+    central_difference,
+    separate_generator,
+)
 from skdgp.dynamics._aircraft import Aircraft
 from skdgp.dynamics._modes import mode_table
 from skdgp.dynamics._motion import Instant, Motion

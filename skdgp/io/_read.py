@@ -294,8 +294,8 @@ class LogSummary:
     topics : DataFrame
         Every message type with a time: ``messages``, and their mean ``rate`` [Hz].
     columns : DataFrame
-        Columns of the flight table: ``source`` and its ``rate`` [Hz]; of a table also ``physics``, "confirmed"
-        where a relation of equal changes confirms the channel.
+        Columns of the flight table: ``source``, its ``rate`` [Hz], and ``physics``, "confirmed" where a relation
+        of equal changes confirms the channel.
     flights : DataFrame
         Flights in the air: ``begin`` and ``end`` [s], median ``airspeed`` [m/s].
     remarks : tuple of str
@@ -391,13 +391,14 @@ def inspect_log(
     except FlightReadError as error:
         table = flown.table[:0].assign(flight="")
         faults = [str(error)]
+    columns = pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"])
     return LogSummary(
         path=str(path),
         format=flown.log.kind,
         firmware=flown.log.firmware,
         vehicle=flown.log.vehicle,
         topics=_topics(flown.log.topics),
-        columns=pd.DataFrame.from_dict(flown.origin, orient="index", columns=["source", "rate"]),
+        columns=_with_physics(columns, table),
         flights=_flights(table),
         remarks=(*flown.remarks, *lacking, *faults),
     )
@@ -418,9 +419,6 @@ def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> Log
     unknown = table.attrs[UNKNOWN]
     channels = table.drop(columns=["time", "flight", *unknown])
     columns = pd.DataFrame({"source": "column", "rate": channels.notna().mean() / step})
-    with suppress(ValueError):  # of irregular clocks
-        is_confirmed = columns.index.isin(confirmed_channels(FlightTable.of(table)))
-        columns["physics"] = np.where(is_confirmed, "confirmed", "")
     remarks = _faults(table, aircraft)
     unknown_names = unknown_columns_message(unknown, table.columns)
     if unknown_names:
@@ -430,10 +428,18 @@ def _of_table(path: Path, table: pd.DataFrame, aircraft: Aircraft | None) -> Log
         format="table",
         firmware=path.suffix.lstrip("."),
         topics=pd.DataFrame(),
-        columns=columns,
+        columns=_with_physics(columns, table),
         flights=_flights(table),
         remarks=tuple(remarks),
     )
+
+
+def _with_physics(columns: pd.DataFrame, table: pd.DataFrame) -> pd.DataFrame:
+    """Return the columns of a flight table with what physics confirms of them, nothing by irregular clocks."""
+    confirmed: set[str] = set()
+    with suppress(ValueError):
+        confirmed = confirmed_channels(FlightTable.of(table))
+    return columns.assign(physics=np.where(columns.index.isin(confirmed), "confirmed", ""))
 
 
 def _flights(table: pd.DataFrame) -> pd.DataFrame:

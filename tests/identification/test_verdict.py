@@ -309,6 +309,13 @@ def test_bands_that_hold_everything_are_too_wide():
     assert found.numbers["coverages"]["CX"] == 1.0
 
 
+def test_a_copy_of_a_training_flight_judges_no_use():
+    copied = Finding(Code.TESTED_ON_COPY, flight="b", other="a")
+    found = verdict(findings=[copied])
+    for purpose in (PREDICT, SIMULATE, CONTROL):
+        assert use(found, purpose) == ("unknown", {"TESTED_ON_COPY"})
+
+
 @pytest.mark.parametrize("where", ["fit", "test"])
 def test_with_gusts_that_are_not_known_nothing_is_yes(where):
     cause = Finding(Code.AIR_NOT_ESTIMATED, error="too short.")

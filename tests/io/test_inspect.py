@@ -36,6 +36,9 @@ class TestSummary:
         assert rates["altitude"] == pytest.approx(10, rel=1e-3)
         topic = summary.topics.loc["vehicle_acceleration"]
         assert topic["rate"] == pytest.approx(100, rel=1e-3)
+        physics = summary.columns["physics"]
+        assert set(physics[[*EULER, "q"]]) == {"confirmed"}
+        assert physics["rudder"] == ""
 
     def test_a_multicopter_is_called_one(self, write, ulog):
         t = np.arange(0, 20, 0.02)

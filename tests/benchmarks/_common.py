@@ -1,17 +1,18 @@
 """Shared by the benchmarks: arguments, turns on the clock, and the results that are kept."""
 
 import argparse
-import contextlib
 import json
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
 import time
 import warnings
+from contextlib import suppress
 from functools import cache
-from importlib.metadata import distributions
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -51,14 +52,13 @@ def machine():
     """Return processor, threads, versions and the commit of the package."""
     from threadpoolctl import threadpool_info
 
-    processor = platform.processor()
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        processor = next(line.split(": ")[1] for line in lines if line.startswith("model name"))
+    processors = [platform.processor()]
+    with suppress(OSError):
+        processors += re.findall(r"model name\s+: (.*)", Path("/proc/cpuinfo").read_text())
     return {
         "commit": commit(),
         "date": time.strftime("%Y-%m-%d"),
-        "processor": processor,
+        "processor": processors[-1],
         "cores": os.cpu_count(),
         "threads": max((library["num_threads"] for library in threadpool_info()), default=1),
         "python": platform.python_version(),
@@ -69,8 +69,11 @@ def machine():
 @cache
 def versions():
     """Return the versions of the packages that are compared."""
-    installed = {one.name.lower(): one.version for one in distributions()}
-    return {name: installed[name] for name in PACKAGES if name in installed}
+    installed = {}
+    for name in PACKAGES:
+        with suppress(PackageNotFoundError):
+            installed[name] = version(name)
+    return installed
 
 
 class Kept:
@@ -94,8 +97,7 @@ class Kept:
         outdated = {run["method"] for run in kept if run["versions"].items() - versions().items()}
         if outdated:
             print(f"Kept runs are of other versions than installed: {outdated}", file=sys.stderr)
-        runs = [*own, *kept]
-        self.memory = {run["name"]: run for run in runs}
+        self.memory = {run["name"]: run for run in [*own, *kept]}
         self.asked = {}
 
     @property

@@ -51,8 +51,10 @@ ATTAS_CHANNELS = dict(
 )
 ATTAS_CHANNELS |= {"elevator": 22, "aileron_left": 28, "aileron_right": 29, "rudder": 30}
 ATTAS_DEGREES = [*ATTAS_CHANNELS]
-ATTAS_CHANNELS |= {"part": 1, "ax": 2, "ay": 3, "az": 4, "airspeed": 15, "altitude": 16}
-ATTAS_CHANNELS |= {"density": 34, "left": 37, "right": 38}
+ATTAS_CHANNELS |= {
+    "part": 1, "ax": 2, "ay": 3, "az": 4, "airspeed": 15, "altitude": 16, "density": 34,
+    "left": 37, "right": 38,
+}  # fmt: skip
 EDGE = 30  # Samples at either end of the manoeuvres of ATTAS that its filters made to ring
 # Angle of the UAV's surfaces by its commands, about; another scale changes no error
 TRAVEL = np.radians(25.0) / 2250.0
@@ -80,9 +82,10 @@ HFB_320 = Aircraft(
 TILT = 0.0524
 HFB_ENGINE = (-1.343, 2.990, -0.652)
 # Numbers of the channels in its log
-HFB_CHANNELS = {"time": 0, "airspeed": 4, "alpha": 5, "beta": 16, "ax": 9, "ay": 11, "az": 10}
-HFB_CHANNELS |= {"p": 12, "q": 7, "r": 13, "phi": 17, "theta": 6}
-HFB_CHANNELS |= {"elevator": 1, "aileron": 18, "rudder": 19}
+HFB_CHANNELS = {
+    "time": 0, "airspeed": 4, "alpha": 5, "beta": 16, "ax": 9, "ay": 11, "az": 10, "p": 12, "q": 7,
+    "r": 13, "phi": 17, "theta": 6, "elevator": 1, "aileron": 18, "rudder": 19,
+}  # fmt: skip
 RECORDS = {
     "a": ("ail_1 ail_2 ail_3 el_1 el_2 el_3 rud_1", "ail_4 el_4"),
     "b": ("ail_3 ail_4 el_3 el_4 rud_1", "ail_1 ail_2 el_1 el_2"),
@@ -141,8 +144,7 @@ def hfb_320(folder):
     """Return aircraft, the first three quarters and the last one of a flight in turbulence, longitudinal."""
     log = np.loadtxt(Path(folder) / BOOK / "hfb320_1_10.asc").T
     table = pd.DataFrame({name: log[k] for name, k in HFB_CHANNELS.items()})
-    thrust = log[3]
-    dynamic_pressure = log[2]
+    dynamic_pressure, thrust = log[2:4]
     table["density"] = 2 * dynamic_pressure / table["airspeed"] ** 2
     table["thrust_x"] = thrust * np.cos(TILT)
     table["thrust_z"] = -thrust * np.sin(TILT)
@@ -221,8 +223,9 @@ class Task(NamedTuple):
 
 def task_of(name, data=None, repository=None):
     """Return the task of this name, of the shared data or of the repository."""
-    loaded = SHARED[name](data) if name in SHARED else REPOSITORY[name](repository)
-    aircraft, train, test, loads = loaded
+    aircraft, train, test, loads = (
+        SHARED[name](data) if name in SHARED else REPOSITORY[name](repository)
+    )
     targets, measured = (
         aerodynamic_coefficients(table, aircraft, **loads) for table in (train, test)
     )

@@ -121,8 +121,7 @@ def rows_of(pipeline, flight, aircraft):
 
 def derivatives_of(name, aircraft, flight):
     """Return the known derivatives at the mean of a flight."""
-    at = exact_regressors(flight, aircraft).mean(axis=0)
-    known = evaluated_derivatives(name, flight, aircraft, at)
+    at, known = evaluated_derivatives(name, flight, aircraft)
     airspeed = flight["airspeed_true"].mean()
     return {"aircraft": aircraft, "at": at, "airspeed": airspeed, "known": known}
 
@@ -191,10 +190,10 @@ def scores_of(truth, mean, std):
     unit = truth[rows].std(axis=0)
     moments = [values[rows] / unit for values in (truth, mean, std)]
     return {
-        "error": float(normalized_rmse(*moments[:2])),
-        "NLPD": float(negative_log_predictive_density(*moments)),
-        "95 %": 100 * float(interval_coverage(*moments)),
-        "50 %": 100 * float(interval_coverage(*moments, level=0.5)),
+        "error": normalized_rmse(*moments[:2]),
+        "NLPD": negative_log_predictive_density(*moments),
+        "95 %": 100 * interval_coverage(*moments),
+        "50 %": 100 * interval_coverage(*moments, level=0.5),
     }
 
 
@@ -215,7 +214,7 @@ def scored(model, flights):
     return {
         "function, calm": calm["error"],
         "function, gusts": gusts["error"],
-        "logged": float(np.mean(logged)),
+        "logged": np.mean(logged),
         "NLPD, gusts": gusts["NLPD"],
         "95 %, calm": calm["95 %"],
         "95 %, gusts": gusts["95 %"],
@@ -229,7 +228,7 @@ def of_derivatives(pipeline, aircraft, at, airspeed, known):
     table = learned_derivatives(pipeline[-3:], aircraft, at, airspeed, STEADY[:8])
     true = true_values(table, known)
     is_inside = np.abs(table["value"] - true) < 2 * table["std"]
-    return 100 * float(is_inside[np.abs(true) > 0].mean())
+    return 100 * is_inside[np.abs(true) > 0].mean()
 
 
 def measured(name, label, cache):

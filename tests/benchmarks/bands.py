@@ -56,7 +56,7 @@ def inside(name, d, n, seed):
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         asked = direction * np.sqrt(d) * rng.uniform(near, far, (POINTS, 1))
         mean, std = model.predict(asked, return_std=True)
-        held[place] = float(interval_coverage(function(asked, W) + 3.0, mean, std))
+        held[place] = interval_coverage(function(asked, W) + 3.0, mean, std)
     return held
 
 

@@ -101,7 +101,7 @@ def scored(task, method):
     for (kind, y), std in zip(kinds.items(), bands, strict=False):
         if y is not None:
             held = interval_coverage(y[::BANDS_EVERY], mean[::BANDS_EVERY], std)
-            result[f"{kind}, %"] = 100 * float(held)
+            result[f"{kind}, %"] = 100 * held
     return result
 
 
@@ -117,7 +117,7 @@ def of_pipeline(table):
     """Return a row for each flight: errors of the pipeline."""
     rows = []
     for run in table[table["method"] == PIPELINE].to_dict("records"):
-        row = {"flight": run["flight"], "NRMSE": float(np.mean(run["NRMSE"]))}
+        row = {"flight": run["flight"], "NRMSE": np.mean(run["NRMSE"])}
         row |= dict(zip(run["outputs"], run["NRMSE"], strict=True))
         for kind in ("truth, %", "measured, %"):
             row[f"in band of {kind}"] = run[kind]

@@ -96,8 +96,8 @@ def scored(problem, method, seed):
     """Return the error over the spread of the truth, and the percentage of points inside the band."""
     X, Y, points, truth = PROBLEMS[problem](default_rng(seed))
     mean, std = METHODS[method](X, Y, points)
-    held = 100 * float(interval_coverage(truth, mean, std))
-    return {"error": float(normalized_rmse(truth, mean)), "held": held}
+    held = 100 * interval_coverage(truth, mean, std)
+    return {"error": normalized_rmse(truth, mean), "held": held}
 
 
 def main(words=None):

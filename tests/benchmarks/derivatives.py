@@ -19,7 +19,6 @@ from _common import Kept, finish, parser_of
 from freeflight_air import learned
 from jsbsim_flight import (
     evaluated_derivatives,
-    exact_regressors,
     flight_of,
     learned_derivatives,
 )
@@ -70,8 +69,8 @@ def coverage(table):
     alone = off < 2 * table["std_posterior"]
     return {
         "derivatives": len(table),
-        "within 2 std of known, %": 100 * float(inside.mean()),
-        "within 2 std of known, posterior alone, %": 100 * float(alone.mean()),
+        "within 2 std of known, %": 100 * inside.mean(),
+        "within 2 std of known, posterior alone, %": 100 * alone.mean(),
     }
 
 
@@ -85,7 +84,7 @@ def modes(model, truth, aircraft):
         )
         for name, root in known["eigenvalue"].items():
             error = 100 * abs(found["eigenvalue"].get(name, np.nan) / root - 1)
-            rows.setdefault(name, []).append(float(error))
+            rows.setdefault(name, []).append(error)
     return [{"mode": name, "largest error, %": max(each)} for name, each in rows.items()]
 
 
@@ -94,8 +93,7 @@ def cessna(air):
     flight = (1, air, int(air != "calm"))
     model, aircraft = learned("c172p", flight)
     log = flight_of("c172p", *flight)[0]
-    at = exact_regressors(log, aircraft).mean(axis=0)
-    known = evaluated_derivatives("c172p", log, aircraft, at)
+    at, known = evaluated_derivatives("c172p", log, aircraft)
     table = learned_derivatives(model[-3:], aircraft, at, log["airspeed_true"].mean())
     return {
         f"{C}_{x}, Cessna 172": table.loc[f"{C}_{x}", "value"] / known.loc[C, x]
@@ -106,11 +104,10 @@ def cessna(air):
 def measured(air):
     """Return the tables of the example aircraft, learned in this air, and slopes of both."""
     data = load_example_flights(turbulence=AIRS[air])
-    truth = data.truth
     model = make_identification_pipeline(data.aircraft)
     model.set_params(dependentgpregressor__random_state=0)
     model.fit(data.train, aerodynamic_coefficients(data.train, data.aircraft))
-    truth = over_perturbation(truth, model)
+    truth = over_perturbation(data.truth, model)
     tables = {airspeed: compared(model, truth, data, airspeed) for airspeed in AIRSPEEDS}
     middle = tables[36.0]
     shown = middle.loc[[*SHOWN], ["value", "std", "known"]]

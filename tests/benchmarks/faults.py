@@ -67,11 +67,6 @@ def smoothed(table):
     return result.assign(psi=np.angle(np.exp(1j * result["psi"])))
 
 
-def thinned(table):
-    """Return every tenth row: 5 Hz."""
-    return table.iloc[::10].reset_index(drop=True)
-
-
 def ways(table, span):
     """Return the sound ways to record a flight, by name."""
     moved = elsewhere(table, (ARM * span, 0, 0))
@@ -86,7 +81,7 @@ def ways(table, span):
         "ahead, without beta": no_beta(moved),
         "ahead, without vanes": no_vanes(moved),
         "smoothed, ahead, without beta": no_beta(smoothed(moved)),
-        "5 Hz, smoothed": thinned(smoothed(table)),
+        "5 Hz, smoothed": smoothed(table).iloc[::10].reset_index(drop=True),
         "GPS late by 0.2 s": late(table, 0.2, VELOCITY),
         "without position": without("north", "east", "altitude")(table),
     }

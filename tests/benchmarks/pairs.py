@@ -20,10 +20,13 @@ from skdgp import make_identification_pipeline
 from skdgp.metrics import interval_coverage, normalized_rmse
 
 # Inputs by their titles in the table
-QUARTERS = {"Ampyx AP2, first quarter left out": "AP2, quarter 1", "third": "AP2, quarter 3"}
-QUARTERS |= {"fourth": "AP2, quarter 4"}
-PAIRS = {name: name for name in REPOSITORY} | QUARTERS
-PAIRS |= {"viggen to test_twoalt": "viggen", "c172p to test_calm": "c172p"}
+PAIRS = {name: name for name in REPOSITORY} | {
+    "Ampyx AP2, first quarter left out": "AP2, quarter 1",
+    "third": "AP2, quarter 3",
+    "fourth": "AP2, quarter 4",
+    "viggen to test_twoalt": "viggen",
+    "c172p to test_calm": "c172p",
+}
 KINDS = {
     "average": "average",
     "joint": "all terms",
@@ -44,13 +47,13 @@ def result(task):
     measured = task.measured.to_numpy()
     some = slice(None, None, BANDS_EVERY)
     found = {
-        "least squares": float(normalized_rmse(measured, least_squares.predict(X))),
-        "average": float(normalized_rmse(measured, mean)),
-        "coverage": float(interval_coverage(measured[some], mean[some], std)),
+        "least squares": normalized_rmse(measured, least_squares.predict(X)),
+        "average": normalized_rmse(measured, mean),
+        "coverage": interval_coverage(measured[some], mean[some], std),
     }
     for name, member in zip(last.weights_, last.posterior_.members, strict=False):
         alone = member.predict(X) * last.scale_ + last.center_
-        found[name] = float(normalized_rmse(measured, alone))
+        found[name] = normalized_rmse(measured, alone)
     return found
 
 

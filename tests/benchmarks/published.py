@@ -248,9 +248,9 @@ def scored(case, method):
             errors.append(np.mean((y - m) ** 2) / np.mean((y - case.centre[k]) ** 2))
         if np.isfinite(s).all():
             held.append(interval_coverage(y, m, s))
-    result = {"error": float(np.mean(errors))}
+    result = {"error": np.mean(errors)}
     if held:
-        result["held"] = 100 * float(np.mean(held))
+        result["held"] = 100 * np.mean(held)
     return result
 
 

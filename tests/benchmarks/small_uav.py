@@ -52,8 +52,8 @@ def score(table, plane, lag):
         "z": ((value - exact) / std).tolist(),
         "error": (100 * abs(value / exact - 1)).tolist(),
         "half": (196 * std / abs(exact)).tolist(),
-        "alpha": float(np.rad2deg(np.std(found.air["alpha"].to_numpy() - alpha.to_numpy()))),
-        "lag": float(1e3 * abs(found.constants.loc["servo_lag", "value"] - lag)),
+        "alpha": np.rad2deg(np.std(found.air["alpha"].to_numpy() - alpha.to_numpy())),
+        "lag": 1e3 * abs(found.constants.loc["servo_lag", "value"] - lag),
         "converged": bool(found.converged),
     }
 

@@ -90,12 +90,12 @@ def scored(data, method):
     std = np.reshape(std, y.shape)
     spread = np.sqrt(np.mean(y**2, axis=0))
     result = {
-        "error": float(np.mean(np.sqrt(np.mean((y - mean) ** 2, axis=0)) / spread)),
+        "error": np.mean(np.sqrt(np.mean((y - mean) ** 2, axis=0)) / spread),
         "size": f"{len(X)}, {X.shape[1]}, {Y.shape[1]}",
     }
     if np.isfinite(std).all():
-        result["held"] = 100 * float(interval_coverage(y, mean, std))
-        result["density"] = float(negative_log_predictive_density(y, mean, std))
+        result["held"] = 100 * interval_coverage(y, mean, std)
+        result["density"] = negative_log_predictive_density(y, mean, std)
     return result
 
 

@@ -1,5 +1,6 @@
 """JSBSim flown for logs of aircraft whose aerodynamics are known."""
 
+from contextlib import suppress
 from functools import cache
 
 import numpy as np
@@ -73,12 +74,14 @@ SLOPES = [9, 10]
 WIND_AT_20FT = {"calm": 0.0, "light": 15.0, "moderate": 30.0}
 HEIGHT = 274.0  # above the ground [m]
 # Calibrated airspeed of aircraft of JSBSim
-KNOTS = {"J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0, "c182": 100.0}
-KNOTS |= {"c172p": 100.0, "t6texan2": 150.0, "T37": 200.0}
-KNOTS |= {"737": 250.0, "A320": 250.0, "B747": 280.0}
+KNOTS = {
+    "J3Cub": 65.0, "DHC6": 130.0, "A4": 350.0, "global5000": 280.0, "c182": 100.0, "c172p": 100.0,
+    "t6texan2": 150.0, "T37": 200.0, "737": 250.0, "A320": 250.0, "B747": 280.0,
+}  # fmt: skip
 # Aircraft of the ablation alone, which feel the rates of the air
-LEFT_OUT = {"Camel": 85.0, "F4N": 320.0, "OV10": 150.0, "787-8": 250.0}
-LEFT_OUT |= {"Boeing314": 130.0, "MD11": 280.0}
+LEFT_OUT = {
+    "Camel": 85.0, "F4N": 320.0, "OV10": 150.0, "787-8": 250.0, "Boeing314": 130.0, "MD11": 280.0,
+}  # fmt: skip
 KNOTS |= LEFT_OUT
 RATE = 40  # Hz, of the logs
 # Of JSBSim per row; controls change at each of them: held longer, they would lag behind the loads
@@ -87,8 +90,10 @@ SETTLING = 10.0  # s before the log
 DURATION = 200.0  # s of a log
 TRAINING = (1, "light", 1)  # Plan of the flight, air and seed
 FLOWN = {"calm": (2, "calm", 0), "light": (2, "light", 11), "moderate": (2, "moderate", 12)}
-UNITS = {"ft": FOOT, "ft/s": FOOT, "lb": POUND_FORCE, "lb ft": POUND_FORCE * FOOT}
-UNITS |= {"slug/ft^3": SLUG / FOOT**3}
+UNITS = {
+    "ft": FOOT, "ft/s": FOOT, "lb": POUND_FORCE, "lb ft": POUND_FORCE * FOOT,
+    "slug/ft^3": SLUG / FOOT**3,
+}  # fmt: skip
 # Columns; the property of JSBSim that each comes from; their unit
 PROPERTIES = """
 alpha_true beta_true; aero/alpha-rad aero/beta-rad; rad
@@ -228,8 +233,8 @@ class JSBSimAerodynamics:
     """
 
     def __init__(self, model, flight):
-        self.airspeed = float(flight["airspeed_true"].mean())
-        ratio = float(flight["density"].mean()) / SEA_LEVEL_DENSITY
+        self.airspeed = flight["airspeed_true"].mean()
+        ratio = flight["density"].mean() / SEA_LEVEL_DENSITY
         self.fdm = started(model, RATE * FRAMES, self.airspeed / KNOT * np.sqrt(ratio))
         self.aircraft = aircraft_of(self.fdm, model)
 
@@ -276,8 +281,8 @@ class JSBSimAerodynamics:
         """
         level, dots = self(at)
         banked = [self(at, bank) for bank in (BANK, -BANK)]
-        changes = np.array([of_bank - dots for _, of_bank in banked])
-        loads = np.array([of_bank - level for of_bank, _ in banked])
+        changes = [of_bank - dots for _, of_bank in banked]
+        loads = [of_bank - level for of_bank, _ in banked]
         by_dots = np.linalg.lstsq(changes, loads, rcond=None)[0].T
         slopes = np.zeros((6, 8))
         for k, step in enumerate(spread):
@@ -289,18 +294,18 @@ class JSBSimAerodynamics:
         return pd.DataFrame(np.hstack([slopes, by_dots]), COEFFICIENTS, [*STEADY[:8], *NAMES[9:]])
 
 
-def evaluated_derivatives(name, flight, aircraft, at):
-    """Return the derivatives (6, 10) of an aircraft of JSBSim, the mean over the spread of each regressor in a flight.
+def evaluated_derivatives(name, flight, aircraft):
+    """Return the mean regressors of a flight and the derivatives (6, 10) there of an aircraft of JSBSim.
 
-    The spread is smaller where a surface does not reach that far.
+    They are means over the spread of each regressor in the flight, smaller where a surface does not
+    reach that far.
     """
-    spread = exact_regressors(flight, aircraft).std(axis=0)[:8]
+    exact = exact_regressors(flight, aircraft)
+    at, spread = exact.mean(axis=0), exact.std(axis=0)[:8]
     evaluated = JSBSimAerodynamics(name, flight)
     for fraction in (1.0, REACH):
-        try:
-            return evaluated.derivatives(at[:8], fraction * spread)
-        except ValueError:
-            continue
+        with suppress(ValueError):
+            return at, evaluated.derivatives(at[:8], fraction * spread)
     raise ValueError(f"Got surfaces of {name} that do not reach {REACH:.0%} of what was flown.")
 
 
@@ -309,7 +314,7 @@ def learned_derivatives(model, aircraft, at, airspeed, names=STEADY):
     at = dict(zip(NAMES, at, strict=True))
     rates = np.array([at[name] for name in "pqr"]) * 2 * airspeed / aircraft.moment_lengths
     velocity = air_velocity(airspeed, at["alpha"], at["beta"])
-    attitude = [np.cos(at["alpha"] / 2), 0.0, np.sin(at["alpha"] / 2), 0.0]
+    attitude = euler_to_quaternion(0.0, at["alpha"], 0.0)
     state = np.concatenate([[0.0, 0.0, -HEIGHT], velocity, attitude, rates])
     controls = {name: at[name] for name in STEADY[5:]}
     table = stability_derivatives(model, aircraft, state, controls, thrust=None)

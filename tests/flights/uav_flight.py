@@ -23,7 +23,7 @@ def aircraft(sizes):
     sizes = {"slipstream": 0.0, "thrust_arm": [0.0, 0.0]} | sizes
     x, y, z, xz = sizes["inertia"]
     W = pd.DataFrame({C: sizes[C] for C in COEFFICIENTS}).reindex(TERMS).fillna(0.0)
-    inertia = np.array([[x, 0, xz], [0, y, 0], [xz, 0, z]])
+    inertia = [[x, 0, xz], [0, y, 0], [xz, 0, z]]
     return sizes | {"inertia": inertia, "derivatives": W.to_numpy().T}
 
 
@@ -55,8 +55,10 @@ VIBRATION = (1.5, 0.03)  # m/s^2, rad/s
 STEADY_WIND = np.array([3.0, -2.0, 0.0])
 COMMANDS = ["elevator_command", "aileron_command", "rudder_command"]
 # White noise of channels that are logged, standard deviation
-NOISE = [(["airspeed"], 0.3), (FORCES, 0.1), (RATES, 0.005), (EULER, 0.005), (VELOCITY, 0.1)]
-NOISE += [(SURFACES, 0.0), (["throttle"], 0.0), (["thrust_x"], 0.0), (["alpha_true"], 0.0)]
+NOISE = [
+    (["airspeed"], 0.3), (FORCES, 0.1), (RATES, 0.005), (EULER, 0.005), (VELOCITY, 0.1),
+    (SURFACES, 0.0), (["throttle"], 0.0), (["thrust_x"], 0.0), (["alpha_true"], 0.0),
+]  # fmt: skip
 # Of the attitude of real sensors: standard deviation [rad], correlation time [s]
 ATTITUDE_ERRORS = ((0.01, 5.0), (0.01, 5.0), (0.03, 20.0))
 THERMAL = (1.5, 4.0, 25.0)  # speed [m/s], width [s], and distance [s] of thermals
